@@ -64,14 +64,14 @@ def test_vehicles_on_the_ground_and_failed_units_are_left_to_single_steps(simula
     simulation = simulate()
     free = simulation._free_flight
     simulation.run_until(4_000)
-    assert free.possible_steps() == 4
+    assert free._possible_steps() == 4
     simulation.autopilot.failures["gyro"][1] = 1
-    assert free.possible_steps() == 0
+    assert free.advance(1, simulation._steps, simulation.time_us) == 0
     simulation.autopilot.failures["gyro"][1] = 0
     simulation.autopilot.setpoint["failed_rotors"][2] = 1
-    assert free.possible_steps() == 0
+    assert free.advance(1, simulation._steps, simulation.time_us) == 0
     simulation.run_until(40_000)
     assert simulation.autopilot.failed_rotors.tolist() == [0, 0, 1, 0, 0]
     simulation.world.plant["position"][4, 2] = 0.3
     simulation.run_until(60_000)
-    assert free.possible_steps() == 0
+    assert free.advance(1, simulation._steps, simulation.time_us) == 0

@@ -22,8 +22,8 @@ from xtdrone_control.autopilot.state import N_STATES
 from xtdrone_sim.kernel import kernel, kernel_for_threads
 from xtdrone_sim.physics.plant import ASLEEP, TOUCHING
 from xtdrone_sim.physics.plant import step_vehicle as move
-from xtdrone_sim.physics.world import World
-from xtdrone_sim.sensors.sensor_models import Sensors, sample_vehicle
+from xtdrone_sim.physics.world import CHECK_STEPS, World, sort_contacts
+from xtdrone_sim.sensors.sensor_models import STEPS, Sensors, sample_vehicle
 
 _VEHICLES_PER_THREAD = 12  # fewer are done sooner than another thread starts
 _MOST_THREADS = 8
@@ -63,6 +63,32 @@ def _advance(
                 step + k, time_us + (k + 1) * STEP_US, field, place, gravity, dt,
             )  # fmt: skip
             control(s, estimator[i], setpoint[i], c, params[i], mix[i], unmix[i], rotors[i], dt, work)
+
+
+@kernel
+def _advance_alone(most, step, time_us, plant, models, field, place, gravity, dt, *records):
+    """Advance all vehicles by up to ``most`` steps, until a contact check finds a change; return the number of steps.
+
+    Args:
+        most: number of steps, 1 or more; the contacts have been checked for the first ones.
+        step: number of the first step since the start; the contacts are checked before multiples of CHECK_STEPS.
+        time_us: simulated time before it, microseconds.
+        plant, models, field, place, gravity, dt, records: see ``_advance``.
+    """
+    count = plant.shape[0]
+    wanted = np.empty(count, np.int64)
+    armed = records[6]["armed"]
+    done = 0
+    while done < most:
+        if done and sort_contacts(plant, models, armed, CHECK_STEPS, dt, wanted):
+            return done
+        steps = min(most - done, CHECK_STEPS - (step + done) % CHECK_STEPS)
+        _advance(
+            0, count, steps, step + done, time_us + done * STEP_US,
+            plant, models, field, place, gravity, dt, *records,
+        )  # fmt: skip
+        done += steps
+    return done
 
 
 class _Thread:
@@ -122,8 +148,9 @@ class FreeFlight:
         limits = [count * i // max(threads, 1) for i in range(max(threads, 1) + 1)]
         self._shares = [(first, last, (*records, np.zeros((2, N_STATES)))) for first, last in pairwise(limits)]
         self._threads = [_Thread(i) for i in range(1, len(self._shares))]
+        self._checks_inside = not self._threads and not world.has_obstacles
 
-    def possible_steps(self) -> int:
+    def _possible_steps(self) -> int:
         """Return for how many steps the vehicles are free: those to the next check of the contacts, or 0."""
         if self._sensors.failing.any:
             return 0
@@ -131,15 +158,30 @@ class FreeFlight:
         free = _is_free(self._world.plant, self._armed, self._failures, self._failed, self._autopilot.failed_rotors)
         return steps if free else 0
 
-    def advance(self, steps: int, step: int, time_us: int) -> None:
-        """Advance plant, sensors and autopilots by 1 to ``possible_steps()`` steps.
+    def advance(self, most: int, step: int, time_us: int) -> int:
+        """Advance plant, sensors and autopilots while the vehicles are free.
 
         Args:
-            steps: number of steps.
+            most: largest number of steps, 1 or more.
             step: number of the first one since the start.
             time_us: simulated time before it, microseconds.
+
+        Returns:
+            The number of steps, up to ``most``; 0 if the next one must be done by ``Simulation.step``.
         """
+        possible = self._possible_steps()
+        if not possible:
+            return 0
         self._sensors.draw(step)
+        if self._checks_inside:
+            steps = int(_advance_alone(min(most, STEPS - step % STEPS), step, time_us, *self._shares[0][2]))
+        else:
+            steps = min(most, possible)
+            self._advance_shares(steps, step, time_us)
+        self._world.count_steps(steps)
+        return steps
+
+    def _advance_shares(self, steps: int, step: int, time_us: int) -> None:
         (first, last, records), *others = self._shares
         for thread, (begin, end, own) in zip(self._threads, others, strict=True):
             thread.begin(begin, end, steps, step, time_us, *own)
@@ -148,4 +190,3 @@ class FreeFlight:
         finally:
             for thread in self._threads:
                 thread.wait()
-        self._world.count_steps(steps)

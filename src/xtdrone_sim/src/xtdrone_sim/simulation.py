@@ -149,13 +149,12 @@ class Simulation:
 
     def _fly_free(self, most: int) -> bool:
         """Advance by 1 to ``most`` steps at once; return whether that was possible."""
-        steps = min(most, self.autopilots.kernel_steps()) if self._free_flight is not None else 0
-        if self._free_flight is None or steps < 1:
+        most = min(most, self.autopilots.kernel_steps())
+        if self._free_flight is None or most < 1:
             return False
-        steps = min(steps, self._free_flight.possible_steps())
+        steps = self._free_flight.advance(most, self._steps, self.time_us)
         if steps < 1:
             return False
-        self._free_flight.advance(steps, self._steps, self.time_us)
         self.time_us += steps * STEP_US
         self._steps += steps
         self.autopilots.count_steps(steps)

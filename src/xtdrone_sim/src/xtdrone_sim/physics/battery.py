@@ -48,8 +48,6 @@ class Batteries:
             models: one per vehicle.
             parameters: one per vehicle: SIM_BAT_*, BAT1_*.
         """
-        self._world = world
-        self._autopilot = autopilot
         self._parameters = parameters
         self._cells = np.array([m.cells for m in models])
         self._any_cells = bool(self._cells.any())
@@ -61,8 +59,12 @@ class Batteries:
         self._charge = np.ones(len(models))  # 0..1
         self._voltage = np.zeros(len(models))
         self._last_us: int | None = None
+        sensors, self._rotor_speed = autopilot.sensors, world.plant["rotor_speed"]
+        self._failures, self._armed = autopilot.failures["battery"], autopilot.setpoint["armed"]
+        self._shown_voltage, self._shown_current = sensors["battery_voltage"], sensors["battery_current"]
+        self._rpm, self._motor_current = sensors["esc_rpm"], sensors["esc_current"]
         self._changes = -1  # of all vehicles' parameters
-        self._values = np.empty((len(_NAMES), len(models)))
+        self._read_parameters()
         self.update(autopilot.time_us)
 
     @property
@@ -75,47 +77,42 @@ class Batteries:
         elapsed = 0.0 if self._last_us is None else (time_us - self._last_us) * 1e-6
         self._last_us = time_us
         self._read_parameters()
-        drain, least, cells, empty, full, load_drop = self._values
-        sensors = self._autopilot.sensors
-        speed = self._world.plant["rotor_speed"]
+        speed = self._rotor_speed
         power = np.where(speed > _TURNING, self._motor_power * speed**3 + self._idle_power, 0.0)
-        total = power.sum(axis=1) + self._avionics_power
-        charge, volts = self._drain(elapsed, drain, least, cells * empty, cells * full)
+        charge, volts = self._drain(elapsed)
         current: NDArray[np.float64] | float = -1.0
         if self._any_cells:
-            used, cell_volts, drawn = self._discharge(elapsed, total, cells)
+            used, cell_volts, drawn = self._discharge(elapsed, power.sum(axis=1) + self._avionics_power)
             charge = np.where(self._cells, used, charge)
             volts = np.where(self._cells, cell_volts, volts)
             current = np.where(self._cells, drawn, -1.0)
         self._charge = charge
-        failed = self._autopilot.failures["battery"] == FAILURE_OFF
-        self._voltage = np.where(failed, cells * (empty - load_drop), volts)
-        sensors["battery_voltage"] = self._voltage
-        sensors["battery_current"] = current
-        sensors["esc_rpm"] = speed * _RPM
-        sensors["esc_current"] = power / np.maximum(self._voltage, 1.0)[:, None]
+        self._voltage = np.where(self._failures == FAILURE_OFF, self._failed_voltage, volts)
+        self._shown_voltage[:] = self._voltage
+        self._shown_current[:] = current
+        np.multiply(speed, _RPM, out=self._rpm)
+        np.divide(power, np.maximum(self._voltage, 1.0)[:, None], out=self._motor_current)
 
     def _read_parameters(self) -> None:
         """Read the parameters again after a change."""
         changes = sum([p.changes for p in self._parameters])
         if changes != self._changes:
             self._changes = changes
-            self._values = np.array([[p.get(name) for name in _NAMES] for p in self._parameters]).T
+            table = np.array([[p.get(name) for name in _NAMES] for p in self._parameters], float)
+            drain, least, self._number, empty, full, load_drop = np.ascontiguousarray(table.T)
+            self._drain_time, self._least_charge = np.maximum(drain, 1e-3), least / 100.0
+            self._empty_voltage, self._full_voltage = self._number * empty, self._number * full
+            self._failed_voltage = self._number * (empty - load_drop)
 
-    def _drain(
-        self, elapsed: float, drain: np.ndarray, least: np.ndarray, empty: np.ndarray, full: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _drain(self, elapsed: float) -> tuple[np.ndarray, np.ndarray]:
         """Return charge (0..1) and voltage (V) of batteries of model ``drain``."""
-        armed = self._autopilot.setpoint["armed"] != 0
-        charge = np.where(armed, self._charge - elapsed / np.maximum(drain, 1e-3), 1.0)
-        charge = np.maximum(charge, least / 100.0)
-        return charge, empty + charge * (full - empty)
+        charge = np.where(self._armed != 0, self._charge - elapsed / self._drain_time, 1.0)
+        charge = np.maximum(charge, self._least_charge)
+        return charge, self._empty_voltage + charge * (self._full_voltage - self._empty_voltage)
 
-    def _discharge(
-        self, elapsed: float, power: np.ndarray, cells: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _discharge(self, elapsed: float, power: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return charge (0..1), voltage (V) and current (A) of batteries of model ``cell``."""
-        rest = cells * np.interp(self._charge, _CHARGES, _CELL_VOLTAGES)
+        rest = self._number * np.interp(self._charge, _CHARGES, _CELL_VOLTAGES)
         # V I = P with V = rest - R I; the power is limited to the battery's maximum
         inside = np.maximum(rest**2 - 4.0 * self._resistance * power, 0.0)
         current = (rest - np.sqrt(inside)) / (2.0 * self._resistance)

@@ -258,8 +258,13 @@ class World:
             self._sort_contacts(armed)
         return CHECK_STEPS - done
 
+    @property
+    def has_obstacles(self) -> bool:
+        """Whether the vehicles can touch models of the world."""
+        return self._obstacles.count > 0
+
     def count_steps(self, steps: int) -> None:
-        """Count steps in which other code has advanced ``plant``, no further than the next contact check."""
+        """Count steps in which other code has advanced ``plant``, with the contact checks between them."""
         self._steps += steps
 
     def _sort_contacts(self, armed: NDArray[np.int32]) -> None:
