@@ -51,6 +51,8 @@ from collections.abc import Iterator, Mapping
 from fractions import Fraction
 from typing import Any, NamedTuple
 
+from xtdrone_native import lockstep_io
+
 VERSION = 2
 BASE_STEP_US = 4000
 MAX_FRAME = 1 << 24
@@ -117,7 +119,6 @@ class Barrier(NamedTuple):
     datagrams: dict[int, int]
 
 
-_PAIR = struct.Struct("<IQ")
 _RUNS = [struct.Struct("<" + "IQ" * count) for count in range(65)]
 """Struct formats by number of pairs. Longer runs are packed in pieces, as a format per length would fill the memory."""
 
@@ -157,18 +158,10 @@ def unpack_barrier(payload: bytes) -> Barrier:
     Raises:
         ProtocolError: The length does not match the number of pairs.
     """
-    try:
-        tick, time_us, channel_count, port_count = _BARRIER.unpack_from(payload)
-        count = channel_count + port_count
-        if len(payload) != _BARRIER.size + 12 * count:
-            raise ProtocolError(f"barrier frame of {len(payload)} bytes for {count} pairs")
-    except struct.error as error:
-        raise ProtocolError(f"barrier frame of {len(payload)} bytes: {error}") from error
-    if not count:
-        return Barrier(tick, time_us, {}, {})
-    split = _BARRIER.size + 12 * channel_count
-    channels = dict(_PAIR.iter_unpack(payload[_BARRIER.size : split]))
-    return Barrier(tick, time_us, channels, dict(_PAIR.iter_unpack(payload[split:])) if port_count else {})
+    content = lockstep_io.unpack_barrier(payload)
+    if content is None:
+        raise ProtocolError(f"barrier frame of {len(payload)} bytes: the length does not match the number of pairs")
+    return Barrier._make(content)
 
 
 def pack_object(kind: Kind, content: Mapping[str, Any]) -> bytes:
@@ -306,6 +299,27 @@ def same_machine(first: str, second: str) -> bool:
     return first == second or (first.startswith("127.") and second.startswith("127."))
 
 
+def local_address(host: str, port: int) -> str:
+    """Return the address of the Unix domain socket beside a lockstep server's TCP port.
+
+    It is abstract: it belongs to the same network namespace as the port and ends with the server.
+
+    Args:
+        host: IP address of the listening TCP socket.
+        port: Its TCP port.
+    """
+    return f"\0xtdrone-lockstep/{host}:{port}"
+
+
+_CREDENTIALS = struct.Struct("3i")
+
+
+def has_same_owner(sock: socket.socket) -> bool:
+    """Return whether the process at the other end of a Unix domain socket belongs to the user of this process."""
+    _, user, _ = _CREDENTIALS.unpack(sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size))
+    return bool(user == os.geteuid())
+
+
 _UNANSWERED_MS = 15_000
 _KEEPALIVE = ((socket.TCP_KEEPIDLE, 3), (socket.TCP_KEEPINTVL, 3), (socket.TCP_KEEPCNT, 4))
 
@@ -313,8 +327,12 @@ _KEEPALIVE = ((socket.TCP_KEEPIDLE, 3), (socket.TCP_KEEPINTVL, 3), (socket.TCP_K
 def tune(sock: socket.socket) -> None:
     """Set the TCP options of a lockstep connection: send without delay and detect an unreachable machine.
 
+    A Unix domain socket needs none.
+
     A machine's kernel answers even while the process hangs; after 15 s without an answer the connection breaks.
     """
+    if sock.family == socket.AF_UNIX:
+        return
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for option, value in _KEEPALIVE:

@@ -288,9 +288,14 @@ class Client:
                     self._update_peers(unpack_object(payload))
                 elif kind in (Kind.REFUSED, Kind.LEAVE):
                     self._end_by_frame(kind, payload)
-            self._reader.wait(1.0)
+            try:
+                tick = self._connection.await_frames(self._reader, 1.0)
+            except (OSError, ProtocolError) as error:
+                self._lose_simulator(str(error))
             if rospy.core.is_shutdown_requested():
                 raise rospy.ROSInterruptException("ROS shutdown request")
+            if tick is not None:
+                return tick
 
     def _enter(self, tick: Barrier) -> None:
         """Begin the turn of a TICK: set the time, run reset hooks, receive datagrams and messages."""

@@ -1,4 +1,4 @@
-"""A node's TCP connection to the simulator's lockstep server."""
+"""A node's connection to the simulator's lockstep server: over a Unix domain socket on one machine, else over TCP."""
 
 from __future__ import annotations
 
@@ -10,7 +10,19 @@ from collections.abc import Callable, Mapping
 from typing import Any
 from urllib.parse import urlparse
 
-from ..protocol import FrameReader, Kind, ProtocolError, pack_object, printable, same_machine, tune, unpack_object
+from ..protocol import (
+    Barrier,
+    FrameReader,
+    Kind,
+    ProtocolError,
+    has_same_owner,
+    local_address,
+    pack_object,
+    printable,
+    same_machine,
+    tune,
+    unpack_object,
+)
 from ..transport.reader import Reader
 
 CONNECT_LIMIT = 10.0
@@ -80,10 +92,31 @@ class Connection:
         return unpack_object(payload)
 
     def watch(self, reader: Reader, handler: Callable[[], None]) -> None:
-        """Register ``handler``, which ``reader`` calls whenever data can be read."""
+        """Register ``handler``, which ``reader`` calls whenever data can be read, except in ``await_frames``."""
         sock = self._connected()
         sock.settimeout(None)
         reader.watch(sock.fileno(), handler)
+
+    def await_frames(self, reader: Reader, timeout: float) -> Barrier | None:
+        """Wait for data from the simulator or for anything else that ``reader`` handles.
+
+        Args:
+            reader: The reader given to ``watch``.
+            timeout: Longest wait in wall seconds.
+
+        Returns:
+            The content of a TICK that has arrived alone; otherwise None, and received frames are in ``frames``.
+
+        Raises:
+            OSError: The connection is closed.
+            ProtocolError: The data is invalid.
+        """
+        received = reader.receive(self._connected().fileno(), timeout, whole=not self._frame_reader)
+        if isinstance(received, tuple):
+            return Barrier._make(received)
+        if received is not None:
+            self._accept(received)
+        return None
 
     def send(self, data: bytes) -> None:
         """Send frames; the caller holds ``lock``.
@@ -100,7 +133,9 @@ class Connection:
             OSError: The connection is closed.
             ProtocolError: The data is invalid.
         """
-        data = self._connected().recv(1 << 16)
+        self._accept(self._connected().recv(1 << 16))
+
+    def _accept(self, data: bytes) -> None:
         if not data:
             raise ConnectionError("it has closed the connection")
         self._frame_reader.feed(data)
@@ -121,6 +156,9 @@ class Connection:
         address = urlparse(self.uri)
         if address.scheme != "tcp" or not address.hostname or not address.port:
             raise ProtocolError(f"{URI_PARAM} is {self.uri!r}, it must be tcp://host:port")
+        local = _connect_locally(address.hostname, address.port)
+        if local is not None:
+            return local
         sock = socket.create_connection((address.hostname, address.port), timeout=CONNECT_LIMIT)
         tune(sock)
         self.remote = not same_machine(sock.getpeername()[0], sock.getsockname()[0])
@@ -130,3 +168,34 @@ class Connection:
         if self._sock is None:
             raise ConnectionError("not connected")
         return self._sock
+
+
+def _connect_locally(host: str, port: int) -> socket.socket | None:
+    """Connect to the Unix domain socket of a simulator on this machine that belongs to the same user; None without one.
+
+    Args:
+        host: Host name or IP address of the simulator.
+        port: Its TCP port.
+
+    Raises:
+        OSError: The host name is unknown.
+    """
+    addresses = {entry[4][0] for entry in socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_STREAM)}
+    for address in [address for address in addresses if _is_own(str(address))]:
+        for listening in (str(address), "0.0.0.0"):
+            sock = socket.socket(socket.AF_UNIX)
+            sock.settimeout(CONNECT_LIMIT)
+            with contextlib.suppress(OSError):
+                sock.connect(local_address(listening, port))
+                if has_same_owner(sock):
+                    return sock
+            sock.close()
+    return None
+
+
+def _is_own(address: str) -> bool:
+    """Return whether an IP address belongs to this machine."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
+        probe.connect((address, 1))  # sends nothing
+        return same_machine(address, probe.getsockname()[0])
+    return False

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from ..protocol import Barrier, Kind, pack_barrier, pack_object
 from .channels import Channels
+from .connection import Connection
 from .connections import Connections, Log
 from .datagrams import DatagramCounts
 from .participant import Participant
@@ -77,12 +78,14 @@ class TickBarrier:
 
     def next_due_us(self, now_us: int) -> int | None:
         """Return the earliest time after ``now_us`` at which a participant is due in us; None without participants."""
-        times = [
+        earliest = min([participant.due_us for participant in self._participants.values()], default=None)
+        if earliest is None or earliest > now_us:
+            return earliest
+        return min(
             participant.due_us if participant.due_us > now_us else participant.schedule.after_us(now_us)
             for participant in self._participants.values()
             if participant.schedule is not None
-        ]
-        return min(times, default=None)
+        )
 
     def add_participant(self, participant: Participant) -> None:
         """Schedule the first turn of a participant that joins."""
@@ -111,8 +114,7 @@ class TickBarrier:
             return
         self.ticks += 1
         started = self._last_poll = time.monotonic()
-        for participant in due:
-            self._send_tick(participant, now_us, started)
+        self._send_ticks(due, started)
         while self.awaited:
             self._wait(SLICE, idle)
             self._drop_hung()
@@ -128,21 +130,39 @@ class TickBarrier:
         if participant.waiting:
             participant.waiting = False
             self.awaited -= 1
+            if participant.connection is not None:
+                self._connections.release(participant.connection)
 
-    def _send_tick(self, participant: Participant, now_us: int, wall: float) -> None:
-        participant.waiting = True
-        participant.tick = self.ticks
-        participant.asked = wall
-        if participant.schedule is not None:
-            participant.due_us = participant.schedule.after_us(now_us)
-        self.awaited += 1
+    def _send_ticks(self, due: Iterable[Participant], wall: float) -> None:
+        rows: list[tuple[Connection, dict[int, int]]] = []
+        next_due: dict[float, int] = {}  # by rate
+        for participant in due:
+            connection, schedule = participant.connection, participant.schedule
+            if connection is None or schedule is None:
+                continue
+            due_us = next_due.get(participant.rate)
+            if due_us is None:
+                due_us = next_due[participant.rate] = schedule.after_us(self.time_us)
+            participant.due_us = due_us
+            participant.waiting = True
+            participant.tick = self.ticks
+            participant.asked = wall
+            self.awaited += 1
+            if participant.udp_ports or connection.unsent or participant.news.has_peers():
+                self._send_tick(participant, connection)
+            else:
+                rows.append((connection, participant.news.counts))
+        self._connections.send_ticks(self.ticks, self.time_us, rows)
+
+    def _send_tick(self, participant: Participant, connection: Connection) -> None:
+        """Send TICK together with connections made and lost and with datagram counts."""
         counts = participant.news.counts
         peers = b"".join(pack_object(Kind.PEER, content) for content in participant.news.take_peers())
         ports = self._datagrams.news_for(participant) if participant.udp_ports else {}
-        frame = pack_barrier(Kind.TICK, self.ticks, now_us, counts, ports)
+        frame = pack_barrier(Kind.TICK, self.ticks, self.time_us, counts, ports)
         counts.clear()
-        if participant.connection is not None:
-            self._connections.send(participant.connection, peers + frame if peers else frame)
+        self._connections.expect(connection, self.ticks)
+        self._connections.send(connection, peers + frame if peers else frame)
 
     # ---- waiting ----
 

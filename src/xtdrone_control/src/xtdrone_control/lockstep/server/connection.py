@@ -7,6 +7,8 @@ import socket
 from ..protocol import FrameReader, same_machine
 from .frames import BEFORE_JOIN
 
+THIS_MACHINE = "127.0.0.1"
+"""Address of the clients of the Unix domain socket."""
 
 class Process:
     """A process on this machine, distinguished from a later process with the same pid by its start time."""
@@ -37,12 +39,13 @@ class Process:
 
 
 class Connection:
-    """A client's TCP connection, from ``accept`` until it is closed.
+    """A client's TCP or Unix domain connection, from ``accept`` until it is closed.
 
     Attributes:
         sock: The socket; None once the connection is closed.
-        host: IP address of the client.
-        address: Host and port of the client.
+        descriptor: Its file descriptor.
+        host: IP address of the client; ``THIS_MACHINE`` over a Unix domain socket.
+        address: Host and port of the client; ``THIS_MACHINE`` over a Unix domain socket.
         remote: Whether the client runs on another machine.
         name: Resolved ROS name of the participant, as /follower_1; empty until it has joined.
         reserved: Name reserved over this connection; empty if none.
@@ -53,18 +56,22 @@ class Connection:
         unsent: Bytes waiting until the client reads.
     """
 
-    def __init__(self, sock: socket.socket, address: tuple[str, int], now: float) -> None:
+    def __init__(self, sock: socket.socket, address: tuple[str, int] | None, now: float) -> None:
         """Wrap an accepted socket.
 
         Args:
             sock: The connected socket.
-            address: IP address and port of the client.
+            address: IP address and port of the client; None over a Unix domain socket.
             now: Monotonic wall time in seconds.
         """
         self.sock: socket.socket | None = sock
-        self.host = address[0]
-        self.address = f"{address[0]}:{address[1]}"
-        self.remote = not same_machine(address[0], sock.getsockname()[0])
+        self.descriptor = sock.fileno()
+        self.host = self.address = THIS_MACHINE
+        self.remote = False
+        if address is not None:
+            self.host = address[0]
+            self.address = f"{address[0]}:{address[1]}"
+            self.remote = not same_machine(address[0], sock.getsockname()[0])
         self.name = ""
         self.reserved = ""
         self.process: Process | None = None

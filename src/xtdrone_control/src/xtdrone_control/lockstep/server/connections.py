@@ -12,10 +12,12 @@ import os
 import select
 import socket
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from itertools import islice
 
-from ..protocol import Kind, ProtocolError, pack_object, tune
+from xtdrone_native import lockstep_io
+
+from ..protocol import Kind, ProtocolError, has_same_owner, local_address, pack_object, tune
 from .connection import Connection
 from .frames import RefusalError
 
@@ -23,6 +25,9 @@ Log = Callable[[int, str], None]
 """Called with a level of ``logging`` and a text."""
 HandleFrame = Callable[[Connection, int, bytes], None]
 """Called with the connection, type and payload of each frame; raises ProtocolError or RefusalError if it is invalid."""
+EndTurn = Callable[[Connection, Mapping[int, int]], None]
+"""Called with the connection of each DONE that was awaited, whose counts of channels have been routed, and with its counts
+of datagrams by port; raises ProtocolError if they are invalid."""
 
 GREETING_LIMIT = 10.0
 """Wall seconds that a connection may stay open without a JOIN or RESERVE."""
@@ -60,15 +65,22 @@ class Connections:
     """
 
     def __init__(
-        self, host: str, port: int, log: Log, handle_frame: HandleFrame, on_close: Callable[[Connection], None]
+        self,
+        host: str,
+        port: int,
+        log: Log,
+        handle_frame: HandleFrame,
+        end_turn: EndTurn,
+        on_close: Callable[[Connection], None],
     ) -> None:
-        """Open the listening socket.
+        """Open the listening sockets.
 
         Args:
             host: Address to listen on; "0.0.0.0" for all interfaces.
             port: TCP port, 0 for any free one.
             log: Receives log messages.
-            handle_frame: Called with each frame.
+            handle_frame: Called with each frame, except those passed to ``end_turn``.
+            end_turn: Called with each DONE that was awaited.
             on_close: Called after a connection has been closed.
 
         Raises:
@@ -76,15 +88,20 @@ class Connections:
         """
         self._log = log
         self._handle_frame = handle_frame
+        self._end_turn = end_turn
         self._on_close = on_close
-        self._listener = socket.create_server((host, port), backlog=1024)
-        self._listener.setblocking(False)
+        listener = socket.create_server((host, port), backlog=1024)
+        address, number = listener.getsockname()[:2]
+        self._listeners = {one.fileno(): one for one in (listener, _local_listener(address, number)) if one is not None}
         advertised = socket.gethostname() if host in {"", "0.0.0.0"} else host
-        self.uri = f"tcp://{advertised}:{self._listener.getsockname()[1]}"
+        self.uri = f"tcp://{advertised}:{number}"
         self.reserved: dict[str, Connection] = {}
         self._epoll = select.epoll()
+        self._exchange = lockstep_io.Exchange(self._epoll.fileno())
         self._listening = True
-        self._epoll.register(self._listener.fileno(), select.EPOLLIN)
+        for descriptor, one in self._listeners.items():
+            one.setblocking(False)
+            self._epoll.register(descriptor, select.EPOLLIN)
         # Readable while there is a backlog, i.e. connections with received frames that have not been handled.
         self._backlog_event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._epoll.register(self._backlog_event, select.EPOLLIN)
@@ -118,27 +135,44 @@ class Connections:
         """
         backlog = list(self._backlog)
         newcomers: list[Connection] = []
-        knocks = False
-        for descriptor, event in self._epoll.poll(timeout):
+        knocks: list[socket.socket] = []
+        completed, others = self._exchange.poll(timeout)
+        if completed:
+            self._end_turns(completed)
+        for descriptor, event, data, error in others:
             connection = self._open.get(descriptor)
-            if connection is None:  # the listener, the backlog event, or a connection closed in this loop
-                knocks = knocks or descriptor == self._listener.fileno()
-                continue
-            if not connection.name:
+            if connection is None:  # a listener, the backlog event, or a connection closed in this loop
+                if descriptor in self._listeners:
+                    knocks.append(self._listeners[descriptor])
+            elif data is not None:
+                self._accept_data(connection, data)
+            elif error:
+                self.drop(connection, f"is gone: {OSError(error, os.strerror(error))}")
+            elif not connection.name:
                 newcomers.append(connection)
-                continue
-            if event & select.EPOLLOUT:
-                self._flush(connection)
-            if event & (select.EPOLLIN | select.EPOLLHUP | select.EPOLLERR):
-                self._receive(connection)
+            else:
+                if event & select.EPOLLOUT:
+                    self._flush(connection)
+                if event & (select.EPOLLIN | select.EPOLLHUP | select.EPOLLERR):
+                    self._receive(connection)
         for connection in backlog:
             self._handle_frames(connection)
         if newcomers or knocks:
-            self._greet(newcomers)
+            self._greet(newcomers, knocks)
         if self._newcomers or self.reserved or not self._listening:
             self._close_overdue()
 
-    def _greet(self, newcomers: Iterable[Connection]) -> None:
+    def _end_turns(self, completed: Iterable[tuple[int, Mapping[int, int] | None]]) -> None:
+        now = time.monotonic()
+        for descriptor, ports in completed:
+            connection = self._open[descriptor]
+            connection.heard = now
+            try:
+                self._end_turn(connection, ports or {})
+            except ProtocolError as error:
+                self.drop(connection, f"sent an invalid lockstep frame: {error}")
+
+    def _greet(self, newcomers: Iterable[Connection], knocks: Iterable[socket.socket]) -> None:
         """Serve connections that have not joined and accept more, for ``GREETING_BUDGET`` seconds.
 
         Unread data and pending connections stay in the kernel.
@@ -149,13 +183,14 @@ class Connections:
                 return
             self._flush(connection)
             self._receive(connection)
-        while self._listening and time.monotonic() < end and self._accept():
-            continue
+        for listener in knocks:
+            while self._listening and time.monotonic() < end and self._accept(listener):
+                continue
 
-    def _accept(self) -> bool:
+    def _accept(self, listener: socket.socket) -> bool:
         """Accept a pending connection; return whether there was one."""
         try:
-            sock, address = self._listener.accept()
+            sock, address = listener.accept()
         except BlockingIOError:
             return False
         except OSError as error:
@@ -165,8 +200,12 @@ class Connections:
             return False
         sock.setblocking(False)
         tune(sock)
-        connection = Connection(sock, address, time.monotonic())
-        self._open[sock.fileno()] = connection
+        is_local = sock.family == socket.AF_UNIX
+        if is_local and not has_same_owner(sock):
+            sock.close()
+            return True
+        connection = Connection(sock, None if is_local else address, time.monotonic())
+        self._open[connection.descriptor] = connection
         self._per_address[connection.host] = self._per_address.get(connection.host, 0) + 1
         self._newcomers[connection] = None
         self._epoll.register(sock.fileno(), select.EPOLLIN)
@@ -185,7 +224,8 @@ class Connections:
         """Accept new connections, or leave them in the kernel."""
         if enabled != self._listening:
             self._listening = enabled
-            self._epoll.modify(self._listener.fileno(), select.EPOLLIN if enabled else 0)
+            for descriptor in self._listeners:
+                self._epoll.modify(descriptor, select.EPOLLIN if enabled else 0)
 
     # ---- receiving ----
 
@@ -199,6 +239,10 @@ class Connections:
         except OSError as error:
             self.drop(connection, f"is gone: {error}")
             return
+        self._accept_data(connection, data)
+
+    def _accept_data(self, connection: Connection, data: bytes) -> None:
+        """Handle data received on a connection; none if the client has closed it."""
         if not data:
             self.drop(connection, "is gone: it closed its connection without a LEAVE")
             return
@@ -219,6 +263,7 @@ class Connections:
             self._refuse(connection, error.code, str(error))
         except ProtocolError as error:
             self.drop(connection, f"sent an invalid lockstep frame: {error}")
+        self._exchange.hold(connection.descriptor, bool(connection.reader))
         if connection.reader or self._backlog:  # rare: a frame usually arrives whole and alone
             self._set_backlog(connection, connection.is_open and connection.reader.has_frame())
             if len(connection.reader) > LONG_FRAME:
@@ -256,14 +301,42 @@ class Connections:
             self.drop(connection, f"is gone: {error}")
             return
         if sent < len(data):
-            connection.unsent += data[sent:]
-            self._epoll.modify(connection.sock.fileno(), select.EPOLLIN | select.EPOLLOUT)
+            self._keep(connection, data[sent:])
+
+    def _keep(self, connection: Connection, data: bytes) -> None:
+        """Keep bytes until the client reads."""
+        connection.unsent += data
+        self._epoll.modify(connection.descriptor, select.EPOLLIN | select.EPOLLOUT)
 
     def _flush(self, connection: Connection) -> None:
         data, connection.unsent = bytes(connection.unsent), bytearray()
         if data and connection.sock is not None:
-            self._epoll.modify(connection.sock.fileno(), select.EPOLLIN)
+            self._epoll.modify(connection.descriptor, select.EPOLLIN)
             self.send(connection, data)
+
+    def send_ticks(self, tick: int, time_us: int, rows: Iterable[tuple[Connection, dict[int, int]]]) -> None:
+        """Send TICK without datagram counts, and await the DONE of each.
+
+        Args:
+            tick: Number of the tick.
+            time_us: Simulation time in microseconds.
+            rows: Connections with no unsent bytes, and their counts by channel, which are cleared.
+        """
+        descriptors = [(connection.descriptor, counts) for connection, counts in rows]
+        for descriptor, rest, error in self._exchange.send(tick, time_us, descriptors):
+            connection = self._open[descriptor]
+            if error:
+                self.drop(connection, f"is gone: {OSError(error, os.strerror(error))}")
+            else:
+                self._keep(connection, rest)
+
+    def expect(self, connection: Connection, tick: int) -> None:
+        """Await the DONE of a tick whose TICK is sent by ``send``."""
+        self._exchange.expect(connection.descriptor, tick)
+
+    def release(self, connection: Connection) -> None:
+        """Await no DONE."""
+        self._exchange.release(connection.descriptor)
 
     # ---- names ----
 
@@ -274,9 +347,19 @@ class Connections:
         self.reserved[name] = connection
         self._newcomers.pop(connection, None)
 
-    def join(self, connection: Connection, name: str) -> None:
-        """Record the name of the participant that has joined over a connection."""
+    def join(
+        self, connection: Connection, name: str, routes: dict[int, tuple[dict[int, int], int]], closing: list[int]
+    ) -> None:
+        """Record the participant that has joined over a connection.
+
+        Args:
+            connection: The connection.
+            name: Name of the participant.
+            routes: Where the counts of its DONE go, see ``Outgoing``.
+            closing: Its closed connections, see ``Outgoing``; while there are any, ``HandleFrame`` gets its DONE.
+        """
         connection.name = name
+        self._exchange.add(connection.descriptor, routes, closing)
         self._newcomers.pop(connection, None)
         self.reserved.pop(connection.reserved, None)
 
@@ -304,9 +387,9 @@ class Connections:
     def remove(self, connection: Connection) -> None:
         """Close a connection."""
         if connection.sock is not None:
-            descriptor = connection.sock.fileno()
-            self._epoll.unregister(descriptor)
-            del self._open[descriptor]
+            self._exchange.remove(connection.descriptor)
+            self._epoll.unregister(connection.descriptor)
+            del self._open[connection.descriptor]
             self._newcomers.pop(connection, None)
             self._set_backlog(connection, False)
             left = self._per_address[connection.host] - 1
@@ -338,11 +421,13 @@ class Connections:
                 with contextlib.suppress(OSError):
                     connection.sock.send(bytes(connection.unsent) + farewell)
                 connection.sock.close()
+                self._exchange.remove(connection.descriptor)
         for table in (self._open, self._newcomers, self.reserved, self._backlog):
             table.clear()
         self._epoll.close()
         os.close(self._backlog_event)
-        self._listener.close()
+        for listener in self._listeners.values():
+            listener.close()
 
     def _refuse(self, connection: Connection, code: str, reason: str) -> None:
         repeated, self._last_refusal = reason == self._last_refusal, reason
@@ -405,3 +490,15 @@ class Connections:
         more = f" (and {self._suppressed_complaints} similar ones before)" if self._suppressed_complaints else ""
         self._next_complaint, self._suppressed_complaints = now + COMPLAINT_PERIOD, 0
         self._log(logging.WARNING, text + more)
+
+
+def _local_listener(host: str, port: int) -> socket.socket | None:
+    """Listen on the Unix domain socket beside a TCP port; None if its address is in use."""
+    listener = socket.socket(socket.AF_UNIX)
+    try:
+        listener.bind(local_address(host, port))
+        listener.listen(1024)
+    except OSError:
+        listener.close()
+        return None
+    return listener

@@ -77,6 +77,10 @@ class News:
         self.reset = False
         self.void: list[list[int]] = []
 
+    def has_peers(self) -> bool:
+        """Return whether there is anything but counts."""
+        return bool(self.made or self.lost or self.counted or self.uncounted or self.reset)
+
     def mark_void(self) -> None:
         """Mark all counted messages that have not been reported yet as sent before a reset."""
         self.void = [[channel, count] for channel, count in self.counts.items()]
@@ -90,7 +94,7 @@ class News:
         then: dict[str, list[Any]] = {"lost": self.lost, "uncounted": self.uncounted}
         if self.reset:
             then["void"] = self.void
-        elif not any((*first.values(), *then.values())):
+        elif not self.has_peers():
             return []
         if all(len(entries) <= MOST_NEWS_PER_FRAME for entries in (*first.values(), *then.values())):
             contents: list[dict[str, Any]] = [{**first, **then}]

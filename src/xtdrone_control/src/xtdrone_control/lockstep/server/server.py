@@ -64,7 +64,7 @@ class LockstepServer:
         self._on_digest = on_digest
         self._namespace = process_namespace()
         self._closed = False
-        self._connections = Connections(host, port, self._log, self._handle_frame, self._remove_participant)
+        self._connections = Connections(host, port, self._log, self._handle_frame, self._complete_turn, self._remove_participant)
         self._channels = Channels(self.participants, connect_limit, self._log)
         self._datagrams = DatagramCounts()
         self._barrier = TickBarrier(
@@ -255,6 +255,13 @@ class LockstepServer:
             self._datagrams.count(participant, done.datagrams)
         self._barrier.complete_turn(participant, done)
 
+    def _complete_turn(self, connection: Connection, datagrams: Mapping[int, int]) -> None:
+        """Accept the DONE that the barrier awaits, see ``connections.EndTurn``."""
+        participant = self.participants[connection.name]
+        if datagrams:
+            self._datagrams.count(participant, datagrams)
+        self._barrier.release(participant)
+
     # ---- joining and leaving ----
 
     def _reserve(self, connection: Connection, node: frames.Reservation) -> None:
@@ -271,8 +278,8 @@ class LockstepServer:
         self._require_free(connection, name)
         connection.reader.longest = frames.AFTER_JOIN
         connection.process = self._process(connection, join.node)
-        self._connections.join(connection, name)
         participant = Participant(name, connection, join.rate, join.schedule)
+        self._connections.join(connection, name, participant.outgoing.routes, participant.outgoing.closing)
         self._barrier.add_participant(participant)
         self._datagrams.add_participant(participant, join.udp_ports)
         self.participants[name] = participant

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 import rospy.core
+from xtdrone_native import lockstep_io
 
 from .inbox import Feed, Inbox
 
@@ -70,7 +71,33 @@ class Reader:
         Args:
             timeout: Longest wait in wall seconds.
         """
-        for descriptor, _ in self._epoll.poll(timeout):
+        self._handle([descriptor for descriptor, _ in self._epoll.poll(timeout)])
+
+    def receive(
+        self, descriptor: int, timeout: float, *, whole: bool
+    ) -> bytes | tuple[int, int, dict[int, int], dict[int, int]] | None:
+        """Wait until data arrives, and handle it unless it is that of the simulator alone.
+
+        Args:
+            descriptor: The simulator's watched connection.
+            timeout: Longest wait in wall seconds.
+            whole: Whether its next byte is the first of a frame.
+
+        Returns:
+            The content of one TICK, or other bytes from the simulator, empty at the end of the connection; None if
+            there was anything else to handle, or nothing.
+
+        Raises:
+            OSError: The connection to the simulator is broken.
+        """
+        received = lockstep_io.receive(self._epoll.fileno(), descriptor, timeout, whole)
+        if not isinstance(received, list):
+            return received
+        self._handle(received)
+        return None
+
+    def _handle(self, descriptors: Iterable[int]) -> None:
+        for descriptor in descriptors:
             handler = self._handlers.get(descriptor)
             if handler is not None:
                 handler()

@@ -1,0 +1,89 @@
+// The inner loops of the lockstep: TICK and DONE frames, and the waits for them.
+
+#include <nanobind/nanobind.h>
+#include <sys/socket.h>
+
+#include <string>
+
+#include "exchange.h"
+#include "frames.h"
+#include "waiting.h"
+
+namespace nb = nanobind;
+
+namespace xtdrone_control::lockstep_io {
+
+bool setNumber(PyObject* dict, PyObject* key, std::uint64_t value) {
+  const nb::object number = nb::steal(PyLong_FromUnsignedLongLong(value));
+  return number.is_valid() && PyDict_SetItem(dict, key, number.ptr()) == 0;
+}
+
+PyObject* pairsOf(const Barrier& barrier, std::size_t begin, std::size_t end) {
+  nb::object pairs = nb::steal(PyDict_New());
+  for (std::size_t i = begin; pairs.is_valid() && i < end; ++i) {
+    const nb::object id = nb::steal(PyLong_FromUnsignedLong(barrier.id(i)));
+    if (!id.is_valid() || !setNumber(pairs.ptr(), id.ptr(), barrier.count(i))) {
+      return nullptr;
+    }
+  }
+  return pairs.release().ptr();
+}
+
+namespace {
+
+nb::tuple toTuple(const Barrier& barrier) {
+  const std::size_t all = std::size_t{barrier.channels} + barrier.ports;
+  const nb::object channels = nb::steal(pairsOf(barrier, 0, barrier.channels));
+  const nb::object ports = channels.is_valid() ? nb::steal(pairsOf(barrier, barrier.channels, all)) : nb::object();
+  if (!ports.is_valid()) {
+    throw nb::python_error();
+  }
+  return nb::make_tuple(barrier.tick, barrier.time_us, channels, ports);
+}
+
+/// Return the content of a payload, None if it is malformed.
+nb::object unpack(nb::bytes payload) {
+  const auto barrier = readPayload(payload.c_str(), payload.size());
+  return barrier ? nb::object(toTuple(*barrier)) : nb::none();
+}
+
+/// Wait for the simulator's next data; see the type stub.
+nb::object receive(int epoll, int descriptor, double timeout, bool whole) {
+  Events events;
+  const int count = await(epoll, events, Limit(timeout));
+  if (count != 1 || events[0].data.fd != descriptor) {
+    nb::list others;
+    for (int i = 0; i < count; ++i) {
+      others.append(static_cast<int>(events[static_cast<std::size_t>(i)].data.fd));
+    }
+    return others;
+  }
+  std::array<char, LONGEST_READ> data;
+  const ssize_t size = recv(descriptor, data.data(), data.size(), MSG_DONTWAIT);
+  if (size < 0) {
+    if (errno == EAGAIN || errno == EINTR) {
+      return nb::list();
+    }
+    raiseErrno();
+  }
+  const auto tick = whole ? readWhole(data.data(), static_cast<std::size_t>(size), Kind::TICK) : std::nullopt;
+  return tick ? nb::object(toTuple(*tick)) : nb::bytes(data.data(), static_cast<std::size_t>(size));
+}
+
+}  // namespace
+}  // namespace xtdrone_control::lockstep_io
+
+NB_MODULE(lockstep_io, module) {
+  using namespace xtdrone_control::lockstep_io;
+  module.def("unpack_barrier", &unpack, nb::arg("payload"));
+  module.def("receive", &receive, nb::arg("epoll"), nb::arg("descriptor"), nb::arg("timeout"), nb::arg("whole"));
+  nb::class_<Exchange>(module, "Exchange")
+      .def(nb::init<int>(), nb::arg("epoll"))
+      .def("add", &Exchange::add, nb::arg("descriptor"), nb::arg("routes"), nb::arg("closing"))
+      .def("remove", &Exchange::remove, nb::arg("descriptor"))
+      .def("hold", &Exchange::hold, nb::arg("descriptor"), nb::arg("held"))
+      .def("release", &Exchange::release, nb::arg("descriptor"))
+      .def("expect", &Exchange::expect, nb::arg("descriptor"), nb::arg("tick"))
+      .def("send", &Exchange::send, nb::arg("tick"), nb::arg("time_us"), nb::arg("rows"))
+      .def("poll", &Exchange::poll, nb::arg("timeout"));
+}
