@@ -7,37 +7,6 @@
 namespace nb = nanobind;
 
 namespace xtdrone_control::lockstep_io {
-namespace {
-
-/// Check the result of a function of Python's C API.
-void require(bool succeeded) {
-  if (!succeeded) {
-    throw nb::python_error();
-  }
-}
-
-/// Write a TICK frame with a dictionary's counts.
-void pack(std::string& frame, std::uint64_t tick, std::int64_t time_us, PyObject* counts) {
-  const auto pairs = static_cast<std::size_t>(PyDict_GET_SIZE(counts));
-  frame.resize(HEAD + BARRIER + PAIR * pairs);
-  char* to = frame.data();
-  store(to, static_cast<std::uint32_t>(frame.size() - 4));
-  store(to, Kind::TICK);
-  store(to, tick);
-  store(to, time_us);
-  store(to, static_cast<std::uint32_t>(pairs));
-  store(to, std::uint32_t{0});
-  PyObject* key;
-  PyObject* value;
-  for (Py_ssize_t at = 0; PyDict_Next(counts, &at, &key, &value) != 0;) {
-    store(to, static_cast<std::uint32_t>(PyLong_AsUnsignedLong(key)));
-    store(to, static_cast<std::uint64_t>(PyLong_AsUnsignedLongLong(value)));
-  }
-  require(PyErr_Occurred() == nullptr);
-}
-
-}  // namespace
-
 void Exchange::add(int descriptor, nb::dict routes, nb::list closing) {
   remove(descriptor);
   seats_.emplace(descriptor, Seat{std::move(routes), std::move(closing)});
@@ -79,7 +48,8 @@ nb::list Exchange::send(std::uint64_t tick, std::int64_t time_us, const nb::list
   for (nb::handle row : rows) {
     const auto descriptor = nb::cast<int>(row[0]);
     const auto counts = nb::cast<nb::dict>(row[1]);
-    pack(frame_, tick, time_us, counts.ptr());
+    frame_.clear();
+    pack(frame_, Kind::TICK, tick, time_us, counts.ptr(), nullptr);
     PyDict_Clear(counts.ptr());
     expect(descriptor, tick);
     const ssize_t sent = ::send(descriptor, frame_.data(), frame_.size(), MSG_DONTWAIT | MSG_NOSIGNAL);

@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <cstring>
 #include <optional>
+#include <string>
 
 namespace xtdrone_control::lockstep_io {
 
@@ -66,6 +67,10 @@ inline std::optional<Barrier> readWhole(const char* data, std::size_t size, Kind
 
 /// Return the pairs from ``begin`` to before ``end`` as a new dictionary {id: count}; null with an exception set.
 PyObject* pairsOf(const Barrier& barrier, std::size_t begin, std::size_t end);
+
+/// Append a complete frame. The dictionaries are {id: count}; a number out of range raises Python's OverflowError.
+void pack(std::string& frames, Kind kind, std::uint64_t tick, std::int64_t time_us, PyObject* channels,
+          PyObject* ports);
 
 /// Set ``dict[key] = value``; return false with an exception set.
 bool setNumber(PyObject* dict, PyObject* key, std::uint64_t value);

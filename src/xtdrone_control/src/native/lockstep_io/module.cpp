@@ -3,31 +3,17 @@
 #include <nanobind/nanobind.h>
 #include <sys/socket.h>
 
+#include <array>
 #include <string>
 
 #include "exchange.h"
 #include "frames.h"
+#include "splitter.h"
 #include "waiting.h"
 
 namespace nb = nanobind;
 
 namespace xtdrone_control::lockstep_io {
-
-bool setNumber(PyObject* dict, PyObject* key, std::uint64_t value) {
-  const nb::object number = nb::steal(PyLong_FromUnsignedLongLong(value));
-  return number.is_valid() && PyDict_SetItem(dict, key, number.ptr()) == 0;
-}
-
-PyObject* pairsOf(const Barrier& barrier, std::size_t begin, std::size_t end) {
-  nb::object pairs = nb::steal(PyDict_New());
-  for (std::size_t i = begin; pairs.is_valid() && i < end; ++i) {
-    const nb::object id = nb::steal(PyLong_FromUnsignedLong(barrier.id(i)));
-    if (!id.is_valid() || !setNumber(pairs.ptr(), id.ptr(), barrier.count(i))) {
-      return nullptr;
-    }
-  }
-  return pairs.release().ptr();
-}
 
 namespace {
 
@@ -45,6 +31,31 @@ nb::tuple toTuple(const Barrier& barrier) {
 nb::object unpack(nb::bytes payload) {
   const auto barrier = readPayload(payload.c_str(), payload.size());
   return barrier ? nb::object(toTuple(*barrier)) : nb::none();
+}
+
+Kind kindOf(int number) {
+  if (number != static_cast<int>(Kind::TICK) && number != static_cast<int>(Kind::DONE)) {
+    throw nb::value_error("the frame must be TICK or DONE");
+  }
+  return static_cast<Kind>(number);
+}
+
+nb::bytes packBarrier(int kind, std::uint64_t tick, std::int64_t time_us, nb::dict channels, nb::dict ports) {
+  std::string frame;
+  pack(frame, kindOf(kind), tick, time_us, channels.ptr(), ports.ptr());
+  return nb::bytes(frame.data(), frame.size());
+}
+
+/// Send DONE without blocking; return the bytes that the kernel does not accept.
+nb::bytes sendDone(int descriptor, std::uint64_t tick, std::int64_t time_us, nb::dict channels, nb::dict ports) {
+  std::string frame;
+  pack(frame, Kind::DONE, tick, time_us, channels.ptr(), ports.ptr());
+  const ssize_t sent = send(descriptor, frame.data(), frame.size(), MSG_DONTWAIT | MSG_NOSIGNAL);
+  if (sent < 0 && errno != EAGAIN && errno != EINTR) {
+    raiseErrno();
+  }
+  const std::size_t kept = sent < 0 ? 0 : static_cast<std::size_t>(sent);
+  return nb::bytes(frame.data() + kept, frame.size() - kept);
 }
 
 /// Wait for the simulator's next data; see the type stub.
@@ -77,6 +88,15 @@ NB_MODULE(lockstep_io, module) {
   using namespace xtdrone_control::lockstep_io;
   module.def("unpack_barrier", &unpack, nb::arg("payload"));
   module.def("receive", &receive, nb::arg("epoll"), nb::arg("descriptor"), nb::arg("timeout"), nb::arg("whole"));
+  module.def("pack_barrier", &packBarrier, nb::arg("kind"), nb::arg("tick"), nb::arg("time_us"), nb::arg("channels"),
+             nb::arg("ports"));
+  module.def("send_done", &sendDone, nb::arg("descriptor"), nb::arg("tick"), nb::arg("time_us"), nb::arg("channels"),
+             nb::arg("ports"));
+  nb::class_<Splitter>(module, "Splitter")
+      .def(nb::init<>())
+      .def("read", &Splitter::read, nb::arg("sock"), nb::arg("size"))
+      .def("cut", [](Splitter& splitter, nb::bytes data) { return splitter.cut(data.c_str(), data.size()); },
+           nb::arg("data"));
   nb::class_<Exchange>(module, "Exchange")
       .def(nb::init<int>(), nb::arg("epoll"))
       .def("add", &Exchange::add, nb::arg("descriptor"), nb::arg("routes"), nb::arg("closing"))

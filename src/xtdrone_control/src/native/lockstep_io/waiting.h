@@ -17,6 +17,13 @@ namespace xtdrone_control::lockstep_io {
 /// Bytes per read of a connection to or from the server.
 constexpr std::size_t LONGEST_READ = 1 << 16;
 
+/// Check the result of a function of Python's C API.
+inline void require(bool succeeded) {
+  if (!succeeded) {
+    throw nanobind::python_error();
+  }
+}
+
 [[noreturn]] inline void raiseErrno() {
   PyErr_SetFromErrno(PyExc_OSError);
   throw nanobind::python_error();

@@ -59,8 +59,6 @@ MAX_FRAME = 1 << 24
 """Longest frame in bytes; longer ones are rejected."""
 
 _HEAD = struct.Struct("<IB")
-_BARRIER = struct.Struct("<QqII")
-_BARRIER_FRAME = struct.Struct("<IBQqII")
 _DIGEST_HEAD = struct.Struct("<qI")
 
 
@@ -119,21 +117,8 @@ class Barrier(NamedTuple):
     datagrams: dict[int, int]
 
 
-_RUNS = [struct.Struct("<" + "IQ" * count) for count in range(65)]
-"""Struct formats by number of pairs. Longer runs are packed in pieces, as a format per length would fill the memory."""
-
-
-def _pack_pairs(pairs: Mapping[int, int]) -> bytes:
-    flat = [number for pair in pairs.items() for number in pair]
-    longest = len(_RUNS) - 1
-    if len(pairs) <= longest:
-        return _RUNS[len(pairs)].pack(*flat)
-    starts = range(0, len(flat), 2 * longest)
-    return b"".join(_RUNS[min(longest, (len(flat) - at) // 2)].pack(*flat[at : at + 2 * longest]) for at in starts)
-
-
 def pack_barrier(
-    kind: Kind, tick: int, time_us: int, channels: Mapping[int, int], datagrams: Mapping[int, int]
+    kind: Kind, tick: int, time_us: int, channels: dict[int, int], datagrams: dict[int, int]
 ) -> bytes:
     """Return a complete TICK or DONE frame.
 
@@ -144,12 +129,7 @@ def pack_barrier(
         channels: Cumulative number of messages by channel id.
         datagrams: Cumulative number of datagrams by UDP port.
     """
-    count = len(channels) + len(datagrams)
-    head = _BARRIER_FRAME.pack(1 + _BARRIER.size + 12 * count, kind, tick, time_us, len(channels), len(datagrams))
-    if not count:
-        return head
-    frame = head + _pack_pairs(channels)
-    return frame + _pack_pairs(datagrams) if datagrams else frame
+    return lockstep_io.pack_barrier(kind, tick, time_us, channels, datagrams)
 
 
 def unpack_barrier(payload: bytes) -> Barrier:

@@ -248,7 +248,11 @@ class Client:
             if rospy.core.is_shutdown_requested():
                 raise rospy.ROSInterruptException("ROS shutdown request")
             try:
-                self._connection.send(self._due_digest() + self._done_frame())
+                digest = self._due_digest()
+                if digest:
+                    self._connection.send(digest)
+                counts, ports = self._take_counts()
+                self._connection.send_done(self.tick, self.time_us, counts, ports)
             except OSError as error:
                 failure = str(error)
         if failure:
@@ -256,11 +260,17 @@ class Client:
         self._enter(self._await_tick())
 
     def _done_frame(self) -> bytes:
-        counts = self._node.take_counts()
-        reported = self._reported_datagrams
-        ports = {port: count for port, count in self._node.datagrams.items() if reported.get(port) != count}
-        reported.update(ports)
-        return pack_barrier(Kind.DONE, self.tick, self.time_us, counts, ports)
+        return pack_barrier(Kind.DONE, self.tick, self.time_us, *self._take_counts())
+
+    def _take_counts(self) -> tuple[dict[int, int], dict[int, int]]:
+        """Return the counts that changed since the last call, of messages by connection and of datagrams by port."""
+        node = self._node
+        ports = {}
+        if node.datagrams:
+            reported = self._reported_datagrams
+            ports = {port: count for port, count in node.datagrams.items() if reported.get(port) != count}
+            reported.update(ports)
+        return node.take_counts() if node.dirty else {}, ports
 
     def _due_digest(self) -> bytes:
         """Return a DIGEST frame in the first turn of each digest period, else nothing."""

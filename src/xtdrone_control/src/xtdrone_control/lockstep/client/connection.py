@@ -10,6 +10,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 from urllib.parse import urlparse
 
+from xtdrone_native import lockstep_io
+
 from ..protocol import (
     Barrier,
     FrameReader,
@@ -125,6 +127,17 @@ class Connection:
             OSError: The connection is closed.
         """
         self._connected().sendall(data)
+
+    def send_done(self, tick: int, time_us: int, channels: dict[int, int], datagrams: dict[int, int]) -> None:
+        """Send DONE, see ``protocol.pack_barrier``; the caller holds ``lock``.
+
+        Raises:
+            OSError: The connection is closed.
+        """
+        sock = self._connected()
+        rest = lockstep_io.send_done(sock.fileno(), tick, time_us, channels, datagrams)
+        if rest:
+            sock.sendall(rest)
 
     def read(self) -> None:
         """Read the data at hand into ``frames``, waiting for at least one byte.

@@ -55,6 +55,8 @@ class Deliveries:
         Raises:
             ROSInterruptException: The node is shut down meanwhile.
         """
+        if not (counts or self._void or self._lost):
+            return
         awaited = {}
         for channel, count in counts.items():
             inbox = self._inboxes.get(channel)

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import socket
-import struct
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import rospy.core
+from xtdrone_native import lockstep_io
 
 FOREIGN_QUEUE = 1000
 """Messages kept from a publisher that is not a participant, if the subscriber sets no queue size."""
-LONGEST_RECEIVE = 1 << 20
-"""Maximum bytes per read while the rest of a message exceeds the subscriber's buffer size."""
 KERNEL_BUFFER = 1 << 20
 """Receive buffer in bytes requested from the kernel (it may grant less) for messages that arrive between turns."""
-
-_LENGTH = struct.Struct("<I")
 
 
 class Inbox:
@@ -163,8 +159,8 @@ class Feed:
         self._close_connection = connection.close
         # Reentrant, as a signal handler in which rospy closes the topics may interrupt the node's thread in here.
         self._lock = threading.RLock()
-        self._rest = bytearray()
-        self._usual_size = self._receive_size = connection.protocol.buff_size
+        self._splitter = lockstep_io.Splitter()
+        self._size = connection.protocol.buff_size
         with contextlib.suppress(OSError):
             if self.sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) < KERNEL_BUFFER:
                 self.sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, KERNEL_BUFFER)
@@ -172,7 +168,8 @@ class Feed:
         head = connection.read_buff.getvalue()[: connection.read_buff.tell()]
         connection.close = self.close
         if head:
-            self._cut(head)
+            connection.stat_bytes += len(head)
+            self._store(self._splitter.cut(head))
 
     def pull(self) -> bool:
         """Read once without waiting; close the connection if the publisher has closed it.
@@ -197,45 +194,21 @@ class Feed:
     def _pull(self) -> bool:
         with self._lock:
             try:
-                data = self.sock.recv(self._receive_size, socket.MSG_DONTWAIT)
-            except BlockingIOError:
-                return False
-            except OSError:  # reset by the publisher, or closed concurrently
-                data = b""
-            if not data:
+                read = self._splitter.read(self.sock, self._size)
+            except (OSError, ValueError):  # ended or reset by the publisher, or closed concurrently
                 self.inbox.closed = True
                 return False
-            self._cut(data)
+            if read is None:
+                return False
+            messages, size = read
+            self._connection.stat_bytes += size
+            self._store(messages)
             return True
 
-    def _cut(self, data: bytes) -> None:
-        connection, inbox = self._connection, self.inbox
-        connection.stat_bytes += len(data)
-        size = len(data)
-        if not self._rest and size >= 4 and _LENGTH.unpack_from(data)[0] + 4 == size:
-            # The usual case: exactly one whole message.
-            inbox.messages.append(data[4:])
-            count = 1
-        else:
-            count = self._cut_many(data)
-        connection.stat_num_msg += count
+    def _store(self, messages: list[bytes]) -> None:
+        count, inbox = len(messages), self.inbox
+        self._connection.stat_num_msg += count
+        inbox.messages.extend(messages)
         inbox.received += count
         if inbox.target is None:
             inbox.bound()
-
-    def _cut_many(self, data: bytes) -> int:
-        rest = self._rest
-        rest += data
-        start, count = 0, 0
-        needed = 0
-        while len(rest) - start >= 4:
-            end = start + 4 + _LENGTH.unpack_from(rest, start)[0]
-            if end > len(rest):
-                needed = end - len(rest)
-                break
-            self.inbox.messages.append(bytes(rest[start + 4 : end]))
-            start = end
-            count += 1
-        del rest[:start]
-        self._receive_size = max(self._usual_size, min(needed, LONGEST_RECEIVE))
-        return count

@@ -1,0 +1,76 @@
+#include "splitter.h"
+
+#include <sys/socket.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstdint>
+
+#include "frames.h"
+#include "waiting.h"
+
+namespace nb = nanobind;
+
+namespace xtdrone_control::lockstep_io {
+namespace {
+
+/// Maximum bytes per read while the rest of a message exceeds the subscriber's buffer size.
+constexpr std::size_t LONGEST_RECEIVE = 1 << 20;
+/// Bytes before a message: its u32 length.
+constexpr std::size_t LENGTH = 4;
+
+/// Return the buffer of all connections: Python's global lock guards it.
+std::string& buffer(std::size_t size) {
+  static std::string data;
+  if (data.size() < size) {
+    data.resize(size);
+  }
+  return data;
+}
+
+}  // namespace
+
+nb::object Splitter::read(nb::handle sock, std::size_t size) {
+  const int descriptor = PyObject_AsFileDescriptor(sock.ptr());
+  require(descriptor >= 0);
+  size = std::max({size, std::min(needed_, LONGEST_RECEIVE), std::size_t{1}});
+  std::string& data = buffer(size);
+  const ssize_t received = recv(descriptor, data.data(), size, MSG_DONTWAIT);
+  if (received < 0 && (errno == EAGAIN || errno == EINTR)) {
+    return nb::none();
+  }
+  if (received <= 0) {
+    errno = received == 0 ? ECONNRESET : errno;
+    raiseErrno();
+  }
+  return nb::make_tuple(cut(data.data(), static_cast<std::size_t>(received)), received);
+}
+
+nb::list Splitter::cut(const char* data, std::size_t size) {
+  nb::list messages;
+  const bool is_whole = rest_.empty();
+  if (!is_whole) {
+    rest_.append(data, size);
+    data = rest_.data();
+    size = rest_.size();
+  }
+  std::size_t start = 0;
+  needed_ = 0;
+  while (size - start >= LENGTH) {
+    const std::size_t end = start + LENGTH + load<std::uint32_t>(data + start);
+    if (end > size) {
+      needed_ = end - size;
+      break;
+    }
+    messages.append(nb::bytes(data + start + LENGTH, end - start - LENGTH));
+    start = end;
+  }
+  if (is_whole) {
+    rest_.assign(data + start, size - start);
+  } else {
+    rest_.erase(0, start);
+  }
+  return messages;
+}
+
+}  // namespace xtdrone_control::lockstep_io
