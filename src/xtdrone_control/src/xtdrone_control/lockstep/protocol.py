@@ -279,27 +279,6 @@ def same_machine(first: str, second: str) -> bool:
     return first == second or (first.startswith("127.") and second.startswith("127."))
 
 
-def local_address(host: str, port: int) -> str:
-    """Return the address of the Unix domain socket beside a lockstep server's TCP port.
-
-    It is abstract: it belongs to the same network namespace as the port and ends with the server.
-
-    Args:
-        host: IP address of the listening TCP socket.
-        port: Its TCP port.
-    """
-    return f"\0xtdrone-lockstep/{host}:{port}"
-
-
-_CREDENTIALS = struct.Struct("3i")
-
-
-def has_same_owner(sock: socket.socket) -> bool:
-    """Return whether the process at the other end of a Unix domain socket belongs to the user of this process."""
-    _, user, _ = _CREDENTIALS.unpack(sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size))
-    return bool(user == os.geteuid())
-
-
 _UNANSWERED_MS = 15_000
 _KEEPALIVE = ((socket.TCP_KEEPIDLE, 3), (socket.TCP_KEEPINTVL, 3), (socket.TCP_KEEPCNT, 4))
 
@@ -307,12 +286,8 @@ _KEEPALIVE = ((socket.TCP_KEEPIDLE, 3), (socket.TCP_KEEPINTVL, 3), (socket.TCP_K
 def tune(sock: socket.socket) -> None:
     """Set the TCP options of a lockstep connection: send without delay and detect an unreachable machine.
 
-    A Unix domain socket needs none.
-
     A machine's kernel answers even while the process hangs; after 15 s without an answer the connection breaks.
     """
-    if sock.family == socket.AF_UNIX:
-        return
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for option, value in _KEEPALIVE:

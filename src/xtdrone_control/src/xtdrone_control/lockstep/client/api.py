@@ -27,6 +27,7 @@ import rospy.rostime
 from xtdrone_control.log_output import survive_full_disk
 
 from ..protocol import Schedule
+from ..transport import local_topics
 from ..transport.rospy_internals import handle_signal, set_time_us
 from ..transport.rospy_internals import registering_together as registering_together
 from . import joining
@@ -103,6 +104,7 @@ def init_node(name: str, rate: float = 30.0, **options: Any) -> None:
         # TICK carries the time; rospy's subscription to /clock would deliver it later and in another thread.
         set_time_us(0)
         this_node.reader.activate()
+        local_topics.serve()
     elif not rospy.impl.simtime.init_simtime():
         raise rospy.ROSInitException("cannot initialise the time; is the master running?")
 
@@ -312,6 +314,7 @@ def host() -> Host:
         raise rospy.ROSInitException("a participant cannot be the simulator as well")
     if _session.host is None:
         this_node.reader.activate()
+        local_topics.serve()
         _session.host = Host(rospy.get_name(), this_node)
         this_node.counter = _session.host
         for outlet in this_node.outlets():

@@ -12,13 +12,12 @@ from urllib.parse import urlparse
 
 from xtdrone_native import lockstep_io
 
+from .. import local
 from ..protocol import (
     Barrier,
     FrameReader,
     Kind,
     ProtocolError,
-    has_same_owner,
-    local_address,
     pack_object,
     printable,
     same_machine,
@@ -169,9 +168,9 @@ class Connection:
         address = urlparse(self.uri)
         if address.scheme != "tcp" or not address.hostname or not address.port:
             raise ProtocolError(f"{URI_PARAM} is {self.uri!r}, it must be tcp://host:port")
-        local = _connect_locally(address.hostname, address.port)
-        if local is not None:
-            return local
+        beside = local.connect(local.SERVER, address.hostname, address.port, CONNECT_LIMIT)
+        if beside is not None:
+            return beside
         sock = socket.create_connection((address.hostname, address.port), timeout=CONNECT_LIMIT)
         tune(sock)
         self.remote = not same_machine(sock.getpeername()[0], sock.getsockname()[0])
@@ -181,34 +180,3 @@ class Connection:
         if self._sock is None:
             raise ConnectionError("not connected")
         return self._sock
-
-
-def _connect_locally(host: str, port: int) -> socket.socket | None:
-    """Connect to the Unix domain socket of a simulator on this machine that belongs to the same user; None without one.
-
-    Args:
-        host: Host name or IP address of the simulator.
-        port: Its TCP port.
-
-    Raises:
-        OSError: The host name is unknown.
-    """
-    addresses = {entry[4][0] for entry in socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_STREAM)}
-    for address in [address for address in addresses if _is_own(str(address))]:
-        for listening in (str(address), "0.0.0.0"):
-            sock = socket.socket(socket.AF_UNIX)
-            sock.settimeout(CONNECT_LIMIT)
-            with contextlib.suppress(OSError):
-                sock.connect(local_address(listening, port))
-                if has_same_owner(sock):
-                    return sock
-            sock.close()
-    return None
-
-
-def _is_own(address: str) -> bool:
-    """Return whether an IP address belongs to this machine."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
-        probe.connect((address, 1))  # sends nothing
-        return same_machine(address, probe.getsockname()[0])
-    return False

@@ -17,7 +17,8 @@ from itertools import islice
 
 from xtdrone_native import lockstep_io
 
-from ..protocol import Kind, ProtocolError, has_same_owner, local_address, pack_object, tune
+from .. import local
+from ..protocol import Kind, ProtocolError, pack_object, tune
 from .connection import Connection
 from .frames import RefusalError
 
@@ -92,7 +93,7 @@ class Connections:
         self._on_close = on_close
         listener = socket.create_server((host, port), backlog=1024)
         address, number = listener.getsockname()[:2]
-        self._listeners = {one.fileno(): one for one in (listener, _local_listener(address, number)) if one is not None}
+        self._listeners = {one.fileno(): one for one in (listener, local.listen(local.SERVER, address, number)) if one is not None}
         advertised = socket.gethostname() if host in {"", "0.0.0.0"} else host
         self.uri = f"tcp://{advertised}:{number}"
         self.reserved: dict[str, Connection] = {}
@@ -199,9 +200,10 @@ class Connections:
             self._complain(f"cannot accept a connection to {self.uri}: {error}")
             return False
         sock.setblocking(False)
-        tune(sock)
         is_local = sock.family == socket.AF_UNIX
-        if is_local and not has_same_owner(sock):
+        if not is_local:
+            tune(sock)
+        elif not local.has_same_owner(sock):
             sock.close()
             return True
         connection = Connection(sock, None if is_local else address, time.monotonic())
@@ -490,15 +492,3 @@ class Connections:
         more = f" (and {self._suppressed_complaints} similar ones before)" if self._suppressed_complaints else ""
         self._next_complaint, self._suppressed_complaints = now + COMPLAINT_PERIOD, 0
         self._log(logging.WARNING, text + more)
-
-
-def _local_listener(host: str, port: int) -> socket.socket | None:
-    """Listen on the Unix domain socket beside a TCP port; None if its address is in use."""
-    listener = socket.socket(socket.AF_UNIX)
-    try:
-        listener.bind(local_address(host, port))
-        listener.listen(1024)
-    except OSError:
-        listener.close()
-        return None
-    return listener

@@ -6,6 +6,7 @@ rospy offers no public way to replace the ends of a topic, to set the time or to
 from __future__ import annotations
 
 import contextlib
+import socket
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -14,6 +15,7 @@ from xmlrpc.client import MultiCall
 import rospy
 import rospy.core
 import rospy.impl.paramserver
+import rospy.impl.tcpros_base
 import rospy.rostime
 import rospy.topics
 from rospy.impl.registration import Registration, RegistrationListener, RegManager, get_registration_listeners
@@ -43,6 +45,18 @@ def set_time_us(time_us: int) -> None:
 def handle_signal(number: int) -> None:
     """Shut the node down as rospy does on signal ``number``."""
     rospy.core._ros_signal(number, None)
+
+
+def topic_server_address() -> tuple[str, int]:
+    """Start rospy's server of topic connections, if necessary, and return its IP address and TCP port."""
+    rospy.impl.tcpros_base.start_tcpros_server()
+    server = rospy.impl.tcpros_base._tcpros_server.tcp_ros_server
+    return server.addr, server.port
+
+
+def accept_topic_connection(sock: socket.socket, address: tuple[str, int]) -> None:
+    """Make a subscriber's connection as rospy's server does: exchange headers, then add it to the topic or close it."""
+    rospy.impl.tcpros_base._tcpros_server._tcp_server_callback(sock, address)
 
 
 def add_publisher_impl(impl: Any) -> None:

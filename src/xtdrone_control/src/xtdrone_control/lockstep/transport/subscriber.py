@@ -8,10 +8,12 @@ from typing import Any
 
 import rospy
 import rospy.topics
+from rospy.exceptions import TransportInitError
 from rospy.impl.tcpros_base import TCPROSTransport
 
 from xtdrone_control.ros_codec import compile_class
 
+from . import local_topics
 from .inbox import FOREIGN_QUEUE, Feed, Inbox
 from .reader import Reader
 from .rospy_internals import SubscriberImpl, add_subscriber_impl
@@ -69,6 +71,7 @@ class BufferingSubscriber(SubscriberImpl):
     def add_connection(self, connection: Any) -> bool:
         """Add a connection that is handed over once it is made, when rospy calls its ``receive_loop``."""
         connection.receive_loop = functools.partial(self._receive, connection)
+        connection.connect = functools.partial(self._connect, connection)
         with self.c_lock:
             # The master may report a publisher twice before the first connection to it is made. rospy would then close
             # the first one: either during its handshake, so that the publisher waits for the rest of it and accepts no
@@ -76,6 +79,16 @@ class BufferingSubscriber(SubscriberImpl):
             if any(other.endpoint_id == connection.endpoint_id and _holds(other) for other in self.connections):
                 return False
             return bool(super().add_connection(connection))
+
+    def _connect(self, connection: Any, host: str, port: int, publisher: str, timeout: float | None = None) -> None:
+        """Connect over a Unix domain socket if possible, else over TCP as rospy does."""
+        if self._reader.active:
+            try:
+                if local_topics.connect(connection, host, port, publisher):
+                    return
+            except (OSError, TransportInitError) as error:
+                rospy.logdebug(f"{self.resolved_name} from {publisher}: {error}; connecting over TCP")
+        TCPROSTransport.connect(connection, host, port, publisher, timeout)
 
     def _receive(self, connection: Any, callback: Any) -> None:
         """Hand the connection over to the reader, or read it in this thread, which rospy has started for it."""
