@@ -1,11 +1,13 @@
 #include "client.h"
 
+#include <arpa/inet.h>
 #include <netdb.h>
 #include <netinet/tcp.h>
 #include <poll.h>
 #include <pthread.h>
 #include <ros/console.h>
 #include <sys/socket.h>
+#include <sys/un.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -14,6 +16,8 @@
 #include <chrono>
 #include <cmath>
 #include <csignal>
+#include <cstddef>
+#include <cstring>
 #include <set>
 #include <system_error>
 #include <utility>
@@ -100,6 +104,75 @@ int connectTo(const std::string& host, const std::string& port) {
   throw systemError("connect");
 }
 
+/// Return whether the IPv4 address belongs to this machine.
+bool isOwn(const sockaddr_in& address) {
+  const int probe = socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0);
+  sockaddr_in own{};
+  socklen_t size = sizeof own;
+  // Connecting a datagram socket sends nothing.
+  const bool has_way = connect(probe, reinterpret_cast<const sockaddr*>(&address), sizeof address) == 0 &&
+                       getsockname(probe, reinterpret_cast<sockaddr*>(&own), &size) == 0;
+  ::close(probe);
+  const auto isLoopback = [](const sockaddr_in& one) { return ntohl(one.sin_addr.s_addr) >> 24 == 127; };
+  return has_way && (own.sin_addr.s_addr == address.sin_addr.s_addr || (isLoopback(own) && isLoopback(address)));
+}
+
+/// Return whether the process at the other end of a Unix domain socket belongs to the user of this process.
+bool hasSameOwner(int socket) {
+  ucred owner{};
+  socklen_t size = sizeof owner;
+  return getsockopt(socket, SOL_SOCKET, SO_PEERCRED, &owner, &size) == 0 && owner.uid == geteuid();
+}
+
+/// Connect to an abstract Unix domain socket of a process of the same user; return -1 if there is none.
+int connectToAbstract(const std::string& name) {
+  sockaddr_un address{};
+  address.sun_family = AF_UNIX;
+  if (name.size() + 1 > sizeof address.sun_path) {
+    return -1;
+  }
+  std::copy(name.begin(), name.end(), address.sun_path + 1);
+  const int descriptor = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  if (descriptor < 0) {
+    return -1;
+  }
+  setTimeouts(descriptor, CONNECT_LIMIT);
+  const auto size = static_cast<socklen_t>(offsetof(sockaddr_un, sun_path) + 1 + name.size());
+  if (connect(descriptor, reinterpret_cast<const sockaddr*>(&address), size) == 0 && hasSameOwner(descriptor)) {
+    return descriptor;
+  }
+  ::close(descriptor);
+  return -1;
+}
+
+/// Connect to the socket beside the TCP port of a simulator on this machine, see local.py; return -1 if there is none.
+int connectLocally(const std::string& host, const std::string& port) {
+  addrinfo hints{};
+  hints.ai_family = AF_INET;
+  hints.ai_socktype = SOCK_STREAM;
+  addrinfo* found = nullptr;
+  if (getaddrinfo(host.c_str(), port.c_str(), &hints, &found) != 0) {
+    return -1;
+  }
+  const std::unique_ptr<addrinfo, decltype(&freeaddrinfo)> addresses(found, freeaddrinfo);
+  for (const addrinfo* entry = found; entry != nullptr; entry = entry->ai_next) {
+    sockaddr_in address{};
+    std::memcpy(&address, entry->ai_addr, std::min<std::size_t>(entry->ai_addrlen, sizeof address));
+    if (!isOwn(address)) {
+      continue;
+    }
+    std::array<char, INET_ADDRSTRLEN> text{};
+    inet_ntop(AF_INET, &address.sin_addr, text.data(), text.size());
+    for (const std::string& listening : {std::string(text.data()), std::string("0.0.0.0")}) {
+      const int descriptor = connectToAbstract("xtdrone-server/" + listening + ":" + port);
+      if (descriptor >= 0) {
+        return descriptor;
+      }
+    }
+  }
+  return -1;
+}
+
 nlohmann::json introduction(const std::string& name) {
   return {{"version", VERSION}, {"name", name}, {"pid", getpid()}, {"host", processNamespace()}};
 }
@@ -132,8 +205,11 @@ Client::~Client() { close(); }
 
 void Client::connect() {
   const auto [host, port] = splitUri(uri_);
-  socket_ = connectTo(host, port);
-  tune(socket_);
+  socket_ = connectLocally(host, port);
+  if (socket_ < 0) {
+    socket_ = connectTo(host, port);
+    tune(socket_);
+  }
 }
 
 nlohmann::json Client::ask(Kind kind, const nlohmann::json& content) {

@@ -35,7 +35,8 @@ class Exchange {
   /// Send TICK on each connection, with the counts of its dictionary, which is cleared.
   ///
   /// @param rows  Descriptor and dictionary {channel: count}.
-  /// @return  For each frame that was not sent completely: descriptor, the rest, errno (0 if the kernel accepts no more).
+  /// @return  For each frame that was not sent completely: descriptor, the rest, errno (0 if the kernel accepts no
+  /// more).
   nanobind::list send(std::uint64_t tick, std::int64_t time_us, const nanobind::list& rows);
   /// Await DONE of a tick from a connection whose TICK the caller has sent.
   void expect(int descriptor, std::uint64_t tick);

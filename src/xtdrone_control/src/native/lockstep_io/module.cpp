@@ -95,8 +95,9 @@ NB_MODULE(lockstep_io, module) {
   nb::class_<Splitter>(module, "Splitter")
       .def(nb::init<>())
       .def("read", &Splitter::read, nb::arg("sock"), nb::arg("size"))
-      .def("cut", [](Splitter& splitter, nb::bytes data) { return splitter.cut(data.c_str(), data.size()); },
-           nb::arg("data"));
+      .def(
+          "cut", [](Splitter& splitter, nb::bytes data) { return splitter.cut(data.c_str(), data.size()); },
+          nb::arg("data"));
   nb::class_<Exchange>(module, "Exchange")
       .def(nb::init<int>(), nb::arg("epoll"))
       .def("add", &Exchange::add, nb::arg("descriptor"), nb::arg("routes"), nb::arg("closing"))

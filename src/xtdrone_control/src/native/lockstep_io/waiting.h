@@ -34,7 +34,9 @@ class Limit {
  public:
   /// @param seconds  Wall seconds from now; negative for no limit.
   explicit Limit(double seconds)
-      : endless_(!(seconds >= 0.0)), none_(seconds == 0.0), end_(endless_ || none_ ? Clock::time_point() : after(seconds)) {}
+      : endless_(!(seconds >= 0.0)),
+        none_(seconds == 0.0),
+        end_(endless_ || none_ ? Clock::time_point() : after(seconds)) {}
 
   /// Return the remaining time in milliseconds as epoll_wait expects it.
   int milliseconds() const {

@@ -117,9 +117,7 @@ class Barrier(NamedTuple):
     datagrams: dict[int, int]
 
 
-def pack_barrier(
-    kind: Kind, tick: int, time_us: int, channels: dict[int, int], datagrams: dict[int, int]
-) -> bytes:
+def pack_barrier(kind: Kind, tick: int, time_us: int, channels: dict[int, int], datagrams: dict[int, int]) -> bytes:
     """Return a complete TICK or DONE frame.
 
     Args:

@@ -12,6 +12,8 @@ from xtdrone_sim.runtime.mailbox import Mailbox
 
 Idle = Callable[[float], None]
 """Waits up to the given wall time, s, and meanwhile serves everything except the lockstep server."""
+HEAD_START = 0.005
+"""Wall time, s, in which participants may end their turns before the simulator serves other sockets again."""
 
 
 class SimulatorBackend(Protocol):

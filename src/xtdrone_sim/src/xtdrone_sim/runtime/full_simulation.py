@@ -20,7 +20,7 @@ from xtdrone_sim.autopilots.backend import AutopilotFactory, BuiltinAutopilot
 from xtdrone_sim.autopilots.datagrams import Datagrams
 from xtdrone_sim.autopilots.hil import Hil
 from xtdrone_sim.effects import Effect, load_effects
-from xtdrone_sim.runtime.backend import Idle
+from xtdrone_sim.runtime.backend import HEAD_START, Idle
 from xtdrone_sim.runtime.mailbox import Mailbox
 from xtdrone_sim.runtime.simulator_node import NodeSettings, close_all, log, run_node
 from xtdrone_sim.simulation import Simulation
@@ -221,7 +221,7 @@ class FullSimulation:
         """Publish link states and run one barrier; setpoints of participants take effect after it."""
         self._topics.publish()
         self._mavlink.hold_setpoints()
-        self._server.tick(self._simulation.time_us, self._mavlink.sent, idle)
+        self._server.tick(self._simulation.time_us, self._mavlink.sent, idle, HEAD_START)
         self._actors.receive()
         self._datagrams.wait()
         self._mavlink.release_setpoints()

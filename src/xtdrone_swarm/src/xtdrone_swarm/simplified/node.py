@@ -37,7 +37,7 @@ from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.program import ArgumentError, check_multirotor, parse_count
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_coordination.patterns import origin_columns
-from xtdrone_sim.runtime.backend import Idle
+from xtdrone_sim.runtime.backend import HEAD_START, Idle
 from xtdrone_sim.runtime.mailbox import Mailbox
 from xtdrone_sim.runtime.simulator_node import NodeSettings, run_node
 from xtdrone_swarm.simplified.model import Model, load_model
@@ -230,7 +230,7 @@ class SimplifiedScene:
         if turn:
             self._next_turn_us = self._schedule.after_us(now_us)
             self._publish(now_us)
-        self._server.tick(now_us, {}, idle)
+        self._server.tick(now_us, {}, idle, HEAD_START)
         lockstep.host().receive()
         if turn:
             for topics in self._topics:

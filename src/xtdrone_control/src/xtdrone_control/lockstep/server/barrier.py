@@ -104,7 +104,9 @@ class TickBarrier:
 
     # ---- the barrier ----
 
-    def tick(self, now_us: int, datagrams: Mapping[int, int] | None, idle: Idle | None) -> None:
+    def tick(
+        self, now_us: int, datagrams: Mapping[int, int] | None, idle: Idle | None, head_start: float = 0.0
+    ) -> None:
         """Run one barrier, see ``LockstepServer.tick``."""
         self._await_connections(idle)
         self.time_us = now_us
@@ -115,6 +117,8 @@ class TickBarrier:
         self.ticks += 1
         started = self._last_poll = time.monotonic()
         self._send_ticks(due, started)
+        if head_start:
+            self._wait(head_start, None)
         while self.awaited:
             self._wait(SLICE, idle)
             self._drop_hung()

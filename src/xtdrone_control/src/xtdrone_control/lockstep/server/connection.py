@@ -10,6 +10,7 @@ from .frames import BEFORE_JOIN
 THIS_MACHINE = "127.0.0.1"
 """Address of the clients of the Unix domain socket."""
 
+
 class Process:
     """A process on this machine, distinguished from a later process with the same pid by its start time."""
 

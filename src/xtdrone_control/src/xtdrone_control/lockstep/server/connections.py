@@ -93,7 +93,9 @@ class Connections:
         self._on_close = on_close
         listener = socket.create_server((host, port), backlog=1024)
         address, number = listener.getsockname()[:2]
-        self._listeners = {one.fileno(): one for one in (listener, local.listen(local.SERVER, address, number)) if one is not None}
+        self._listeners = {
+            one.fileno(): one for one in (listener, local.listen(local.SERVER, address, number)) if one is not None
+        }
         advertised = socket.gethostname() if host in {"", "0.0.0.0"} else host
         self.uri = f"tcp://{advertised}:{number}"
         self.reserved: dict[str, Connection] = {}

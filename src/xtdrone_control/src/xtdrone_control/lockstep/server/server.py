@@ -64,7 +64,9 @@ class LockstepServer:
         self._on_digest = on_digest
         self._namespace = process_namespace()
         self._closed = False
-        self._connections = Connections(host, port, self._log, self._handle_frame, self._complete_turn, self._remove_participant)
+        self._connections = Connections(
+            host, port, self._log, self._handle_frame, self._complete_turn, self._remove_participant
+        )
         self._channels = Channels(self.participants, connect_limit, self._log)
         self._datagrams = DatagramCounts()
         self._barrier = TickBarrier(
@@ -145,7 +147,13 @@ class LockstepServer:
         self._channels.collect_host()
         self._barrier.reset_time(now_us)
 
-    def tick(self, now_us: int, datagrams: Mapping[int, int] | None = None, idle: Idle | None = None) -> None:
+    def tick(
+        self,
+        now_us: int,
+        datagrams: Mapping[int, int] | None = None,
+        idle: Idle | None = None,
+        head_start: float = 0.0,
+    ) -> None:
         """Run one barrier: wait for new connections, send TICK to all due participants, wait for DONE of each.
 
         Args:
@@ -153,8 +161,10 @@ class LockstepServer:
             datagrams: Cumulative number of datagrams that the simulator has sent, by the participants' UDP port.
             idle: Called with a time in seconds instead of a plain wait; it should return when that time has passed or
                 when ``fileno`` becomes readable, and may serve other sockets meanwhile.
+            head_start: Wall seconds in which participants may be done before ``idle`` is called for the first time,
+                unless one waits for an event that needs time to advance. This saves a call for each DONE.
         """
-        self._barrier.tick(now_us, datagrams, idle)
+        self._barrier.tick(now_us, datagrams, idle, 0.0 if self.needs_time else head_start)
 
     def wait_for(
         self,
