@@ -27,7 +27,7 @@ Log = Callable[[int, str], None]
 HandleFrame = Callable[[Connection, int, bytes], None]
 """Called with the connection, type and payload of each frame; raises ProtocolError or RefusalError if it is invalid."""
 EndTurn = Callable[[Connection, Mapping[int, int]], None]
-"""Called with the connection of each DONE that was awaited, whose counts of channels have been routed, and with its counts
+"""Called with the connection of each DONE that was awaited, once its counts of channels are routed, and with its counts
 of datagrams by port; raises ProtocolError if they are invalid."""
 
 GREETING_LIMIT = 10.0
