@@ -21,6 +21,7 @@ import pytest
 from test_lockstep_nodes import PATIENCE, ROSMASTER, Graph, due_times, heavy, run, wait_until
 
 from xtdrone_control import lockstep
+from xtdrone_control.lockstep import local
 from xtdrone_control.lockstep.protocol import Digest
 from xtdrone_control.lockstep.server import LockstepServer
 
@@ -550,7 +551,10 @@ def test_reset_voids_pending_messages_unless_latched(graph: MixedGraph, server: 
     assert graph.transcript("r_py") == expected
 
 
-def test_unreachable_machine_is_detected_within_seconds(graph: MixedGraph, server: LockstepServer) -> None:
+def test_unreachable_machine_is_detected_within_seconds(graph: MixedGraph, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(local, "listen", lambda *_: None)  # TCP, as between machines
+    server = LockstepServer()
+    graph.set_param("/lockstep/uri", server.uri)
     graph.start_cpp("participant", "a", "50", "0", "a")
     assert server.wait_for(["/a"], timeout=PATIENCE)
     ports = [int(end.rpartition(":")[2]) for end in (server.participants["/a"].address, server.uri)]
@@ -563,6 +567,7 @@ def test_unreachable_machine_is_detected_within_seconds(graph: MixedGraph, serve
     wait_until(keepalive_runs, "the node's keep-alive timer runs")
     assert len(timers) == 1
     assert timers[0] <= 3.0
+    server.close()
 
 
 def keepalive_timers(local: int, remote: int) -> list[float]:

@@ -55,7 +55,8 @@ def connect(connection: Any, host: str, port: int, publisher: str) -> bool:
         OSError: It has ended meanwhile.
     """
     number = 1 + next(_numbers) % HIGHEST_PORT
-    sock = local.connect(local.TOPICS, host, port, HANDSHAKE_LIMIT, f"\0xtdrone-subscriber/{_token}/{number}")
+    own = f"\0xtdrone-subscriber/{_token}-{os.getpid()}/{number}"  # the process may have been forked from another
+    sock = local.connect(local.TOPICS, host, port, HANDSHAKE_LIMIT, own)
     if sock is None:
         return False
     connection.endpoint_id, connection.dest_address = publisher, (host, port)
