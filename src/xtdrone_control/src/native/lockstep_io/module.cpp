@@ -61,7 +61,8 @@ nb::bytes sendDone(int descriptor, std::uint64_t tick, std::int64_t time_us, nb:
 /// Wait for the simulator's next data.
 ///
 /// @param whole  Whether its next byte is the first of a frame.
-/// @return  The content of one TICK that has arrived alone; other bytes, empty at the end of the connection; or a list of
+/// @return  The content of one TICK that has arrived alone; other bytes, empty at the end of the connection; or a list
+/// of
 ///          the descriptors that are ready if there are others than the simulator's.
 nb::object receive(int epoll, int descriptor, double timeout, bool whole) {
   Events events;
