@@ -44,20 +44,32 @@ struct Reply {
   int32_t value;
 };
 
-// Shows the launcher in lists of processes as `node_launcher __name:=NODE`, so that a search for the node's script
-// finds the node alone.
-void shortenTitle(char** words) {
-  char* begin = words[1];
-  char* end = begin;
-  std::string name;
-  for (char** word = words + 1; *word != nullptr; ++word) {
-    end = *word + strlen(*word);
-    if (strncmp(*word, "__name:=", 8) == 0) name = *word;
+// The launcher in lists of processes: `node_launcher __name:=NODE PID`, so that a search for the node's script finds
+// the node alone, and its process is known (xtdrone_interaction/monitoring/missing_nodes.py reads it).
+class Title {
+ public:
+  explicit Title(char** words) : begin_(words[1]) {
+    char* end = begin_;
+    for (char** word = words + 1; *word != nullptr; ++word) {
+      end = *word + strlen(*word);
+      if (strncmp(*word, "__name:=", 8) == 0) name_ = *word;
+    }
+    size_ = static_cast<size_t>(end - begin_);  // the kernel puts the words one behind the other
+    show(name_);
   }
-  const auto size = static_cast<size_t>(end - begin);  // the kernel puts the words one behind the other
-  memset(begin, 0, size);
-  memcpy(begin, name.data(), std::min(name.size(), size));
-}
+
+  void showNode(pid_t node) { show(name_ + '\0' + std::to_string(node)); }
+
+ private:
+  void show(const std::string& text) {
+    memset(begin_, 0, size_);
+    memcpy(begin_, text.data(), std::min(text.size(), size_));
+  }
+
+  char* begin_;
+  size_t size_ = 0;
+  std::string name_;
+};
 
 // Replaces the launcher by the program, as if it had not been there.
 [[noreturn]] void runDirectly(char** command) {
@@ -208,7 +220,7 @@ void forward(int number, pid_t node) {
 }
 
 // Waits for the end of the node. Without the zygote the node was never started, or it was killed.
-[[noreturn]] void stand(int connection, int signals, char** command, const sigset_t& previous) {
+[[noreturn]] void stand(int connection, int signals, Title& title, char** command, const sigset_t& previous) {
   pid_t node = 0;
   while (true) {
     pollfd ready[] = {{connection, POLLIN, 0}, {signals, POLLIN, 0}};
@@ -217,9 +229,10 @@ void forward(int number, pid_t node) {
       Reply reply = {};
       const bool received = recv(connection, &reply, sizeof reply, MSG_WAITALL) == sizeof reply;
       const auto kind = static_cast<Kind>(reply.kind);
-      if (received && kind == Kind::PID)
+      if (received && kind == Kind::PID) {
         node = reply.value;
-      else if (received && kind == Kind::ENDED)
+        title.showNode(node);
+      } else if (received && kind == Kind::ENDED)
         endLike(reply.value);
       else if (node != 0)
         endLike(SIGKILL);  // the kernel kills the nodes of a zygote that ends
@@ -261,6 +274,6 @@ int main(int count, char** words) {
     sigprocmask(SIG_SETMASK, &previous, nullptr);
     runDirectly(command);
   }
-  shortenTitle(words);
-  stand(connection, heard, command, previous);
+  Title title(words);
+  stand(connection, heard, title, command, previous);
 }

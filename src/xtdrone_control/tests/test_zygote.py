@@ -187,6 +187,8 @@ def test_no_process_outlives_those_it_belongs_to(tmp_path, launches):
     for name in names:
         launch.wait_for_file(f"{name}.ready")
     zygote_pid = launch.pid("xtdrone_control.zygote")
+    kept = launch.pid("sleeper", "__name:=kept")
+    assert launch.pid("node_launcher", f"__name:=kept {kept}")
 
     os.kill(launch.pid("sleeper", "__name:=node_killed"), signal.SIGKILL)
     launch.wait_for(r"\[node_killed-\d+\] process has died \[pid \d+, exit code -9")

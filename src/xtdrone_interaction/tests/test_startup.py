@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -98,6 +101,21 @@ def test_nodes_that_have_not_joined_are_reported_with_their_state(tmp_path: Path
     ]  # fmt: skip
     assert not_joined(lines, ["/follower_1", "/leader", "/team/mine", "/team/other"], {}, tmp_path) == ""
     assert "team/mine is gone" in not_joined(_NODES.format(pid=1 << 30).splitlines(), [], {}, tmp_path)
+
+
+def test_a_stopped_node_behind_its_launcher_is_reported(tmp_path: Path) -> None:
+    with (
+        subprocess.Popen(["sleep", "99"]) as node,
+        subprocess.Popen(
+            ["/x/node_launcher", "-cinput()", str(node.pid)], executable=sys.executable, stdin=subprocess.PIPE
+        ) as launcher,
+    ):
+        node.send_signal(signal.SIGSTOP)
+        os.waitid(os.P_PID, node.pid, os.WSTOPPED)
+        words = not_joined(_NODES.format(pid=launcher.pid).splitlines(), [], {}, tmp_path)
+        node.kill()
+        launcher.kill()
+    assert "team/mine is stopped (SIGSTOP), see" in words
 
 
 def test_advice_is_given_for_known_errors() -> None:

@@ -12,6 +12,7 @@ _NODE = re.compile(r"^    (?P<name>\S+) \((?P<package>[^/)]+)/(?P<program>[^)]+)
 _NAMESPACE = re.compile(r"^  (?P<name>/\S*)$")
 _STARTED = re.compile(r"^process\[(?P<node>.+)-(?P<number>\d+)\]: started with pid \[(?P<pid>\d+)\]")
 _OTHERS = (
+    "recorder",
     "rosbag",
     "rviz",
     "rosout",
@@ -61,10 +62,17 @@ def nodes(log: Iterable[str]) -> list[str]:
     return found
 
 
+def _node_process(pid: int) -> int:
+    """Return the process of a node that roslaunch started as ``pid``: behind ``node_launcher`` it is another one."""
+    words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+    behind_launcher = words[0].endswith(b"/node_launcher") and len(words) > 2 and words[2].isdigit()
+    return int(words[2]) if behind_launcher else pid
+
+
 def _state(pid: int) -> str:
-    """Return a description of the state of a process."""
+    """Return a description of the state of a node that roslaunch started as ``pid``."""
     try:
-        stat = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
+        stat = Path(f"/proc/{_node_process(pid)}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
         return "is gone"
     return "is stopped (SIGSTOP)" if stat.rsplit(")", 1)[1].split()[0] in "Tt" else "runs"
