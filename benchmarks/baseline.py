@@ -21,7 +21,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.measurements import MEASUREMENTS
+from benchmarks.measurement_table import MEASUREMENTS
 from benchmarks.report import MIN_CPU, grouped
 from benchmarks.runner import Bench, BenchError, Row
 from xtdrone_interaction.launching.process_tree import ProcessTree

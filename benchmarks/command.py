@@ -1,8 +1,8 @@
 """``./xtdrone bench``: measure speed, memory and start-up on this machine.
 
-The parts are those of :data:`benchmarks.measurements.MEASUREMENTS`. The command prints tables and writes JSON with the
-facts of the machine; the JSON is rewritten after each measurement, so that an interruption loses nothing. Exit status:
-0, 1 when a measurement failed, 2 for a value that is not allowed, 128 + n when stopped by signal n.
+The parts are those of :data:`benchmarks.measurement_table.MEASUREMENTS`. The command prints tables and writes JSON with
+the facts of the machine; the JSON is rewritten after each measurement, so that an interruption loses nothing. Exit
+status: 0, 1 when a measurement failed, 2 for a value that is not allowed, 128 + n when stopped by signal n.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rich.console import Console
 
 from benchmarks.baseline import Request, Tree, measured_rows, prepare, print_comparison, resolve, turns
 from benchmarks.calibration import calibrate
-from benchmarks.measurements import MEASUREMENTS
+from benchmarks.measurement_table import MEASUREMENTS
 from benchmarks.output import print_machine, progress, write_results
 from benchmarks.report import print_results, short_result
 from benchmarks.runner import TYPE, Bench, Case, Length

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.calibration import describe
-from benchmarks.measurements import MEASUREMENTS, Measurement
+from benchmarks.measurement_table import MEASUREMENTS, Measurement
 from benchmarks.runner import Row
 
 MIN_CPU = 0.005  # CPU s per simulated s; programs that never use more have no line

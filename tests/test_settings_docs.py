@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from xtdrone_control.communication.core import CommandSettings
+from xtdrone_control.communication.commands import CommandSettings
 from xtdrone_control.settings import Settings
 from xtdrone_coordination.network import NetworkOptions
 from xtdrone_coordination.search.settings import MissionSettings

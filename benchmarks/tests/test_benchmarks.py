@@ -23,7 +23,7 @@ from rich.console import Console
 
 from benchmarks import baseline, calibration, flights, free_running, process_use, report, runner, search
 from benchmarks import command as bench
-from benchmarks.measurements import MEASUREMENTS
+from benchmarks.measurement_table import MEASUREMENTS
 from benchmarks.nodes import bus_statistics, search_probe, speed_search
 from benchmarks.programs import barrier
 from xtdrone_control.lockstep.server import LockstepServer

@@ -6,7 +6,7 @@ Topics are listed in ``xtdrone_control.communication.multirotor``; all names are
 in any namespace.
 
 Parameters:
-    ~hover_speed, ~cmd_timeout: see ``xtdrone_control.communication.core.CommandSettings`` and docs/settings.md.
+    ~hover_speed, ~cmd_timeout: see ``xtdrone_control.communication.commands.CommandSettings`` and docs/settings.md.
         XTDrone's ~hover_speed of 0.02 swallows the first two presses of its keyboard and freezes formations beside
         their slots.
     /xtdrone/fleet (as ``iris:9``): all vehicles; without it the upper limit of the ids is unknown.
@@ -21,7 +21,7 @@ from dataclasses import asdict
 import rospy
 
 from xtdrone_control import lockstep
-from xtdrone_control.communication.core import CommandSettings
+from xtdrone_control.communication.commands import CommandSettings
 from xtdrone_control.communication.multirotor import RATE, MultirotorCommunication
 from xtdrone_control.program import run_program, served_vehicles
 

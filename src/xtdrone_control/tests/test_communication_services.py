@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import contextmanager
 
 from xtdrone_control.communication import multirotor
-from xtdrone_control.communication.core import Request
+from xtdrone_control.communication.commands import Request
 
 
 def test_time_may_flow_while_an_answer_is_waited_for_in_a_turn(monkeypatch):

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from xtdrone_control.communication.core import MultirotorCore, Request
+from xtdrone_control.communication.commands import MultirotorCore, Request
 from xtdrone_control.drone.drones import Drone, DroneGroup
 from xtdrone_control.drone.verbs import DroneError, RejectedError, TimedOutError, Verbs
 

@@ -11,7 +11,7 @@ from test_mavlink_server import Client, World, heartbeat
 
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.parameters.parameters import Parameters
-from xtdrone_control.communication.core import MultirotorCore
+from xtdrone_control.communication.commands import MultirotorCore
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.lockstep.transport.inbox import Inbox
 from xtdrone_control.mavlink import link as link_module

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xtdrone_control.communication.core import HOVER_SPEED, HOVER_YAW_RATE, PX4_MODES
+from xtdrone_control.communication.commands import HOVER_SPEED, HOVER_YAW_RATE, PX4_MODES
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.program import ArgumentError
 from xtdrone_coordination.patterns import Patterns

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from xtdrone_control.communication.core import MultirotorCore
+from xtdrone_control.communication.commands import MultirotorCore
 from xtdrone_control.communication.setpoint import IGNORE_POSITION
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_swarm import Model

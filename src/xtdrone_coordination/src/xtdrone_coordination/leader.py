@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xtdrone_control.communication.core import OWN_COMMANDS, PX4_MODES
+from xtdrone_control.communication.commands import OWN_COMMANDS, PX4_MODES
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.follower import RATE
 from xtdrone_coordination.laws import avoidance

@@ -2,9 +2,9 @@
 
 The same Leader and Follower classes that a script has tested on simplified vehicles thus fly in full physics without
 ROS. The layers between them and the autopilots in the ROS stack are implemented here as function calls: the rules of
-the communication node (``xtdrone_control.communication.core``) and its 30 Hz setpoint stream, MAVROS's conversion from
-ENU to NED, and PX4's interpretation of SET_POSITION_TARGET_LOCAL_NED. A command acts in the turn in which it is given;
-over topics it is delayed by two or three turns more.
+the communication node (``xtdrone_control.communication.commands``) and its 30 Hz setpoint stream, MAVROS's conversion
+from ENU to NED, and PX4's interpretation of SET_POSITION_TARGET_LOCAL_NED. A command acts in the turn in which it is
+given; over topics it is delayed by two or three turns more.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from xtdrone_control import frames
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.commander.commander import Result
 from xtdrone_control.autopilot.modes import PX4_MODES
-from xtdrone_control.communication.core import HOVER_SPEED, OWN_COMMANDS, MultirotorCore, Request
+from xtdrone_control.communication.commands import HOVER_SPEED, OWN_COMMANDS, MultirotorCore, Request
 from xtdrone_control.communication.setpoint import FRAME_LOCAL_NED, Setpoint
 from xtdrone_control.fleet import MAX_VEHICLES, FleetError, parse_fleet
 from xtdrone_control.lockstep.protocol import Schedule

@@ -29,7 +29,7 @@ from mavros_msgs.srv import CommandBool, SetMode
 from std_msgs.msg import String
 
 from xtdrone_control import lockstep
-from xtdrone_control.communication.core import HOVER_SPEED, MultirotorCore, Request
+from xtdrone_control.communication.commands import HOVER_SPEED, MultirotorCore, Request
 from xtdrone_control.communication.setpoint import Setpoint, Vector
 
 RATE = 30  # Hz

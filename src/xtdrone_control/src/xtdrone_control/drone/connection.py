@@ -19,7 +19,7 @@ from mavros_msgs.msg import State, StatusText, SysStatus
 from sensor_msgs.msg import BatteryState
 
 from xtdrone_control import lockstep
-from xtdrone_control.communication.core import MultirotorCore, Request
+from xtdrone_control.communication.commands import MultirotorCore, Request
 from xtdrone_control.communication.multirotor import RATE, MavrosLink
 from xtdrone_control.fleet import FleetError, parse_fleet
 from xtdrone_control.lockstep import future_name

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
-from xtdrone_control.communication.core import MultirotorCore, Request
+from xtdrone_control.communication.commands import MultirotorCore, Request
 from xtdrone_control.communication.setpoint import LARGEST, Vector
 
 Steps = Iterator[None]

@@ -29,7 +29,7 @@ from gazebo_msgs.msg import ModelStates
 from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
 
 from xtdrone_control import lockstep
-from xtdrone_control.communication.core import CommandSettings
+from xtdrone_control.communication.commands import CommandSettings
 from xtdrone_control.fleet import parse_fleet, spawn_grid
 from xtdrone_control.geodesy.geo import GRAVITY
 from xtdrone_control.lockstep.protocol import Schedule

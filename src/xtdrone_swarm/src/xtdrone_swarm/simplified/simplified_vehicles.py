@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xtdrone_control.autopilot.modes import PX4_MODES
-from xtdrone_control.communication.core import HOVER_SPEED, HOVER_YAW_RATE, OWN_COMMANDS
+from xtdrone_control.communication.commands import HOVER_SPEED, HOVER_YAW_RATE, OWN_COMMANDS
 from xtdrone_coordination.patterns import PITCH, origin_columns
 from xtdrone_swarm.simplified import pilot
 from xtdrone_swarm.simplified.kinematics import VEHICLE, advance, capture, set_at, set_many

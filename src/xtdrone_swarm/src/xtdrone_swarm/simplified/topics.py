@@ -45,7 +45,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
 
 from xtdrone_control import lockstep
 from xtdrone_control.autopilot import modes
-from xtdrone_control.communication.core import MultirotorCore
+from xtdrone_control.communication.commands import MultirotorCore
 from xtdrone_control.communication.multirotor import RosLog
 from xtdrone_control.communication.setpoint import FRAME_LOCAL_NED, Setpoint, Vector
 from xtdrone_control.mavros.lib.px4_modes import ModeError, mode_name, mode_number

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from xtdrone_control.communication.core import HOVER_SPEED, STATE_GRACE, MultirotorCore
+from xtdrone_control.communication.commands import HOVER_SPEED, STATE_GRACE, MultirotorCore
 from xtdrone_control.communication.setpoint import Setpoint, yaw_of
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
