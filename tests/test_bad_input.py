@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import FLEET, REPOSITORY, START_LIMIT, WALL_LIMIT, Graph, Program, Stack, wait_for_ports
+from conftest import FLEET, REPOSITORY, START_LIMIT, WALL_LIMIT, Graph, Program, Stack, poll, wait_for_ports
 
 pytest.importorskip("rospy")
 
@@ -115,7 +115,7 @@ def test_an_occupied_port_ends_the_launch(graph: Graph, tmp_path: Path, port: in
         assert words in launch.output
         assert f"process[{node_name}" in launch.output
         assert "exit code 1" in launch.output
-        assert stack.processes() == {}
+        poll(lambda: not stack.processes(), "all processes of the launch have ended")
     finally:
         stack.stop()
         graph.forget()

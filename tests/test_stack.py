@@ -455,5 +455,5 @@ def test_a_dead_part_ends_the_launch_and_leaves_nothing(stack: Stack, graph: Gra
     assert "SIGKILL" not in launch.output  # no other node was killed
     assert communication.end() == 0
     assert "the simulation has ended" in communication.output
-    assert stack.processes() == {}
+    poll(lambda: not stack.processes(), "all processes of the launch have ended")
     assert not rosgraph.Master("/system_tests").hasParam("/lockstep/uri")
