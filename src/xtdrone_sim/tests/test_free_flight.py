@@ -64,7 +64,7 @@ def test_vehicles_on_the_ground_and_failed_units_are_left_to_single_steps(simula
     simulation = simulate()
     free = simulation._free_flight
     simulation.run_until(4_000)
-    assert free._possible_steps() == 4
+    assert free._possible_steps(4) == 4
     simulation.autopilot.failures["gyro"][1] = 1
     assert free.advance(1, simulation._steps, simulation.time_us) == 0
     simulation.autopilot.failures["gyro"][1] = 0

@@ -1,7 +1,7 @@
 """Steps of a fleet that touches nothing: several steps of all vehicles in one call, on several threads.
 
 While no vehicle is near the ground or another body, the vehicles are independent of each other between two checks of
-the contacts, and each can do several steps at once. The results are those of ``Simulation.step`` to the last bit, with
+the contacts, and each can do several steps at once. Vehicles far from all others need no check for a while. The results are those of ``Simulation.step`` to the last bit, with
 any number of threads.
 """
 
@@ -27,6 +27,7 @@ from xtdrone_sim.sensors.sensor_models import STEPS, Sensors, sample_vehicle
 
 _VEHICLES_PER_THREAD = 12  # fewer are done sooner than another thread starts
 _MOST_THREADS = 8
+_LONGEST = 25  # steps without a check of the contacts
 
 
 @kernel
@@ -150,13 +151,19 @@ class FreeFlight:
         self._threads = [_Thread(i) for i in range(1, len(self._shares))]
         self._checks_inside = not self._threads and not world.has_obstacles
 
-    def _possible_steps(self) -> int:
-        """Return for how many steps the vehicles are free: those to the next check of the contacts, or 0."""
+    def _possible_steps(self, most: int) -> int:
+        """Return for how many steps, up to ``most``, the vehicles are free.
+
+        Those are the steps to the next check of the contacts, or more if no check until then can find any, or 0.
+        """
         if self._sensors.failing.any:
             return 0
-        steps = self._world.check_contacts(self._armed)
-        free = _is_free(self._world.plant, self._armed, self._failures, self._failed, self._autopilot.failed_rotors)
-        return steps if free else 0
+        steps = min(self._world.check_contacts(self._armed), most)
+        if not _is_free(self._world.plant, self._armed, self._failures, self._failed, self._autopilot.failed_rotors):
+            return 0
+        if self._checks_inside or steps == most:
+            return steps
+        return max(steps, self._world.steps_apart(min(most, _LONGEST)))
 
     def advance(self, most: int, step: int, time_us: int) -> int:
         """Advance plant, sensors and autopilots while the vehicles are free.
@@ -169,14 +176,14 @@ class FreeFlight:
         Returns:
             The number of steps, up to ``most``; 0 if the next one must be done by ``Simulation.step``.
         """
-        possible = self._possible_steps()
-        if not possible:
+        most = min(most, STEPS - step % STEPS)
+        steps = self._possible_steps(most)
+        if not steps:
             return 0
         self._sensors.draw(step)
         if self._checks_inside:
-            steps = int(_advance_alone(min(most, STEPS - step % STEPS), step, time_us, *self._shares[0][2]))
+            steps = int(_advance_alone(most, step, time_us, *self._shares[0][2]))
         else:
-            steps = min(most, possible)
             self._advance_shares(steps, step, time_us)
         self._world.count_steps(steps)
         return steps

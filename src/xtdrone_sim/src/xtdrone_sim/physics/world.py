@@ -29,6 +29,8 @@ _NEAR = 0.25  # m of clearance below which Bullet integrates a body
 _FAR = 0.40  # m of clearance above which the free-flight kernel does again
 _REST_SPEED = 0.02  # m/s and rad/s below which a body with its motors off counts as at rest
 _REST_STEPS = 125  # steps at rest before it sleeps
+_CAUTION = 2.0  # times the acceleration by rotors at full speed, weight and drag: the most that a body may reach
+_FASTEST_SPIN = 20.0  # rad/s below which the drag of rotation is far less than this reserve
 _SPAWN_GAP = 0.001  # m between a spawned body and the ground
 
 
@@ -117,6 +119,53 @@ def mark_near(plant, models, steps, dt, wanted):
             if clearance < (_NEAR if v.contact == FREE or o.contact == FREE else _FAR):
                 wanted[i] = TOUCHING
                 wanted[j] = TOUCHING
+
+
+@kernel
+def _most_acceleration(v, m, gravity):
+    """Return a bound of the acceleration within the next tenth of a second, m/s^2."""
+    thrust = m.rotor_count * m.thrust_constant * m.max_speed * m.max_speed
+    ax, ay, az = v.velocity[0] - v.wind[0], v.velocity[1] - v.wind[1], v.velocity[2] - v.wind[2]
+    drag = m.linear_drag + m.rotor_count * m.drag_coefficient * m.max_speed
+    return _CAUTION * (gravity + (thrust + drag * math.sqrt(ax * ax + ay * ay + az * az)) / m.mass)
+
+
+@kernel
+def stay_free(plant, models, steps, gravity, dt):
+    """Return whether all vehicles are free and no contact check of the next ``steps``, 0.1 s at most, finds a change.
+
+    After the time t a body is at most v t + a t^2 / 2 from its place and v + a t fast, with its speed v and bound a of
+    its acceleration. ``mark_near`` adds the distance travelled until the check that follows.
+    """
+    count = plant.shape[0]
+    most = np.empty(count)
+    time = steps * dt
+    ahead = CHECK_STEPS * dt
+    for i in range(count):
+        v, m = plant[i], models[i]
+        spin = v.rates[0] * v.rates[0] + v.rates[1] * v.rates[1] + v.rates[2] * v.rates[2]
+        if v.contact != FREE or not spin < _FASTEST_SPIN * _FASTEST_SPIN:
+            return False
+        most[i] = _most_acceleration(v, m, gravity)
+        reach = abs(v.velocity[2]) * (time + ahead) + most[i] * time * (0.5 * time + ahead)
+        if not v.position[2] - m.radius - reach > _NEAR:
+            return False
+    for i in range(count):
+        v = plant[i]
+        for j in range(i):
+            o = plant[j]
+            dx = v.position[0] - o.position[0]
+            dy = v.position[1] - o.position[1]
+            dz = v.position[2] - o.position[2]
+            rvx = v.velocity[0] - o.velocity[0]
+            rvy = v.velocity[1] - o.velocity[1]
+            rvz = v.velocity[2] - o.velocity[2]
+            reach = math.sqrt(rvx * rvx + rvy * rvy + rvz * rvz) * (time + ahead)
+            reach += (most[i] + most[j]) * time * (0.5 * time + ahead)
+            least = models[i].radius + models[j].radius + _NEAR + reach
+            if not dx * dx + dy * dy + dz * dz > least * least:
+                return False
+    return True
 
 
 @kernel
@@ -257,6 +306,13 @@ class World:
             self._checked = self._steps
             self._sort_contacts(armed)
         return CHECK_STEPS - done
+
+    def steps_apart(self, most: int) -> int:
+        """Return ``most`` (steps, 0.1 s at most) if all vehicles surely touch nothing until then, else 0."""
+        free = not self._obstacles.count and stay_free(
+            self.plant, self.models, most, self.model.gravity, self.time_step
+        )
+        return most if free else 0
 
     @property
     def has_obstacles(self) -> bool:
