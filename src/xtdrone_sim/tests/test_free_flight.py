@@ -75,3 +75,32 @@ def test_vehicles_on_the_ground_and_failed_units_are_left_to_single_steps(simula
     simulation.world.plant["position"][4, 2] = 0.3
     simulation.run_until(60_000)
     assert free.advance(1, simulation._steps, simulation.time_us) == 0
+
+
+@pytest.mark.parametrize("speed", [1.0, 8.0, 40.0])
+def test_no_contact_check_is_left_out_that_finds_a_contact(simulate, speed):
+    single, many = simulate(), simulate(2)
+    for simulation in (single, many):
+        _power(simulation)
+        simulation.world.plant["velocity"][0] = (speed, 0.0, 0.0)
+        simulation.world.plant["velocity"][3] = (0.0, 0.0, -speed)
+        simulation.world.plant["position"][3, 2] = 4.0
+    touched = False
+    for until_us in (300_000, 900_000, 1_400_000):
+        while single.time_us < until_us:
+            single.step()
+            touched = touched or (single.time_us > 20_000 and bool(single.world.plant["contact"].any()))
+        many.run_until(until_us)
+        assert _bytes(many) == _bytes(single)
+    assert touched or speed < 2.0
+
+
+def test_vehicles_near_each_other_or_spinning_are_checked(simulate):
+    world = simulate().world
+    world.check_contacts(world.plant["contact"] * 0)
+    assert world.steps_apart(25) == 25
+    world.plant["rates"][2] = (30.0, 0.0, 0.0)
+    assert world.steps_apart(25) == 0
+    world.plant["rates"][2] = 0.0
+    world.plant["position"][1] = world.plant["position"][0] + (1.5, 0.0, 0.0)
+    assert world.steps_apart(25) == 0

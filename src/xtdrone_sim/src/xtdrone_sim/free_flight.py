@@ -1,8 +1,8 @@
 """Steps of a fleet that touches nothing: several steps of all vehicles in one call, on several threads.
 
 While no vehicle is near the ground or another body, the vehicles are independent of each other between two checks of
-the contacts, and each can do several steps at once. Vehicles far from all others need no check for a while. The results are those of ``Simulation.step`` to the last bit, with
-any number of threads.
+the contacts, and each can do several steps at once. Vehicles far from all others need no check for up to 0.1 s. The
+results are those of ``Simulation.step`` to the last bit, with any number of threads.
 """
 
 from __future__ import annotations
