@@ -19,14 +19,14 @@ Private parameters, besides those of ``config/px4_config.yaml``:
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import resource
 import sys
 import threading
 import time
 import xmlrpc.client
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from http.client import HTTPException
 from typing import Any, NamedTuple
 
@@ -91,8 +91,13 @@ class LockstepRos:
         use_sim_time: whether ROS time is the simulator's time.
     """
 
-    def __init__(self) -> None:
-        """Determine whether the time is simulated."""
+    def __init__(self, receiver: Receiver) -> None:
+        """Determine whether the time is simulated.
+
+        Args:
+            receiver: receives the autopilots' answers.
+        """
+        self._receiver = receiver
         self.use_sim_time = bool(lockstep.is_active() or rospy.get_param("/use_sim_time", False))
         self._connections = _Connections()
 
@@ -125,9 +130,11 @@ class LockstepRos:
         """Return a ROS parameter, or a tree of them."""
         return rospy.get_param(name, default)
 
-    def needs_time(self) -> AbstractContextManager[None]:
+    @contextlib.contextmanager
+    def needs_time(self) -> Iterator[None]:
         """Return a context manager to hold while waiting for an answer from the autopilot."""
-        return lockstep.needs_time()
+        with self._receiver.attention(), lockstep.needs_time():
+            yield
 
 
 def connections(settings: Mapping[str, Any], fleet: str, node_name: str, instance: object = 0) -> list[Connection]:
@@ -195,12 +202,12 @@ class MavrosNode:
             LinkError: a port is already in use.
             ValueError: a setting is not allowed (includes ParamError).
         """
-        self._ros = LockstepRos()
         shared = Params(settings)
         source = shared.get("system_id", 1), shared.get("component_id", 240)
         # Bind the ports before advertising anything, so that a node that cannot run leaves no trace.
         self._links = _open(vehicles, source)
         self._receiver = Receiver(self._links)
+        self._ros = LockstepRos(self._receiver)
         params = [_params(vehicle, settings) for vehicle in vehicles]
         for complaint in _complaints(params):
             rospy.logwarn(f"mavros: {complaint}")

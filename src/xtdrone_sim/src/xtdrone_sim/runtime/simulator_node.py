@@ -155,7 +155,8 @@ class SimulatorNode:
             log=log,
             on_digest=self._digests.write if self._digests and settings.digest_topics else None,
         )
-        self._clock = lockstep.UncountedPublisher("/clock", Clock, queue_size=10)
+        # rosout subscribes like every node in C++, but reads the time only for messages of its own.
+        self._clock = lockstep.UncountedPublisher("/clock", Clock, queue_size=10, rare=["/rosout"])
         self._clock_message = Clock()
         self._server.attach_host(host)
         self._states = lockstep.Publisher("/gazebo/model_states", ModelStates)

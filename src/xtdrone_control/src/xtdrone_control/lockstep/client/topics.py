@@ -6,7 +6,7 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import genpy
@@ -142,18 +142,21 @@ class UncountedPublisher(_Publisher):
     With a queue size, rospy's own publisher passes each message to another thread, which costs several times as much.
     """
 
-    def __init__(self, name: str, data_class: type[rospy.Message], queue_size: int = 100) -> None:
+    def __init__(
+        self, name: str, data_class: type[rospy.Message], queue_size: int = 100, rare: Collection[str] = ()
+    ) -> None:
         """Advertise a topic.
 
         Args:
             name: Topic name, resolved as usual.
             data_class: Message type.
             queue_size: Messages kept for a stalled subscriber.
+            rare: Names of subscribers that need only some of the messages: they get ten in each wall second.
 
         Raises:
             ROSException: The topic has a plain rospy.Publisher in this process.
         """
-        acquire_publisher(name, data_class, False, _UnusedLedger())
+        acquire_publisher(name, data_class, False, _UnusedLedger()).rare = rare
         super().__init__(name, data_class, queue_size=queue_size)
 
 

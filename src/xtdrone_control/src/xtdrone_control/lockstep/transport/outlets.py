@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import socket
 import threading
+import time
 from collections import deque
 from typing import Any, Protocol
 
@@ -16,6 +17,8 @@ from ..protocol import Digest
 
 STALLED_QUEUE = 100
 """Messages kept for a stalled subscriber that is not a participant, if the publisher sets no queue size."""
+GLANCE_PERIOD = 0.1
+"""Wall seconds between two messages to a subscriber that needs only some of them."""
 
 
 class Ledger(Protocol):
@@ -144,3 +147,17 @@ class Outlet:
                 return
             with self._lock:
                 self._backlog.popleft()
+
+
+class RareOutlet(Outlet):
+    """The sending end to a subscriber that needs only one message in each ``GLANCE_PERIOD``."""
+
+    _next = 0.0
+
+    def __call__(self, data: bytes) -> bool:
+        """Send one serialised message like ``Outlet``, or discard it."""
+        now = time.monotonic()
+        if now < self._next:
+            return True
+        self._next = now + GLANCE_PERIOD
+        return super().__call__(data)

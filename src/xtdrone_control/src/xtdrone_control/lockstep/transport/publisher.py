@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+from collections.abc import Collection
 from io import BytesIO
 from typing import Any
 
@@ -13,18 +14,24 @@ from rospy.msg import serialize_message
 from xtdrone_control.ros_codec import compile_class
 
 from ..protocol import Digest
-from .outlets import Ledger, Outlet
+from .outlets import Ledger, Outlet, RareOutlet
 from .rospy_internals import PublisherImpl, add_publisher_impl
 
 
 class CountingPublisher(PublisherImpl):
-    """A topic's publishing end whose connections are ``Outlet`` objects."""
+    """A topic's publishing end whose connections are ``Outlet`` objects.
+
+    Attributes:
+        outlets: The outlets by rospy's connection.
+        rare: Names of the subscribers that get ``RareOutlet`` objects.
+    """
 
     def __init__(self, name: str, data_class: type[rospy.Message], ledger: Ledger) -> None:
         super().__init__(name, data_class)
         codec = compile_class(data_class)
         self._packet = None if codec is None else codec.packet
         self.outlets: dict[Any, Outlet] = {}
+        self.rare: Collection[str] = ()
         self._stall_size: int | None = None
         self._ledger = ledger
 
@@ -35,7 +42,8 @@ class CountingPublisher(PublisherImpl):
     def add_connection(self, connection: Any) -> bool:
         """Add a connection and count from its first message (a latched one included)."""
         connection.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        outlet = Outlet(self.resolved_name, connection, self._stall_size, self._ledger)
+        kind = RareOutlet if connection.endpoint_id in self.rare else Outlet
+        outlet = kind(self.resolved_name, connection, self._stall_size, self._ledger)
         connection.write_data = outlet
         # The publishing lock keeps messages from being sent between the connection and its announcement.
         with self.publock:

@@ -2,18 +2,21 @@
 
 The receiver thread splits datagrams into frames. It handles answers to pending requests (``Link.replies``) itself,
 because the waiting thread may be the one that holds the simulation; it queues telemetry that plugins need for the main
-thread and drops the rest undecoded.
+thread and drops the rest undecoded. While no request is pending and the simulator counts the datagrams of every link,
+the main thread reads them itself, and the receiver thread only prevents the sockets' buffers from filling up.
 """
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import os
 import re
 import select
 import socket
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -29,6 +32,7 @@ _RECEIVE_BUFFER = 1 << 20  # bytes; one vehicle's telemetry in a tick is a few h
 _LARGEST_DATAGRAM = 65535
 _HIGHEST_PORT = 65535
 _PROBE_PORT = 9  # arbitrary: nothing is sent to it
+_GLANCE_PERIOD = 0.05  # wall s between two reads by the receiver thread while nothing depends on it
 
 RAW = -1
 """Used in place of a message id to request every frame, undecoded."""
@@ -278,7 +282,10 @@ class Link:
 
 
 class Receiver:
-    """The thread that reads from all links."""
+    """The thread that reads from all links: at once while ``attention`` is held or a link is not counted, else rarely.
+
+    Reads on arrival delay the main thread, as both need the interpreter's lock.
+    """
 
     def __init__(self, links: Iterable[Link]) -> None:
         """Prepare the thread; ``start`` runs it."""
@@ -287,7 +294,10 @@ class Receiver:
         self._uncounted: dict[int, int] = {}  # datagrams received before the simulator began to count, by port
         self._batches = 0  # number of reads by the thread
         self._arrived = threading.Condition()
-        self._stop_read, self._stop_write = socket.socketpair()
+        self._attention = 0  # number of contexts that hold it
+        self._stopping = False
+        self._wake_lock = threading.Lock()
+        self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._thread = threading.Thread(target=self._run, name="mavlink receiver", daemon=True)
 
     def start(self) -> None:
@@ -296,12 +306,26 @@ class Receiver:
 
     def stop(self) -> None:
         """Stop the thread and close the links."""
-        self._stop_write.send(b"x")
+        with self._wake_lock:
+            self._stopping = True
+            os.eventfd_write(self._wake, 1)
         self._thread.join()
         for link in self._links:
             link.close()
-        self._stop_read.close()
-        self._stop_write.close()
+        os.close(self._wake)
+
+    @contextlib.contextmanager
+    def attention(self) -> Iterator[None]:
+        """Read datagrams on arrival while in this context; may be used in any thread."""
+        with self._wake_lock:
+            self._attention += 1
+            if self._attention == 1 and not self._stopping:
+                os.eventfd_write(self._wake, 1)
+        try:
+            yield
+        finally:
+            with self._wake_lock:
+                self._attention -= 1
 
     def wait(self, expected: Mapping[int, int], limit: float) -> dict[int, int]:
         """Wait until each port has received the expected number of datagrams.
@@ -324,7 +348,7 @@ class Receiver:
                 link.read()
         if complete():
             return {}
-        with self._arrived:
+        with self.attention(), self._arrived:
             self._arrived.wait_for(complete, limit)
         return {link.port: count - link.received for link, count in pairs if link.received < count}
 
@@ -365,23 +389,29 @@ class Receiver:
             self._arrived.wait_for(lambda: self._batches != seen, limit)
 
     def _run(self) -> None:
-        poller = select.epoll()
-        poller.register(self._stop_read.fileno(), select.EPOLLIN)
         by_descriptor = {link.socket.fileno(): link for link in self._links}
-        for descriptor in by_descriptor:
-            poller.register(descriptor, select.EPOLLIN)
-        stop = self._stop_read.fileno()
-        try:
-            while True:
-                for descriptor, _ in poller.poll():
-                    if descriptor == stop:
-                        return
-                    self._read(by_descriptor[descriptor])
+        with select.epoll() as wake, select.epoll() as everything:
+            wake.register(self._wake, select.EPOLLIN)
+            for descriptor in (self._wake, *by_descriptor):
+                everything.register(descriptor, select.EPOLLIN)
+            while not self._stopping:
+                if self._is_calm():
+                    wake.poll(_GLANCE_PERIOD)
+                    ready = everything.poll(0.0)
+                else:
+                    ready = everything.poll()
+                for descriptor, _ in ready:
+                    if descriptor == self._wake:
+                        os.eventfd_read(self._wake)
+                    else:
+                        self._read(by_descriptor[descriptor])
                 with self._arrived:
                     self._batches += 1
                     self._arrived.notify_all()
-        finally:
-            poller.close()
+
+    def _is_calm(self) -> bool:
+        """Return whether the main thread reads every datagram in the turn for which the simulator counts it."""
+        return not self._attention and len(self._uncounted) == len(self._links)
 
     @staticmethod
     def _read(link: Link) -> None:
