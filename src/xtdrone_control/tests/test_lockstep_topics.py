@@ -20,6 +20,7 @@ from std_msgs.msg import Header, String
 
 from xtdrone_control.lockstep.client import topics
 from xtdrone_control.lockstep.client.node import Node
+from xtdrone_control.lockstep.transport import outlets
 from xtdrone_control.lockstep.transport.outlets import Outlet
 from xtdrone_control.lockstep.transport.publisher import CountingPublisher
 from xtdrone_control.lockstep.transport.reader import Reader
@@ -110,16 +111,35 @@ def test_a_topic_is_declared_until_its_last_subscriber_is_removed() -> None:
 # ---- publishers
 
 
+def transport_over(sock: socket.socket) -> Record:
+    """Return what a publisher uses of rospy's transport."""
+    return Record(
+        socket=sock, endpoint_id="/subscriber", remote_endpoint=("127.0.0.1", 5), done=False, stat_num_msg=0,
+        stat_bytes=0, close=lambda: None,
+    )  # fmt: skip
+
+
+def test_a_subscriber_that_needs_few_messages_gets_ten_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 100.0
+    monkeypatch.setattr(outlets, "time", Record(monotonic=lambda: now))
+    ends = socket.socketpair()
+    outlet = outlets.RareOutlet("/clock", transport_over(ends[0]), 1, Node())
+    for number in range(100):
+        now = 100.0 + number / 64
+        outlet(bytes([number]))
+    assert list(ends[1].recv(1000, socket.MSG_DONTWAIT)) == list(range(0, 100, 7))
+    assert outlet.count == 15
+    for end in ends:
+        end.close()
+
+
 def published(message_class: type, message: object, monkeypatch: pytest.MonkeyPatch) -> bytes:
     """Return what a subscriber receives of a message published by its topic's first publisher."""
     ends = socket.socketpair()
     monkeypatch.setattr(rospy.core, "_client_ready", True)
     publisher = topics.Publisher.__new__(topics.Publisher)
     publisher.impl, publisher.data_class = CountingPublisher("/topic", message_class, Node()), message_class
-    transport = Record(
-        socket=ends[0], endpoint_id="/subscriber", remote_endpoint=("127.0.0.1", 5), done=False, stat_num_msg=0,
-        stat_bytes=0, close=lambda: None,
-    )  # fmt: skip
+    transport = transport_over(ends[0])
     publisher.impl.outlets[transport] = Outlet("/topic", transport, 1, Node())
     try:
         publisher.publish(message)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import random
+import threading
 
 import pytest
 from mavros_fakes import free_udp_port, udp_socket
@@ -13,6 +14,7 @@ from xtdrone_control.autopilot.modes import PX4_MODES
 from xtdrone_control.mavlink.wire import codec
 from xtdrone_control.mavros.lib import px4_modes
 from xtdrone_control.mavros.lib.params import ParamError, Params
+from xtdrone_control.mavros.link import connection
 from xtdrone_control.mavros.link.connection import FcuUrl, Link, LinkError, Receiver, parse_fcu_url
 from xtdrone_control.mavros.link.streams import DEFAULT_RATE_US, OFF_US, Streams
 from xtdrone_control.mavros.link.transactions import Commands
@@ -333,6 +335,28 @@ class TestLink:
             assert receiver.wait({link.port: 5}, limit=0.01) == {link.port: 2}
             assert [number for number, _ in link.drain(2)] == [32, 32]
             assert [number for number, _ in link.drain()] == [32]
+        finally:
+            receiver.stop()
+            fcu.close()
+
+    def test_receiver_thread_reads_at_once_while_an_answer_is_awaited(self, monkeypatch):
+        monkeypatch.setattr(connection, "_GLANCE_PERIOD", 1000.0)
+        link = Link("iris_0", FcuUrl("127.0.0.1", free_udp_port(), "127.0.0.1", 9))
+        receiver = Receiver([link])
+        receiver.start()
+        fcu = udp_socket()
+        packet = bytes(LOCAL_POSITION.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=1)))
+        answered = threading.Event()
+        link.replies = {32: lambda _: answered.set()}
+        try:
+            fcu.sendto(packet, ("127.0.0.1", link.port))
+            assert answered.wait(5.0)  # no link is counted yet
+            receiver.wait_counted({link.port: 1}, limit=5.0)
+            for _ in range(2):
+                answered.clear()
+                with receiver.attention():
+                    fcu.sendto(packet, ("127.0.0.1", link.port))
+                    assert answered.wait(5.0)
         finally:
             receiver.stop()
             fcu.close()

@@ -60,6 +60,8 @@ class Host:
         Raises:
             ROSInterruptException: The node is shut down while waiting for a message.
         """
+        if not self._node.subscribers:
+            return
         self._node.reader.wait(0.0)
         counts, self._counts = self._counts, {}
         self._deliveries.fetch(counts)

@@ -405,9 +405,10 @@ class Receiver:
                         os.eventfd_read(self._wake)
                     else:
                         self._read(by_descriptor[descriptor])
-                with self._arrived:
-                    self._batches += 1
-                    self._arrived.notify_all()
+                if ready:
+                    with self._arrived:
+                        self._batches += 1
+                        self._arrived.notify_all()
 
     def _is_calm(self) -> bool:
         """Return whether the main thread reads every datagram in the turn for which the simulator counts it."""
