@@ -13,6 +13,7 @@ pytest.importorskip("rospy")
 
 import rosgraph
 import roslib.packages
+import rospy
 from std_msgs.msg import String
 
 from xtdrone_interaction.bags.ros1bag import BagFile
@@ -75,6 +76,24 @@ def test_the_demos_recorder_writes_what_comes_before_the_clock(
     assert count >= 3
     assert times == {1}  # ns; a bag has no time 0
     assert [(c.topic, c.type) for c in bag.connections.values()] == [("/xtdrone/notes", "std_msgs/String")]
+
+
+def test_a_file_that_cannot_grow_keeps_what_was_recorded(stack: Stack, tmp_path: Path) -> None:
+    file, limit = tmp_path / "flight.bag", 2 * WRITTEN // 512
+    limited = ["sh", "-c", f'trap "" XFSZ; ulimit -f {limit}; exec "$@"', "sh"]
+    recorder = stack.start("recorder", [*limited, *RECORDER, str(file), "/xtdrone/notes"])
+    notes = rospy.Publisher("/xtdrone/notes", String, queue_size=10)
+
+    def ended() -> bool:
+        notes.publish(String("word " * 50_000))
+        return recorder.process.poll() is not None
+
+    poll(ended, "the recorder ends")
+    assert recorder.end() == 1, recorder.output
+    assert "flight.bag cannot be recorded: " in recorder.output
+    bag = BagFile(file.with_name("flight.bag.active"))
+    assert sum(len(batch.time) for batch in bag.batches()) >= 3
+    assert not file.exists()
 
 
 @pytest.mark.parametrize(

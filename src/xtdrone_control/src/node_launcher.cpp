@@ -13,6 +13,7 @@
 #include <sys/signalfd.h>
 #include <sys/socket.h>
 #include <sys/syscall.h>
+#include <sys/time.h>
 #include <sys/un.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -31,8 +32,9 @@
 extern char** environ;  // NOLINT
 
 namespace {
-constexpr int BACKLOG = 4096;        // launchers that wait while the zygote imports
-constexpr size_t TITLE_SIZE = 4096;  // bytes that the zygote gets for the command lines of its nodes
+constexpr int BACKLOG = 4096;         // launchers that wait while the zygote imports
+constexpr time_t CONNECT_LIMIT = 20;  // s; the socket may be another user's that takes no connection
+constexpr size_t TITLE_SIZE = 4096;   // bytes that the zygote gets for the command lines of its nodes
 constexpr int FORWARDED[] = {SIGHUP, SIGINT, SIGQUIT, SIGUSR1, SIGUSR2, SIGTERM};
 
 // The zygote's messages: PID after the fork, ENDED with the wait status, REFUSED if it cannot run the program.
@@ -150,6 +152,8 @@ int connectToZygote(const std::string& interpreter) {
   if (listener < 0) return -1;
   if (bind(listener, there, length) == 0 && listen(listener, BACKLOG) == 0) startZygote(interpreter, parent, listener);
   const int connection = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  const timeval limit = {CONNECT_LIMIT, 0};
+  setsockopt(connection, SOL_SOCKET, SO_SNDTIMEO, &limit, sizeof limit);  // of connect and of the request
   int done = connection < 0 ? -1 : connect(connection, there, length);
   for (int tries = 0; done != 0 && connection >= 0 && errno == ECONNREFUSED && tries < 100; ++tries) {
     usleep(1000);  // another launcher has bound the address and is about to listen

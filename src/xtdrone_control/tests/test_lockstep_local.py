@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import select
 import signal
@@ -10,6 +11,7 @@ import struct
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 
 import pytest
 from hypothesis import given
@@ -297,6 +299,65 @@ def test_signal_ends_a_wait():
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, previous)
+
+
+def test_turns_of_a_closed_connection_are_forgotten_after_a_signal():
+    def interrupt(*_: object) -> None:
+        raise InterruptedWaitError
+
+    (sender, done), (other, late) = socket.socketpair(), socket.socketpair()
+    previous = signal.signal(signal.SIGALRM, interrupt)
+    with sender, done, other, late, select.epoll() as epoll:
+        exchange = lockstep_io.Exchange(epoll.fileno())
+        for receiver in (done, late):
+            epoll.register(receiver.fileno(), select.EPOLLIN)
+            exchange.add(receiver.fileno(), {}, [])
+            exchange.expect(receiver.fileno(), 1)
+        sender.sendall(protocol.pack_barrier(Kind.DONE, 1, 0, {}, {}))
+        signal.setitimer(signal.ITIMER_REAL, 0.05, 0.05)
+        try:
+            with pytest.raises(InterruptedWaitError):
+                exchange.poll(PATIENCE)
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            signal.signal(signal.SIGALRM, previous)
+        exchange.remove(done.fileno())
+        other.sendall(protocol.pack_barrier(Kind.DONE, 1, 0, {}, {}))
+        assert exchange.poll(PATIENCE) == ([(late.fileno(), None)], [])
+
+
+class Garbage:
+    """Calls a function when Python's garbage collector finds it."""
+
+    def __init__(self, function: Callable[[], object]) -> None:
+        self.function = function
+        self.own = self
+
+    def __del__(self) -> None:
+        self.function()
+
+
+def test_reads_inside_a_collection_of_garbage_leave_a_message_intact():
+    message = struct.pack("<I", 5) + b"first"
+    (sender, receiver), (other, late) = socket.socketpair(), socket.socketpair()
+    splitters = lockstep_io.Splitter(), lockstep_io.Splitter()
+    with sender, receiver, other, late:
+        sender.sendall(message)
+        other.sendall(b"x" * 100)
+        lists = [[] for _ in range(200)]  # the next one is allocated anew
+        gc.collect()
+        limits = gc.get_threshold()
+        gc.disable()
+        Garbage(lambda: splitters[1].read(late, 4096))
+        gc.set_threshold(1)
+        gc.enable()
+        try:
+            messages = splitters[0].read(receiver, 4096)[0]
+        finally:
+            gc.set_threshold(*limits)
+        assert messages == [b"first"]
+        assert len(lists) == 200
+        assert splitters[1].read(late, 4096) is None  # the collection has read it
 
 
 def test_receive_returns_a_tick_only_if_it_is_alone():

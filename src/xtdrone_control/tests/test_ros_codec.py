@@ -441,6 +441,20 @@ def _resident() -> int:
     return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * 4096
 
 
+def test_a_value_may_leave_its_message_while_it_is_encoded() -> None:
+    class Leaving(list[float]):
+        def __len__(self) -> int:
+            message.data = []
+            return 2
+
+    message = Float64MultiArray()
+    for _ in range(100):
+        message.data = Leaving([1.5, 2.5])
+        codec = compile_class(Float64MultiArray)
+        assert codec is not None
+        codec.encode(message)
+
+
 def test_no_memory_is_lost() -> None:
     """Over 48 000 rounds, good and bad, a leak would lose at least 16 bytes each."""
     states = ModelStates(name=["a", "ü"], pose=[Pose(), Pose()])

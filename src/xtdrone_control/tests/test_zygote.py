@@ -66,6 +66,19 @@ except KeyboardInterrupt:
 """
 
 
+THREADED = """\
+#!{python}
+import pathlib, sys, threading
+import with_thread
+name = next(word[8:] for word in sys.argv if word.startswith("__name:="))
+pathlib.Path("{folder}/" + name + ".threads").write_text(str(threading.active_count()))
+"""
+MODULES = {
+    "ending": "raise SystemExit(5)",
+    "with_thread": "import threading; threading.Thread(target=threading.Event().wait, daemon=True).start()",
+}
+
+
 class Launch:
     """A running roslaunch, with a master of its own."""
 
@@ -129,7 +142,8 @@ class Launch:
 
 @pytest.fixture
 def launches(tmp_path: Path) -> Iterator[type[Launch]]:
-    for name, text in (("probe", PROBE), ("sleeper", SLEEPER)):
+    ender = "#!{python}\nimport ending\n"
+    for name, text in (("probe", PROBE), ("sleeper", SLEEPER), ("ender", ender), ("threaded", THREADED)):
         script = tmp_path / name
         script.write_text(text.format(python=sys.executable, folder=tmp_path))
         script.chmod(0o755)
@@ -219,6 +233,54 @@ def test_nodes_are_interrupted_when_roslaunch_is_killed(tmp_path, launches):
     launch.wait_for_file("node.interrupted")
     assert launch.gone("sleeper")
     assert launch.gone("xtdrone_control.zygote")
+
+
+@needs_ros
+def test_a_module_that_ends_its_interpreter_or_starts_a_thread_harms_no_other_node(tmp_path, launches, monkeypatch):
+    modules = tmp_path / "modules"
+    modules.mkdir()
+    for name, text in MODULES.items():
+        (modules / f"{name}.py").write_text(text)
+    monkeypatch.setenv("PYTHONPATH", f"{modules}:{os.environ['PYTHONPATH']}")
+    for name in ("LANG", "LC_ALL", "LC_CTYPE"):  # the interpreter then sets LC_CTYPE itself
+        monkeypatch.delenv(name, raising=False)
+    script_names = ("sleeper", "ender", "threaded")
+    launch = launches("".join(node(tmp_path, name, name) for name in script_names))
+    launch.wait_for_file("sleeper.ready")
+    launch.wait_for(r"\[ender-\d+\] process has died \[pid \d+, exit code 5")
+    launch.wait_for(r"\[threaded-\d+\] process has finished cleanly")
+    assert (tmp_path / "threaded.threads").read_text() == "2"
+    sleeper = launch.pid("/sleeper", "__name:=sleeper")
+    assert launch.pid(f"node_launcher __name:=sleeper {sleeper}")
+    launch.interrupt()
+    assert (tmp_path / "sleeper.interrupted").exists()
+
+
+@needs_ros
+def test_nodes_beyond_the_zygotes_descriptors_run_without_it(tmp_path, launches):
+    launch = launches("")
+    names = [f"node{number}" for number in range(10, 22)]
+    starts = "".join(f"{LAUNCHER} {tmp_path}/sleeper __name:={name} & " for name in names)
+    command = ["sh", "-c", f"ulimit -n 24; {starts} wait"]
+    environment = {**os.environ, "ZYGOTE_TEST": str(tmp_path)}
+    shell = subprocess.Popen(command, env=environment, stdin=subprocess.DEVNULL)
+    try:
+        for name in names:
+            launch.wait_for_file(f"{name}.ready")
+        zygote_pid = launch.pid("xtdrone_control.zygote")
+        forked = [
+            name
+            for name in names
+            if f"PPid:\t{zygote_pid}\n" in status(launch.pid("/sleeper", f"__name:={name}", "python"))
+        ]
+        assert 0 < len(forked) < len(names)
+    finally:
+        shell.kill()
+        shell.wait()
+
+
+def status(pid: int) -> str:
+    return Path(f"/proc/{pid}/status").read_text()
 
 
 def test_the_launcher_runs_other_programs_itself(tmp_path):

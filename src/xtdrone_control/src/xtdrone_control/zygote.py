@@ -24,6 +24,7 @@ import signal
 import socket
 import struct
 import sys
+import threading
 import types
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -173,10 +174,12 @@ class Zygote:
     _environment: set[bytes] = field(default_factory=set)
     _interrupt: Any = signal.SIG_DFL
     _poll: select.poll = field(default_factory=select.poll)
+    _spare: int = field(default_factory=lambda: os.open(os.devnull, os.O_RDONLY))
 
     def serve(self) -> Callable[[], None] | None:
         """Fork nodes until roslaunch has ended; in each node's process, return the function that runs the node."""
-        self._environment = {name + b"=" + value for name, value in os.environb.items()}
+        # As at the start: the interpreter itself adds LC_CTYPE in the locale C, as it does in each node.
+        self._environment = set(Path("/proc/self/environ").read_bytes().split(b"\0")[:-1])
         self._interrupt = signal.signal(signal.SIGINT, signal.SIG_IGN)
         watch = os.pidfd_open(self.roslaunch)
         if os.getppid() != self.roslaunch:
@@ -203,15 +206,21 @@ class Zygote:
         return None
 
     def _accept(self, watch: int) -> Callable[[], None] | None:
-        connection = self.listener.accept()[0]
+        """Serve a launcher; without a reply it runs the node itself."""
+        try:
+            connection = self.listener.accept()[0]
+        except OSError:  # too many open descriptors
+            self._turn_away()
+            return None
         try:
             request = receive(connection)
         except (RequestError, OSError):
             connection.close()
             return None
+        script = Path(os.fsdecode(request.command[0]))
         run = None
-        if set(request.environment) == self._environment:
-            run = self._fork(request, connection, watch)
+        if set(request.environment) == self._environment and self._import(script):
+            run = self._fork(request, script, connection, watch)
         else:
             _reply(connection, b"R", 0)
             connection.close()
@@ -219,26 +228,53 @@ class Zygote:
             request.close()
         return run
 
-    def _fork(self, request: Request, connection: _Peer, watch: int) -> Callable[[], None] | None:
-        script = Path(os.fsdecode(request.command[0]))
-        self._import(script)
+    def _turn_away(self) -> None:
+        """Close the next connection by means of the spare descriptor, as all others are in use."""
+        os.close(self._spare)
+        with contextlib.suppress(OSError):
+            self.listener.accept()[0].close()
+        self._spare = os.open(os.devnull, os.O_RDONLY)
+
+    def _fork(self, request: Request, script: Path, connection: _Peer, watch: int) -> Callable[[], None] | None:
         zygote = os.getpid()
         signal.pthread_sigmask(signal.SIG_BLOCK, _BLOCKED)
         gc.freeze()  # the collector leaves the pages of these objects shared
-        pid = os.fork()
+        try:
+            pid = os.fork()
+        except OSError:  # too many processes
+            pid = -1
         if pid == 0:
-            own = {watch, self.listener.detach(), connection.detach(), *self._nodes}
-            for descriptor in own:
-                os.close(descriptor)
+            self._close({watch, connection.detach()})
             _become(request, zygote, self.title, self._interrupt)
             return lambda: _execute(script)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _BLOCKED)
-        node = _Node(connection, pid, os.pidfd_open(pid))
-        for descriptor in (connection.fileno(), node.watch):
+        if pid > 0 and self._attend(connection, pid):
+            _reply(connection, b"P", pid)
+        else:
+            connection.close()
+        return None
+
+    def _close(self, descriptors: set[int]) -> None:
+        """Close these descriptors and those of the zygote, in a forked process."""
+        connections = {node.connection.fileno(): node.connection for node in self._nodes.values()}
+        for connection in connections.values():
+            connection.close()
+        for descriptor in {*descriptors, self.listener.detach(), self._spare, *self._nodes} - connections.keys():
+            os.close(descriptor)
+
+    def _attend(self, connection: _Peer, pid: int) -> bool:
+        """Watch a forked node and its launcher; return whether that is possible, else the node is killed."""
+        try:
+            watch = os.pidfd_open(pid)
+        except OSError:  # too many open descriptors
+            os.kill(pid, signal.SIGKILL)
+            os.waitpid(pid, 0)
+            return False
+        node = _Node(connection, pid, watch)
+        for descriptor in (connection.fileno(), watch):
             self._nodes[descriptor] = node
             self._poll.register(descriptor, select.POLLIN)
-        _reply(connection, b"P", pid)
-        return None
+        return True
 
     def _prepare(self) -> None:
         """Import what every node needs, some of it only when it starts, and find the packages."""
@@ -248,13 +284,15 @@ class Zygote:
         with contextlib.suppress(Exception):
             _share_package_index()
 
-    def _import(self, script: Path) -> None:
-        with contextlib.suppress(OSError, SyntaxError, ValueError):  # the node reports them
+    def _import(self, script: Path) -> bool:
+        """Import a script's modules; return whether it can run in a fork, which lacks the threads of modules."""
+        with contextlib.suppress(OSError, SyntaxError, ValueError, RecursionError):  # the node reports them
             for name in imported_modules(script):
                 if name not in self._known:
                     self._known.add(name)
-                    with contextlib.suppress(Exception):  # not a module, or the node reports it
+                    with contextlib.suppress(Exception, SystemExit):  # not a module, or the node reports it
                         importlib.import_module(name)
+        return threading.active_count() == 1
 
     def _end(self, node: _Node, descriptor: int) -> None:
         """Report the end of a node, or kill it after the end of its launcher."""

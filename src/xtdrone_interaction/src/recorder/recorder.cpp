@@ -19,6 +19,7 @@
 #include <cstdio>
 #include <exception>
 #include <filesystem>
+#include <memory>
 #include <string>
 #include <system_error>
 #include <thread>
@@ -42,8 +43,8 @@ class Recorder {
  public:
   // Throws rosbag::BagException if the file cannot be written.
   explicit Recorder(const std::string& file) : file_(file), active_(file + ".active") {
-    bag_.setCompression(rosbag::compression::LZ4);
-    bag_.open(active_, rosbag::bagmode::Write);
+    bag_->setCompression(rosbag::compression::LZ4);
+    bag_->open(active_, rosbag::bagmode::Write);
   }
 
   void subscribe(ros::NodeHandle& node, const std::string& topic) {
@@ -53,20 +54,31 @@ class Recorder {
     subscribers_.push_back(node.subscribe<Message>(name, 0, write));
   }
 
-  // Writes the index and gives the file its name. Throws as the constructor does, and
-  // std::filesystem::filesystem_error.
+  // Writes the index and gives the file its name. Throws the error of an earlier message, as the constructor does, and
+  // std::filesystem::filesystem_error; FILE.active then has the messages before it, and "rosbag reindex" restores it.
   void close() {
     subscribers_.clear();
-    bag_.close();
+    try {
+      if (error_) std::rethrow_exception(error_);
+      bag_->close();
+    } catch (...) {
+      static_cast<void>(bag_.release());  // its destructor would write and throw again, which ends the program
+      throw;
+    }
     std::filesystem::rename(active_, file_);
   }
 
  private:
   void write(const std::string& topic, const ros::MessageEvent<Message const>& event) {
-    if (!has_space()) return;
+    if (error_ || !has_space()) return;
     // Before the first /clock message the time is 0, which a bag does not take.
     const ros::Time time = std::max(event.getReceiptTime(), ros::TIME_MIN);
-    bag_.write(topic, time, *event.getConstMessage(), event.getConnectionHeaderPtr());
+    try {
+      bag_->write(topic, time, *event.getConstMessage(), event.getConnectionHeaderPtr());
+    } catch (const std::exception&) {  // which roscpp's queue does not expect
+      error_ = std::current_exception();
+      stop_requested = true;
+    }
   }
 
   bool has_space() {
@@ -82,15 +94,16 @@ class Recorder {
 
   const std::string file_;
   const std::string active_;
-  rosbag::Bag bag_;
+  std::unique_ptr<rosbag::Bag> bag_ = std::make_unique<rosbag::Bag>();
+  std::exception_ptr error_;
   std::vector<ros::Subscriber> subscribers_;
   Clock::time_point next_look_ = Clock::now();
   bool has_space_ = true;
 };
 
 void record(const std::string& file, const std::vector<std::string>& topics) {
+  ros::CallbackQueue queue;  // outlives the subscribers
   Recorder recorder(file);
-  ros::CallbackQueue queue;
   ros::NodeHandle node;
   node.setCallbackQueue(&queue);
   // Messages that arrive meanwhile wait in their sockets, and are read without a change of threads for each.
@@ -118,7 +131,8 @@ int main(int argc, char** argv) {
   try {
     record(argv[1], {argv + 2, argv + argc});
   } catch (const std::exception& error) {
-    ROS_FATAL("recorder: %s cannot be recorded: %s", argv[1], error.what());
+    // Not ROS_FATAL: roscpp logs nothing any more.
+    std::fprintf(stderr, "[FATAL] recorder: %s cannot be recorded: %s\n", argv[1], error.what());
     return 1;
   }
   return 0;

@@ -14,7 +14,20 @@ void Exchange::add(int descriptor, nb::dict routes, nb::list closing) {
 
 void Exchange::remove(int descriptor) {
   release(descriptor);
-  seats_.erase(descriptor);
+  if (seats_.erase(descriptor) != 0 && completed_.size() != 0) {
+    forget(descriptor);
+  }
+}
+
+/// Forget the completed turns of a connection, left by a poll that a signal has ended.
+void Exchange::forget(int descriptor) {
+  nb::list others;
+  for (nb::handle turn : completed_) {
+    if (nb::cast<int>(turn[0]) != descriptor) {
+      others.append(turn);
+    }
+  }
+  completed_ = std::move(others);
 }
 
 void Exchange::hold(int descriptor, bool held) {

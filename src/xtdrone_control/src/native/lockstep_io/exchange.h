@@ -59,11 +59,12 @@ class Exchange {
   void handle(const epoll_event& event, nanobind::list& others);
   bool accept(int descriptor, Seat& seat, const char* data, std::size_t size);
   void stopAwaiting(Seat& seat);
+  void forget(int descriptor);
 
   int epoll_;
   Seats seats_;
   std::size_t awaited_ = 0;
-  nanobind::list completed_;
+  nanobind::list completed_;  // turns since the last poll that returned
   std::string data_;
   std::string frame_;
 };

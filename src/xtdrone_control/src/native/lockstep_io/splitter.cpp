@@ -19,7 +19,10 @@ constexpr std::size_t LONGEST_RECEIVE = 1 << 20;
 /// Bytes before a message: its u32 length.
 constexpr std::size_t LENGTH = 4;
 
-/// Return the buffer of all connections: Python's global lock guards it.
+/// Return the buffer of all connections.
+///
+/// Python's global lock guards it as long as no object is created that Python's garbage collector tracks: a collection
+/// may run finalizers, and these let other threads run.
 std::string& buffer(std::size_t size) {
   static std::string data;
   if (data.size() < size) {
@@ -34,6 +37,7 @@ nb::object Splitter::read(nb::handle sock, std::size_t size) {
   const int descriptor = PyObject_AsFileDescriptor(sock.ptr());
   require(descriptor >= 0);
   size = std::max({size, std::min(needed_, LONGEST_RECEIVE), std::size_t{1}});
+  nb::list messages;
   std::string& data = buffer(size);
   const ssize_t received = recv(descriptor, data.data(), size, MSG_DONTWAIT);
   if (received < 0 && (errno == EAGAIN || errno == EINTR)) {
@@ -43,11 +47,17 @@ nb::object Splitter::read(nb::handle sock, std::size_t size) {
     errno = received == 0 ? ECONNRESET : errno;
     raiseErrno();
   }
-  return nb::make_tuple(cut(data.data(), static_cast<std::size_t>(received)), received);
+  cut(data.data(), static_cast<std::size_t>(received), messages);
+  return nb::make_tuple(messages, received);
 }
 
 nb::list Splitter::cut(const char* data, std::size_t size) {
   nb::list messages;
+  cut(data, size, messages);
+  return messages;
+}
+
+void Splitter::cut(const char* data, std::size_t size, nb::list& messages) {
   const bool is_whole = rest_.empty();
   if (!is_whole) {
     rest_.append(data, size);
@@ -70,7 +80,6 @@ nb::list Splitter::cut(const char* data, std::size_t size) {
   } else {
     rest_.erase(0, start);
   }
-  return messages;
 }
 
 }  // namespace xtdrone_control::lockstep_io

@@ -21,6 +21,8 @@ class Splitter {
   nanobind::list cut(const char* data, std::size_t size);
 
  private:
+  void cut(const char* data, std::size_t size, nanobind::list& messages);
+
   std::string rest_;
   std::size_t needed_ = 0;  // bytes until the message in rest_ is complete, as far as known
 };

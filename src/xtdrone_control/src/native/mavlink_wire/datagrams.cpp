@@ -75,7 +75,10 @@ bool same(const sockaddr_in& a, const sockaddr_in& b) {
   return a.sin_addr.s_addr == b.sin_addr.s_addr && a.sin_port == b.sin_port;
 }
 
-/// Room for the datagrams of one call of recvmmsg; used with Python's lock held.
+/// Room for the datagrams of one call of recvmmsg.
+///
+/// Python's lock guards it as long as no object is created that Python's garbage collector tracks: a collection may run
+/// finalizers, and these let other threads run.
 struct Arrivals {
   Arrivals() {
     for (unsigned i = 0; i < kReadAtOnce; ++i) {
@@ -114,11 +117,17 @@ nb::tuple receive(int descriptor, std::size_t largest) {
   Arrivals& room = arrivals();
   const int count = room.read(descriptor, std::min(largest, kLargestDatagram));
   if (count < 0 && errno != EAGAIN && errno != EWOULDBLOCK) raise_errno();
+  nb::object contents[kReadAtOnce];
+  sockaddr_in senders[kReadAtOnce];
+  for (int i = 0; i < count; ++i) {
+    contents[i] = to_bytes(room.data[i], room.headers[i].msg_len);
+    senders[i] = room.senders[i];
+  }
   nb::list datagrams;
   nb::object sender;
   for (int i = 0; i < count; ++i) {
-    if (i == 0 || !same(room.senders[i], room.senders[i - 1])) sender = to_address(room.senders[i]);
-    datagrams.append(nb::make_tuple(to_bytes(room.data[i], room.headers[i].msg_len), sender));
+    if (i == 0 || !same(senders[i], senders[i - 1])) sender = to_address(senders[i]);
+    datagrams.append(nb::make_tuple(contents[i], sender));
   }
   return nb::make_tuple(std::move(datagrams), count == static_cast<int>(kReadAtOnce));
 }

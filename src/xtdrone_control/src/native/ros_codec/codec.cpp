@@ -333,6 +333,7 @@ bool Codec::write_array(Writer& out, const Field& field, PyObject* value) const 
     return PyByteArray_Check(value) &&
            write_bytes(out, field, PyByteArray_AS_STRING(value), PyByteArray_GET_SIZE(value));
   }
+  const Held held = Held::borrowed(value);  // __len__ may drop the message's reference
   const Py_ssize_t count = PyObject_Size(value);
   if (count < 0 || (field.count == Field::VARIABLE ? !put_length(out, count) : count != field.count)) {
     return false;
@@ -496,7 +497,7 @@ bool Codec::canonical(PyObject* message) const {
       continue;  // removed concurrently
     }
     std::int64_t nanoseconds = -1;
-    if (number_of(part, nanoseconds) && nanoseconds >= 0 && nanoseconds < 1'000'000'000) {
+    if (PyLong_Check(part) && number_of(part, nanoseconds) && nanoseconds >= 0 && nanoseconds < 1'000'000'000) {
       continue;
     }
     const Held held = Held::borrowed(time);
