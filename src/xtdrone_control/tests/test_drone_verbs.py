@@ -32,6 +32,7 @@ class Autopilot:
         self.time, self.position, self.mode, self.armed = 0.0, np.zeros(3), "AUTO.LOITER", False
         self.rejections: dict[str, tuple[str, str]] = {}
         self.deaf = False
+        self.receives_setpoints = True
         self.requests: list[str] = []
         self._waiting: list[Request] = []
         self._texts: list[str] = []
@@ -56,7 +57,8 @@ class Autopilot:
             elif not rejection:
                 self._obey(request)
         self._waiting.clear()
-        self.verbs.on_turn()
+        if self.receives_setpoints:
+            self.verbs.on_setpoint()
         self.time += TURN
         while self._texts:
             self.verbs.on_text(2, self._texts.pop())
@@ -160,6 +162,15 @@ def test_a_missing_answer_times_out(autopilot: Autopilot, drone: Drone) -> None:
     autopilot.deaf = True
     with pytest.raises(TimedOutError, match="arm: no answer from MAVROS within 15 s"):
         drone.arm()
+
+
+def test_offboard_needs_setpoints_that_arrive(autopilot: Autopilot, drone: Drone) -> None:
+    autopilot.receives_setpoints = False
+    autopilot.armed = True
+    autopilot.report()
+    with pytest.raises(TimedOutError, match="nothing receives /iris_0/mavros/setpoint_raw/local within 5 s"):
+        drone.takeoff(3.0)
+    assert "OFFBOARD" not in autopilot.requests
 
 
 def test_arming_waits_for_the_prearm_checks(autopilot: Autopilot, drone: Drone) -> None:

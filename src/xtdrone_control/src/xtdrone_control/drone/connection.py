@@ -71,7 +71,8 @@ class ScriptLink(MavrosLink):
     def step(self) -> None:
         """Publish the setpoint and evaluate finished service calls."""
         super().step()
-        self.verbs.on_turn()
+        if self._output.get_num_connections():
+            self.verbs.on_setpoint()
 
     def _submit(self, request: Request) -> None:
         self._services.submit(request)

@@ -116,8 +116,8 @@ class Verbs:
 
     # inputs
 
-    def on_turn(self) -> None:
-        """Note that a setpoint is published now."""
+    def on_setpoint(self) -> None:
+        """Note that a setpoint is published now, and that MAVROS receives it."""
         if self._streaming_since is None:
             self._streaming_since = self._now()
 
@@ -260,6 +260,8 @@ class Verbs:
         self.core.on_command("HOVER", self._now())
 
     def _offboard(self, verb: str) -> Steps:
+        topic = self._topic("setpoint_raw/local")
+        yield from self._until(verb, lambda: self._streaming_since is not None, MODE_LIMIT, f"nothing receives {topic}")
         while self._streaming_since is None or self._now() - self._streaming_since < STREAM_LEAD:
             yield
         yield from self.set_mode("OFFBOARD", verb)
