@@ -6,8 +6,6 @@ import math
 
 import pytest
 from autopilot_fakes import ORIGIN, Flight
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.commander.commander import Result
@@ -467,73 +465,3 @@ def test_warnings_are_logged_once_a_second(flight):
     assert flight.texts() == ["no"]
     flight.run(0.1, lambda: flight.commander.warn("no"))
     assert flight.texts() == ["no"]
-
-
-def _state(flight):
-    """Return what clients see of a vehicle, and the times of its health monitoring and failsafes."""
-    c = flight.commander
-    own = (c.mode, c.requested_mode, c.armed, c.system_status, c.landed_state, c.gear_up, c.flights, c.failsafe_outcome)
-    times = {name: value for name, value in vars(c.health).items() if name.endswith("_us")}
-    found = {name: value for name, value in vars(c.battery).items() if name != "_get"}
-    times["failsafe_us"] = c._failsafe._last_us
-    records = flight.autopilot.setpoint.tobytes()
-    return own, list(c.texts), list(c.events), c.health.flags, times, repr(found), records
-
-
-def _set(record, field, value):
-    def change(flight):
-        getattr(flight.autopilot, record)[field][0] = value
-
-    return change
-
-
-_EVENTS = {
-    "setpoint": Flight.hover,
-    "rates": lambda flight: flight.commander.offboard_rates((0.0, 0.1, 0.0), 0.6),
-    "heartbeat": lambda flight: flight.commander.gcs_heartbeat(),
-    "sticks": lambda flight: flight.commander.manual_control(0.0, 0.5, 0.0, 0.0),
-    "offboard": lambda flight: flight.commander.request(modes.OFFBOARD),
-    "land": lambda flight: flight.commander.request(modes.AUTO_LAND),
-    "arm": lambda flight: flight.commander.arm_disarm(True),
-    "disarm": lambda flight: flight.commander.arm_disarm(False, force=True),
-    "kill": lambda flight: flight.commander.kill(True),
-    "release": lambda flight: flight.commander.kill(False),
-    "lock": lambda flight: flight.commander.flight_termination(2.0),
-    "denial": lambda flight: flight.commander.mode_denial(modes.AUTO_RTL),
-    "fence": lambda flight: flight.parameters.set("GF_MAX_HOR_DIST", 1.0),
-    "no fence": lambda flight: flight.parameters.set("GF_MAX_HOR_DIST", 0.0),
-    "short flight": lambda flight: flight.parameters.set("COM_FLT_TIME_MAX", 2),
-    "empty plan": lambda flight: flight.commander.navigator.set_plan(0, []),
-    "touch down": lambda flight: flight.place(1.0, 2.0, 0.0),
-    "fly": lambda flight: flight.place(1.0, 2.0, -3.0),
-    "no position": _set("estimator", "position_valid", 0),
-    "position": _set("estimator", "position_valid", 1),
-    "no height": _set("estimator", "altitude_valid", 0),
-    "height": _set("estimator", "altitude_valid", 1),
-    "vague": _set("estimator", "P", 400.0),
-    "vaguer": _set("estimator", "P", 900.0),
-    "exact": _set("estimator", "P", 0.0),
-    "upside down": _set("estimator", "q", (0.0, 1.0, 0.0, 0.0)),
-    "upright": _set("estimator", "q", (1.0, 0.0, 0.0, 0.0)),
-    "no battery": _set("sensors", "battery_voltage", 0.0),
-    "low battery": _set("sensors", "battery_voltage", 14.2),
-    "full battery": _set("sensors", "battery_voltage", 16.2),
-}
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.lists(st.tuples(st.sampled_from(sorted(_EVENTS)), st.integers(0, 12), st.booleans()), max_size=12))
-def test_updates_of_a_steady_flight_are_the_full_ones(events):
-    short, full = Flight(), Flight()
-    full.commander._is_steady = lambda: False
-    for flight in (short, full):
-        fly_offboard(flight)
-    assert short.commander._flies_on()
-    for name, beats, streams in events:
-        for flight in (short, full):
-            flight.autopilot.time_us += 48_000
-            _EVENTS[name](flight)
-            flight.autopilot.time_us += 52_000
-            flight.commander.update()
-            flight.run(0.1 * beats, flight.hover if streams else None)
-        assert _state(short) == _state(full), name

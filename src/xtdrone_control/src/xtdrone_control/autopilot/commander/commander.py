@@ -99,7 +99,6 @@ class Commander(FlightCommands):
         self._failsafe = Failsafe(get, modes.AUTO_LOITER, lambda: parameters.changes)
         self._checks = ArmingChecks(self.view, get)
         self._reported: tuple[Flags, Mode, bool] | None = None
-        self._steady: Flags | None = None  # those of the last update, while ``_flies_on`` can replace the next
         self._checked_us = _NEVER_US
         self.on_command: CommandListener | None = None
         self.open_log_stream: Callable[[], LogStream | None] | None = None
@@ -601,10 +600,6 @@ class Commander(FlightCommands):
         """Update manual control, land detection, failsafes and the active mode; call at about 10 Hz."""
         view = self.view
         self._handle_pilot_requests()
-        self.health.measure(self._active_mode, self.armed)
-        if self._flies_on():
-            self.navigator.payload.update()
-            return
         flags = self.health.update(self._mode, self._active_mode, self.armed)
         if self.home is None and view.global_valid:
             self._set_home_here()
@@ -622,27 +617,6 @@ class Commander(FlightCommands):
         self._report_checks(flags)
         if self.armed:
             self._run_mode()
-        self._steady = flags if self._is_steady() else None
-
-    def _is_steady(self) -> bool:
-        """Return whether the vehicle is in OFFBOARD flight and ``_flies_on`` can replace the next updates."""
-        return self.armed and self._mode is modes.OFFBOARD and not self._was_landed and self.health.is_steady()
-
-    def _flies_on(self) -> bool:
-        """Return whether a steady vehicle flies on as at the last update, and note that its failsafes are idle.
-
-        A request evaluates the flags anew, and a changed parameter ends the idleness of the failsafes.
-        """
-        flags = self._steady
-        return (
-            flags is not None
-            and self.armed
-            and not self._motors.stopped
-            and not self.navigator.landing
-            and self._cascade_mode is self._mode is self._active_mode is modes.OFFBOARD
-            and self.health.unchanged(flags)
-            and self._failsafe.idles(self.view.time_us, True, modes.OFFBOARD, flags)
-        )
 
     def _move_gear(self) -> None:
         """Raise the landing gear in AUTO modes well above home and lower it for landing (PX4 ``FlightTaskAuto``)."""

@@ -393,9 +393,10 @@ class Failsafe:
             changed: a mode, even the same one, was requested since the last call.
             sticks: the pilot takes over with the sticks.
         """
-        if not changed and not sticks and self.idles(now_us, armed, mode, flags):
-            return self.outcome
         key = (armed, mode, flags, self._changes())
+        if key == self._idle_key and not changed and not sticks:
+            self._last_us = now_us
+            return self.outcome
         elapsed = 0 if self._last_us is None else now_us - self._last_us
         changed = changed or mode is not self._last_mode
         self._drop_ended(armed, changed)
@@ -413,20 +414,6 @@ class Failsafe:
         at_rest = not self._active and self._start_delay_us >= self._configured_delay_us()
         self._idle_key = key if at_rest and outcome.mode is mode and not sticks else None
         return replace(outcome, notify=worse)
-
-    def idles(self, now_us: int, armed: bool, mode: Mode, flags: Flags) -> bool:
-        """Count an update without any request whose arguments need no action, as those of the last one.
-
-        Args:
-            now_us, armed, mode, flags: see ``update``.
-
-        Returns:
-            Whether that is so; if not, ``update`` is needed.
-        """
-        if (armed, mode, flags, self._changes()) != self._idle_key:
-            return False
-        self._last_us = now_us
-        return True
 
     def _drop_ended(self, armed: bool, changed: bool) -> None:
         """Drop actions ended by arming, disarming or a mode change, unless their condition still holds."""

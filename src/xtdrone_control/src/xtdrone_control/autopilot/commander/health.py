@@ -89,21 +89,8 @@ class Health:
         self._gcs_us = self._view.time_us
         self._gcs_lost = False
 
-    def measure(self, flown: Mode, armed: bool) -> None:
-        """Update the battery and the failure detector; call at 10 Hz before ``update`` or ``unchanged``.
-
-        Args:
-            flown: active mode.
-            armed: whether the vehicle is armed.
-        """
-        now_us = self._view.time_us
-        self.battery.update(now_us, self._voltage[0], self._current[0], self._thrust[0], armed)
-        warning = self.battery.warning if self.battery.connected else 0
-        self._warning = max(warning, self._warning) if armed else warning  # in flight the level never improves
-        self.detector.update(now_us, flown.attitude_control, armed)
-
     def update(self, mode: Mode, flown: Mode, armed: bool) -> Flags:
-        """Update links and timers, and return the flags.
+        """Update the battery, failure detector, links and timers, and return the flags; call at 10 Hz.
 
         Args:
             mode: requested mode.
@@ -112,6 +99,10 @@ class Health:
         """
         view = self._view
         now_us = view.time_us
+        self.battery.update(now_us, self._voltage[0], self._current[0], self._thrust[0], armed)
+        warning = self.battery.warning if self.battery.connected else 0
+        self._warning = max(warning, self._warning) if armed else warning  # in flight the level never improves
+        self.detector.update(now_us, flown.attitude_control, armed)
         self._update_gcs_link(now_us)
         self._update_manual_link(now_us)
         self.breach = self._navigator.geofence_breach()
@@ -123,50 +114,6 @@ class Health:
         flags = self.evaluate(mode, armed)
         self._offboard_failed = armed and mode is modes.OFFBOARD and flags.offboard_lost
         return flags
-
-    def is_steady(self) -> bool:
-        """Return whether ``unchanged`` can follow the flags of the last update: those of a healthy vehicle in flight.
-
-        It has no manual control, no geofence and no limit of its flight time. Ground station, mission and battery may
-        be missing or low.
-        """
-        get, flags = self._get, self.flags
-        healthy = Flags(
-            mission_missing=flags.mission_missing, manual_lost=True, gcs_lost=flags.gcs_lost, battery=flags.battery
-        )
-        return (
-            flags == healthy
-            and self._takeoff_us is not None
-            and not self._in_mission
-            and not self._navigator.fenced
-            and get("COM_FLT_TIME_MAX") <= 0
-        )
-
-    def unchanged(self, flags: Flags) -> bool:
-        """Return whether ``update`` would change nothing but the times of valid estimates, and update these.
-
-        Args:
-            flags: those of the last update, for which ``is_steady`` was true; since then neither mode, arming nor
-                parameters have changed.
-        """
-        view, get = self._view, self._get
-        now_us = view.time_us
-        if (
-            flags is not self.flags
-            or view.landed
-            or not (view.initialised and view.position_valid)
-            or self._manual.sticks is not None
-            or not self._offboard.fresh(get("COM_OF_LOSS_T"))
-            or self._gcs_lost is not flags.gcs_lost
-            or not (self._gcs_lost or self._gcs_us is None or now_us - self._gcs_us <= get("COM_DL_LOSS_T") * 1e6)
-            or self._warning != flags.battery
-            or not self.battery.connected
-            or self.detector.attitude
-            or self.detector.motors
-            or not self._navigator.plans_are_checked
-        ):
-            return False
-        return not any(self._positions(now_us, 0.0))
 
     def evaluate(self, mode: Mode, armed: bool) -> Flags:
         """Return the current flags for the requested mode ``mode``."""

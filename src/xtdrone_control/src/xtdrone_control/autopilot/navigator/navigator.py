@@ -223,19 +223,10 @@ class Navigator:
         self._check()
         return "" if self._valid else _NO_MISSION
 
-    @property
-    def plans_are_checked(self) -> bool:
-        """Whether the plans are those of the last check of the mission."""
-        return self._checked == self._plans_now()
-
-    def _plans_now(self) -> tuple[object, ...]:
-        plans = self.mission.plans
-        return (id(plans), *plans.changes, self.home is None)
-
     def _check(self) -> None:
         """Validate each new mission once, after the home position is known, as PX4 does."""
         home = self.home
-        wanted = self._plans_now()
+        wanted = (id(self.plans), *self.plans.changes, home is None)
         if wanted == self._checked:
             return
         self._checked = wanted
@@ -264,13 +255,6 @@ class Navigator:
             self.home = Home(*where, position, self._view.yaw, self._view.time_us)
 
     # geofence
-
-    @property
-    def fenced(self) -> bool:
-        """Whether any geofence is defined."""
-        get = self._parameters.get
-        limits = get("GF_MAX_HOR_DIST") > 0.0 or get("GF_MAX_VER_DIST") > 0.0
-        return limits or bool(self.plans.items[plan.FENCE] or self._fence.areas)
 
     def geofence_breach(self) -> str:
         """Return a description of the current geofence breach, or an empty string."""
