@@ -37,7 +37,7 @@ from xtdrone_interaction import options
 
 PROGRAMS = {"python": "lockstep_idle.py", "cpp": "lockstep_idle"}
 """Programs of xtdrone_control by kind."""
-NOBODY = "none"
+NO_PARTICIPANTS = "none"
 """The kind of a barrier without participants."""
 RATE = 1e6 / BASE_STEP_US  # Hz
 WARM_UP = 50  # unmeasured ticks
@@ -217,7 +217,7 @@ COLUMNS = (
 class BarrierSettings(Settings):
     """Settings of a measurement."""
 
-    kind: str = setting("python", choices=(*PROGRAMS, NOBODY), text="program of the participants")
+    kind: str = setting("python", choices=(*PROGRAMS, NO_PARTICIPANTS), text="program of the participants")
     participants: int = setting(9, low=0, high=MAX_VEHICLES, text="number of participants")
     seconds: float = setting(2.0, low=0.0, high=3600.0, unit="s", text="minimum wall time of the measurement")
     ticks: int = setting(200, low=1, high=10_000_000, text="minimum number of ticks")

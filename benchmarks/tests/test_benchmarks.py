@@ -646,7 +646,7 @@ def test_comparison_continues_after_an_aborted_flight(tmp_path: Path, monkeypatc
 
 
 def test_calibration_does_the_documented_work() -> None:
-    """The results are those of the same loops in plain Python: whoever changes the work must change the reference."""
+    """The results are those of the same loops in plain Python; a change of the work changes the reference too."""
     value = 88172645463325252
     for _ in range(1000):
         value ^= value << 13 & (1 << 64) - 1

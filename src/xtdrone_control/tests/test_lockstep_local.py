@@ -353,7 +353,7 @@ def test_reads_inside_a_collection_of_garbage_leave_a_message_intact():
     with sender, receiver, other, late:
         sender.sendall(message)
         other.sendall(b"x" * 100)
-        lists = [[] for _ in range(200)]  # the next one is allocated anew
+        lists = [[] for _ in range(200)]  # the next one is newly allocated
         gc.collect()
         limits = gc.get_threshold()
         gc.disable()

@@ -379,7 +379,7 @@ def _set_title(title: tuple[int, int], words: list[bytes]) -> None:
 
 
 def _open_standard_streams() -> None:
-    """Open the standard streams anew, as the interpreter does: their buffering depends on what the descriptors are."""
+    """Open the standard streams again, as the interpreter does: their buffering depends on what the descriptors are."""
     buffered = not os.environ.get("PYTHONUNBUFFERED")
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         old = getattr(sys, name)
