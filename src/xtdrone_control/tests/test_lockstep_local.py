@@ -11,7 +11,6 @@ import struct
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable
 
 import pytest
@@ -257,13 +256,6 @@ def test_stopped_process_is_dropped_after_the_hang_limit(log):
             server.close()
 
 
-def wait_until(condition: Callable[[], object]) -> None:
-    """Wait for a state of a server that runs in another thread, in which it may be untrue for a moment."""
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end
-
-
 def test_participant_that_does_not_read_gets_everything_later(server, participant):
     a, b = participant(server, "/a"), participant(server, "/b")
     joined(server, a, b)
@@ -275,8 +267,6 @@ def test_participant_that_does_not_read_gets_everything_later(server, participan
     for number in range(1, 4):
         with Running(server, STEP * number):
             b.done(b.tick(), {row[0]: number + 1 for row in rows})
-            if number == 1:
-                wait_until(lambda: server.participants["/a"].connection.unsent)
             a.done(a.tick())
     assert sum(len(peers["made"]) for peers in a.peers) == len(rows)
 
