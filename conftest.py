@@ -1,9 +1,22 @@
-"""Shared by all tests: the top-level packages in child processes, and repeatable draws of Hypothesis."""
+"""Shared by all tests: the top-level packages in child processes, repeatable draws of Hypothesis, parallel workers.
+
+With ``-n N``, each worker of pytest-xdist has a network of its own, with a loopback only. So the simulations of two
+workers use the same ports, and abstract sockets, without meeting. A file's tests run in one worker, in their order.
+"""
 
 from __future__ import annotations
 
+import ctypes
+import fcntl
 import os
+import socket
+import struct
 from pathlib import Path
+
+import pytest
+
+_CLONE_NEWNET = 0x40000000  # <linux/sched.h>
+_SIOCSIFFLAGS, _IFF_UP = 0x8914, 0x1  # <linux/sockios.h>, <linux/if.h>
 
 # Programs that tests start import benchmarks and validation, as those that ./xtdrone starts do.
 os.environ["PYTHONPATH"] = os.pathsep.join(
@@ -27,3 +40,35 @@ else:
     hypothesis.settings.load_profile("repeatable")
     # Hypothesis also draws constants of all modules that happen to be loaded: of other tests', and of code just edited.
     providers.is_local_module_file = lambda path: False
+
+
+def _enter_own_network() -> None:
+    """Move this thread, and all that it starts, into a new network namespace whose loopback is up.
+
+    Raises:
+        OSError: this user, or this machine, may not make one.
+    """
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.unshare(_CLONE_NEWNET) != 0:
+        error = ctypes.get_errno()
+        raise OSError(error, os.strerror(error))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        fcntl.ioctl(probe, _SIOCSIFFLAGS, struct.pack("16sH14s", b"lo", _IFF_UP, b""))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config: pytest.Config) -> None:
+    """Distribute whole files, in the order of their collection."""
+    if config.getoption("numprocesses", None):
+        config.option.dist = "loadfile"
+        config.option.loadscopereorder = False
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Give a worker its network."""
+    if not hasattr(config, "workerinput"):
+        return
+    try:
+        _enter_own_network()
+    except OSError as error:
+        raise pytest.UsageError(f"-n: network namespaces: {error.strerror}; leave -n out, or run as root") from error

@@ -31,7 +31,7 @@ from xtdrone_interaction.options import OptionError, repository
 BASELINE, THIS = "baseline", "this"
 """The names of the two trees in the results."""
 _POLL = 0.1  # s of wall time
-_GIT_LIMIT = 60.0  # s of wall time for a question to git
+_GIT_LIMIT = 60.0  # s of wall time for a query of the repository
 _PREFIX = 12  # characters of the commit in the name of its folder
 _ANY_MODE = ("shared",)
 _REQUIREMENTS = "requirements.txt"
@@ -294,7 +294,7 @@ def _git(folder: Path, *words: str) -> str | None:
     """Return the output of git, or None if it failed."""
     try:
         done = subprocess.run(
-            ["git", "-C", str(folder), *words], capture_output=True, text=True, check=True, timeout=60
+            ["git", "-C", str(folder), *words], capture_output=True, text=True, check=True, timeout=_GIT_LIMIT
         )
     except (OSError, subprocess.SubprocessError):
         return None

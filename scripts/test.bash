@@ -1,7 +1,10 @@
 #!/usr/bin/env bash
-# Style, types and tests; runs in the environment of env.bash. Arguments go to pytest. Ends with the worst status.
+# Style, types and tests; runs in the environment of env.bash. Arguments go to pytest; without them, all tests run, in
+# parallel if possible. Ends with the worst status.
 set -uo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.." || exit 1
+
+readonly MOST_WORKERS=8 # each may hold 2 GB
 
 worst=0
 
@@ -22,12 +25,26 @@ check "mypy" mypy
 ((${#cpp[@]} == 0)) || check "clang-format" clang-format --dry-run --Werror "${cpp[@]}"
 lint=$worst
 ((lint == 0)) || echo "== a check above failed (status $lint); the tests run all the same"
+# Sets the array "workers" to pytest's options for parallel workers. Each has a network of its own (conftest.py), which
+# needs root's rights. Tests often wait for processes and clients: there is one worker more than cores.
+choose_workers() {
+  local count
+  count=$(($(nproc) + 1))
+  workers=()
+  if unshare --net true 2>/dev/null; then
+    workers=(-n "$((count < MOST_WORKERS ? count : MOST_WORKERS))")
+  else
+    echo "xtdrone: one test at a time: parallel ones need network namespaces, which root can make" >&2
+  fi
+}
+
 # Runs failed tests a second time, alone, because the machine may have been suspended. Tests that pass then are listed:
 # they are unstable and need a fix.
 run_tests() {
-  local status=0 names
+  local status=0 names workers=()
+  (($# > 0)) || choose_workers
   # pybullet prints through C's buffer, which is flushed after pytest's last line unless it is line-buffered.
-  stdbuf -oL python -m pytest "$@" || status=$?
+  stdbuf -oL python -m pytest "${workers[@]}" "$@" || status=$?
   ((status == 1)) || return "$status"
   names="$(python -m pytest --collect-only -q --last-failed "$@" 2>/dev/null | grep :: | head -n 20 || true)"
   echo "== pytest: second run of the failed tests"

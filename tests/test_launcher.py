@@ -10,12 +10,18 @@ import pytest
 from conftest import REPOSITORY
 
 
-def launcher(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run a copy of the launcher that lies in a folder."""
+def launcher(
+    folder: Path, *arguments: str, environment: dict[str, str] | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run a copy of the launcher that lies in a folder, in this process's environment by default."""
     folder.mkdir(exist_ok=True)
-    shutil.copy(REPOSITORY / "xtdrone", folder)
+    for name in ("xtdrone", "pyproject.toml"):
+        shutil.copy(REPOSITORY / name, folder)
     shutil.copytree(REPOSITORY / "scripts", folder / "scripts")
-    return subprocess.run([folder / "xtdrone", *arguments], capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    return subprocess.run(
+        [folder / "xtdrone", *arguments],
+        capture_output=True, text=True, stdin=subprocess.DEVNULL, env=environment,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ["my drones", "it's", "a$b", "a(b)", "a:b", "a\\b", "a[b", "a]b", 'a"b', "tab\there"])
@@ -35,6 +41,8 @@ def test_a_path_that_the_build_does_not_support_is_rejected_at_once(tmp_path: Pa
         (["setup", "now"], ("setup takes no arguments, got: now",)),
         (["demo"], ("demo needs a name", "formation")),
         (["demo", "formaton"], ("'formaton'", "formation simplified search")),
+        (["demo", "formaton", "--help"], ("'formaton'", "formation simplified search")),
+        (["help", "fly"], ("'fly'", "demo, launch, sim, gcs")),
     ],
 )
 def test_invalid_words_are_rejected_with_the_allowed_ones(
@@ -46,18 +54,34 @@ def test_invalid_words_are_rejected_with_the_allowed_ones(
         assert word in run.stderr
 
 
-@pytest.mark.parametrize("arguments", [["help", "bench"], ["bench", "--quick", "--help"], ["demo", "formation", "-h"]])
-def test_help_is_printed_without_a_set_up(tmp_path: Path, arguments: list[str]) -> None:
-    """A workspace that was set up once, of which nothing is current, since it has no stamps."""
-    (tmp_path / ".venv" / "bin").mkdir(parents=True)
-    (tmp_path / ".venv" / "bin" / "python").write_text('#!/bin/sh\necho "python $@"\n')
-    (tmp_path / ".venv" / "bin" / "python").chmod(0o755)
-    (tmp_path / "devel").mkdir()
-    (tmp_path / "devel" / "setup.bash").touch()
-    run = launcher(tmp_path, *arguments)
-    assert run.returncode == 0, run.stderr
-    assert run.stdout.startswith("python -m ")
-    assert not (tmp_path / ".setup" / "logs").exists()
+@pytest.mark.parametrize(
+    ("arguments", "first", "contained"),
+    [
+        ("--help", "Usage: ./xtdrone COMMAND", "fly a demo: formation, simplified, search"),
+        ("demo --help", "Usage: ./xtdrone demo NAME", "UAVs take off, fly through formation patterns"),
+        ("demo formation --help", "usage: xtdrone demo formation [-h] [--n N]", "--patterns NAMES"),
+        ("demo formation --n 3 -h", "usage: xtdrone demo formation", "--patterns NAMES"),
+        ("help demo search", "usage: xtdrone demo search", "--persons K"),
+        ("bench --quick --help", "usage: xtdrone bench", "--baseline"),
+        ("gcs --help", "usage: xtdrone gcs [-h] COMMAND", "takeoff"),
+        ("gcs fence upload --help", "usage: xtdrone gcs fence upload", "--vehicle"),
+        ("help sim", "usage: xtdrone sim [-h] COMMAND", "pause"),
+        ("shell --help", "Usage: ./xtdrone shell", "a shell with the workspace"),
+        ("test --help", "Usage: ./xtdrone test", "./xtdrone shell pytest --help"),
+        ("setup --help", "Usage: ./xtdrone setup", "Set up only"),
+        ("--version", "xtdrone 1.", ""),
+    ],
+)
+def test_help_needs_neither_python_nor_a_set_up(tmp_path: Path, arguments: str, first: str, contained: str) -> None:
+    tools = tmp_path / "tools"
+    tools.mkdir()
+    for tool in ("bash", "env", "readlink", "dirname", "cat", "sed"):  # a bare Debian has no more of what may be used
+        (tools / tool).symlink_to(f"/bin/{tool}")
+    run = launcher(tmp_path, *arguments.split(), environment={"PATH": str(tools)})
+    assert (run.returncode, run.stderr) == (0, "")
+    assert run.stdout.startswith(first)
+    assert contained in run.stdout
+    assert not (tmp_path / ".setup").exists()
 
 
 def test_too_low_a_limit_of_memory_is_rejected(tmp_path: Path) -> None:

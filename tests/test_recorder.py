@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import os
+import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,6 +24,8 @@ from xtdrone_interaction.bags.ros1bag import BagFile
 
 RECORDER = roslib.packages.find_node("xtdrone_interaction", "recorder")
 WRITTEN = 10_000  # bytes of a bag that has more than its header
+_PTRACE_DETACH, _PTRACE_SEIZE, _PTRACE_INTERRUPT = 17, 0x4206, 0x4207  # <linux/ptrace.h>
+_WALL = 0x40000000  # <linux/wait.h>
 
 
 @pytest.fixture
@@ -96,11 +102,53 @@ def test_a_file_that_cannot_grow_keeps_what_was_recorded(stack: Stack, tmp_path:
     assert not file.exists()
 
 
+def _trace(request: int, thread: int) -> None:
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.ptrace(request, thread, None, None) != 0:
+        raise OSError(ctypes.get_errno(), "ptrace")
+
+
+@contextlib.contextmanager
+def _stalled(thread: int) -> Iterator[None]:
+    """Stop one thread of another process, as a disk does that takes nothing."""
+    try:
+        _trace(_PTRACE_SEIZE, thread)
+    except OSError as error:
+        pytest.skip(f"ptrace: {os.strerror(error.errno)}")
+    _trace(_PTRACE_INTERRUPT, thread)
+    os.waitpid(thread, _WALL)
+    yield
+    _trace(_PTRACE_DETACH, thread)
+
+
+def test_what_waits_for_a_stalled_disk_has_a_limit(stack: Stack, tmp_path: Path) -> None:
+    file = tmp_path / "flight.bag"
+    recorder = stack.start("recorder", [*RECORDER, str(file), "/xtdrone/notes", "__name:=recorder", "_buffer:=1"])
+    active = file.with_name("flight.bag.active")
+    _record(stack, active)
+    size = active.stat().st_size
+    with _stalled(recorder.process.pid):  # its main thread writes
+
+        def full() -> bool:
+            stack.graph.say("/xtdrone/notes", String("word " * 50_000))
+            return "messages are dropped until" in recorder.output
+
+        poll(full, "the recorder drops messages")
+    stack.graph.say("/xtdrone/notes", String("word " * 500_000))
+    poll(lambda: active.stat().st_size > size, "the recorder writes again")
+    recorder.process.send_signal(signal.SIGINT)
+    assert recorder.end() == 0, recorder.output
+    assert len(re.findall(r"the disk does not keep up, [01]\.[0-9] MB wait for it", recorder.output)) == 1
+    assert re.search(r"recorder: [1-9]\d* messages were dropped", recorder.output)
+    assert _read(BagFile(file))[0] >= 3
+
+
 @pytest.mark.parametrize(
     ("arguments", "status", "words"),
     [
         (["/nowhere/flight.bag", "/a"], 1, "/nowhere/flight.bag cannot be recorded"),
         (["/tmp/flight.bag"], 2, "Usage: recorder FILE TOPIC..."),
+        (["/tmp/flight.bag", "/a", "_buffer:=0"], 1, "~buffer must be a whole number of MB, at least 1"),
         (["/proc/flight.bag", "/a topic"], 1, "cannot be recorded"),
     ],
 )

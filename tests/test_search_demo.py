@@ -87,7 +87,7 @@ class Flight:
 
     @property
     def record(self) -> SearchRecord:
-        return read_search(self.folder / "flight.bag", NAMES, ("person_0",))
+        return read_search(self.folder / "flight.bag", NAMES, ("actor_0",))
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +103,7 @@ def test_the_person_is_found_and_followed(flight: Flight) -> None:
     record, report = flight.record, flight.report
     assert report["outcome"] == "found"
     (find,) = report["finds"]
-    x, y, _ = record.person_at("person_0", find["time"])
+    x, y, _ = record.person_at("actor_0", find["time"])
     assert math.dist(find["position"], (x, y)) < 2.0
     assert find["error"] == pytest.approx(math.dist(find["position"], (x, y)))
     assert report["died"] == report["lost"] == report["collisions"] == report["shortcomings"] == []
@@ -169,7 +169,7 @@ def test_an_interrupted_search_leaves_a_bag_and_no_process(tmp_path: Path) -> No
         rest = process.stdout.read()
         assert process.wait(FLIGHT_LIMIT) == 128 + signal.SIGINT, "".join(lines) + rest
     assert _processes_with(str(folder)) == []
-    assert read_search(folder / "flight.bag", NAMES, ("person_0",)).events[0]["event"] == "started"
+    assert read_search(folder / "flight.bag", NAMES, ("actor_0",)).events[0]["event"] == "started"
     again = _report(folder)
     assert again.returncode == 1, again.stdout + again.stderr
     assert "the search was cut short" in again.stdout

@@ -13,13 +13,13 @@ from xtdrone_coordination.network import NetworkOptions
 from xtdrone_coordination.search.settings import MissionSettings
 from xtdrone_interaction.formation.director import DirectorSettings
 from xtdrone_interaction.rviz.markers_node import MarkerSettings
-from xtdrone_perception.detector import DetectorSettings
-from xtdrone_perception.following import FollowSettings
-from xtdrone_perception.geolocation import Noise, Person
+from xtdrone_perception.detection.detector import DetectorSettings
+from xtdrone_perception.detection.yolo_node import DetectionOptions, GroundOptions
+from xtdrone_perception.following.following import FollowSettings
+from xtdrone_perception.following.human_tracking_node import TrackingOptions
 from xtdrone_perception.gimbal_node import GimbalOptions
-from xtdrone_perception.human_tracking_node import TrackingOptions
-from xtdrone_perception.tracker import TrackerSettings
-from xtdrone_perception.yolo_node import DetectionOptions, GroundOptions
+from xtdrone_perception.tracking.geolocation import Noise, Person
+from xtdrone_perception.tracking.tracker import TrackerSettings
 from xtdrone_sim.cameras.camera_node import CameraSettings
 from xtdrone_sim.runtime.full_simulation import FullSettings
 from xtdrone_sim.runtime.simulator_node import NodeSettings

@@ -279,7 +279,7 @@ def test_setpoints_precede_commands_and_unsupported_ones_are_reported(stack: Sta
     stack.graph.say(topic, target)
     log = stack.programs["simulator"]
     poll(lambda: "coordinate_frame 7 is not flown" in log.output, "the frame is refused")
-    target.coordinate_frame = PositionTarget.FRAME_LOCAL_NED
+    target.coordinate_frame = 0  # left unset
     target.position.x, target.position.y, target.position.z = 5.0, 6.0, 7.0
     target.yaw = 1.0
     target.type_mask = 0b100111111000
@@ -289,6 +289,7 @@ def test_setpoints_precede_commands_and_unsupported_ones_are_reported(stack: Sta
     stack.graph.call("/iris_2/mavros/cmd/arming", CommandBool, value=True)
     stack.wait(lambda: math.dist(place(stack, 2), (5.0, 6.0, 7.0)) < 0.2, "iris_2 is at its setpoint")
     stack.wait_state(2, mode="OFFBOARD", armed=True)
+    assert "coordinate_frame is 0, unset; it counts as 1 (LOCAL_NED)" in log.output
     q = pose_of(stack, 2).last.pose.orientation
     assert 2.0 * math.atan2(q.z, q.w) == pytest.approx(1.0, abs=0.02)
 

@@ -52,8 +52,8 @@ def test_a_world_of_ones_own(stack: Stack, start: Start, tmp_path: Path) -> None
 
 
 def test_a_world_that_cannot_be_used(start: Start, tmp_path: Path) -> None:
-    world = tmp_path / "loose.world"
-    world.write_text(WORLD.format(static="false"))
+    world = tmp_path / "wrong.world"
+    world.write_text(WORLD.format(static="perhaps"))
     simulator = start(world)
     assert simulator.end(200.0) == 1
-    assert f"{world}: line 3: <model>: 'table' is not static" in simulator.output
+    assert f"{world}: line 3: <static>: 'perhaps' is not allowed, true or false" in simulator.output

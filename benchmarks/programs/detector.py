@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.programs.program import Column, Row, run
-from xtdrone_perception.detector import STRIDE, Detector, DetectorError, load_settings, settings_file
+from xtdrone_perception.detection.detector import STRIDE, Detector, DetectorError, load_settings, settings_file
 
 PICTURE = (640, 360)  # px, as the typhoon's camera has it
 

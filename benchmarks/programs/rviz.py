@@ -28,7 +28,7 @@ from xtdrone_interaction.formation.geometry import PATTERN_TOPIC, TOPOLOGY_TOPIC
 from xtdrone_interaction.rviz.bag import Timed
 from xtdrone_interaction.rviz.film_options import film_settings
 from xtdrone_interaction.rviz.playback import play
-from xtdrone_interaction.rviz.stage import StageError, check_tools
+from xtdrone_interaction.rviz.view_nodes import StageError, check_tools
 from xtdrone_interaction.rviz.views import Array
 
 _TYPE = "iris"

@@ -20,8 +20,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from xtdrone_perception.detector import Detector, load_settings
-from xtdrone_perception.scoring import LabelledPicture, at_threshold, average_precision, best_threshold, match
+from xtdrone_perception.detection.detector import Detector, load_settings
+from xtdrone_perception.detection.scoring import LabelledPicture, at_threshold, average_precision, best_threshold, match
 
 SETTINGS = Path(__file__).resolve().parents[2] / "src/xtdrone_perception/config/yolo/search.yaml"
 LOWEST = 12.0  # px

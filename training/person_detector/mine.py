@@ -16,7 +16,7 @@ import numpy as np
 from evaluate import SETTINGS, detector_of
 from pictures import read_labels, read_picture
 
-from xtdrone_perception.scoring import overlaps
+from xtdrone_perception.detection.scoring import overlaps
 
 
 def main() -> None:

@@ -27,7 +27,7 @@ from loss import decode, detection_loss
 from network import Darknet, load_weights, save_weights
 from pictures import Cropper, Picture, load, read_labels, read_picture
 
-from xtdrone_perception.scoring import LabelledPicture, at_threshold, average_precision, best_threshold, match
+from xtdrone_perception.detection.scoring import LabelledPicture, at_threshold, average_precision, best_threshold, match
 
 CONFIG = Path(__file__).resolve().parents[2] / "src/xtdrone_perception/config/yolo/search.cfg"
 HEIGHT = 384  # px, height of the network's input; pictures of 360 lines get grey bars above and below

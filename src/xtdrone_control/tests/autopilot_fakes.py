@@ -36,13 +36,13 @@ class FakeAutopilot:
         self.control["landing"]["landed"] = 1
         for field in ("initialised", "attitude_valid", "velocity_valid", "position_valid", "altitude_valid"):
             self.estimator[field] = 1
-        for field in ("global_valid", "heading_good", "gps_good", "baro_good", "mag_good", "origin_set", "located"):
+        for field in ("global_valid", "heading_good", "gps_good", "baro_good", "mag_good", "located"):
             self.estimator[field] = 1
         for field in ("heading_aligned", "mag_used", "gps_used"):
             self.estimator[field] = 1
         self.estimator["flags"] = 831  # as PX4 on the ground with GPS
-        for field, value in zip(("origin_lat", "origin_lon", "origin_alt"), ORIGIN, strict=True):
-            self.estimator[field] = value
+        for field, value in zip(("set", "lat", "lon", "alt"), (1, *ORIGIN), strict=True):
+            self.estimator["origin"][field] = value
         self.sensors["gps_fix"] = 3
         self.sensors["battery_voltage"] = 16.2
         self.sensors["battery_current"] = -1.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import pytest
 from autopilot_fakes import ORIGIN, Flight
@@ -10,7 +11,7 @@ from autopilot_fakes import ORIGIN, Flight
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.commander.commander import Result
 from xtdrone_control.autopilot.commander.failsafe import Action
-from xtdrone_control.autopilot.commander.inputs import SetpointError
+from xtdrone_control.autopilot.commander.offboard_setpoint import SetpointError
 from xtdrone_control.autopilot.state import (
     TASK_ATTITUDE,
     TASK_DESCEND,
@@ -21,6 +22,7 @@ from xtdrone_control.autopilot.state import (
     TASK_STICKS,
     TASK_TRAJECTORY,
 )
+from xtdrone_control.mavlink.commands.setpoints import local_target
 
 _NAN3 = (math.nan,) * 3
 
@@ -155,15 +157,15 @@ def test_arming_needs_an_estimate(flight, field):
 @pytest.mark.parametrize(
     ("field", "least", "name"),
     [
-        ("test_ratio_vel", 0.25, "check_estimator_vel_not_stable"),  # squares of COM_ARM_EKF_*
-        ("test_ratio_pos", 0.25, "check_estimator_pos_not_stable"),
-        ("test_ratio_hgt", 1.0, "check_estimator_hgt_not_stable"),
-        ("test_ratio_mag", 0.25, "check_estimator_heading_not_stable"),
+        ("vel", 0.25, "check_estimator_vel_not_stable"),  # squares of COM_ARM_EKF_*
+        ("pos", 0.25, "check_estimator_pos_not_stable"),
+        ("hgt", 1.0, "check_estimator_hgt_not_stable"),
+        ("mag", 0.25, "check_estimator_heading_not_stable"),
     ],
 )
 def test_arming_needs_small_innovations(flight, field, least, name):
     for value, result in ((0.98 * least, Result.ACCEPTED), (1.02 * least, Result.TEMPORARILY_REJECTED)):
-        flight.autopilot.estimator[field] = value
+        flight.autopilot.estimator["test_ratio"][field] = value
         flight.run(10.0)
         flight.commander.events.clear()
         assert flight.commander.arm_disarm(True) is result
@@ -351,6 +353,49 @@ def test_offboard_loss_actions(action, mode, task):
     flight.run(1.2)
     assert flight.commander.mode is mode
     assert flight.setpoint["task"] == task
+
+
+def offset(flight, x, yaw=0.0):
+    """Position x m forward of the vehicle, as XTDrone's communication node repeats it, in the record's local NED."""
+    message = SimpleNamespace(coordinate_frame=9, type_mask=0b100111111000, x=x, y=0.0, z=0.0, yaw=yaw, yaw_rate=0.0)
+    message.vx = message.vy = message.vz = message.afx = message.afy = message.afz = math.nan
+    local_target(flight.commander, message)
+    return flight.setpoint["position"].tolist()
+
+
+def test_an_offset_counts_from_where_its_command_came(flight):
+    fly_offboard(flight)
+    flight.place(1.0, 2.0, -3.0, yaw=math.pi / 2)
+    assert offset(flight, 2.0) == pytest.approx([1.0, 4.0, -3.0])
+    for y in (2.5, 3.0, 3.9):  # on its way, and turning
+        flight.place(1.0, y, -3.0, yaw=0.3 * y)
+        flight.run(0.1)
+        assert offset(flight, 2.0) == pytest.approx([1.0, 4.0, -3.0])
+        assert flight.setpoint["yaw"] == pytest.approx(math.pi / 2)
+    flight.place(1.0, 4.0, -3.0)
+    assert offset(flight, 1.0) == pytest.approx([2.0, 4.0, -3.0]), "another command"
+    flight.place(2.0, 4.0, -3.0)
+    flight.hover()
+    assert offset(flight, 1.0) == pytest.approx([3.0, 4.0, -3.0]), "another setpoint was between"
+    flight.place(3.0, 4.0, -3.0)
+    flight.run(0.9)
+    assert offset(flight, 1.0) == pytest.approx([3.0, 4.0, -3.0]), "the stream goes on"
+    flight.autopilot.time_us += 1_100_000
+    assert offset(flight, 1.0) == pytest.approx([4.0, 4.0, -3.0]), "a pause ended the stream"
+
+
+def test_an_offset_starts_where_offboard_begins(flight):
+    fly_offboard(flight)
+    offset(flight, 2.0)
+    assert flight.commander.request(modes.AUTO_LOITER) is Result.ACCEPTED
+    for x in (10.0, 20.0):
+        flight.place(x, 2.0, -3.0)
+        flight.run(0.1)
+        offset(flight, 2.0)
+    assert flight.commander.request(modes.OFFBOARD) is Result.ACCEPTED
+    assert flight.setpoint["position"].tolist() == pytest.approx([22.0, 2.0, -3.0])
+    flight.place(21.0, 2.0, -3.0)
+    assert offset(flight, 2.0) == pytest.approx([22.0, 2.0, -3.0])
 
 
 def test_offboard_without_a_position_falls_back_to_altitude_control_and_recovers(flight):

@@ -33,9 +33,9 @@ class Flight:
         self.radius = radius
         self.e = np.zeros(1, ESTIMATOR)[0:1]
         self.e["q"][:, 0] = 1.0
-        for name, value in zip(("origin_lat", "origin_lon", "origin_alt"), DATUM, strict=True):
-            self.e[name] = value
-        self.e["origin_set"] = 1
+        for name, value in zip(("lat", "lon", "alt"), DATUM, strict=True):
+            self.e["origin"][name] = value
+        self.e["origin"]["set"] = 1
         self.s = np.zeros(1, SENSORS)
         self.p = np.zeros(1, PARAMS)
         Parameters({"EKF2_MAG_DECL": DECLINATION, "EKF2_GPS_P_NOISE": 0.1, "EKF2_GPS_V_NOISE": 0.1}).write_to(self.p[0])
@@ -126,9 +126,9 @@ def test_covariance_prediction_equals_the_dense_product():
     flight = Flight()
     flight.run(10.0)
     e, p = flight.e.copy(), flight.p[0]
-    e["delta_angle"][0] = (0.01, -0.02, 0.03)
-    e["delta_velocity"][0] = (0.02, 0.01, -0.08)
-    e["since_predict"] = dt = 0.008
+    e["increments"]["angle"][0] = (0.01, -0.02, 0.03)
+    e["increments"]["velocity"][0] = (0.02, 0.01, -0.08)
+    e["increments"]["time"] = dt = 0.008
     before, q = e["P"][0].copy(), e["q"][0].copy()
     rotation = np.stack([np.array(ekf.rotate(q, *row)) for row in np.eye(3)], axis=1)
 
@@ -136,9 +136,9 @@ def test_covariance_prediction_equals_the_dense_product():
         return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 
     phi = np.eye(N_STATES)
-    phi[0:3, 0:3] -= cross(e["delta_angle"][0])
+    phi[0:3, 0:3] -= cross(e["increments"]["angle"][0])
     phi[0:3, 9:12] = -dt * np.eye(3)
-    phi[3:6, 0:3] = -rotation @ cross(e["delta_velocity"][0])
+    phi[3:6, 0:3] = -rotation @ cross(e["increments"]["velocity"][0])
     phi[3:6, 12:15] = -dt * rotation
     phi[6:9, 3:6] = dt * np.eye(3)
     names = ("ekf2_gyr_noise", "ekf2_acc_noise", None, "ekf2_gyr_b_noise", "ekf2_acc_b_noise", "ekf2_mag_b_noise")
@@ -152,7 +152,7 @@ def test_an_outlier_is_rejected():
     flight.run(20.0)
     flight.gps_offset[:] = (30.0, 0.0, 0.0)
     flight.run(0.2)
-    assert flight.e["test_ratio_pos"][0] > 1.0
+    assert flight.e["test_ratio"]["pos"][0] > 1.0
     assert flight.errors()[0] < 0.5
 
 

@@ -68,7 +68,7 @@ def test_magnetic_heading(angles):
         x, y, _ = rotate(state["q"][0], *(s["mag"][0] - state["mag_bias"][0]))
         return math.atan2(y, x)
 
-    fusion.track_field(e[0], s[0])
+    fusion.track_field(e[0]["field"], e[0], s[0])
     innovation, attitude, bias, found = fusion.magnetic_heading(e[0], s[0], DECLINATION)
     assert found
     assert innovation == pytest.approx(math.remainder(DECLINATION - angle(e), math.tau))
@@ -149,10 +149,10 @@ def test_heading_update_reads_its_parameters():
     Parameters({"EKF2_MAG_DECL": math.degrees(DECLINATION), "EKF2_HEAD_NOISE": 0.1}).write_to(p[0])
     s["mag"][0] = np.array(rotate_inverse(e["q"][0], *FIELD)) + e["mag_bias"][0]
     s["time_us"] = 5
-    fusion.track_field(e[0], s[0])
+    fusion.track_field(e[0]["field"], e[0], s[0])
     fusion.fuse_heading(e[0], s[0], p[0], np.zeros((2, N_STATES)))
-    assert e["innov_yaw"][0] == pytest.approx(DECLINATION - math.atan2(FIELD[1], FIELD[0]))
-    assert 0.0 < e["test_ratio_mag"][0] < 1.0
+    assert e["innovation"]["yaw"][0] == pytest.approx(DECLINATION - math.atan2(FIELD[1], FIELD[0]))
+    assert 0.0 < e["test_ratio"]["mag"][0] < 1.0
     assert e["time_heading_fuse_us"][0] == 5
 
 
@@ -165,12 +165,10 @@ def test_resets_count_and_publish_their_deltas():
     fusion.reset_vertical_velocity(e[0], 0.0, 3.0)
     r = e[0]
     assert r["position"].tolist() == [10.0, -10.0, -8.0]
-    assert r["delta_xy"] == pytest.approx((7.0, -14.0))
-    assert r["delta_vxy"] == pytest.approx((-2.0, 1.0))
-    assert (r["delta_z"], r["delta_vz"]) == pytest.approx((-3.0, -0.4))
-    names = ("reset_counter_xy", "reset_counter_vxy", "reset_counter_z", "reset_counter_vz")
-    assert [int(r[name]) for name in names] == [1, 1, 1, 1]
-    assert r["reset_counter"] == 4
+    assert r["shifts"]["xy"] == pytest.approx((7.0, -14.0))
+    assert r["shifts"]["vxy"] == pytest.approx((-2.0, 1.0))
+    assert (r["shifts"]["z"], r["shifts"]["vz"]) == pytest.approx((-3.0, -0.4))
+    assert [int(r["resets"][name]) for name in ("xy", "vxy", "z", "vz", "any")] == [1, 1, 1, 1, 4]
     assert np.diagonal(r["P"])[3:9].tolist() == [0.5, 0.5, 3.0, 0.25, 0.25, 2.0]
     assert not r["P"][3:9, :3].any()
     np.testing.assert_array_equal(r["P"], r["P"].T)
@@ -190,4 +188,4 @@ def test_yaw_reset_turns_about_the_vertical_and_keeps_the_tilt(angles):
     np.testing.assert_allclose(rotate_inverse(e["q"][0], 0.0, 0.0, 1.0), down, atol=1e-12)
     np.testing.assert_allclose(e["P"][0, :3, :3], tilt + 0.04 * np.outer(down, down), atol=1e-12)
     np.testing.assert_allclose(down @ e["P"][0, :3, 3:], 0.0, atol=1e-12)
-    assert (e["reset_counter_heading"][0], e["delta_heading"][0]) == (1, 0.8)
+    assert (e["resets"]["heading"][0], e["shifts"]["heading"][0]) == (1, 0.8)

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from xtdrone_control.autopilot import modes
-from xtdrone_control.autopilot.commander.inputs import SetpointError
 from xtdrone_control.autopilot.commander.manual_control import CENTRED, ManualControl, Sticks, channel_count, mode_slot
+from xtdrone_control.autopilot.commander.offboard_setpoint import SetpointError
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.autopilot.state import FAILURE_OFF, TASK_ACRO, TASK_ALTITUDE, TASK_MANUAL, TASK_STICKS
 

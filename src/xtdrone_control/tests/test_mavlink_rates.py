@@ -158,7 +158,7 @@ def test_no_stream_is_on_by_default_that_the_recorded_px4_does_not_have():
 def test_the_seldom_messages_content(world):
     a = world.autopilot
     a.place(0, 30.0, 40.0, -20.0)
-    a.estimator[0]["vibration"] = (1e-6, 0.02, 0.3)
+    a.estimator[0]["vibration"]["metrics"] = (1e-6, 0.02, 0.3)
     a.estimator[0]["P"][6, 6] = 0.04
     a.sensors[0]["gps_lat"], a.sensors[0]["gps_lon"], a.sensors[0]["gps_alt"] = 47.4, 8.6, 500.4
     a.sensors[0]["gps_vel"] = (0.0, -2.0, 0.5)
@@ -320,5 +320,5 @@ def test_vibration_metrics_of_alternating_samples():
         sign = 1.0 if k % 2 else -1.0
         autopilot.sensors[0]["gyro"] = (0.1 * sign, 0.0, 0.0)
         autopilot.sensors[0]["accel"] = (0.0, 0.3 * sign, -9.8)
-        update_vibration(autopilot.estimator[0], autopilot.sensors[0], STEP_US * 1e-6)
-    assert autopilot.estimator[0]["vibration"].tolist() == pytest.approx([0.0, 0.2, 0.6], rel=1e-3)
+        update_vibration(autopilot.estimator[0]["vibration"], autopilot.sensors[0], STEP_US * 1e-6)
+    assert autopilot.estimator[0]["vibration"]["metrics"].tolist() == pytest.approx([0.0, 0.2, 0.6], rel=1e-3)

@@ -742,19 +742,19 @@ def test_time_and_ping(world):
 def test_origin_is_set_on_the_ground(world):
     """Where there was none it gives the local position a place; then the place stays and the local position moves."""
     estimator = world.autopilot.estimator[0]
-    estimator["origin_set"] = 0
+    estimator["origin"]["set"] = 0
     estimator["position"] = (3.0, 4.0, -1.0)
     origin = mavlink.MAVLink_set_gps_global_origin_message(_SYSTEM, 475000000, 86000000, 500000)
     assert world.ask(origin)[0].latitude == 475000000
-    assert estimator["origin_alt"] == 500.0
+    assert estimator["origin"]["alt"] == 500.0
     assert estimator["position"].tolist() == [3.0, 4.0, -1.0]
     before = world.commander.view.to_global(world.commander.view.position)
     moved = mavlink.MAVLink_set_gps_global_origin_message(_SYSTEM, 475010000, 86000000, 510000)
     assert world.ask(moved)[0].latitude == 475010000
     assert estimator["position"] == pytest.approx((3.0 - 6371000.0 * math.radians(1e-3), 4.0, 9.0), abs=1e-3)
     assert world.commander.view.to_global(world.commander.view.position) == pytest.approx(before, abs=1e-9)
-    assert (estimator["reset_counter_xy"], estimator["reset_counter_z"]) == (1, 1)
-    assert estimator["delta_z"] == pytest.approx(10.0)
+    assert (estimator["resets"]["xy"], estimator["resets"]["z"]) == (1, 1)
+    assert estimator["shifts"]["z"] == pytest.approx(10.0)
 
 
 def test_origin_is_not_moved_in_the_air_nor_to_no_place(world):

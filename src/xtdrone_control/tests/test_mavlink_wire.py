@@ -185,8 +185,8 @@ def _attitude(e, _s, _c, _t, now):
 
 def _global_position_int(e, _s, _c, t, now):
     position = e["position"].tolist()
-    lat, lon = geo.reproject(position[0], position[1], float(e["origin_lat"]), float(e["origin_lon"]))
-    heights = float(e["origin_alt"]) - position[2], _over_home(position, t)
+    lat, lon = geo.reproject(position[0], position[1], float(e["origin"]["lat"]), float(e["origin"]["lon"]))
+    heights = float(e["origin"]["alt"]) - position[2], _over_home(position, t)
     heading = math.degrees(rotation.yaw_of(e["q"].tolist())) % 360.0
     return (
         now // 1000,
@@ -204,7 +204,7 @@ def _over_home(position, t):
 
 def _altitude(e, _s, _c, t, now):
     position = e["position"].tolist()
-    sea = float(e["origin_alt"]) - position[2] if e["origin_set"] else math.nan
+    sea = float(e["origin"]["alt"]) - position[2] if e["origin"]["set"] else math.nan
     clearance = float(e["terrain"]) - position[2] if e["terrain_valid"] else math.nan
     ground = sea - clearance if e["terrain_valid"] else math.nan
     return now, sea, sea, -position[2], _over_home(position, t), ground, clearance
@@ -214,14 +214,14 @@ def _vfr_hud(e, _s, c, t, _now):
     vx, vy, vz = e["velocity"].tolist()
     throttle = max(_clamped(100.0 * float(c["sp_thrust"]), 100), 0) if t.armed else 0
     heading = math.degrees(rotation.yaw_of(e["q"].tolist())) % 360.0
-    return 0.0, math.hypot(vx, vy), float(e["origin_alt"]) - e["position"][2], -vz, int(heading), throttle
+    return 0.0, math.hypot(vx, vy), float(e["origin"]["alt"]) - e["position"][2], -vz, int(heading), throttle
 
 
 def _odometry(e, _s, _c, _t, now):
     p = np.diagonal(e["P"]).tolist()
     vectors = [*e["position"], *e["q"], *e["velocity"], *e["rates"]]
     diagonals = [*_diagonal(p[6:9] + p[0:3]), *_diagonal(p[3:6] + p[9:12])]
-    return now, *vectors, *diagonals, 1, 1, int(e["reset_counter"]) & 0xFF, 8, 0
+    return now, *vectors, *diagonals, 1, 1, int(e["resets"]["any"]) & 0xFF, 8, 0
 
 
 def _highres_imu(_e, s, _c, _t, now):
@@ -280,7 +280,7 @@ class _Vehicle:
                 if kind == "f" and generator.random() < senseless:
                     record[name] = generator.choice([math.nan, math.inf, -math.inf, 1e39, -1e300, 0.0, -0.0])
         estimator = self.records[0]
-        estimator["origin_lat"], estimator["origin_lon"] = (
+        estimator["origin"]["lat"], estimator["origin"]["lon"] = (
             generator.uniform(-90.0, 90.0),
             generator.uniform(-180.0, 180.0),
         )

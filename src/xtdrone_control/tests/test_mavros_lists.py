@@ -11,7 +11,7 @@ from xtdrone_control.mavros.lib.params import ParamError, Params
 from xtdrone_control.mavros.node import connections
 from xtdrone_control.mavros.plugin_lists import PluginLists
 from xtdrone_control.mavros.plugins import PLUGINS
-from xtdrone_control.mavros.watch import Watch
+from xtdrone_control.mavros.unsubscribed_topics import Watch
 
 NAMES = ["sys_status", "sys_time", "setpoint_raw", "setpoint_velocity", "imu"]
 
@@ -63,7 +63,7 @@ class TestWatch:
     def watch(self, publishers, subscribers=None):
         left_out = {"setpoint_accel/accel": LeftOut("not yet", "setpoint_raw/local")}
         state = publishers, self.SUBSCRIBERS | (subscribers or {})
-        return Watch(self.OWN, ["/iris_0/mavros", "/iris_1/mavros"], left_out, lambda: state)
+        return Watch(self.OWN, ["/iris_0/mavros", "/iris_1/mavros"], left_out, lambda: state, ["iris_0", "iris_1"])
 
     def test_a_skipped_topic_is_reported_once(self, caplog):
         watch = self.watch({"/iris_1/mavros/setpoint_accel/accel": ["/leader"]})
@@ -81,9 +81,14 @@ class TestWatch:
             ("/mavros/setpoint_raw/local", "belongs to no vehicle"),
             ("/iris_0/mavros/gps_input/gps_input", "no loaded plugin subscribes to it; plugin_denylist may exclude"),
             ("/iris_0/setpoint_accel/accel", None),
+            ("/xtdrone/iris_1/cmd", "has no subscriber: XTDrone's commands need the vehicle's communication node: "
+             "rosrun xtdrone_control multirotor_communication.py iris 1"),
+            ("/xtdrone/iris_0/cmd_accel_flu", "multirotor_communication.py iris 0"),
+            ("/xtdrone/iris_2/cmd", None),
+            ("/xtdrone/iris_0/avoid_vel", None),
             ("/iris_0/mavros/setpoint_raw/local", None),
         ],
-    )
+    )  # fmt: skip
     def test_suspicious_topics_are_reported(self, caplog, topic, said):
         self.watch({topic: ["/leader"]}).check()
         if said is None:
@@ -92,8 +97,13 @@ class TestWatch:
             assert said in caplog.text
 
     def test_topics_with_other_ends_are_theirs(self, caplog):
-        here = {"/iris_0/mavros/setpoint_raw/locl": ["/leader"], "/iris_0/mavros/setpoint_accel/accel": [self.OWN]}
-        self.watch(here, {"/iris_0/mavros/setpoint_raw/locl": ["/viewer"]}).check()
+        here = {
+            "/iris_0/mavros/setpoint_raw/locl": ["/leader"],
+            "/iris_0/mavros/setpoint_accel/accel": [self.OWN],
+            "/xtdrone/iris_0/cmd": ["/keys"],
+        }
+        others = {"/iris_0/mavros/setpoint_raw/locl": ["/viewer"], "/xtdrone/iris_0/cmd": ["/iris_0_communication"]}
+        self.watch(here, others).check()
         assert caplog.text == ""
 
 

@@ -25,12 +25,26 @@ def test_get(pair):
     assert (answer.success, answer.value.integer, answer.value.real) == (True, 10, 0.0)
 
 
-def test_unknown_names_fail(pair, monkeypatch):
-    monkeypatch.setattr("xtdrone_control.mavros.plugins.param._TRY_LIMIT", 0.02)
+def test_unknown_names_fail_at_once(pair, monkeypatch):
+    monkeypatch.setattr("xtdrone_control.mavros.plugins.param._TRY_LIMIT", 1e6)  # the answer waits for no time-out
     assert not pair.call("param/get", ParamGetRequest("NO_SUCH")).success
     assert not pair.call("param/get", ParamGetRequest("")).success
     assert not pair.call("param/get", ParamGetRequest("A_NAME_THAT_IS_TOO_LONG")).success
     assert not pair.call("param/set", ParamSetRequest("NO_SUCH", ParamValue(1, 0.0))).success
+
+
+def test_a_lost_answer_does_not_make_a_name_unknown(pair):
+    pair.lost = 1
+    assert pair.call("param/get", ParamGetRequest("MPC_XY_CRUISE")).success
+
+
+def test_former_names_are_explained(pair, caplog):
+    assert not pair.call("param/get", ParamGetRequest("EKF2_HGT_MODE")).success
+    assert "EKF2_HGT_MODE does not exist: PX4 v1.14 has EKF2_HGT_REF in its place" in caplog.text
+    assert not pair.call("param/set", ParamSetRequest("MIS_ALTMODE", ParamValue(1, 0.0))).success
+    assert "MIS_ALTMODE does not exist: PX4 v1.11 had it, v1.14 has nothing in its place" in caplog.text
+    assert pair.call("param/set", ParamSetRequest("EKF2_AID_MASK", ParamValue(24, 0.0))).success
+    assert "EKF2_AID_MASK is out of use: PX4 v1.14 has EKF2_GPS_CTRL, EKF2_EV_CTRL, " in caplog.text
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from sensor_msgs.msg import NavSatFix
 
 from xtdrone_control import frames
 from xtdrone_control.mavros.lib.params import ParamError
+from xtdrone_control.mavros.lib.throttle import Throttle
 from xtdrone_control.mavros.plugins import PLUGINS
 
 NAN = float("nan")
@@ -473,7 +474,6 @@ class TestSetpoints:
         ("frame", "position", "velocity", "acceleration", "yaw"),
         [
             (1, (2.0, 1.0, -3.0), (5.0, 4.0, -6.0), (8.0, 7.0, -9.0), math.pi / 2 - 0.3),
-            (7, (2.0, 1.0, -3.0), (5.0, 4.0, -6.0), (8.0, 7.0, -9.0), math.pi / 2 - 0.3),
             (8, (1.0, -2.0, -3.0), (4.0, -5.0, -6.0), (7.0, -8.0, -9.0), -0.3),
             (9, (1.0, -2.0, -3.0), (4.0, -5.0, -6.0), (7.0, -8.0, -9.0), -0.3),
         ],
@@ -511,10 +511,18 @@ class TestSetpoints:
             bench.call("setpoint_raw/local", target)
         assert caplog.text.count("not forwarded") == 1
 
-    def test_unknown_frame_is_rejected(self, bench, caplog):
-        bench.call("setpoint_raw/local", raw_target(3, 0))
+    @pytest.mark.parametrize("frame", [3, 7])
+    def test_frames_that_the_autopilot_rejects_are_rejected(self, bench, caplog, frame):
+        bench.call("setpoint_raw/local", raw_target(frame, 0))
         assert bench.received() == []
-        assert "coordinate_frame 3" in caplog.text
+        assert f"coordinate_frame {frame} is not allowed, (1, 8, 9) are" in caplog.text
+
+    def test_an_unset_frame_is_local_with_one_warning(self, bench, caplog, monkeypatch):
+        monkeypatch.setattr(Throttle, "passes", lambda *_: True)
+        for _ in range(3):
+            bench.call("setpoint_raw/local", raw_target(0, 0))
+        assert [(sent.coordinate_frame, sent.x, sent.y) for sent in bench.received()] == [(1, 2.0, 1.0)] * 3
+        assert caplog.text.count("setpoint_raw/local: coordinate_frame is 0, unset; it counts as 1 (LOCAL_NED)") == 1
 
     def test_raw_attitude(self, bench):
         target = AttitudeTarget(type_mask=7, thrust=0.55)

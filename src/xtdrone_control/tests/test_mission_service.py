@@ -1,4 +1,4 @@
-"""The mission protocol: transfers, refusals and time-outs as PX4 has them."""
+"""The mission protocol: transfers, refusals and timeouts as PX4 has them."""
 
 from __future__ import annotations
 

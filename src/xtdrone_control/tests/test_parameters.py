@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from xtdrone_control.autopilot.parameters import inert_parameters
+from xtdrone_control.autopilot.parameters import former_parameters, inert_parameters
 from xtdrone_control.autopilot.parameters.parameters import (
     FLOAT,
     INT32,
@@ -126,3 +126,12 @@ def test_the_page_of_parameters_names_all_that_have_an_effect():
             assert (f"`{name}`" in effective) == describe(name).has_effect, name
     assert "`CAL_MAGN_XOFF`" in stored_only
     assert str(len(NAMES)) in effective
+
+
+def test_former_names_lead_to_parameters_that_exist():
+    assert former_parameters.NAMES & set(NAMES) == {"EKF2_AID_MASK"}
+    found = [today for name in former_parameters.NAMES for today in former_parameters.replacements(name)]
+    assert len(found) > 50
+    assert set(found) <= set(NAMES)
+    with pytest.raises(ParameterError, match=r"'COM_OBL_ACT' does not exist: PX4 v1\.14 has COM_OBL_RC_ACT"):
+        Parameters({"COM_OBL_ACT": 2})

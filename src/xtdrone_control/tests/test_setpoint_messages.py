@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 from service_fakes import SYSTEM, Served
 
-from xtdrone_control.autopilot.commander.inputs import SetpointError
+from xtdrone_control.autopilot.commander.offboard_setpoint import SetpointError
 from xtdrone_control.autopilot.state import TASK_ATTITUDE, TASK_RATES, TASK_TRAJECTORY
 from xtdrone_control.autopilot.vehicle_view import VehicleView
 from xtdrone_control.mavlink.commands import setpoints
@@ -39,6 +39,9 @@ class Recorder:
         self.view = VehicleView(autopilot, 0)
         self.home = SimpleNamespace(altitude=400.0) if home else None
         self.taken = []
+
+    def offset_start(self, values):
+        return self.view.position, self.view.yaw
 
     def offboard_trajectory(self, position, velocity, acceleration, yaw, yaw_rate):
         self.taken.append(("trajectory", position, velocity, acceleration, yaw, yaw_rate))

@@ -21,7 +21,7 @@ import pytest
 from xtdrone_control import zygote
 
 LAUNCHER = os.environ.get("XTDRONE_NODE_LAUNCHER", "")
-LIMIT = 60.0  # s of wall time; only a broken run takes it
+LIMIT = 240.0  # s of wall time; only a broken run takes it
 needs_ros = pytest.mark.skipif(not (LAUNCHER and shutil.which("roslaunch")), reason="ROS is not there")
 
 PROBE = """\
@@ -232,6 +232,23 @@ def test_nodes_are_interrupted_when_roslaunch_is_killed(tmp_path, launches):
     launch.process.kill()
     launch.wait_for_file("node.interrupted")
     assert launch.gone("sleeper")
+    assert launch.gone("xtdrone_control.zygote")
+
+
+@needs_ros
+def test_the_zygote_of_a_launcher_whose_roslaunch_is_gone_ends_after_its_node(tmp_path, launches):
+    launch = launches("")
+    environment = {**os.environ, "ZYGOTE_TEST": str(tmp_path)}
+    orphan = f"(cat; exec {LAUNCHER} {tmp_path}/sleeper __name:=orphan) <&0 &"
+    begin, shell_has_ended = os.pipe()
+    subprocess.run(["bash", "-c", orphan], env=environment, stdin=begin, check=True)
+    os.close(begin)
+    os.close(shell_has_ended)
+    launch.wait_for_file("orphan.ready")
+    zygote_pid = launch.pid("xtdrone_control.zygote")
+    assert f"PPid:\t{launch.process.pid}\n" not in status(zygote_pid)
+    os.kill(launch.pid("node_launcher __name:=orphan"), signal.SIGINT)
+    launch.wait_for_file("orphan.interrupted")
     assert launch.gone("xtdrone_control.zygote")
 
 

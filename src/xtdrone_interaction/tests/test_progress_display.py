@@ -10,7 +10,7 @@ import genpy
 import pytest
 from rich.console import Console
 
-from xtdrone_interaction.launching.feed import standstill
+from xtdrone_interaction.launching.message_feed import standstill
 from xtdrone_interaction.monitoring.progress_display import LineDisplay, LiveDisplay
 
 PROGRESS: dict[str, Any] = {

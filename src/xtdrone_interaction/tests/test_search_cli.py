@@ -63,7 +63,7 @@ def settings(tmp_path: Path) -> SearchSettings:
 def test_people_walk_inside_the_region(settings: SearchSettings) -> None:
     prepared = prepare(settings)
     world = load_world_file(str(prepared.world_file))
-    assert prepared.persons == ("person_0", "person_1")
+    assert prepared.persons == ("actor_0", "actor_1")
     for actor in world.actors:
         way = actor.trajectory.waypoints if actor.trajectory else ()
         assert all(prepared.region.contains(Point(w.pose.position[:2])) for w in way)

@@ -2,13 +2,13 @@
 """Detect people and objects in camera pictures: ``yolo.py typhoon_h480 0``.
 
 One process serves one vehicle (``0``) or several (``0-5``, ``1,3``, ``all``: all of that type in /xtdrone/fleet).
-Topics are listed in ``xtdrone_perception.yolo_node``.
+Topics are listed in ``xtdrone_perception.detection.yolo_node``.
 
 Parameters:
     ~detector (default ``search``): a name in config/yolo, or the path of a .yaml file, with the network's files and
-        settings; ~weights, ~config, ~names and the settings of ``xtdrone_perception.detector.DetectorSettings`` replace
-        its entries.
-    those of ``xtdrone_perception.yolo_node.DetectionOptions`` and ``GroundOptions``, see docs/settings.md.
+        settings; ~weights, ~config, ~names and the settings of
+        ``xtdrone_perception.detection.detector.DetectorSettings`` replace its entries.
+    those of ``xtdrone_perception.detection.yolo_node.DetectionOptions`` and ``GroundOptions``, see docs/settings.md.
     ~person, ~noise, ~tracker: mappings as in ``geolocation.Person``, ``geolocation.Noise``, ``TrackerSettings``.
     /xtdrone/fleet (as ``typhoon_h480:6``): the fleet; without it ids are not checked against a count.
 """
@@ -22,7 +22,7 @@ import rospy
 
 from xtdrone_control import lockstep
 from xtdrone_control.program import run_program, served_vehicles
-from xtdrone_perception.yolo_node import RATE, YoloNode, read_detector, read_options
+from xtdrone_perception.detection.yolo_node import RATE, YoloNode, read_detector, read_options
 
 USAGE = "yolo.py TYPE ID   (ID: 0, 0-5, 1,3,5 or all)"
 

@@ -2,11 +2,11 @@
 """Follow a person found by the detection node: ``yolo_human_tracking.py typhoon_h480 0``.
 
 One process serves one vehicle (``0``) or several (``0-5``, ``1,3``, ``all``: all of that type in /xtdrone/fleet).
-Needs ``yolo.py`` and the communication node; topics are listed in ``xtdrone_perception.human_tracking_node``.
+Needs ``yolo.py`` and the communication node; topics are listed in ``xtdrone_perception.following.human_tracking_node``.
 
 Parameters:
-    those of ``xtdrone_perception.human_tracking_node.TrackingOptions`` and
-    ``xtdrone_perception.following.FollowSettings``, see docs/settings.md.
+    those of ``xtdrone_perception.following.human_tracking_node.TrackingOptions`` and
+    ``xtdrone_perception.following.following.FollowSettings``, see docs/settings.md.
     /xtdrone/fleet (as ``typhoon_h480:6``): the fleet; without it ids are not checked against a count.
 """
 
@@ -19,7 +19,7 @@ import rospy
 
 from xtdrone_control import lockstep
 from xtdrone_control.program import run_program, served_vehicles
-from xtdrone_perception.human_tracking_node import RATE, HumanTracking, read_options
+from xtdrone_perception.following.human_tracking_node import RATE, HumanTracking, read_options
 
 USAGE = "yolo_human_tracking.py TYPE ID   (ID: 0, 0-5, 1,3,5 or all)"
 

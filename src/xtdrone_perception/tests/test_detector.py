@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from tiny_networks import write_darknet, write_onnx
 
-from xtdrone_perception.detector import Detector, DetectorError, DetectorSettings, load_settings
-from xtdrone_perception.output_layouts import LayoutError, find_layout
+from xtdrone_perception.detection.detector import Detector, DetectorError, DetectorSettings, load_settings
+from xtdrone_perception.detection.output_layouts import LayoutError, find_layout
 
 NAMES = ("human", "car")
 SURE = 6.0  # logit

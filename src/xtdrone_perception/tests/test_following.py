@@ -10,9 +10,9 @@ import pytest
 from xtdrone_control import frames
 from xtdrone_control.camera_pose import camera_link_pose, mount_orientation, optical_pose
 from xtdrone_control.pinhole import Pinhole
-from xtdrone_perception.following import ANY, FOLLOWING, LOST, SEARCHING, Following, FollowSettings, Seen
-from xtdrone_perception.geolocation import Geolocator, View, cylinder_box
-from xtdrone_perception.tracker import GroundDetection, Tracker
+from xtdrone_perception.following.following import ANY, FOLLOWING, LOST, SEARCHING, Following, FollowSettings, Seen
+from xtdrone_perception.tracking.geolocation import Geolocator, View, cylinder_box
+from xtdrone_perception.tracking.tracker import GroundDetection, Tracker
 
 PINHOLE = Pinhole.of_view(640, 360, 2.0)
 STEP = 1.0 / 30.0

@@ -5,7 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_perception.scoring import LabelledPicture, at_threshold, average_precision, best_threshold, match, overlaps
+from xtdrone_perception.detection.scoring import (
+    LabelledPicture,
+    at_threshold,
+    average_precision,
+    best_threshold,
+    match,
+    overlaps,
+)
 
 
 def scene(found, truth, counts=None):

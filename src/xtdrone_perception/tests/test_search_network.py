@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from xtdrone_perception.detector import Detector, load_settings
-from xtdrone_perception.scoring import LabelledPicture, at_threshold, average_precision, match
+from xtdrone_perception.detection.detector import Detector, load_settings
+from xtdrone_perception.detection.scoring import LabelledPicture, at_threshold, average_precision, match
 
 PACKAGE = Path(__file__).resolve().parents[1]
 PICTURES = Path(__file__).resolve().parent / "pictures"

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_perception.geolocation import GroundPoint
-from xtdrone_perception.tracker import GroundDetection, Tracker, TrackerSettings
+from xtdrone_perception.tracking.geolocation import GroundPoint
+from xtdrone_perception.tracking.tracker import GroundDetection, Tracker, TrackerSettings
 
 SIGMA = 0.2
 

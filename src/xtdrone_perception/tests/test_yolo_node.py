@@ -19,7 +19,7 @@ from xtdrone_control import lockstep
 from xtdrone_control.camera_pose import camera_link_pose, mount_orientation, optical_pose
 from xtdrone_control.frames import to_xyzw
 from xtdrone_control.pinhole import Pinhole
-from xtdrone_perception.geolocation import Geolocator, View
+from xtdrone_perception.tracking.geolocation import Geolocator, View
 
 try:
     import rospy

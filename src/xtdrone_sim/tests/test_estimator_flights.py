@@ -142,7 +142,7 @@ def test_on_the_ground_with_gps_the_flags_are_those_of_px4():
     for field in ("heading_good", "gps_good", "baro_good", "mag_good", "gps_used", "mag_used"):
         assert e[field] == 1
     assert not e["dead_reckoning"]
-    assert e["reset_counter"] == 0
+    assert e["resets"]["any"] == 0
     assert e["height_used"][HEIGHT_GPS] == e["height_used"][HEIGHT_BARO] == 1
 
 
@@ -162,16 +162,17 @@ def test_lost_gps_leads_to_dead_reckoning_and_returns_with_a_reset():
     flight.run(6.0)
     assert not flight.e["flags"] & 0x318, "no horizontal aiding after ten seconds of silence"
     assert flight.e["flags"] & 0x80
-    counters = [int(flight.e[name]) for name in ("reset_counter", "reset_counter_xy", "reset_counter_vxy")]
+    counters = [int(flight.e["resets"][name]) for name in ("any", "xy", "vxy")]
     before = flight.e["position"][:2].copy()
     flight.failures["gps"] = FAILURE_OK
     assert flight.until("position_valid", 1, 2.0) < 1.0
     flight.run(1.0)
     assert flight.error < 0.2
-    after = [int(flight.e[name]) for name in ("reset_counter", "reset_counter_xy", "reset_counter_vxy")]
+    after = [int(flight.e["resets"][name]) for name in ("any", "xy", "vxy")]
     assert after[1:] == [counters[1] + 1, counters[2] + 1]
     assert after[0] > counters[0]
-    assert np.linalg.norm(flight.e["delta_xy"]) == pytest.approx(np.linalg.norm(before - flight.position[:2]), abs=1.5)
+    moved = np.linalg.norm(before - flight.position[:2])
+    assert np.linalg.norm(flight.e["shifts"]["xy"]) == pytest.approx(moved, abs=1.5)
 
 
 def test_a_short_gap_in_gps_needs_no_reset():
@@ -184,7 +185,7 @@ def test_a_short_gap_in_gps_needs_no_reset():
     flight.failures["gps"] = FAILURE_OK
     flight.run(2.0)
     assert flight.error < 0.2
-    assert flight.e["reset_counter_xy"] == 0
+    assert flight.e["resets"]["xy"] == 0
     assert flight.commander.mode is modes.OFFBOARD
 
 
@@ -208,8 +209,8 @@ def test_a_gps_jump_is_rejected_until_it_persists():
     flight.setpoint = None
     flight.run(5.0)  # PX4's reset after seven seconds of refusal
     assert np.linalg.norm((flight.e["position"] - flight.position)[:2]) > 90.0
-    assert flight.e["reset_counter_xy"] == 1
-    assert flight.e["delta_xy"][0] == pytest.approx(100.0, abs=10.0)
+    assert flight.e["resets"]["xy"] == 1
+    assert flight.e["shifts"]["xy"][0] == pytest.approx(100.0, abs=10.0)
 
 
 @pytest.mark.parametrize("shared", [True, False])
@@ -297,13 +298,13 @@ def test_vision_that_begins_anew_resets_the_position():
     flight = Flight(parameters=VISION_ONLY)
     flight.vision = camera(offset=offset, resets=lambda: resets[0])
     flight.take_off(4.0)
-    before = int(flight.e["reset_counter_xy"])
+    before = int(flight.e["resets"]["xy"])
     offset[:2] = (2.0, -1.0)
     resets[0] = 1
     flight.run(0.2)
     np.testing.assert_allclose(flight.e["position"], flight.position + offset, atol=0.1)
-    assert flight.e["reset_counter_xy"] == before + 1
-    np.testing.assert_allclose(flight.e["delta_xy"], (2.0, -1.0), atol=0.1)
+    assert flight.e["resets"]["xy"] == before + 1
+    np.testing.assert_allclose(flight.e["shifts"]["xy"], (2.0, -1.0), atol=0.1)
 
 
 def test_vision_beside_gps_estimates_its_frame():

@@ -129,11 +129,11 @@ def test_a_rejected_magnetometer_sets_the_heading_once_and_is_faulty_then():
     heading = frames.yaw_from_quaternion(tuple(e["q"]))
     for _ in range(25):
         fleet.hold(heading)
-    before = [int(e[name]) for name in ("reset_counter_heading", "reset_counter")]
+    before = [int(e["resets"][name]) for name in ("heading", "any")]
     took = _until_reset(fleet, heading, 28.0)
     assert took == pytest.approx(REFUSED, abs=0.5)
-    assert [int(e[name]) for name in ("reset_counter_heading", "reset_counter")] == [before[0] + 1, before[1] + 1]
-    assert e["delta_heading"] == pytest.approx(math.radians(25.0), abs=0.04)
+    assert [int(e["resets"][name]) for name in ("heading", "any")] == [before[0] + 1, before[1] + 1]
+    assert e["shifts"]["heading"] == pytest.approx(math.radians(25.0), abs=0.04)
     assert math.degrees(fleet.heading_errors()[0]) == pytest.approx(-25.0, abs=3.0)
     fleet.hold(heading)
     assert (e["mag_used"], e["mag_good"], e["mag_fault"]) == (1, 1, 0)
@@ -143,7 +143,7 @@ def test_a_rejected_magnetometer_sets_the_heading_once_and_is_faulty_then():
     for _ in range(50):
         fleet.hold(heading)
     assert (e["mag_used"], e["mag_good"], e["mag_fault"]) == (0, 0, 1)
-    assert e["reset_counter_heading"] == before[0] + 1
+    assert e["resets"]["heading"] == before[0] + 1
     assert np.linalg.norm(fleet.simulation.world.plant["velocity"][0]) < 0.5
 
     assert commander.request(modes.AUTO_LAND) == 0
@@ -156,8 +156,8 @@ def test_a_rejected_magnetometer_sets_the_heading_once_and_is_faulty_then():
 def _until_reset(fleet: Fleet, heading: float, declination: float) -> float:
     """Change the declination (deg) and wait for the heading's reset; return how long that took, s."""
     fleet.simulation.commanders[0].parameters.set("EKF2_MAG_DECL", declination)
-    start, counter = fleet.simulation.time_us, int(fleet.estimator["reset_counter_heading"][0])
-    while fleet.estimator["reset_counter_heading"][0] == counter:
+    start, counter = fleet.simulation.time_us, int(fleet.estimator["resets"]["heading"][0])
+    while fleet.estimator["resets"]["heading"][0] == counter:
         fleet.hold(heading)
         assert fleet.simulation.time_us - start < 12e6
     return (fleet.simulation.time_us - start) * 1e-6

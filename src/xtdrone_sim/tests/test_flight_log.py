@@ -79,7 +79,7 @@ class Flight:
                 "q": autopilot.estimator["q"][0].copy(),
                 "sp_rates": autopilot.control["sp_rates"][0].copy(),
                 "actuators": autopilot.control["actuators"][0].copy(),
-                "innov_pos": autopilot.estimator["innov_pos"][0].copy(),
+                "innov_pos": autopilot.estimator["innovation"]["pos"][0].copy(),
                 "gps_lat": autopilot.sensors["gps_lat"][0].copy(),
             }
 

@@ -69,7 +69,7 @@ def test_only_vehicles_that_come_near_are_near(speed):
     sizes = rng.uniform(0.2, 12.0, (60, 3))
     middles = rng.uniform(-60.0, 60.0, (60, 3))
     obstacles = Obstacles(
-        [model(f"m{k}", Box(tuple(sizes[k])), tuple(middles[k])) for k in range(60)]  # type: ignore[arg-type]
+        {k: model(f"m{k}", Box(tuple(sizes[k])), tuple(middles[k])) for k in range(60)}  # type: ignore[arg-type]
     )
     count = 3000
     plant, models = np.zeros(count, PLANT), np.zeros(count, MODEL)
@@ -88,7 +88,7 @@ def test_only_vehicles_that_come_near_are_near(speed):
 
 
 def test_lost_vehicles_are_near_nothing():
-    obstacles = Obstacles([model("ball", Sphere(2.0), (0.0, 0.0, 1.0))])
+    obstacles = Obstacles({0: model("ball", Sphere(2.0), (0.0, 0.0, 1.0))})
     plant, models, wanted = np.zeros(4, PLANT), np.zeros(4, MODEL), np.full(4, FREE)
     plant["position"] = [(math.nan, 0.0, 0.0), (math.inf, 0.0, 0.0), (1e300, -1e300, 0.0), (0.0, 0.0, 0.0)]
     assert obstacles.mark_near(plant, models, np.array([0.25, 0.4]), 0.02, wanted) == 1

@@ -15,9 +15,9 @@ from xtdrone_sim.vehicles.poses import compose
 from xtdrone_sim.vehicles.visual import Box, Mesh, Pose
 from xtdrone_sim.worlds.scenery import Ground, is_free, outdoor
 from xtdrone_sim.worlds.scenery import __main__ as program
-from xtdrone_sim.worlds.scenery.things import HIGHEST
+from xtdrone_sim.worlds.scenery.objects import HIGHEST
 from xtdrone_sim.worlds.sdf import SdfWorld, load_world_file, read_world, write_world
-from xtdrone_sim.worlds.sdf.shapes import box_of
+from xtdrone_sim.worlds.sdf.geometry import box_of
 
 CLEAR = (-3.0, -3.0, 18.0, 13.0)
 
@@ -161,7 +161,7 @@ def test_the_program_writes_the_functions_result(
     monkeypatch.setattr("sys.argv", ["scenery", "--seed", "3", "--persons", "2", "--skins", "anna", "-o", str(out)])
     assert program.main() == 0
     assert load_world_file(str(out)) == outdoor(3, persons=2, skins=["anna"])
-    assert "person_0: anna at " in capsys.readouterr().out
+    assert "actor_0: anna at " in capsys.readouterr().out
     monkeypatch.setattr("sys.argv", ["scenery", "--persons", "101", "-o", str(out)])
     assert program.main() == 1
     assert "persons: 101 is not allowed" in capsys.readouterr().err

@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,8 +15,9 @@ from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.package_files import CONFIG, MODELS
-from xtdrone_sim.vehicles.urdf import UrdfError, parse_urdf, read_urdf
+from xtdrone_sim.vehicles.urdf import Inertial, UrdfError, parse_urdf, read_urdf
 from xtdrone_sim.vehicles.visual import Box, Collision, Cylinder, Mesh, Pose, Sphere, Visual
+from xtdrone_sim.worlds.actors import Actors
 from xtdrone_sim.worlds.sdf import (
     Light,
     SdfActor,
@@ -26,11 +28,12 @@ from xtdrone_sim.worlds.sdf import (
     Trajectory,
     Waypoint,
     load_world_file,
+    read_model,
     read_world,
     world_file,
     write_world,
 )
-from xtdrone_sim.worlds.sdf.shapes import box_of
+from xtdrone_sim.worlds.sdf.geometry import box_of
 
 CONE = MODELS / "scenery" / "meshes" / "cone_0.obj"
 GRASS = MODELS / "scenery" / "textures" / "grass_0.jpg"
@@ -72,12 +75,20 @@ GEOMETRIES = st.one_of(
 )
 VISUALS = st.builds(Visual, GEOMETRIES, POSES, COLOURS, st.sampled_from([None, GRASS]))
 NAMES = st.text("abcXYZ019_<>&'\"ä", min_size=1, max_size=6)
+INERTIALS = st.builds(
+    Inertial,
+    numbers(0.1, 1e3),
+    POSES,
+    st.tuples(*[numbers(1.0, 10.0)] * 3, *[numbers(-0.3, 0.3)] * 3),
+)
 LINKS = st.builds(
     SdfLink,
     NAMES,
     POSES,
     st.lists(VISUALS, max_size=2).map(tuple),
     st.lists(st.builds(Collision, GEOMETRIES, POSES), max_size=2).map(tuple),
+    st.none() | INERTIALS,
+    st.booleans(),
 )
 TRAJECTORIES = st.builds(
     Trajectory,
@@ -98,10 +109,18 @@ LIGHTS = st.builds(
 
 
 @st.composite
+def models_called(draw: st.DrawFn, name: str) -> SdfModel:
+    """Static ones of up to two links, and movable ones of one that collides."""
+    links = tuple(draw(st.lists(LINKS, max_size=2)))
+    movable = len(links) == 1 and bool(links[0].collisions) and draw(st.booleans())
+    return SdfModel(name, draw(POSES), not movable, links)
+
+
+@st.composite
 def worlds(draw: st.DrawFn) -> SdfWorld:
     names = draw(st.lists(NAMES, max_size=4, unique=True))
     cut = draw(st.integers(0, len(names)))
-    models = tuple(SdfModel(n, draw(POSES), True, tuple(draw(st.lists(LINKS, max_size=2)))) for n in names[:cut])
+    models = tuple(draw(models_called(name)) for name in names[:cut])
     return SdfWorld(
         draw(NAMES),
         Datum(draw(numbers(-90.0, 90.0)), draw(numbers(-180.0, 180.0)), draw(numbers(-1000.0, 9000.0))),
@@ -211,6 +230,127 @@ def test_unsupported_elements_are_reported_once(caplog: pytest.LogCaptureFixture
     ]
 
 
+# what Gazebo takes without an error
+
+BOX = "<collision name='c'><geometry><box><size>1 1 1</size></box></geometry></collision>"
+JOINT = "<joint name='j' type='{}'><parent>l</parent><child>k</child></joint>"
+
+
+@pytest.mark.parametrize(
+    ("inside", "reason"),
+    [
+        (f"<link name='l'>{BOX}</link>", ""),
+        (f"<link name='l'>{BOX}</link><link name='k'/>" + JOINT.format("fixed"), ""),
+        ("<link name='l'/>", "nothing of it collides"),
+        (f"<link name='l'><kinematic>1</kinematic>{BOX}</link>", "its link 'l' is kinematic"),
+        (f"<link name='l'>{BOX}</link><link name='k'/>", "its links l, k are not connected"),
+        (f"<link name='l'>{BOX}</link><link name='k'/>" + JOINT.format("revolute"), "its joint 'j' of type 'revolute'"),
+        (f"<link name='l'><inertial><mass>-1</mass></inertial>{BOX}</link>", "its link 'l' has no possible mass"),
+        ("<link name='l'>" + BOX * 17 + "</link>", "it has 17 collision shapes"),
+    ],
+)
+def test_models_that_are_not_static_move_or_stand_with_a_warning(
+    inside: str, reason: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    (read,) = read_world(world(f"<model name='m'>{inside}</model>"), FILE).models
+    assert read.static == bool(reason)
+    said = [message for message in caplog.messages if "is not static, but" in message]
+    assert (len(said), reason in "".join(said)) == (int(bool(reason)), True)
+
+
+def test_mass_and_weight_are_read() -> None:
+    inertia = "<inertia><ixx>2</ixx><iyy>3</iyy><izz>4</izz><ixy>0.5</ixy></inertia>"
+    inertial = f"<inertial><pose>0 0 1 0 0 0</pose><mass>5</mass>{inertia}</inertial><gravity>0</gravity>"
+    (read,) = read_world(world(model(inertial + BOX, static="")), FILE).models
+    assert not read.static
+    assert read.links[0].inertial == Inertial(5.0, Pose((0.0, 0.0, 1.0)), (2.0, 3.0, 4.0, 0.5, 0.0, 0.0))
+    assert not read.links[0].gravity
+
+
+def test_the_first_of_two_gravities_counts_and_equal_times_are_jumps(caplog: pytest.LogCaptureFixture) -> None:
+    points = "".join(
+        f"<waypoint><time>{t}</time><pose>{x} 0 0 0 0 0</pose></waypoint>" for t, x in ((0, 0), (2, 4), (2, 9), (3, 9))
+    )
+    script = f"<script><trajectory id='0' type='w'>{points}</trajectory></script>"
+    read = read_world(
+        world(f"<gravity>0 0 -9.8</gravity><gravity>0 0 -1</gravity><actor name='a'>{script}</actor>"), FILE
+    )
+    assert read.gravity == 9.8
+    assert "<gravity> stands here for the second time in <world> and is ignored" in "".join(caplog.messages)
+    actors = Actors(read.actors, [1.0])
+    assert [actors.states(t)[0].position[0] for t in (1_000_000, 1_999_999, 2_000_000, 2_500_000)] == pytest.approx(
+        [2.0, 4.0, 9.0, 9.0], abs=1e-4
+    )
+
+
+def test_a_polyline_is_an_extruded_polygon_with_holes(caplog: pytest.LogCaptureFixture) -> None:
+    def line(*corners: str) -> str:
+        return "<polyline>" + "".join(f"<point>{c}</point>" for c in corners) + "<height>2.5</height></polyline>"
+
+    outer, hole = line("0 0", "4 0", "4 3", "0 3"), line("1 1", "2 1", "2 2", "1 2")
+    (read,) = read_world(world(visual(f"<geometry>{outer}{hole}</geometry>")), FILE).models
+    geometry = read.links[0].visuals[0].geometry
+    low, high = box_of(geometry, Pose())
+    assert [*low, *high] == [0.0, 0.0, 0.0, 4.0, 3.0, 2.5]
+    assert isinstance(geometry, Mesh)
+    mesh = trimesh.load_mesh(geometry.path)
+    assert mesh.volume == pytest.approx((12.0 - 1.0) * 2.5)  # all faces look outwards
+    read_world(world(visual(f"<geometry>{line('0 0', '1 0', '2 0')}</geometry>")), FILE)
+    assert "<polyline> is left out: the outlines enclose no area" in "".join(caplog.messages)
+
+
+def test_meshes_in_collada_and_stl(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    red, blue = (trimesh.creation.box((1.0, 2.0, 3.0)) for _ in range(2))
+    blue.apply_translation((0.0, 0.0, 5.0))
+    for mesh, colour in ((red, [255, 0, 0, 255]), (blue, [0, 0, 255, 255])):
+        mesh.visual = trimesh.visual.TextureVisuals(
+            material=trimesh.visual.material.PBRMaterial(baseColorFactor=colour)
+        )
+    data = trimesh.exchange.dae.export_collada([red, blue])
+    (tmp_path / "two.dae").write_bytes(data.replace(b"<asset>", b"<asset><unit meter='0.1' name='dm'/>", 1))
+    (tmp_path / "one.stl").write_bytes(trimesh.exchange.stl.export_stl(red))
+    (tmp_path / "bad.dae").write_text("<COLLADA><!-- nothing")
+    shape = "<{0} name='s'><geometry><mesh><uri>{1}</uri><scale>2 2 2</scale></mesh></geometry></{0}>"
+    files = (
+        ("visual", "two.dae"),
+        ("collision", "one.stl"),
+        ("visual", "bad.dae"),
+        ("visual", "model://none/a.obj"),
+        ("visual", "x.fbx"),
+    )
+    models = [model(shape.format(*file), name) for name, file in zip("abcde", files, strict=True)]
+    (tmp_path / "a.world").write_text(world("\n".join(models)))
+    (tmp_path / "x.fbx").touch()
+    a, b, c, d, e = load_world_file(str(tmp_path / "a.world")).models
+    assert [shape.colour for shape in a.links[0].visuals] == [(1.0, 0.0, 0.0, 1.0), (0.0, 0.0, 1.0, 1.0)]
+    boxes = [box_of(shape.geometry, Pose()) for shape in (*a.links[0].visuals, *b.links[0].collisions)]
+    expected = [((-0.1, -0.2, -0.3), (0.1, 0.2, 0.3)), ((-0.1, -0.2, 0.7), (0.1, 0.2, 1.3)), ((-1, -2, -3), (1, 2, 3))]
+    for (low, high), (lowest, highest) in zip(boxes, expected, strict=True):
+        assert low.tolist() == pytest.approx(lowest)
+        assert high.tolist() == pytest.approx(highest)
+    assert [one.links[0].visuals for one in (c, d, e)] == [(), (), ()]
+    said = "\n".join(caplog.messages)
+    for words in (
+        "bad.dae: not a DAE file",
+        "'model://none/a.obj' is not found: the shape is left out",
+        "'x.fbx' is left",
+    ):
+        assert words in said
+    assert len({shape.geometry for shape in a.links[0].visuals}) == 2
+    assert load_world_file(str(tmp_path / "a.world")).models[0] == a
+
+
+@pytest.mark.parametrize("uri", ["file:///etc/x.obj", "/etc/x.obj", "x.obj", "model://../x.obj", "package://a/../../x"])
+def test_a_request_names_no_files_but_those_of_models(uri: str) -> None:
+    text = f"<sdf version='1.6'>{visual(f'<geometry><mesh><uri>{uri}</uri></mesh></geometry>')}</sdf>"
+    with pytest.raises(SdfError, match="is not allowed in a request, model://NAME"):
+        read_model(text, "request")
+    assert read_model(f"<sdf version='1.6'>{model(BOX)}</sdf>", "request").name == "m"
+
+
 # what is wrong
 
 
@@ -224,24 +364,23 @@ def test_unsupported_elements_are_reported_once(caplog: pytest.LogCaptureFixture
         (world("<gravity>0 0 9.8</gravity>"), "line 3: <gravity>: '0 0 9.8' is not allowed, 0 0 and a number under 0"),
         (world("<gravity>0 0</gravity>"), "line 3: <gravity>: '0 0' is not allowed, 3 finite numbers"),
         (world("<magnetic_field>0 0 nan</magnetic_field>"), "<magnetic_field>: '0 0 nan' is not allowed, 3 finite"),
-        (world("\n" + model("", static="")), "line 4: <model>: 'm' is not static; allowed are models with"),
         (world(model("", static="<static>yes</static>")), "<static>: 'yes' is not allowed, true or false"),
         (world(model("") + "\n" + model("")), "line 2: <world>: two models or actors are called 'm'"),
         (world("<model><static>1</static></model>"), '<model>: needs an attribute name="..."'),
-        (world(visual("<geometry/>")), "<geometry>: is empty, needs one of box, cylinder, sphere, mesh, plane"),
+        (world(visual("<geometry/>")), "<geometry>: is empty, needs one of box, cylinder, sphere, mesh"),
         (world(visual("<geometry><box><size>1 -2 3</size></box></geometry>")), "<size>: '1 -2 3' is not allowed, 3"),
         (world(visual("<geometry><sphere/></geometry>")), "<sphere>: needs a <radius>"),
         (
-            world(visual("<geometry><mesh><uri>model://none/a.obj</uri></mesh></geometry>")),
-            "<uri>: 'model://none/a.obj' is in none of /nowhere, ",
+            world("<include><uri>model://none</uri></include>"),
+            "<uri>: 'model://none' is in none of /nowhere, ",
         ),
         (world("<include><uri>a/b</uri></include>"), "<uri>: 'a/b': /nowhere/a/b does not exist"),
         (world("<include><uri>http://x/y</uri></include>"), "<uri>: 'http://x/y' is not allowed, model://, package://"),
         (world("<model name='m'><static>1</static><pose frame='x'>0 0 0 0 0 0</pose></model>"), "relative to 'x'"),
         (
             world("<actor name='a'><script><trajectory id='0' type='w'><waypoint><time>1</time><pose/></waypoint>\n"
-                  "<waypoint><time>1</time><pose/></waypoint></trajectory></script></actor>"),
-            "line 4: <time>: '1' is not allowed, more than the one before (1)",
+                  "<waypoint><time>0.9</time><pose/></waypoint></trajectory></script></actor>"),
+            "line 4: <time>: '0.9' is not allowed, at least the one before (1)",
         ),
         (world("<xtdrone:extends>mars</xtdrone:extends>"), "<xtdrone:extends>: worlds: 'mars' is not known; there are"),
         (

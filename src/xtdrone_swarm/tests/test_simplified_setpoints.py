@@ -12,11 +12,11 @@ from xtdrone_control.communication.setpoint import (
     pose_setpoint,
     velocity_setpoint,
 )
-from xtdrone_swarm.simplified.setpoints import FORCE, SetpointError, wanted
+from xtdrone_swarm.simplified.setpoints import FORCE, SetpointError, Start, wanted
 from xtdrone_swarm.swarm_vehicles import ACCELERATION, POSITION, VELOCITY
 
-HERE = (10.0, 20.0, 5.0)
 NORTH = math.pi / 2
+HERE = Start((10.0, 20.0, 5.0), NORTH)
 VECTOR = (1.0, 2.0, 3.0)
 ZERO = (0.0, 0.0, 0.0)
 

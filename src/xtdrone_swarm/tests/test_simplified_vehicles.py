@@ -14,7 +14,7 @@ from xtdrone_sim.descriptions import ModelError
 from xtdrone_swarm import Model
 from xtdrone_swarm.full_vehicles import CoreVehicles
 from xtdrone_swarm.simplified.model import load_model
-from xtdrone_swarm.simplified.simplified_vehicles import SimplifiedVehicles
+from xtdrone_swarm.simplified.simplified_vehicles import SimplifiedVehicles, spawn_places
 from xtdrone_swarm.swarm_vehicles import ACCELERATION, HOLD, POSITION, VELOCITY
 
 HIGH = [[0.0, 0.0, 100.0]]
@@ -316,3 +316,26 @@ def test_the_iris_flies_as_in_full_physics():
     settled = np.array(differences[60:])
     assert np.sqrt((settled**2).mean(axis=0)).max() < 0.06  # m/s, of steps of 1 m/s
     assert np.abs(simple.velocity).max() < 0.05
+
+
+def test_one_vehicle_is_put_back_and_the_others_fly_on() -> None:
+    flights = []
+    for wanted in (False, True):
+        vehicles = SimplifiedVehicles(3, airborne=True, headings=[0.0, 1.0, 2.0])
+        for index in range(3):
+            vehicles.steer_one(index, VELOCITY, (1.0, 0.5, 0.2))
+        vehicles.advance(2_000_000)
+        if wanted:
+            vehicles.reset(1, (5.0, -4.0, 0.0), 7.0)
+            assert vehicles.position[1].tolist() == [5.0, -4.0, 0.0]
+            assert vehicles.yaw[1] == pytest.approx(7.0 - 2.0 * np.pi)
+            assert not vehicles.armed[1]
+        vehicles.advance(4_000_000)
+        flights.append(vehicles)
+    without, reset = flights
+    assert np.array_equal(reset.position[[0, 2]], without.position[[0, 2]])
+    assert reset.position[1].tolist() == [5.0, -4.0, 0.0]
+    reset.reset(1)
+    assert reset.armed[1]
+    assert reset.yaw[1] == 1.0
+    assert reset.position[1].tolist() == spawn_places(3)[1].tolist()

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from xtdrone_control import frames, rotation
 from xtdrone_control.rotation import Quaternion, Vector
 
-_LINK_FROM_OPTICAL = (0.5, -0.5, 0.5, -0.5)  # optical z is ahead, x right, y down
+LINK_FROM_OPTICAL: Quaternion = (0.5, -0.5, 0.5, -0.5)
+"""Orientation of the optical frame (x right, y down, z ahead) in a camera's link (x ahead, y left, z up)."""
 
 
 class CameraPose(NamedTuple):
@@ -49,7 +50,7 @@ def camera_link_pose(position: Vector, attitude: Quaternion, mount: Quaternion, 
 
 def optical_pose(link: CameraPose) -> CameraPose:
     """Return the pose of the optical frame (x right, y down, z ahead) of a camera's link."""
-    return CameraPose(link.position, rotation.multiply(link.orientation, _LINK_FROM_OPTICAL))
+    return CameraPose(link.position, rotation.multiply(link.orientation, LINK_FROM_OPTICAL))
 
 
 def mount_orientation(roll: float, pitch: float, yaw: float) -> Quaternion:

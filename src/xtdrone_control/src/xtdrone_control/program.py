@@ -159,9 +159,20 @@ def served_vehicles(arguments: Sequence[str], fleet: str | None) -> Served:
     if len(arguments) != 2:
         raise ArgumentError(f"2 arguments are needed, {len(arguments)} were given")
     kind, text = arguments
-    count = check_multirotor(kind, fleet_of(fleet))
-    ids = parse_ids(text, 0, None if count is None else count - 1)
+    vehicles = fleet_of(fleet)
+    check_multirotor(kind, vehicles)
+    ids = parse_ids(text, 0, None) if vehicles is None else _ids_in(vehicles, kind, text)
     return Served(kind, ids, f"{kind}_{ids[0]}" if len(ids) == 1 else f"{kind}_{ids[0]}_{ids[-1]}")
+
+
+def _ids_in(fleet: Sequence[Vehicle], kind: str, text: str) -> list[int]:
+    """Return the indices of vehicles of a type; see :func:`parse_ids`."""
+    there = [vehicle.index for vehicle in fleet if vehicle.type == kind]
+    ids = there if text == "all" else parse_ids(text, 0, max(there))
+    for index in ids:
+        if index not in there:
+            raise ArgumentError(f"id: {index} is not allowed, {kind}_{index} is not in the fleet (/xtdrone/fleet)")
+    return sorted(ids)
 
 
 def run_program(main: Callable[[Sequence[str]], None], arguments: Sequence[str], usage: str) -> int:

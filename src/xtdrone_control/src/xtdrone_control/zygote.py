@@ -1,11 +1,13 @@
 """A process that has imported the modules of a launch's Python nodes and forks each node on request.
 
 A fork starts in milliseconds and shares the memory of the modules with all others. ``node_launcher``, the launch-prefix
-of the nodes, starts one zygote for each roslaunch, connects to it and stands for the forked node in roslaunch. A node
-is executed as by the interpreter: same command line, environment, working directory, descriptors and signal handlers,
-in a session of its own. Its modules are those that its script imports at its top; further ones it imports itself.
+of the nodes, starts one zygote for each roslaunch, connects to it and represents the forked node to roslaunch. A node
+runs as under the interpreter: same command line, environment, working directory, descriptors and signal handlers, in a
+session of its own. The zygote imports the modules that the node's script imports at the top; the node imports the rest.
 
-No node outlives its launcher or the zygote. The zygote ends with roslaunch, and interrupts remaining nodes before.
+No node outlives its launcher or the zygote. When roslaunch ends, the zygote interrupts the remaining nodes and ends. It
+also ends some seconds after its last node: a launcher whose roslaunch has been killed is a child of the system's first
+process, which never ends. A later launcher starts another zygote.
 """
 
 from __future__ import annotations
@@ -38,6 +40,7 @@ _REPLY = struct.Struct("=c3xi")
 _MOST = 1 << 24  # bytes of a request
 _LIMIT = 5.0  # s for a launcher to send its request
 _PATIENCE = 10.0  # s for nodes to end after roslaunch has ended
+_IDLE = 3.0  # s without a node
 _DESCRIPTORS = 4  # of a request: standard input, output, error; working directory
 _BLOCKED = {signal.SIGINT, signal.SIGTERM}  # during a fork, so that a node receives them with its own handlers
 _COMMON = ("xtdrone_control.lockstep.client.api", "logging.config", "rosgraph.roslogging")
@@ -187,14 +190,14 @@ class Zygote:
         self._prepare()
         self._poll.register(watch, select.POLLIN)
         self._poll.register(self.listener, select.POLLIN)
-        patience = None
-        while patience is None or self._nodes:
-            ready = self._poll.poll(patience)
+        roslaunch_runs = True
+        while roslaunch_runs or self._nodes:
+            ready = self._poll.poll(self._patience(roslaunch_runs))
             for descriptor, _ in ready:
                 if descriptor == watch:
                     self._poll.unregister(watch)
                     self._interrupt_nodes()
-                    patience = 1000.0 * _PATIENCE
+                    roslaunch_runs = False
                 elif descriptor == self.listener.fileno():
                     run = self._accept(watch)
                     if run is not None:
@@ -204,6 +207,12 @@ class Zygote:
             if not ready:
                 break
         return None
+
+    def _patience(self, roslaunch_runs: bool) -> float | None:
+        """Return how long to wait for something to happen, ms, before the zygote ends; None for any time."""
+        if self._nodes:
+            return None if roslaunch_runs else 1000.0 * _PATIENCE
+        return 1000.0 * _IDLE
 
     def _accept(self, watch: int) -> Callable[[], None] | None:
         """Serve a launcher; without a reply it runs the node itself."""

@@ -352,11 +352,3 @@ class ProblemLog:
         self.current.add(problem)
         if problem not in self.previous:
             self.warn(problem)
-
-
-def check_number(name: str, value: object, *, zero: bool = False) -> None:
-    """Raise ValueError unless ``value`` is a finite number above 0 (or 0 too)."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError(f"{name}: {value!r} is not a finite number")
-    if value < 0 or (value == 0 and not zero):
-        raise ValueError(f"{name}: {value} is not allowed, {'0 or more' if zero else 'above 0'}")

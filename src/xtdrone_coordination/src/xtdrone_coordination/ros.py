@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -43,8 +44,8 @@ from xtdrone_control.program import (
     parse_ids,
     run_program,
 )
-from xtdrone_control.settings import Settings
-from xtdrone_coordination.follower import RATE, Follower, FollowerOptions, check_number
+from xtdrone_control.settings import Settings, setting
+from xtdrone_coordination.follower import RATE, Follower, FollowerOptions
 from xtdrone_coordination.laws import avoidance
 from xtdrone_coordination.laws.consensus import Vector
 from xtdrone_coordination.laws.topology import without_neighbours
@@ -310,6 +311,13 @@ def run_follower(cls: type[Follower] = Follower, *, mode_argument: bool = False)
     return run_program(main, sys.argv, f"{Path(sys.argv[0]).name} {usage}")
 
 
+@dataclass(frozen=True)
+class AvoidanceSettings(Settings):
+    """Settings of the avoidance node."""
+
+    avoid_radius: float = setting(avoidance.RADIUS, above=0.0, unit="m", text="radius b of the avoidance")
+
+
 def run_avoidance() -> int:
     """Run the avoidance program with ``sys.argv``; return the exit status."""
 
@@ -321,12 +329,7 @@ def run_avoidance() -> int:
             raise ArgumentError(f"mode: {mode!r} is not allowed, one of vel, accel")
         lockstep.init_node("avoid", rate=RATE)
         ids = parse_ids(str(rospy.get_param("~ids", "all")), 0, count - 1, "~ids")
-        radius = rospy.get_param("~avoid_radius", avoidance.RADIUS)
-        try:
-            check_number("avoid_radius", radius)
-        except ValueError as error:
-            raise ArgumentError(str(error)) from error
-        node = AvoidanceNode(kind, count, ids, mode, radius)
+        node = AvoidanceNode(kind, count, ids, mode, options(AvoidanceSettings, {}).avoid_radius)
         lockstep.start()
         lockstep.spin(node.step)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import rospy
@@ -13,7 +14,8 @@ from std_msgs.msg import Float32MultiArray, Int32MultiArray, MultiArrayDimension
 from xtdrone_control import lockstep
 from xtdrone_control.communication.setpoint import yaw_of
 from xtdrone_control.program import ArgumentError, run_program
-from xtdrone_coordination.follower import RATE, check_number
+from xtdrone_control.settings import Settings, setting
+from xtdrone_coordination.follower import RATE
 from xtdrone_coordination.leader import CommandError, Leader, LeaderOptions
 from xtdrone_coordination.patterns import Patterns, absolute_name
 from xtdrone_coordination.ros import (
@@ -25,6 +27,13 @@ from xtdrone_coordination.ros import (
     options,
     subscribe_swarm,
 )
+
+
+@dataclass(frozen=True)
+class LeaderNodeSettings(Settings):
+    """Settings of the node, beside those of the leader."""
+
+    republish_rate: float = setting(RATE, above=0.0, unit="Hz", text="repetition of pattern and topology")
 
 
 class LeaderNode:
@@ -139,12 +148,11 @@ def run_leader(cls: type[Leader] = Leader) -> int:
         kind, number = arguments
         count = count_of(kind, number)
         lockstep.init_node("leader", rate=RATE)
-        rate = rospy.get_param("~republish_rate", RATE)
+        rate = options(LeaderNodeSettings, {}).republish_rate
         file = rospy.get_param("~patterns", "")
         given = [absolute_name(name.strip()) for name in str(rospy.get_param("~given_patterns", "")).split(",")]
         folder = str(rospy.get_param("~cloud_folder", ""))
         try:
-            check_number("republish_rate", rate)
             patterns = Patterns(count, file or None, below=folder, given=given)
         except ValueError as error:
             raise ArgumentError(str(error)) from error

@@ -4,39 +4,121 @@
 // roscpp's network thread to one of ten threads and from there to another one; thousands of times a second, that costs
 // more than all else that it does. Here the network is read every few milliseconds and one thread writes what has come.
 //
+// Parameter ~buffer (MB, default 256, as rosbag's): what waits for the disk at most; messages beyond it are dropped and
+// counted. The recorder is no participant of the lockstep: no flight waits for a disk.
+//
 // SIGINT and SIGTERM end it. Exit status: 0, 1 if the bag could not be written, 2 for bad arguments.
 
-#include <ros/callback_queue.h>
+#include <ros/callback_queue_interface.h>
 #include <ros/poll_manager.h>
 #include <ros/ros.h>
 #include <rosbag/bag.h>
+#include <semaphore.h>
 #include <topic_tools/shape_shifter.h>
 
 #include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <csignal>
+#include <cstdint>
 #include <cstdio>
+#include <ctime>
 #include <exception>
 #include <filesystem>
 #include <memory>
+#include <mutex>
+#include <stdexcept>
 #include <string>
 #include <system_error>
 #include <thread>
+#include <utility>
 #include <vector>
 
 namespace {
 
 using Message = topic_tools::ShapeShifter;
+using Event = ros::MessageEvent<Message const>;
 using Clock = std::chrono::steady_clock;
 
 constexpr auto kPeriod = std::chrono::milliseconds(2);  // between two looks at the network: delay of the time stamps
+constexpr time_t kShutdownPeriod = 1;                   // s between two looks whether another node has ended this one
+constexpr int kBuffer = 256;                            // MB
 constexpr auto kDiskPeriod = std::chrono::seconds(10);
 constexpr std::uintmax_t kMinSpace = 1 << 30;  // bytes, as rosbag's; below, nothing is written any more
 
 std::atomic<bool> stop_requested{false};
+sem_t wake_up;  // posted when messages wait to be written, and when the recorder is to end
 
-void request_stop(int) { stop_requested = true; }
+void request_stop(int) {
+  stop_requested = true;
+  sem_post(&wake_up);
+}
+
+void wait_for_wake_up() {
+  timespec limit;
+  clock_gettime(CLOCK_REALTIME, &limit);
+  limit.tv_sec += kShutdownPeriod;
+  sem_timedwait(&wake_up, &limit);
+}
+
+// Runs roscpp's callbacks at once, in its network thread.
+class DirectQueue : public ros::CallbackQueueInterface {
+ public:
+  void addCallback(const ros::CallbackInterfacePtr& callback, std::uint64_t) override { callback->call(); }
+  void removeByID(std::uint64_t) override {}
+};
+
+struct Received {
+  std::string topic;
+  Event event;
+};
+
+// Messages that wait for the disk, up to a number of bytes.
+class Backlog {
+ public:
+  explicit Backlog(std::uint64_t limit) : limit_(limit) {}
+
+  void push(const std::string& topic, const Event& event) {
+    const std::uint64_t size = event.getConstMessage()->size();
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (bytes_ > 0 && bytes_ + size > limit_) {
+      if (dropped_++ == 0)
+        ROS_WARN("recorder: the disk does not keep up, %.1f MB wait for it; messages are dropped until it does",
+                 static_cast<double>(bytes_) / (1 << 20));
+      return;
+    }
+    bytes_ += size;
+    messages_.push_back({topic, event});
+  }
+
+  // Returns all messages; they count as waiting until they are released.
+  std::vector<Received> take() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return std::exchange(messages_, {});
+  }
+
+  void release(std::uint64_t size) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    bytes_ -= size;
+  }
+
+  bool empty() const {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return messages_.empty();
+  }
+
+  unsigned long dropped() const {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return dropped_;
+  }
+
+ private:
+  const std::uint64_t limit_;
+  mutable std::mutex mutex_;
+  std::vector<Received> messages_;
+  std::uint64_t bytes_ = 0;  // of messages_ and of those that were taken and not released
+  unsigned long dropped_ = 0;
+};
 
 // A bag that is called FILE.active until it is complete.
 class Recorder {
@@ -47,17 +129,21 @@ class Recorder {
     bag_->open(active_, rosbag::bagmode::Write);
   }
 
-  void subscribe(ros::NodeHandle& node, const std::string& topic) {
-    const std::string name = ros::names::resolve(topic);
-    boost::function<void(const ros::MessageEvent<Message const>&)> write =
-        [this, name](const ros::MessageEvent<Message const>& event) { this->write(name, event); };
-    subscribers_.push_back(node.subscribe<Message>(name, 0, write));
+  void write(const std::string& topic, const Event& event) {
+    if (error_ || !has_space()) return;
+    // Before the first /clock message the time is 0, which a bag does not take.
+    const ros::Time time = std::max(event.getReceiptTime(), ros::TIME_MIN);
+    try {
+      bag_->write(topic, time, *event.getConstMessage(), event.getConnectionHeaderPtr());
+    } catch (const std::exception&) {
+      error_ = std::current_exception();
+      stop_requested = true;
+    }
   }
 
   // Writes the index and gives the file its name. Throws the error of an earlier message, as the constructor does, and
   // std::filesystem::filesystem_error; FILE.active then has the messages before it, and "rosbag reindex" restores it.
   void close() {
-    subscribers_.clear();
     try {
       if (error_) std::rethrow_exception(error_);
       bag_->close();
@@ -69,18 +155,6 @@ class Recorder {
   }
 
  private:
-  void write(const std::string& topic, const ros::MessageEvent<Message const>& event) {
-    if (error_ || !has_space()) return;
-    // Before the first /clock message the time is 0, which a bag does not take.
-    const ros::Time time = std::max(event.getReceiptTime(), ros::TIME_MIN);
-    try {
-      bag_->write(topic, time, *event.getConstMessage(), event.getConnectionHeaderPtr());
-    } catch (const std::exception&) {  // which roscpp's queue does not expect
-      error_ = std::current_exception();
-      stop_requested = true;
-    }
-  }
-
   bool has_space() {
     if (Clock::now() < next_look_) return has_space_;
     next_look_ = Clock::now() + kDiskPeriod;
@@ -96,31 +170,62 @@ class Recorder {
   const std::string active_;
   std::unique_ptr<rosbag::Bag> bag_ = std::make_unique<rosbag::Bag>();
   std::exception_ptr error_;
-  std::vector<ros::Subscriber> subscribers_;
   Clock::time_point next_look_ = Clock::now();
   bool has_space_ = true;
 };
 
+// Returns the limit of the backlog, bytes. Throws std::invalid_argument for a parameter that is not allowed.
+std::uint64_t buffer_size() {
+  int megabytes = kBuffer;
+  const bool is_number = !ros::param::has("~buffer") || ros::param::get("~buffer", megabytes);
+  if (!is_number || megabytes < 1) throw std::invalid_argument("~buffer must be a whole number of MB, at least 1");
+  return static_cast<std::uint64_t>(megabytes) << 20;
+}
+
+ros::Subscriber subscribe(ros::NodeHandle& node, const std::string& topic, Backlog& backlog) {
+  const std::string name = ros::names::resolve(topic);
+  boost::function<void(const Event&)> push = [&backlog, name](const Event& event) { backlog.push(name, event); };
+  return node.subscribe<Message>(name, 0, push);
+}
+
+void write_all(Recorder& recorder, Backlog& backlog) {
+  for (Received& message : backlog.take()) {
+    const std::uint64_t size = message.event.getConstMessage()->size();
+    recorder.write(message.topic, message.event);
+    message.event = Event();  // frees its memory
+    backlog.release(size);
+  }
+}
+
 void record(const std::string& file, const std::vector<std::string>& topics) {
-  ros::CallbackQueue queue;  // outlives the subscribers
+  // Never destroyed, as roscpp's network thread uses them until the process ends.
+  auto& queue = *new DirectQueue;
+  auto& backlog = *new Backlog(buffer_size());
   Recorder recorder(file);
   ros::NodeHandle node;
   node.setCallbackQueue(&queue);
   // Messages that arrive meanwhile wait in their sockets, and are read without a change of threads for each.
-  ros::PollManager::instance()->addPollThreadListener([] { std::this_thread::sleep_for(kPeriod); });
-  for (const std::string& topic : topics) recorder.subscribe(node, topic);
-  while (ros::ok() && !stop_requested) {
+  ros::PollManager::instance()->addPollThreadListener([&backlog] {
+    if (!backlog.empty()) sem_post(&wake_up);
     std::this_thread::sleep_for(kPeriod);
-    queue.callAvailable();
+  });
+  std::vector<ros::Subscriber> subscribers;
+  for (const std::string& topic : topics) subscribers.push_back(subscribe(node, topic, backlog));
+  while (ros::ok() && !stop_requested) {
+    wait_for_wake_up();
+    write_all(recorder, backlog);
   }
   std::this_thread::sleep_for(2 * kPeriod);  // for what had been sent before
-  queue.callAvailable();
+  subscribers.clear();
+  write_all(recorder, backlog);
+  if (backlog.dropped() > 0) std::fprintf(stderr, "[ERROR] recorder: %lu messages were dropped\n", backlog.dropped());
   recorder.close();
 }
 
 }  // namespace
 
 int main(int argc, char** argv) {
+  sem_init(&wake_up, 0, 0);
   ros::init(argc, argv, "recorder", ros::init_options::NoSigintHandler);
   std::signal(SIGINT, request_stop);
   std::signal(SIGTERM, request_stop);

@@ -17,7 +17,7 @@ import argparse
 import importlib
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -63,6 +63,19 @@ def read_commands() -> dict[str, Command]:
             name, module, _, synopsis, text = (cell.strip() for cell in line.split("|"))
             commands[name] = Command(name, "" if module == _NO_MODULE else module, synopsis, text)
     return commands
+
+
+def parsers(command: Command) -> Iterator[tuple[str, argparse.ArgumentParser]]:
+    """Yield the parser of a command and those of its sub-commands, each with the words that lead to it."""
+    yield from _with_inner(f"xtdrone {command.name}", command.parser(command.load()))
+
+
+def _with_inner(path: str, parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.ArgumentParser]]:
+    yield path, parser
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for name, inner in action.choices.items():
+                yield from _with_inner(f"{path} {name}", inner)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

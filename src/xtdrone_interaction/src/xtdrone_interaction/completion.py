@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from collections.abc import Iterator
 
-from xtdrone_interaction.cli import Command, read_commands
+from xtdrone_interaction.cli import Command, parsers, read_commands
 
 _SCRIPT = """\
 # Completion of ./xtdrone for bash, made by './xtdrone completion bash'.
@@ -55,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _add(command: Command, words: dict[str, list[str]], values: dict[str, list[str]]) -> None:
     """Add the options, sub-commands and choices of a command."""
-    for path, parser in _parsers(f"xtdrone {command.name}", command.parser(command.load())):
+    for path, parser in parsers(command):
         words[path] = []
         for action in parser._actions:
             words[path] += [option for option in action.option_strings if option.startswith("--")]
@@ -64,15 +63,6 @@ def _add(command: Command, words: dict[str, list[str]], values: dict[str, list[s
                 words[path] += choices
             for option in action.option_strings if choices else ():
                 values[f"{path} {option}"] = choices
-
-
-def _parsers(path: str, parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.ArgumentParser]]:
-    """Yield a parser and those of its sub-commands, with the words that lead to them."""
-    yield path, parser
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            for name, inner in action.choices.items():
-                yield from _parsers(f"{path} {name}", inner)
 
 
 def _entries(lists: dict[str, list[str]]) -> str:

@@ -237,6 +237,39 @@ def add_instance(parser: argparse.ArgumentParser) -> None:
     MachineSettings.add_arguments(parser, ("instance",))
 
 
+def add_world(parser: argparse.ArgumentParser) -> None:
+    """Add the option that selects the world."""
+    parser.add_argument(
+        "--world",
+        default="empty",
+        metavar="WORLD",
+        help="world by name (empty, outdoor, ...), or an SDF or YAML file (default: %(default)s)",
+    )
+
+
+def world(text: str) -> str:
+    """Return a world as the launch files take it: a name, or the absolute path of a file.
+
+    Raises:
+        OptionError: there is no such world, or its file is invalid.
+    """
+    from xtdrone_sim.descriptions import ModelError  # the reader of worlds is slow to import
+    from xtdrone_sim.worlds.sdf.worlds import load_world_file, world_names
+
+    name = text if text in world_names() else str(Path(text).expanduser().absolute())
+    if any(c.isspace() for c in name):
+        raise OptionError(f"world: {name!r} has a space in it, which roslaunch cannot pass on")
+    if name != text and not name.endswith((".world", ".sdf", ".yaml", ".yml")):
+        raise OptionError(
+            f"world: {text!r} is unknown; there are {', '.join(world_names())}, or a file: .world, .sdf, .yaml"
+        )
+    try:
+        load_world_file(name)
+    except ModelError as error:
+        raise OptionError(f"world: {error}") from error
+    return name
+
+
 def follower_program(text: str) -> tuple[str, str]:
     """Return (program, class): a program of xtdrone_coordination by its name, or a file with the user's class.
 
@@ -280,10 +313,13 @@ def _class_file(text: str) -> str | None:
 
 
 def free_port() -> int:
-    """Return a free TCP port of this machine."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    """Return a free TCP port of this machine, which no other command of this project takes meanwhile."""
+    while True:
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            number = int(probe.getsockname()[1])
+        if f"port-{number}" not in _kept and _take(f"port-{number}"):
+            return number
 
 
 def check_master_port(number: int) -> int:

@@ -44,17 +44,19 @@ _MOST_TICKS = (1 << 32) - 1
 _TIME_END = float(1 << 32)  # s; a ROS time is less
 _DURATION_END = float(1 << 31)  # s; a ROS duration is less
 _NAMES_SHOWN = 8
-_NO_XMLRPC = (xmlrpc.client.Error, http.client.HTTPException, xml.parsers.expat.ExpatError)
+_RESETS = ("simulation", "world")
+NO_XMLRPC = (xmlrpc.client.Error, http.client.HTTPException, xml.parsers.expat.ExpatError)
 
 
 class SimError(RuntimeError):
     """A command failed; the message gives the reason."""
 
 
-class _Timeout(xmlrpc.client.Transport):
+class TimedTransport(xmlrpc.client.Transport):
     """XML-RPC with a time limit."""
 
     def make_connection(self, host: Any) -> http.client.HTTPConnection:
+        """Return a connection whose steps take at most ``_MASTER_LIMIT`` s each."""
         connection = super().make_connection(host)
         connection.timeout = _MASTER_LIMIT
         return connection
@@ -70,10 +72,10 @@ def find_service(master: str, name: str) -> tuple[str, int] | None:
         OSError: the master does not answer.
         SimError: the server is not a ROS master.
     """
-    proxy: Any = xmlrpc.client.ServerProxy(master, transport=_Timeout())
+    proxy: Any = xmlrpc.client.ServerProxy(master, transport=TimedTransport())
     try:
         code, _, uri = proxy.lookupService(_CALLER, name)
-    except (*_NO_XMLRPC, ValueError, TypeError) as error:
+    except (*NO_XMLRPC, ValueError, TypeError) as error:
         raise SimError(f"master: the server at {master} is not a ROS master: {error}") from error
     if code != 1:
         return None
@@ -257,10 +259,21 @@ def _speed(master: str, arguments: argparse.Namespace) -> str:
 def _reset(master: str, arguments: argparse.Namespace) -> str:
     from std_srvs.srv import Empty, EmptyRequest
 
+    if arguments.what not in _RESETS:
+        return _reset_vehicle(master, arguments)
+    if arguments.pose:
+        raise SimError("reset: --pose is for one vehicle, as reset iris_0 --pose 3 4")
     call(master, f"/gazebo/reset_{arguments.what}", Empty, EmptyRequest())
     if arguments.what == "world":
         return "reset: vehicles are at their places, simulated time continues"
     return "reset: vehicles are at their places, simulated time is 0"
+
+
+def _reset_vehicle(master: str, arguments: argparse.Namespace) -> str:
+    from xtdrone_msgs.srv import ResetVehicle, ResetVehicleRequest
+
+    request = ResetVehicleRequest(arguments.what, arguments.pose or [])
+    return _accepted(call(master, "/simulator/reset_vehicle", ResetVehicle, request))
 
 
 def _status(master: str, _arguments: argparse.Namespace) -> str:
@@ -356,6 +369,11 @@ def master_uri(text: str) -> str:
     raise argparse.ArgumentTypeError(f"master: {text!r} is not allowed; a TCP port, or http://host:port")
 
 
+def _add_pose(parser: argparse.ArgumentParser, text: str) -> None:
+    parser.add_argument("--pose", type=float, nargs="+", metavar="N",
+                        help=f"{text}: x y z roll pitch yaw, m and rad ENU, from z on as needed")  # fmt: skip
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the commands."""
     parser.description = "Control a running simulation."
@@ -381,9 +399,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                       help="to the first tick after this much simulated time, s")  # fmt: skip
     speed = add("speed", _speed, "set the target real-time factor")
     speed.add_argument("factor", type=_factor, metavar="FACTOR", help=f"at least {LEAST_SPEED}, or 'unlimited'")
-    reset = add("reset", _reset, "move all vehicles back to their initial positions, as after a start")
-    reset.add_argument("what", choices=["world", "simulation"], nargs="?", default="simulation",
-                       help="simulation: time restarts at 0 (default); world: time continues")  # fmt: skip
+    reset = add("reset", _reset, "move all vehicles, or one, back to their initial positions, as after a start")
+    reset.add_argument("what", nargs="?", default="simulation", metavar="world|simulation|VEHICLE",
+                       help="simulation: time restarts at 0 (default); world: time continues; VEHICLE, as iris_3: only "
+                       "this one stands, rebooted")  # fmt: skip
+    _add_pose(reset, "where the vehicle then stands (default: where it started)")
     add("status", _status, "print the state of the simulation, and the participants it waits for")
 
 

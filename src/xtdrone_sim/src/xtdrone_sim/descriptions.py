@@ -8,6 +8,7 @@ from typing import Any
 
 from xtdrone_control.bounded_file import ContentError, load_yaml, read_text
 from xtdrone_sim.package_files import CONFIG
+from xtdrone_sim.vehicles.upstream_models import not_simulated
 
 VEHICLES_VARIABLE = "XTDRONE_VEHICLES"  # environment: folders with user-defined vehicles, separated by colons
 
@@ -54,7 +55,8 @@ def find(kind: str, name: str, above: tuple[Path, ...] = ()) -> Path:
             return path
     if paths:
         raise ModelError(f"{above[-1]}: extends: {name!r} is not allowed, it leads back to {paths[-1]}")
-    raise ModelError(f"{kind}: {name!r} is not known; there are {', '.join(available(kind))}")
+    reason = not_simulated(name) if kind == "vehicles" else ""
+    raise ModelError(f"{kind}: {name!r} is not known{reason and f', {reason}'}; there are {', '.join(available(kind))}")
 
 
 def read_description(kind: str, name: str) -> dict[str, Any]:

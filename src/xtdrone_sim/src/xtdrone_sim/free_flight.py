@@ -20,9 +20,10 @@ from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
 from xtdrone_control.autopilot.autopilot import step_vehicle as control
 from xtdrone_control.autopilot.state import N_STATES
 from xtdrone_sim.kernel import kernel, kernel_for_threads
+from xtdrone_sim.physics.contacts import CHECK_STEPS, sort_contacts
 from xtdrone_sim.physics.plant import ASLEEP, TOUCHING
 from xtdrone_sim.physics.plant import step_vehicle as move
-from xtdrone_sim.physics.world import CHECK_STEPS, World, sort_contacts
+from xtdrone_sim.physics.world import World
 from xtdrone_sim.sensors.sensor_models import STEPS, Sensors, sample_vehicle
 
 _VEHICLES_PER_THREAD = 12  # fewer are done sooner than another thread starts
@@ -149,7 +150,11 @@ class FreeFlight:
         limits = [count * i // max(threads, 1) for i in range(max(threads, 1) + 1)]
         self._shares = [(first, last, (*records, np.zeros((2, N_STATES)))) for first, last in pairwise(limits)]
         self._threads = [_Thread(i) for i in range(1, len(self._shares))]
-        self._checks_inside = not self._threads and not world.has_obstacles
+
+    @property
+    def _checks_inside(self) -> bool:
+        """Whether the kernel checks the contacts."""
+        return not self._threads and not self._world.has_obstacles
 
     def _possible_steps(self, most: int) -> int:
         """Return for how many steps, up to ``most``, the vehicles are free.
@@ -159,6 +164,8 @@ class FreeFlight:
         if self._sensors.failing.any:
             return 0
         steps = min(self._world.check_contacts(self._armed), most)
+        if self._world.is_busy:
+            return 0
         if not _is_free(self._world.plant, self._armed, self._failures, self._failed, self._autopilot.failed_rotors):
             return 0
         if self._checks_inside or steps == most:

@@ -11,8 +11,9 @@ from collections.abc import Sequence
 
 from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
 from xtdrone_control.autopilot.commander.commander import Commander
-from xtdrone_control.fleet import Vehicle, spawn_grid
+from xtdrone_control.fleet import StartPose, Vehicle, start_poses
 from xtdrone_sim.autopilots.backend import AutopilotFactory, BuiltinAutopilot
+from xtdrone_sim.physics.starts import StartError
 from xtdrone_sim.physics.world import World, load_world
 from xtdrone_sim.sensors.sensor_models import Sensors
 from xtdrone_sim.vehicles.gimbal import Gimbals
@@ -61,32 +62,38 @@ class Simulation:
             seed: seed of all sensor noise.
             shared_datum: whether all local frames share the world's origin; otherwise each starts at the vehicle's
                 first GPS fix.
-            places: spawn position (x, y, z) of each vehicle, m ENU; replaces the grid.
+            places: (x, y, z) of each vehicle's start, m ENU; replaces the poses of the fleet and the grid.
             autopilots: factory of the autopilot back end.
             effects: forces and torques on the vehicles in addition to those of rotors and drag, see ``effects``.
 
         Raises:
             EffectError: an effect cannot be applied.
-            ModelError: the vehicle type or the world is unknown.
+            ModelError: a vehicle's model or the world is unknown.
             FleetError: the number of rows is invalid.
+            StartError: a vehicle would start below the ground, in an obstacle or in another vehicle.
         """
         model = load_world(world)
-        types = {vehicle.type: load_vehicle(vehicle.type) for vehicle in fleet}
-        models = [types[vehicle.type] for vehicle in fleet]
-        spawn = places if places is not None else spawn_grid(fleet, rows)
+        known = {vehicle.model: load_vehicle(vehicle.model) for vehicle in fleet}
+        models = [known[vehicle.model] for vehicle in fleet]
+        poses = start_poses(fleet, rows) if places is None else [StartPose(*place) for place in places]
         self.fleet = fleet
         self._model = model
         self.models = models
-        self._spawn = spawn
+        self._poses = poses
         self._seed = seed
         self.effects = Effects(effects) if effects else None
         self.autopilots = autopilots(fleet, models, model, model.datum if shared_datum else None)
         self._begin(0)
+        try:
+            self.world.check_starts([vehicle.name for vehicle in fleet])
+        except StartError:
+            self.close()
+            raise
 
     def _begin(self, time_us: int) -> None:
         """Create world, sensors and autopilots in their initial state at simulated time ``time_us``."""
         self.time_us = time_us
-        self.world = World(self._model, self.models, self._spawn, STEP_US * 1e-6, self.effects)
+        self.world = World(self._model, self.models, self._poses, STEP_US * 1e-6, self.effects)
         if self.effects is not None:
             self.effects.begin(self.world.plant, self.world.models, time_us=time_us, step_us=STEP_US, seed=self._seed)
         self.autopilots.begin(self.world, time_us)
@@ -140,6 +147,25 @@ class Simulation:
             raise ValueError(f"time: {time_us} us is not allowed, a multiple of {STEP_US} us")
         self.world.close()
         self._begin(time_us)
+
+    def reset_vehicle(self, index: int, pose: StartPose | None = None) -> None:
+        """Put one vehicle back, disarmed, with its autopilot rebooted; the others are not affected.
+
+        Changed parameters and uploaded plans are kept, as in a reboot. Sensor noise continues.
+
+        Args:
+            index: of the vehicle.
+            pose: where it then stands; None: where it started.
+
+        Raises:
+            ValueError: the place is not free (StartError), or the autopilot cannot be rebooted; nothing has changed
+                then.
+        """
+        self.autopilots.check_reboot()
+        self.world.put(index, pose or self._poses[index], [vehicle.name for vehicle in self.fleet])
+        self.autopilots.reboot(index)
+        self.gimbals.reset(index)
+        self.landing_gears.reset(index)
 
     def run_until(self, time_us: int) -> None:
         """Step until simulated time is at least ``time_us``."""

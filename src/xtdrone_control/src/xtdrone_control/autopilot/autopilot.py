@@ -189,7 +189,7 @@ def _run_slow_loops(c, s, e, p, dt, climb_controlled):
 def _control_vehicle(sensors, e, s, c, p, mix, unmix, rotors, dt):
     climb_controlled = _controls_climb_rate(s.task)
     c.armed_time = c.armed_time + dt if s.armed else 0.0
-    follow_resets(c.path, c.resets_seen, e)
+    follow_resets(c.path, c.resets_seen, e.resets, e.shifts)
     _run_slow_loops(c, s, e, p, dt, climb_controlled)
     c.tick += 1
     update_throttle_limits(c, p, s.armed, dt)
@@ -210,7 +210,7 @@ def _control_vehicle(sensors, e, s, c, p, mix, unmix, rotors, dt):
 @kernel
 def step_vehicle(sensors, estimator, setpoint, control, params, mix, unmix, rotors, dt, work):
     """Advance one vehicle by one step; see ``step_all``."""
-    update_vibration(estimator, sensors, dt)
+    update_vibration(estimator.vibration, sensors, dt)
     estimator.in_air = not control.landing.landed
     update_estimator(estimator, sensors, params, dt, work)
     if estimator.initialised:
@@ -283,10 +283,11 @@ class Autopilot:
         self.control["landing"]["landed"][which] = 1
         self.control["sp_q"][which, 0] = 1.0
         if self._datum is not None:
-            self.estimator["origin_lat"][which] = self._datum.latitude
-            self.estimator["origin_lon"][which] = self._datum.longitude
-            self.estimator["origin_alt"][which] = self._datum.altitude
-            self.estimator["origin_set"][which] = 1
+            origin = self.estimator["origin"]
+            origin["lat"][which] = self._datum.latitude
+            origin["lon"][which] = self._datum.longitude
+            origin["alt"][which] = self._datum.altitude
+            origin["set"][which] = 1
         for field in ("position", "velocity", "acceleration", "goal_position", "onward_position"):
             self.setpoint[field][which] = np.nan
         for field in ("yaw", "yaw_rate", "goal_yaw", "cruise_speed", "climb_speed", "descend_speed"):

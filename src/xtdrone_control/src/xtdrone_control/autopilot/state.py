@@ -137,8 +137,123 @@ N_STATES = 18
 # Height sources, numbered as in EKF2_HGT_REF
 HEIGHT_BARO, HEIGHT_GPS, HEIGHT_RANGE, HEIGHT_VISION = range(4)
 
+# The parts of ESTIMATOR that one module writes, or one kernel reads.
+
+ORIGIN = np.dtype(  # aiding and origin: origin of the local frame
+    [
+        ("set", "i4"),
+        ("lat", "f8"),  # deg
+        ("lon", "f8"),
+        ("alt", "f8"),  # m AMSL
+    ],
+    align=True,
+)
+
+ALIGNMENT = np.dtype(  # ekf: sums over the samples before the first attitude
+    [
+        ("samples", "i4"),  # number of IMU samples
+        ("accel", "f8", 3),  # m/s^2, body
+        ("mag_samples", "i4"),
+        ("mag", "f8", 3),  # gauss, body
+    ],
+    align=True,
+)
+
+INCREMENTS = np.dtype(  # ekf: motion since the last prediction of the covariance
+    [
+        ("time", "f8"),  # s
+        ("angle", "f8", 3),  # rad, body
+        ("velocity", "f8", 3),  # m/s, body
+    ],
+    align=True,
+)
+
+FIELD = np.dtype(  # fusion: moving average of the magnetic field
+    [
+        ("strength", "f8"),  # gauss, horizontal
+        ("down", "f8"),  # gauss
+        ("samples", "i4"),
+    ],
+    align=True,
+)
+
+INNOVATIONS = np.dtype(  # fusion and aiding: last innovation of each measurement, measured minus predicted
+    [
+        ("vel", "f8", 3),  # GPS
+        ("pos", "f8", 3),  # GPS
+        ("hgt", "f8"),  # any height source
+        ("yaw", "f8"),  # magnetometer
+        ("flow", "f8", 2),  # rad/s
+        ("range", "f8"),
+        ("vision_pos", "f8", 3),
+        ("vision_vel", "f8", 3),
+        ("vision_yaw", "f8"),
+    ],
+    align=True,
+)
+
+TEST_RATIOS = np.dtype(  # fusion and aiding: last test ratio of each measurement; 1: at the gate
+    [
+        ("vel", "f8"),  # GPS
+        ("pos", "f8"),  # GPS
+        ("hgt", "f8"),  # any height source
+        ("mag", "f8"),
+        ("gps_hgt", "f8"),
+        ("baro", "f8"),
+        ("flow", "f8"),
+        ("range", "f8"),
+        ("terrain", "f8"),
+        ("vision_pos", "f8"),
+        ("vision_vel", "f8"),
+        ("vision_hgt", "f8"),
+        ("vision_yaw", "f8"),
+    ],
+    align=True,
+)
+
+RESETS = np.dtype(  # fusion and origin: counters of the resets of each part of the state
+    [
+        ("any", "i4"),
+        ("xy", "i4"),
+        ("vxy", "i4"),
+        ("z", "i4"),
+        ("vz", "i4"),
+        ("heading", "i4"),
+    ],
+    align=True,
+)
+
+SHIFTS = np.dtype(  # fusion and origin: change of each part (new minus old) by its last reset
+    [
+        ("xy", "f8", 2),  # m, local
+        ("vxy", "f8", 2),  # m/s, local
+        ("z", "f8"),
+        ("vz", "f8"),
+        ("heading", "f8"),  # rad
+    ],
+    align=True,
+)
+
+VIBRATION = np.dtype(  # vibration
+    [
+        ("metrics", "f8", 3),  # coning (rad^2), change of rates (rad/s) and of specific force (m/s^2) per sample
+        ("last_gyro", "f8", 3),  # rad/s, previous sample
+        ("last_accel", "f8", 3),  # m/s^2, previous sample
+    ],
+    align=True,
+)
+
 ESTIMATOR = np.dtype(
     [
+        ("origin", ORIGIN),
+        ("alignment", ALIGNMENT),
+        ("increments", INCREMENTS),
+        ("field", FIELD),
+        ("innovation", INNOVATIONS),
+        ("test_ratio", TEST_RATIOS),
+        ("resets", RESETS),
+        ("shifts", SHIFTS),
+        ("vibration", VIBRATION),
         # ekf: state
         ("initialised", "i4"),  # attitude aligned and covariance set
         ("q", "f8", 4),  # (w, x, y, z) body to local
@@ -153,19 +268,6 @@ ESTIMATOR = np.dtype(
         ("angular_acceleration", "f8", 3),  # rad/s^2, body, filtered
         ("acceleration", "f8", 3),  # m/s^2, local, gravity removed
         ("velocity_dot", "f8", 3),  # m/s^2, local, filtered derivative of velocity for control
-        # ekf: accumulators of prediction and alignment
-        ("since_predict", "f8"),  # s since the last covariance prediction
-        ("delta_angle", "f8", 3),  # rad, accumulated since then
-        ("delta_velocity", "f8", 3),  # m/s, accumulated since then, body
-        ("samples", "i4"),  # IMU samples summed for the first alignment
-        ("accel_mean", "f8", 3),  # m/s^2, sum over these samples
-        ("mag_mean", "f8", 3),  # gauss, sum over mag_samples
-        ("mag_samples", "i4"),
-        # origin of the local frame
-        ("origin_set", "i4"),
-        ("origin_lat", "f8"),  # deg; the local frame's origin
-        ("origin_lon", "f8"),
-        ("origin_alt", "f8"),  # m AMSL
         # aiding: validity, 0 or 1, updated at 25 Hz
         ("attitude_valid", "i4"),  # attitude usable
         ("velocity_valid", "i4"),  # horizontal velocity usable
@@ -197,19 +299,7 @@ ESTIMATOR = np.dtype(
         ("height_used", "i4", 4),  # by HEIGHT_*
         ("flags", "i4"),  # ESTIMATOR_STATUS_FLAGS
         ("fault_flags", "i4"),  # 1: state not finite, 2: no IMU samples, 4: magnetic disturbance
-        # fusion: resets
-        ("reset_counter", "i4"),  # resets of any part of the state
-        ("reset_counter_xy", "i4"),  # resets of each part, and the change (new minus old) by the last one
-        ("reset_counter_vxy", "i4"),
-        ("reset_counter_z", "i4"),
-        ("reset_counter_vz", "i4"),
-        ("reset_counter_heading", "i4"),
-        ("delta_xy", "f8", 2),  # m
-        ("delta_vxy", "f8", 2),  # m/s
-        ("delta_z", "f8"),
-        ("delta_vz", "f8"),
-        ("delta_heading", "f8"),  # rad
-        # aiding: offsets, terrain and magnetic field
+        # aiding: offsets, terrain and magnetometer
         ("height_offset", "f8", 4),  # m, added to the measured down coordinate of each HEIGHT_* source
         ("vision_offset", "f8", 2),  # m, horizontal vision position minus local position while GPS sets the frame
         ("terrain", "f8"),  # m, down coordinate of the ground below
@@ -220,31 +310,6 @@ ESTIMATOR = np.dtype(
         ("in_air", "i4"),  # the land detector's result of the previous step
         ("mag_fault", "i4"),  # rejected again after its reset in the air: not used until landing
         ("mag_resets", "i4"),  # heading resets still allowed in the air
-        ("field", "f8", 2),  # gauss, horizontal strength and downward component of the magnetic field, smoothed
-        ("field_samples", "i4"),
-        # fusion: innovations and their test ratios
-        ("test_ratio_vel", "f8"),  # innovation test ratios; 1: at the gate
-        ("test_ratio_pos", "f8"),
-        ("test_ratio_hgt", "f8"),
-        ("test_ratio_mag", "f8"),
-        ("test_ratio_gps_hgt", "f8"),
-        ("test_ratio_baro", "f8"),
-        ("test_ratio_flow", "f8"),
-        ("test_ratio_range", "f8"),
-        ("test_ratio_terrain", "f8"),
-        ("test_ratio_vision_pos", "f8"),
-        ("test_ratio_vision_vel", "f8"),
-        ("test_ratio_vision_hgt", "f8"),
-        ("test_ratio_vision_yaw", "f8"),
-        ("innov_vel", "f8", 3),
-        ("innov_pos", "f8", 3),
-        ("innov_hgt", "f8"),
-        ("innov_yaw", "f8"),
-        ("innov_flow", "f8", 2),  # rad/s
-        ("innov_range", "f8"),
-        ("innov_vision_pos", "f8", 3),
-        ("innov_vision_vel", "f8", 3),
-        ("innov_vision_yaw", "f8"),
         # aiding: times of the last samples and fusions; 0: never
         ("time_aligned_us", "i8"),  # first attitude
         ("time_gps_fail_us", "i8"),
@@ -265,61 +330,56 @@ ESTIMATOR = np.dtype(
         ("time_flow_fuse_us", "i8"),
         ("time_terrain_fuse_us", "i8"),
         ("time_vision_fuse_us", "i8", 3),  # position, velocity, yaw
-        # vibration
-        ("vibration", "f8", 3),  # coning (rad^2), change of rates (rad/s) and of specific force (m/s^2) per sample
-        ("vibration_gyro", "f8", 3),  # rad/s, previous sample
-        ("vibration_accel", "f8", 3),  # m/s^2, previous sample
     ],
     align=True,
 )
 
+# The one record that kernels only read, except for task_changed. Comments name the module that writes the fields.
 SETPOINT = np.dtype(
     [
-        ("armed", "i4"),
+        ("armed", "i4"),  # commander/motors
+        # commander and navigator
         ("task", "i4"),
-        (
-            "task_changed",
-            "i4",
-        ),  # set to 1 with every new task or goal; cleared by the flight task, which restarts its smoothing
-        # TASK_TRAJECTORY
+        ("task_changed", "i4"),  # 1 with every new task or goal; cleared by the flight task, which restarts smoothing
+        # TASK_TRAJECTORY: commander/offboard_setpoint from a client's setpoint, manual_flight for a blind descent
         ("position", "f8", 3),  # m, local; NaN: not controlled, as in the fields below
         ("velocity", "f8", 3),  # m/s, local
         ("acceleration", "f8", 3),  # m/s^2, local
         ("yaw", "f8"),  # rad, local
         ("yaw_rate", "f8"),  # rad/s
-        # TASK_ATTITUDE and TASK_RATES
+        # TASK_ATTITUDE and TASK_RATES: commander/offboard_setpoint
         ("attitude_q", "f8", 4),  # (w, x, y, z)
         ("rates", "f8", 3),  # rad/s, body
         ("thrust", "f8"),  # 0..1 collective, as in SET_ATTITUDE_TARGET
-        # TASK_GOTO, TASK_LAND
+        # TASK_GOTO, TASK_LAND: auto_setpoint; speeds: navigator and mission
         ("goal_position", "f8", 3),  # m, local
         ("goal_yaw", "f8"),  # rad; NaN keeps the heading
         ("cruise_speed", "f8"),  # m/s horizontal; NaN: MPC_XY_CRUISE
         ("climb_speed", "f8"),  # m/s upwards; NaN: MPC_Z_V_AUTO_UP (takeoff: MPC_TKO_SPEED)
         ("descend_speed", "f8"),  # m/s downwards; NaN: MPC_Z_V_AUTO_DN
-        # sticks, -1..1, heading frame: x forward, y right, z up (throttle, 0 in the middle), yaw clockwise. Dead zone
-        # and expo are applied to all for TASK_STICKS, to z and yaw for TASK_ALTITUDE, to none for TASK_MANUAL and
-        # TASK_ACRO.
+        # manual_flight: sticks, -1..1, heading frame: x forward, y right, z up (throttle, 0 in the middle), yaw
+        # clockwise. Dead zone and expo are applied to all for TASK_STICKS, to z and yaw for TASK_ALTITUDE, to none for
+        # TASK_MANUAL and TASK_ACRO.
         ("stick_x", "f8"),
         ("stick_y", "f8"),
         ("stick_z", "f8"),
         ("stick_yaw", "f8"),
-        # TASK_GOTO
+        # TASK_GOTO: auto_setpoint
         ("onward_position", "f8", 3),  # m, local; next goal, reached without a stop at the present one; NaN: stop there
         ("goal_radius", "f8"),  # m, distance from the goal at which it is reached; NaN: NAV_ACC_RAD
-        # TASK_ORBIT
+        # TASK_ORBIT: orbit
         ("orbit_centre", "f8", 2),  # m, local north and east
         ("orbit_radius", "f8"),  # m
         ("orbit_speed", "f8"),  # m/s along the circle, positive clockwise from above
         ("orbit_yaw", "i4"),  # ORBIT_*
         ("orbit_heading", "f8"),  # rad, heading at the start of the orbit
-        # TASK_FOLLOW
+        # TASK_FOLLOW: follow_target
         ("target_position", "f8", 3),  # m, local, estimate at target_time; NaN without a target
         ("target_velocity", "f8", 3),  # m/s, local
         ("target_acceleration", "f8", 3),  # m/s^2, local
         ("target_time", "f8"),  # s, CONTROL.armed_time of the estimate
         ("home_z", "f8"),  # m, local: home's down coordinate at the start of the mode
-        # control allocation
+        # control allocation: failure_detector
         ("failed_rotors", "i4"),  # bit i: rotor i has failed and gets no command
     ],
     align=True,
@@ -399,18 +459,6 @@ FOLLOWED = np.dtype(  # follow_task: filtered motion of the target
     align=True,
 )
 
-RESETS = np.dtype(  # estimator_resets: counters of the resets already applied to the smoothed path
-    [
-        ("any", "i4"),
-        ("xy", "i4"),
-        ("vxy", "i4"),
-        ("z", "i4"),
-        ("vz", "i4"),
-        ("heading", "i4"),
-    ],
-    align=True,
-)
-
 CONTROL = np.dtype(
     [
         ("takeoff", TAKEOFF),
@@ -418,7 +466,7 @@ CONTROL = np.dtype(
         ("hover", HOVER),
         ("path", PATH),
         ("followed", FOLLOWED),
-        ("resets_seen", RESETS),
+        ("resets_seen", RESETS),  # by estimator_resets: the resets already applied to the smoothed path
         # autopilot
         ("tick", "i8"),  # steps since the start, from which the slower loops are timed
         ("armed_time", "f8"),  # s since arming

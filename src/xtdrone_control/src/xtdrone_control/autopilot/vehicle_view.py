@@ -50,7 +50,7 @@ class VehicleView:
         self._initialised = cell(autopilot.estimator, index, "initialised")
         self._horizontal_valid = cell(autopilot.estimator, index, "position_valid")
         self._height_valid = cell(autopilot.estimator, index, "altitude_valid")
-        self._origin_set = cell(autopilot.estimator, index, "origin_set")
+        self._origin_set = cell(autopilot.estimator, index, "origin", "set")
         self._task = cell(autopilot.setpoint, index, "task")
         self._task_changed = cell(autopilot.setpoint, index, "task_changed")
         self._position, self._velocity = self.estimator["position"], self.estimator["velocity"]
@@ -140,8 +140,8 @@ class VehicleView:
     @property
     def origin(self) -> Vector:
         """Origin of the local frame: latitude and longitude in degrees, altitude in m AMSL."""
-        e = self.estimator
-        return float(e["origin_lat"]), float(e["origin_lon"]), float(e["origin_alt"])
+        origin = self.estimator["origin"]
+        return float(origin["lat"]), float(origin["lon"]), float(origin["alt"])
 
     def to_local(self, latitude: float, longitude: float, altitude: float) -> Vector:
         """Return the local position (m, NED) of a global one in degrees and m AMSL."""

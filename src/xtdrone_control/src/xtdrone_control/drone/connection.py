@@ -1,4 +1,4 @@
-"""The script's ROS node: its vehicles' topics, turns at 30 Hz in lockstep or in a thread, signals, the end."""
+"""The script's ROS node: topics of its vehicles, turns at 30 Hz (in lockstep or in a thread), signals and shutdown."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from .drones import Drone, DroneGroup
 from .verbs import DroneError, GroupError, Steps, Verbs
 
 NODE = "drone_script"
-_SLICE = 0.1  # s of wall time between looks at Ctrl-C
+_SLICE = 0.1  # s of wall time between checks for Ctrl-C
 _STALLED = 20.0  # s of wall time without ROS time passing, after which connecting gives up
 _CLOSE_LIMIT = 5.0  # s of ROS time for a vehicle to enter AUTO.LOITER at the end
 
 
 class _Log:
-    """The core's messages: verbs raise errors instead, so only bad messages are worth a line."""
+    """The core's messages: verbs raise errors instead, so only invalid messages are logged."""
 
     def info(self, text: str) -> None:
         """Log at DEBUG."""
@@ -147,7 +147,7 @@ class Session:
         """Connect vehicles, and wait for their state and pose.
 
         Raises:
-            DroneError: a vehicle does not report within the time-out.
+            DroneError: a vehicle does not report within the timeout.
         """
         new = [name for name in names if name not in self._links]
         with self._lock:
@@ -178,7 +178,7 @@ class Session:
 
         Args:
             verb: its name.
-            steps: one generator a vehicle, by name.
+            steps: one generator for each vehicle, by name.
             stall: s of wall time without ROS time passing after which to give up; None: never.
 
         Raises:
@@ -313,7 +313,7 @@ class _Task:
                 pass
             except DroneError as error:
                 self._errors.append(error)
-            except Exception as error:  # a bug of a verb must not end the thread that streams setpoints
+            except Exception as error:  # a bug in a verb must not end the thread that streams setpoints
                 self._crash = error
             del self._steps[name]
         if not self._steps:
@@ -326,7 +326,7 @@ class _Task:
             raise DroneError(name, self._verb, "the simulation was reset")
 
     def raise_errors(self) -> None:
-        """Raise what has gone wrong, if anything has."""
+        """Raise the error of the verb, if there is one."""
         if self._crash is not None:
             raise self._crash
         if len(self._errors) == 1:
@@ -340,7 +340,7 @@ class _StalledError(Exception):
 
 
 class _Watch:
-    """Notices that ROS time stands still."""
+    """Detects that ROS time stands still."""
 
     def __init__(self, limit: float | None) -> None:
         self._limit = limit
@@ -369,7 +369,7 @@ def connect(name: str = "iris_0", *, node: str = NODE, lockstep: bool | None = N
         timeout: s of ROS time for the vehicle to report state and position.
 
     Raises:
-        DroneError: no ROS master, no such vehicle, or no report within the time-out.
+        DroneError: no ROS master, no such vehicle, or no report within the timeout.
     """
     return _connected([name], node, lockstep, timeout)[0]
 

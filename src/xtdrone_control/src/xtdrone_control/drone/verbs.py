@@ -18,7 +18,7 @@ ANSWER_LIMIT = 15.0  # s for MAVROS to answer a service call; it waits some seco
 STREAM_LEAD = 0.5  # s of setpoints before OFFBOARD is requested; PX4 rejects it without a stream
 TEXT_GRACE = 1.0  # s after a rejection in which the autopilot's text may still arrive
 ARRIVED_SPEED = 0.5  # m/s below which a vehicle at its goal has arrived
-LEAST_PROGRESS = 0.5  # m/s: the default time-out allows for this mean speed
+LEAST_PROGRESS = 0.5  # m/s: the default timeout allows for this mean speed
 _WARNING = 4  # MAV_SEVERITY; texts of this severity or worse explain a rejection
 _PREARM_CHECK = 1 << 28  # MAV_SYS_STATUS_PREARM_CHECK
 
@@ -47,14 +47,14 @@ class RejectedError(DroneError):
 
 
 class TimedOutError(DroneError):
-    """The verb was not done within its time-out."""
+    """The verb was not done within its timeout."""
 
 
 class GroupError(DroneError):
     """A verb that has failed for several vehicles.
 
     Attributes:
-        errors: one a vehicle.
+        errors: one for each vehicle that failed.
     """
 
     def __init__(self, errors: list[DroneError]) -> None:
@@ -70,7 +70,7 @@ class Telemetry:
     """The vehicle's MAVROS reports besides mode, arming state and pose.
 
     Attributes:
-        connected: whether MAVROS hears the autopilot.
+        connected: whether MAVROS receives the autopilot's heartbeat.
         velocity: m/s ENU; None before the first message.
         battery: remaining charge, 0..1; NaN if unknown.
         sensors_present, sensors_health: bits of SYS_STATUS.
@@ -117,7 +117,7 @@ class Verbs:
     # inputs
 
     def on_setpoint(self) -> None:
-        """Note that a setpoint is published now, and that MAVROS receives it."""
+        """Record the publication of a setpoint that MAVROS receives."""
         if self._streaming_since is None:
             self._streaming_since = self._now()
 
@@ -132,7 +132,7 @@ class Verbs:
             self.telemetry.warnings.append((self._now(), text.strip()))
 
     def on_reset(self) -> None:
-        """Forget everything: simulated time was set back."""
+        """Discard all state, because simulated time was set back."""
         self.telemetry = Telemetry()
         self.resets += 1
         self._streaming_since = self._requested = None
@@ -152,7 +152,7 @@ class Verbs:
     def arm(self, timeout: float) -> Steps:
         """Wait until the autopilot is ready, then arm.
 
-        The autopilot is asked once, at the time-out if it does not report to be ready: its rejection gives the reason.
+        The request is sent once, at the latest at the timeout: its rejection then gives the reason.
         """
         if self.core.armed:
             return

@@ -346,10 +346,15 @@ class MavlinkServer:
 
     def send_streams(self, now_us: int) -> None:
         """Send queued texts, and the telemetry and the messages of services that are due by ``now_us``."""
+        self.follow_reboots()
+        for served in self._vehicles:
+            served.send(now_us)
+
+    def follow_reboots(self) -> None:
+        """Serve the new commander of every vehicle whose autopilot was rebooted."""
         for served, commander in zip(self._vehicles, self._commanders, strict=True):
             if served.commander is not commander:
                 served.reboot(self._autopilot, commander)
-            served.send(now_us)
 
     def keep_alive(self, counted_ports: Callable[[], Collection[int]] = tuple) -> None:
         """Serve clients that run on wall time while simulated time is slow or stands still; call it periodically.

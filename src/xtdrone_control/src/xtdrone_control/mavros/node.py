@@ -32,6 +32,7 @@ from typing import Any, NamedTuple
 
 import rosgraph
 import rospy
+from xtdrone_msgs.srv import GetReadiness, GetReadinessResponse
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import FleetError, Vehicle, check_instance, parse_fleet
@@ -41,9 +42,11 @@ from xtdrone_control.mavros.lib.params import Params
 from xtdrone_control.mavros.link.connection import FcuUrl, Link, LinkError, Receiver, bind_host_for, parse_fcu_url
 from xtdrone_control.mavros.plugin_lists import PluginLists
 from xtdrone_control.mavros.plugins import PLUGINS
+from xtdrone_control.mavros.readiness import readiness
 from xtdrone_control.mavros.swarm import Swarm
 from xtdrone_control.mavros.uas import PluginKind, Uas
-from xtdrone_control.mavros.watch import Registrations, Watch
+from xtdrone_control.mavros.unsubscribed_topics import Registrations, Watch
+from xtdrone_control.under_roslaunch import announce
 
 RATE = 50.0  # Hz of simulated time: PX4's fastest telemetry on the offboard link that MAVROS publishes
 _FAILED = 1
@@ -219,8 +222,13 @@ class MavrosNode:
             Uas(vehicle.name, vehicle.prefix, link, own, self._ros, (*PLUGINS, *self._swarm_member(index)))
             for index, (vehicle, link, own) in enumerate(zip(vehicles, self._links, params, strict=True))
         ]
+        self._starting = {uas.name for uas in self._uas}
+        for uas in self._uas:
+            uas.on_booted = self._on_booted
         prefixes = [vehicle.prefix for vehicle in vehicles]
-        self._watch = Watch(rospy.get_name(), prefixes, left_out.subscribed(), system_state)
+        rospy.Service("~get_readiness", GetReadiness, self._get_readiness)
+        names = [vehicle.name for vehicle in vehicles]
+        self._watch = Watch(rospy.get_name(), prefixes, left_out.subscribed(), system_state, names)
         lockstep.declare_udp([link.port for link in self._links], self._serve)
         lockstep.add_reset_hook(self._on_time_reset)
         self._receiver.start()
@@ -249,6 +257,21 @@ class MavrosNode:
 
     def _swarm_member(self, index: int) -> list[PluginKind]:
         return [] if self._swarm is None else [self._swarm.member(index)]
+
+    def _get_readiness(self, _request: Any) -> GetReadinessResponse:
+        """Answer in a rospy thread, from what has arrived: also while time stands still."""
+        return GetReadinessResponse([readiness(uas) for uas in self._uas])
+
+    def _on_booted(self, name: str) -> None:
+        """Announce once that all vehicles can be armed."""
+        if name not in self._starting:  # a reboot
+            return
+        self._starting.discard(name)
+        if not self._starting:
+            count = len(self._uas)
+            whose = f"the estimator of {name} is" if count == 1 else f"the estimators of all {count} vehicles are"
+            when = f" at {self._ros.now_ns() * 1e-9:.1f} s" if self._ros.use_sim_time else ""
+            announce(f"mavros: {whose} ready{when}")
 
     def _on_time_reset(self) -> None:
         for uas in self._uas:

@@ -103,6 +103,8 @@ class Uas:
         arming_held: reason why the vehicle must not be armed yet; empty when it may be.
         target: system and component id of the autopilot.
         connected: whether heartbeats are arriving.
+        heartbeat: the latest one, None before the first.
+        on_booted: called in the main thread when the autopilot has started, its estimator too.
         time_offset_ns: ROS time minus the autopilot's boot time; 0 in simulation, None while unknown.
     """
 
@@ -132,6 +134,8 @@ class Uas:
         self.refusals = Refusals()
         self.arming_held = ""
         self.connected = False
+        self.heartbeat: Any = None
+        self.on_booted: Callable[[str], None] = lambda _name: None
         self.time_offset_ns: int | None = 0 if ros.use_sim_time else None
         self.now_ns = 0
         self._time_was_reset = False

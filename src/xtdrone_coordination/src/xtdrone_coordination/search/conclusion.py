@@ -17,7 +17,6 @@ class Conclusion:
     """Ends the search.
 
     Attributes:
-        finds: confirmed people, in order.
         begun: time of the first step, s; None before it.
         started: time at which the first vehicle armed, s; None before it.
         ending: whether all vehicles have been sent home.
@@ -31,6 +30,7 @@ class Conclusion:
         following: FollowingPerson,
         coverage: CoverageMap,
         candidates: Sequence[Candidate],
+        finds: Sequence[Find],
         cancel_takeoff: Callable[[Vehicle], bool],
     ) -> None:
         """Start with a search that has not begun.
@@ -41,9 +41,9 @@ class Conclusion:
             following: ends the following of people.
             coverage: part of the region seen so far.
             candidates: all possible persons seen so far.
+            finds: confirmed people, in order.
             cancel_takeoff: keeps a vehicle on the ground that has not been requested to arm; returns whether it is.
         """
-        self.finds: list[Find] = []
         self.begun: float | None = None
         self.started: float | None = None
         self.ending = False
@@ -53,6 +53,7 @@ class Conclusion:
         self._following = following
         self._coverage = coverage
         self._candidates = candidates
+        self._finds = finds
         self._cancel_takeoff = cancel_takeoff
         self._ended = 0.0
         self._reason = ""
@@ -114,7 +115,7 @@ class Conclusion:
         control = self._control
         control.report(
             "finished",
-            **outcome_report(self.finds[0] if self.finds else None, self._failed, self._coverage),
+            **outcome_report(self._finds[0] if self._finds else None, self._failed, self._coverage),
             possible=possible_report(self._candidates, control.settings.candidate_hits),
             lost=[name for name, vehicle in control.vehicles.items() if vehicle.state is State.LOST],
             reason=self._reason,

@@ -6,8 +6,8 @@ returns and report their results to :meth:`SearchMission.on_result`.
 Each vehicle flies its own mission at its own height. Several pictures of a person make a candidate: a vehicle leaves
 its path, descends and circles it, and the pictures taken on the circle confirm or reject it. The vehicle then follows
 the person, or goes back to where it left its path. Paths of lost vehicles, or of vehicles with a failed camera, are
-reallocated to the others (``losses``). ``states`` has the behaviour in each state, ``conclusion`` the end of the
-search, ``reports`` the events.
+reallocated to the others (``losses``). ``states`` has the behaviour in each state, ``finds`` the consequences of a
+confirmed person, ``conclusion`` the end of the search, ``reports`` the events.
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ from .candidates import Candidate, Sighting
 from .conclusion import Conclusion
 from .coverage_map import CoverageMap
 from .dispatch import Dispatch
+from .finds import Finds
 from .losses import Losses
 from .reallocation import Reallocation
-from .reports import Event, Find, make_event, progress_report, rounded_xy
+from .reports import Event, make_event, progress_report
 from .settings import MissionSettings
 from .states.base import VehicleState, because
 from .states.following import FollowingPerson
@@ -40,7 +41,7 @@ from .states.rejoining import Rejoining
 from .states.returning import Holding, Returning
 from .states.searching import Searching
 from .states.second_look import TakingSecondLook
-from .vehicle import BUSY, DONE, LookStage, SecondLook, State, Vehicle
+from .vehicle import DONE, SecondLook, State, Vehicle
 
 _MAX_PUSHES = 8
 
@@ -92,8 +93,15 @@ class SearchMission:
             State.RETURNING: self._returning,
         }
         self._losses = Losses(self, self._reallocation, self._following)
+        self._finds = Finds(self, self._reallocation, self._cancel_takeoff)
         self._conclusion = Conclusion(
-            self, self._reallocation, self._following, self.coverage, self.candidates, self._cancel_takeoff
+            self,
+            self._reallocation,
+            self._following,
+            self.coverage,
+            self.candidates,
+            self._finds.people,
+            self._cancel_takeoff,
         )
         self._actions: list[Action] = []
         self._events: list[Event] = []
@@ -240,7 +248,7 @@ class SearchMission:
     @property
     def found(self) -> bool:
         """Whether a find has ended the search."""
-        return bool(self._conclusion.finds) and self.settings.on_find != "continue"
+        return bool(self._finds.people) and self.settings.on_find != "continue"
 
     def act(self, action: Action) -> None:
         """Request an action."""
@@ -264,6 +272,10 @@ class SearchMission:
         """Send another vehicle to a candidate; return whether one is available."""
         return self._dispatch.hand_over(candidate, takes_over)
 
+    def record_find(self, vehicle: Vehicle, look: SecondLook) -> None:
+        """Record a confirmed person and stop the other vehicles if the settings say so."""
+        self._finds.record(vehicle, look)
+
     def begin_following(self, vehicle: Vehicle, look: SecondLook) -> None:
         """Follow the person a second look has confirmed."""
         self._following.begin(vehicle, look)
@@ -277,7 +289,7 @@ class SearchMission:
         if self.settings.on_find == "hold" and not self.ending:
             self._holding.begin(vehicle)
         else:
-            self.return_home(vehicle, "a person was found" if self._conclusion.finds else "the search is over")
+            self.return_home(vehicle, "a person was found" if self._finds.people else "the search is over")
 
     def land(self, vehicle: Vehicle) -> None:
         """Note that a vehicle is on the ground."""
@@ -302,42 +314,6 @@ class SearchMission:
     def camera_failed(self, vehicle: Vehicle) -> None:
         """Return a vehicle whose camera has failed and reassign its work."""
         self._losses.camera_failed(vehicle)
-
-    # finds
-
-    def record_find(self, vehicle: Vehicle, look: SecondLook) -> None:
-        """Record a confirmed person and stop the other vehicles if the settings say so."""
-        candidate = look.candidate
-        find = Find(vehicle.name, candidate.position, candidate.covariance, candidate.seen_at)
-        self._conclusion.finds.append(find)
-        self.report(
-            "confirmed",
-            vehicle,
-            position=rounded_xy(find.position),
-            covariance=list(find.covariance),
-            found_time=round(find.time, 3),
-            probability=round(look.evidence.mean, 3),
-            pictures=look.evidence.pictures,
-        )
-        if self.settings.on_find != "continue":
-            self._reallocation.pending.clear()
-            for other in self.vehicles.values():
-                if other is not vehicle and other.state in BUSY and other.state is not State.FOLLOWING:
-                    self._stop(other)
-
-    def _stop(self, vehicle: Vehicle) -> None:
-        """Stop a vehicle's search: stay on the ground, climb back from a second look, or stand by."""
-        look = vehicle.look
-        if look is not None and look.candidate.status == "looked at":
-            look.candidate.status = "seen"
-        if self._cancel_takeoff(vehicle):
-            return
-        if vehicle.state is State.SECOND_LOOK:
-            assert look is not None
-            look.stage = LookStage.CLIMB
-            vehicle.enter(State.REJOINING, self.now)
-        elif vehicle.state is not State.REJOINING:
-            self.stand_by(vehicle)
 
     def _cancel_takeoff(self, vehicle: Vehicle) -> bool:
         """Keep a vehicle on the ground that has not been requested to arm; return whether it is."""

@@ -20,7 +20,7 @@ from xtdrone_control.bounded_file import ContentError, load_yaml, read_text
 from xtdrone_interaction import options, sim_cli
 from xtdrone_interaction.options import OptionError
 
-PROFILES = Path("src") / "xtdrone_interaction" / "config" / "recording"
+PROFILES = Path("src") / "xtdrone_interaction" / "config" / "record_profiles"
 _PACKINGS = {"none": [], "lz4": ["--lz4"], "bz2": ["--bz2"]}
 _KEYS = frozenset({"topics", "exclude", "compression", "split", "buffer"})
 _MOST = 1 << 20  # MB

@@ -6,7 +6,7 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_control.fleet import parse_fleet, with_poses
 from xtdrone_control.program import ArgumentError
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "landing. Leaves runs/<time>/ with flight.bag, report.json, events.jsonl, pictures and logs."
     )
     add = parser.add_argument
-    DemoSettings.add_arguments(parser, ("n", "type", "patterns"))
+    DemoSettings.add_arguments(parser, ("n", "type", "poses", "patterns"))
     add("--pattern-file", type=Path, metavar="FILE", help="YAML file with your own patterns")
     DemoSettings.add_arguments(parser, ("speed", "seed"))
     add("--processes", choices=["per-uav", "shared"], default="per-uav",
@@ -34,7 +34,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="follower program of xtdrone_coordination, or FILE.py[:CLASS] with your own follower class "
         "(default: %(default)s)")  # fmt: skip
     add("--leader", metavar="FILE.py:CLASS", help="your own leader class (default: the shipped one)")
-    DemoSettings.add_arguments(parser, ("control", "avoidance", "clearance", "world", "headless", "logs"))
+    DemoSettings.add_arguments(parser, ("control", "avoidance", "clearance", "headless", "logs"))
+    options.add_world(parser)
     add("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
     options.add_master(parser)
     options.add_instance(parser)
@@ -59,12 +60,12 @@ def demo_settings(arguments: argparse.Namespace) -> DemoSettings:
         follower=follower,
         follower_class=follower_class,
         leader_class=options.leader_class(arguments.leader),
+        world=options.world(arguments.world),
     )
     config = options.repository() / "src" / "xtdrone_sim" / "config"
     options.one_of_files("vehicle type", settings.type, config / "vehicles")
-    options.one_of_files("world", settings.world, config / "worlds")
     fleet = f"{settings.type}:{settings.n}"
-    parse_fleet(fleet)
+    with_poses(parse_fleet(fleet), settings.poses)
     options.swarm_patterns(settings.n, settings.patterns, settings.pattern_file or None)
     _check_class(settings.follower_class, Follower, "follower")
     _check_class(settings.leader_class, Leader, "leader")

@@ -31,6 +31,7 @@ from xtdrone_interaction.recording.formation import read_formation
 from xtdrone_interaction.recording.model import RecordError
 from xtdrone_interaction.report.terminal import print_formation, print_paths
 
+POSES_TEXT = "start pose of each vehicle instead of the grid: a YAML list of [x, y, z, roll, pitch, yaw], m and rad ENU"
 _START_LIMIT = 60.0  # s until the first progress message, plus _START_LIMIT_VEHICLE per vehicle
 _START_LIMIT_VEHICLE = 2.0
 
@@ -54,6 +55,7 @@ class DemoSettings(Settings):
 
     n: int = vehicles_setting()
     type: str = setting("iris", metavar="TYPE", text="vehicle type")
+    poses: str = setting("", metavar="LIST", text=POSES_TEXT)
     patterns: tuple[str, ...] = patterns_setting()
     pattern_file: str = ""
     processes: str = setting(
@@ -117,6 +119,8 @@ def flight(settings: DemoSettings) -> Flight:
         "log": settings.out / "logs" if settings.logs else "",
         "view": "true" if settings.window else "false",
     }
+    if settings.poses:
+        arguments["poses"] = settings.poses
     if settings.simulator != "full":
         arguments |= {"simulator": settings.simulator, "model": settings.model}
     if settings.instance:

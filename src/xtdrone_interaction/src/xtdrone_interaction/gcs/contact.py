@@ -59,7 +59,7 @@ class Contact:
 
     @property
     def deadline(self) -> float:
-        """Time of the next time-out, s of the monotonic clock."""
+        """Time of the next timeout, s of the monotonic clock."""
         return self.queue[0].deadline if self.queue else math.inf
 
     def add(self, item: QueuedExchange[Any]) -> None:
@@ -151,7 +151,7 @@ class Contact:
         self._advance(item, lambda: item.exchange.send(message))
 
     def check_timeout(self, now: float) -> None:
-        """Report a time-out to the running exchange, or give the vehicle up."""
+        """Report a timeout to the running exchange, or give the vehicle up."""
         if now < self.deadline:
             return
         item = self.queue[0]

@@ -203,7 +203,7 @@ class GroundStation:
     # for the polling thread
 
     def poll(self, limit: float) -> None:
-        """Process messages, new exchanges and time-outs, waiting for the first of them up to ``limit`` s."""
+        """Process messages, new exchanges and timeouts, waiting for the first of them up to ``limit`` s."""
         self._start_submitted()
         now = time.monotonic()
         self._send_heartbeat(now)

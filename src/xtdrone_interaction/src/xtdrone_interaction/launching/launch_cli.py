@@ -155,7 +155,8 @@ class _Monitor:
 
     def _show(self, message: dict[str, Any]) -> None:
         if message["kind"] == "estimators":
-            self._watch.display.note("[green]estimators ready[/green]: every vehicle can be armed")
+            time = message["time"]
+            self._watch.display.note(f"[green]estimators ready[/green] at {time:.1f} s: every vehicle can be armed")
 
     def _is_ready(self) -> bool:
         if not self._file.has_simulator:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.fleet import Vehicle, check_instance, parse_fleet
+from xtdrone_control.fleet import SPAWNED, Vehicle, check_instance, fleet_text, parse_fleet, spawned_fleet
 from xtdrone_interaction.monitoring.ended_nodes import SIMULATOR
 from xtdrone_interaction.options import OptionError, repository
 
@@ -36,8 +36,18 @@ class LaunchFile:
 
     @property
     def fleet(self) -> str:
-        """The vehicles, as ``iris:3``; empty if none are given."""
+        """The vehicles, as ``iris:3``; empty if none are given.
+
+        Raises:
+            FleetError: the vehicles that the file spawns are not allowed.
+        """
+        if self.of_simulator("spawned"):
+            return fleet_text(spawned_fleet(_groups(self.parameters), self._instance))
         return str(self.parameters.get("/xtdrone/fleet", ""))
+
+    @property
+    def _instance(self) -> int:
+        return check_instance(self.parameters.get("/xtdrone/instance", 0))
 
     @property
     def vehicles(self) -> tuple[Vehicle, ...]:
@@ -48,11 +58,21 @@ class LaunchFile:
         """
         if not (self.has_simulator and self.fleet):
             return ()
-        return parse_fleet(self.fleet, check_instance(self.parameters.get("/xtdrone/instance", 0)))
+        return parse_fleet(self.fleet, self._instance)
 
     def of_simulator(self, name: str) -> Any:
         """Return a private parameter of the simulator, None if it is not set."""
         return self.parameters.get(f"/{SIMULATOR}/{name}")
+
+
+def _groups(parameters: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the groups of parameters below ``SPAWNED``, by their keys."""
+    groups: dict[str, dict[str, Any]] = {}
+    for name, value in parameters.items():
+        key, _, argument = name.removeprefix(f"{SPAWNED}/").partition("/")
+        if name.startswith(f"{SPAWNED}/"):
+            groups.setdefault(key, {})[argument] = value
+    return groups
 
 
 def find(text: str) -> Path:

@@ -22,7 +22,7 @@ from rich.console import Console
 
 from xtdrone_control.fleet import GCS_REMOTE_PORT, instance_port
 from xtdrone_interaction.formation.flight_events import read_events
-from xtdrone_interaction.launching.feed import Feed, answers
+from xtdrone_interaction.launching.message_feed import Feed, answers
 from xtdrone_interaction.launching.process_tree import ProcessTree
 from xtdrone_interaction.monitoring.ended_nodes import EndedNode, EndedNodes
 from xtdrone_interaction.monitoring.hints import advice, error_lines
@@ -92,6 +92,14 @@ class Launch:
         """The log file of roslaunch."""
         return self.out / "logs" / "roslaunch.log"
 
+    @property
+    def control_words(self) -> str:
+        """The ROS master, and how to control the simulation."""
+        uri = self.master_uri
+        return (
+            f"ROS master {uri}; './xtdrone sim pause --master {self.master_port or uri}' (step, speed, ...) controls it"
+        )
+
     def command(self) -> list[str]:
         """Return the roslaunch command.
 
@@ -160,7 +168,7 @@ class Watch:
         ended_nodes: nodes that have ended.
         startup: progress of the start, read from the logs.
         display: shows progress and messages.
-        status: latest status of the simulator, see ``feed``; None before the first.
+        status: latest status of the simulator, see ``message_feed``; None before the first.
     """
 
     def __init__(
@@ -195,7 +203,7 @@ class Watch:
         return not self._tree.wait(0.0)
 
     def poll(self, *, starting: bool) -> list[dict[str, Any]]:
-        """Poll topics, logs and processes, and return the new messages; see ``feed``.
+        """Poll topics, logs and processes, and return the new messages; see ``message_feed``.
 
         Args:
             starting: whether new log lines count as progress.
@@ -305,7 +313,7 @@ def run_flight(flight: Flight, console: Console, conclude: Callable[[EndedNodes]
     ended_nodes = EndedNodes(flight.log)
 
     def fly() -> int:
-        console.print(_how_to_control(flight), highlight=False, soft_wrap=True)
+        console.print(flight.control_words, highlight=False, soft_wrap=True)
         topics = {"progress": flight.progress_topic, "events": flight.events_topic}
         try:
             with watching(flight, console, ended_nodes, topics) as watch:
@@ -342,13 +350,6 @@ def run_launch(launch: Launch, console: Console, run: Callable[[], int]) -> int:
         except Interrupted as signalled:
             console.print(f"stopped by {signalled}; nothing is left running", highlight=False)
             return 128 + signalled.number
-
-
-def _how_to_control(launch: Launch) -> str:
-    uri = launch.master_uri
-    return (
-        f"ROS master {uri}; './xtdrone sim pause --master {launch.master_port or uri}' (step, speed, ...) controls it"
-    )
 
 
 @contextlib.contextmanager

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from pyulog import ULog
 
 from xtdrone_control.autopilot import modes
+from xtdrone_control.rotation_arrays import to_euler
 from xtdrone_interaction.recording.series import Array, Series, armed_span
 
 NAMELESS = "vehicle"
@@ -291,9 +292,5 @@ def _release(number: int) -> str:
 
 
 def euler(quaternion: Array) -> Array:
-    """Return roll, pitch and yaw, degrees, of quaternions (w, x, y, z), shape (t, 4)."""
-    w, x, y, z = quaternion.T
-    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
-    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return np.degrees(np.column_stack([roll, pitch, yaw]))
+    """Return roll, pitch and yaw, degrees, shape (t, 3), of quaternions (w, x, y, z), shape (t, 4)."""
+    return np.degrees(np.column_stack(to_euler(quaternion)))

@@ -26,7 +26,7 @@ from xtdrone_interaction.launching.supervised_launch import defer_signals
 from xtdrone_interaction.rviz.bag import Timed
 from xtdrone_interaction.rviz.film_options import FilmSettings
 from xtdrone_interaction.rviz.markers_node import SEARCH_EVENTS
-from xtdrone_interaction.rviz.stage import NODES, Stage, StageError, node_environment
+from xtdrone_interaction.rviz.view_nodes import NODES, Stage, StageError, node_environment
 from xtdrone_interaction.rviz.views import Array
 
 Idle = Callable[[float], None]

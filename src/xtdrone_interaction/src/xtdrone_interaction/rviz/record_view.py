@@ -27,7 +27,7 @@ from xtdrone_interaction import options, sim_cli
 from xtdrone_interaction.launching.supervised_launch import DemoError, Interrupted, defer_signals, raise_on_signals
 from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.rviz.film_options import FilmSettings, add_arguments, film_settings, parse, settings_of
-from xtdrone_interaction.rviz.stage import DRAWER, Stage, StageError, check_tools, node_environment
+from xtdrone_interaction.rviz.view_nodes import DRAWER, Stage, StageError, check_tools, node_environment
 
 _REPORT_PERIOD = 5.0  # wall s between two lines of progress
 _SLICE = 0.1  # wall s

@@ -43,7 +43,7 @@ def set_descriptions() -> None:
     for vehicle in needed_fleet(rospy.get_param("/xtdrone/fleet", None)):
         name = f"/{vehicle.name}/robot_description"
         if not rospy.has_param(name):
-            rospy.set_param(name, load_vehicle(vehicle.type).urdf.text)
+            rospy.set_param(name, load_vehicle(vehicle.model).urdf.text)
 
 
 def main(arguments: Sequence[str]) -> None:

@@ -7,6 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
 from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.logger.logger import Logger
@@ -58,6 +60,16 @@ class AutopilotBackend(Protocol):
         Args:
             steps: 1 to ``kernel_steps()``.
         """
+
+    def check_reboot(self) -> None:
+        """Check that single vehicles can be rebooted.
+
+        Raises:
+            ValueError: they cannot; the message gives the reason.
+        """
+
+    def reboot(self, index: int) -> None:
+        """Reboot the autopilot of one vehicle, which stands still now; the others keep flying."""
 
     def missing(self) -> str:
         """Return which autopilots time must not start without yet; "" when all are present."""
@@ -157,11 +169,23 @@ class BuiltinAutopilot:
             self._logger = Logger(self.autopilot, self.commanders, None)
         return self._logger.open_stream(index)
 
-    def _reboot(self, index: int) -> None:
-        """Reboot the autopilot of one vehicle after MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN; the others keep flying."""
+    def _reboot_as_commanded(self, index: int) -> None:
+        """Reboot the autopilot of one vehicle after MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN."""
         if self.commanders[index].armed:  # armed after the command had been accepted
             self.commanders[index].rebooting = False
             return
+        self._restart(index)
+
+    def check_reboot(self) -> None:
+        """Do nothing: all can be rebooted."""
+
+    def reboot(self, index: int) -> None:
+        """Reboot the autopilot of one vehicle with a full battery and without samples of its sensors."""
+        self.autopilot.sensors[index] = np.zeros(1, self.autopilot.sensors.dtype)[0]
+        self._restart(index)
+        self._batteries.reset(index)
+
+    def _restart(self, index: int) -> None:
         self.autopilot.reboot(index)
         commander = self.commanders[index] = self._boot(index)
         if self._logger is not None:
@@ -190,7 +214,7 @@ class BuiltinAutopilot:
             for index, commander in enumerate(self.commanders):
                 commander.update()
                 if commander.rebooting:
-                    self._reboot(index)
+                    self._reboot_as_commanded(index)
         if self._logger is not None:
             self._logger.step()
             if beat:

@@ -129,6 +129,18 @@ class Hil:
     def count_steps(self, steps: int) -> None:
         """Do nothing; see ``kernel_steps``."""
 
+    def check_reboot(self) -> None:
+        """See ``AutopilotBackend``.
+
+        Raises:
+            ValueError: always; only PX4 itself can reboot.
+        """
+        raise ValueError("autopilot: single PX4 instances (hil) cannot be rebooted by the simulator, only builtin ones")
+
+    def reboot(self, index: int) -> None:
+        """See ``check_reboot``."""
+        self.check_reboot()
+
     def missing(self) -> str:
         """Return which vehicles have no PX4 yet; "" when all have."""
         waiting = [

@@ -7,6 +7,7 @@ topic or service                   type                      content
 /T/CAMERA/camera_info              sensor_msgs/CameraInfo    with each image, no distortion
 /T/CAMERA/freeze                   std_srvs/SetBool          true: stops the images, as a failed camera does
 /xtdrone/scene (subscribed)        xtdrone_msgs/SceneState   poses of links and actors
+/xtdrone/models (subscribed)       xtdrone_msgs/SceneModels  models added and deleted since the start
 =================================  ========================  ==========================================================
 
 T is a vehicle, e.g. ``typhoon_h480_0``, CAMERA the name of its camera, e.g. ``cgo3_camera``.
@@ -29,13 +30,13 @@ import yaml
 from geometry_msgs.msg import Pose as PoseMessage
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import SetBool, SetBoolResponse
-from xtdrone_msgs.msg import SceneState
+from xtdrone_msgs.msg import SceneModels, SceneState
 
 from xtdrone_control import lockstep
 from xtdrone_control.lockstep.deferred import Deferred
 from xtdrone_control.program import ArgumentError, check_no_arguments, fleet_of
 from xtdrone_control.settings import Settings, setting
-from xtdrone_sim.cameras.camera_worker import DrawingProcess, Drawn
+from xtdrone_sim.cameras.camera_worker import Changes, DrawingProcess, Drawn
 from xtdrone_sim.cameras.cameras import MOST_TURNS, Camera, Exposures, cameras_of, turn_rate
 from xtdrone_sim.cameras.drawn_scene import ActorState, SceneAt, View
 from xtdrone_sim.cameras.rendering import BACKENDS
@@ -85,6 +86,9 @@ class Drawer(Protocol):
     def draw(self, scene: SceneAt, view: View) -> bytes | None:
         """Return the rows of an image; None if it is lost."""
 
+    def change(self, changes: Changes) -> None:
+        """Draw the next images with other models."""
+
     def close(self) -> None:
         """End the drawing."""
 
@@ -128,12 +132,21 @@ class CameraNode:
         self._under_way: set[int] = set()
         self._drawer: Drawer | None = None
         self._deferred = Deferred(1, wait=lockstep.is_active())
+        self._changes: Changes | None = None
         lockstep.Subscriber("/xtdrone/scene", SceneState, self._take_scene, queue_size=1)
+        lockstep.Subscriber("/xtdrone/models", SceneModels, self._take_models)
         lockstep.add_reset_hook(self._restart)
 
     def begin(self, drawer: Drawer) -> None:
         """Start taking images with ``drawer``, which the node closes."""
         self._drawer = drawer
+        if self._changes is not None:
+            drawer.change(self._changes)
+
+    def _take_models(self, message: SceneModels) -> None:
+        self._changes = Changes(message.sdf, tuple(message.deleted))
+        if self._drawer is not None:
+            self._drawer.change(self._changes)
 
     def _take_scene(self, message: SceneState) -> None:
         self._scene = message

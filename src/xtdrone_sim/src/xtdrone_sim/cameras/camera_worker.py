@@ -17,7 +17,7 @@ from multiprocessing.connection import Connection
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_sim.cameras.drawn_scene import DrawnScene, SceneAt, View
 from xtdrone_sim.cameras.rendering import Renderer, RendererError
-from xtdrone_sim.worlds.sdf import load_world_file
+from xtdrone_sim.worlds.sdf import load_world_file, read_world, world_file
 
 _NAMES = {"egl": "pybullet's EGL renderer", "tiny": "pybullet's TinyRenderer"}
 _ATTEMPTS = 3  # consecutive processes that end without an image before drawing fails
@@ -42,6 +42,19 @@ class Drawn:
     backend: str = "auto"
 
 
+@dataclass(frozen=True)
+class Changes:
+    """How the models differ from those of the world's file.
+
+    Attributes:
+        sdf: a world with the models that have been added.
+        deleted: names of the models and actors that are gone.
+    """
+
+    sdf: str
+    deleted: tuple[str, ...]
+
+
 class DrawingProcess:
     """Draws images in a separate process; called by one thread at a time.
 
@@ -55,6 +68,8 @@ class DrawingProcess:
         self.ended = 0
         self.last_end = ""
         self._drawn = drawn
+        self._changes: Changes | None = None
+        self._told: Changes | None = None  # what the process has been sent
         self._fruitless = 0
         self._lock = threading.Lock()  # guards the current process: close() may be called during a drawing
         self._closed = False
@@ -64,7 +79,7 @@ class DrawingProcess:
         ours, theirs = socket.socketpair()
         with ours, theirs:
             for end in (ours, theirs):
-                end.setblocking(True)  # rospy gives new sockets a time-out
+                end.setblocking(True)  # rospy gives new sockets a timeout
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "xtdrone_sim.cameras.camera_worker", str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
@@ -72,7 +87,7 @@ class DrawingProcess:
                 start_new_session=True,  # Ctrl-C reaches the node only, whose end closes the connection
             )
             self._connection = Connection(ours.detach())
-        self._ready = False
+        self._ready, self._told = False, None
         with contextlib.suppress(ConnectionError):  # it has ended already; the first image reports it
             self._connection.send(self._drawn)
 
@@ -80,6 +95,10 @@ class DrawingProcess:
     def pid(self) -> int:
         """The process's id."""
         return self._process.pid
+
+    def change(self, changes: Changes) -> None:
+        """Draw the next images with other models."""
+        self._changes = changes
 
     def draw(self, scene: SceneAt, view: View) -> bytes | None:
         """Return the rows of an image, RGB; None if the process has ended meanwhile and was replaced.
@@ -91,6 +110,10 @@ class DrawingProcess:
             if not self._ready:
                 self._answer()
                 self._ready = True
+            changes = self._changes
+            if changes is not self._told:
+                self._connection.send(changes)
+                self._told = changes
             self._connection.send((scene, view))
             picture = self._answer()
         except (EOFError, ConnectionError):
@@ -144,12 +167,24 @@ def _serve(connection: Connection) -> None:
         print(f"cameras: pictures are drawn by {_NAMES[renderer.backend]}", flush=True)
         connection.send(("", None))
         while True:
-            at, view = connection.recv()
+            order = connection.recv()
+            if isinstance(order, Changes):
+                _change(scene, order, drawn.world)
+                continue
+            at, view = order
             try:
                 answer = ("", scene.draw(at, view).rgb.tobytes())
             except ValueError as error:
                 answer = (str(error), b"")
             connection.send(answer)
+
+
+def _change(scene: DrawnScene, changes: Changes, world: str) -> None:
+    """Draw other models from now on; one that cannot be drawn is left out."""
+    try:
+        scene.change(read_world(changes.sdf, world_file(world)).models, changes.deleted)
+    except ValueError as error:
+        print(f"cameras: a model is not drawn: {error}", flush=True)
 
 
 def main() -> None:

@@ -50,8 +50,8 @@ def cameras_of(fleet: Sequence[Vehicle]) -> tuple[Camera, ...]:
     Raises:
         ModelError: a vehicle type cannot be used.
     """
-    mounts = {kind: load_vehicle(kind).cameras for kind in dict.fromkeys(vehicle.type for vehicle in fleet)}
-    return tuple(Camera(vehicle.name, mount) for vehicle in fleet for mount in mounts[vehicle.type])
+    mounts = {kind: load_vehicle(kind).cameras for kind in dict.fromkeys(vehicle.model for vehicle in fleet)}
+    return tuple(Camera(vehicle.name, mount) for vehicle in fleet for mount in mounts[vehicle.model])
 
 
 def turn_rate(rates: Sequence[float]) -> float:

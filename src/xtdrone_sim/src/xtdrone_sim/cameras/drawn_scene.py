@@ -8,14 +8,11 @@ from dataclasses import dataclass
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_sim.cameras.rendering import Picture, Renderer
-from xtdrone_sim.vehicles.poses import compose
+from xtdrone_sim.vehicles.poses import OPTICAL_FRAME, compose
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.vehicles.visual import Box, Pose, Visual
 from xtdrone_sim.worlds import people
-from xtdrone_sim.worlds.sdf import SdfActor, SdfWorld
-
-OPTICAL = Pose((0.0, 0.0, 0.0), (0.5, -0.5, 0.5, -0.5))
-"""The optical frame (x right, y down, z ahead) in a camera's link (x ahead, y left, z up)."""
+from xtdrone_sim.worlds.sdf import SdfActor, SdfModel, SdfWorld
 
 _GROUND = Visual(Box((2000.0, 2000.0, 0.1)), Pose((0.0, 0.0, -0.05)), (0.45, 0.5, 0.4, 1.0))
 
@@ -85,21 +82,62 @@ class DrawnScene:
         """
         self.actors: dict[str, tuple[int, ...]] = {}
         self.links: dict[str, int] = {}
+        self._homes: dict[str, tuple[int, Pose]] = {}  # body and first pose of the links in the world's file
+        self._moved: set[str] = set()
+        self._added: dict[str, SdfModel] = {}
+        self._deleted: frozenset[str] = frozenset()
         self._renderer = renderer
         self._light = world.light
         self._shown: dict[str, int] = {}
         if not world.models:
             renderer.add([_GROUND])
         for model in world.models:
-            for link in model.links:
-                self._add_link(f"{model.name}::{link.name}", link.visuals, compose(model.pose, link.pose))
-        types = {kind: load_vehicle(kind) for kind in dict.fromkeys(vehicle.type for vehicle in fleet)}
+            poses = self._add_model(model)
+            self._homes.update((name, (self.links[name], poses[name])) for name in poses.keys() & self.links.keys())
+        types = {kind: load_vehicle(kind) for kind in dict.fromkeys(vehicle.model for vehicle in fleet)}
         for vehicle in fleet:
-            for part in types[vehicle.type].urdf.moving:
+            for part in types[vehicle.model].urdf.moving:
                 self._add_link(f"{vehicle.name}::{part.name}", part.visuals, None)
         skins = people.skins([actor.skin for actor in world.actors])
         for actor, skin in zip(world.actors, skins, strict=True):
             self._add_actor(actor, skin)
+
+    def _add_model(self, model: SdfModel) -> dict[str, Pose]:
+        """Add the links of a model; return their poses by Gazebo's names."""
+        poses = {f"{model.name}::{link.name}": compose(model.pose, link.pose) for link in model.links}
+        for (name, pose), link in zip(poses.items(), model.links, strict=True):
+            self._add_link(name, link.visuals, pose)
+        return poses
+
+    def change(self, added: Sequence[SdfModel], deleted: Sequence[str]) -> None:
+        """Change the models from those of the world's file.
+
+        Args:
+            added: all models that have been added since the start and are there.
+            deleted: names of all models and actors of the file that are gone.
+
+        Raises:
+            ValueError: an invalid mesh or texture; the text names it.
+        """
+        wanted = {model.name: model for model in added}
+        for name in [name for name, model in self._added.items() if wanted.get(name) != model]:
+            for link in self._added.pop(name).links:
+                body = self.links.pop(f"{name}::{link.name}", None)
+                if body is not None:
+                    self._renderer.hide(body)
+        before, self._deleted = self._deleted, frozenset(deleted)
+        for name, (body, pose) in self._homes.items():
+            model_name = name.partition("::")[0]
+            if model_name in self._deleted - before:
+                self._renderer.hide(body)
+                self.links.pop(name, None)
+            elif model_name in before - self._deleted:
+                self._renderer.place(body, pose)
+                self.links[name] = body
+        for name, model in wanted.items():
+            if name not in self._added:
+                self._added[name] = model
+                self._add_model(model)
 
     def _add_link(self, name: str, visuals: Sequence[Visual], pose: Pose | None) -> None:
         if not visuals:
@@ -134,10 +172,20 @@ class DrawnScene:
             body = self.links.get(name)
             if body is not None:
                 self._renderer.place(body, pose)
+        self._put_back(scene)
         for name, state in scene.actors.items():
             self._place_actor(name, state)
-        camera = compose(scene.links[view.link], OPTICAL)
+        camera = compose(scene.links[view.link], OPTICAL_FRAME)
         return self._renderer.draw(view.pinhole, camera, view.near, view.far, self._light, labels)
+
+    def _put_back(self, scene: SceneAt) -> None:
+        """Return the world's models that a restart has put back, and hide actors that are gone."""
+        for name in self._moved - scene.links.keys():
+            if name.partition("::")[0] not in self._deleted:
+                self._renderer.place(*self._homes[name])
+        self._moved = scene.links.keys() & self._homes.keys()
+        for name in self._shown.keys() - scene.actors.keys():
+            self._renderer.hide(self.actors[name][self._shown.pop(name)])
 
     def _place_actor(self, name: str, state: ActorState) -> None:
         bodies = self.actors.get(name)

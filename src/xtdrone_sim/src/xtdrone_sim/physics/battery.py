@@ -72,6 +72,13 @@ class Batteries:
         """True charge of each battery, 0..1."""
         return self._charge
 
+    def reset(self, index: int) -> None:
+        """Replace the battery of vehicle ``index`` by a full one, and write its sensor values."""
+        self._charge[index] = 1.0
+        full = self._number * float(_CELL_VOLTAGES[-1]) if self._cells[index] else self._full_voltage
+        self._shown_voltage[index] = self._voltage[index] = full[index]
+        self._shown_current[index] = 0.0 if self._cells[index] else -1.0
+
     def update(self, time_us: int) -> None:
         """Advance to simulated time ``time_us`` (microseconds) and write the sensor values; called at 10 Hz."""
         elapsed = 0.0 if self._last_us is None else (time_us - self._last_us) * 1e-6

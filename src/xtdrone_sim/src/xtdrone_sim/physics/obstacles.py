@@ -7,7 +7,7 @@ so the cost does not grow with their number.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,8 @@ from xtdrone_sim.kernel import kernel
 from xtdrone_sim.physics.bullet import BulletClient, pybullet
 from xtdrone_sim.physics.plant import FREE, TOUCHING
 from xtdrone_sim.vehicles.poses import compose
-from xtdrone_sim.vehicles.visual import Box, Cylinder, Geometry, Pose, Sphere
-from xtdrone_sim.worlds.sdf.shapes import box_of
+from xtdrone_sim.vehicles.visual import Box, Cylinder, Geometry, Mesh, Pose, Sphere
+from xtdrone_sim.worlds.sdf.geometry import box_of
 from xtdrone_sim.worlds.sdf.types import SdfModel
 
 _CELL = 8.0  # m, least side of a column
@@ -79,22 +79,25 @@ def mark_near_obstacles(plant, models, boxes, origin, cell, begins, items, limit
 
 
 class Obstacles:
-    """Collision shapes of all models in a world.
+    """Collision shapes of all models in a world that stay in their places.
 
     Attributes:
         count: number of shapes.
-        owners: index of the model of each shape.
+        owners: number of the model of each shape.
     """
 
-    def __init__(self, models: Sequence[SdfModel]) -> None:
+    def __init__(self, models: Mapping[int, SdfModel]) -> None:
         """Compute boxes and grid.
+
+        Args:
+            models: by number.
 
         Raises:
             SdfError: a mesh file cannot be read.
         """
         self._shapes: list[tuple[Geometry, Pose]] = []
         self.owners: list[int] = []
-        for number, model in enumerate(models):
+        for number, model in models.items():
             for link in model.links:
                 frame = compose(model.pose, link.pose)
                 for collision in link.collisions:
@@ -144,22 +147,43 @@ class Obstacles:
         )
 
     def load(self, client: BulletClient, friction: float, restitution: float) -> dict[int, int]:
-        """Create a Bullet body for each shape; return the index of the model by body."""
+        """Create a Bullet body for each shape; return the number of the model by body."""
         owner_of = {}
         meshes: dict[Geometry, int] = {}
-        for (geometry, pose), owner in zip(self._shapes, self.owners, strict=True):
-            shape = meshes[geometry] if geometry in meshes else _shape(client, geometry)
-            meshes[geometry] = shape
-            body = client.createMultiBody(
-                0.0,
-                shape,
-                basePosition=pose.position,
-                baseOrientation=to_xyzw(pose.orientation),
-                useMaximalCoordinates=True,
-            )
+        for number, owner in enumerate(self.owners):
+            body = self.create(client, number, meshes)
             client.changeDynamics(body, -1, lateralFriction=friction, restitution=restitution)
             owner_of[body] = owner
         return owner_of
+
+    def create(self, client: BulletClient, number: int, meshes: dict[Geometry, int] | None = None) -> int:
+        """Create the Bullet body of a shape.
+
+        Args:
+            client: the Bullet world.
+            number: index of the shape.
+            meshes: shapes created before by geometry, of which equal ones are used again; updated.
+        """
+        geometry, pose = self._shapes[number]
+        known = {} if meshes is None else meshes
+        if geometry not in known:
+            known[geometry] = _shape(client, geometry)
+        body = client.createMultiBody(
+            0.0,
+            known[geometry],
+            basePosition=pose.position,
+            baseOrientation=to_xyzw(pose.orientation),
+            useMaximalCoordinates=True,
+        )
+        return int(body)
+
+    def around(self, position: NDArray[np.float64], radius: float) -> list[int]:
+        """Return the shapes whose boxes are within ``radius``, m, of ``position``, m ENU."""
+        if not self.count:
+            return []
+        gap = np.maximum(np.maximum(self._boxes[:, :3] - position, position - self._boxes[:, 3:]), 0.0)
+        found: list[int] = np.flatnonzero((gap * gap).sum(axis=1) < radius * radius).tolist()
+        return found
 
 
 def _shape(client: BulletClient, geometry: Geometry) -> int:
@@ -176,5 +200,31 @@ def _shape(client: BulletClient, geometry: Geometry) -> int:
             fileName=str(geometry.path),
             meshScale=geometry.scale,
             flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
+        )
+    )
+
+
+def shape_array(client: BulletClient, shapes: Sequence[tuple[Geometry, Pose]], *, hollow: bool) -> int:
+    """Return the id of one shape in Bullet that is made of several, at most 16.
+
+    Args:
+        client: Bullet.
+        shapes: with their poses in the frame of the whole.
+        hollow: whether meshes keep their hollows; otherwise their convex hulls count.
+    """
+    kinds = {Box: pybullet.GEOM_BOX, Sphere: pybullet.GEOM_SPHERE, Cylinder: pybullet.GEOM_CYLINDER}
+    forms = [form for form, _ in shapes]
+    flag = pybullet.GEOM_FORCE_CONCAVE_TRIMESH if hollow else 0
+    return int(
+        client.createCollisionShapeArray(
+            shapeTypes=[kinds.get(type(form), pybullet.GEOM_MESH) for form in forms],
+            halfExtents=[[0.5 * side for side in form.size] if isinstance(form, Box) else [0.0] * 3 for form in forms],
+            radii=[form.radius if isinstance(form, (Sphere, Cylinder)) else 0.0 for form in forms],
+            lengths=[form.length if isinstance(form, Cylinder) else 0.0 for form in forms],
+            fileNames=[str(form.path) if isinstance(form, Mesh) else "" for form in forms],
+            meshScales=[form.scale if isinstance(form, Mesh) else (1.0, 1.0, 1.0) for form in forms],
+            flags=[flag if isinstance(form, Mesh) else 0 for form in forms],
+            collisionFramePositions=[pose.position for _, pose in shapes],
+            collisionFrameOrientations=[to_xyzw(pose.orientation) for _, pose in shapes],
         )
     )

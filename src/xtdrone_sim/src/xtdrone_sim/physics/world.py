@@ -2,36 +2,42 @@
 
 A vehicle far from the ground, from obstacles and from all other vehicles is integrated by ``plant.integrate_free``;
 near them Bullet integrates it under the same wrench. A vehicle at rest with its motors off sleeps. Gravity is off in
-Bullet: weight is part of the wrench, so parked bodies stay in place.
+Bullet: weight is part of the wrench, so parked bodies stay in place. Models that can move are in ``bodies``.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.fleet import StartPose
+from xtdrone_control.frames import to_xyzw
 from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.rotation import Quaternion, Vector
 from xtdrone_sim.effects import Effects, drive_rotors, integrate_all
-from xtdrone_sim.kernel import kernel
 from xtdrone_sim.physics import plant as dynamics
+from xtdrone_sim.physics import wrenches
+from xtdrone_sim.physics.bodies import Bodies
 from xtdrone_sim.physics.bullet import connect, pybullet
+from xtdrone_sim.physics.contacts import (
+    CHECK_STEPS,
+    FAR,
+    NEAR,
+    REST_SPEED,
+    let_sleep,
+    mark_near,
+    sort_contacts,
+    stay_free,
+)
 from xtdrone_sim.physics.obstacles import Obstacles
-from xtdrone_sim.physics.plant import ASLEEP, FREE, PLANT, TOUCHING
+from xtdrone_sim.physics.plant import ASLEEP, PLANT, TOUCHING
+from xtdrone_sim.physics.starts import body_pose, check_starts
 from xtdrone_sim.vehicles.vehicle_model import MODEL, VehicleModel
+from xtdrone_sim.vehicles.visual import Pose
 from xtdrone_sim.worlds.sdf import SdfActor, SdfModel, load_world_file
-
-CHECK_STEPS = 5  # steps between two updates of the contact states; margins cover the motion in between
-_NEAR = 0.25  # m of clearance below which Bullet integrates a body
-_FAR = 0.40  # m of clearance above which the free-flight kernel does again
-_REST_SPEED = 0.02  # m/s and rad/s below which a body with its motors off counts as at rest
-_REST_STEPS = 125  # steps at rest before it sleeps
-_CAUTION = 2.0  # times the acceleration by rotors at full speed, weight and drag: the most that a body may reach
-_FASTEST_SPIN = 20.0  # rad/s below which the drag of rotation is far less than this reserve
-_SPAWN_GAP = 0.001  # m between a spawned body and the ground
 
 
 @dataclass(frozen=True)
@@ -45,7 +51,7 @@ class WorldModel:
         declination: degrees east.
         wind: m/s, ENU.
         friction, restitution: of the ground and of the models.
-        models: static models.
+        models: models.
         actors: moving people.
     """
 
@@ -80,126 +86,6 @@ def load_world(name: str) -> WorldModel:
     )
 
 
-@kernel
-def sort_contacts(plant, models, armed, steps, dt, wanted):
-    """Fill ``wanted`` (n,) with FREE, TOUCHING or ASLEEP for every vehicle; return the number of changes."""
-    mark_near(plant, models, steps, dt, wanted)
-    return let_sleep(plant, models, armed, wanted)
-
-
-@kernel
-def mark_near(plant, models, steps, dt, wanted):
-    """Fill ``wanted`` (n,) with TOUCHING for vehicles near the ground or each other, with FREE for all others.
-
-    Vehicles are spheres around the collision boxes, enlarged by the distance travelled until the next check.
-    """
-    count = plant.shape[0]
-    for i in range(count):
-        v, m = plant[i], models[i]
-        reach = abs(v.velocity[2]) * steps * dt
-        clearance = v.position[2] - m.radius - reach
-        near = clearance < (_NEAR if v.contact == FREE else _FAR)
-        wanted[i] = TOUCHING if near else FREE
-    for i in range(count):
-        v = plant[i]
-        for j in range(i):
-            o = plant[j]
-            dx = v.position[0] - o.position[0]
-            dy = v.position[1] - o.position[1]
-            dz = v.position[2] - o.position[2]
-            threshold = models[i].radius + models[j].radius + _FAR + 10.0 * steps * dt
-            squared = dx * dx + dy * dy + dz * dz
-            if squared > threshold * threshold:
-                continue
-            rvx = v.velocity[0] - o.velocity[0]
-            rvy = v.velocity[1] - o.velocity[1]
-            rvz = v.velocity[2] - o.velocity[2]
-            reach = math.sqrt(rvx * rvx + rvy * rvy + rvz * rvz) * steps * dt
-            clearance = math.sqrt(squared) - models[i].radius - models[j].radius - reach
-            if clearance < (_NEAR if v.contact == FREE or o.contact == FREE else _FAR):
-                wanted[i] = TOUCHING
-                wanted[j] = TOUCHING
-
-
-@kernel
-def _most_acceleration(v, m, gravity):
-    """Return a bound of the acceleration within the next tenth of a second, m/s^2."""
-    thrust = m.rotor_count * m.thrust_constant * m.max_speed * m.max_speed
-    ax, ay, az = v.velocity[0] - v.wind[0], v.velocity[1] - v.wind[1], v.velocity[2] - v.wind[2]
-    drag = m.linear_drag + m.rotor_count * m.drag_coefficient * m.max_speed
-    return _CAUTION * (gravity + (thrust + drag * math.sqrt(ax * ax + ay * ay + az * az)) / m.mass)
-
-
-@kernel
-def stay_free(plant, models, steps, gravity, dt):
-    """Return whether all vehicles are free and no contact check of the next ``steps``, 0.1 s at most, finds a change.
-
-    After the time t a body is at most v t + a t^2 / 2 from its place and v + a t fast, with its speed v and bound a of
-    its acceleration. ``mark_near`` adds the distance travelled until the check that follows.
-    """
-    count = plant.shape[0]
-    most = np.empty(count)
-    time = steps * dt
-    ahead = CHECK_STEPS * dt
-    for i in range(count):
-        v, m = plant[i], models[i]
-        spin = v.rates[0] * v.rates[0] + v.rates[1] * v.rates[1] + v.rates[2] * v.rates[2]
-        if v.contact != FREE or not spin < _FASTEST_SPIN * _FASTEST_SPIN:
-            return False
-        most[i] = _most_acceleration(v, m, gravity)
-        reach = abs(v.velocity[2]) * (time + ahead) + most[i] * time * (0.5 * time + ahead)
-        if not v.position[2] - m.radius - reach > _NEAR:
-            return False
-    for i in range(count):
-        v = plant[i]
-        for j in range(i):
-            o = plant[j]
-            dx = v.position[0] - o.position[0]
-            dy = v.position[1] - o.position[1]
-            dz = v.position[2] - o.position[2]
-            rvx = v.velocity[0] - o.velocity[0]
-            rvy = v.velocity[1] - o.velocity[1]
-            rvz = v.velocity[2] - o.velocity[2]
-            reach = math.sqrt(rvx * rvx + rvy * rvy + rvz * rvz) * (time + ahead)
-            reach += (most[i] + most[j]) * time * (0.5 * time + ahead)
-            least = models[i].radius + models[j].radius + _NEAR + reach
-            if not dx * dx + dy * dy + dz * dz > least * least:
-                return False
-    return True
-
-
-@kernel
-def let_sleep(plant, models, armed, wanted):
-    """Set ``wanted`` (n,) to ASLEEP for vehicles at rest; return the number of changes."""
-    changes = 0
-    for i in range(plant.shape[0]):
-        v = plant[i]
-        if v.contact == ASLEEP:
-            wanted[i] = TOUCHING if armed[i] or _disturbed(plant, models, i) else ASLEEP
-        elif wanted[i] == TOUCHING and not armed[i] and v.still_steps >= _REST_STEPS:
-            wanted[i] = ASLEEP
-        if wanted[i] != v.contact:
-            changes += 1
-    return changes
-
-
-@kernel
-def _disturbed(plant, models, i):
-    """Return whether a moving body is within reach of the sleeping vehicle ``i``."""
-    v = plant[i]
-    for j in range(plant.shape[0]):
-        o = plant[j]
-        if j == i or o.contact == ASLEEP:
-            continue
-        dx = v.position[0] - o.position[0]
-        dy = v.position[1] - o.position[1]
-        dz = v.position[2] - o.position[2]
-        reach = models[i].radius + models[j].radius + _NEAR
-        if dx * dx + dy * dy + dz * dz < reach * reach:
-            return True
-    return False
-
-
 class World:
     """All bodies of the world and their motion.
 
@@ -207,15 +93,17 @@ class World:
         plant: (n,) ``PLANT``, true state of the vehicles.
         models: (n,) ``MODEL``.
         time_step: s.
-        collisions: pairs that have touched since the start, lower index first: vehicles, and from n on the models of
-            world.
+        bodies: models that can change their place, by number.
+        wrenches: forces and torques by request.
+        collisions: pairs that have touched since the start, lower index first: vehicles, and from n on the models by
+            number: those of the world in its order, and any that are added.
     """
 
     def __init__(
         self,
         model: WorldModel,
         vehicles: Sequence[VehicleModel],
-        places: Sequence[tuple[float, float, float]],
+        poses: Sequence[StartPose],
         time_step: float,
         effects: Effects | None = None,
     ) -> None:
@@ -224,7 +112,7 @@ class World:
         Args:
             model: the world.
             vehicles: one model per vehicle.
-            places: (x, y, z), m ENU, of the ground under each vehicle.
+            poses: where each vehicle starts.
             time_step: s.
             effects: further forces and torques; their ``begin`` is called with ``plant`` before the first step.
         """
@@ -237,18 +125,21 @@ class World:
         self.collisions: set[tuple[int, int]] = set()
         for i, vehicle in enumerate(vehicles):
             self.models[i] = vehicle.record
-        self.plant["position"] = np.asarray(places, float)
-        self.plant["position"][:, 2] += 0.5 * self.models["box"][:, 2] + _SPAWN_GAP
-        self.plant["q"][:, 0] = 1.0
+        for v, m, pose in zip(self.plant, self.models, poses, strict=True):
+            v["position"], v["q"] = body_pose(pose, float(m["box"][2]))
         self.plant["wind"] = model.wind
         self.plant["contact"] = TOUCHING
         self._wanted = np.full(count, TOUCHING)
         self._steps = 0
         self._checked = -1  # step before which the contact states have been updated
-        self._obstacles = Obstacles(model.models)
+        self._fixed = {number: one for number, one in enumerate(model.models) if one.static}
+        self._obstacles = Obstacles(self._fixed)
         self._near_obstacles = 0
-        self._limits = np.array([_NEAR, _FAR])
+        self._held: dict[int, int] = {}  # vehicle to the step until which it stands
+        self._limits = np.array([NEAR, FAR])
         self._bullet = connect()
+        self.bodies = Bodies(self._bullet, model.friction, model.restitution)
+        self.wrenches = wrenches.Wrenches()
         self._load_bullet()
         self._touching = list(range(count))
 
@@ -262,7 +153,12 @@ class World:
         self._bodies = []
         for v, m in zip(self.plant, self.models, strict=True):
             shape = client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=(0.5 * m["box"]).tolist())
-            body = client.createMultiBody(float(m["mass"]), shape, basePosition=v["position"].tolist())
+            body = client.createMultiBody(
+                float(m["mass"]),
+                shape,
+                basePosition=v["position"].tolist(),
+                baseOrientation=to_xyzw(v["q"].tolist()),
+            )
             client.changeDynamics(
                 body,
                 -1,
@@ -277,20 +173,73 @@ class World:
         self._index_of = {body: i for i, body in enumerate(self._bodies)}
         owners = self._obstacles.load(client, self.model.friction, self.model.restitution)
         self._index_of.update((body, len(self._bodies) + owner) for body, owner in owners.items())
+        for number, model in enumerate(self.model.models):
+            if not model.static:
+                self.add_model(number, model, model.pose)
+
+    def check_starts(self, names: Sequence[str], which: Sequence[int] | None = None) -> None:
+        """Check that the vehicles' places are free; see ``starts.check_starts``.
+
+        Raises:
+            StartError: a vehicle would start below the ground, in an obstacle or in another vehicle.
+        """
+        owners = [model.name for model in self.model.models]
+        check_starts(self.plant, self.models, names, self._obstacles, owners, which)
+
+    def put(self, i: int, pose: StartPose, names: Sequence[str]) -> None:
+        """Put vehicle ``i`` at a start pose, at rest and with its rotors stopped.
+
+        Args:
+            i: index of the vehicle.
+            pose: where it then stands.
+            names: of all vehicles; those with an empty name are not there.
+
+        Raises:
+            StartError: the place is not free; nothing has changed then.
+        """
+        plant = self.plant.copy()
+        v = plant[i]
+        plant[i] = np.zeros(1, PLANT)[0]
+        v["position"], v["q"] = body_pose(pose, float(self.models[i]["box"][2]))
+        v["wind"], v["contact"] = self.model.wind, TOUCHING
+        owners = [model.name for model in self.model.models]
+        check_starts(plant, self.models, names, self._obstacles, owners, [i])
+        self.plant[i] = v
+        self._hand_over(i)
+        self._touching = np.flatnonzero(self.plant["contact"] == TOUCHING).tolist()
+        self.collisions = {pair for pair in self.collisions if i not in pair}
 
     def step(self, actuators: NDArray[np.float64], armed: NDArray[np.int32]) -> None:
         """Advance the world by one time step under motor commands (n, MAX_ROTORS), 0..1, and armed flags (n,)."""
         self.check_contacts(armed)
         self._steps += 1
         gravity, dt = self.model.gravity, self.time_step
-        if self._effects is None:
+        if self._effects is None and not self.wrenches:
             touching = dynamics.step_all(self.plant, self.models, actuators, armed, gravity, dt)
         else:
+            active = self.wrenches.active(self._steps - 1)
+            self._wake_for(active)
             drive_rotors(self.plant, self.models, actuators, armed, dt)
-            self._effects.apply(armed)
+            if self._effects is not None:
+                self._effects.apply(armed)
+            wrenches.apply(active, self.plant, self.bodies)
             touching = integrate_all(self.plant, self.models, armed, gravity, dt)
-        if touching:
+        if touching or self.bodies.awake:
             self._step_bullet()
+
+    def _wake_for(self, active: list[tuple[wrenches.Wrench, float]]) -> None:
+        """Wake what the wrenches of the next step act on."""
+        count = len(self.plant)
+        for wrench, _ in active:
+            number = wrench.target - count
+            if number >= 0:
+                body = self.bodies.by_number.get(number)
+                if body is not None and body.is_solid and not body.held:
+                    self.bodies.wake(number)
+            elif wrench.target not in self._held:
+                self.plant["still_steps"][wrench.target] = 0
+                if self.plant["contact"][wrench.target] == ASLEEP:
+                    self._touch(wrench.target)
 
     def check_contacts(self, armed: NDArray[np.int32]) -> int:
         """Update the contact states if that is due before the next step, as ``step`` does.
@@ -309,15 +258,23 @@ class World:
 
     def steps_apart(self, most: int) -> int:
         """Return ``most`` (steps, 0.1 s at most) if all vehicles surely touch nothing until then, else 0."""
-        free = not self._obstacles.count and stay_free(
-            self.plant, self.models, most, self.model.gravity, self.time_step
-        )
+        free = not self.has_obstacles and stay_free(self.plant, self.models, most, self.model.gravity, self.time_step)
         return most if free else 0
 
     @property
     def has_obstacles(self) -> bool:
-        """Whether the vehicles can touch models of the world."""
-        return self._obstacles.count > 0
+        """Whether the vehicles can touch models of the world, or some are held."""
+        return self._obstacles.count > 0 or bool(self.bodies.by_number) or bool(self._held)
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether every step must be done by ``step``: a model moves, or a wrench acts or is to act."""
+        return bool(self.bodies.awake) or bool(self.wrenches)
+
+    @property
+    def steps(self) -> int:
+        """Number of steps since the start."""
+        return self._steps
 
     def count_steps(self, steps: int) -> None:
         """Count steps in which other code has advanced ``plant``, with the contact checks between them."""
@@ -338,12 +295,102 @@ class World:
     def _changed_contacts(self, armed: NDArray[np.int32]) -> int:
         """Fill ``_wanted`` with the contact state of each vehicle; return the number of changes."""
         plant, models, wanted = self.plant, self.models, self._wanted
-        if not self._obstacles.count:
+        if not self.has_obstacles:
             return int(sort_contacts(plant, models, armed, CHECK_STEPS, self.time_step, wanted))
         mark_near(plant, models, CHECK_STEPS, self.time_step, wanted)
         horizon = CHECK_STEPS * self.time_step
         self._near_obstacles = self._obstacles.mark_near(plant, models, self._limits, horizon, wanted)
-        return int(let_sleep(plant, models, armed, wanted))
+        if not self.bodies.by_number and not self._held:
+            return int(let_sleep(plant, models, armed, wanted))
+        steps = (self._steps, CHECK_STEPS)
+        near, hit = self.bodies.check(plant, models, self._limits, steps, self.time_step, wanted)
+        self._near_obstacles += near
+        let_sleep(plant, models, armed, wanted)
+        wanted[(wanted == ASLEEP) & (hit != 0)] = TOUCHING
+        self._hold(armed, wanted)
+        return int(np.count_nonzero(wanted != plant["contact"]))
+
+    def _hold(self, armed: NDArray[np.int32], wanted: NDArray[np.int64]) -> None:
+        """Let the held vehicles sleep until their time has passed or they are armed."""
+        over = [i for i, until in self._held.items() if armed[i] or self._steps >= until]
+        for i in over:
+            del self._held[i]
+            wanted[i] = TOUCHING
+        wanted[list(self._held)] = ASLEEP
+
+    # requests, between two steps
+
+    def add_model(self, number: int, model: SdfModel, pose: Pose) -> None:
+        """Add a model at a pose in the world.
+
+        Args:
+            number: a number that no model has had; see ``collisions``.
+            model: a static one stands, any other is awake.
+            pose: in the world.
+
+        Raises:
+            SdfError: a mesh file cannot be read.
+        """
+        body = self.bodies.add(number, model, pose)
+        self._index_of.update((shape, len(self._bodies) + number) for shape in body.shapes)
+
+    def remove_model(self, number: int) -> None:
+        """Remove a model."""
+        self._loosen(number)
+        self.bodies.remove(number)
+        self.wrenches.clear(len(self.plant) + number)
+
+    def place_model(self, number: int, pose: Pose, velocity: Vector, spin: Vector, hold: int = 0) -> None:
+        """Put a model somewhere in the world.
+
+        Args:
+            number: of the model.
+            pose, velocity, spin: see ``Bodies.place``.
+            hold: steps for which it stands there.
+        """
+        self._loosen(number)
+        self.bodies.place(number, pose, velocity, spin, self._steps + hold if hold else 0)
+
+    def _loosen(self, number: int) -> None:
+        """Turn an obstacle of the world into a body without mass, which can be moved and removed."""
+        model = self._fixed.pop(number, None)
+        if model is None:
+            return
+        index = len(self._bodies) + number
+        for body in [body for body, owner in self._index_of.items() if owner == index]:
+            self._bullet.removeBody(body)
+            del self._index_of[body]
+        self._obstacles = Obstacles(self._fixed)
+        self.add_model(number, model, model.pose)
+
+    def place_vehicle(
+        self, i: int, position: Vector, q: Quaternion, velocity: Vector, rates: Vector, hold: int = 0
+    ) -> None:
+        """Put a vehicle somewhere.
+
+        Args:
+            i: index of the vehicle.
+            position: m, world.
+            q: (w, x, y, z), body to world.
+            velocity: m/s, world.
+            rates: rad/s, body.
+            hold: steps for which it stands there if its motors are off.
+        """
+        v = self.plant[i]
+        v["position"], v["q"], v["velocity"], v["rates"] = position, q, velocity, rates
+        v["acceleration"] = 0.0
+        self._held.pop(i, None)
+        self._touch(i)
+        if hold:
+            self._held[i] = self._steps + hold
+            v["contact"] = ASLEEP
+            self._touching.remove(i)
+
+    def _touch(self, i: int) -> None:
+        """Make Bullet integrate vehicle ``i`` from now on, at least until the next check."""
+        self._hand_over(i)
+        self.plant["contact"][i] = TOUCHING
+        self._touching = np.flatnonzero(self.plant["contact"] == TOUCHING).tolist()
 
     def _hand_over(self, i: int) -> None:
         """Make Bullet integrate body ``i`` from its current state."""
@@ -380,7 +427,13 @@ class World:
             position = v["position"].tolist()
             apply_force(self._bodies[i], -1, (fx, fy, fz - weight), position, pybullet.WORLD_FRAME)
             apply_torque(self._bodies[i], -1, self._world_torque(v), pybullet.WORLD_FRAME)
+        if self.bodies.by_number:
+            self.bodies.push(gravity)
         client.stepSimulation()
+        if self.bodies.by_number:
+            self.bodies.read()
+        for i in self._held:
+            self._hand_over(i)
         for i in self._touching:
             v = plant[i]
             position, (x, y, z, w) = pose_of(self._bodies[i])
@@ -392,7 +445,7 @@ class World:
             v["rates"] = dynamics.rotate_inverse(v["q"], *spin)
             speed = max(*(abs(value) for value in velocity), *(abs(value) for value in spin))
             spinning = bool(v["rotor_speed"].max() > 1.0)
-            v["still_steps"] = v["still_steps"] + 1 if speed < _REST_SPEED and not spinning else 0
+            v["still_steps"] = v["still_steps"] + 1 if speed < REST_SPEED and not spinning else 0
         if len(self._touching) > 1 or self._near_obstacles:
             self._note_collisions()
 
@@ -407,7 +460,8 @@ class World:
             if a is None or b is None or point[8] > 0.0:
                 continue
             pair = (min(a, b), max(a, b))
-            self.collisions.add(pair)
+            if pair[0] < len(self._bodies):
+                self.collisions.add(pair)
 
     def close(self) -> None:
         """Disconnect from Bullet."""

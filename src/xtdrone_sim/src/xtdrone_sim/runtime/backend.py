@@ -7,6 +7,7 @@ from typing import Protocol
 
 from gazebo_msgs.msg import ModelStates
 
+from xtdrone_control.fleet import StartPose
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_sim.runtime.mailbox import Mailbox
 
@@ -23,15 +24,19 @@ class SimulatorBackend(Protocol):
 
     Attributes:
         names: names of the vehicles, in order of their indices.
-        scenery: names of all other models, in order of their indices, which follow those of the vehicles.
+        scenery: names of all other models, in order of their indices, which follow those of the vehicles; deleted
+            ones included.
         actors: the names in ``scenery`` that belong to moving actors.
         step_us: base step, microseconds.
+        overlap: the world advances to the next tick while participants work on the current one. What they send then
+            takes effect at the next tick; without overlap it does so at once.
     """
 
     names: Sequence[str]
     scenery: Sequence[str]
     actors: Sequence[str]
     step_us: int
+    overlap: bool
 
     @property
     def time_us(self) -> int:
@@ -80,8 +85,11 @@ class SimulatorBackend(Protocol):
     def step(self) -> None:
         """Advance by one step in the middle of a tick."""
 
-    def tick(self, idle: Idle) -> None:
-        """Publish the current data, run one barrier of the lockstep server, and process the delivered messages."""
+    def begin_tick(self, idle: Idle) -> None:
+        """Publish the current data, and begin a barrier of the lockstep server."""
+
+    def end_tick(self, idle: Idle) -> None:
+        """Wait for the end of the barrier, and process the delivered messages; nothing is served before."""
 
     def truth(self) -> bytes:
         """Return the true states of the vehicles, as bytes for the digests."""
@@ -95,5 +103,27 @@ class SimulatorBackend(Protocol):
     def restart(self, time_us: int) -> None:
         """Restore the initial state; simulated time continues from ``time_us``, microseconds."""
 
+    def reset_vehicle(self, name: str, pose: StartPose | None) -> None:
+        """Put one vehicle back, disarmed, as after a reboot; the others are not affected.
+
+        Args:
+            name: of the vehicle, as ``iris_3``.
+            pose: where it then stands; None: where it started.
+
+        Raises:
+            ValueError: there is no such vehicle, or its place is not free; nothing has changed then.
+        """
+
     def close(self) -> None:
         """Release all resources."""
+
+
+def index_of(name: str, names: Sequence[str]) -> int:
+    """Return the index of a vehicle.
+
+    Raises:
+        ValueError: no vehicle has this name; the message lists the names.
+    """
+    if name not in names:
+        raise ValueError(f"name: {name[:80]!r} is not in the simulation; there are {', '.join(names)}")
+    return list(names).index(name)

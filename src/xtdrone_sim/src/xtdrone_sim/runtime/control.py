@@ -1,9 +1,9 @@
 """Control of the running simulation: speed, pause, step, reset. Independent of ROS; ``services`` advertises it.
 
 All methods are called in the simulator's own thread. Changes of speed and pause take effect immediately, even while the
-barrier waits for a participant. Steps and resets are executed between ticks, and their callers wait for the answer. A
-participant must not wait for the end of its own tick: during its turn, its step requests are rejected and its reset
-requests are answered immediately and executed after the tick.
+barrier waits for a participant. Steps, resets and changes are executed between ticks, and their callers wait for the
+answer. A participant must not wait for the end of its own tick: during its turn, its step requests are rejected, and
+its requests for resets and changes are answered immediately and executed after the tick.
 """
 
 from __future__ import annotations
@@ -38,6 +38,20 @@ class Reset(enum.IntEnum):
 
     WORLD = 1
     SIMULATION = 2
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of the simulated world, made between ticks.
+
+    Attributes:
+        what: its name in texts, as ``reset of iris_3``.
+        make: makes it and returns a description; raises ValueError or OSError if it is not allowed, after which
+            nothing has changed.
+    """
+
+    what: str
+    make: Callable[[], Any]
 
 
 class Participant(Protocol):
@@ -131,12 +145,12 @@ class _Asked:
     """A request that is queued until the end of the tick.
 
     Attributes:
-        request: the step or the reset.
+        request: the step, the reset or the change.
         answer: future of the caller; None if the caller has been answered already.
         until: monotonic wall time at which the request times out, s.
     """
 
-    request: StepRequest | Reset
+    request: StepRequest | Reset | Change
     answer: Future[Any] | None
     until: float
 
@@ -265,6 +279,33 @@ class Control:
         else:
             self._asked.append(_Asked(kind, answer, self._wall() + PATIENCE))
 
+    def ask_change(self, change: Change, caller: str, answer: Future[Any]) -> None:
+        """Queue a change; ``answer`` receives its description when it is made, or a ControlError.
+
+        A participant in its own turn is answered at once, and the change is made after the tick.
+        """
+        self._info(f"{change.what} asked for by {caller}")
+        if self.held is not None:
+            self._make(change, answer)
+        elif self._waited_for(caller):
+            answer.set_result(f"{change.what}: follows after this tick")
+            self._asked.append(_Asked(change, None, float("inf")))
+        else:
+            self._asked.append(_Asked(change, answer, self._wall() + PATIENCE))
+
+    def _make(self, change: Change, answer: Future[Any] | None) -> None:
+        try:
+            done = change.make()
+        except (ValueError, OSError) as error:
+            self._warn(f"no {change.what}: {error}")
+            if answer is not None:
+                answer.set_exception(ControlError(str(error)))
+            return
+        self.changed = True
+        self._info(f"{change.what} at {self._now_us() * 1e-6:.3f} s")
+        if answer is not None:
+            answer.set_result(done)
+
     def between_ticks(self, reset: Callable[[Reset], None]) -> bool:
         """Execute the queued requests.
 
@@ -292,6 +333,9 @@ class Control:
                 answer.set_result(None)
         while self._asked:
             asked = self._asked.popleft()
+            if isinstance(asked.request, Change):
+                self._make(asked.request, asked.answer)
+                continue
             assert isinstance(asked.request, StepRequest)
             assert asked.answer is not None
             self._begin_step(asked.request, asked.answer)
@@ -355,6 +399,8 @@ class Control:
                 continue
             if isinstance(asked.request, Reset):
                 asked.answer.set_exception(ControlError(f"no reset: {reason}"))
+            elif isinstance(asked.request, Change):
+                asked.answer.set_exception(ControlError(f"no {asked.request.what}: {reason}"))
             else:
                 asked.answer.set_result(self._refusal(reason))
         names = tuple(self._barrier.participants)

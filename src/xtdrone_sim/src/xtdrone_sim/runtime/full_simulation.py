@@ -12,7 +12,7 @@ import rospy
 import yaml
 from gazebo_msgs.msg import ModelStates
 
-from xtdrone_control.fleet import Vehicle, check_instance, parse_fleet
+from xtdrone_control.fleet import StartPose, Vehicle, check_instance, fleet_text, parse_fleet, with_poses
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.mavlink.server import MavlinkServer
 from xtdrone_control.settings import setting
@@ -20,7 +20,11 @@ from xtdrone_sim.autopilots.backend import AutopilotFactory, BuiltinAutopilot
 from xtdrone_sim.autopilots.datagrams import Datagrams
 from xtdrone_sim.autopilots.hil import Hil
 from xtdrone_sim.effects import Effect, load_effects
-from xtdrone_sim.runtime.backend import HEAD_START, Idle
+from xtdrone_sim.gazebo.models import Models
+from xtdrone_sim.gazebo.publishing import ModelTopics
+from xtdrone_sim.gazebo.services import GazeboServices
+from xtdrone_sim.runtime.backend import HEAD_START, Idle, index_of
+from xtdrone_sim.runtime.launched import launched_world, read_launched
 from xtdrone_sim.runtime.mailbox import Mailbox
 from xtdrone_sim.runtime.simulator_node import NodeSettings, close_all, log, run_node
 from xtdrone_sim.simulation import Simulation
@@ -35,7 +39,9 @@ class FullSettings(NodeSettings):
     """Parameters of the full simulator.
 
     Attributes:
-        fleet: vehicles (``~fleet`` or ``/xtdrone/fleet``), on the ports of instance ``/xtdrone/instance``.
+        fleet: vehicles (``~fleet`` or ``/xtdrone/fleet``), on the ports of instance ``/xtdrone/instance``, at the start
+            poses of the fleet or of ``~poses`` (a YAML list of [x, y, z, roll, pitch, yaw], m and rad ENU); with
+            ``~spawned`` those that XTDrone's launch files spawn, see ``launched.read_launched``.
         effects: forces and torques added to the vehicles in this order (``~effects``: a list, or its YAML as text; each
             entry ``FILE.py:NAME``, ``module:NAME`` or ``{FILE.py:NAME: {ARGUMENT: VALUE, ...}}``).
     """
@@ -49,6 +55,14 @@ class FullSettings(NodeSettings):
     )
     world: str = setting("empty", text="name or file of the world; its absolute path is set as /xtdrone/world")
     seed: int = setting(0, low=0, text="seed of the sensor noise")
+    overlap: bool = setting(
+        True,
+        text="simulate the next step while nodes work on the current one, whose setpoints then act one tick later; "
+        "not with autopilot hil",
+    )
+    link_states_rate: float = setting(
+        50.0, low=0.1, high=250.0, unit="Hz", text="rate of /gazebo/link_states in simulated time"
+    )
     shared_datum: bool = setting(
         True, text="one local frame for all vehicles; PX4 instances receive it as /xtdrone/shared_origin"
     )
@@ -63,11 +77,29 @@ def read_settings() -> FullSettings:
     Raises:
         ValueError: a parameter is not allowed.
     """
-    fleet = str(rospy.get_param("~fleet", rospy.get_param("/xtdrone/fleet", "iris:1")))
     instance = check_instance(rospy.get_param("/xtdrone/instance", 0))
-    return FullSettings.from_parameters(
-        rospy.get_param, fleet=parse_fleet(fleet, instance), effects=_effects("~effects")
-    )
+    if rospy.get_param("~spawned", False):
+        fleet = _spawned(instance)
+    else:
+        text = str(rospy.get_param("~fleet", rospy.get_param("/xtdrone/fleet", "iris:1")))
+        fleet = with_poses(parse_fleet(text, instance), str(rospy.get_param("~poses", "")))
+    return FullSettings.from_parameters(rospy.get_param, fleet=fleet, effects=_effects("~effects"))
+
+
+def _spawned(instance: int) -> tuple[Vehicle, ...]:
+    """Return the vehicles of the launch; add its MAVROS nodes to ``~participants`` and look its world up.
+
+    Raises:
+        FleetError, ModelError: the vehicles or the world are not allowed.
+    """
+    rospy.delete_param("~spawned")  # a later launch on this master may start its vehicles otherwise
+    launched = read_launched(rospy.get_param("/"), instance)
+    for warning in launched.warnings:
+        rospy.logwarn("simulator: %s", warning)
+    others = [name for name in str(rospy.get_param("~participants", "")).split(",") if name]
+    rospy.set_param("~participants", [*launched.mavros, *others] or 0)
+    rospy.set_param("~world", launched_world(str(rospy.get_param("~world", "empty"))))
+    return launched.fleet
 
 
 def _effects(name: str) -> tuple[Effect, ...]:
@@ -108,14 +140,16 @@ class FullSimulation:
         )
         if self._simulation.effects is not None:
             rospy.loginfo("simulator: effects on the vehicles: %s", ", ".join(self._simulation.effects.names))
+        rospy.set_param("/xtdrone/fleet", fleet_text(settings.fleet))
         rospy.set_param("/xtdrone/world", str(world_file(settings.world)))
         rospy.set_param("/xtdrone/shared_origin", self._origin_for_px4s(settings))
         self.step_us = self._simulation.step_us
-        models = self._simulation.world.model.models
-        self._model_states = ModelStatesMessage(self.names, models)
+        self._model_states = ModelStatesMessage(self.names, self._simulation.world.model.models)
         self.actors: Sequence[str] = [actor.name for actor in self._simulation.world.model.actors]
-        self.scenery: Sequence[str] = [*(model.name for model in models), *self.actors]
+        self.scenery: Sequence[str] = ()
+        self._link_states_rate = settings.link_states_rate
         self._autopilots = self._simulation.autopilots
+        self.overlap = settings.overlap and not self._autopilots.need_time
         self._mavlink = MavlinkServer(
             self._autopilots.served, self._simulation.autopilot, self._simulation.commanders, settings.host
         )
@@ -175,11 +209,17 @@ class FullSimulation:
         self._server = server
         server.open_datagram_ports(self._mavlink.received)
         self._datagrams = Datagrams(self._mavlink, server, lambda text: rospy.logwarn("simulator: %s", text), idle)
-        self._topics = LinkTopics(self._simulation, mailbox)
+        self._topics = LinkTopics(self._simulation, self._link_states_rate)
         for name, model in zip(self.names, self._simulation.models, strict=True):
             rospy.set_param(f"/{name}/robot_description", model.urdf.text)
         self._actors = ActorTopics(self._simulation.world.model.actors, lambda: self.time_us)
-        self._topics.providers.append(self._actors.add_to_scene)
+        models = Models(self._simulation, self._actors, self.names)
+        self.scenery = models.names
+        self._changes = ModelTopics(models, len(self.names))
+        self._topics.providers += [self._actors.add_to_scene, self._changes.add_to_scene]
+        self._topics.states_providers.append(self._changes.add_to_links)
+        self._gazebo = GazeboServices(self._simulation, models, self._changes, server)
+        self._gazebo.open(mailbox)
 
     def missing(self) -> str:
         """Return which autopilots have not connected; "" when all have."""
@@ -217,12 +257,16 @@ class FullSimulation:
         """Advance by one step."""
         self._simulation.step()
 
-    def tick(self, idle: Idle) -> None:
-        """Publish link states and run one barrier; setpoints of participants take effect after it."""
+    def begin_tick(self, idle: Idle) -> None:
+        """Publish link states, and begin a barrier; setpoints of participants are held until it ends."""
         self._topics.publish()
         self._mavlink.hold_setpoints()
-        self._server.tick(self._simulation.time_us, self._mavlink.sent, idle, HEAD_START)
-        self._actors.receive()
+        self._server.begin_tick(self._simulation.time_us, self._mavlink.sent, idle)
+
+    def end_tick(self, idle: Idle) -> None:
+        """Wait for the end of the barrier; setpoints of participants take effect then."""
+        self._server.end_tick(idle, HEAD_START)
+        self._gazebo.act()
         self._datagrams.wait()
         self._mavlink.release_setpoints()
 
@@ -234,7 +278,7 @@ class FullSimulation:
         """Return the poses and velocities of all models in Gazebo's format."""
         message = self._model_states.fill(self._simulation.world.plant)
         self._actors.add_to(message)
-        return message
+        return self._changes.complete(message)
 
     def collisions(self) -> set[tuple[int, int]]:
         """Return all collisions so far, as pairs of model indices."""
@@ -245,7 +289,14 @@ class FullSimulation:
         self._simulation.restart(time_us)
         self._actors.restart(time_us)
         self._topics.restart()
+        self._gazebo.restart()
+        self._model_states = ModelStatesMessage(self.names, self._simulation.world.model.models)
         self._mavlink.reboot(self._simulation.autopilot, self._simulation.commanders)
+
+    def reset_vehicle(self, name: str, pose: StartPose | None) -> None:
+        """See ``SimulatorBackend``."""
+        self._simulation.reset_vehicle(index_of(name, self.names), pose)
+        self._mavlink.follow_reboots()
 
     def close(self) -> None:
         """Close the ports, and release the autopilots and the physics engine."""

@@ -58,7 +58,13 @@ class Services:
     """
 
     def __init__(
-        self, control: Control, mailbox: Mailbox, *, step_s: float, gravity: float, model_names: Sequence[str]
+        self,
+        control: Control,
+        mailbox: Mailbox,
+        *,
+        step_s: float,
+        gravity: float,
+        model_names: Callable[[], Sequence[str]],
     ) -> None:
         """Advertise the services and topics.
 
@@ -67,13 +73,13 @@ class Services:
             mailbox: passes requests to the simulator's thread.
             step_s: physics step, s.
             gravity: gravity of the world, m/s^2.
-            model_names: names of the models in the world.
+            model_names: returns the names of the models in the world; called in the simulator's thread.
         """
         self._control = control
         self._mailbox = mailbox
         self._step_s = step_s
         self._gravity = gravity
-        self._model_names = list(model_names)
+        self._model_names = model_names
         self._next_status = 0.0
         self._next_look = 0.0
         self._status = rospy.Publisher("~status", SimulationStatus, latch=True, queue_size=10)
@@ -202,7 +208,7 @@ class Services:
     def _get_world(self, _request: Any) -> GetWorldPropertiesResponse:
         return GetWorldPropertiesResponse(
             sim_time=self._call(self._control.status).time_us * 1e-6,
-            model_names=self._model_names,
+            model_names=self._call(self._model_names),
             rendering_enabled=False,
             success=True,
             status_message="",

@@ -23,14 +23,16 @@ from xtdrone_control import kernel, lockstep
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.log_output import survive_full_disk
 from xtdrone_control.settings import Settings, setting
+from xtdrone_control.under_roslaunch import announce, end_launch
 from xtdrone_sim.runtime.backend import SimulatorBackend
 from xtdrone_sim.runtime.control import Control, Reset
 from xtdrone_sim.runtime.digests import DigestFile
 from xtdrone_sim.runtime.mailbox import Mailbox
 from xtdrone_sim.runtime.pacing import Pacer
 from xtdrone_sim.runtime.services import Services
-from xtdrone_sim.runtime.startup import obstacle, stale_uri
+from xtdrone_sim.runtime.startup import obstacle, ready_words, stale_uri
 from xtdrone_sim.runtime.stopping import Stop
+from xtdrone_sim.runtime.vehicle_services import VehicleServices
 from xtdrone_sim.sensors.ground_truth import GroundTruth
 
 _CHUNK_US = 20_000  # longest simulated time between two polls of sockets and pace
@@ -123,6 +125,19 @@ def _digest_file(settings: NodeSettings, host: lockstep.Host) -> DigestFile | No
     return DigestFile(Path(settings.digest), host.name, own, lambda text: rospy.logerr("simulator: %s", text))
 
 
+@dataclass(frozen=True)
+class _Tick:
+    """A time at which the state of the world is published.
+
+    Attributes:
+        is_regular: the time does not depend on subscribers.
+        is_counted: participants have a turn, or there are none and the time is regular.
+    """
+
+    is_regular: bool
+    is_counted: bool
+
+
 class SimulatorNode:
     """Runs a back end on the ROS graph until the simulation ends."""
 
@@ -142,7 +157,6 @@ class SimulatorNode:
         self._backend = backend
         self._stop = stop
         self._patience = _SLICE  # longest wait given by the back end, wall s
-        self._names = [*backend.names, *backend.scenery]
         pacer = Pacer(settings.speed)
         host = lockstep.host()
         self._digests = _digest_file(settings, host)
@@ -163,12 +177,14 @@ class SimulatorNode:
         self._truth = GroundTruth([*backend.names, *backend.actors])
         self._states_period_us = round(1e6 / settings.states_rate)
         self._next_states_us = 0
+        self._time_us = backend.time_us  # /clock; the world may be one tick ahead of it
+        self._next: _Tick | None = None  # the tick for which the world stands ready
         self._looked_us = backend.time_us  # last tick whose time does not depend on subscribers
         self._collisions: set[tuple[int, int]] = set()
         self._control = Control(
             pacer,
             self._server,
-            lambda: backend.time_us,
+            lambda: self._time_us,
             paused=settings.paused,
             hang_limit=settings.hang_limit,
             info=lambda text: rospy.loginfo("simulator: %s", text),
@@ -180,8 +196,9 @@ class SimulatorNode:
             self._mailbox,
             step_s=backend.step_us * 1e-6,
             gravity=backend.gravity,
-            model_names=["ground_plane", *self._names],
+            model_names=lambda: list(backend.model_states().name),
         )
+        self._vehicle_services = VehicleServices(self._control, self._mailbox, backend)
         backend.open(self._server, self._mailbox, self._serve)
         self._poll = select.epoll()
         for descriptor in (self._mailbox.fileno(), self._server.fileno(), *backend.descriptors):
@@ -223,21 +240,20 @@ class SimulatorNode:
             self._publish_clock()
             self._wait_for_backend()
             self._wait_for_participants()
-            names = self._backend.names
-            first_last = names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
-            rospy.loginfo("simulator: %s stand ready, time runs; Ctrl-C ends it", first_last)
+            announce(f"simulator: {ready_words(self._backend.names, self._settings.speed)}; Ctrl-C ends it")
             self._control.start()
             while not self._over():
                 self._hold()
-                self._advance()
+                self._run_tick(self._next or self._advance())
                 self._wait_for_pace()
+            end_launch()
         except rospy.ROSException:
             # ROSInterruptException of ``_serve``, or rospy's error on a closed topic
             if not self._stop.requested():
                 raise
 
     def _close(self, failure: str) -> None:
-        digests = [] if self._digests is None else [partial(self._digests.close, self._backend.time_us)]
+        digests = [] if self._digests is None else [partial(self._digests.close, self._time_us)]
         close_all(
             partial(_forget_uri, self._uri),
             self._mailbox.close,
@@ -279,7 +295,7 @@ class SimulatorNode:
     def _over(self) -> bool:
         """Return whether simulated time has reached ``~until``."""
         until = self._settings.until
-        return until > 0.0 and self._backend.time_us >= round(until * 1e6)
+        return until > 0.0 and self._time_us >= round(until * 1e6)
 
     def _hold(self) -> None:
         """Execute the requests queued for the end of a tick; block while the simulation is paused."""
@@ -292,15 +308,18 @@ class SimulatorNode:
         backend = self._backend
         backend.restart(0 if kind is Reset.SIMULATION else backend.time_us)
         self._collisions.clear()
-        self._looked_us = backend.time_us
         if kind is Reset.SIMULATION:
+            self._next = None
             self._next_states_us = 0
+            self._time_us = 0
             self._server.reset_time(0)
+        if self._next is None:
+            self._looked_us = backend.time_us
         if backend.time_us > 0:  # 0 means "no time yet" in ROS and ends rosbag record: wait for the next tick
             self._publish_clock()
 
-    def _advance(self) -> None:
-        """Step to the next tick, or by ``_CHUNK_US`` if no participant is due before, and run one barrier."""
+    def _advance(self) -> _Tick:
+        """Step to the next tick, or by ``_CHUNK_US`` if no participant is due before."""
         backend = self._backend
         now = backend.time_us
         due = self._server.next_due_us(now)
@@ -309,20 +328,30 @@ class SimulatorNode:
         until = min([regular, *self._publication_times_us(now)])
         is_regular = until == regular
         backend.advance(until)
+        if is_regular:
+            self._looked_us = backend.time_us
+        return _Tick(is_regular, is_regular and due in (None, until))
+
+    def _run_tick(self, tick: _Tick) -> None:
+        """Publish the state of the world, and run one barrier, during which the world may advance to the next tick."""
+        backend = self._backend
+        self._next = None
         now = backend.time_us
         self._publish_clock()
         lockstep.host().time_passed(now)
         if now >= self._next_states_us:
             self._publish_states(now)
         self._serve(0.0)
-        if is_regular and self._digests is not None:
+        if tick.is_regular and self._digests is not None:
             self._digests.tick(now, backend.truth())
-        backend.tick(self._serve_in_tick)
+        backend.begin_tick(self._serve_in_tick)
+        if backend.overlap and not self._over():
+            # Until the barrier ends, no input is read: what participants send takes effect at the next tick, always.
+            self._next = self._advance()
+        backend.end_tick(self._serve_in_tick)
         self._report_collisions()
-        if is_regular:
-            self._looked_us = backend.time_us
-            if due is None or due == until:
-                self._control.ticked()
+        if tick.is_counted:
+            self._control.ticked()
 
     def _publication_times_us(self, now: int) -> list[int]:
         """Return the next times at which a subscriber needs a message; they do not count as ticks."""
@@ -333,10 +362,14 @@ class SimulatorNode:
         return times
 
     def _report_collisions(self) -> None:
-        new = self._backend.collisions() - self._collisions
-        for a, b in sorted(new):
-            rospy.logwarn("simulator: collision of %s and %s", self._names[a], self._names[b])
-        self._collisions |= new
+        found = self._backend.collisions()
+        new = found - self._collisions
+        if new:
+            names = [*self._backend.names, *self._backend.scenery]
+            for a, b in sorted(new):
+                rospy.logwarn("simulator: collision of %s and %s", names[a], names[b])
+        if found != self._collisions:  # a vehicle put back may collide again
+            self._collisions = set(found)
 
     def _serve(self, timeout: float) -> None:
         """Wait up to ``timeout`` wall s for data on any socket, and process it.
@@ -377,8 +410,9 @@ class SimulatorNode:
             self._server.poll(0.0)
 
     def _publish_clock(self) -> None:
+        self._time_us = self._backend.time_us
         clock = self._clock_message.clock
-        clock.secs, micros = divmod(self._backend.time_us, 1_000_000)
+        clock.secs, micros = divmod(self._time_us, 1_000_000)
         clock.nsecs = micros * 1000
         self._clock.publish(self._clock_message)
 

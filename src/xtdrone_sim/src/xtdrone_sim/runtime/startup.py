@@ -7,9 +7,12 @@ the master without registering.
 from __future__ import annotations
 
 import socket
+from collections.abc import Sequence
+from pathlib import Path
 from urllib.parse import urlparse
 
 import rosgraph
+import rospy
 
 _URI = "/lockstep/uri"
 _ANSWER_LIMIT = 2.0  # s
@@ -39,6 +42,26 @@ def obstacle(name: str) -> str:
             f"(rosnode kill {name}), {elsewhere}"
         )
     return ""
+
+
+def ready_words(names: Sequence[str], speed: float) -> str:
+    """Return what runs, for the line that begins the simulation.
+
+    Args:
+        names: of the vehicles, in order.
+        speed: target real-time factor; 0 for unlimited.
+    """
+    vehicles = names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
+    world = str(rospy.get_param("/xtdrone/world", ""))  # the simplified simulator has none
+    parts = [
+        *([f"world {Path(world).stem}"] if world else []),
+        f"{speed:g} x real time" if speed else "as fast as it goes",
+        f"ROS master {rosgraph.get_master_uri()}",
+    ]
+    instance = rospy.get_param("/xtdrone/instance", 0)
+    if instance:
+        parts.append(f"instance {instance}")
+    return f"{vehicles} stand ready, time runs: {', '.join(parts)}"
 
 
 def stale_uri(name: str) -> str:

@@ -22,7 +22,7 @@ class ModelStatesMessage:
 
         Args:
             names: names of the vehicles.
-            models: static models of the world.
+            models: of the world.
         """
         poses = [Pose(Point(*model.pose.position), Quaternion(*to_xyzw(model.pose.orientation))) for model in models]
         level = Pose(orientation=Quaternion(0.0, 0.0, 0.0, 1.0))

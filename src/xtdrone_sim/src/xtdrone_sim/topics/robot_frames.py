@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from xtdrone_control.rotation import from_euler
-from xtdrone_sim.vehicles.poses import compose, from_axis_angle
+from xtdrone_sim.vehicles.poses import OPTICAL_FRAME, compose, from_axis_angle
 from xtdrone_sim.vehicles.urdf import FIXED
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
 from xtdrone_sim.vehicles.visual import Pose
-
-OPTICAL = Pose(orientation=from_euler(-1.5707963267948966, 0.0, -1.5707963267948966))  # z ahead, x right, y down
 
 
 class Frame(NamedTuple):
@@ -53,7 +50,7 @@ class RobotFrames:
         links = {link.name for link in urdf.links}
         for camera in model.cameras:
             if camera.frame_id not in links:
-                self.fixed.append(Frame(f"{name}/{camera.link}", f"{name}/{camera.frame_id}", OPTICAL))
+                self.fixed.append(Frame(f"{name}/{camera.link}", f"{name}/{camera.frame_id}", OPTICAL_FRAME))
 
     def at_rest(self) -> list[Frame]:
         """Return the frames of moving joints, with all joints at 0."""

@@ -93,12 +93,12 @@ def main(arguments: Sequence[str]) -> None:
     check_no_arguments(arguments)
     fleet = needed_fleet(rospy.get_param("/xtdrone/fleet", None))
     try:
-        types = {vehicle.type: load_vehicle(vehicle.type) for vehicle in fleet}
+        types = {vehicle.model: load_vehicle(vehicle.model) for vehicle in fleet}
         settings = TfSettings.from_parameters(rospy.get_param, f"{lockstep.future_name('robot_tf')}/", names=("rate",))
     except (ModelError, ValueError) as error:
         raise ArgumentError(str(error)) from error
     lockstep.init_node("robot_tf", rate=settings.rate)
     settings = TfSettings.from_parameters(rospy.get_param)
-    node = RobotTf({vehicle.name: types[vehicle.type] for vehicle in fleet}, settings.frame_id)
+    node = RobotTf({vehicle.name: types[vehicle.model] for vehicle in fleet}, settings.frame_id)
     lockstep.start()
     lockstep.spin(node.step)

@@ -146,6 +146,13 @@ class Gimbals:
         self._fitted: list[int] = np.flatnonzero(self.records["fitted"]).tolist()
         self.any = bool(self._fitted)
 
+    def reset(self, index: int) -> None:
+        """Point the gimbal of vehicle ``index`` ahead, without a setpoint."""
+        record = self.records[index]
+        for field in ("slewed", "joint", "joint_rate", "attitude"):
+            record[field] = 0.0
+        record["wanted"] = math.nan
+
     def step(self, steps: int, plant: NDArray[np.void], commanders: Sequence[Commander], dt: float) -> None:
         """Advance by one step; exchange setpoints and attitudes with the autopilots at 50 Hz.
 

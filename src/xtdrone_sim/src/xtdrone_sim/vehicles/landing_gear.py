@@ -45,6 +45,10 @@ class LandingGears:
         self._fitted: list[int] = np.flatnonzero(self.records["speed"]).tolist()
         self.any = bool(self._fitted)
 
+    def reset(self, index: int) -> None:
+        """Lower the landing gear of vehicle ``index`` at once."""
+        self.records[index]["raised"] = self.records[index]["rate"] = 0.0
+
     def step(self, steps: int, commanders: Sequence[Commander], dt: float) -> None:
         """Advance by one step.
 

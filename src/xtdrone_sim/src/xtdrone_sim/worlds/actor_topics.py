@@ -21,6 +21,8 @@ from ros_actor_cmd_pose_plugin_msgs.msg import ActorMotion
 from xtdrone_msgs.msg import SceneState
 
 from xtdrone_control import lockstep
+from xtdrone_control.rotation import yaw_of
+from xtdrone_sim.vehicles.visual import Pose as VisualPose
 from xtdrone_sim.worlds import people
 from xtdrone_sim.worlds.actors import Actors, ActorState
 from xtdrone_sim.worlds.sdf import SdfActor
@@ -29,7 +31,11 @@ _WARNING_PERIOD = 5.0  # wall s between two equal warnings
 
 
 class ActorTopics:
-    """Topics of the actors of a world; all methods are called in the simulator's thread."""
+    """Topics of the actors of a world; all methods are called in the simulator's thread.
+
+    Attributes:
+        names: of all actors, in the order of the world.
+    """
 
     def __init__(self, actors: Sequence[SdfActor], now_us: Callable[[], int]) -> None:
         """Subscribe to the commands; called after ``lockstep.host()``.
@@ -43,14 +49,11 @@ class ActorTopics:
         """
         skins = people.skins([actor.skin for actor in actors])
         self._actors = Actors(actors, [people.read(skin).stride for skin in skins])
+        self.names: Sequence[str] = self._actors.names
+        self._gone: set[int] = set()
         self._now_us = now_us
         for number in range(len(actors)):
             lockstep.Subscriber(f"/actor_{number}/cmd_motion", ActorMotion, partial(self._on_motion, number))
-
-    def receive(self) -> None:
-        """Process the received commands; called after each tick of the lockstep server."""
-        if self._actors.names:
-            lockstep.host().receive()
 
     def _on_motion(self, number: int, message: ActorMotion) -> None:
         try:
@@ -59,19 +62,38 @@ class ActorTopics:
             rospy.logwarn_throttle(_WARNING_PERIOD, f"simulator: /actor_{number}/cmd_motion: {error}")
 
     def restart(self, time_us: int) -> None:
-        """Restart all actors at a simulated time, microseconds."""
+        """Restart all actors at a simulated time, microseconds, also those that were removed."""
+        self._gone.clear()
         self._actors.restart(time_us)
+
+    def remove(self, number: int) -> None:
+        """Remove an actor until the next restart."""
+        self._gone.add(number)
+
+    def place(self, number: int, pose: VisualPose) -> None:
+        """Let an actor stand at a pose, upright; its current motion ends."""
+        self._actors.place(number, pose.position, yaw_of(pose.orientation))
+
+    def pose(self, number: int) -> VisualPose:
+        """Return the pose of an actor in the world."""
+        state = self._actors.states(self._now_us())[number]
+        half = 0.5 * state.yaw
+        return VisualPose(state.position, (math.cos(half), 0.0, 0.0, math.sin(half)))
+
+    def _present(self) -> list[tuple[str, ActorState]]:
+        states = zip(self.names, self._actors.states(self._now_us()), strict=True)
+        return [named for number, named in enumerate(states) if number not in self._gone]
 
     def add_to_scene(self, scene: SceneState) -> None:
         """Add the actors to a scene message."""
-        states = self._actors.states(self._now_us())
-        scene.actors = list(self._actors.names)
-        scene.actor_poses = [_pose(state) for state in states]
-        scene.actor_phases = [state.phase for state in states]
+        present = self._present()
+        scene.actors = [name for name, _ in present]
+        scene.actor_poses = [_pose(state) for _, state in present]
+        scene.actor_phases = [state.phase for _, state in present]
 
     def add_to(self, message: ModelStates) -> None:
         """Add the actors to a Gazebo message; twists are zero, as those of Gazebo's actors."""
-        for name, state in zip(self._actors.names, self._actors.states(self._now_us()), strict=True):
+        for name, state in self._present():
             message.name.append(name)
             message.pose.append(_pose(state))
             message.twist.append(Twist())

@@ -168,6 +168,16 @@ class Actors:
         else:
             self._ways[number] = _Walk(here, time_us, (x, y), speed, self._strides[number])
 
+    def place(self, number: int, position: Vector, yaw: float) -> None:
+        """Let an actor stand somewhere, replacing its current motion.
+
+        Args:
+            number: index of the actor in the order of the world.
+            position: point between its feet, m, map.
+            yaw: rad.
+        """
+        self._ways[number] = _Stand(ActorState(position, yaw, STANDING))
+
 
 def _first_way(actor: SdfActor, time_us: int, stride: float) -> _Way:
     trajectory = actor.trajectory

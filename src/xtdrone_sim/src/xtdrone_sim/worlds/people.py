@@ -10,9 +10,6 @@ Frame of a person: origin on the ground between the feet (below the pelvis while
 from __future__ import annotations
 
 import hashlib
-import os
-import shutil
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +18,7 @@ import numpy as np
 import rospkg
 
 from xtdrone_control.settings import check_choice
+from xtdrone_sim.cached_files import cached_folder
 from xtdrone_sim.vehicles.visual import Mesh, Visual
 
 SPLITS = ("train", "test")
@@ -173,24 +171,14 @@ def _file(pose: int) -> str:
 
 
 def _cached(name: str, body: Body) -> Path:
-    """Return the folder with a person's Wavefront files, which is created atomically."""
+    """Return the folder with a person's Wavefront files."""
     digest = hashlib.sha256(_FORMAT + (models_folder() / f"{name}.npz").read_bytes()).hexdigest()[:16]
-    above = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "xtdrone" / "people"
-    folder = above / f"{name}-{digest}"
-    if folder.is_dir():
-        return folder
-    above.mkdir(parents=True, exist_ok=True)
-    fresh = Path(tempfile.mkdtemp(prefix=f".{name}-", dir=above))
-    try:
+
+    def write(folder: Path) -> None:
         for pose in range(len(body.poses)):
-            (fresh / _file(pose)).write_text(wavefront(body, pose))
-        fresh.chmod(0o755)
-        fresh.rename(folder)
-    except OSError:
-        shutil.rmtree(fresh, ignore_errors=True)
-        if not folder.is_dir():  # else another process was faster
-            raise
-    return folder
+            (folder / _file(pose)).write_text(wavefront(body, pose))
+
+    return cached_folder("people", f"{name}-{digest}", write)
 
 
 def wavefront(body: Body, pose: int) -> str:

@@ -8,7 +8,9 @@ Parameters: those of :class:`SimplifiedSettings`, and
     ~model: first-order, second-order, or a YAML file with the values of ``model.Model``; empty for the vehicle type's.
     ~order: 1 or 2, replaces the model's.
     ~rows: vehicles side by side along x on the spawn grid, 3 m apart; 0 for the grid of the pattern ``origin``.
-    ~places: initial positions of all vehicles instead of the grid, [[x, y, z], ...], m ENU.
+    ~poses: start poses of all vehicles instead of the grid, a YAML list of [x, y, z, roll, pitch, yaw], m and rad ENU;
+        roll and pitch are 0.
+    ~places: likewise, only positions: [[x, y, z], ...], m ENU.
     ~altitude (10 m): height above these positions with ~airborne.
     ~view: open a live window (``visualize.py``, in a process that ends with this one); default: with a display.
 
@@ -30,14 +32,14 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
 
 from xtdrone_control import lockstep
 from xtdrone_control.communication.commands import CommandSettings
-from xtdrone_control.fleet import parse_fleet, spawn_grid
+from xtdrone_control.fleet import StartPose, Vehicle, fleet_text, parse_fleet, start_poses, with_poses
 from xtdrone_control.geodesy.geo import GRAVITY
 from xtdrone_control.lockstep.protocol import Schedule
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.program import ArgumentError, check_multirotor, parse_count
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_coordination.patterns import origin_columns
-from xtdrone_sim.runtime.backend import HEAD_START, Idle
+from xtdrone_sim.runtime.backend import HEAD_START, Idle, index_of
 from xtdrone_sim.runtime.mailbox import Mailbox
 from xtdrone_sim.runtime.simulator_node import NodeSettings, run_node
 from xtdrone_swarm.simplified.model import Model, load_model
@@ -63,14 +65,18 @@ class SimplifiedSettings(CommandSettings, NodeSettings):
         kind: vehicle type.
         count: number of vehicles.
         model: model of every vehicle.
+        fleet: the vehicles, with their start poses.
         places: initial positions, shape (count, 3), m ENU.
+        headings: initial yaw, shape (count,), rad.
         view: whether to open a live window.
     """
 
     kind: str
     count: int
     model: Model
+    fleet: tuple[Vehicle, ...]
     places: Array
+    headings: Array
     view: bool
     airborne: bool = setting(False, text="start armed, in OFFBOARD, at ~altitude above the initial positions")
     setpoint_timeout: float = setting(
@@ -103,12 +109,15 @@ def read_settings(kind: str, count: int) -> SimplifiedSettings:
         ValueError: a parameter is not allowed.
     """
     start = _Start.from_parameters(rospy.get_param)
+    fleet = with_poses(parse_fleet(f"{kind}:{count}"), str(rospy.get_param("~poses", "")))
     settings = SimplifiedSettings.from_parameters(
         rospy.get_param,
         kind=kind,
         count=count,
         model=_model(kind, start),
-        places=_places(kind, count, start.rows),
+        fleet=fleet,
+        places=_places(fleet, start.rows),
+        headings=np.array([0.0 if vehicle.pose is None else vehicle.pose.yaw for vehicle in fleet]),
         view=wanted(_view()),
     )
     if settings.airborne:
@@ -131,12 +140,15 @@ def _model(kind: str, start: _Start) -> Model:
     return replace(model, order=start.order) if start.order else model
 
 
-def _places(kind: str, count: int, rows: int) -> Array:
+def _places(fleet: Sequence[Vehicle], rows: int) -> Array:
     """Return the initial positions, shape (count, 3), m ENU."""
     given = rospy.get_param("~places", [])
+    count = len(fleet)
     if not given:
-        fleet = parse_fleet(f"{kind}:{count}")
-        return np.array(spawn_grid(fleet, rows or origin_columns(count)))
+        poses = start_poses(fleet, rows or origin_columns(count))
+        for vehicle, pose in zip(fleet, poses, strict=True):
+            _check_level(vehicle.name, pose)
+        return np.array([pose[:3] for pose in poses])
     try:
         places = np.array(given, dtype=float)
     except (TypeError, ValueError):
@@ -144,6 +156,20 @@ def _places(kind: str, count: int, rows: int) -> Array:
     if places.shape != (count, 3) or not np.isfinite(places).all():
         raise ValueError(f"{rospy.resolve_name('~places')}: {given!r} is not allowed, {count} places [x, y, z], m ENU")
     return places
+
+
+def _check_level(name: str, pose: StartPose) -> None:
+    """Check that a start pose is one of a simplified vehicle.
+
+    Raises:
+        ValueError: the vehicle would be tilted or below the ground.
+    """
+    if pose.roll or pose.pitch:
+        raise ValueError(
+            f"poses: {name}: roll {pose.roll:g}, pitch {pose.pitch:g} rad: simplified vehicles are level, 0"
+        )
+    if pose.z < 0.0:
+        raise ValueError(f"poses: {name}: the start is not free: it is {-pose.z:.2f} m below the ground")
 
 
 class SimplifiedScene:
@@ -154,13 +180,15 @@ class SimplifiedScene:
         scenery, actors: empty.
         step_us: base step, microseconds.
         gravity: gravitational acceleration, m/s^2.
-        need_time: empty, because services are answered immediately.
+        need_time: false, because services are answered immediately.
+        overlap: false, because a step costs next to nothing.
         descriptors: empty, because all input arrives through ROS.
         patience: unlimited, because no other input needs service.
     """
 
     gravity = GRAVITY
     need_time = False
+    overlap = False
     descriptors: Sequence[int] = ()
     patience = math.inf
 
@@ -180,6 +208,7 @@ class SimplifiedScene:
         }
         self._schedule = Schedule(RATE, vehicles.step_us)
         self._began_us = 0
+        self._turn = False
         self._begin()
 
     def _begin(self) -> None:
@@ -223,16 +252,20 @@ class SimplifiedScene:
         """Advance the vehicles by one base step."""
         self._vehicles.advance(self._vehicles.time_us + self.step_us)
 
-    def tick(self, idle: Idle) -> None:
-        """Publish if a turn is due, run one barrier, dispatch its messages, and execute XTDrone's commands if due."""
+    def begin_tick(self, idle: Idle) -> None:
+        """Publish if a turn is due, and begin a barrier."""
         now_us = self.time_us
-        turn = now_us >= self._next_turn_us
-        if turn:
+        self._turn = now_us >= self._next_turn_us
+        if self._turn:
             self._next_turn_us = self._schedule.after_us(now_us)
             self._publish(now_us)
-        self._server.tick(now_us, {}, idle, HEAD_START)
+        self._server.begin_tick(now_us, {}, idle)
+
+    def end_tick(self, idle: Idle) -> None:
+        """Wait for the end of the barrier, dispatch its messages, and execute XTDrone's commands if due."""
+        self._server.end_tick(idle, HEAD_START)
         lockstep.host().receive()
-        if turn:
+        if self._turn:
             for topics in self._topics:
                 topics.act()
 
@@ -283,6 +316,14 @@ class SimplifiedScene:
         for topics in self._topics:
             topics.restart()
 
+    def reset_vehicle(self, name: str, pose: StartPose | None) -> None:
+        """See ``SimulatorBackend``; the pose is level."""
+        index = index_of(name, self.names)
+        if pose is not None:
+            _check_level(name, pose)
+        self._vehicles.reset(index, None if pose is None else pose[:3], None if pose is None else pose.yaw)
+        self._topics[index].restart()
+
     def close(self) -> None:
         """Release the vehicles' resources."""
         self._vehicles.close()
@@ -319,10 +360,11 @@ def main() -> int:
             kind=kind,
             model=settings.model,
             places=settings.places,
+            headings=settings.headings,
             airborne=settings.airborne,
             hover_speed=None,
         )
-        rospy.set_param("/xtdrone/fleet", f"{kind}:{count}")
+        rospy.set_param("/xtdrone/fleet", fleet_text(settings.fleet))
         if settings.view:
             windows.enter_context(live_window(kind, count, sys.argv))
         scene = SimplifiedScene(

@@ -34,6 +34,18 @@ class SetpointError(ValueError):
     """A setpoint that the simplified vehicles cannot fly; the message names the unsupported part."""
 
 
+class Start(NamedTuple):
+    """Where a setpoint relative to the vehicle counts from.
+
+    Attributes:
+        position: m, ENU.
+        heading: rad from east, counter-clockwise.
+    """
+
+    position: Vector
+    heading: float
+
+
 class Wanted(NamedTuple):
     """Setpoint of a simplified vehicle.
 
@@ -50,18 +62,18 @@ class Wanted(NamedTuple):
     yaw: float
 
 
-def wanted(setpoint: Setpoint, here: Vector, heading: float) -> Wanted:
+def wanted(setpoint: Setpoint, start: Start, heading: float) -> Wanted:
     """Return a MAVROS setpoint in the form of the simplified vehicles.
 
     LOCAL_NED is ENU. The vectors of BODY_NED and BODY_OFFSET_NED are FLU, rotated by the heading. Position and yaw of
-    BODY_OFFSET_NED are relative to the vehicle; BODY_NED supports neither. A yaw takes precedence over a yaw rate;
-    without both the heading is kept.
+    BODY_OFFSET_NED are relative to the vehicle at the start of the command; BODY_NED supports neither. A yaw takes
+    precedence over a yaw rate; without both the heading is kept.
 
 
     Args:
         setpoint: frame, mask and values of a mavros_msgs/PositionTarget.
-        here: position of the vehicle, m ENU.
-        heading: heading of the vehicle, rad from east, counter-clockwise.
+        start: where the vehicle was when the command came; used in BODY_OFFSET_NED only.
+        heading: present heading of the vehicle, rad from east, counter-clockwise.
 
         Raises:
             SetpointError: unsupported frame; a mask with none or several of position, velocity and acceleration, with
@@ -83,12 +95,13 @@ def wanted(setpoint: Setpoint, here: Vector, heading: float) -> Wanted:
     bad = first_bad_field((f"{name}.x", f"{name}.y", f"{name}.z", "yaw", "yaw_rate"), (*values, *turning))
     if bad is not None:
         raise SetpointError(f"{bad}: not flown")
-    if frame != FRAME_LOCAL_NED:
-        values = flu_to_enu(values, heading)
     if frame == FRAME_BODY_OFFSET_NED:
-        yaw = math.remainder(heading + yaw, math.tau)
-        if kind == POSITION:
-            values = (here[0] + values[0], here[1] + values[1], here[2] + values[2])
+        yaw = math.remainder(start.heading + yaw, math.tau)
+    if frame == FRAME_BODY_OFFSET_NED and kind == POSITION:
+        x, y, z = flu_to_enu(values, start.heading)
+        values = start.position[0] + x, start.position[1] + y, start.position[2] + z
+    elif frame != FRAME_LOCAL_NED:
+        values = flu_to_enu(values, heading)
     return Wanted(kind, values, yaw_rate, yaw)
 
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from xtdrone_control.autopilot.modes import PX4_MODES
 from xtdrone_control.communication.commands import HOVER_SPEED, HOVER_YAW_RATE, OWN_COMMANDS
+from xtdrone_control.rotation import wrap_pi
 from xtdrone_coordination.patterns import PITCH, origin_columns
 from xtdrone_swarm.simplified import pilot
 from xtdrone_swarm.simplified.kinematics import VEHICLE, advance, capture, set_at, set_many
@@ -39,6 +40,7 @@ class SimplifiedVehicles:
         kind: str = "iris",
         model: Model | str | None = None,
         places: ArrayLike | None = None,
+        headings: ArrayLike | None = None,
         airborne: bool = False,
         rate_step_us: int = STEP_US,
         hover_speed: float | None = HOVER_SPEED,
@@ -50,6 +52,7 @@ class SimplifiedVehicles:
             kind: vehicle type, a name in ``config/vehicles``.
             model: see ``model.load_model``.
             places: initial positions, shape (count, 3), m ENU, z at least 0; None: the spawn grid (pattern ``origin``).
+            headings: initial yaw, shape (count,), rad from east, counter-clockwise; None: all look east.
             airborne: start armed, in OFFBOARD and holding position, instead of disarmed.
             rate_step_us: base step, microseconds, at least 100.
             hover_speed: dead zone, m/s (m/s^2 for accelerations), 0 or more: a velocity that exceeds it on no axis
@@ -69,6 +72,7 @@ class SimplifiedVehicles:
         self.step_us = rate_step_us
         self._dead_zone = -1.0 if hover_speed is None else float(hover_speed)
         self._places = spawn_places(count) if places is None else checked_places(places, count)
+        self._headings = np.zeros(count) if headings is None else checked_headings(headings, count)
         self._airborne = airborne
         self._record = self.model.record(rate_step_us)
         depth = int(self._record["delay"].max()) + 1
@@ -86,6 +90,7 @@ class SimplifiedVehicles:
         vehicles = self._vehicles
         vehicles[:] = np.zeros(1, VEHICLE)[0]
         vehicles["position"] = vehicles["place"] = vehicles["home"] = vehicles["setpoint"] = self._places
+        vehicles["yaw"] = self._headings
         vehicles["mode"] = pilot.OFFBOARD if self._airborne else pilot.LOITER
         vehicles["armed"] = vehicles["flown"] = self._airborne
         vehicles["kind"] = HOLD
@@ -96,7 +101,31 @@ class SimplifiedVehicles:
         self.time_us = 0
         self.position[:] = self._places
         self.velocity[:] = 0.0
-        self.yaw[:] = 0.0
+        self.yaw[:] = self._headings
+        self._look()
+
+    def reset(self, index: int, place: Sequence[float] | None = None, heading: float | None = None) -> None:
+        """Put one vehicle back, on the ground and disarmed; the others are not affected.
+
+        Args:
+            index: of the vehicle.
+            place: where it then stands, (x, y, z), m ENU; None: where it started, in its initial state.
+            heading: rad; None: the initial one.
+        """
+        v = self._vehicles[index : index + 1]
+        v[:] = np.zeros(1, VEHICLE)[0]
+        airborne = self._airborne and place is None
+        where = self._places[index] if place is None else np.array(place, float)
+        v["position"] = v["place"] = v["home"] = v["setpoint"] = where
+        v["yaw"] = self._headings[index] if heading is None else wrap_pi(heading)
+        v["mode"] = pilot.OFFBOARD if airborne else pilot.LOITER
+        v["armed"] = v["flown"] = airborne
+        v["kind"] = HOLD
+        v["sp_yaw"] = math.nan
+        v["wanted_kind"] = VELOCITY
+        self._delayed[index] = (0.0, 0.0, 0.0, VELOCITY)
+        self._last[index] = ""
+        self.position[index], self.velocity[index], self.yaw[index] = where, 0.0, v["yaw"][0]
         self._look()
 
     def _look(self) -> None:
@@ -268,3 +297,15 @@ def checked_places(places: ArrayLike, count: int) -> Array:
         worst = int(np.argmax(bad))
         raise ValueError(f"places: {array[worst].tolist()} of vehicle {worst} is not allowed, finite with z >= 0")
     return array
+
+
+def checked_headings(headings: ArrayLike, count: int) -> Array:
+    """Return ``headings`` in -pi..pi as an array of shape (count,).
+
+    Raises:
+        ValueError: wrong shape, or a value that is not finite.
+    """
+    array = np.array(headings, dtype=float)
+    if array.shape != (count,) or not np.isfinite(array).all():
+        raise ValueError(f"headings: {headings!r} is not allowed, {count} finite numbers, rad")
+    return np.array([wrap_pi(yaw) for yaw in array.tolist()])

@@ -25,7 +25,7 @@ position, as in PX4 (COM_OF_LOSS_T, COM_OBL_RC_ACT). Messages sent in a tick act
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from functools import partial
 from typing import Any, Protocol
@@ -45,13 +45,14 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
 
 from xtdrone_control import lockstep
 from xtdrone_control.autopilot import modes
+from xtdrone_control.autopilot.commander.offboard_setpoint import CommandStart
 from xtdrone_control.communication.commands import MultirotorCore
 from xtdrone_control.communication.multirotor import RosLog
 from xtdrone_control.communication.setpoint import FRAME_LOCAL_NED, Setpoint, Vector
 from xtdrone_control.mavros.lib.px4_modes import ModeError, mode_name, mode_number
 from xtdrone_control.mavros.swarm import FIELDS, TOPIC
 from xtdrone_sim.runtime.mailbox import ClosedError, Mailbox
-from xtdrone_swarm.simplified.setpoints import SetpointError, wanted
+from xtdrone_swarm.simplified.setpoints import SetpointError, Start, wanted
 from xtdrone_swarm.swarm_vehicles import HOLD, Vehicles
 
 _ACCEPTED, _TEMPORARILY_REJECTED = 0, 1  # MAV_RESULT
@@ -59,6 +60,7 @@ _STANDBY, _ACTIVE = 3, 4  # MAV_STATE
 _CUSTOM_MODE_ENABLED, _GUIDED, _MANUAL_INPUT = 1, 8, 64  # MAV_MODE_FLAG
 _FLAGS = {mode.name: mode.flags for mode in modes.SUPPORTED}
 _WARNING_PERIOD = 5.0  # wall s between two equal warnings
+_PAUSE = 1.0  # s after which setpoints are another stream, PX4's COM_OF_LOSS_T
 
 _ON_GROUND, _IN_AIR, _TAKEOFF, _LANDING = 1, 2, 3, 4  # MAV_LANDED_STATE
 
@@ -76,6 +78,9 @@ class SteeredVehicles(Vehicles, Protocol):
         yaw: float = math.nan,
     ) -> None:
         """Set one vehicle's setpoint, ENU, with a yaw rate, rad/s, or a heading, rad, if given."""
+
+    def reset(self, index: int, place: Sequence[float] | None = None, heading: float | None = None) -> None:
+        """Put one vehicle back, where it started or at ``place`` (x, y, z), m ENU, with a heading, rad."""
 
 
 class VehicleTopics:
@@ -114,6 +119,7 @@ class VehicleTopics:
         self.name = name = vehicles.names[index]
         self._core = MultirotorCore(name, RosLog(), hover_speed=hover_speed, cmd_timeout=cmd_timeout)
         base = f"/{name}/mavros"
+        self._frame_was_unset = False
         self._pose_publisher = lockstep.Publisher(f"{base}/local_position/pose", PoseStamped)
         self._velocity_publisher = lockstep.Publisher(f"{base}/local_position/velocity_local", TwistStamped)
         self._state_publisher = lockstep.Publisher(f"{base}/state", State)
@@ -150,6 +156,8 @@ class VehicleTopics:
         self._core.restart()
         self._commanded = True  # by XTDrone's commands, not by setpoints
         self._target_at = -math.inf  # s, arrival of the last setpoint
+        self._steered_at = -math.inf  # s, of the last setpoint or XTDrone command that was flown
+        self._command_start: CommandStart[Start] = CommandStart()
         self._flown: Setpoint | None = None  # the setpoint last received from the core
         self._said: tuple[str, bool] | None = None
         self._looked = -1.0  # s, of simulated time
@@ -217,7 +225,7 @@ class VehicleTopics:
         self._target_at = self._seconds()
         p, v, a = target.position, target.velocity, target.acceleration_or_force
         setpoint = Setpoint(
-            target.coordinate_frame,
+            target.coordinate_frame or self._unset_frame(),
             target.type_mask,
             (p.x, p.y, p.z),
             (v.x, v.y, v.z),
@@ -227,14 +235,31 @@ class VehicleTopics:
         )
         self._fly(setpoint)
 
+    def _unset_frame(self) -> int:
+        """Return the frame of a setpoint without one, as the MAVROS layer does, with a warning the first time."""
+        if not self._frame_was_unset:
+            self._frame_was_unset = True
+            text = "simulator: /%s/mavros/setpoint_raw/local: coordinate_frame is 0, unset; it counts as 1 (LOCAL_NED)"
+            rospy.logwarn(text, self.name)
+        return FRAME_LOCAL_NED
+
     def _fly(self, setpoint: Setpoint) -> None:
         try:
-            kind, vector, yaw_rate, yaw = wanted(setpoint, self._here, self._heading)
+            kind, vector, yaw_rate, yaw = wanted(setpoint, self._start_of(setpoint), self._heading)
         except SetpointError as error:
             text = f"simulator: /{self.name}/mavros/setpoint_raw/local: {error}; the setpoint is ignored"
             rospy.logwarn_throttle_identical(_WARNING_PERIOD, text)
             return
         self._vehicles.steer_one(self._index, kind, vector, yaw_rate, yaw=yaw)
+
+    def _start_of(self, setpoint: Setpoint) -> Start:
+        """Return where the vehicle was when the command of this setpoint came; see ``CommandStart``."""
+        now, before = self._seconds(), self._steered_at
+        self._steered_at = now
+        repeated = self._vehicles.mode[self._index] == "OFFBOARD" and 0.0 <= now - before <= _PAUSE
+        values = (setpoint.frame, setpoint.type_mask, *setpoint.position, *setpoint.velocity, *setpoint.acceleration)
+        here = Start(self._here, self._heading)
+        return self._command_start.update((*values, setpoint.yaw, setpoint.yaw_rate), here, repeated=repeated)
 
     def _miss_targets(self) -> None:
         """Leave OFFBOARD when the setpoints have stopped, so that the last one does not act indefinitely."""

@@ -12,15 +12,15 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from xtdrone_control.autopilot import modes
-from xtdrone_control.autopilot.commander.arming_checks import ArmingChecks
-from xtdrone_control.autopilot.commander.battery import BatteryEstimate
 from xtdrone_control.autopilot.commander.failsafe import Action, Failsafe, Flags, Outcome, can_run
 from xtdrone_control.autopilot.commander.flight_commands import FlightCommands, Result
-from xtdrone_control.autopilot.commander.health import Health
-from xtdrone_control.autopilot.commander.inputs import OffboardInput
+from xtdrone_control.autopilot.commander.health_and_arming_checks.arming_checks import ArmingChecks
+from xtdrone_control.autopilot.commander.health_and_arming_checks.battery import BatteryEstimate
+from xtdrone_control.autopilot.commander.health_and_arming_checks.health import Health
 from xtdrone_control.autopilot.commander.manual_control import ManualControl, Request, Sticks
 from xtdrone_control.autopilot.commander.manual_flight import MANUAL_THRUST, ManualFlight
 from xtdrone_control.autopilot.commander.motors import ArmReason, MotorSwitch
+from xtdrone_control.autopilot.commander.offboard_setpoint import OffboardSetpoint
 from xtdrone_control.autopilot.events import events
 from xtdrone_control.autopilot.events.announcements import CRITICAL, INFO, WARNING, Announcements
 from xtdrone_control.autopilot.events.events import Event
@@ -93,7 +93,7 @@ class Commander(FlightCommands):
         self._announcements = Announcements(self.view)
         self.navigator = Navigator(self.view, parameters, self._announcements)
         self.manual = ManualControl(get)
-        self._offboard = OffboardInput(self.view)
+        self._offboard = OffboardSetpoint(self.view)
         self.health = Health(self.view, get, self.navigator, self._offboard, self.manual, self._announcements)
         self._manual_flight = ManualFlight(self.view, get)
         self._failsafe = Failsafe(get, modes.AUTO_LOITER, lambda: parameters.changes)
@@ -343,7 +343,7 @@ class Commander(FlightCommands):
         return Result.ACCEPTED
 
     def test_actuator(self, function: int, value: float, seconds: float) -> Result | None:
-        """Obey MAV_CMD_ACTUATOR_TEST with the answers of PX4 v1.14's ``Commander::handleCommandActuatorTest``.
+        """Execute MAV_CMD_ACTUATOR_TEST, with the answers of PX4 v1.14's ``Commander::handleCommandActuatorTest``.
 
         Args:
             function: MAVLink's ACTUATOR_OUTPUT_FUNCTION, or 1000 plus PX4's own number.
@@ -558,16 +558,25 @@ class Commander(FlightCommands):
         It feeds the setpoint watchdog in every mode and is followed in OFFBOARD only.
 
         Raises:
-            SetpointError: see ``OffboardInput.set_trajectory``.
+            SetpointError: see ``OffboardSetpoint.set_trajectory``.
         """
         self._offboard.set_trajectory(position, velocity, acceleration, yaw, yaw_rate)
         self._apply_offboard_setpoint()
+
+    def offset_start(self, values: Sequence[float]) -> tuple[Vector, float]:
+        """Return position (m, local NED) and heading (rad) from which a setpoint relative to the vehicle counts.
+
+        A pause longer than COM_OF_LOSS_T ends its command; see ``CommandStart``.
+        """
+        return self._offboard.offset_start(
+            values, self.parameters.get("COM_OF_LOSS_T"), flown=self._follows_setpoints()
+        )
 
     def offboard_attitude(self, attitude: Sequence[float], yaw_rate: float, thrust: float) -> None:
         """Process an OFFBOARD attitude setpoint.
 
         Raises:
-            SetpointError: see ``OffboardInput.set_attitude``.
+            SetpointError: see ``OffboardSetpoint.set_attitude``.
         """
         self._offboard.set_attitude(attitude, yaw_rate, thrust)
         self._apply_offboard_setpoint()
@@ -576,7 +585,7 @@ class Commander(FlightCommands):
         """Process an OFFBOARD body-rate setpoint.
 
         Raises:
-            SetpointError: see ``OffboardInput.set_rates``.
+            SetpointError: see ``OffboardSetpoint.set_rates``.
         """
         self._offboard.set_rates(rates, thrust)
         self._apply_offboard_setpoint()
@@ -586,8 +595,11 @@ class Commander(FlightCommands):
         """Whether the last setpoint leaves an axis uncontrolled, so that the vehicle stops and holds instead."""
         return self._offboard.incomplete
 
+    def _follows_setpoints(self) -> bool:
+        return self.armed and self._active_mode is modes.OFFBOARD
+
     def _apply_offboard_setpoint(self) -> None:
-        if self.armed and self._active_mode is modes.OFFBOARD:
+        if self._follows_setpoints():
             self._offboard.write()
 
     def gcs_heartbeat(self) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from xtdrone_control.autopilot.commander.inputs import SetpointError
+from xtdrone_control.autopilot.commander.offboard_setpoint import SetpointError
 
 Get = Callable[[str], float]
 

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 
 from xtdrone_control.autopilot import modes
-from xtdrone_control.autopilot.commander.inputs import shaped
 from xtdrone_control.autopilot.commander.manual_control import CENTRED, Sticks
 from xtdrone_control.autopilot.modes import Mode
 from xtdrone_control.autopilot.state import (
@@ -72,9 +71,9 @@ class ManualFlight:
             get = self._get
             dead_zone, expo = get("MPC_HOLD_DZ"), get("MPC_XY_MAN_EXPO")
             if mode is modes.POSCTL:  # in ALTCTL the tilt is proportional to the stick
-                x, y = shaped(x, dead_zone, expo), shaped(y, dead_zone, expo)
-            z = shaped(z, dead_zone, get("MPC_Z_MAN_EXPO"))
-            yaw = shaped(yaw, dead_zone, get("MPC_YAW_EXPO"))
+                x, y = _shaped(x, dead_zone, expo), _shaped(y, dead_zone, expo)
+            z = _shaped(z, dead_zone, get("MPC_Z_MAN_EXPO"))
+            yaw = _shaped(yaw, dead_zone, get("MPC_YAW_EXPO"))
         fields = self._view.setpoint_fields
         for name, value in (("stick_x", x), ("stick_y", y), ("stick_z", z), ("stick_yaw", yaw)):
             fields[name][0] = value
@@ -91,3 +90,13 @@ class ManualFlight:
             setpoint["acceleration"] = _UNSET
             setpoint["yaw"] = setpoint["yaw_rate"] = _NAN
         self._view.start_task(task)
+
+
+def _shaped(value: float, dead_zone: float, expo: float) -> float:
+    """Return a stick value (-1..1) after dead zone and exponential curve, linear (expo 0) to cubic (expo 1)."""
+    value = min(max(value, -1.0), 1.0)
+    size = abs(value) - dead_zone
+    if size <= 0.0 or dead_zone >= 1.0:
+        return 0.0
+    size /= 1.0 - dead_zone
+    return math.copysign((1.0 - expo) * size + expo * size**3, value)

@@ -124,9 +124,9 @@ def _process_mag(e, s, p, work):
         e.mag_fault = 0
     if not _mag_usable(e, s, p):
         e.mag_used = 0
-        e.test_ratio_mag = 0.0
+        e.test_ratio.mag = 0.0
         return
-    track_field(e, s)
+    track_field(e.field, e, s)
     if not e.heading_aligned:
         e.mag_resets = 1
         _reset_heading_to_mag(e, s, p, work)
@@ -163,7 +163,7 @@ def _recover_mag(e, s, p, work):
     if e.in_air and not e.mag_resets:
         e.mag_fault = 1
         e.mag_used = e.mag_good = 0
-        e.test_ratio_mag = 0.0
+        e.test_ratio.mag = 0.0
         return
     reset_mag_bias(e, p.ekf2_mag_noise**2)
     _reset_heading_to_mag(e, s, p, work)
@@ -224,17 +224,17 @@ def _process_gps(e, s, p, work):
     if s.gps_fix < 3 or (not e.gps_good and (not e.gps_used or _other_horizontal_aiding(e))):
         e.gps_used = e.gps_used and not _other_horizontal_aiding(e)
         return
-    if not e.origin_set:
-        _set_origin(e, s)
+    if not e.origin.set:
+        _set_origin(e.origin, e, s)
     horizontal = control & (_GPS_POSITION | _GPS_VELOCITY)
     if control & _GPS_ALTITUDE:
-        down = e.origin_alt - s.gps_alt
+        down = e.origin.alt - s.gps_alt
         variance = max(1.5 * p.ekf2_gps_p_noise, s.gps_epv) ** 2
-        e.innov_pos[2] = down + e.height_offset[HEIGHT_GPS] - e.position[2]
-        e.test_ratio_gps_hgt = _fuse_height(e, s, p, HEIGHT_GPS, down, variance, p.ekf2_gps_p_gate, work)
+        e.innovation.pos[2] = down + e.height_offset[HEIGHT_GPS] - e.position[2]
+        e.test_ratio.gps_hgt = _fuse_height(e, s, p, HEIGHT_GPS, down, variance, p.ekf2_gps_p_gate, work)
     if not horizontal:
         return
-    north, east = _project(s.gps_lat, s.gps_lon, e.origin_lat, e.origin_lon)
+    north, east = _project(s.gps_lat, s.gps_lon, e.origin.lat, e.origin.lon)
     if not e.gps_used:
         e.gps_used = 1
         e.time_gps_fuse_us = s.time_us
@@ -248,42 +248,42 @@ def _process_gps(e, s, p, work):
 
 
 @kernel
-def _set_origin(e, s):
+def _set_origin(origin, e, s):
     """Set the origin so that the present GPS fix agrees with the present local position."""
-    e.origin_lat, e.origin_lon, e.origin_alt = s.gps_lat, s.gps_lon, s.gps_alt
+    origin.lat, origin.lon, origin.alt = s.gps_lat, s.gps_lon, s.gps_alt
     if e.located:
-        e.origin_lat, e.origin_lon = _reproject(-e.position[0], -e.position[1], s.gps_lat, s.gps_lon)
+        origin.lat, origin.lon = _reproject(-e.position[0], -e.position[1], s.gps_lat, s.gps_lon)
     if e.altitude_valid:
-        e.origin_alt += e.position[2]
-    e.origin_set = 1
+        origin.alt += e.position[2]
+    origin.set = 1
 
 
 @kernel
 def _fuse_gps_velocity(e, s, p, control, work):
-    e.test_ratio_vel = 0.0
+    e.test_ratio.vel = 0.0
     if not control & _GPS_VELOCITY:
         return
     variance = max(p.ekf2_gps_v_noise, s.gps_speed_accuracy) ** 2
     for i in range(3):
-        e.innov_vel[i] = s.gps_vel[i] - e.velocity[i]
-        ratio = fuse_state(e, VEL + i, e.innov_vel[i], variance, p.ekf2_gps_v_gate, work)
-        e.test_ratio_vel = max(e.test_ratio_vel, ratio)
-    if e.test_ratio_vel <= 1.0:
+        e.innovation.vel[i] = s.gps_vel[i] - e.velocity[i]
+        ratio = fuse_state(e, VEL + i, e.innovation.vel[i], variance, p.ekf2_gps_v_gate, work)
+        e.test_ratio.vel = max(e.test_ratio.vel, ratio)
+    if e.test_ratio.vel <= 1.0:
         e.time_last_vel_fuse_us = s.time_us
 
 
 @kernel
 def _fuse_gps_position(e, s, p, control, north, east, work):
-    e.test_ratio_pos = 0.0
+    e.test_ratio.pos = 0.0
     if not control & _GPS_POSITION:
         e.time_gps_fuse_us = e.time_last_vel_fuse_us
         return
     variance = max(p.ekf2_gps_p_noise, s.gps_eph) ** 2
-    e.innov_pos[0], e.innov_pos[1] = north - e.position[0], east - e.position[1]
+    e.innovation.pos[0], e.innovation.pos[1] = north - e.position[0], east - e.position[1]
     for i in range(2):
-        ratio = fuse_state(e, POS + i, e.innov_pos[i], variance, p.ekf2_gps_p_gate, work)
-        e.test_ratio_pos = max(e.test_ratio_pos, ratio)
-    if e.test_ratio_pos <= 1.0:
+        ratio = fuse_state(e, POS + i, e.innovation.pos[i], variance, p.ekf2_gps_p_gate, work)
+        e.test_ratio.pos = max(e.test_ratio.pos, ratio)
+    if e.test_ratio.pos <= 1.0:
         e.time_last_pos_fuse_us = e.time_gps_fuse_us = s.time_us
 
 
@@ -341,8 +341,8 @@ def _fuse_height(e, s, p, source, down, variance, gate, work):
         return 0.0
     innovation = down + e.height_offset[source] - e.position[2]
     ratio = fuse_state(e, POS + 2, innovation, variance, gate, work)
-    e.test_ratio_hgt = ratio
-    e.innov_hgt = innovation
+    e.test_ratio.hgt = ratio
+    e.innovation.hgt = innovation
     reference = int(p.ekf2_hgt_ref)
     known = 0 <= reference < len(e.height_used)  # a parameter may be out of range
     if (
@@ -374,8 +374,8 @@ def _process_baro(e, s, p, work):
     # wait for the height reference, which would otherwise reset the height
     if not e.altitude_valid and not is_reference and s.time_us - e.time_aligned_us < _BARO_START_US:
         return
-    down = e.origin_alt - s.baro_alt
-    e.test_ratio_baro = _fuse_height(e, s, p, HEIGHT_BARO, down, p.ekf2_baro_noise**2, p.ekf2_baro_gate, work)
+    down = e.origin.alt - s.baro_alt
+    e.test_ratio.baro = _fuse_height(e, s, p, HEIGHT_BARO, down, p.ekf2_baro_noise**2, p.ekf2_baro_gate, work)
 
 
 # range finder and optical flow
@@ -405,8 +405,8 @@ def _process_range(e, s, p, work):
     if control == 0 or not (is_reference or control == 2 or low_and_slow):
         e.height_used[HEIGHT_RANGE] = 0
         return
-    e.innov_range = e.height_offset[HEIGHT_RANGE] - hagl - e.position[2]
-    e.test_ratio_range = _fuse_height(e, s, p, HEIGHT_RANGE, -hagl, variance, p.ekf2_rng_gate, work)
+    e.innovation.range = e.height_offset[HEIGHT_RANGE] - hagl - e.position[2]
+    e.test_ratio.range = _fuse_height(e, s, p, HEIGHT_RANGE, -hagl, variance, p.ekf2_rng_gate, work)
 
 
 @kernel
@@ -422,8 +422,8 @@ def _fuse_terrain(e, s, p, hagl, variance, since):
     e.terrain_variance += p.ekf2_terr_noise**2 * _TERRAIN_RATE * since
     innovation = measured - e.terrain
     total = e.terrain_variance + noise
-    e.test_ratio_terrain = innovation * innovation / (p.ekf2_rng_gate**2 * total)
-    if e.test_ratio_terrain > 1.0:
+    e.test_ratio.terrain = innovation * innovation / (p.ekf2_rng_gate**2 * total)
+    if e.test_ratio.terrain > 1.0:
         return
     gain = e.terrain_variance / total
     e.terrain += gain * innovation
@@ -449,8 +449,8 @@ def _process_flow(e, s, p, work):
     if not e.flow_used:
         _start_flow(e, s, x, y, hagl, noise)
         return
-    e.test_ratio_flow = fuse_flow(e, x, y, hagl, noise**2 + speed_error, p.ekf2_of_gate, work)
-    if e.test_ratio_flow <= 1.0:
+    e.test_ratio.flow = fuse_flow(e, x, y, hagl, noise**2 + speed_error, p.ekf2_of_gate, work)
+    if e.test_ratio.flow <= 1.0:
         e.time_flow_fuse_us = e.time_last_vel_fuse_us = s.time_us
     elif not _is_recent(s.time_us, e.time_flow_fuse_us, _RESET_US):
         e.flow_used = 0
@@ -506,8 +506,8 @@ def _process_vision(e, s, p, work):
             e.height_used[HEIGHT_VISION] = 0
         variance = _vision_variance(s.vision_position_variance[2], p.ekf2_evp_noise, p)
         down = s.vision_position[2]
-        e.innov_vision_pos[2] = down + e.height_offset[HEIGHT_VISION] - e.position[2]
-        e.test_ratio_vision_hgt = _fuse_height(e, s, p, HEIGHT_VISION, down, variance, p.ekf2_evp_gate, work)
+        e.innovation.vision_pos[2] = down + e.height_offset[HEIGHT_VISION] - e.position[2]
+        e.test_ratio.vision_hgt = _fuse_height(e, s, p, HEIGHT_VISION, down, variance, p.ekf2_evp_gate, work)
 
 
 @kernel
@@ -540,7 +540,7 @@ def _vision_yaw(e, s, p, control, jumped, work):
         return
     variance = _vision_variance(s.vision_yaw_variance, p.ekf2_eva_noise, p)
     innovation = wrap_pi(yaw_of(s.vision_q) - yaw_of(e.q))
-    e.innov_vision_yaw = innovation
+    e.innovation.vision_yaw = innovation
     if e.vision_yaw_used and not jumped:
         _fuse_vision_yaw(e, s, p, innovation, variance, work)
     elif e.vision_yaw_used or not north or not e.heading_aligned:
@@ -551,13 +551,13 @@ def _vision_yaw(e, s, p, control, jumped, work):
         e.time_vision_fuse_us[2] = s.time_us
     else:
         _fuse_vision_yaw(e, s, p, innovation, variance, work)
-        e.vision_yaw_used = e.test_ratio_vision_yaw <= 1.0
+        e.vision_yaw_used = e.test_ratio.vision_yaw <= 1.0
 
 
 @kernel
 def _fuse_vision_yaw(e, s, p, innovation, variance, work):
-    e.test_ratio_vision_yaw = fuse_yaw(e, innovation, variance, p.ekf2_hdg_gate, work)
-    if e.test_ratio_vision_yaw <= 1.0:
+    e.test_ratio.vision_yaw = fuse_yaw(e, innovation, variance, p.ekf2_hdg_gate, work)
+    if e.test_ratio.vision_yaw <= 1.0:
         e.time_vision_fuse_us[2] = e.time_heading_fuse_us = s.time_us
     elif e.vision_yaw_used and not _is_recent(s.time_us, e.time_vision_fuse_us[2], _AIDING_US):
         reset_yaw(e, innovation, variance)
@@ -588,12 +588,12 @@ def _vision_velocity(e, s, p, control, jumped, q, work):
             reset_vertical_velocity(e, z, variances[2])
             _mark_located(e, s)
             return
-    e.test_ratio_vision_vel = 0.0
+    e.test_ratio.vision_vel = 0.0
     for i in range(3):
-        e.innov_vision_vel[i] = measured[i] - e.velocity[i]
-        ratio = fuse_state(e, VEL + i, e.innov_vision_vel[i], variances[i], p.ekf2_evv_gate, work)
-        e.test_ratio_vision_vel = max(e.test_ratio_vision_vel, ratio)
-    if e.test_ratio_vision_vel <= 1.0:
+        e.innovation.vision_vel[i] = measured[i] - e.velocity[i]
+        ratio = fuse_state(e, VEL + i, e.innovation.vision_vel[i], variances[i], p.ekf2_evv_gate, work)
+        e.test_ratio.vision_vel = max(e.test_ratio.vision_vel, ratio)
+    if e.test_ratio.vision_vel <= 1.0:
         e.time_vision_fuse_us[1] = e.time_last_vel_fuse_us = s.time_us
     elif not _is_recent(s.time_us, e.time_vision_fuse_us[1], _AIDING_US):
         reset_velocity(e, x, y, variances[0])
@@ -634,15 +634,15 @@ def _vision_position(e, s, p, control, jumped, q, work):
         e.vision_position_used = 1
         _start_vision_position(e, s, north, east, variance)
         return
-    e.test_ratio_vision_pos = 0.0
+    e.test_ratio.vision_pos = 0.0
     measured = (north - e.vision_offset[0], east - e.vision_offset[1])
     for i in range(2):
-        e.innov_vision_pos[i] = measured[i] - e.position[i]
-        ratio = fuse_state(e, POS + i, e.innov_vision_pos[i], variance, p.ekf2_evp_gate, work)
-        e.test_ratio_vision_pos = max(e.test_ratio_vision_pos, ratio)
+        e.innovation.vision_pos[i] = measured[i] - e.position[i]
+        ratio = fuse_state(e, POS + i, e.innovation.vision_pos[i], variance, p.ekf2_evp_gate, work)
+        e.test_ratio.vision_pos = max(e.test_ratio.vision_pos, ratio)
         if e.gps_used:
-            e.vision_offset[i] += _OFFSET_GAIN * constrain(e.innov_vision_pos[i], -1.0, 1.0)
-    if e.test_ratio_vision_pos <= 1.0:
+            e.vision_offset[i] += _OFFSET_GAIN * constrain(e.innovation.vision_pos[i], -1.0, 1.0)
+    if e.test_ratio.vision_pos <= 1.0:
         e.time_vision_fuse_us[0] = e.time_last_pos_fuse_us = s.time_us
     elif not _is_recent(s.time_us, e.time_vision_fuse_us[0], _AIDING_US):
         _start_vision_position(e, s, north, east, variance)
@@ -685,7 +685,7 @@ def update_status(e, s, p, work):
     e.velocity_valid = sound and _is_recent(now, horizontal, p.ekf2_noaid_tout)
     e.position_valid = e.velocity_valid and e.located
     e.altitude_valid = sound and _is_recent(now, e.time_last_hgt_fuse_us, p.ekf2_noaid_tout)
-    e.global_valid = e.position_valid and e.origin_set and e.heading_aligned
+    e.global_valid = e.position_valid and e.origin.set and e.heading_aligned
     e.terrain_valid = _is_recent(now, e.time_terrain_fuse_us, _HEIGHT_RESET_US)
     yaw_variance = _yaw_variance(e)
     e.heading_good = sound and e.heading_aligned and yaw_variance < _HEADING_LIMIT**2
@@ -730,31 +730,31 @@ def _stop_timed_out(e, now):
         e.height_used[HEIGHT_BARO] = 0
     if not _is_recent(now, e.time_mag_us, _SENSOR_STOP_US):
         e.mag_good = e.mag_used = 0
-        e.test_ratio_mag = 0.0
-    _clear_ratios(e)
+        e.test_ratio.mag = 0.0
+    _clear_ratios(e.test_ratio, e)
 
 
 @kernel
-def _clear_ratios(e):
+def _clear_ratios(ratio, e):
     """Set the test ratios of the sources that are not fused to 0."""
     if not e.gps_used:
-        e.test_ratio_vel = e.test_ratio_pos = 0.0
+        ratio.vel = ratio.pos = 0.0
     if not e.height_used[HEIGHT_GPS]:
-        e.test_ratio_gps_hgt = 0.0
+        ratio.gps_hgt = 0.0
     if not e.height_used[HEIGHT_BARO]:
-        e.test_ratio_baro = 0.0
+        ratio.baro = 0.0
     if not e.height_used[HEIGHT_RANGE]:
-        e.test_ratio_range = 0.0
+        ratio.range = 0.0
     if not e.flow_used:
-        e.test_ratio_flow = 0.0
+        ratio.flow = 0.0
     if not e.vision_position_used:
-        e.test_ratio_vision_pos = 0.0
+        ratio.vision_pos = 0.0
     if not e.vision_velocity_used:
-        e.test_ratio_vision_vel = 0.0
+        ratio.vision_vel = 0.0
     if not e.height_used[HEIGHT_VISION]:
-        e.test_ratio_vision_hgt = 0.0
+        ratio.vision_hgt = 0.0
     if not e.vision_yaw_used:
-        e.test_ratio_vision_yaw = 0.0
+        ratio.vision_yaw = 0.0
 
 
 @kernel
@@ -802,5 +802,5 @@ def _flags(e):
     flags |= _POSITION_RELATIVE | _PREDICTED_RELATIVE if relative else 0
     flags |= _POSITION_ABSOLUTE | _PREDICTED_ABSOLUTE if absolute else 0
     flags |= _HEIGHT_OVER_GROUND if e.terrain_valid else 0
-    glitch = e.gps_used and (e.test_ratio_vel > 1.0 or e.test_ratio_pos > 1.0)
+    glitch = e.gps_used and (e.test_ratio.vel > 1.0 or e.test_ratio.pos > 1.0)
     return flags | (_GPS_GLITCH if glitch else 0)

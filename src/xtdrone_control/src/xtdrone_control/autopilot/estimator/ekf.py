@@ -31,29 +31,35 @@ _MIN_MAG_SAMPLES = 5
 
 
 @kernel
-def align(e, s, p):
-    """Average IMU and magnetometer samples at rest; initialise attitude and covariance after enough samples."""
+def _add_samples(sums, s):
     for i in range(3):
-        e.accel_mean[i] += s.accel[i]
-    e.samples += 1
+        sums.accel[i] += s.accel[i]
+    sums.samples += 1
     if s.mag_fresh:
         for i in range(3):
-            e.mag_mean[i] += s.mag[i]
-        e.mag_samples += 1
+            sums.mag[i] += s.mag[i]
+        sums.mag_samples += 1
+
+
+@kernel
+def align(e, s, p):
+    """Average IMU and magnetometer samples at rest; initialise attitude and covariance after enough samples."""
+    sums = e.alignment
+    _add_samples(sums, s)
     wants_mag = int(p.ekf2_mag_type) != 5
-    no_mag = not wants_mag or e.samples >= _LONGEST_ALIGNMENT
-    if e.samples < ALIGNMENT_SAMPLES or (e.mag_samples < _MIN_MAG_SAMPLES and not no_mag):
+    no_mag = not wants_mag or sums.samples >= _LONGEST_ALIGNMENT
+    if sums.samples < ALIGNMENT_SAMPLES or (sums.mag_samples < _MIN_MAG_SAMPLES and not no_mag):
         return
-    ax, ay, az = e.accel_mean[0], e.accel_mean[1], e.accel_mean[2]
+    ax, ay, az = sums.accel[0], sums.accel[1], sums.accel[2]
     roll = math.atan2(-ay, -az)
     pitch = math.atan2(ax, math.sqrt(ay * ay + az * az))
     yaw = 0.0
-    if wants_mag and e.mag_samples >= _MIN_MAG_SAMPLES:
+    if wants_mag and sums.mag_samples >= _MIN_MAG_SAMPLES:
         level = from_euler(roll, pitch, 0.0)
-        mx, my, mz = rotate(level, e.mag_mean[0], e.mag_mean[1], e.mag_mean[2])
-        e.field_samples = e.mag_samples
-        e.field[0] = math.sqrt(mx * mx + my * my) / e.mag_samples
-        e.field[1] = mz / e.mag_samples
+        mx, my, mz = rotate(level, sums.mag[0], sums.mag[1], sums.mag[2])
+        e.field.samples = sums.mag_samples
+        e.field.strength = math.sqrt(mx * mx + my * my) / sums.mag_samples
+        e.field.down = mz / sums.mag_samples
         yaw = math.radians(p.ekf2_mag_decl) - math.atan2(my, mx)
         e.heading_aligned = 1
         e.time_heading_fuse_us = s.time_us
@@ -113,14 +119,16 @@ def propagate(e, s, p, dt):
         before = e.velocity[i]
         e.velocity[i] = before + e.acceleration[i] * dt
         e.position[i] += 0.5 * (before + e.velocity[i]) * dt
-    e.delta_angle[0] += gx * dt
-    e.delta_angle[1] += gy * dt
-    e.delta_angle[2] += gz * dt
-    e.delta_velocity[0] += ax * dt
-    e.delta_velocity[1] += ay * dt
-    e.delta_velocity[2] += az * dt
-    e.since_predict += dt
+    _accumulate(e.increments, (gx, gy, gz), (ax, ay, az), dt)
     _filter_for_control(e, gx, gy, gz, p, dt)
+
+
+@kernel
+def _accumulate(increments, rates, force, dt):
+    for i in range(3):
+        increments.angle[i] += rates[i] * dt
+        increments.velocity[i] += force[i] * dt
+    increments.time += dt
 
 
 @kernel
@@ -150,10 +158,11 @@ def predict_covariance(e, p):
     Phi is the identity except for d(theta)/d(theta) = I - [da]x, d(theta)/d(bg) = -I dt, d(v)/d(theta) = -R [dv]x,
     d(v)/d(ba) = -R dt, d(p)/d(v) = I dt; the products below use only those blocks.
     """
-    dt = e.since_predict
+    increments = e.increments
+    dt = increments.time
     P = e.P
-    dax, day, daz = e.delta_angle[0], e.delta_angle[1], e.delta_angle[2]
-    dvx, dvy, dvz = e.delta_velocity[0], e.delta_velocity[1], e.delta_velocity[2]
+    dax, day, daz = increments.angle[0], increments.angle[1], increments.angle[2]
+    dvx, dvy, dvz = increments.velocity[0], increments.velocity[1], increments.velocity[2]
     # columns of R and of M = -R [dv]x = R [-dv]x
     r00, r10, r20 = rotate(e.q, 1.0, 0.0, 0.0)
     r01, r11, r21 = rotate(e.q, 0.0, 1.0, 0.0)
@@ -204,9 +213,9 @@ def predict_covariance(e, p):
         P[BA + i, BA + i] += accel_bias_variance
         P[BM + i, BM + i] += mag_bias_variance
     for i in range(3):
-        e.delta_angle[i] = 0.0
-        e.delta_velocity[i] = 0.0
-    e.since_predict = 0.0
+        increments.angle[i] = 0.0
+        increments.velocity[i] = 0.0
+    increments.time = 0.0
 
 
 @kernel
@@ -230,7 +239,7 @@ def update(e, s, p, dt, work):
     if update_imu_time(e, s):
         if e.initialised:
             propagate(e, s, p, dt)
-            if e.since_predict >= COVARIANCE_PERIOD - 1e-9:
+            if e.increments.time >= COVARIANCE_PERIOD - 1e-9:
                 predict_covariance(e, p)
         else:
             align(e, s, p)

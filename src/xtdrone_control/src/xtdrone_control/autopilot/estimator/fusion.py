@@ -98,10 +98,10 @@ def magnetic_heading(e, s, declination):
     level = mx * mx + my * my
     if level < _LEVEL_LIMIT * (level + mz * mz):
         return 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0
-    strength = e.field[0]
+    strength = e.field.strength
     cos, sin = math.cos(declination), math.sin(declination)
     w, x, y, z = e.q[0], -e.q[1], -e.q[2], -e.q[3]
-    bx, by, bz = rotate((w, x, y, z), strength * cos, strength * sin, e.field[1])
+    bx, by, bz = rotate((w, x, y, z), strength * cos, strength * sin, e.field.down)
     # the angle's derivative with respect to the local field is (-sin, cos, 0) / strength; in the body frame:
     gx, gy, gz = rotate((w, x, y, z), -sin / strength, cos / strength, 0.0)
     # an attitude error changes the local field by R (dtheta x b), hence g . (dtheta x b) = (b x g) . dtheta
@@ -110,12 +110,12 @@ def magnetic_heading(e, s, declination):
 
 
 @kernel
-def track_field(e, s):
-    """Update the moving average ``field``: its horizontal strength and downward component (gauss)."""
+def track_field(field, e, s):
+    """Update the moving average of the magnetic field, a ``FIELD`` record."""
     mx, my, mz = rotate(e.q, s.mag[0] - e.mag_bias[0], s.mag[1] - e.mag_bias[1], s.mag[2] - e.mag_bias[2])
-    e.field_samples = min(e.field_samples + 1, _FIELD_SAMPLES)
-    e.field[0] += (math.sqrt(mx * mx + my * my) - e.field[0]) / e.field_samples
-    e.field[1] += (mz - e.field[1]) / e.field_samples
+    field.samples = min(field.samples + 1, _FIELD_SAMPLES)
+    field.strength += (math.sqrt(mx * mx + my * my) - field.strength) / field.samples
+    field.down += (mz - field.down) / field.samples
 
 
 @kernel
@@ -124,11 +124,11 @@ def fuse_heading(e, s, p, work):
     innovation, attitude, bias, found = magnetic_heading(e, s, math.radians(p.ekf2_mag_decl))
     if not found:
         return
-    e.innov_yaw = innovation
-    e.test_ratio_mag = _fuse_two_blocks(
+    e.innovation.yaw = innovation
+    e.test_ratio.mag = _fuse_two_blocks(
         e, THETA, attitude, BM, bias, innovation, p.ekf2_head_noise**2, p.ekf2_hdg_gate, work
     )
-    if e.test_ratio_mag <= 1.0:
+    if e.test_ratio.mag <= 1.0:
         e.time_heading_fuse_us = s.time_us
 
 
@@ -195,11 +195,11 @@ def flow_prediction(e, hagl):
 def fuse_flow(e, x, y, hagl, noise_variance, gate, work):
     """Fuse a rotation-compensated flow (rad/s, signs as in ``flow_prediction``); return the larger test ratio."""
     predicted, attitude, velocity, _, _ = flow_prediction(e, hagl)
-    e.innov_flow[0] = x - predicted[0]
-    first = _fuse_two_blocks(e, THETA, attitude, VEL, velocity, e.innov_flow[0], noise_variance, gate, work)
+    e.innovation.flow[0] = x - predicted[0]
+    first = _fuse_two_blocks(e, THETA, attitude, VEL, velocity, e.innovation.flow[0], noise_variance, gate, work)
     predicted, _, _, attitude, velocity = flow_prediction(e, hagl)
-    e.innov_flow[1] = y - predicted[1]
-    second = _fuse_two_blocks(e, THETA, attitude, VEL, velocity, e.innov_flow[1], noise_variance, gate, work)
+    e.innovation.flow[1] = y - predicted[1]
+    second = _fuse_two_blocks(e, THETA, attitude, VEL, velocity, e.innovation.flow[1], noise_variance, gate, work)
     return max(first, second)
 
 
@@ -216,47 +216,47 @@ def _reset_covariance(e, index, count, variance):
 @kernel
 def reset_position(e, north, east, variance):
     """Reset the horizontal position (m, local) and its variance (m^2)."""
-    e.delta_xy[0], e.delta_xy[1] = north - e.position[0], east - e.position[1]
+    e.shifts.xy[0], e.shifts.xy[1] = north - e.position[0], east - e.position[1]
     e.position[0], e.position[1] = north, east
     e.last_position[0], e.last_position[1] = north, east
     _reset_covariance(e, POS, 2, variance)
     if e.located:
-        e.reset_counter_xy += 1
-        e.reset_counter += 1
+        e.resets.xy += 1
+        e.resets.any += 1
 
 
 @kernel
 def reset_velocity(e, north, east, variance):
     """Reset the horizontal velocity (m/s, local) and its variance (m^2/s^2)."""
-    e.delta_vxy[0], e.delta_vxy[1] = north - e.velocity[0], east - e.velocity[1]
+    e.shifts.vxy[0], e.shifts.vxy[1] = north - e.velocity[0], east - e.velocity[1]
     e.velocity[0], e.velocity[1] = north, east
     _reset_covariance(e, VEL, 2, variance)
     if e.located:
-        e.reset_counter_vxy += 1
-        e.reset_counter += 1
+        e.resets.vxy += 1
+        e.resets.any += 1
 
 
 @kernel
 def reset_height(e, down, variance):
     """Reset the vertical position (m, down) and its variance (m^2), keeping the height above terrain."""
-    e.delta_z = down - e.position[2]
+    e.shifts.z = down - e.position[2]
     e.position[2] = down
-    e.terrain += e.delta_z
+    e.terrain += e.shifts.z
     _reset_covariance(e, POS + 2, 1, variance)
     if e.altitude_valid:
-        e.reset_counter_z += 1
-        e.reset_counter += 1
+        e.resets.z += 1
+        e.resets.any += 1
 
 
 @kernel
 def reset_vertical_velocity(e, down, variance):
     """Reset the vertical velocity (m/s, down) and its variance (m^2/s^2)."""
-    e.delta_vz = down - e.velocity[2]
+    e.shifts.vz = down - e.velocity[2]
     e.velocity[2] = down
     _reset_covariance(e, VEL + 2, 1, variance)
     if e.located:
-        e.reset_counter_vz += 1
-        e.reset_counter += 1
+        e.resets.vz += 1
+        e.resets.any += 1
 
 
 @kernel
@@ -298,6 +298,6 @@ def reset_yaw(e, turn, variance):
     w, x, y, z = multiply((math.cos(0.5 * turn), 0.0, 0.0, math.sin(0.5 * turn)), e.q)
     e.q[0], e.q[1], e.q[2], e.q[3] = w, x, y, z
     set_yaw_variance(e, variance)
-    e.delta_heading = turn
-    e.reset_counter_heading += 1
-    e.reset_counter += 1
+    e.shifts.heading = turn
+    e.resets.heading += 1
+    e.resets.any += 1

@@ -32,13 +32,14 @@ def move_origin(e: Any, latitude: float, longitude: float, altitude: float) -> N
     """
     if not is_origin(latitude, longitude, altitude):
         raise ValueError(f"origin: {latitude}, {longitude}, {altitude} m is not a position on Earth")
-    if e["origin_set"] and e["position_valid"]:
+    origin = e["origin"]
+    if origin["set"] and e["position_valid"]:
         x, y, _ = e["position"].tolist()
-        vehicle = geo.reproject(x, y, float(e["origin_lat"]), float(e["origin_lon"]))
+        vehicle = geo.reproject(x, y, float(origin["lat"]), float(origin["lon"]))
         north, east = geo.project(*vehicle, latitude, longitude)
-        _shift(e, north - x, east - y, altitude - float(e["origin_alt"]))
-    e["origin_lat"], e["origin_lon"], e["origin_alt"] = latitude, longitude, altitude
-    e["origin_set"] = 1
+        _shift(e, north - x, east - y, altitude - float(origin["alt"]))
+    origin["lat"], origin["lon"], origin["alt"] = latitude, longitude, altitude
+    origin["set"] = 1
     e["global_valid"] = int(e["position_valid"]) & int(e["heading_aligned"])
 
 
@@ -49,8 +50,7 @@ def _shift(e: Any, north: float, east: float, down: float) -> None:
     for source in (HEIGHT_RANGE, HEIGHT_VISION):  # barometer and GPS measure AMSL and need no correction
         e["height_offset"][source] += down
     e["terrain"] += down
-    e["delta_xy"] = (north, east)
-    e["delta_z"] = down
-    for counter in ("reset_counter_xy", "reset_counter_z"):
-        e[counter] += 1
-    e["reset_counter"] += 2
+    e["shifts"]["xy"] = (north, east)
+    e["shifts"]["z"] = down
+    for counter, count in (("xy", 1), ("z", 1), ("any", 2)):
+        e["resets"][counter] += count

@@ -11,31 +11,32 @@ from xtdrone_control.rotation_kernels import wrap_pi
 
 
 @kernel
-def follow_resets(path, seen, e):
+def follow_resets(path, seen, resets, shifts):
     """Shift the smoothed path by the estimator's resets since the last call.
 
     Args:
         path: ``PATH`` record.
         seen: ``RESETS`` record of the resets already applied.
-        e: ``ESTIMATOR`` record.
+        resets: ``RESETS`` record of the estimator.
+        shifts: its ``SHIFTS`` record.
     """
-    if seen.any == e.reset_counter:
+    if seen.any == resets.any:
         return
-    seen.any = e.reset_counter
-    if seen.xy != e.reset_counter_xy:
-        seen.xy = e.reset_counter_xy
+    seen.any = resets.any
+    if seen.xy != resets.xy:
+        seen.xy = resets.xy
         for i in range(2):
-            path.position[i] += e.delta_xy[i]
-    if seen.vxy != e.reset_counter_vxy:
-        seen.vxy = e.reset_counter_vxy
+            path.position[i] += shifts.xy[i]
+    if seen.vxy != resets.vxy:
+        seen.vxy = resets.vxy
         for i in range(2):
-            path.velocity[i] += e.delta_vxy[i]
-    if seen.z != e.reset_counter_z:
-        seen.z = e.reset_counter_z
-        path.position[2] += e.delta_z
-    if seen.vz != e.reset_counter_vz:
-        seen.vz = e.reset_counter_vz
-        path.velocity[2] += e.delta_vz
-    if seen.heading != e.reset_counter_heading:
-        seen.heading = e.reset_counter_heading
-        path.yaw = wrap_pi(path.yaw + e.delta_heading)
+            path.velocity[i] += shifts.vxy[i]
+    if seen.z != resets.z:
+        seen.z = resets.z
+        path.position[2] += shifts.z
+    if seen.vz != resets.vz:
+        seen.vz = resets.vz
+        path.velocity[2] += shifts.vz
+    if seen.heading != resets.heading:
+        seen.heading = resets.heading
+        path.yaw = wrap_pi(path.yaw + shifts.heading)

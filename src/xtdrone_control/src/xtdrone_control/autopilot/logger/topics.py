@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from xtdrone_control.autopilot.state import HEIGHT_BARO, HEIGHT_GPS, HEIGHT_RANGE, HEIGHT_VISION, MAX_ROTORS
 from xtdrone_control.geodesy import geo
+from xtdrone_control.rotation_arrays import to_euler, yaw_of
 
 EPOCH_US = 1_577_836_800_000_000  # 2020-01-01 00:00 UTC, simulated time 0, as in telemetry
 
@@ -62,7 +63,7 @@ class Samples:
     @cached_property
     def heading(self) -> Array:
         """Estimated heading, rad, -pi..pi."""
-        return euler(self.estimator["q"])[2]
+        return yaw_of(self.estimator["q"])
 
     @cached_property
     def horizontal_accuracy(self) -> Array:
@@ -78,20 +79,11 @@ class Samples:
     def coordinates(self) -> tuple[Array, Array]:
         """Estimated latitude and longitude, degrees."""
         e = self.estimator
-        return reproject(e["position"][..., 0], e["position"][..., 1], e["origin_lat"], e["origin_lon"])
+        return reproject(e["position"][..., 0], e["position"][..., 1], e["origin"]["lat"], e["origin"]["lon"])
 
 
 def _root(variance: Array) -> Array:
     return np.sqrt(np.maximum(variance, 0.0))
-
-
-def euler(q: Array) -> tuple[Array, Array, Array]:
-    """Return roll, pitch and yaw, rad, of quaternions (w, x, y, z) of shape (..., 4)."""
-    w, x, y, z = np.moveaxis(q, -1, 0)
-    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
-    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    return roll, pitch, yaw
 
 
 def reproject(north: Array, east: Array, latitude: Array, longitude: Array) -> tuple[Array, Array]:
@@ -194,9 +186,9 @@ _topic("sensor_gps", 1000, fresh="gps_fresh", **_GPS_CONSTANTS)(_gps)
 @_topic("vehicle_attitude", 40)
 def _attitude(m: np.ndarray, s: Samples) -> None:
     m["q"] = s.estimator["q"]
-    half = 0.5 * s.estimator["delta_heading"]  # resets affect the heading only
+    half = 0.5 * s.estimator["shifts"]["heading"]  # resets affect the heading only
     m["delta_q_reset"][..., 0], m["delta_q_reset"][..., 3] = np.cos(half), np.sin(half)
-    m["quat_reset_counter"] = s.estimator["reset_counter_heading"] & 0xFF
+    m["quat_reset_counter"] = s.estimator["resets"]["heading"] & 0xFF
 
 
 @_topic("vehicle_angular_velocity", 20)
@@ -222,10 +214,10 @@ def _local_position(m: np.ndarray, s: Samples) -> None:
     m["heading"] = s.heading
     m["heading_good_for_control"] = e["heading_aligned"] | e["vision_yaw_used"]
     for part in ("xy", "z", "vxy", "vz", "heading"):
-        m[f"{part}_reset_counter"] = e[f"reset_counter_{part}"] & 0xFF
-        m[f"delta_{part}"] = e[f"delta_{part}"]
-    m["xy_global"] = m["z_global"] = e["origin_set"]
-    m["ref_lat"], m["ref_lon"], m["ref_alt"] = e["origin_lat"], e["origin_lon"], e["origin_alt"]
+        m[f"{part}_reset_counter"] = e["resets"][part] & 0xFF
+        m[f"delta_{part}"] = e["shifts"][part]
+    m["xy_global"] = m["z_global"] = e["origin"]["set"]
+    m["ref_lat"], m["ref_lon"], m["ref_alt"] = e["origin"]["lat"], e["origin"]["lon"], e["origin"]["alt"]
     m["eph"], m["epv"] = s.horizontal_accuracy, s.vertical_accuracy
     m["evh"] = _root(s.variances[..., 3] + s.variances[..., 4])
     m["evv"] = _root(s.variances[..., 5])
@@ -235,9 +227,9 @@ def _local_position(m: np.ndarray, s: Samples) -> None:
 def _global_position(m: np.ndarray, s: Samples) -> None:
     e = s.estimator
     m["lat"], m["lon"] = s.coordinates
-    m["alt"] = m["alt_ellipsoid"] = e["origin_alt"] - e["position"][..., 2]
-    m["lat_lon_reset_counter"] = e["reset_counter_xy"] & 0xFF
-    m["alt_reset_counter"] = e["reset_counter_z"] & 0xFF
+    m["alt"] = m["alt_ellipsoid"] = e["origin"]["alt"] - e["position"][..., 2]
+    m["lat_lon_reset_counter"] = e["resets"]["xy"] & 0xFF
+    m["alt_reset_counter"] = e["resets"]["z"] & 0xFF
     m["eph"], m["epv"] = s.horizontal_accuracy, s.vertical_accuracy
 
 
@@ -281,14 +273,14 @@ def _estimator_status(m: np.ndarray, s: Samples) -> None:
     m["control_mode_flags"] = _control_flags(s)
     m["pos_horiz_accuracy"], m["pos_vert_accuracy"] = s.horizontal_accuracy, s.vertical_accuracy
     for name in ("vel", "pos", "hgt", "mag"):
-        m[f"{name}_test_ratio"] = _root(e[f"test_ratio_{name}"])
-    m["hagl_test_ratio"] = _root(e["test_ratio_terrain"])
-    failed = [(e[f"test_ratio_{name}"] > 1.0) << bit for name, bit in (("vel", 0), ("pos", 1), ("hgt", 2), ("mag", 6))]
+        m[f"{name}_test_ratio"] = _root(e["test_ratio"][name])
+    m["hagl_test_ratio"] = _root(e["test_ratio"]["terrain"])
+    failed = [(e["test_ratio"][name] > 1.0) << bit for name, bit in (("vel", 0), ("pos", 1), ("hgt", 2), ("mag", 6))]
     m["innovation_check_flags"] = sum(failed)
     m["solution_status_flags"] = e["flags"]
     parts = (("vel_ne", "vxy"), ("vel_d", "vz"), ("pos_ne", "xy"), ("pod_d", "z"), ("quat", "heading"))
     for name, part in parts:
-        m[f"reset_count_{name}"] = e[f"reset_counter_{part}"] & 0xFF
+        m[f"reset_count_{name}"] = e["resets"][part] & 0xFF
     m["mag_strength_gs"] = np.linalg.norm(s.sensors["mag"], axis=-1)
 
 
@@ -297,37 +289,40 @@ def _estimator_status_flags(m: np.ndarray, s: Samples) -> None:
     flags = _control_flags(s)
     for bit, name in enumerate(name for name in m.dtype.names or () if name.startswith("cs_")):
         m[name] = flags >> bit & 1
-    m["reject_hor_vel"] = m["reject_ver_vel"] = s.estimator["test_ratio_vel"] > 1.0
-    m["reject_hor_pos"] = s.estimator["test_ratio_pos"] > 1.0
-    m["reject_ver_pos"] = s.estimator["test_ratio_hgt"] > 1.0
-    m["reject_yaw"] = s.estimator["test_ratio_mag"] > 1.0
-    m["reject_hagl"] = s.estimator["test_ratio_terrain"] > 1.0
-    m["reject_optflow_x"] = m["reject_optflow_y"] = s.estimator["test_ratio_flow"] > 1.0
+    ratio = s.estimator["test_ratio"]
+    m["reject_hor_vel"] = m["reject_ver_vel"] = ratio["vel"] > 1.0
+    m["reject_hor_pos"] = ratio["pos"] > 1.0
+    m["reject_ver_pos"] = ratio["hgt"] > 1.0
+    m["reject_yaw"] = ratio["mag"] > 1.0
+    m["reject_hagl"] = ratio["terrain"] > 1.0
+    m["reject_optflow_x"] = m["reject_optflow_y"] = ratio["flow"] > 1.0
 
 
 @_topic("estimator_innovations", 200)
 def _innovations(m: np.ndarray, s: Samples) -> None:
     e = s.estimator
-    m["gps_hvel"], m["gps_vvel"] = e["innov_vel"][..., :2], e["innov_vel"][..., 2]
-    m["gps_hpos"], m["gps_vpos"] = e["innov_pos"][..., :2], e["innov_pos"][..., 2]
-    m["baro_vpos"] = e["innov_hgt"]
-    m["ev_hvel"], m["ev_vvel"] = e["innov_vision_vel"][..., :2], e["innov_vision_vel"][..., 2]
-    m["ev_hpos"], m["ev_vpos"] = e["innov_vision_pos"][..., :2], e["innov_vision_pos"][..., 2]
-    m["rng_vpos"] = e["innov_range"]
-    m["flow"] = e["innov_flow"]
-    m["heading"] = np.where(e["vision_yaw_used"], e["innov_vision_yaw"], e["innov_yaw"])
+    innovation = e["innovation"]
+    m["gps_hvel"], m["gps_vvel"] = innovation["vel"][..., :2], innovation["vel"][..., 2]
+    m["gps_hpos"], m["gps_vpos"] = innovation["pos"][..., :2], innovation["pos"][..., 2]
+    m["baro_vpos"] = innovation["hgt"]
+    m["ev_hvel"], m["ev_vvel"] = innovation["vision_vel"][..., :2], innovation["vision_vel"][..., 2]
+    m["ev_hpos"], m["ev_vpos"] = innovation["vision_pos"][..., :2], innovation["vision_pos"][..., 2]
+    m["rng_vpos"] = innovation["range"]
+    m["flow"] = innovation["flow"]
+    m["heading"] = np.where(e["vision_yaw_used"], innovation["vision_yaw"], innovation["yaw"])
 
 
 @_topic("estimator_innovation_test_ratios", 200)
 def _test_ratios(m: np.ndarray, s: Samples) -> None:
     e = s.estimator
-    m["gps_hvel"][..., 0] = e["test_ratio_vel"]  # the ratio of a vector is its first element
-    m["gps_hpos"][..., 0] = e["test_ratio_pos"]
-    m["gps_vpos"], m["baro_vpos"] = e["test_ratio_gps_hgt"], e["test_ratio_baro"]
-    m["ev_hvel"][..., 0], m["ev_hpos"][..., 0] = e["test_ratio_vision_vel"], e["test_ratio_vision_pos"]
-    m["ev_vpos"], m["rng_vpos"] = e["test_ratio_vision_hgt"], e["test_ratio_range"]
-    m["flow"][..., 0], m["hagl"] = e["test_ratio_flow"], e["test_ratio_terrain"]
-    m["heading"] = np.where(e["vision_yaw_used"], e["test_ratio_vision_yaw"], e["test_ratio_mag"])
+    ratio = e["test_ratio"]
+    m["gps_hvel"][..., 0] = ratio["vel"]  # the ratio of a vector is its first element
+    m["gps_hpos"][..., 0] = ratio["pos"]
+    m["gps_vpos"], m["baro_vpos"] = ratio["gps_hgt"], ratio["baro"]
+    m["ev_hvel"][..., 0], m["ev_hpos"][..., 0] = ratio["vision_vel"], ratio["vision_pos"]
+    m["ev_vpos"], m["rng_vpos"] = ratio["vision_hgt"], ratio["range"]
+    m["flow"][..., 0], m["hagl"] = ratio["flow"], ratio["terrain"]
+    m["heading"] = np.where(e["vision_yaw_used"], ratio["vision_yaw"], ratio["mag"])
 
 
 @_topic("estimator_states", 500, n_states=24)
@@ -379,7 +374,7 @@ def _local_position_setpoint(m: np.ndarray, s: Samples) -> None:
 
 @_topic("vehicle_attitude_setpoint", 40)
 def _attitude_setpoint(m: np.ndarray, s: Samples) -> None:
-    m["roll_body"], m["pitch_body"], m["yaw_body"] = euler(s.control["sp_q"])
+    m["roll_body"], m["pitch_body"], m["yaw_body"] = to_euler(s.control["sp_q"])
     m["yaw_sp_move_rate"] = np.nan_to_num(s.control["sp_yaw_rate"])
     m["q_d"] = s.control["sp_q"]
     m["thrust_body"][..., 2] = -s.control["sp_thrust"]

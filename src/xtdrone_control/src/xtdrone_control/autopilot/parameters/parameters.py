@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from xtdrone_control import parameter_file
-from xtdrone_control.autopilot.parameters import inert_parameters
+from xtdrone_control.autopilot.parameters import former_parameters, inert_parameters
 from xtdrone_control.autopilot.parameters.effective_parameters import KERNEL_ROWS, OTHER_ROWS, Row, channel_rows
 
 INT32 = 6  # MAV_PARAM_TYPE_INT32
@@ -83,6 +83,10 @@ INDEX: dict[str, int] = {name: index for index, name in enumerate(NAMES)}  # as 
 PARAMS = np.dtype([(field, "f8") for field in _FIELDS.values()], align=True)
 
 
+def _unknown(name: str) -> ParameterError:
+    return ParameterError(f"parameter {name!r} does not exist{former_parameters.hint(name)}")
+
+
 def describe(name: str) -> Parameter:
     """Return the definition of the parameter ``name``.
 
@@ -91,7 +95,7 @@ def describe(name: str) -> Parameter:
     """
     entry = _TABLE.get(name)
     if entry is None:
-        raise ParameterError(f"parameter {name!r} does not exist")
+        raise _unknown(name)
     return entry
 
 
@@ -122,7 +126,7 @@ class _Recent(dict[str, "int | float"]):
     def __missing__(self, name: str) -> int | float:
         value = self._all.get(name)
         if value is None:
-            raise ParameterError(f"parameter {name!r} does not exist")
+            raise _unknown(name)
         self[name] = value
         return value
 
@@ -170,7 +174,7 @@ class Parameters:
         """
         value = self._defaults.get(name)
         if value is None:
-            raise ParameterError(f"parameter {name!r} does not exist")
+            raise _unknown(name)
         return value
 
     def set(self, name: str, value: float, kind: int | None = None) -> int | float:

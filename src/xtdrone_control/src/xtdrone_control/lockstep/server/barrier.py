@@ -71,6 +71,7 @@ class TickBarrier:
         self._hang_limit = hang_limit
         self._busy_limit = busy_limit
         self._log = log
+        self._under_way = False
         self._last_poll = 0.0
         self._next_check = 0.0
 
@@ -104,20 +105,24 @@ class TickBarrier:
 
     # ---- the barrier ----
 
-    def tick(
-        self, now_us: int, datagrams: Mapping[int, int] | None, idle: Idle | None, head_start: float = 0.0
-    ) -> None:
-        """Run one barrier, see ``LockstepServer.tick``."""
+    def begin(self, now_us: int, datagrams: Mapping[int, int] | None, idle: Idle | None) -> None:
+        """Send the TICKs of one barrier, see ``LockstepServer.begin_tick``."""
         self._await_connections(idle)
         self.time_us = now_us
         self._datagrams.sent = dict(datagrams or {})
         due = [participant for participant in self._participants.values() if participant.due_us <= now_us]
-        if not due:
+        self._under_way = bool(due)
+        if due:
+            self.ticks += 1
+            self._last_poll = time.monotonic()
+            self._send_ticks(due, self._last_poll)
+
+    def end(self, idle: Idle | None, head_start: float = 0.0) -> None:
+        """Await the DONEs of the barrier, see ``LockstepServer.end_tick``."""
+        if not self._under_way:
             return
-        self.ticks += 1
-        started = self._last_poll = time.monotonic()
-        self._send_ticks(due, started)
-        if head_start:
+        self._under_way = False
+        if head_start and self.awaited:
             self._wait(head_start, None)
         while self.awaited:
             self._wait(SLICE, idle)

@@ -339,7 +339,7 @@ class Connections:
         self._exchange.expect(connection.descriptor, tick)
 
     def release(self, connection: Connection) -> None:
-        """Await no DONE."""
+        """Stop awaiting DONE."""
         self._exchange.release(connection.descriptor)
 
     # ---- names ----
@@ -409,7 +409,7 @@ class Connections:
         self._on_close(connection)
 
     def excuse(self, seconds: float, now: float) -> None:
-        """Do not count as silence a period in which this process itself did not run.
+        """Exclude a period in which this process did not run from the silence of all clients.
 
         Args:
             seconds: Length of the period.

@@ -139,7 +139,7 @@ class LockstepServer:
         return self._barrier.next_due_us(now_us)
 
     def reset_time(self, now_us: int) -> None:
-        """Set simulation time between two ticks; the tick number continues, messages on their way become void.
+        """Set simulation time between two ticks; the tick number continues; messages in transit become void.
 
         Args:
             now_us: New simulation time in microseconds; participants are next due at or after it.
@@ -154,17 +154,30 @@ class LockstepServer:
         idle: Idle | None = None,
         head_start: float = 0.0,
     ) -> None:
-        """Run one barrier: wait for new connections, send TICK to all due participants, wait for DONE of each.
+        """Run one barrier: ``begin_tick`` and ``end_tick``, whose arguments these are."""
+        self.begin_tick(now_us, datagrams, idle)
+        self.end_tick(idle, head_start)
+
+    def begin_tick(self, now_us: int, datagrams: Mapping[int, int] | None = None, idle: Idle | None = None) -> None:
+        """Wait for new connections, and send TICK to all due participants.
 
         Args:
             now_us: Simulation time in microseconds.
             datagrams: Cumulative number of datagrams that the simulator has sent, by the participants' UDP port.
             idle: Called with a time in seconds instead of a plain wait; it should return when that time has passed or
                 when ``fileno`` becomes readable, and may serve other sockets meanwhile.
+        """
+        self._barrier.begin(now_us, datagrams, idle)
+
+    def end_tick(self, idle: Idle | None = None, head_start: float = 0.0) -> None:
+        """Wait for DONE of each participant that has received TICK.
+
+        Args:
+            idle: As for ``begin_tick``.
             head_start: Wall seconds in which participants may be done before ``idle`` is called for the first time,
                 unless one waits for an event that needs time to advance. This saves a call for each DONE.
         """
-        self._barrier.tick(now_us, datagrams, idle, 0.0 if self.needs_time else head_start)
+        self._barrier.end(idle, 0.0 if self.needs_time else head_start)
 
     def wait_for(
         self,

@@ -19,7 +19,10 @@ from .rospy_internals import accept_topic_connection, topic_server_address
 
 LOCAL_HOST = "127.0.0.1"
 HANDSHAKE_LIMIT = 10.0
-"""Wall seconds for each step of a handshake."""
+"""Wall seconds for a publisher to accept a connection, and for its subscriber's header to arrive.
+
+The publisher's header has no limit: rospy reads it without one, as over TCP.
+"""
 SEND_BUFFER = 1 << 20
 """Send buffer in bytes requested from the kernel (it may grant less) for messages that arrive between turns."""
 HIGHEST_PORT = 65535
@@ -63,7 +66,6 @@ def connect(connection: Any, host: str, port: int, publisher: str) -> bool:
     connection.socket = sock
     try:
         connection.write_header()
-        sock.settimeout(HANDSHAKE_LIMIT)
         connection.read_header()
     except BaseException:
         connection.socket = None

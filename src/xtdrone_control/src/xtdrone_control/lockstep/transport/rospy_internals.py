@@ -131,7 +131,7 @@ class _Collector(RegistrationListener):  # type: ignore[misc]  # rospy has no ty
             for registration, publishers in zip(part, self._send(part), strict=True):
                 if publishers is None:
                     self.manager.reg_added(*registration)
-                elif registration[2] == Registration.SUB and publishers:  # each update has rospy check all its topics
+                elif registration[2] == Registration.SUB and publishers:  # each update makes rospy check all topics
                     self.manager.publisher_update(registration[0], publishers)
 
     def _send(self, registrations: list[tuple[str, str, str]]) -> list[Any]:
@@ -150,7 +150,7 @@ class _Collector(RegistrationListener):  # type: ignore[misc]  # rospy has no ty
 def registering_together() -> Iterator[None]:
     """Register the topics and services that are created inside with the master in few requests, at the end.
 
-    A request takes a millisecond of both processes, and rospy makes one for each topic, two for each subscription.
+    A request costs node and master a millisecond each; rospy sends one for each topic and two for each subscription.
     """
     listeners = get_registration_listeners()
     with_statistics = SubscriberStatisticsLogger.is_enabled()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from xtdrone_control.autopilot.commander.inputs import SetpointError
 from xtdrone_control.autopilot.commander.manual_control import CHANNELS
+from xtdrone_control.autopilot.commander.offboard_setpoint import SetpointError
 from xtdrone_control.mavlink.link import Link
 from xtdrone_control.mavlink.service import Service
 

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.commander.commander import CRITICAL, Commander
-from xtdrone_control.autopilot.commander.inputs import SetpointError
+from xtdrone_control.autopilot.commander.offboard_setpoint import SetpointError
 from xtdrone_control.mavlink.commands import setpoints
 from xtdrone_control.mavlink.link import Link
 from xtdrone_control.mavlink.service import Service, Vehicle

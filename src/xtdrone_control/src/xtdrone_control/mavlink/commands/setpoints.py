@@ -5,8 +5,10 @@ even an infeasible one; rejected setpoints do not. Force setpoints are rejected.
 and idle bits of the type mask are ignored.
 
 BODY_OFFSET_NED is accepted beyond PX4 v1.14, which supports only LOCAL_NED and BODY_NED: XTDrone's ``cmd_pose_flu``
-uses it for an offset from the vehicle. SET_ACTUATOR_CONTROL_TARGET is not supported: PX4 rejects it in lockstep with a
-simulator.
+uses it for an offset from the vehicle. (PX4 v1.11 took the position as local, whatever the frame.) XTDrone repeats the
+offset at 30 Hz; it counts from where the vehicle was when the command came (``CommandStart``).
+
+SET_ACTUATOR_CONTROL_TARGET is not supported: PX4 rejects it in lockstep with a simulator.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from typing import Any
 
 from xtdrone_control import rotation
 from xtdrone_control.autopilot.commander.commander import Commander
-from xtdrone_control.autopilot.commander.inputs import SetpointError
+from xtdrone_control.autopilot.commander.offboard_setpoint import SetpointError
 from xtdrone_control.autopilot.vehicle_view import Vector
 
 _NAN = math.nan
@@ -88,7 +90,8 @@ def local_target(commander: Commander, m: Any) -> None:
 
     LOCAL_NED is used unchanged. In BODY_NED the position is ignored, velocity is rotated by the heading and
     acceleration by the attitude, each only if all three components are used; yaw is relative to north. In
-    BODY_OFFSET_NED position and yaw are relative to the vehicle, and all vectors are rotated by the heading.
+    BODY_OFFSET_NED position and yaw are relative to the vehicle at the start of the command, velocity and acceleration
+    are rotated by the present heading.
 
     Raises:
         RefusedSetpointError: another frame, a force, or an empty setpoint.
@@ -106,12 +109,14 @@ def local_target(commander: Commander, m: Any) -> None:
         velocity = _to_ned(_whole_vector(mask, _VELOCITY, m.vx, m.vy, m.vz), commander.view.yaw)
         acceleration = rotation.rotate((q0, q1, q2, q3), *_whole_vector(mask, _ACCELERATION, m.afx, m.afy, m.afz))
     elif frame == _BODY_OFFSET_NED:
-        heading = commander.view.yaw
-        x, y, z = _to_ned(_vector(mask, _POSITION, m.x, m.y, m.z), heading)
-        here = commander.view.position
-        position = (here[0] + x, here[1] + y, here[2] + z)
-        velocity = _to_ned(_vector(mask, _VELOCITY, m.vx, m.vy, m.vz), heading)
-        acceleration = _to_ned(_vector(mask, _ACCELERATION, m.afx, m.afy, m.afz), heading)
+        offset = _vector(mask, _POSITION, m.x, m.y, m.z)
+        velocity = _vector(mask, _VELOCITY, m.vx, m.vy, m.vz)
+        acceleration = _vector(mask, _ACCELERATION, m.afx, m.afy, m.afz)
+        start, heading = commander.offset_start((*offset, *velocity, *acceleration, yaw, yaw_rate))
+        x, y, z = _to_ned(offset, heading)
+        position = (start[0] + x, start[1] + y, start[2] + z)
+        velocity = _to_ned(velocity, commander.view.yaw)
+        acceleration = _to_ned(acceleration, commander.view.yaw)
         yaw = math.remainder(yaw + heading, math.tau) if math.isfinite(yaw) else _NAN
     else:
         raise RefusedSetpointError(f"{name} coordinate frame {frame} unsupported")

@@ -203,7 +203,7 @@ class VehicleTelemetry(Telemetry):
 
     def vibration(self) -> Values:
         """Return VIBRATION: PX4's vibration metrics; the simulated accelerometers never clip."""
-        return self.time_us, *self._estimator["vibration"].tolist(), 0, 0, 0
+        return self.time_us, *self._estimator["vibration"]["metrics"].tolist(), 0, 0, 0
 
     def distance_sensor(self) -> Values | None:
         """Return DISTANCE_SENSOR: the downward range finder, cm, while its samples are recent."""
@@ -318,8 +318,8 @@ class VehicleTelemetry(Telemetry):
     def _global_position(self, position: list[float]) -> tuple[int, int, float]:
         """Return latitude and longitude in 1e-7 degrees, and altitude in m AMSL, of a local position."""
         e = self._estimator
-        lat, lon = geo.reproject(position[0], position[1], float(e["origin_lat"]), float(e["origin_lon"]))
-        return round(lat * 1e7), round(lon * 1e7), float(e["origin_alt"]) - position[2]
+        lat, lon = geo.reproject(position[0], position[1], float(e["origin"]["lat"]), float(e["origin"]["lon"]))
+        return round(lat * 1e7), round(lon * 1e7), float(e["origin"]["alt"]) - position[2]
 
     def position_target_global_int(self) -> Values | None:
         """Return POSITION_TARGET_GLOBAL_INT: target of the automatic mode and the current trajectory setpoint."""

@@ -14,6 +14,7 @@ import numpy as np
 from xtdrone_native import mavlink_wire
 
 from xtdrone_control.autopilot.commander.commander import Commander
+from xtdrone_control.autopilot.state import ORIGIN
 from xtdrone_control.geodesy.geo import EARTH_RADIUS, GRAVITY
 
 if TYPE_CHECKING:
@@ -44,15 +45,10 @@ _ESTIMATOR_FIELDS = (
     "velocity",
     "rates",
     "P",
-    "origin_lat",
-    "origin_lon",
-    "origin_alt",
     "terrain",
     "initialised",
     "altitude_valid",
-    "origin_set",
     "terrain_valid",
-    "reset_counter",
 )
 _SENSOR_FIELDS = ("accel", "gyro", "mag", "baro_pressure", "baro_alt", "baro_temperature")
 _CONTROL_FIELDS = (
@@ -88,7 +84,10 @@ def _dilution(value: float) -> int:
 def _records(autopilot: Autopilot, index: int) -> mavlink_wire.Telemetry:
     """Return the telemetry that is built from the records of vehicle ``index``."""
     own = slice(index, index + 1)
-    fields = {name: autopilot.estimator[own][name] for name in _ESTIMATOR_FIELDS}
+    estimator = autopilot.estimator[own]
+    fields = {name: estimator[name] for name in _ESTIMATOR_FIELDS}
+    fields |= {f"origin_{name}": estimator["origin"][name] for name in ORIGIN.names or ()}
+    fields["reset_counter"] = estimator["resets"]["any"]
     fields |= {name: autopilot.sensors[own][name] for name in _SENSOR_FIELDS}
     fields |= {name: autopilot.control[own][name] for name in _CONTROL_FIELDS}
     return mavlink_wire.Telemetry(fields, fields["P"].shape[1], EARTH_RADIUS)
@@ -252,18 +251,17 @@ class Telemetry:
     def estimator_status(self) -> Values:
         """Return ESTIMATOR_STATUS: innovation test ratios and accuracies (m)."""
         e = self._estimator
-        velocity, position, heading = e["test_ratio_vel"], e["test_ratio_pos"], e["test_ratio_mag"]
+        ratio = e["test_ratio"]
+        velocity, position, heading = ratio["vel"], ratio["pos"], ratio["mag"]
         if not e["gps_used"]:
-            velocity = max(
-                e["test_ratio_vision_vel"] * e["vision_velocity_used"], e["test_ratio_flow"] * e["flow_used"]
-            )
-            position = e["test_ratio_vision_pos"]
+            velocity = max(ratio["vision_vel"] * e["vision_velocity_used"], ratio["flow"] * e["flow_used"])
+            position = ratio["vision_pos"]
         if e["vision_yaw_used"]:
-            heading = e["test_ratio_vision_yaw"]
-        ratios = (velocity, position, e["test_ratio_hgt"], heading, e["test_ratio_terrain"])
+            heading = ratio["vision_yaw"]
+        ratios = (velocity, position, ratio["hgt"], heading, ratio["terrain"])
         return (
             self.time_us,
-            *(math.sqrt(ratio) for ratio in ratios),
+            *(math.sqrt(value) for value in ratios),
             0.0,
             float(e["eph"]),
             float(e["epv"]),
@@ -293,11 +291,11 @@ class Telemetry:
 
     def gps_global_origin(self) -> Values | None:
         """Return GPS_GLOBAL_ORIGIN once the origin of the local frame is set."""
-        e = self._estimator
-        if not e["origin_set"]:
+        origin = self._estimator["origin"]
+        if not origin["set"]:
             return None
-        alt = _clamped(float(e["origin_alt"]) * 1e3, 1 << 30)
-        return round(float(e["origin_lat"]) * 1e7), round(float(e["origin_lon"]) * 1e7), alt, self.time_us
+        alt = _clamped(float(origin["alt"]) * 1e3, 1 << 30)
+        return round(float(origin["lat"]) * 1e7), round(float(origin["lon"]) * 1e7), alt, self.time_us
 
     # sensors
 

@@ -9,10 +9,9 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.mavros.uas import Uas
 
-# The frames that PX4 accepts in SET_POSITION_TARGET_LOCAL_NED, by MAVROS's names
+# The frames that the autopilot accepts in SET_POSITION_TARGET_LOCAL_NED, by MAVROS's names
 _ALLOWED = {
     "LOCAL_NED": mavlink.MAV_FRAME_LOCAL_NED,
-    "LOCAL_OFFSET_NED": mavlink.MAV_FRAME_LOCAL_OFFSET_NED,
     "BODY_NED": mavlink.MAV_FRAME_BODY_NED,
     "BODY_OFFSET_NED": mavlink.MAV_FRAME_BODY_OFFSET_NED,
 }

@@ -27,9 +27,17 @@ _CRITICAL = 2  # MAV_SEVERITY
 Line = tuple[int, str]  # MAV_SEVERITY and text
 
 
-class _Check(NamedTuple):
-    """A failing check: the affected navigation states (one bit each), its level and its text."""
+class FailingCheck(NamedTuple):
+    """A failing check.
 
+    Attributes:
+        name: of PX4's event, as ``check_modes_local_pos``; empty if it is not known here.
+        modes: the affected navigation states, one bit each.
+        level: of the event; smaller is worse.
+        words: its text.
+    """
+
+    name: str
     modes: int
     level: int
     words: str
@@ -44,13 +52,15 @@ class Refusals:
 
     Attributes:
         custom_mode: the autopilot's mode as far as known; set by the plugin that receives it.
+        reported: whether the autopilot has reported its checks.
     """
 
     def __init__(self) -> None:
         """Start with an unknown state."""
         self.custom_mode = 0
-        self._checks: tuple[_Check, ...] = ()  # the last complete report
-        self._coming: list[_Check] | None = None  # the report being received
+        self.reported = False
+        self._checks: tuple[FailingCheck, ...] = ()  # the last complete report
+        self._coming: list[FailingCheck] | None = None  # the report being received
         self._arming_until_ns = -1
         self._late: tuple[str, int, int] | None = None  # text, navigation state, deadline
 
@@ -62,6 +72,12 @@ class Refusals:
         """Reset the state after the autopilot was replaced or rebooted."""
         self._checks, self._coming, self._late = (), None, None
         self._arming_until_ns = -1
+        self.reported = False
+
+    @property
+    def failing(self) -> tuple[FailingCheck, ...]:
+        """The checks that failed in the last complete report; may be read in any thread."""
+        return self._checks
 
     def process(self, event: Any, now_ns: int) -> list[Line]:
         """Process an EVENT and return the lines to show to the user now.
@@ -87,6 +103,7 @@ class Refusals:
         if self._coming is None:
             return []
         self._checks, self._coming = tuple(self._coming), None
+        self.reported = True
         lines = []
         if now_ns <= self._arming_until_ns:
             mode = modes.from_custom_mode(self.custom_mode)
@@ -117,8 +134,9 @@ class Refusals:
         return "; ".join(check.words for check in self._checks if any(map(check.stands_against, states)))
 
 
-def _check(event: Any, definition: Definition | None) -> _Check:
+def _check(event: Any, definition: Definition | None) -> FailingCheck:
     concerned, _ = _CHECK.unpack_from(bytes(event.arguments))
     kind = "health" if definition and definition.group == HEALTH else "arming"
     words = definition.message if definition else f"{kind} check 0x{event.id:08x}, which is not known here"
-    return _Check(concerned, event.log_levels & 0xF, words)
+    name = definition.name if definition else ""
+    return FailingCheck(name, concerned, event.log_levels & 0xF, words)

@@ -282,7 +282,7 @@ class Link:
 
 
 class Receiver:
-    """The thread that reads from all links: at once while ``attention`` is held or a link is not counted, else rarely.
+    """Thread that reads from all links: on arrival while ``attention`` is held or a link is not counted, else rarely.
 
     Reads on arrival delay the main thread, as both need the interpreter's lock.
     """

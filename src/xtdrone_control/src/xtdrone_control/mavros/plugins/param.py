@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +21,7 @@ from mavros_msgs.srv import (
 )
 from pymavlink.dialects.v20 import common as mavlink
 
+from xtdrone_control.autopilot.parameters import former_parameters
 from xtdrone_control.mavlink.wire.codec import FrameError, decoder
 from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.uas import Uas
@@ -31,6 +32,8 @@ _TRY_LIMIT = 1.0  # s of wall time, MAVROS's PARAM_TIMEOUT
 _RETRIES = 3
 _LIST_LIMIT = 30  # consecutive attempts with progress
 _NO_INDEX = 0xFFFF
+_FENCE = "_HASH_CHECK"  # a read request for it is always answered
+_FENCES = 2  # answers to it without one for a name: not even a lost datagram explains this
 
 _decode = decoder("PARAM_VALUE")
 
@@ -75,6 +78,10 @@ def _wire(kind: int, number: float) -> float:
 class ParamPlugin(Plugin):
     """MAVROS's param. Values are fetched when a service needs them; ``set`` uses the parameter's type.
 
+    The autopilot does not answer requests for unknown names. MAVROS, which fetches all parameters at its start, knows
+    them from its table. Here a request for the hash of all parameters follows each request: its answer without one for
+    the name shows that there is no such parameter.
+
     Answers arrive in the receiver thread, services wait in their own threads.
     """
 
@@ -84,6 +91,7 @@ class ParamPlugin(Plugin):
         """Offer the services and the topic."""
         super().__init__(uas)
         self._values: dict[str, _Value] = {}
+        self._fences = 0  # answers to requests for the hash
         self._changed = threading.Condition()
         self._turn = threading.Lock()  # one list or write at a time
         self._complete = False
@@ -103,7 +111,7 @@ class ParamPlugin(Plugin):
 
     def _publish(self, m: Any) -> None:
         number = _number(m.param_type, m.param_value)
-        if number is None:
+        if number is None or m.param_id == _FENCE:
             return
         message = self._topic.message
         self.uas.stamp_now(message.header)
@@ -116,16 +124,22 @@ class ParamPlugin(Plugin):
             m = _decode(frame)
         except FrameError:
             return  # the main thread logs it
+        if m.param_id == _FENCE:
+            with self._changed:
+                self._fences += 1
+                self._changed.notify_all()
+            return
         number = _number(m.param_type, m.param_value)
         if number is not None and m.param_index != _NO_INDEX:
             with self._changed:
                 self._values[m.param_id] = _Value(m.param_type, number, m.param_index, m.param_count)
                 self._changed.notify_all()
 
-    def _ask(self, build: Callable[[], Any], answered: Callable[[], bool]) -> bool:
+    def _ask(self, build: Callable[[], Iterable[Any]], answered: Callable[[], bool]) -> bool:
         """Send until ``answered`` holds, at most 1 + 3 times; return whether it does."""
         for _ in range(1 + _RETRIES):
-            self.uas.link.send(build())
+            for message in build():
+                self.uas.link.send(message)
             with self.uas.ros.needs_time(), self._changed:
                 if self._changed.wait_for(answered, _TRY_LIMIT):
                     return True
@@ -133,17 +147,25 @@ class ParamPlugin(Plugin):
 
     def _known(self, name: str) -> _Value | None:
         """Return a parameter's value, fetching it if it is not cached yet; None if it does not exist."""
-        target = self.uas.target
         encoded = name.encode()
         if not 0 < len(encoded) <= 16 or 0 in encoded:
             return None
         with self._turn:
             if name not in self._values and not self._complete:
-                self._ask(
-                    lambda: mavlink.MAVLink_param_request_read_message(*target, encoded, -1),
-                    lambda: name in self._values,
-                )
+                self._read(name, encoded)
         return self._values.get(name)
+
+    def _read(self, name: str, encoded: bytes) -> None:
+        """Request a parameter until it arrives, or until the autopilot has shown twice that it has none such."""
+        read = mavlink.MAVLink_param_request_read_message
+        for _ in range(_FENCES):
+            before = self._fences
+            self._ask(
+                lambda: [read(*self.uas.target, asked, -1) for asked in (encoded, _FENCE.encode())],
+                lambda before=before: name in self._values or self._fences > before,  # type: ignore[misc]
+            )
+            if name in self._values:
+                return
 
     def _write(self, name: str, known: _Value, number: float) -> bool:
         """Write a parameter; return whether the autopilot answered with a value."""
@@ -157,17 +179,25 @@ class ParamPlugin(Plugin):
             with self._changed:
                 self._values.pop(name, None)
             written = self._ask(
-                lambda: mavlink.MAVLink_param_set_message(*target, name.encode(), value, known.kind),
+                lambda: [mavlink.MAVLink_param_set_message(*target, name.encode(), value, known.kind)],
                 lambda: name in self._values,
             )
             with self._changed:
                 self._values.setdefault(name, known)
         return written
 
+    def _warn_of(self, service: str, name: str) -> None:
+        text = "%s: parameter %s does not exist%s"
+        self.uas.warn(f"param {name}", text, service, name, former_parameters.hint(name))
+
+    def _warn_of_effect(self, name: str) -> None:
+        """Warn that a parameter of PX4 v1.11 is kept for its scripts only, if the autopilot has its successors."""
+        self.uas.warn(f"param {name}", "param/set: %s is out of use%s", name, former_parameters.hint(name))
+
     def _get(self, request: Any) -> ParamGetResponse:
         value = self._known(request.param_id)
         if value is None:
-            self.uas.warn(f"param {request.param_id}", "param/get: parameter %s does not exist", request.param_id)
+            self._warn_of("param/get", request.param_id)
             return ParamGetResponse(False, ParamValue())
         return ParamGetResponse(True, value.message())
 
@@ -175,8 +205,10 @@ class ParamPlugin(Plugin):
         name, asked = request.param_id, request.value
         known = self._known(name)
         if known is None:
-            self.uas.warn(f"param {name}", "param/set: parameter %s does not exist", name)
+            self._warn_of("param/set", name)
             return ParamSetResponse(False, ParamValue())
+        if name in former_parameters.NAMES:
+            self._warn_of_effect(name)
         number = asked.integer if asked.integer else asked.real
         success = self._write(name, known, number)
         value = self._values.get(name, known)
@@ -197,7 +229,7 @@ class ParamPlugin(Plugin):
     def _fetch(self) -> bool:
         """Request the list, and then its missing entries; return whether it is complete."""
         target = self.uas.target
-        if not self._ask(lambda: mavlink.MAVLink_param_request_list_message(*target), lambda: bool(self._values)):
+        if not self._ask(lambda: [mavlink.MAVLink_param_request_list_message(*target)], lambda: bool(self._values)):
             return False
         count = next(iter(self._values.values())).count
         tries = 0

@@ -21,9 +21,10 @@ from xtdrone_control.mavros.lib.setpoints import (
 from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.uas import Uas
 
-_LOCAL_FRAMES = (
+_LOCAL = "setpoint_raw/local"
+_UNSET_FRAME = 0
+_LOCAL_FRAMES = (  # LOCAL_OFFSET_NED is not among them: the autopilot rejects it, as PX4 does
     PositionTarget.FRAME_LOCAL_NED,
-    PositionTarget.FRAME_LOCAL_OFFSET_NED,
     PositionTarget.FRAME_BODY_NED,
     PositionTarget.FRAME_BODY_OFFSET_NED,
 )
@@ -46,7 +47,9 @@ class SetpointRawPlugin(Plugin):
     """MAVROS's setpoint_raw: local, global and attitude in; target_local, target_global and target_attitude out.
 
     Altitudes of ``global`` and ``target_global`` are the autopilot's: above mean sea level, or above the reference of
-    ``coordinate_frame``. Thrust is multiplied by ``setpoint_raw/thrust_scaling`` and limited to 0..1.
+    ``coordinate_frame``. A ``local`` target whose ``coordinate_frame`` was left unset (0) counts as LOCAL_NED, with one
+    warning: MAVROS converts it so too, and PX4 v1.11 did not look at the frame of a position. Thrust is multiplied by
+    ``setpoint_raw/thrust_scaling`` and limited to 0..1.
     """
 
     name = "setpoint_raw"
@@ -69,13 +72,16 @@ class SetpointRawPlugin(Plugin):
             "POSITION_TARGET_GLOBAL_INT": Feed(self._on_target_global, self._target_global),
             "ATTITUDE_TARGET": Feed(self._on_target_attitude, self._target_attitude),
         }
-        uas.subscribe("setpoint_raw/local", PositionTarget, self._local)
+        self._frame_was_unset = False
+        uas.subscribe(_LOCAL, PositionTarget, self._local)
         uas.subscribe("setpoint_raw/global", GlobalPositionTarget, self._global)
         uas.subscribe("setpoint_raw/attitude", AttitudeTarget, self._attitude)
 
     def _local(self, target: PositionTarget) -> None:
+        if target.coordinate_frame == _UNSET_FRAME:
+            self._use_local_frame(target)
         place = xyz(target.position)
-        if not self._accepts("setpoint_raw/local", target, _LOCAL_FRAMES, _POSITION, place):
+        if not self._accepts(_LOCAL, target, _LOCAL_FRAMES, _POSITION, place):
             return
         self.uas.link.send(
             position_target(
@@ -90,6 +96,14 @@ class SetpointRawPlugin(Plugin):
                 target.yaw_rate,
             )
         )
+
+    def _use_local_frame(self, target: PositionTarget) -> None:
+        """Set the unset frame of a target, with a warning the first time."""
+        target.coordinate_frame = PositionTarget.FRAME_LOCAL_NED
+        if not self._frame_was_unset:
+            self._frame_was_unset = True
+            text = "%s: coordinate_frame is 0, unset; it counts as %d (LOCAL_NED) from now on"
+            self.uas.warn(f"{_LOCAL} frame", text, _LOCAL, PositionTarget.FRAME_LOCAL_NED)
 
     def _global(self, target: GlobalPositionTarget) -> None:
         place = target.latitude, target.longitude, target.altitude

@@ -105,7 +105,6 @@ class SysStatusPlugin(Plugin):
         self._text_parts: list[str] = []
         self._armed = False
         self._booted = False
-        self._heartbeat: Any = None  # the latest
         self._version: Any = None
         self._version_known = threading.Event()
         self._info_ns = 0  # time at which either of them arrived
@@ -163,10 +162,12 @@ class SysStatusPlugin(Plugin):
     def _on_heartbeat(self, heartbeat: Any) -> None:
         uas = self.uas
         self._last_heartbeat_ns = self._info_ns = uas.now_ns
-        self._heartbeat = heartbeat
+        uas.heartbeat = heartbeat
         booted = heartbeat.system_status not in (mavlink.MAV_STATE_UNINIT, mavlink.MAV_STATE_BOOT)
         if self._booted and not booted:
             uas.rebooted()
+        if booted and not self._booted:
+            uas.on_booted(uas.name)
         self._booted = booted
         state = self._state.message
         uas.stamp_now(state.header)
@@ -321,7 +322,7 @@ class SysStatusPlugin(Plugin):
             self._version_known.set()
 
     def _vehicle_info_get(self, request: Any) -> VehicleInfoGetResponse:
-        heartbeat, asked = self._heartbeat, (request.sysid, request.compid)
+        heartbeat, asked = self.uas.heartbeat, (request.sysid, request.compid)
         known = heartbeat is not None
         if not request.get_all and not (known and asked in ((0, 0), self.uas.target)):
             return VehicleInfoGetResponse(success=False)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
+
+from xtdrone_control.settings import SettingError, Settings, check_range, setting
 
 from ..exchanges import flight
 from ..exchanges.flight import Target
@@ -18,15 +21,36 @@ _FAR = 100_000.0  # m
 _PLACES = "X Y Z, m, or --lat, --lon and one of --alt and --height"
 
 
-def _number(name: str, low: float, high: float) -> Callable[[str], float]:
+@dataclass(frozen=True)
+class GotoOptions(Settings):
+    """Options of ``goto``; lat, lon and one of alt and height give the target unless the command has X Y Z."""
+
+    lat: float | None = setting(None, low=-90.0, high=90.0, unit="degrees", text="latitude", metavar="DEG")
+    lon: float | None = setting(None, low=-180.0, high=180.0, unit="degrees", text="longitude", metavar="DEG")
+    alt: float | None = setting(None, low=-_FAR, high=_FAR, unit="m", text="altitude above sea level", metavar="M")
+    height: float | None = setting(None, low=-_FAR, high=_FAR, unit="m", text="height above home", metavar="M")
+    speed: float | None = setting(
+        None, low=0.1, high=1000.0, unit="m/s", text="ground speed (default: the vehicle's own)", metavar="M/S"
+    )
+    spacing: float | None = setting(
+        None,
+        low=0.5,
+        high=1000.0,
+        unit="m",
+        text="for several vehicles: height of each one above the one before",
+        metavar="M",
+    )
+
+
+def _metres(name: str, low: float, high: float) -> Callable[[str], float]:
+    """Return the type of a positional argument in metres."""
+
     def parse(text: str) -> float:
         try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not low <= value <= high:
-            raise argparse.ArgumentTypeError(f"{text!r} is not allowed; {name}, {low:g} to {high:g}")
-        return value
+            return check_range(name, float(text), low, high, "m")
+        except ValueError as error:  # SettingError, too
+            limits = error.allowed if isinstance(error, SettingError) else f"{low:g} to {high:g} m"
+            raise argparse.ArgumentTypeError(f"{text!r} is not allowed, {limits}") from error
 
     return parse
 
@@ -65,38 +89,42 @@ def _takeoff(arguments: argparse.Namespace) -> int:
 
 
 def _goto(arguments: argparse.Namespace) -> int:
-    target = _target(arguments)
+    options = GotoOptions.from_arguments(arguments)
+    target = _target(arguments.place, options)
     peers = select_vehicles(arguments)
-    if len(peers) > 1 and arguments.spacing is None:
+    if len(peers) > 1 and options.spacing is None:
         raise UsageError(
             f"goto: {len(peers)} vehicles would meet there; --spacing M keeps so many metres between heights"
         )
-    heights = [i * (arguments.spacing or 0.0) for i in range(len(peers))]
+    heights = [i * (options.spacing or 0.0) for i in range(len(peers))]
     actions = {
         peer: partial(flight.go_to, target=target.raised(height)) for peer, height in zip(peers, heights, strict=True)
     }
     return _each(arguments, actions, "goes there")
 
 
-def _target(arguments: argparse.Namespace) -> Target:
+def _target(place: Sequence[float], options: GotoOptions) -> Target:
     """Return the target of ``goto``.
 
+    Args:
+        place: X Y Z of the command line, m ENU; empty without.
+        options: its options.
+
     Raises:
-        UsageError: it is incomplete or ambiguous.
+        UsageError: the target is incomplete or ambiguous.
     """
-    options = ("lat", "lon", "alt", "height")
-    given = [f"--{name}" for name in options if getattr(arguments, name) is not None]
-    if arguments.place:
-        if len(arguments.place) != 3 or given:
-            words = " and ".join([f"{len(arguments.place)} of X Y Z", *given])
+    given = [f"--{name}" for name in ("lat", "lon", "alt", "height") if getattr(options, name) is not None]
+    speed = math.nan if options.speed is None else options.speed
+    if place:
+        if len(place) != 3 or given:
+            words = " and ".join([f"{len(place)} of X Y Z", *given])
             raise UsageError(f"goto: {words} is not allowed, {_PLACES}")
-        x, y, z = arguments.place
-        return Target(local=(x, y, z), speed=arguments.speed)
-    if given not in (["--lat", "--lon", "--alt"], ["--lat", "--lon", "--height"]):
+        x, y, z = place
+        return Target(local=(x, y, z), speed=speed)
+    altitude = options.height if options.alt is None else options.alt
+    if options.lat is None or options.lon is None or altitude is None or len(given) != 3:
         raise UsageError(f"goto: {' and '.join(given) or 'no place'} is not allowed, {_PLACES}")
-    over_home = arguments.alt is None
-    altitude = arguments.height if over_home else arguments.alt
-    return Target(None, (arguments.lat, arguments.lon), altitude, over_home, arguments.speed)
+    return Target(None, (options.lat, options.lon), altitude, options.alt is None, speed)
 
 
 def _mode(arguments: argparse.Namespace) -> int:
@@ -111,18 +139,11 @@ def add_to(add: Adder) -> None:
     add("disarm", _disarm, "disarm").add_argument("--force", action="store_true", help=force)
     takeoff = add("takeoff", _takeoff, "arm and climb straight up")
     reached = "m above the ground; PX4 accepts NAV_MC_ALT_RAD below that as reached"
-    takeoff.add_argument("height", type=_number("m over the ground", 0.1, _FAR), help=reached)
+    takeoff.add_argument("height", type=_metres("height", 0.1, _FAR), help=reached)
     goto = add("goto", _goto, "go to a position and hold there; the vehicle has to be in the air")
-    goto.add_argument("place", nargs="*", type=_number("m", -_FAR, _FAR), metavar="X Y Z",
+    goto.add_argument("place", nargs="*", type=_metres("place", -_FAR, _FAR), metavar="X Y Z",
                       help="m east, north, up from the local frame's origin (the simulator's map frame)")  # fmt: skip
-    goto.add_argument("--lat", type=_number("degrees", -90.0, 90.0), metavar="DEG", help="latitude")
-    goto.add_argument("--lon", type=_number("degrees", -180.0, 180.0), metavar="DEG", help="longitude")
-    goto.add_argument("--alt", type=_number("m over the sea", -_FAR, _FAR), metavar="M", help="m above sea level")
-    goto.add_argument("--height", type=_number("m over home", -_FAR, _FAR), metavar="M", help="m above home")
-    goto.add_argument("--speed", type=_number("m/s", 0.1, 1000.0), default=math.nan, metavar="M/S",
-                      help="ground speed (default: the vehicle's own)")  # fmt: skip
-    goto.add_argument("--spacing", type=_number("m", 0.5, 1000.0), metavar="M",
-                      help="for several vehicles: height of each one above the one before")  # fmt: skip
+    GotoOptions.add_arguments(goto)
     mode = add("mode", _mode, "set the mode by its PX4 or ArduPilot name, such as MISSION, POSCTL, GUIDED")
     mode.add_argument("name", metavar="NAME", help="the mode")
     add("hold", lambda arguments: _all(arguments, flight.hold, "holds"), "hold the position")

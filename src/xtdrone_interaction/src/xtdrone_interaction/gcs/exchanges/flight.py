@@ -23,7 +23,7 @@ from .protocol import AUTOPILOT, Exchange, Heartbeat, RefusalError, fetch_messag
 _FORCE = 21196.0
 _CHANGE_MODE = 1.0  # MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
 _ATTEMPTS = 100  # of a command without a final acknowledgement
-_REASON_TIMEOUTS = 2  # time-outs to wait for the reason of a refusal
+_REASON_TIMEOUTS = 2  # timeouts to wait for the reason of a refusal
 _WARNING = 4  # MAV_SEVERITY; less severe texts do not explain a refusal
 _NAN = math.nan
 _ALIASES = {

@@ -109,7 +109,7 @@ def fetch_all(heartbeat: Heartbeat, progress: Progress = ignore_progress) -> Exc
     whole = [mavlink.MAVLink_param_request_list_message(heartbeat.system, AUTOPILOT)]
     found: dict[int, tuple[str, Value]] = {}
     count = unanswered = 0
-    listing, news = True, False  # whether the list may still be arriving; any value since the last time-out
+    listing, news = True, False  # whether the list may still be arriving; any value since the last timeout
     asked: set[int] = set()  # indices requested one by one, after the list
     outgoing: list[Any] = whole
     while not count or len(found) < count:

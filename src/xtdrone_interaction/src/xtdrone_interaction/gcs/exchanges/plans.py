@@ -1,7 +1,7 @@
 """Exchanges that upload, download and clear a vehicle's plan: mission, geofence and rally points.
 
 In the mission protocol (https://mavlink.io/en/services/mission.html) the sender repairs losses by repetition. A vehicle
-whose time stands still never repeats a request, so here only the ground station repeats: after a time-out it sends the
+whose time stands still never repeats a request, so here only the ground station repeats: after a timeout it sends the
 item requested last and the one after it, because the request for that one may have been lost.
 
 ArduPilot stores its home position as the first item of a mission; a plan does not contain it. It keeps only those

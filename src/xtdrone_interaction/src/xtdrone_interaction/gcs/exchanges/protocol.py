@@ -1,7 +1,7 @@
 """The form of an exchange with a vehicle, and the simplest exchanges: its heartbeat, single messages, its state.
 
 An exchange is a generator. It yields the messages to send and receives the vehicle's next message out of ``ANSWERS``,
-or None after a time-out; its return value is the result. The caller gives up on a vehicle that stays silent.
+or None after a timeout; its return value is the result. The caller gives up on a vehicle that stays silent.
 """
 
 from __future__ import annotations

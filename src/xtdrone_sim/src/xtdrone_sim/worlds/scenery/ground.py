@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from xtdrone_sim.vehicles.poses import compose
 from xtdrone_sim.worlds.sdf import SdfWorld
-from xtdrone_sim.worlds.sdf.shapes import box_of
+from xtdrone_sim.worlds.sdf.geometry import box_of
 
 Rectangle = tuple[float, float, float, float]
 """x0, y0, x1, y1, m."""

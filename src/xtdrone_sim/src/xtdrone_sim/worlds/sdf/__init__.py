@@ -10,7 +10,7 @@ from xtdrone_sim.worlds.sdf.types import (
     Trajectory,
     Waypoint,
 )
-from xtdrone_sim.worlds.sdf.worlds import load_world_file, read_world, world_file, world_names
+from xtdrone_sim.worlds.sdf.worlds import load_world_file, read_model, read_world, world_file, world_names
 from xtdrone_sim.worlds.sdf.writer import write_world
 
 __all__ = [
@@ -23,6 +23,7 @@ __all__ = [
     "Trajectory",
     "Waypoint",
     "load_world_file",
+    "read_model",
     "read_world",
     "world_file",
     "world_names",

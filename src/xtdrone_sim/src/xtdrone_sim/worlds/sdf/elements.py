@@ -28,6 +28,10 @@ _QUATERNION = "quat_xyzw"
 _VARIABLES = ("XTDRONE_MODELS", "GAZEBO_MODEL_PATH")
 
 
+class ForbiddenError(SdfError):
+    """A file that a request must not name."""
+
+
 @dataclass(eq=False)
 class Element:
     """One element of a file.
@@ -65,6 +69,13 @@ class Element:
         found = list(self.all(tag))
         if len(found) > 1:
             raise found[1].error(f"stands here for the second time in <{self.tag}>, one is allowed")
+        return found[0] if found else None
+
+    def first(self, tag: str) -> Element | None:
+        """Return the first child with this tag, with a warning about others, as Gazebo reads them; None without one."""
+        found = list(self.all(tag))
+        for other in found[1:]:
+            other.warn_ignored(f"stands here for the second time in <{self.tag}> and is ignored")
         return found[0] if found else None
 
     def required(self, tag: str) -> Element:
@@ -148,10 +159,12 @@ class File:
     Attributes:
         path: path of the file.
         told: tags and texts already logged.
+        is_foreign: the content has come in a request: it may only name files of installed models and ROS packages.
     """
 
     path: Path
     told: set[tuple[str, str]] = field(default_factory=set)
+    is_foreign: bool = False
 
     def note(self, level: int, element: Element, text: str) -> None:
         """Log ``text`` once per tag."""
@@ -160,17 +173,18 @@ class File:
             _log.log(level, "%s: line %d: <%s> %s", self.path, element.line, element.tag, text)
 
 
-def parse(text: str | bytes, path: Path) -> Element:
+def parse(text: str | bytes, path: Path, is_foreign: bool = False) -> Element:
     """Parse an XML text and return its root.
 
     Args:
         text: content of the file.
         path: path of the file, for messages and relative paths.
+        is_foreign: see ``File``.
 
     Raises:
         SdfError: malformed XML, an entity, too many elements, or too deep nesting.
     """
-    file = File(path)
+    file = File(path, is_foreign=is_foreign)
     parser = expat.ParserCreate()
     parser.buffer_text = True
     count = 0
@@ -283,11 +297,15 @@ def resolve(element: Element) -> Path:
     a plain path may be relative to the folder of the element's file.
 
     Raises:
+        ForbiddenError: the element has come in a request and names a file outside models and ROS packages.
         SdfError: the file or folder does not exist.
     """
     uri = element.string()
     beside = element.file.path.parent
     kind, _, rest = uri.rpartition("://")
+    if element.file.is_foreign and (kind not in {"model", "package"} or ".." in Path(rest).parts or rest[:1] == "/"):
+        text = f"{element.file.path}: line {element.line}: <{element.tag}>: {uri!r} is not allowed in a request"
+        raise ForbiddenError(f"{text}, model://NAME/... or package://NAME/... without '..'")
     if kind == "model":
         folders = list(model_folders(beside))
         for folder in folders:

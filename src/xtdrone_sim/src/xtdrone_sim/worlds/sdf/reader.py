@@ -12,8 +12,9 @@ from typing import Any
 from xtdrone_control.bounded_file import read_bytes
 from xtdrone_control.geodesy.datum import Datum
 from xtdrone_sim.vehicles.visual import Collision, Visual
+from xtdrone_sim.worlds.sdf.bodies import read_inertial, why_standing
 from xtdrone_sim.worlds.sdf.elements import LARGEST, Element, model_folders, parse, pose_of, read_pose, resolve
-from xtdrone_sim.worlds.sdf.shapes import is_plane, read_collision, read_visual
+from xtdrone_sim.worlds.sdf.geometry import is_plane, read_collisions, read_visuals
 from xtdrone_sim.worlds.sdf.types import Light, SdfActor, SdfLink, SdfModel, SdfWorld, Trajectory, Waypoint
 
 EXTENDS = "xtdrone:extends"
@@ -51,8 +52,26 @@ def parse_world(text: str | bytes, path: Path, extended: Extended) -> SdfWorld:
     return _read_world(worlds[0], extended)
 
 
-def _root(text: str | bytes, path: Path) -> Element:
-    root = parse(text, path)
+def parse_model(text: str | bytes, path: Path) -> SdfModel:
+    """Parse an SDF that has one <model>, as it comes in a request: it may only name files of models and ROS packages.
+
+    Args:
+        text: SDF with one <model>, or an <include> of one.
+        path: stands for the request in messages.
+
+    Raises:
+        SdfError: invalid content; see ``parse_world``.
+    """
+    root = _root(text, path, is_foreign=True)
+    worlds = list(root.all("world"))
+    models = _models(worlds[0] if len(worlds) == 1 else root)
+    if len(models) != 1 or len(worlds) > 1:
+        raise root.error(f"has {len(models)} <model>, one is needed")
+    return models[0]
+
+
+def _root(text: str | bytes, path: Path, is_foreign: bool = False) -> Element:
+    root = parse(text, path, is_foreign)
     if root.tag != "sdf":
         raise root.error("is not allowed as the outermost element, <sdf> is")
     version = root.attributes.get("version", "")
@@ -96,8 +115,8 @@ def _check_names(element: Element, names: list[str]) -> None:
 def _surroundings(element: Element) -> dict[str, Any]:
     """Return the fields of ``SdfWorld`` that the file sets."""
     found: dict[str, Any] = {}
-    gravity, wind, field = element.one("gravity"), element.one("wind"), element.one("magnetic_field")
-    place, ground, declination = element.one("spherical_coordinates"), element.one(GROUND), element.one(DECLINATION)
+    gravity, wind, field = element.first("gravity"), element.first("wind"), element.first("magnetic_field")
+    place, ground, declination = element.first("spherical_coordinates"), element.one(GROUND), element.one(DECLINATION)
     if gravity is not None:
         x, y, z = gravity.numbers((3,))
         if (x, y) != (0.0, 0.0) or not -100.0 <= z < 0.0:
@@ -155,7 +174,7 @@ def _datum(element: Element) -> Datum:
 
 
 def _light(element: Element, light: Light) -> Light:
-    scene = element.one("scene")
+    scene = element.first("scene")
     if scene is not None:
         scene.warn_unknown(("ambient", "background", "shadows"), ("grid", "origin_visual"))
         for tag in ("ambient", "background"):
@@ -260,16 +279,17 @@ def _read_model(element: Element, static: bool | None = None) -> SdfModel | None
     name, said = element.name(), element.one("static")
     if static is None:
         static = said is not None and said.boolean()
-    if not static:
-        raise element.error(f"{name!r} is not static; allowed are models with <static>true</static>: none can move")
-    for joint in element.all("joint"):
-        joint.warn_ignored("has no meaning in a static model and is ignored")
-    links = [_read_link(link) for link in element.all("link")]
+    links = tuple(_read_link(link) for link in element.all("link"))
     pose = read_pose(element)
     is_built_in = name in _BUILT_IN
     if is_built_in and all(_is_plain_ground(link) for link in element.all("link")):
         return None
-    return SdfModel(name, pose, True, tuple(links))
+    if not static:
+        reason = why_standing(element, links)
+        if reason:
+            element.warn_ignored(f"{name!r} is not static, but {reason}: it stands where it is")
+            static = True
+    return SdfModel(name, pose, static, links)
 
 
 def _is_plain_ground(link: Element) -> bool:
@@ -281,17 +301,21 @@ def _read_link(element: Element) -> SdfLink:
     visuals: list[Visual] = []
     collisions: list[Collision] = []
     for child in element.all("visual"):
-        visual = read_visual(child)
-        if visual is not None:
-            visuals.append(visual)
+        visuals += read_visuals(child)
     for child in element.all("collision"):
         if is_plane(child):
             child.info("of a <plane> is ignored: the ground z = 0 is always there")
             continue
-        collision = read_collision(child)
-        if collision is not None:
-            collisions.append(collision)
-    return SdfLink(element.name(), read_pose(element), tuple(visuals), tuple(collisions))
+        collisions += read_collisions(child)
+    gravity = element.one("gravity")
+    return SdfLink(
+        element.name(),
+        read_pose(element),
+        tuple(visuals),
+        tuple(collisions),
+        read_inertial(element),
+        gravity is None or gravity.boolean(),
+    )
 
 
 # actors
@@ -330,8 +354,8 @@ def _trajectory(script: Element) -> Trajectory | None:
     for element in found.all("waypoint"):
         time = element.required("time")
         waypoints.append(Waypoint(time.number(0.0), pose_of(element.required("pose"))))
-        if len(waypoints) > 1 and waypoints[-1].time <= waypoints[-2].time:
-            raise time.error(f"{time.text.strip()!r} is not allowed, more than the one before ({waypoints[-2].time:g})")
+        if len(waypoints) > 1 and waypoints[-1].time < waypoints[-2].time:
+            raise time.error(f"{time.text.strip()!r} is not allowed, at least the one before ({waypoints[-2].time:g})")
     if not waypoints:
         raise found.error("needs at least one <waypoint>")
     loop, delay, auto = (script.one(tag) for tag in ("loop", "delay_start", "auto_start"))

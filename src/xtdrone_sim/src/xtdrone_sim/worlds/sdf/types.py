@@ -1,4 +1,4 @@
-"""The content of a world file: environment, light, static models, actors."""
+"""The content of a world file: environment, light, models, actors."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.rotation import Vector
 from xtdrone_sim.descriptions import ModelError
+from xtdrone_sim.vehicles.urdf import Inertial
 from xtdrone_sim.vehicles.visual import Collision, Pose, Visual
 
 
@@ -33,19 +34,40 @@ class Light:
     shadows: bool = True
 
 
+DEFAULT_INERTIAL = Inertial(1.0, Pose(), (1.0, 1.0, 1.0, 0.0, 0.0, 0.0))
+"""The mass of a link without <inertial>, as in Gazebo: 1 kg and 1 kg m^2 about each axis."""
+
+
 @dataclass(frozen=True)
 class SdfLink:
-    """A rigid part of a model; ``pose`` in the model frame."""
+    """A rigid part of a model.
+
+    Attributes:
+        name: unique in its model.
+        pose: in the model frame.
+        visuals, collisions: shapes.
+        inertial: mass; None: ``DEFAULT_INERTIAL``.
+        gravity: whether it has weight.
+    """
 
     name: str
     pose: Pose = field(default_factory=Pose)
     visuals: tuple[Visual, ...] = ()
     collisions: tuple[Collision, ...] = ()
+    inertial: Inertial | None = None
+    gravity: bool = True
 
 
 @dataclass(frozen=True)
 class SdfModel:
-    """An object in the world; ``pose`` in the world frame."""
+    """An object in the world.
+
+    Attributes:
+        name: unique in its world.
+        pose: initial pose in the world frame.
+        static: if false, the model falls and can be pushed: one rigid body with all its links.
+        links: rigid parts.
+    """
 
     name: str
     pose: Pose = field(default_factory=Pose)
@@ -66,7 +88,7 @@ class Trajectory:
     """Path of an actor.
 
     Attributes:
-        waypoints: at least one, in chronological order.
+        waypoints: at least one, in chronological order; at the second of two equal times the actor jumps.
         loop: whether to restart after the last waypoint.
         delay_start: simulated time before the start, s.
         auto_start: if false, the actor stands at its first waypoint until a command moves it.
@@ -110,7 +132,7 @@ class SdfWorld:
         declination: magnetic declination, degrees east.
         friction, restitution: contact coefficients of ground and models.
         light: sun and sky.
-        models: static objects.
+        models: objects.
         actors: people.
     """
 

@@ -10,8 +10,8 @@ from xtdrone_control.geodesy.datum import Datum
 from xtdrone_sim.descriptions import ModelError, available, read_description
 from xtdrone_sim.package_files import CONFIG, PACKAGE
 from xtdrone_sim.worlds.sdf.elements import LARGEST, Element
-from xtdrone_sim.worlds.sdf.reader import parse_world
-from xtdrone_sim.worlds.sdf.types import SdfError, SdfWorld
+from xtdrone_sim.worlds.sdf.reader import parse_model, parse_world
+from xtdrone_sim.worlds.sdf.types import SdfError, SdfModel, SdfWorld
 
 WORLDS = PACKAGE / "worlds"
 
@@ -79,6 +79,19 @@ def read_world(text: str | bytes, path: Path) -> SdfWorld:
         SdfError: invalid content; the message names file, line, element, value and what is allowed.
     """
     return _read(text, path.absolute(), ())
+
+
+def read_model(text: str | bytes, name: str) -> SdfModel:
+    """Parse an SDF with one model, which may only name files of installed models and ROS packages.
+
+    Args:
+        text: content, in a request.
+        name: stands for the request in messages.
+
+    Raises:
+        SdfError: invalid content; the message names line, element, value and what is allowed.
+    """
+    return parse_model(text, WORLDS / name)
 
 
 def _load(name: str, beside: Path | None, extending: tuple[Path, ...]) -> SdfWorld:

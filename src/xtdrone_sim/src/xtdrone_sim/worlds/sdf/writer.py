@@ -6,10 +6,12 @@ from collections.abc import Iterable
 from decimal import Decimal
 from xml.sax.saxutils import escape, quoteattr
 
+from xtdrone_sim.vehicles.urdf import Inertial
 from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.worlds.sdf.bodies import INERTIA
 from xtdrone_sim.worlds.sdf.elements import write_pose
+from xtdrone_sim.worlds.sdf.geometry import write_collision, write_visual
 from xtdrone_sim.worlds.sdf.reader import DECLINATION, GROUND, SPEED
-from xtdrone_sim.worlds.sdf.shapes import write_collision, write_visual
 from xtdrone_sim.worlds.sdf.types import SdfActor, SdfLink, SdfModel, SdfWorld, Trajectory
 
 
@@ -86,7 +88,17 @@ def _write_pose(pose: Pose) -> list[str]:
 def _write_link(link: SdfLink) -> list[str]:
     shapes = [line for k, visual in enumerate(link.visuals) for line in write_visual(visual, f"visual_{k}")]
     shapes += [line for k, shape in enumerate(link.collisions) for line in write_collision(shape, f"collision_{k}")]
-    return [f"<link name={quoteattr(link.name)}>", *_write_pose(link.pose), *_indented(shapes, 2), "</link>"]
+    mass = [] if link.inertial is None else _write_inertial(link.inertial)
+    weight = [] if link.gravity else ["<gravity>false</gravity>"]
+    inside = _indented([*mass, *weight, *shapes], 2)
+    return [f"<link name={quoteattr(link.name)}>", *_write_pose(link.pose), *inside, "</link>"]
+
+
+def _write_inertial(inertial: Inertial) -> list[str]:
+    values = zip(INERTIA, inertial.inertia, strict=True)
+    inertia = "".join(f"<{tag}>{value!r}</{tag}>" for tag, value in values)
+    mass, pose = f"<mass>{inertial.mass!r}</mass>", "".join(_write_pose(inertial.pose)).strip()
+    return [f"<inertial>{pose}{mass}<inertia>{inertia}</inertia></inertial>"]
 
 
 def _write_actor(actor: SdfActor) -> list[str]:

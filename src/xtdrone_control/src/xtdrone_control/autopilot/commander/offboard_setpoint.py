@@ -1,0 +1,198 @@
+"""OFFBOARD setpoint: the last one of the client's stream, and the watchdog of the stream."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Generic, TypeVar
+
+from xtdrone_control.autopilot.state import TASK_ATTITUDE, TASK_RATES, TASK_TRAJECTORY
+from xtdrone_control.autopilot.vehicle_view import Vector, VehicleView
+
+_NAN = math.nan
+_UNSET = (_NAN, _NAN, _NAN)
+_STOP = (0.0, 0.0, 0.0)
+_NEVER_US = -(1 << 60)
+
+
+class SetpointError(ValueError):
+    """Invalid setpoint; it is not stored and does not feed the watchdog of the stream."""
+
+
+def _finite(value: float) -> float:
+    """Return ``value``, with NaN for an infinite one."""
+    return value if math.isfinite(value) else _NAN
+
+
+def _can_be_flown(parts: Sequence[Sequence[float]]) -> bool:
+    """Return whether position, velocity and acceleration together control every axis, with x and y only in pairs.
+
+    Source: PX4 ``PositionControl::_inputValid``.
+    """
+    x, y, z = ([not math.isnan(value) for value in axis] for axis in zip(*parts, strict=True))
+    return x == y and any(x) and any(z)
+
+
+def _collective(thrust: float) -> float:
+    return min(max(thrust, 0.0), 1.0) if math.isfinite(thrust) else 0.0
+
+
+_Start = TypeVar("_Start")
+
+
+class CommandStart(Generic[_Start]):
+    """Where the vehicle was when the present relative command came.
+
+    A stream repeats its setpoint, many times a second. Setpoints of equal values are one command, which starts where
+    the vehicle was at the first of them. A new command starts with other values, after another setpoint, after a pause
+    that ends the stream, and while the vehicle does not follow setpoints: a command flies from where OFFBOARD begins.
+    """
+
+    def __init__(self) -> None:
+        """Start without a command."""
+        self._current: tuple[Sequence[float], _Start] | None = None
+
+    def update(self, values: Sequence[float], here: _Start, *, repeated: bool) -> _Start:
+        """Return the start of the command that this setpoint belongs to.
+
+        Args:
+            values: the setpoint; NaN equals NaN.
+            here: where the vehicle is now.
+            repeated: whether the setpoint continues a stream that the vehicle follows.
+        """
+        if self._current is None or not repeated or not _equal(self._current[0], values):
+            self._current = values, here
+        return self._current[1]
+
+
+def _equal(a: Sequence[float], b: Sequence[float]) -> bool:
+    return len(a) == len(b) and all(x == y or (x != x and y != y) for x, y in zip(a, b, strict=True))
+
+
+class OffboardSetpoint:
+    """Last setpoint of the OFFBOARD stream and watchdog of the stream.
+
+    Attributes:
+        incomplete: the last setpoint leaves an axis uncontrolled, so that the vehicle stops and holds instead.
+    """
+
+    def __init__(self, view: VehicleView) -> None:
+        """Start without a setpoint."""
+        self._view = view
+        self._last_us = _NEVER_US
+        self._previous_us = _NEVER_US
+        self._task = TASK_TRAJECTORY
+        self._count = 0  # setpoints stored so far
+        self._count_after_offset = 0  # once the latest setpoint relative to the vehicle was stored
+        self._offset_start: CommandStart[tuple[Vector, float]] = CommandStart()
+        self.incomplete = False
+        self._fields: dict[str, Sequence[float] | float] = {}
+
+    @property
+    def needs_position(self) -> bool:
+        """Whether the last setpoint requires the horizontal position estimate."""
+        return self._task == TASK_TRAJECTORY
+
+    def fresh(self, limit: float) -> bool:
+        """Return whether the last setpoint arrived within ``limit`` seconds."""
+        return self._view.time_us - self._last_us <= limit * 1e6
+
+    def steady(self, limit: float) -> bool:
+        """Return whether the last setpoint and the one before it each arrived within ``limit`` seconds."""
+        return self.fresh(limit) and self._last_us - self._previous_us <= limit * 1e6
+
+    def offset_start(self, values: Sequence[float], limit: float, *, flown: bool) -> tuple[Vector, float]:
+        """Return position (m, local NED) and heading (rad) from which a setpoint relative to the vehicle counts.
+
+        Call it before the setpoint is stored. See ``CommandStart``.
+
+        Args:
+            values: the setpoint, relative.
+            limit: pause after which the stream is another one, s.
+            flown: whether the vehicle follows the setpoints now.
+        """
+        repeated = flown and self.fresh(limit) and self._count == self._count_after_offset
+        self._count_after_offset = self._count + 1
+        return self._offset_start.update(values, (self._view.position, self._view.yaw), repeated=repeated)
+
+    def set_trajectory(
+        self,
+        position: Sequence[float],
+        velocity: Sequence[float],
+        acceleration: Sequence[float],
+        yaw: float,
+        yaw_rate: float,
+    ) -> None:
+        """Store a trajectory setpoint; non-finite values are uncontrolled.
+
+        A setpoint that leaves an axis uncontrolled makes the vehicle stop and hold, as in PX4.
+
+        Args:
+            position: m, local NED, 3 values.
+            velocity: m/s, local NED, 3 values.
+            acceleration: m/s^2, local NED, 3 values.
+            yaw: rad, local.
+            yaw_rate: rad/s.
+
+        Raises:
+            SetpointError: position, velocity and acceleration are all NaN.
+        """
+        given = (position, velocity, acceleration)
+        if all(math.isnan(value) for part in given for value in part):
+            raise SetpointError("neither position nor velocity nor acceleration is given")
+        parts = [tuple(map(_finite, part)) for part in given]
+        incomplete = not _can_be_flown(parts)
+        if incomplete:
+            parts = [_UNSET, _STOP, _UNSET]
+            yaw = yaw_rate = _NAN
+        self._store(
+            TASK_TRAJECTORY,
+            position=parts[0],
+            velocity=parts[1],
+            acceleration=parts[2],
+            yaw=_finite(yaw),
+            yaw_rate=_finite(yaw_rate),
+        )
+        self.incomplete = incomplete
+
+    def set_attitude(self, attitude: Sequence[float], yaw_rate: float, thrust: float) -> None:
+        """Store an attitude setpoint.
+
+        Args:
+            attitude: quaternion (w, x, y, z), body FRD to local NED; normalised on storage.
+            yaw_rate: rad/s, NaN for none.
+            thrust: collective thrust, clamped to 0..1; 0 if not finite.
+
+        Raises:
+            SetpointError: the quaternion is not finite, or its norm is close to zero.
+        """
+        norm = math.sqrt(sum(c * c for c in attitude))
+        if not 1e-3 < norm < 1e6:
+            raise SetpointError(f"attitude has norm {norm:.3g}, not 1")
+        rates = (0.0, 0.0, yaw_rate if math.isfinite(yaw_rate) else 0.0)
+        self._store(TASK_ATTITUDE, attitude_q=[c / norm for c in attitude], rates=rates, thrust=_collective(thrust))
+
+    def set_rates(self, rates: Sequence[float], thrust: float) -> None:
+        """Store a setpoint of body rates and collective thrust.
+
+        Args:
+            rates: body rates FRD, rad/s; non-finite values are uncontrolled.
+            thrust: collective thrust, clamped to 0..1; 0 if not finite.
+        """
+        self._store(TASK_RATES, rates=tuple(map(_finite, rates)), thrust=_collective(thrust))
+
+    def _store(self, task: int, **fields: Sequence[float] | float) -> None:
+        self._task = task
+        self._count += 1
+        self.incomplete = False
+        self._fields = fields
+        self._previous_us = self._last_us
+        self._last_us = self._view.time_us
+
+    def write(self) -> None:
+        """Write the last setpoint to the control cascade."""
+        fields = self._view.setpoint_fields
+        for name, value in self._fields.items():
+            fields[name][:] = value
+        if self._view.task != self._task:
+            self._view.start_task(self._task)

@@ -1,0 +1,45 @@
+"""Vehicles of a fleet: names, models, MAVLink ids, UDP ports and start poses.
+
+A fleet is described as ``"iris:9"`` or ``"iris:3,typhoon_h480:2"``, or by a fleet file.
+"""
+
+from .listing import fleet_text, parse_fleet, read_fleet_file, split_name, vehicle_named
+from .poses import spawn_grid, start_pose, start_poses, with_poses
+from .spawns import SPAWNED, spawned_fleet, unused_ports
+from .vehicle import (
+    COMMAND_TOPICS,
+    GCS_REMOTE_PORT,
+    INSTANCE_STEP,
+    MAX_INSTANCE,
+    MAX_VEHICLES,
+    FleetError,
+    StartPose,
+    Vehicle,
+    check_instance,
+    instance_port,
+)
+
+__all__ = [
+    "COMMAND_TOPICS",
+    "GCS_REMOTE_PORT",
+    "INSTANCE_STEP",
+    "MAX_INSTANCE",
+    "MAX_VEHICLES",
+    "SPAWNED",
+    "FleetError",
+    "StartPose",
+    "Vehicle",
+    "check_instance",
+    "fleet_text",
+    "instance_port",
+    "parse_fleet",
+    "read_fleet_file",
+    "spawn_grid",
+    "spawned_fleet",
+    "split_name",
+    "start_pose",
+    "start_poses",
+    "unused_ports",
+    "vehicle_named",
+    "with_poses",
+]

@@ -1,0 +1,247 @@
+"""``./xtdrone demo hello``: one vehicle takes off, flies a square and lands, by a script that is shown.
+
+Exit status: 0 for a flight to its end, 1 if the script or the launch has failed, 2 for a value that is not allowed,
+128 + n when stopped by signal n.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import queue
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+from rich.console import Console
+from rich.syntax import Syntax
+
+from xtdrone_control.settings import Settings
+from xtdrone_interaction import options
+from xtdrone_interaction.console import PatientConsole, run_reported
+from xtdrone_interaction.launching.supervised_launch import (
+    DemoError,
+    Launch,
+    Watch,
+    check_progress,
+    escape,
+    master_port,
+    run_launch,
+    watching,
+)
+from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
+from xtdrone_interaction.options import MachineSettings, OptionError, seed_setting, speed_setting
+
+FLEET = "iris:1"
+SCRIPT = options.repository() / "src" / "xtdrone_control" / "examples" / "hello.py"
+_LIMIT = 60.0  # s of wall time without progress
+_LOG_LINE = "[INFO] "  # of ROS; the script's own output and warnings are shown
+_END_LIMIT = 10.0  # s for the script to end after a signal
+
+
+@dataclass(frozen=True, kw_only=True)
+class HelloSettings(Settings):
+    """Settings of the flight.
+
+    Attributes:
+        script: the file that flies.
+        world: name, or absolute path of a file.
+        out: folder of the logs.
+        master_port: TCP port of the flight's own ROS master.
+        instance: number of the simulation on this machine.
+    """
+
+    script: Path
+    world: str
+    speed: float = speed_setting()
+    seed: int = seed_setting()
+    out: Path
+    master_port: int
+    instance: int
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.description = (
+        "Fly one vehicle: up, a square, down. The script that flies it is shown first; copy it, change it, and fly "
+        "your copy with --script."
+    )
+    parser.add_argument(
+        "--script", type=Path, default=SCRIPT, metavar="FILE.py", help="script that flies iris_0 (default: the example)"
+    )
+    HelloSettings.add_arguments(parser, ("speed", "seed"))
+    options.add_world(parser)
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="new folder for the logs (default: runs/<time>)")
+    MachineSettings.add_arguments(parser, ("master_port",))
+    options.add_instance(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fly and return the exit status."""
+    return run_reported(lambda: _fly(_settings(arguments), PatientConsole()))
+
+
+def _settings(arguments: argparse.Namespace) -> HelloSettings:
+    """Return the settings, after all checks that need no ROS.
+
+    Raises:
+        OptionError: a value is not allowed.
+    """
+    script: Path = arguments.script
+    if script.suffix != ".py" or not script.is_file():
+        raise OptionError(f"script: {str(script)!r} is not allowed, an existing .py file")
+    machine = MachineSettings.from_arguments(arguments)
+    return HelloSettings.from_arguments(
+        arguments,
+        script=script.resolve(),
+        world=options.world(arguments.world),
+        out=options.results_folder(arguments.out),
+        master_port=master_port(machine.master_port, use_running=False),
+        instance=options.take_instance(FLEET, machine.instance),
+    )
+
+
+def _fly(settings: HelloSettings, console: Console) -> int:
+    from xtdrone_control.drone.connection import NODE  # rospy is slow to import
+
+    launch = Launch(
+        "multi_vehicle.launch",
+        {
+            "vehicles": FLEET,
+            "world": settings.world,
+            "speed": settings.speed,
+            "seed": settings.seed,
+            "participants": f"/mavros,/{NODE}",
+            **({"instance": settings.instance} if settings.instance else {}),
+        },
+        settings.out,
+        settings.master_port,
+        headless=True,
+        instance=settings.instance,
+    )
+    text = settings.script.read_text(encoding="utf-8")
+    console.print(f"{_shown(settings.script)}:", highlight=False, soft_wrap=True)
+    console.print(Syntax(text.strip(), "python", line_numbers=True, background_color="default"))
+
+    def go() -> int:
+        ended_nodes = EndedNodes(launch.log)
+        with watching(launch, console, ended_nodes, {}) as watch:
+            status = _run_script(settings, launch, watch)
+        if status:
+            raise DemoError(f"{settings.script.name} has ended with status {status}")
+        _say_goodbye(settings, console)
+        return 0
+
+    return run_launch(launch, console, go)
+
+
+def _run_script(settings: HelloSettings, launch: Launch, watch: Watch) -> int:
+    """Run the script beside the launch, show its output, and return its exit status.
+
+    Raises:
+        DemoError: the launch has ended, or nothing has advanced for a long time.
+    """
+    _wait_for_master(watch)
+    script = Script(settings.script, launch)
+    begun = False
+    try:
+        while True:
+            status = script.status
+            for line in script.take():
+                if not line.startswith(_LOG_LINE):
+                    watch.display.note(f"  {escape(line)}")
+            if status is not None:
+                return status
+            if not watch.running():
+                watch.show_ended_nodes()
+                raise DemoError("the simulation has ended before the script")
+            watch.poll(starting=not begun)
+            if not begun and watch.startup.runs:
+                begun = True
+                watch.display.note(f"flying; {launch.control_words}")
+            if not begun:
+                check_progress(watch, _LIMIT, "the flight did not begin: no progress")
+    finally:
+        script.end()
+
+
+def _wait_for_master(watch: Watch) -> None:
+    """Wait until the ROS master answers: the script looks for the simulator there.
+
+    Raises:
+        DemoError: it does not.
+    """
+    while not any(message["kind"] == "master" for message in watch.poll(starting=True)):
+        if not watch.running():
+            raise DemoError("roslaunch ended before it started a node")
+        check_progress(watch, _LIMIT, "the flight did not begin: no progress")
+
+
+class Script:
+    """The script's process and its output."""
+
+    def __init__(self, file: Path, launch: Launch) -> None:
+        """Start it as a node of the launch's ROS master."""
+        environment = {**launch.environment(), "PYTHONUNBUFFERED": "1"}
+        self._process = subprocess.Popen(
+            [sys.executable, str(file)],
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            cwd=os.getcwd(),
+        )
+        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        assert self._process.stdout is not None
+        self._reader = threading.Thread(target=self._read, args=(self._process.stdout,), daemon=True)
+        self._reader.start()
+
+    @property
+    def status(self) -> int | None:
+        """The exit status once all output has been read; None before that."""
+        return None if self._reader.is_alive() else self._process.wait()
+
+    def take(self) -> list[str]:
+        """Return the new lines of its output."""
+        lines = []
+        while not self._lines.empty():
+            lines.append(self._lines.get())
+        return lines
+
+    def end(self) -> None:
+        """Interrupt it if it runs, and wait for its end."""
+        end = time.monotonic() + _END_LIMIT
+        for stop in (self._process.terminate, self._process.kill):
+            if self._process.poll() is None:
+                stop()
+                try:
+                    self._process.wait(max(0.1, end - time.monotonic()))
+                except subprocess.TimeoutExpired:
+                    continue
+
+    def _read(self, output: IO[str]) -> None:
+        for line in output:
+            self._lines.put(line.rstrip("\n"))
+
+
+def _say_goodbye(settings: HelloSettings, console: Console) -> None:
+    name = _shown(settings.script)
+    for line in (
+        "landed. Now yours:",
+        f"  cp {name} my_flight.py          # change it",
+        "  ./xtdrone demo hello --script my_flight.py",
+        "  docs/tutorials/fly-from-a-script.md has all verbs; './xtdrone demo formation' flies nine",
+    ):
+        console.print(line, highlight=False, soft_wrap=True)
+
+
+def _shown(path: Path) -> str:
+    """Return a path relative to the current folder if it is below it."""
+    here = Path.cwd()
+    return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)

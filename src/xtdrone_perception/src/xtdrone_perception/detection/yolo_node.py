@@ -1,0 +1,429 @@
+"""Detection node: pictures of one or several vehicles in, boxes and positions on the ground out.
+
+For each vehicle ``T`` (as ``typhoon_h480_0``) with the number ``i``:
+
+=======================================  ==============================  =============================================
+topic                                    type                            meaning
+=======================================  ==============================  =============================================
+/T/cgo3_camera/image_raw, camera_info    sensor_msgs/Image, CameraInfo   in: rgb8 or bgr8
+/T/mavros/local_position/pose            geometry_msgs/PoseStamped       in: position at the exposure
+/T/mavros/mount_control/orientation      geometry_msgs/Quaternion        in: gimbal attitude
+/T/mavros/state                          mavros_msgs/State               in: no camera fault while disarmed
+/uav_<i>/darknet_ros/bounding_boxes      darknet_ros_msgs/BoundingBoxes  out: one per picture, as darknet_ros
+/uav_<i>/darknet_ros/found_object        darknet_ros_msgs/ObjectCount    out: number of boxes
+/uav_<i>/darknet_ros/detection_image     sensor_msgs/Image               out: with boxes; only while subscribed
+/xtdrone/T/objects                       xtdrone_msgs/ObjectsOnGround    out: tracked people on the ground, in map
+/xtdrone/T/camera_ok                     std_msgs/Bool                   out, latched: whether the camera works
+=======================================  ==============================  =============================================
+
+The results of a picture are published a fixed simulated time (``~latency``) after processing began, whatever the
+processing takes; the flight continues meanwhile. One picture per vehicle is processed at a time; of those that arrive
+meanwhile the newest waits, the others are dropped and counted.
+"""
+
+from __future__ import annotations
+
+import queue
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+import rospy
+from darknet_ros_msgs.msg import BoundingBox, BoundingBoxes, ObjectCount
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Vector3
+from mavros_msgs.msg import State
+from numpy.typing import NDArray
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Bool
+from xtdrone_msgs.msg import ObjectOnGround, ObjectsOnGround
+
+from xtdrone_control import lockstep
+from xtdrone_control.camera_pose import CameraPose, camera_link_pose, optical_pose
+from xtdrone_control.frames import to_xyzw
+from xtdrone_control.lockstep.deferred import Deferred
+from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.program import ArgumentError
+from xtdrone_control.settings import Settings, setting
+from xtdrone_perception.tracking.geolocation import Geolocator, Noise, Person, View
+from xtdrone_perception.tracking.pose_history import PoseHistory
+from xtdrone_perception.tracking.tracker import GroundDetection, Track, Tracker, TrackerSettings
+
+from .camera_watch import CameraWatch
+from .detector import Detection, Detector, DetectorError, DetectorSettings, load_settings, settings_file
+
+RATE = 50.0  # Hz; the gimbal attitude has no stamp, so its time is as accurate as the node's period
+CAMERA_OFFSET = (0.041, 0.0, -0.122)  # of the typhoon's camera from base_link, m, FLU
+MARGIN = 8.0  # px; a person expected closer to the edge may be outside the picture
+_COLOUR = (255, 60, 60)
+
+
+@dataclass(frozen=True)
+class DetectionOptions(Settings):
+    """Private parameters of the node, for all its vehicles.
+
+    Attributes:
+        locator: computes positions on the ground.
+        tracker: beginning and end of tracks.
+    """
+
+    locator: Geolocator
+    tracker: TrackerSettings
+    latency: float = setting(0.1, low=0.0, high=10.0, unit="s", text="simulated time from a picture to its results")
+    workers: int = setting(1, low=1, high=16, text="pictures of different vehicles processed at a time")
+    camera: str = setting("cgo3_camera", text="name of the camera's topics below the vehicle's namespace")
+    camera_offset: tuple[float, float, float] = setting(
+        CAMERA_OFFSET, unit="m", text="camera position relative to base_link, FLU"
+    )
+    persons: tuple[str, ...] = setting(("human", "person"), text="classes that are located on the ground")
+
+
+@dataclass(frozen=True)
+class GroundOptions(Settings):
+    """Private parameters of the ground and the range of detection."""
+
+    ground: float = setting(0.0, low=-1e4, high=1e4, unit="m", text="height of the ground in the map frame")
+    farthest: float = setting(200.0, low=1.0, high=1e4, unit="m", text="highest distance of a located person")
+
+
+class Picture(NamedTuple):
+    """A picture to be processed."""
+
+    message: Image
+    rgb: NDArray[np.uint8]
+
+
+def read_options() -> DetectionOptions:
+    """Read the private parameters of all but the network.
+
+    Raises:
+        SettingError: a parameter is not allowed.
+    """
+    get = rospy.get_param
+    place = GroundOptions.from_parameters(get)
+    locator = Geolocator(
+        place.ground,
+        Person.from_mapping(get("~person", {}), rospy.resolve_name("~person")),
+        Noise.from_mapping(get("~noise", {}), rospy.resolve_name("~noise")),
+        farthest=place.farthest,
+    )
+    tracker = TrackerSettings.from_mapping(get("~tracker", {}), rospy.resolve_name("~tracker"))
+    return DetectionOptions.from_parameters(get, locator=locator, tracker=tracker)
+
+
+def read_detector() -> DetectorSettings:
+    """Read the detector settings: the file named by ``~detector``, with entries replaced by private parameters.
+
+    Raises:
+        ArgumentError: the file or a value is invalid.
+    """
+    name = str(rospy.get_param("~detector", "search"))
+    path = settings_file(name)
+    changes = {
+        field.name: rospy.get_param(f"~{field.name}")
+        for field in fields(DetectorSettings)
+        if rospy.has_param(f"~{field.name}")
+    }
+    try:
+        return load_settings(path, changes)
+    except DetectorError as error:
+        raise ArgumentError(f"parameter ~detector: {error}") from error
+
+
+class Detectors:
+    """One copy of the network per worker, since a network processes one picture at a time."""
+
+    def __init__(self, settings: DetectorSettings, count: int) -> None:
+        """Load the networks.
+
+        Raises:
+            DetectorError: the network cannot be loaded.
+        """
+        self._free: queue.SimpleQueue[Detector] = queue.SimpleQueue()
+        for _ in range(count):
+            self._free.put(Detector(settings))
+
+    def detect(self, rgb: NDArray[np.uint8]) -> list[Detection]:
+        """Return the objects in a picture; thread-safe."""
+        detector = self._free.get()
+        try:
+            return detector.detect(rgb)
+        finally:
+            self._free.put(detector)
+
+
+class VehicleDetection:
+    """Topics, tracks and camera state of one vehicle."""
+
+    def __init__(self, kind: str, index: int, options: DetectionOptions) -> None:
+        """Declare the topics.
+
+        Args:
+            kind: vehicle type, as ``typhoon_h480``.
+            index: number of the vehicle.
+            options: of the node.
+        """
+        self.name = f"{kind}_{index}"
+        self._options = options
+        self._pinhole: Pinhole | None = None
+        self._poses, self._mounts = PoseHistory(), PoseHistory()
+        self._armed = False
+        self._clear_state()
+        darknet = f"/uav_{index}/darknet_ros"
+        self._boxes = lockstep.Publisher(f"{darknet}/bounding_boxes", BoundingBoxes)
+        self._count = lockstep.Publisher(f"{darknet}/found_object", ObjectCount)
+        self._image = lockstep.Publisher(f"{darknet}/detection_image", Image, queue_size=1)
+        self._objects = lockstep.Publisher(f"/xtdrone/{self.name}/objects", ObjectsOnGround)
+        self._ok = lockstep.Publisher(f"/xtdrone/{self.name}/camera_ok", Bool, latch=True)
+        camera = f"/{self.name}/{options.camera}"
+        lockstep.Subscriber(f"/{self.name}/mavros/state", State, self._on_state)
+        lockstep.Subscriber(f"/{self.name}/mavros/local_position/pose", PoseStamped, self._on_pose)
+        lockstep.Subscriber(f"/{self.name}/mavros/mount_control/orientation", Quaternion, self._on_mount)
+        lockstep.Subscriber(f"{camera}/camera_info", CameraInfo, self._on_info)
+        lockstep.Subscriber(f"{camera}/image_raw", Image, self._on_image, queue_size=2, buff_size=2**24)
+        lockstep.add_reset_hook(self._restart)
+
+    def _clear_state(self) -> None:
+        self._tracker = Tracker(self._options.tracker)
+        self._watch = CameraWatch()
+        self._published_ok: bool | None = None
+        self._waiting: Picture | None = None
+        self._working = False
+        self._dropped = 0
+
+    def _restart(self) -> None:
+        self._poses.clear()
+        self._mounts.clear()
+        self._armed = False
+        self._clear_state()
+
+    # messages
+
+    def _on_state(self, message: State) -> None:
+        self._armed = bool(message.armed)
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        p, q = message.pose.position, message.pose.orientation
+        entry = np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
+        if _is_valid(entry):
+            self._poses.add(message.header.stamp.to_nsec(), entry)
+
+    def _on_mount(self, message: Quaternion) -> None:
+        entry = np.array([message.x, message.y, message.z, message.w])
+        if _is_valid(entry):
+            self._mounts.add(rospy.Time.now().to_nsec(), entry)
+
+    def _on_info(self, message: CameraInfo) -> None:
+        fx, fy, cx, cy = message.K[0], message.K[4], message.K[2], message.K[5]
+        if fx > 0.0 and fy > 0.0 and message.width and message.height:
+            self._pinhole = Pinhole(message.width, message.height, fx, fy, cx, cy)
+        else:
+            rospy.logwarn_throttle(10.0, f"{self.name}: ignored camera_info without focal lengths or size")
+
+    def _on_image(self, message: Image) -> None:
+        try:
+            rgb = picture_of(message)
+        except ValueError as error:
+            rospy.logwarn_throttle(10.0, f"{self.name}: ignored a picture: {error}")
+            return
+        last = self._poses.last
+        place = None if last is None else (float(last[0]), float(last[1]), float(last[2]))
+        content = zlib.crc32(message.data)
+        self._watch.on_picture(rospy.get_time(), message.header.stamp.to_sec(), content, place if self._armed else None)
+        if self._waiting is not None:
+            self._dropped += 1
+        self._waiting = Picture(message, rgb)
+
+    # steps
+
+    def take(self) -> Picture | None:
+        """Return the next picture to process, None if there is none or one is being processed."""
+        if self._working or self._waiting is None:
+            return None
+        picture, self._waiting = self._waiting, None
+        self._working = True
+        return picture
+
+    def publish_camera_state(self) -> None:
+        """Publish on ``camera_ok`` whether the camera works, when this has changed."""
+        self._watch.update(rospy.get_time(), self._armed)
+        ok = not self._watch.fault
+        if ok == self._published_ok or not (self._watch.fault or self._watch.seen):
+            return
+        if not ok:
+            rospy.logwarn(f"{self.name}: the camera has failed: {self._watch.fault}")
+        elif self._published_ok is False:
+            rospy.loginfo(f"{self.name}: the camera works again")
+        self._published_ok = ok
+        self._ok.publish(Bool(ok))
+
+    def finish(self, picture: Picture, detections: Sequence[Detection]) -> None:
+        """Publish the results of a picture."""
+        self._working = False
+        header = picture.message.header
+        boxes = BoundingBoxes(image_header=header)
+        boxes.header.stamp = rospy.Time.now()
+        boxes.header.frame_id = header.frame_id
+        boxes.bounding_boxes = [box_message(entry) for entry in detections]
+        self._boxes.publish(boxes)
+        count = ObjectCount(count=min(len(detections), 127))
+        count.header = boxes.header
+        self._count.publish(count)
+        if self._image.get_num_connections():
+            self._image.publish(drawn(picture, detections))
+        self._publish_tracks(header.stamp, detections)
+
+    def _publish_tracks(self, stamp: Any, detections: Sequence[Detection]) -> None:
+        """Update and publish the tracks, if the camera pose at the exposure is known."""
+        camera = self._camera_at(stamp.to_nsec())
+        if camera is None or self._pinhole is None:
+            rospy.logwarn_throttle(
+                10.0, f"{self.name}: no positions on the ground: pose, mount orientation or camera_info is missing"
+            )
+            return
+        view = View.of(self._pinhole, camera.position, camera.orientation)
+        located = []
+        for entry in detections:
+            if entry.name not in self._options.persons:
+                continue
+            box = (entry.xmin, entry.ymin, entry.xmax, entry.ymax)
+            point = self._options.locator.locate(view, box)
+            if point is not None:
+                located.append(GroundDetection(point, entry.name, entry.probability, box))
+        try:
+            tracks = self._tracker.update(stamp.to_sec(), located, lambda place: in_view(view, place, self._options))
+        except ValueError as error:
+            rospy.logwarn_throttle(10.0, f"{self.name}: ignored the positions of a picture: {error}")
+            return
+        message = ObjectsOnGround(vehicle=self.name, dropped=self._dropped)
+        message.header.stamp, message.header.frame_id = stamp, "map"
+        message.camera = Pose(Point(*camera.position), Quaternion(*to_xyzw(camera.orientation)))
+        message.objects = [object_message(track) for track in tracks]
+        self._objects.publish(message)
+
+    def _camera_at(self, time_ns: int) -> CameraPose | None:
+        """Return the pose of the optical frame at a time, None if unknown."""
+        pose, mount = self._poses.at(time_ns), self._mounts.at(time_ns)
+        if pose is None or mount is None:
+            return None
+        px, py, pz, qx, qy, qz, qw = pose.tolist()
+        mx, my, mz, mw = mount.tolist()
+        return optical_pose(
+            camera_link_pose((px, py, pz), (qw, qx, qy, qz), (mw, mx, my, mz), self._options.camera_offset),
+        )
+
+
+class YoloNode:
+    """Detection for one or several vehicles in one process."""
+
+    def __init__(self, kind: str, ids: Sequence[int], detector: DetectorSettings, options: DetectionOptions) -> None:
+        """Load the networks and declare the topics.
+
+        Args:
+            kind: vehicle type, as ``typhoon_h480``.
+            ids: numbers of the vehicles.
+            detector: settings of the network.
+            options: shared by the vehicles.
+
+        Raises:
+            ArgumentError: the network cannot be loaded.
+        """
+        try:
+            self._detectors = Detectors(detector, options.workers)
+        except DetectorError as error:
+            raise ArgumentError(f"parameter ~detector: {error}") from error
+        self._latency_us = round(options.latency * 1e6)
+        self._work = Deferred(options.workers, wait=lockstep.is_active())
+        self._vehicles = [VehicleDetection(kind, index, options) for index in ids]
+        lockstep.add_reset_hook(self._work.clear)
+
+    def step(self) -> None:
+        """Publish the results that are due and start processing waiting pictures; call it at 50 Hz."""
+        now_us = rospy.Time.now().to_nsec() // 1000
+        for (vehicle, picture), detections in self._work.ready(now_us):
+            vehicle.finish(picture, detections)
+        for vehicle in self._vehicles:
+            picture = vehicle.take()
+            if picture is not None:
+                due_us = now_us + self._latency_us
+                self._work.put((vehicle, picture), due_us, self._detectors.detect, picture.rgb)
+            vehicle.publish_camera_state()
+
+    def close(self) -> None:
+        """Stop the workers."""
+        self._work.close()
+
+
+def picture_of(message: Image) -> NDArray[np.uint8]:
+    """Return the picture in a message, (height, width, 3) red, green, blue.
+
+    Raises:
+        ValueError: unknown encoding, or a size that does not match the data.
+    """
+    if message.encoding not in ("rgb8", "bgr8"):
+        raise ValueError(f"encoding: {message.encoding!r} is not allowed, rgb8 or bgr8")
+    width, height, step = message.width, message.height, message.step
+    if not width or not height or step < 3 * width or len(message.data) != step * height:
+        raise ValueError(f"{width} x {height} px in rows of {step} bytes, but {len(message.data)} bytes")
+    rows = np.frombuffer(message.data, np.uint8).reshape(height, step)
+    rgb = rows[:, : 3 * width].reshape(height, width, 3)
+    return np.ascontiguousarray(rgb if message.encoding == "rgb8" else rgb[..., ::-1])
+
+
+def box_message(entry: Detection) -> BoundingBox:
+    """Return a detection as a message of darknet_ros."""
+    return BoundingBox(
+        probability=entry.probability,
+        xmin=round(entry.xmin),
+        ymin=round(entry.ymin),
+        xmax=round(entry.xmax),
+        ymax=round(entry.ymax),
+        id=entry.class_id,
+        Class=entry.name,
+    )
+
+
+def object_message(track: Track) -> ObjectOnGround:
+    """Return a track as a message."""
+    xmin, ymin, xmax, ymax = track.last.box
+    box = Detection(0, track.object_class, track.last.probability, xmin, ymin, xmax, ymax)
+    return ObjectOnGround(
+        id=track.id,
+        object_class=track.object_class,
+        probability=track.probability,
+        hits=track.hits,
+        position=Point(*track.position.tolist()),
+        covariance=track.position_covariance.reshape(-1).tolist(),
+        velocity=Vector3(*track.velocity.tolist(), 0.0),
+        box=box_message(box),
+    )
+
+
+def in_view(view: View, place: NDArray[np.float64], options: DetectionOptions) -> bool:
+    """Return whether a picture should show a person standing at a place (2,), m."""
+    foot = options.locator.foot(place)
+    middle = foot + np.array([0.0, 0.0, 0.5 * options.locator.person.height])
+    x, y = view.pinhole.project(((middle - view.position) @ view.rotation)[None])[0]
+    return bool(MARGIN <= x <= view.pinhole.width - MARGIN and MARGIN <= y <= view.pinhole.height - MARGIN)
+
+
+def drawn(picture: Picture, detections: Sequence[Detection]) -> Image:
+    """Return a picture with boxes drawn, as rgb8."""
+    rgb = picture.rgb.copy()
+    for entry in detections:
+        corners = (round(entry.xmin), round(entry.ymin)), (round(entry.xmax), round(entry.ymax))
+        cv2.rectangle(rgb, *corners, _COLOUR, 1)
+        text = f"{entry.name} {entry.probability:.2f}"
+        baseline = corners[0][1] - 3 if corners[0][1] > 14 else corners[1][1] + 12
+        cv2.putText(rgb, text, (corners[0][0], baseline), cv2.FONT_HERSHEY_SIMPLEX, 0.4, _COLOUR, 1, cv2.LINE_AA)
+    height, width = rgb.shape[:2]
+    message = Image(height=height, width=width, encoding="rgb8", step=3 * width, data=rgb.tobytes())
+    message.header = picture.message.header
+    return message
+
+
+def _is_valid(entry: NDArray[np.float64]) -> bool:
+    """Return whether all values are finite and the last four are a unit quaternion."""
+    return bool(np.isfinite(entry).all() and abs(entry[-4:] @ entry[-4:] - 1.0) < 0.01)

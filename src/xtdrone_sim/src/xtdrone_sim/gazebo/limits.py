@@ -1,0 +1,101 @@
+"""What requests to the simulated world may contain: finite numbers in bounds, names, models of bounded size."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from xtdrone_control.rotation import Quaternion, Vector
+from xtdrone_sim.worlds.sdf import SdfError, SdfModel
+from xtdrone_sim.worlds.sdf.shapes import box_of
+
+FARTHEST = 1e5  # m, along each axis
+FASTEST = 1e3  # m/s and rad/s
+STRONGEST = 1e6  # N and N m
+LONGEST_TEXT = 1 << 20  # characters of a model's description
+MOST_SHAPES = 256  # of a model
+MOST_ADDED = 500  # models added by requests at one time
+_SIZES = (1e-3, 1e4)  # m, longest side of a shape
+_WORST_LENGTH = 0.1  # by which the length of a quaternion may differ from 1
+_NAME = re.compile(r"[A-Za-z0-9_.+\-]{1,100}")
+_RESERVED = ("world", "map", "ground_plane")
+_LISTED = 20  # names in a message
+
+
+class RequestError(ValueError):
+    """A request that is refused; the message is one sentence for its sender."""
+
+
+def check_vector(what: str, values: Sequence[float], most: float) -> Vector:
+    """Return three finite numbers of at most ``most``.
+
+    Raises:
+        RequestError: a number is not finite or too large.
+    """
+    x, y, z = (float(value) for value in values)
+    if not all(math.isfinite(value) and abs(value) <= most for value in (x, y, z)):
+        raise RequestError(f"{what}: ({x:g}, {y:g}, {z:g}) is not allowed, finite numbers from {-most:g} to {most:g}")
+    return (x, y, z)
+
+
+def check_quaternion(what: str, values: Sequence[float]) -> Quaternion:
+    """Return a quaternion (w, x, y, z) of length 1; four zeros, of an unset message, are no rotation, as in Gazebo.
+
+    Raises:
+        RequestError: the length differs from 1 by more than a rounding.
+    """
+    w, x, y, z = (float(value) for value in values)
+    if w == x == y == z == 0.0:
+        return (1.0, 0.0, 0.0, 0.0)
+    length = math.hypot(w, x, y, z)
+    if not abs(length - 1.0) <= _WORST_LENGTH:
+        raise RequestError(f"{what}: (x {x:g}, y {y:g}, z {z:g}, w {w:g}) is not allowed, a quaternion of length 1")
+    return (w / length, x / length, y / length, z / length)
+
+
+def check_name(what: str, name: str) -> str:
+    """Return a name for a model.
+
+    Raises:
+        RequestError: it is empty, too long, reserved or has other characters than letters, digits and ``_ . + -``.
+    """
+    if not _NAME.fullmatch(name) or name in _RESERVED:
+        shown = name if len(name) <= 100 else name[:100] + "..."
+        raise RequestError(
+            f"{what}: {shown!r} is not allowed, 1 to 100 letters, digits and _ . + -, other than {', '.join(_RESERVED)}"
+        )
+    return name
+
+
+def check_model(model: SdfModel) -> None:
+    """Check the number and the size of a model's shapes.
+
+    Raises:
+        RequestError: there are too many, one is too small or large, or a mesh cannot be read.
+    """
+    count = sum(len(link.visuals) + len(link.collisions) for link in model.links)
+    if not 0 < count <= MOST_SHAPES:
+        raise RequestError(f"model_xml: {count} visuals and collisions are not allowed, 1 to {MOST_SHAPES}")
+    low, high = _SIZES
+    for link in model.links:
+        shapes = [(shape.geometry, shape.pose) for shape in link.collisions]
+        for geometry, pose in shapes + [(shape.geometry, shape.pose) for shape in link.visuals]:
+            try:
+                lowest, highest = box_of(geometry, pose)
+            except SdfError as error:
+                raise RequestError(f"model_xml: {error}") from error
+            longest = float(np.max(np.asarray(highest) - np.asarray(lowest)))
+            if not low <= longest <= high:
+                words = f"a shape {longest:g} m long is not allowed, {low:g} to {high:g} m"
+                raise RequestError(f"model_xml: link {link.name!r}: {words}")
+        check_vector(f"model_xml: link {link.name!r}: position", link.pose.position, FARTHEST)
+
+
+def unknown(what: str, name: str, known: Sequence[str]) -> RequestError:
+    """Return the error for a name that does not exist."""
+    names = ", ".join(known[:_LISTED]) + (f" and {len(known) - _LISTED} more" if len(known) > _LISTED else "")
+    shown = name if len(name) <= 100 else name[:100] + "..."
+    return RequestError(f"{what}: {shown!r} is not there; there are {names}")

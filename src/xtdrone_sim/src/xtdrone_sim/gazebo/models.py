@@ -1,0 +1,364 @@
+"""All models of a running simulation by name: where they are, and the changes that requests make to them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from xtdrone_sim.gazebo.frames import STANDING, State, in_world, part_of
+from xtdrone_sim.gazebo.limits import MOST_ADDED, RequestError, check_model, check_name, unknown
+from xtdrone_sim.physics.wrenches import Wrench
+from xtdrone_sim.simulation import Simulation
+from xtdrone_sim.vehicles.link_poses import Links
+from xtdrone_sim.vehicles.poses import compose, conjugate, inverse, rotate
+from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.worlds.actor_topics import ActorTopics
+from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
+
+Change = Callable[[], str]
+"""A change that has been found possible; makes it and returns what it has done, in words."""
+
+HOLD_STEPS = 125
+"""Steps for which a model or a disarmed vehicle stands where a message of /gazebo/set_model_states has put it."""
+
+_WORLD = ("", "world", "map", "ground_plane", "ground_plane::link")
+
+
+class Models:
+    """The models of a simulation.
+
+    A model's number is its index in the world file, behind those the actors', then of those added by requests.
+
+    Attributes:
+        names: by number; a list that only grows until a restart.
+        deleted: numbers of deleted models and actors.
+        added: numbers of the models added by requests that are there, with their descriptions.
+        first_actor: number of the first actor, or the number of models in the world file.
+        first_added: number of the first model that a request adds.
+    """
+
+    def __init__(self, simulation: Simulation, actors: ActorTopics, vehicles: Sequence[str]) -> None:
+        """Begin with the world as its file has it.
+
+        Args:
+            simulation: vehicles and models.
+            actors: people.
+            vehicles: names of the vehicles.
+        """
+        self._simulation = simulation
+        self._actors = actors
+        self._vehicles = {name: i for i, name in enumerate(vehicles)}
+        self._links = Links(list(vehicles), simulation.models)
+        self.names: list[str] = []
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin with the world of the file, after a restart of the simulation."""
+        models = self._simulation.world.model.models
+        self.first_actor = len(models)
+        self.names[:] = [*(model.name for model in models), *self._actors.names]
+        self.first_added = len(self.names)
+        self.deleted: set[int] = set()
+        self.added: dict[int, SdfModel] = {}
+        self._numbers = {name: number for number, name in enumerate(self.names)}
+
+    # names
+
+    @property
+    def present(self) -> list[str]:
+        """Names of all models, in the order of /gazebo/model_states."""
+        rest = [name for number, name in enumerate(self.names) if number not in self.deleted]
+        return ["ground_plane", *self._vehicles, *rest]
+
+    def vehicle(self, name: str) -> int | None:
+        """Return the index of a vehicle; None if the name is not one."""
+        return self._vehicles.get(name)
+
+    def actor(self, name: str) -> int | None:
+        """Return the index of an actor; None if the name is not one."""
+        number = self._numbers.get(name)
+        if number is None or not self.first_actor <= number < self.first_actor + len(self._actors.names):
+            return None
+        return number - self.first_actor
+
+    def model(self, name: str) -> SdfModel | None:
+        """Return the description of a model that is neither vehicle nor actor; None if the name is not one."""
+        number = self._numbers.get(name)
+        if number is None or self.actor(name) is not None:
+            return None
+        return self._description(number)
+
+    def _description(self, number: int) -> SdfModel:
+        return self.added[number] if number in self.added else self._simulation.world.model.models[number]
+
+    # where they are
+
+    def find(self, what: str, name: str, *, frame: bool = False) -> State:
+        """Return the state in the world of a model, or of a link by ``model::link``.
+
+        Args:
+            what: field of the request, for messages.
+            name: of the model or link; a vehicle's or a model's name is that of its body.
+            frame: whether "", "world" and "map" are the world.
+
+        Raises:
+            RequestError: there is none of this name.
+        """
+        if name in (_WORLD if frame else _WORLD[-2:]):
+            return STANDING
+        link = self._links.find(name)
+        if link is not None:
+            return self._vehicle_link(link)
+        base, _, part = name.partition("::")
+        actor = self.actor(base)
+        if actor is not None and not part:
+            return State(self._actors.pose(actor))
+        model = self.model(base)
+        if model is None:
+            raise unknown(what, name, self._links.names if part else self.present)
+        state = self._model_state(self._numbers[base])
+        if not part:
+            return state
+        for one in model.links:
+            if one.name == part:
+                return part_of(state, one.pose)
+        raise unknown(what, name, [f"{base}::{one.name}" for one in model.links])
+
+    def find_link(self, what: str, name: str) -> State:
+        """Return the state of a link, as ``find``, but of the first link for the name of a model."""
+        model = self.model(name)
+        return self.find(what, name if model is None or not model.links else f"{name}::{model.links[0].name}")
+
+    def _vehicle_link(self, number: int) -> State:
+        simulation = self._simulation
+        records = self._links.place(
+            simulation.world.plant, simulation.gimbals.records, simulation.landing_gears.records
+        )
+        record = records[number]
+        (x, y, z), (w, i, j, k) = record["position"].tolist(), record["q"].tolist()
+        return State(Pose((x, y, z), (w, i, j, k)), tuple(record["velocity"].tolist()), tuple(record["spin"].tolist()))
+
+    def _model_state(self, number: int) -> State:
+        body = self._simulation.world.bodies.by_number.get(number)
+        if body is None:
+            return State(self._simulation.world.model.models[number].pose)
+        return State(body.pose, body.velocity, body.spin)
+
+    def links(self, *, still: bool) -> list[tuple[str, State]]:
+        """Return name and state of all links that are not of vehicles.
+
+        Args:
+            still: also those of models that have never changed their place.
+        """
+        world = self._simulation.world
+        numbers = range(self.first_actor) if still else []
+        rows = [number for number in numbers if number not in self.deleted]
+        rows = sorted({*rows, *world.bodies.by_number})
+        out = []
+        for number in rows:
+            state, name = self._model_state(number), self.names[number]
+            out += [(f"{name}::{link.name}", part_of(state, link.pose)) for link in self._description(number).links]
+        return out
+
+    def bodies(self) -> list[tuple[int, State]]:
+        """Return number and state of all models that can have changed their place."""
+        return [(number, self._model_state(number)) for number in self._simulation.world.bodies.by_number]
+
+    # changes
+
+    def moving(self, name: str, state: State, frame: str, *, hold: bool = False) -> Change:
+        """Return the change that puts a model somewhere.
+
+        Args:
+            name: of the model.
+            state: in ``frame``.
+            frame: name of the frame.
+            hold: whether a model or disarmed vehicle stands there for ``HOLD_STEPS``.
+
+        Raises:
+            RequestError: the model or the frame does not exist.
+        """
+        return self._placing(name, in_world(state, self.find("reference_frame", frame, frame=True)), hold)
+
+    def moving_link(self, name: str, state: State, frame: str) -> Change:
+        """Return the change that puts a model where one of its links is at ``state``, see ``moving``.
+
+        Raises:
+            RequestError: the link or the frame does not exist, or the link moves in its vehicle.
+        """
+        self.find("link_name", name)
+        target = in_world(state, self.find("reference_frame", frame, frame=True))
+        base, _, part = name.partition("::")
+        vehicle, model = self.vehicle(base), self.model(base)
+        if vehicle is not None:
+            root = self._simulation.models[vehicle].urdf.root
+            if part not in ("", root):
+                raise RequestError(
+                    f"link_name: {name!r} is moved by its joint; only {base}::{root} can be put elsewhere"
+                )
+            return self._placing(base, target, False)
+        if model is None:
+            raise RequestError(f"link_name: {name!r} has no links; set_model_state moves it")
+        link = next((one for one in model.links if one.name == part), model.links[0])
+        return self._placing(base, part_of(target, inverse(link.pose)), False)
+
+    def _placing(self, name: str, state: State, hold: bool) -> Change:
+        steps = HOLD_STEPS if hold else 0
+        vehicle, actor, number = self.vehicle(name), self.actor(name), self._numbers.get(name)
+        x, y, z = state.pose.position
+        words = f"{name} is put to ({x:.2f}, {y:.2f}, {z:.2f}) m"
+        if vehicle is not None:
+
+            def place_vehicle() -> str:
+                position, turn = state.pose.position, state.pose.orientation
+                rates = rotate(conjugate(turn), state.spin)
+                is_armed = bool(self._simulation.autopilot.setpoint["armed"][vehicle])
+                held = 0 if is_armed else steps
+                self._simulation.world.place_vehicle(vehicle, position, turn, state.velocity, rates, held)
+                return f"{words}; its estimator sees a jump" if is_armed else words
+
+            return place_vehicle
+        if actor is not None:
+
+            def place_actor() -> str:
+                self._actors.place(actor, state.pose)
+                return words
+
+            return place_actor
+        if number is None:
+            raise unknown("model_name", name, self.present[1:])
+
+        def place_model() -> str:
+            self._simulation.world.place_model(number, state.pose, state.velocity, state.spin, steps)
+            return words
+
+        return place_model
+
+    def adding(self, name: str, model: SdfModel, pose: Pose, frame: str) -> Change:
+        """Return the change that adds a model.
+
+        Args:
+            name: its name.
+            model: its description; the own pose of the description counts within ``pose``.
+            pose: in ``frame``.
+            frame: name of the frame.
+
+        Raises:
+            RequestError: the name is not allowed or taken, the frame does not exist, or the model is not allowed.
+        """
+        check_name("model_name", name)
+        if name in self.present:
+            raise RequestError(f"model_name: {name!r} is there already; delete_model removes a model")
+        if len(self.added) >= MOST_ADDED:
+            raise RequestError(f"model_name: {name!r}: {MOST_ADDED} models have been added, no more are allowed")
+        check_model(model)
+        origin = compose(self.find("reference_frame", frame, frame=True).pose, pose)
+        placed = replace(model, name=name, pose=compose(origin, model.pose))
+
+        def add() -> str:
+            number = len(self.names)
+            self._simulation.world.add_model(number, placed, placed.pose)
+            self.names.append(name)
+            self._numbers[name] = number
+            self.added[number] = placed
+            return f"{name} is added, {'a model that stands' if placed.static else 'a body that moves'}"
+
+        return add
+
+    def deleting(self, name: str) -> Change:
+        """Return the change that deletes a model or an actor.
+
+        Raises:
+            RequestError: there is no such model, or it is a vehicle or the ground.
+        """
+        if name == "ground_plane":
+            raise RequestError("model_name: 'ground_plane' cannot be deleted, the ground is always there")
+        if self.vehicle(name) is not None:
+            raise RequestError(
+                f"model_name: {name!r} is a vehicle with an autopilot, delete_model removes models and actors"
+            )
+        number = self._numbers.get(name)
+        if number is None:
+            raise unknown("model_name", name, self.present)
+        actor = self.actor(name)
+
+        def delete() -> str:
+            if actor is None:
+                self._simulation.world.remove_model(number)
+            else:
+                self._actors.remove(actor)
+            self.deleted.add(number)
+            self.added.pop(number, None)
+            del self._numbers[name]
+            return f"{name} is deleted"
+
+        return delete
+
+    def pushing(self, name: str, frame: str, wrench: State, begin_us: int, end_us: int | None) -> Change:
+        """Return the change that applies a wrench.
+
+        Args:
+            name: of a body, ``model::link``.
+            frame: name of the frame in whose axes the wrench is given, and in which its point is.
+            wrench: ``pose.position`` is the point, m, ``velocity`` the force, N, ``spin`` the torque, N m.
+            begin_us: simulated time; the past: at once. Microseconds.
+            end_us: simulated time of the end, counted from ``begin_us``; None: never.
+
+        Raises:
+            RequestError: the body or the frame does not exist, or the body cannot move.
+        """
+        target, centre = self._pushed(name)
+        axes = self.find("reference_frame", frame, frame=True)
+        force = np.array(rotate(axes.pose.orientation, wrench.velocity))
+        torque = np.array(rotate(axes.pose.orientation, wrench.spin))
+        if frame not in _WORLD:
+            point = np.array(compose(axes.pose, wrench.pose).position)
+            torque = torque + np.cross(point - np.array(centre), force)
+
+        def push() -> str:
+            world, now_us, step_us = self._simulation.world, self._simulation.time_us, self._simulation.step_us
+            begin = world.steps + max(begin_us - now_us, 0) / step_us
+            end = float("inf") if end_us is None else begin + (end_us - begin_us) / step_us
+            world.wrenches.add(Wrench(target, tuple(force.tolist()), tuple(torque.tolist()), begin, end))
+            return f"a wrench acts on {name}"
+
+        return push
+
+    def releasing(self, name: str) -> Change:
+        """Return the change that removes all wrenches of a body.
+
+        Raises:
+            RequestError: the body does not exist or cannot move.
+        """
+        target, _ = self._pushed(name)
+
+        def release() -> str:
+            return f"{self._simulation.world.wrenches.clear(target)} wrenches on {name} are removed"
+
+        return release
+
+    def _pushed(self, name: str) -> tuple[int, Sequence[float]]:
+        """Return the target of a wrench, see ``Wrench``, and its centre of mass in the world."""
+        self.find("body_name", name)
+        base, _, part = name.partition("::")
+        vehicle, world = self.vehicle(base), self._simulation.world
+        if vehicle is not None:
+            root = self._simulation.models[vehicle].urdf.root
+            if part not in ("", root):
+                raise RequestError(f"body_name: {name!r} is not a body of its own, forces act on {base}::{root}")
+            return vehicle, world.plant["position"][vehicle].tolist()
+        number = self._numbers.get(base)
+        body = None if number is None else world.bodies.by_number.get(number)
+        if number is None or body is None or not body.is_solid:
+            raise RequestError(f"body_name: {name!r} does not move, it is no vehicle and no model that falls")
+        return len(world.plant) + number, body.centre
+
+    def link(self, name: str) -> tuple[SdfModel, SdfLink] | None:
+        """Return a link of a model with the model; None if there is none of this name."""
+        base, _, part = name.partition("::")
+        model = self.model(base)
+        links = () if model is None else model.links
+        found = next((one for one in links if part in (one.name, "")), None)
+        return None if model is None or found is None else (model, found)

@@ -1,0 +1,59 @@
+"""Models described by URDF, as spawn_urdf_model takes them."""
+
+from __future__ import annotations
+
+import re
+
+from xtdrone_sim.gazebo.limits import RequestError
+from xtdrone_sim.package_files import PACKAGE
+from xtdrone_sim.vehicles.poses import compose
+from xtdrone_sim.vehicles.urdf import Description, Inertial, UrdfError, parse_urdf
+from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
+from xtdrone_sim.worlds.sdf.bodies import is_possible
+
+_FILE = re.compile(r"filename\s*=\s*[\"'](.*?)[\"']")
+_STATIC = re.compile(r"<static>\s*(true|1)\s*</static>")
+
+
+def model_of_urdf(text: str) -> SdfModel:
+    """Return the model of a URDF; joints stand at 0, and a model with joints that turn stands where it is put.
+
+    Raises:
+        RequestError: the URDF is invalid, or names a file outside ROS packages.
+    """
+    for uri in _FILE.findall(text):
+        if uri.endswith(".so"):  # a plugin of Gazebo's
+            continue
+        if not uri.startswith("package://") or ".." in uri.split("/"):
+            raise RequestError(f"model_xml: {uri!r} is not allowed in a request, package://NAME/... without '..'")
+    try:
+        description = parse_urdf(text, PACKAGE / "model_xml")
+        mass, centre, inertia = description.mass() if _has_mass(description) else (0.0, None, None)
+    except UrdfError as error:
+        raise RequestError(f"model_xml: {error}") from error
+    inertial = None
+    if centre is not None and inertia is not None:
+        x, y, z = centre.tolist()
+        ixx, ixy, ixz, _, iyy, iyz, _, _, izz = inertia.ravel().tolist()
+        inertial = Inertial(mass, Pose((x, y, z)), (ixx, iyy, izz, ixy, ixz, iyz))
+    parts = description.moving
+    movable = len(parts) == 1 and bool(parts[0].collisions) and inertial is not None and is_possible(inertial)
+    if not movable or _STATIC.search(text):
+        inertial = None
+    links = tuple(
+        SdfLink(part.name, _pose_of(description, part.name), part.visuals, part.collisions, inertial) for part in parts
+    )
+    return SdfModel(description.name, Pose(), inertial is None, links)
+
+
+def _has_mass(description: Description) -> bool:
+    return any(link.inertial is not None and link.inertial.mass > 0.0 for link in description.links)
+
+
+def _pose_of(description: Description, name: str) -> Pose:
+    """Return the pose of a link in the root's frame with all joints at 0."""
+    pose = Pose()
+    while (joint := description.holder(name)) is not None:
+        pose, name = compose(joint.pose, pose), joint.parent
+    return pose
