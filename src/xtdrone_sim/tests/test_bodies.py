@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_control.fleet import StartPose, parse_fleet
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.physics.mass import mass_of
 from xtdrone_sim.physics.plant import ASLEEP, FREE, TOUCHING
@@ -34,7 +34,9 @@ def crate(position: tuple[float, float, float], mass: float = 2.0) -> SdfModel:
 
 def make(models: tuple[SdfModel, ...], places: list[tuple[float, float, float]]) -> World:
     empty = replace(load_world("empty"), gravity=G)
-    return World(replace(empty, models=models), [load_vehicle("iris")] * len(places), places, DT)
+    return World(
+        replace(empty, models=models), [load_vehicle("iris")] * len(places), [StartPose(*place) for place in places], DT
+    )
 
 
 def run(world: World, steps: int, armed: bool = False) -> None:

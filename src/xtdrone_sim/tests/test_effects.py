@@ -10,7 +10,7 @@ import pytest
 from numba import njit
 
 from xtdrone_control.autopilot import modes
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_control.fleet import StartPose, parse_fleet
 from xtdrone_sim.effects import EffectError, Effects, load_effects
 from xtdrone_sim.physics.world import World, load_world
 from xtdrone_sim.simulation import Simulation
@@ -45,7 +45,9 @@ class Counter:
 
 def flying_world(*effects, places=((0.0, 0.0, 50.0),)):
     applied = Effects(effects)
-    world = World(load_world("empty"), [load_vehicle("iris")] * len(places), places, DT, applied)
+    world = World(
+        load_world("empty"), [load_vehicle("iris")] * len(places), [StartPose(*place) for place in places], DT, applied
+    )
     applied.begin(world.plant, world.models)
     return world
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from xtdrone_control.fleet import StartPose
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.physics.obstacles import Obstacles
 from xtdrone_sim.physics.plant import ASLEEP, FREE, PLANT, TOUCHING
@@ -26,7 +27,12 @@ def model(name: str, geometry: Geometry, position: tuple[float, float, float], y
 
 
 def make(models: tuple[SdfModel, ...], places: list[tuple[float, float, float]]) -> World:
-    return World(replace(load_world("empty"), models=models), [load_vehicle("iris")] * len(places), places, DT)
+    return World(
+        replace(load_world("empty"), models=models),
+        [load_vehicle("iris")] * len(places),
+        [StartPose(*place) for place in places],
+        DT,
+    )
 
 
 def run(world: World, steps: int) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from xtdrone_control.fleet import StartPose
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.physics.plant import ASLEEP, FREE, TOUCHING
 from xtdrone_sim.physics.world import World, load_world
@@ -14,7 +15,7 @@ DT = 0.004
 
 
 def make(places):
-    return World(load_world("empty"), [load_vehicle("iris")] * len(places), places, DT)
+    return World(load_world("empty"), [load_vehicle("iris")] * len(places), [StartPose(*place) for place in places], DT)
 
 
 def run(world, steps, command=0.0, armed=0):
