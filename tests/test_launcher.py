@@ -37,12 +37,12 @@ def test_a_path_that_the_build_does_not_support_is_rejected_at_once(tmp_path: Pa
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["fly"], ("'fly'", "demo, launch, sim, gcs")),
+        (["fly"], ("'fly'", "demo, launch, sim, doctor, gcs")),
         (["setup", "now"], ("setup takes no arguments, got: now",)),
         (["demo"], ("demo needs a name", "formation")),
         (["demo", "formaton"], ("'formaton'", "formation simplified search")),
         (["demo", "formaton", "--help"], ("'formaton'", "formation simplified search")),
-        (["help", "fly"], ("'fly'", "demo, launch, sim, gcs")),
+        (["help", "fly"], ("'fly'", "demo, launch, sim, doctor, gcs")),
     ],
 )
 def test_invalid_words_are_rejected_with_the_allowed_ones(
@@ -57,7 +57,7 @@ def test_invalid_words_are_rejected_with_the_allowed_ones(
 @pytest.mark.parametrize(
     ("arguments", "first", "contained"),
     [
-        ("--help", "Usage: ./xtdrone COMMAND", "fly a demo: formation, simplified, search"),
+        ("--help", "Usage: ./xtdrone COMMAND", "fly a demo: hello, formation, simplified, search"),
         ("demo --help", "Usage: ./xtdrone demo NAME", "UAVs take off, fly through formation patterns"),
         ("demo formation --help", "usage: xtdrone demo formation [-h] [--n N]", "--patterns NAMES"),
         ("demo formation --n 3 -h", "usage: xtdrone demo formation", "--patterns NAMES"),

@@ -49,7 +49,7 @@ def _command(folder: Path, *arguments: str) -> list[str]:
     region.write_text(REGION, encoding="utf-8")
     return [
         sys.executable, "-m", "xtdrone_interaction.cli", "demo", "search", "--n", "2", "--region", str(region),
-        "--standing", "--seed", "1", "--follow-time", "10", "--headless", "--out", str(folder), *arguments,
+        "--standing", "--seed", "2", "--follow-time", "10", "--headless", "--out", str(folder), *arguments,
     ]  # fmt: skip
 
 

@@ -38,7 +38,7 @@ from xtdrone_control.mavros.extras.distance_sensor import turn
 from xtdrone_control.mavros.extras.obstacle_distance import bins
 from xtdrone_control.mavros.plugins import PLUGINS
 
-CONFIG = Path(__file__).parents[1] / "config"
+CONFIG = Path(__file__).parents[1] / "mavros" / "launch"
 NAN, INF = math.nan, math.inf
 Q_NED = frames.quaternion_from_rpy(0.1, -0.2, 0.7)
 Q_ENU = frames.quaternion_from_rpy(0.1, 0.2, math.pi / 2 - 0.7)  # the same roll, opposite pitch, yaw from east

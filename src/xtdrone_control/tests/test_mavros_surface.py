@@ -20,7 +20,7 @@ from xtdrone_control.mavros.plugin_lists import PluginLists
 from xtdrone_control.mavros.plugins import PLUGINS
 
 _DATA = Path(__file__).parent / "data" / "mavros_surface.txt"
-_LISTS = Path(__file__).parents[1] / "config" / "px4_pluginlists.yaml"
+_LISTS = Path(__file__).parents[1] / "mavros" / "launch" / "px4_pluginlists.yaml"
 _PAGE = Path(__file__).parents[3] / "docs" / "mavros.md"
 _TABLE = re.compile(r"(?<=<!-- made by test_mavros_surface.py -->\n).*?(?=<!-- end -->)", re.DOTALL)
 # What a node has without a plugin: rospy's, and the transforms that a parameter switches on.

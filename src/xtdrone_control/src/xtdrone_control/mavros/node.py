@@ -1,6 +1,6 @@
 """The ``mavros`` node: one process that serves the topics of every vehicle of the fleet.
 
-Private parameters, besides those of ``config/px4_config.yaml``:
+Private parameters, besides those of ``mavros/launch/px4_config.yaml``:
 
 - ``~fleet`` (default ``/xtdrone/fleet``): the vehicles, e.g. ``iris:9``. Topics are ``/iris_0/mavros/...``; links are
   numbered as in upstream XTDrone.
