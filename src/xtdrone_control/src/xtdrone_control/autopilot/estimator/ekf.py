@@ -5,7 +5,7 @@ state is the 18-vector ``(dtheta, dv, dp, dbg, dba, dbm)`` with dtheta a rotatio
 q_true = q * exp(dtheta) (J. Sola, "Quaternion kinematics for the error-state Kalman filter", 2017, chapters 5 and 6).
 The nominal state is propagated with every IMU sample, the covariance every ``COVARIANCE_PERIOD`` with the accumulated
 increments, as in PX4's EKF2. Measurements are fused sequentially as scalars, each with an innovation gate: ``fusion``
-has the measurement updates, ``aiding`` selects the sensors to fuse.
+has the measurement updates, the modules of ``aiding`` select the sensors to fuse.
 
 Parameters have the names and meaning of PX4 v1.14's EKF2. Differences: measurements are fused on arrival, without the
 EKF2_*_DELAY parameters; one filter runs per vehicle, not one per IMU; wind, drag, sideslip and airspeed are not
@@ -17,7 +17,8 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.estimator.aiding import fuse_sources, update_imu_time, update_status
+from xtdrone_control.autopilot.estimator.aiding.control import fuse_sources, update_imu_time
+from xtdrone_control.autopilot.estimator.aiding.status import update_status
 from xtdrone_control.autopilot.estimator.fusion import BA, BG, BM, POS, THETA, VEL, YAW_UNKNOWN_STD, set_yaw_variance
 from xtdrone_control.autopilot.state import N_STATES
 from xtdrone_control.geodesy.geo import GRAVITY
