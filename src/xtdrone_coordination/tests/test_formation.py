@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,11 +13,14 @@ import pytest
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions, StarFollower
 from xtdrone_coordination.laws import avoidance
 from xtdrone_coordination.laws.assignment import Assignment, assign
+from xtdrone_coordination.laws.consensus import Peer, Vector
 from xtdrone_coordination.leader import CommandError, Leader, LeaderOptions, number_list
 from xtdrone_coordination.patterns import PatternError, least_separation, with_leader
 from xtdrone_coordination.swarm import SwarmState
+from xtdrone_coordination.user_classes import load_class
 
 DT = 1.0 / RATE
+EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
 class Swarm:
@@ -383,13 +387,76 @@ def test_topologies_that_cannot_be_sent_are_rejected(given: object, message: str
         Strange(9).choose("cube")
 
 
-def test_an_invalid_assignment_is_rejected() -> None:
+@pytest.mark.parametrize(
+    "given", [None, "slots", [0, 1, 2], [0.5, *range(1, 8)], [0, 0, *range(2, 8)], list(range(1, 9)), [math.nan] * 8]
+)
+def test_an_invalid_assignment_is_rejected(given: object) -> None:
     class Strange(Leader):
-        def assignment(self, current: np.ndarray, target: np.ndarray) -> Assignment:
-            return None  # type: ignore[return-value]
+        def assignment(self, current: np.ndarray, target: np.ndarray) -> object:  # type: ignore[override]
+            return given
 
-    with pytest.raises(CommandError, match="gave None, an Assignment is needed"):
+    with pytest.raises(CommandError, match="which is no permutation of the slots 0 to 7"):
         Strange(9).choose("cube")
+
+
+@pytest.mark.parametrize("kind", [list, tuple, np.array])
+def test_a_plain_permutation_is_an_assignment(kind: Callable[..., object]) -> None:
+    class Reversed(Leader):
+        def assignment(self, current: np.ndarray, target: np.ndarray) -> object:  # type: ignore[override]
+            return kind(range(7, -1, -1))
+
+    leader = Reversed(9)
+    current, target = leader.current(), leader.patterns.offsets("cube")
+    leader.choose("cube")
+    np.testing.assert_array_equal(leader.offsets, target[::-1])
+    assert leader.distance == pytest.approx(np.linalg.norm(current - target[::-1], axis=1).sum())
+
+
+def test_the_example_leader_assigns_the_nearest_first() -> None:
+    example = load_class(str(EXAMPLES / "nearest_first_leader.py"), Leader)
+    leader = example(4)
+    current, target = np.zeros((2, 3, 3))
+    current[:, 0], target[:, 0] = (0.0, 3.0, 9.0), (2.0, 8.0, 4.5)
+    assert np.asarray(leader.assignment(current, target)).tolist() == [2, 0, 1]
+
+
+def test_the_example_with_an_integral_removes_the_error_of_a_disturbance() -> None:
+    errors = {}
+    for cls in (Follower, load_class(str(EXAMPLES / "integral_follower.py"), Follower)):
+        swarm = Swarm(2, cls)
+        swarm.command("origin")
+        for _ in range(60):
+            swarm.fly(1.0)
+            swarm.x[1] += (0.05, 0.0, 0.0)  # as wind would
+        swarm.hear()
+        errors[cls.__name__] = np.linalg.norm(swarm.x[1] - swarm.x[0] - swarm.leader.offsets[0])
+    assert errors["Follower"] > 0.04
+    assert errors["IntegralFollower"] < 0.6 * errors["Follower"]
+
+
+def test_time_counts_turns_without_drift_and_starts_again() -> None:
+    seen: list[tuple[float, float]] = []
+
+    class Clocked(Follower):
+        def control_law(self, position: Vector, peers: Sequence[Peer]) -> Vector:
+            seen.append((self.time, self.dt))
+            return super().control_law(position, peers)
+
+    swarm = Swarm(3, Clocked)
+    swarm.command("triangle")
+    swarm.fly(2.0)
+    times = sorted({time for time, _ in seen})
+    assert {dt for _, dt in seen} == {1.0 / RATE}
+    first = round(times[0] * RATE)
+    assert times == [(first + k) / RATE for k in range(len(times))]
+    assert len(times) >= 59
+    assert swarm.leader.time == (first + len(times)) / RATE
+    seen.clear()
+    swarm.leader.restart()
+    for follower in swarm.followers:
+        follower.restart()
+    assert [follower.time for follower in swarm.followers] == [0.0, 0.0]
+    assert swarm.leader.time == 0.0
 
 
 def test_long_lists_of_numbers_are_abbreviated() -> None:

@@ -15,6 +15,7 @@ from matplotlib import image
 from rich.console import Console
 from synthetic import GRID, PATTERNS, RATE, WINDOW, make_bag
 
+from xtdrone_interaction.formation.criteria import CRITERIA
 from xtdrone_interaction.formation.geometry import ESTIMATE, SETTLED_ERROR, TRUTH, least_distances, offsets_from_message
 from xtdrone_interaction.metrics import formation as reports
 from xtdrone_interaction.pictures.drawing import NamedFigure, save_figures
@@ -113,6 +114,19 @@ def test_bad_flight_is_called_bad(tmp_path: Path) -> None:
     assert "'cube' did not settle" in text
     assert "assigned distance" in text
     assert report["reconfigurations"][0]["settling_time"] is None
+
+
+def test_waived_criteria_do_not_count(tmp_path: Path) -> None:
+    make_bag(tmp_path / "flight.bag", patterns=("cube", "pyramid"), offset=0.3, shuffle=True)
+    record = read_formation(tmp_path / "flight.bag")
+    for waived, gone, left in (
+        ("assignment", "assigned distance", "did not settle"),
+        ("settling", "did not settle", "assigned"),
+    ):
+        text = " ".join(reports.make_report(record, {"waive": [waived]})["shortcomings"])
+        assert gone not in text
+        assert left in text
+    assert reports.make_report(record, {"waive": list(CRITERIA)})["shortcomings"] == []
 
 
 def test_a_lost_vehicle_is_reported_and_counts_until_its_loss(tmp_path: Path) -> None:

@@ -113,6 +113,7 @@ class Follower:
         weights: weights w_ij of its neighbours by number; the leader alone before the first topology.
         avoidance_vector: latest checked result of :meth:`avoidance`, before its gain; published by a node.
         problem_log: the problems of this update and the previous one.
+        dt: period of the control loop, s: the time from one call of an overridden method to the next.
         warn: receives warnings.
         info: receives messages that are not warnings; by default the Python logger of this module.
     """
@@ -167,6 +168,13 @@ class Follower:
         self._received_avoidance: Vector = _ZERO
         self._avoidance_tick: int | None = None  # of its reception
         self._topic_timed_out = False  # and a warning has been issued
+
+    dt = 1.0 / RATE
+
+    @property
+    def time(self) -> float:
+        """Time of this turn since the first one after the start or a restart, s: a multiple of ``dt``."""
+        return self.swarm.ticks / RATE
 
     # to be overridden
 

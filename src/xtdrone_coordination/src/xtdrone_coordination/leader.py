@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import math
+import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -76,6 +77,7 @@ class Leader:
         adjacency: topology, shape (N, N), whole numbers; None before the first pattern.
         distance: total distance of the latest assignment, m.
         yaw: heading of vehicle 0, rad ENU; used by its own avoidance only.
+        dt: period of the control loop, s.
     """
 
     def __init__(
@@ -117,6 +119,13 @@ class Leader:
         self._course_age = STEERING_TICKS + 1
         self._avoiding = False
 
+    dt = 1.0 / RATE
+
+    @property
+    def time(self) -> float:
+        """Time of this turn since the first one after the start or a restart, s: a multiple of ``dt``."""
+        return self.swarm.ticks / RATE
+
     # to be overridden
 
     def restart(self) -> None:
@@ -127,12 +136,16 @@ class Leader:
         self._reset()
         self.swarm.restart()
 
-    def assignment(self, current: Offsets, target: Offsets) -> Assignment:
+    def assignment(self, current: Offsets, target: Offsets) -> Assignment | ArrayLike:
         """Return the slot of each follower; the default minimises the total distance.
 
         Args:
             current: positions of the followers relative to the leader, shape (N-1, 3), m ENU.
             target: the slots, shape (N-1, 3), m ENU.
+
+        Returns:
+            A permutation of 0 to N-2 as a list or an array: the follower of row i of ``current`` flies to
+            ``target[slots[i]]``; or an :class:`Assignment`.
         """
         return assign(current, target)
 
@@ -190,14 +203,9 @@ class Leader:
         if name == self.pattern:
             return
         self._check_height(name, target)
-        solved = self.assignment(self.current(), target)
-        if not isinstance(solved, Assignment):
-            raise CommandError(f"leader: overridden assignment gave {solved!r}, an Assignment is needed")
-        slots = np.asarray(solved.slots)
-        if sorted(slots.tolist()) != list(range(self.count - 1)):
-            given = np.array2string(slots, threshold=20)
-            raise CommandError(f"leader: overridden assignment gave {given}, which is no permutation")
-        offsets = target[slots]
+        current = self.current()
+        solved = self._checked_assignment(self.assignment(current, target), current, target)
+        offsets = target[solved.slots]
         adjacency = self._checked_topology(name, offsets)
         separation = least_separation(target)
         if separation < self.options.avoid_radius:
@@ -244,6 +252,24 @@ class Leader:
             points = np.array(known)
             return points[1:] - points[0]
         return self.patterns.offsets("origin") if self.offsets is None else self.offsets.copy()
+
+    def _checked_assignment(self, given: Assignment | ArrayLike, current: Offsets, target: Offsets) -> Assignment:
+        """Return the result of :meth:`assignment` as an Assignment."""
+        slots = given.slots if isinstance(given, Assignment) else given
+        followers = np.arange(self.count - 1)
+        try:
+            allowed = np.array_equal(np.sort(np.asarray(slots), axis=None), followers)
+        except (TypeError, ValueError):  # nested lists of different lengths, values without an order
+            allowed = False
+        if not allowed:
+            raise CommandError(
+                f"leader: overridden assignment gave {reprlib.repr(slots)}, which is no permutation of the slots 0 to "
+                f"{self.count - 2}"
+            )
+        whole = np.asarray(slots, dtype=np.intp).reshape(-1)
+        if isinstance(given, Assignment):
+            return Assignment(whole, given.cost)
+        return Assignment(whole, float(np.linalg.norm(current - target[whole], axis=1).sum()))
 
     def _checked_topology(self, name: str, offsets: Offsets) -> NDArray[np.int32]:
         """Return the topology for the assigned slots of a pattern; warn of followers cut off from the leader."""

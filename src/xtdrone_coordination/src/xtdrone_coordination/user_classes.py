@@ -32,11 +32,13 @@ def load_class(text: str, base: type[_Base], what: str = "~class") -> type[_Base
         for key, value in vars(module).items()
         if inspect.isclass(value) and issubclass(value, base) and value.__module__ == module.__name__
     }
+    known = found
     if name:
         found = {key: value for key, value in found.items() if key == name}
     if len(found) != 1:
         wanted = f"class {name}" if name else "one class"
-        raise ArgumentError(f"{what}: {place} must define {wanted} that inherits {base.__name__}, found {len(found)}")
+        there = f"; it has {', '.join(sorted(known))}" if known else ""
+        raise ArgumentError(f"{what}: {place} must define {wanted} that inherits {base.__name__}{there}")
     return next(iter(found.values()))
 
 

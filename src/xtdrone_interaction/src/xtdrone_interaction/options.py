@@ -28,6 +28,7 @@ from xtdrone_control.fleet import (
 from xtdrone_control.settings import Settings, setting
 from xtdrone_control.speed import LEAST_SPEED
 from xtdrone_coordination.patterns import Patterns, absolute_name
+from xtdrone_interaction.formation.criteria import CRITERIA, parse_criteria
 from xtdrone_interaction.formation.geometry import ORIGIN
 
 DEFAULT_FOLLOWER = "follower_consensus.py"
@@ -101,6 +102,12 @@ def patterns_setting() -> Any:
     """Declare the patterns to fly; files in their names are absolute."""
     default = ("cube", "pyramid", "triangle")
     return setting(default, parse=_parse_patterns, metavar="NAMES", text=PATTERNS_HELP)
+
+
+def waive_setting() -> Any:
+    """Declare the criteria of a good flight that do not count."""
+    text = f"criteria that do not count for the exit status, with commas between, of {', '.join(CRITERIA)}"
+    return setting((), parse=parse_criteria, metavar="NAMES", text=text)
 
 
 def clearance_setting() -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 from xtdrone_control.fleet import parse_fleet, with_poses
 from xtdrone_control.program import ArgumentError
@@ -13,9 +14,11 @@ from xtdrone_coordination.leader import Leader
 from xtdrone_coordination.user_classes import load_class
 from xtdrone_interaction import options
 from xtdrone_interaction.console import PatientConsole, run_reported
-from xtdrone_interaction.demos.formation_demo import DemoSettings, run_demo
+from xtdrone_interaction.demos.formation_demo import DemoSettings, run_demo, waived_criteria
 from xtdrone_interaction.launching.supervised_launch import master_port
 from xtdrone_interaction.options import DEFAULT_FOLLOWER, MachineSettings, OptionError
+
+_Base = TypeVar("_Base")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="follower program of xtdrone_coordination, or FILE.py[:CLASS] with your own follower class "
         "(default: %(default)s)")  # fmt: skip
     add("--leader", metavar="FILE.py:CLASS", help="your own leader class (default: the shipped one)")
-    DemoSettings.add_arguments(parser, ("control", "avoidance", "clearance", "headless", "logs"))
+    DemoSettings.add_arguments(parser, ("control", "avoidance", "clearance", "waive", "headless", "logs"))
     options.add_world(parser)
     add("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
     options.add_master(parser)
@@ -67,22 +70,23 @@ def demo_settings(arguments: argparse.Namespace) -> DemoSettings:
     fleet = f"{settings.type}:{settings.n}"
     with_poses(parse_fleet(fleet), settings.poses)
     options.swarm_patterns(settings.n, settings.patterns, settings.pattern_file or None)
-    _check_class(settings.follower_class, Follower, "follower")
-    _check_class(settings.leader_class, Leader, "leader")
+    _checked_class(settings.follower_class, Follower, "follower")
+    leader = _checked_class(settings.leader_class, Leader, "leader")
     machine = MachineSettings.from_arguments(arguments)
     return replace(
         settings,
+        waive=waived_criteria(leader, settings.waive),
         out=options.results_folder(arguments.out, recorded=True),
         master_port=master_port(machine.master_port, use_running=arguments.use_master),
         instance=options.take_instance(fleet, machine.instance),
     )
 
 
-def _check_class(text: str, base: type, what: str) -> None:
-    """Import the user's class before the start, so that an error in it is reported here and not by dying nodes."""
+def _checked_class(text: str, base: type[_Base], what: str) -> type[_Base]:
+    """Return the user's class, imported before the start so that an error in it is reported here, or ``base``."""
     if not text:
-        return
+        return base
     try:
-        load_class(text, base, what)
+        return load_class(text, base, what)
     except ArgumentError as error:
         raise OptionError(str(error)) from error

@@ -14,6 +14,7 @@ from typing import Any
 from rich.console import Console
 
 from xtdrone_control.settings import Settings, setting
+from xtdrone_coordination.leader import Leader
 from xtdrone_interaction.formation.geometry import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, escape, run_flight
 from xtdrone_interaction.metrics.formation import make_report, write_report
@@ -26,6 +27,7 @@ from xtdrone_interaction.options import (
     seed_setting,
     speed_setting,
     vehicles_setting,
+    waive_setting,
 )
 from xtdrone_interaction.recording.formation import read_formation
 from xtdrone_interaction.recording.model import RecordError
@@ -76,6 +78,7 @@ class DemoSettings(Settings):
     world: str = setting("empty", metavar="WORLD", text="name of the world")
     seed: int = seed_setting()
     speed: float = speed_setting()
+    waive: tuple[str, ...] = waive_setting()
     out: Path = Path()
     master_port: int = 0
     headless: bool = setting(False, text="no live display: print a line of progress every few seconds")
@@ -84,6 +87,13 @@ class DemoSettings(Settings):
     model: str = ""
     window: bool = False
     instance: int = 0
+
+
+def waived_criteria(leader: type[Leader], waived: Sequence[str]) -> tuple[str, ...]:
+    """Return the waived criteria; of a leader that assigns the slots by its own rule, the assignment is one."""
+    if leader.assignment is Leader.assignment or "assignment" in waived:
+        return tuple(waived)
+    return (*waived, "assignment")
 
 
 def run_demo(settings: DemoSettings, console: Console) -> int:

@@ -15,7 +15,7 @@ from xtdrone_coordination.network import NetworkOptions
 from xtdrone_coordination.user_classes import load_class, nothing_overridden
 from xtdrone_interaction import options
 from xtdrone_interaction.console import PatientConsole, run_reported
-from xtdrone_interaction.demos.formation_demo import DemoSettings
+from xtdrone_interaction.demos.formation_demo import DemoSettings, waived_criteria
 from xtdrone_interaction.demos.simplified_demo import (
     MOST_COMPARED,
     FilmSettings,
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--follower", default=DEFAULT_FOLLOWER, metavar="FILE.py:CLASS",
         help="your own follower class (default: the shipped one)")  # fmt: skip
     add("--leader", metavar="FILE.py:CLASS", help="your own leader class (default: the shipped one)")
-    SwarmSettings.add_arguments(parser, ("control", "clearance"))
+    SwarmSettings.add_arguments(parser, ("control", "clearance", "waive"))
     add("--film", metavar="FILE", help=".mp4, .gif or .png, or none "
         "(default: flight.mp4 in the results folder if there is no window)")  # fmt: skip
     add("--compare", action=argparse.BooleanOptionalAction, default=None,
@@ -116,6 +116,7 @@ def swarm_settings(arguments: argparse.Namespace) -> tuple[SwarmSettings, FilmSe
         settings = replace(settings, speed=WINDOW_SPEED)
     settings = replace(
         settings,
+        waive=waived_criteria(settings.leader, settings.waive),
         compare=_compare(arguments, settings.n),
         recorded=_recorded(arguments.compare_with, settings),
         out=options.results_folder(arguments.out),
@@ -149,6 +150,7 @@ def ros_settings(arguments: argparse.Namespace, settings: SwarmSettings, film: F
         control=settings.control,
         avoidance="own",
         clearance=settings.clearance,
+        waive=settings.waive,
         world="empty",
         seed=settings.seed,
         speed=settings.speed,

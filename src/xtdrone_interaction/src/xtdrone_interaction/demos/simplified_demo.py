@@ -32,6 +32,7 @@ from xtdrone_interaction.options import (
     seed_setting,
     speed_setting,
     vehicles_setting,
+    waive_setting,
 )
 from xtdrone_interaction.recording.formation import FormationRecord, read_formation, save_formation
 from xtdrone_interaction.recording.model import RecordError
@@ -99,6 +100,7 @@ class SwarmSettings(Settings):
     clearance: float = clearance_setting()
     seed: int = seed_setting("seed of the network and, in full physics, of all noise")
     speed: float = speed_setting("target speed (default: 10 with a window, else unlimited)")
+    waive: tuple[str, ...] = waive_setting()
     out: Path = Path()
     headless: bool = setting(False, text="no window, no live display: print a line of progress every few seconds")
     model: str = setting(

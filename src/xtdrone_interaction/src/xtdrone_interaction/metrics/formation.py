@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from xtdrone_coordination.laws.assignment import assign
+from xtdrone_interaction.formation.criteria import CRITERIA
 from xtdrone_interaction.formation.geometry import SETTLED_ERROR, Array, close_pairs, formation_error, relative
 from xtdrone_interaction.recording.formation import FormationRecord
 from xtdrone_interaction.recording.model import RecordError
@@ -254,7 +255,11 @@ def _cut_text(report: dict[str, Any]) -> str:
 
 
 def shortcomings(report: dict[str, Any]) -> list[str]:
-    """Return where the flight fell short, as sentences; none for a good flight."""
+    """Return where the flight fell short, as sentences; none for a good flight.
+
+    Criteria that ``waive`` of the flight's settings names (see ``formation.criteria``) do not count.
+    """
+    judged = CRITERIA.keys() - set(report["settings"].get("waive", ()))
     found = []
     if report["cut"] is not None:
         found.append(_cut_text(report))
@@ -264,19 +269,20 @@ def shortcomings(report: dict[str, Any]) -> list[str]:
         found.append(f"{item['vehicle']} was lost at {item['time']:.1f} s: {item['reason']}")
     for item in report["reconfigurations"]:
         name = item["pattern"]
-        if item["settling_time"] is None:
+        if item["settling_time"] is None and "settling" in judged:
             found.append(f"pattern {name!r} did not settle within {SETTLED_ERROR} m")
-        elif item["steady_error_mean"] > STEADY_LIMIT:
+        elif item["steady_error_mean"] > STEADY_LIMIT and "steady-error" in judged:
             error = item["steady_error_mean"]
             found.append(f"pattern {name!r}: steady error {error:.3f} m, at most {STEADY_LIMIT} m")
-        if item["assigned_distance"] > item["optimal_distance"] * (1 + ASSIGNMENT_SLACK) + 0.01:
+        most = item["optimal_distance"] * (1 + ASSIGNMENT_SLACK) + 0.01
+        if item["assigned_distance"] > most and "assignment" in judged:
             found.append(
                 f"pattern {name!r}: assigned distance {item['assigned_distance']:.2f} m, "
                 f"the optimum is {item['optimal_distance']:.2f} m"
             )
-    if report["least_distance"] < DISTANCE_LIMIT:
+    if report["least_distance"] < DISTANCE_LIMIT and "distance" in judged:
         found.append(_too_close_text(report["too_close"]))
-    return found + report["collisions"]
+    return found + (report["collisions"] if "collision" in judged else [])
 
 
 def _startup_time(record: FormationRecord, command_wall: float | None) -> float | None:

@@ -1,0 +1,23 @@
+"""Criteria of a good formation flight, and the choice of those that count."""
+
+from __future__ import annotations
+
+CRITERIA = {
+    "settling": "each pattern settles",
+    "steady-error": "the steady error is small",
+    "assignment": "the slots are assigned with the least total distance",
+    "distance": "vehicles keep their distance",
+    "collision": "nothing collides",
+}
+
+
+def parse_criteria(text: object) -> list[str]:
+    """Return the names in a list separated by commas, in the order of ``CRITERIA``.
+
+    Raises:
+        ValueError: an unknown name; the text states what is allowed.
+    """
+    names = {name.strip() for name in str(text).split(",")}
+    if not names <= CRITERIA.keys():
+        raise ValueError(f"names with commas between, of {', '.join(CRITERIA)}")
+    return [name for name in CRITERIA if name in names]
