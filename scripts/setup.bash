@@ -4,6 +4,19 @@
 readonly state_dir="$root/.setup"
 readonly venv="$root/.venv"
 
+# ---- stamps: files that state from what a part was made
+
+# is_written FILE TEXT
+is_written() {
+  [[ -f $1 && $(<"$1") == "$2" ]]
+}
+
+# write_stamp FILE TEXT: whole or not at all.
+write_stamp() {
+  printf '%s' "$2" >"$1.part"
+  mv "$1.part" "$1"
+}
+
 # ---- messages and logs
 
 say() {
@@ -115,7 +128,6 @@ install_packages() {
     fail "this set-up is for Debian 12; with a ROS Noetic of your own, build with catkin_make (see CONTRIBUTING.md)"
   local missing
   mapfile -t missing < <(missing_packages)
-  ((${#missing[@]} > 0)) || return 0
   need_root "${missing[@]}"
   say "Debian packages: reading the package lists"
   logged apt-update apt update || fail "the package lists could not be read; is there a network?"
@@ -128,26 +140,39 @@ install_packages() {
 
 # ---- Python packages
 
-# install_python NAME: installs requirements of the list NAME.txt into the virtual environment, once per content.
+# The file that exists while pip changes the virtual environment.
+readonly pip_at_work="$venv/.pip-at-work"
+
+# has_python NAME: whether the requirements of the list NAME.txt are installed in the virtual environment.
+has_python() {
+  is_written "$venv/.$1.installed" "$(cat "$root/$1.txt")"
+}
+
+# install_python NAME: installs the requirements of the list NAME.txt into the virtual environment.
 install_python() {
-  local list="$root/$1.txt" stamp="$venv/.$1.installed" want
-  want="$(cat "$list")"
-  [[ ! -f $stamp || $(<"$stamp") != "$want" ]] || return 0
   say "Python packages: installing what is missing of $1.txt into .venv"
-  logged "pip-$1" "$venv/bin/python" -m pip install --disable-pip-version-check --no-input --progress-bar off -r "$list" ||
+  : >"$pip_at_work"
+  logged "pip-$1" "$venv/bin/python" -m pip install --disable-pip-version-check --no-input --progress-bar off -r "$root/$1.txt" || {
+    rm "$pip_at_work"
     fail "Python packages could not be installed; is there a network?"
-  printf '%s' "$want" >"$stamp"
+  }
+  write_stamp "$venv/.$1.installed" "$(cat "$root/$1.txt")"
+  rm "$pip_at_work"
   hand_over "$venv"
 }
 
-# A virtual environment has its folder's path in many files, so after a move it is created again.
+# A virtual environment has its folder's path in many files, so after a move it is created again. So it is after an
+# interrupted pip, which may have left packages that it believes to be complete.
+has_venv() {
+  is_written "$venv/.made-for" "$venv" && [[ -x $venv/bin/python && ! -e $pip_at_work ]]
+}
+
 make_venv() {
-  local stamp="$venv/.made-for"
-  [[ ! -f $stamp || $(<"$stamp") != "$venv" || ! -x $venv/bin/python ]] || return 0
+  [[ ! -e $pip_at_work ]] || say "Python packages: an installation was interrupted; it is repeated from the start"
   say "Python packages: creating the virtual environment .venv"
   rm -rf "$venv"
   logged venv /usr/bin/python3 -m venv --system-site-packages "$venv" || fail "the virtual environment could not be created"
-  printf '%s' "$venv" >"$stamp"
+  write_stamp "$venv/.made-for" "$venv"
 }
 
 # ---- the build
@@ -174,32 +199,54 @@ configure_and_make() {
     "${clean[@]}" make --no-print-directory -C "$root/build" -j2
 }
 
+built_from() {
+  echo "$root $(digest CMakeLists.txt package.xml setup.py '*.msg' '*.srv' '*.action' '*.cpp' '*.h')"
+}
+
+is_built() {
+  [[ -f $root/devel/setup.bash ]] && is_written "$state_dir/built" "$(built_from)"
+}
+
+# The file that exists during a build, with the time of its start.
+readonly make_at_work="$state_dir/make-at-work"
+
+# Removes what a killed build has written: make believes its last files to be complete.
+remove_unfinished() {
+  [[ -e $make_at_work && -d $root/build && -d $root/devel ]] || return 0
+  find "$root/build" -newer "$make_at_work" -type f -name '*.[ao]' -delete
+  find "$root/devel" -newer "$make_at_work" -type f -delete
+}
+
 build_workspace() {
-  local stamp="$state_dir/built" want
-  want="$root $(digest CMakeLists.txt package.xml setup.py '*.msg' '*.srv' '*.action' '*.cpp' '*.h')"
-  [[ ! -f $stamp || ! -f $root/devel/setup.bash || $(<"$stamp") != "$want" ]] || return 0
   say "workspace: building"
+  remove_unfinished
   # CMake rejects a build folder that was created elsewhere.
   if [[ -f $root/build/CMakeCache.txt ]] && ! grep -qxF "CMAKE_HOME_DIRECTORY:INTERNAL=$root" "$root/build/CMakeCache.txt"; then
     rm -rf "$root/build" "$root/devel"
   fi
-  rm -f "$stamp"
-  logged build configure_and_make || fail "the workspace could not be built"
-  printf '%s' "$want" >"$stamp"
+  rm -f "$state_dir/built"
+  : >"$make_at_work"
+  logged build configure_and_make || {
+    rm "$make_at_work"
+    fail "the workspace could not be built"
+  }
+  write_stamp "$state_dir/built" "$(built_from)"
+  rm "$make_at_work"
   hand_over "$root/build" "$root/devel"
 }
 
 # ---- kernels
 
+are_kernels_prepared() {
+  is_written "$state_dir/prepared" "$(digest '*.py')"
+}
+
 # Compiles the numba kernels in advance, so that the first flight does not wait for them.
 prepare_kernels() {
-  local stamp="$state_dir/prepared" want
-  want="$(digest '*.py')"
-  [[ ! -f $stamp || $(<"$stamp") != "$want" ]] || return 0
   say "kernels: compiling those that changed"
   # shellcheck disable=SC2016
   if logged kernels bash -c 'source "$1/scripts/env.bash" && exec python -m xtdrone_swarm.prepare' _ "$root"; then
-    printf '%s' "$want" >"$stamp"
+    write_stamp "$state_dir/prepared" "$(digest '*.py')"
     hand_over "$root/src"
   else
     say "kernels: not compiled ahead; they are compiled when first used" >&2
@@ -208,38 +255,52 @@ prepare_kernels() {
 
 # ---- completion
 
+completed_from() {
+  (cd "$root" && find src benchmarks validation scripts/commands.txt -name '*.py' -o -name commands.txt |
+    LC_ALL=C sort | xargs -d '\n' sha256sum | sha256sum)
+}
+
+has_completion() {
+  is_written "$state_dir/completed" "$(completed_from)"
+}
+
 # Writes the bash completion that the shell of './xtdrone shell' reads.
 write_completion() {
-  local stamp="$state_dir/completed" want
-  want="$(cd "$root" && find src benchmarks validation scripts/commands.txt -name '*.py' -o -name commands.txt |
-    LC_ALL=C sort | xargs -d '\n' sha256sum | sha256sum)"
-  [[ ! -f $stamp || $(<"$stamp") != "$want" ]] || return 0
   # shellcheck disable=SC2016
   if bash -c 'source "$1/scripts/env.bash" && exec python -m xtdrone_interaction completion bash' _ "$root" \
     >"$state_dir/completion.bash.part" 2>"$state_dir/logs/completion.log"; then
     mv "$state_dir/completion.bash.part" "$state_dir/completion.bash"
-    printf '%s' "$want" >"$stamp"
+    write_stamp "$state_dir/completed" "$(completed_from)"
   fi
 }
 
 # ---- entry point
 
+# is_set_up COMMAND: whether all parts that the command needs are there. Another set-up may be at work: it adds parts.
+is_set_up() {
+  [[ -z $(missing_packages) ]] && has_venv && has_python requirements || return 1
+  [[ $1 != test ]] || has_python requirements-dev || return 1
+  is_built && are_kernels_prepared || return 1
+  [[ $1 != shell ]] || has_completion
+}
+
 # set_up COMMAND: installs and builds the parts that the command needs.
 set_up() {
   check_place
+  ! is_set_up "$1" || return 0
   mkdir -p "$state_dir/logs"
   exec 9>"$state_dir/lock"
   if ! flock -n 9; then
     say "another set-up is running in this folder; waiting for it"
     flock 9
   fi
-  install_packages
-  make_venv
-  install_python requirements
-  [[ $1 != test ]] || install_python requirements-dev
-  build_workspace
-  prepare_kernels
-  [[ $1 != shell ]] || write_completion
+  [[ -z $(missing_packages) ]] || install_packages
+  has_venv || make_venv
+  has_python requirements || install_python requirements
+  [[ $1 != test ]] || has_python requirements-dev || install_python requirements-dev
+  is_built || build_workspace
+  are_kernels_prepared || prepare_kernels
+  [[ $1 != shell ]] || has_completion || write_completion
   hand_over "$state_dir"
   exec 9>&-
 }
