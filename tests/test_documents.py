@@ -86,3 +86,11 @@ def test_the_site_lists_every_page() -> None:
     configuration = yaml.safe_load((REPOSITORY / "mkdocs.yml").read_text())
     pages = {str(page.relative_to(REPOSITORY / "docs")) for page in (REPOSITORY / "docs").rglob("*.md")}
     assert set(files(configuration["nav"])) == pages
+
+
+def test_the_chinese_readme_has_the_commands_pictures_and_links_of_the_english_one() -> None:
+    english, chinese = ((REPOSITORY / name).read_text() for name in ("README.md", "README.zh.md"))
+    assert _FENCED.findall(chinese) == _FENCED.findall(english)
+    inline = re.compile(r"`(\./xtdrone [^`]*)`")
+    assert set(inline.findall(chinese)) == set(inline.findall(english))
+    assert set(_LINK.findall(chinese)) - {"README.md"} == set(_LINK.findall(english)) - {"README.zh.md"}

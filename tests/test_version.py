@@ -11,8 +11,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 VERSION: str = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
-_PATTERNS = {"package.xml": r"(?<=<version>)[^<]*(?=</version>)"}
-_FILES = [path.relative_to(ROOT) for name in _PATTERNS for path in sorted(ROOT.glob(f"src/**/{name}"))]
+_PATTERNS = {"package.xml": r"(?<=<version>)[^<]*(?=</version>)", "CITATION.cff": r"(?m)(?<=^version: ).*$"}
+_FILES = [Path("CITATION.cff"), *(path.relative_to(ROOT) for path in sorted(ROOT.glob("src/**/package.xml")))]
 
 
 @pytest.mark.parametrize("path", _FILES, ids=str)
