@@ -1,7 +1,8 @@
 """``./xtdrone replay-check``: the same flight under other conditions is the same flight, to the last bit.
 
 Flies the formation flight with the same seed at other speeds, on one core, on a busy machine, with other processes, and
-compares second by second the checksums of all published messages and of the true state of every vehicle.
+compares second by second the checksums of all published messages and of the true state of every vehicle. With
+``--compare`` it compares the digest files of two flights that have been flown (launch argument ``digest``).
 
 Exit status: 0 if all flights are the same, 1 for a difference or a failed flight, 2 for a value that is not allowed,
 128 + n when stopped by signal n.
@@ -147,6 +148,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     ReplaySettings.add_arguments(parser, ("n", "patterns", "until", "seed"))
     add("--out", type=Path, metavar="FOLDER", help="new folder for logs and digests (default: runs/replay-<time>)")
+    add("--compare", type=Path, nargs=2, metavar="FILE", help="fly nothing: compare two digest files, written by the "
+        "launch argument digest:=FILE")  # fmt: skip
 
 
 def replay_settings(arguments: argparse.Namespace) -> ReplaySettings:
@@ -187,6 +190,22 @@ def run_check(settings: ReplaySettings, console: Console) -> int:
     outcome.write_text(json.dumps(outcome_data(settings, reference, rows), indent=2) + "\n", encoding="utf-8")
     console.print(f"  {outcome}", highlight=False, soft_wrap=True)
     return 0 if all(result.same for _, result in rows) else 1
+
+
+def compare_files(first: Path, second: Path, console: Console) -> int:
+    """Compare the digest files of two flights up to the end of the shorter one; return the exit status.
+
+    Raises:
+        DigestError: a file is not a digest file.
+    """
+    known, other = read_digests(first), read_digests(second)
+    result = compare(known, other, min(known.end, other.end))
+    console.print(
+        f"{result.topics} topics, {result.messages} messages, until {result.time:.3f} s: {verdict(result)}",
+        highlight=False,
+        soft_wrap=True,
+    )
+    return 0 if result.same else 1
 
 
 def fly(settings: ReplaySettings, circumstance: Circumstance, stop: StopRequest, console: Console) -> Flight:
@@ -366,6 +385,12 @@ def _print_table(reference: Flight, rows: Sequence[tuple[Flight, Comparison]], c
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the check and return its exit status."""
+    if arguments.compare:
+        try:
+            return compare_files(*arguments.compare, PatientConsole())
+        except DigestError as error:
+            print(f"xtdrone: {error}", file=sys.stderr)
+            return 2
     try:
         settings = replay_settings(arguments)
     except (OptionError, PatternError) as error:

@@ -110,6 +110,18 @@ def test_invalid_values_are_reported(options: list[str], word: str, capsys: Any)
     assert word in capsys.readouterr().err
 
 
+def test_two_digest_files_are_compared_by_the_command(tmp_path: Path, capsys: Any) -> None:
+    first, same, other = flight(tmp_path / "a"), tmp_path / "b", flight(tmp_path / "c", [62, 610, 333])
+    lines = first.read_text().splitlines(keepends=True)
+    same.write_text("".join([lines[0], lines[2], lines[1], lines[3]]))  # nodes of a second in another order
+    assert cli.main(["replay-check", "--compare", str(first), str(same)]) == 0
+    assert "3 topics, 71 messages, until 2.000 s: the same to the last bit" in capsys.readouterr().out
+    assert cli.main(["replay-check", "--compare", str(first), str(other)]) == 1
+    assert "differs in the second before 2.000 s: /x" in capsys.readouterr().out
+    assert cli.main(["replay-check", "--compare", str(first), str(tmp_path / "none")]) == 2
+    assert "none" in capsys.readouterr().err
+
+
 def test_the_short_form_is_short() -> None:
     parser = argparse.ArgumentParser()
     replay_check.add_arguments(parser)
