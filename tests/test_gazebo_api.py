@@ -127,6 +127,22 @@ def test_states_and_links_come_at_250_hz(stack: Stack) -> None:
     assert links.last.pose[names.index("crate::link")].position.z == pytest.approx(0.5, abs=0.01)
 
 
+def test_the_ground_station_knows_the_names(
+    stack: Stack, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from xtdrone_interaction.gcs.commands.main import main
+    from xtdrone_interaction.gcs.discovery import running_fleet
+
+    monkeypatch.setenv("ROS_MASTER_URI", stack.graph.uri)
+    monkeypatch.chdir(stack.folder)  # flights of the workspace are found, too
+    assert running_fleet(0) == FLEET
+    assert main(["status", "--once", "--vehicle", "iris_1", "typhoon_h480_0"]) == 0
+    output = capsys.readouterr().out
+    assert "iris_1" in output
+    assert "typhoon_h480_0" in output
+    assert "iris_0" not in output
+
+
 def test_reference_frames(stack: Stack) -> None:
     for frame in ("", "world", "map", "ground_plane", "ground_plane::link"):
         assert place(state_of(stack, "wall", frame).pose) == (20.0, 0.0, 1.0)

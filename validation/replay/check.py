@@ -387,7 +387,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the check and return its exit status."""
     if arguments.compare:
         try:
-            return compare_files(*arguments.compare, PatientConsole())
+            first, second = arguments.compare
+            return compare_files(first, second, PatientConsole())
         except DigestError as error:
             print(f"xtdrone: {error}", file=sys.stderr)
             return 2

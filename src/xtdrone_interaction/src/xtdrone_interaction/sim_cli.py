@@ -83,6 +83,20 @@ def find_service(master: str, name: str) -> tuple[str, int] | None:
     return str(address.hostname), int(address.port or 0)
 
 
+def parameter(master: str, name: str) -> Any:
+    """Return a ROS parameter, None if it is not set.
+
+    Raises:
+        OSError, SimError: as for ``find_service``.
+    """
+    proxy: Any = xmlrpc.client.ServerProxy(master, transport=TimedTransport())
+    try:
+        code, _, value = proxy.getParam(_CALLER, name)
+    except (*NO_XMLRPC, ValueError, TypeError) as error:
+        raise SimError(f"master: the server at {master} is not a ROS master: {error}") from error
+    return value if code == 1 else None
+
+
 def call(master: str, name: str, kind: Any, request: Any, limit: float | None = _ANSWER_LIMIT) -> Any:
     """Call a service and return its response.
 

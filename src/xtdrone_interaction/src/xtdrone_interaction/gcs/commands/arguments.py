@@ -60,8 +60,8 @@ def common() -> argparse.ArgumentParser:
     group.add_argument("--vehicle", nargs="+", default=[], metavar="V",
                        help="names (iris_0), numbers (0 2 or 0-5), or all for every vehicle that answers")  # fmt: skip
     group.add_argument("--fleet", default="", metavar="TYPE:COUNT,...",
-                       help="the simulated fleet; required for names if it has several types, because ports and "
-                       "system ids follow from it")  # fmt: skip
+                       help="the simulated fleet, from which ports and system ids follow (default: that of the running "
+                       "simulation on this machine)")  # fmt: skip
     group.add_argument("--host", default=LOOPBACK, help="machine of the autopilots (default: %(default)s)")
     add_settings(group, ConnectionSettings, "instance")
     group.add_argument("--connect", metavar="ADDRESS",
@@ -99,6 +99,8 @@ def select_vehicles(arguments: argparse.Namespace, *, or_all: bool = False) -> l
         raise UsageError("which vehicles? --vehicle NAME ..., --vehicle all or --fleet TYPE:COUNT")
     if arguments.connect:
         return _connected(words or ["all"], arguments)
+    if not arguments.fleet and arguments.host == LOOPBACK:
+        arguments.fleet = discovery.running_fleet(arguments.instance)
     found: dict[tuple[str, str, int], Peer] = {}
     try:
         for word in words or ["all"]:
@@ -118,7 +120,9 @@ def _of_word(word: str, words: list[str], arguments: argparse.Namespace) -> list
     fleet, host, instance = arguments.fleet, arguments.host, arguments.instance
     if word == "all":
         return (
-            select_named([vehicle.name for vehicle in parse_fleet(fleet)], arguments) if fleet else _all(host, instance)
+            select_named([vehicle.name for vehicle in parse_fleet(fleet, instance)], arguments)
+            if fleet
+            else _all(host, instance)
         )
     try:
         numbers = numbers_of(word)
