@@ -79,11 +79,11 @@ def test_a_sphere_and_the_ground():
     assert down.owners.tolist() == [0, 0, -1]
 
 
-@pytest.mark.parametrize("pose", [Pose((3.0, 0.0, 1.0)), Pose((3.0, 1.0, 2.0), from_euler(0.5, -0.7, 2.0))])
+@pytest.mark.parametrize("pose", [Pose((3.0, 0.0, 1.0)), Pose((3.0, 1.0, 2.0), from_euler(0.4, -0.3, 2.0))])
 def test_a_cylinder_is_met_at_its_side_and_its_ends(pose):
     scene = RayScene([model("pole", Cylinder(0.5, 2.0), pose)])
     aims = np.random.default_rng(2).uniform(-0.9, 0.9, (300, 3)) * [0.35, 0.35, 1.0]
-    eye = np.array([-2.0, 0.5, 4.0])
+    eye = np.array([0.5, 0.5, 6.0])
     directions = np.array([np.array(pose.position) + rotate(pose.orientation, tuple(aim)) for aim in aims]) - eye
     hits = from_point(scene, eye, directions)
     unit = directions / np.linalg.norm(directions, axis=1)[:, None]
@@ -93,8 +93,8 @@ def test_a_cylinder_is_met_at_its_side_and_its_ends(pose):
     on_side = np.abs(radius - 0.5) < TOLERANCE
     on_end = np.abs(height - 1.0) < TOLERANCE
     assert np.all((on_side & (height < 1.0 + TOLERANCE)) | (on_end & (radius < 0.5 + TOLERANCE)))
-    assert on_side.sum() > 30
-    assert on_end.sum() > 30
+    assert on_side.sum() > 20
+    assert on_end.sum() > 10
 
 
 def test_triangles_are_those_of_a_search_over_all_of_them():

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 _LARGEST_FILE = 64_000_000  # bytes
 _COLUMNS = 3
-# Turns per second of the two prisms of a rosette, see G. F. Marshall, Risley prism scan patterns, Proc. SPIE 3787 (1999).
+# Turns per second of the two prisms of a rosette: G. F. Marshall, Risley prism scan patterns, Proc. SPIE 3787 (1999).
 # Their ratio is no fraction of small numbers, so that the pattern fills the field of view the longer it lasts.
 _FIRST_PRISM, _SECOND_PRISM = 121.567, -77.772
 

@@ -151,13 +151,18 @@ def place_rays(places, segments, shares, mount, turn, local, origins, directions
 
 
 @kernel
-def distance_below(nodes, surfaces, things, places, x, y, z, dx, dy, dz, most, stack):
-    """Return the distance, m, to what is met along a unit vector within ``most``, the plane z = 0 excepted.
+def distance_along(nodes, surfaces, things, places, position, direction, most):
+    """Return the distance, m, to what is met along a unit vector, the plane z = 0 excepted.
 
-    ``places`` (m,) are those of the things now; the argument ``most`` is returned if nothing is met.
+    Args:
+        nodes, surfaces, things: see ``cast_rays``.
+        places: (m,) ``PLACE`` of the things.
+        position: three numbers, m, map.
+        direction: three numbers, map.
+        most: m; returned if nothing is nearer.
     """
-    o, d = np.empty(3), np.empty(3)
-    o[0], o[1], o[2] = x, y, z
-    d[0], d[1], d[2] = dx, dy, dz
+    o, d, stack = np.empty(3), np.empty(3), np.empty(DEPTH, np.int64)
+    for k in range(3):
+        o[k], d[k] = position[k], direction[k]
     best, _, _ = _cast(nodes, surfaces, False, things, places, places, 0.0, NOTHING, o, d, most, stack)
     return best
