@@ -42,7 +42,7 @@ from xtdrone_sim.lidars.patterns import read_pattern
 from xtdrone_sim.lidars.scene_history import SceneHistory
 from xtdrone_sim.rays.scene import RayScene
 from xtdrone_sim.topics.scene_messages import scene_of
-from xtdrone_sim.vehicles.lidar_mounts import MOST_RATE, ROSETTE, LidarMount
+from xtdrone_sim.vehicles.lidar_mounts import LEAST_RATE, MOST_RATE, ROSETTE, LidarMount
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.worlds.sdf import load_world_file, read_world, world_file
 
@@ -55,6 +55,11 @@ _NAME = "lidars"
 _MOST_WORKERS = 4
 
 
+def _check_rate(rate: float) -> None:
+    if 0.0 < rate < LEAST_RATE:
+        raise ValueError
+
+
 @dataclass(frozen=True)
 class LidarSettings(Settings):
     """Private parameters of the node."""
@@ -64,6 +69,8 @@ class LidarSettings(Settings):
         low=0.0,
         high=MOST_RATE,
         unit="Hz",
+        check=_check_rate,
+        allowed=f"0, or {LEAST_RATE:g} to {MOST_RATE:g} Hz",
         text="scans per second of each lidar, 0 for the rate in its vehicle's file",
     )
     latency: float = setting(

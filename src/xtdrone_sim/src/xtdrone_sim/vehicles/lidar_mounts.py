@@ -17,7 +17,7 @@ from xtdrone_sim.vehicles.visual import Pose
 
 KINDS = ("scan", "spinning", "pattern")
 ROSETTE = "rosette"
-MOST_RATE = 50.0  # Hz
+LEAST_RATE, MOST_RATE = 0.1, 50.0  # Hz
 MOST_RAYS = 1_000_000
 """Largest number of rays of one scan."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
@@ -45,7 +45,7 @@ class LidarMount(Settings):
     rpy: tuple[float, float, float] = setting(
         (0.0, 0.0, 0.0), low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad", text="roll, pitch, yaw in the link"
     )
-    rate: float = setting(10.0, low=0.1, high=MOST_RATE, unit="Hz", text="scans per simulated second")
+    rate: float = setting(10.0, low=LEAST_RATE, high=MOST_RATE, unit="Hz", text="scans per simulated second")
     samples: int = setting(512, low=1, high=MOST_RAYS, text="rays of a plane; of a pattern, rays of a scan")
     angle_min: float = setting(-math.pi, low=-math.pi, high=math.pi, unit="rad", text="first ray, about z from x on")
     angle_max: float = setting(
