@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+from test_estimator_flights import UNSET, Flight
 
+from xtdrone_control.autopilot import modes
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.simulation import Simulation
@@ -78,3 +81,24 @@ def test_without_models_nothing_changes_and_without_a_sensor_nothing_is_built(tm
     blind = quiet("iris:1", world_file(tmp_path))
     assert [len(array) for array in blind.sensors.below.arrays] == [0, 0, 0, 0]
     blind.close()
+
+
+def test_the_autopilot_knows_the_table_below_it_and_lands_on_it(tmp_path):
+    flight = Flight("iris_rangefinder", world=world_file(tmp_path))
+    flight.take_off(4.0)
+    flight.hold()
+    height = float(flight.e["position"][2])
+    assert flight.e["terrain"] == pytest.approx(0.0, abs=0.15)
+    for step in range(1, 21):
+        flight.setpoint = (0.0, 0.5 * step, height), UNSET, UNSET, math.nan, 0.0
+        flight.run(0.5)
+    flight.run(3.0)
+    assert flight.e["terrain_valid"]
+    assert flight.e["terrain"] == pytest.approx(-1.1, abs=0.2)
+    assert -flight.position[2] == pytest.approx(-height, abs=0.3)
+    flight.setpoint = None
+    assert flight.commander.request(modes.AUTO_LAND) == 0
+    flight.run(10.0)
+    assert not flight.commander.armed
+    assert -flight.position[2] == pytest.approx(1.1 + 0.055, abs=0.01)
+    flight.simulation.close()
