@@ -86,15 +86,15 @@ def wait_until(condition: Callable[[], bool], what: str) -> None:
         time.sleep(0.02)
 
 
-@pytest.fixture
-def graph(tmp_path: Path) -> Iterator[Graph]:
+def running_graph(tmp_path: Path) -> Iterator[Graph]:
+    """Yield a graph, which is stopped afterwards."""
     graph = Graph(tmp_path)
     yield graph
     graph.stop()
 
 
-@pytest.fixture
-def server(graph: Graph) -> Iterator[LockstepServer]:
+def running_server(graph: Graph) -> Iterator[LockstepServer]:
+    """Yield a lockstep server, which nodes of the graph find."""
     server = LockstepServer(hang_limit=PATIENCE)
     graph.set_param("/lockstep/uri", server.uri)
     graph.set_param("/xtdrone/world", "empty")

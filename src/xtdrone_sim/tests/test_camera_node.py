@@ -12,11 +12,22 @@ import math
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from graph_of_nodes import PATIENCE, Graph, needs_ros, read_notes, run_ticks, wait_for_nodes, wait_until
+from graph_of_nodes import (
+    PATIENCE,
+    Graph,
+    needs_ros,
+    read_notes,
+    run_ticks,
+    running_graph,
+    running_server,
+    wait_for_nodes,
+    wait_until,
+)
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import parse_fleet
@@ -115,6 +126,16 @@ def slow(file: str) -> None:
     lockstep.start()
     node.begin(Drawer())
     lockstep.spin(node.step)
+
+
+@pytest.fixture
+def graph(tmp_path: Path) -> Iterator[Graph]:
+    yield from running_graph(tmp_path)
+
+
+@pytest.fixture
+def server(graph: Graph) -> Iterator[LockstepServer]:
+    yield from running_server(graph)
 
 
 def test_pictures_have_exact_times_and_repeat_after_a_reset(graph: Graph, server: LockstepServer) -> None:

@@ -10,12 +10,13 @@ import json
 import math
 import re
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from graph_of_nodes import Graph, needs_ros, read_notes, run_ticks, wait_for_nodes
+from graph_of_nodes import Graph, needs_ros, read_notes, run_ticks, running_graph, running_server, wait_for_nodes
 
 from xtdrone_control import lockstep
 from xtdrone_control.lockstep.server import LockstepServer
@@ -81,6 +82,16 @@ def taker(file: str) -> None:
 
     lockstep.spin(step)
     del keep
+
+
+@pytest.fixture
+def graph(tmp_path: Path) -> Iterator[Graph]:
+    yield from running_graph(tmp_path)
+
+
+@pytest.fixture
+def server(graph: Graph) -> Iterator[LockstepServer]:
+    yield from running_server(graph)
 
 
 def test_scans_have_exact_times_fail_on_request_and_repeat_after_a_reset(graph: Graph, server: LockstepServer) -> None:

@@ -212,6 +212,7 @@ class LidarNode:
         self._history = SceneHistory(round(1e6 * max(lidar.mount.duration for lidar in self._lidars)))
         self._world, self._fleet = "empty", ()  # type: tuple[str, Sequence[Vehicle]]
         self._rays: RayScene | None = None
+        self._is_hopeless = False  # the world cannot be used
         self._models: SceneModels | None = None
         self._deferred = Deferred(min(_MOST_WORKERS, len(os.sched_getaffinity(0))), wait=lockstep.is_active())
         lockstep.Subscriber("/xtdrone/scene", SceneState, self._take_scene)
@@ -242,11 +243,16 @@ class LidarNode:
         except ValueError as error:
             rospy.logwarn(f"lidars: a model is not seen by rays: {error}")
 
-    def _scene(self) -> RayScene:
-        """Return the scene of the rays, which is built for the first scan."""
-        if self._rays is None:
-            world = load_world_file(self._world)
-            self._rays = RayScene(world.models, self._fleet, world.actors)
+    def _scene(self) -> RayScene | None:
+        """Return the scene of the rays, which is built for the first scan; None if that is not possible."""
+        if self._rays is None and not self._is_hopeless:
+            try:
+                world = load_world_file(self._world)
+                self._rays = RayScene(world.models, self._fleet, world.actors)
+            except ValueError as error:
+                self._is_hopeless = True
+                rospy.logerr(f"lidars: no scans, as rays cannot be cast in the world {self._world}: {error}")
+                return None
             if self._models is not None:
                 self._change(self._rays, self._models)
         return self._rays
@@ -270,11 +276,7 @@ class LidarNode:
             state.next, state.last = None, None
 
     def step(self) -> None:
-        """Publish the scans and cast those that are due.
-
-        Raises:
-            ValueError: the world cannot be used.
-        """
+        """Publish the scans and cast those that are due."""
         now_us = rospy.Time.now().to_nsec() // 1000
         for shot, done in self._deferred.ready(now_us):
             self._publish(shot, done)
@@ -301,6 +303,8 @@ class LidarNode:
 
     def _begin(self, k: int, lidar: Lidar, number: int, now_us: int) -> None:
         rays = self._scene()
+        if rays is None:
+            return
         begin, end = begin_us(lidar.mount, number), end_us(lidar.mount, number)
         motion = self._history.motion(rays, lidar.link, begin, end)
         if motion is None:
@@ -333,7 +337,6 @@ def main(arguments: Sequence[str]) -> None:
 
     Raises:
         ArgumentError: an argument or parameter is not allowed.
-        ValueError: the world cannot be used.
     """
     check_no_arguments(arguments)
     parameters: dict[str, Any] = private_parameters(_NAME, sys.argv)
