@@ -230,3 +230,37 @@ def test_dropouts_bias_resolution_and_limits():
     near = measured(coarse, "iris_0", 0, rays, flat(distance=0.1))
     assert set(near.ranges) == {-math.inf}
     assert not near.intensities.any()
+
+
+# messages
+
+
+def test_messages_have_the_scan_s_times_and_limits_and_points_only_where_there_is_a_return():
+    pytest.importorskip("rospy")
+    from xtdrone_sim.lidars.lidar_messages import POINT, scan_message
+    from xtdrone_sim.lidars.lidars import Lidar
+
+    mount = LidarMount(kind="scan", samples=5, angle_min=-1.0, angle_max=1.0, rate=3.0, frame_id="laser")
+    rays = rays_of(mount, 2)
+    hits = Hits(np.array([10.0, 0.1, 31.0, 20.0, 12.5]), np.ones(5, int), np.array([1.0, 1.0, 1.0, 0.5, 0.25]))
+    message = scan_message(Lidar("iris_0", mount), 2, measured(mount, "iris_0", 2, rays, hits))
+    assert message.header.frame_id == "iris_0/laser"
+    assert message.header.stamp.to_nsec() == 666_667_000
+    assert message.ranges == [10.0, -math.inf, math.inf, 20.0, 12.5]
+    assert message.intensities == [100.0, 0.0, 0.0, 50.0, 25.0]
+    assert (message.angle_increment, message.range_min, message.range_max) == (0.5, 0.2, 30.0)
+    assert message.time_increment * 5 == pytest.approx(message.scan_time)
+    turn = replace(mount, kind="spinning", channels=2, samples=2, vertical_min=-0.5, vertical_max=0.5)
+    rays = rays_of(turn, 0)
+    hits = Hits(np.array([10.0, np.inf, 20.0, 30.0]), np.ones(4, int), np.ones(4))
+    cloud = scan_message(Lidar("iris_0", turn), 0, measured(turn, "iris_0", 0, rays, hits))
+    points = np.frombuffer(cloud.data, POINT)
+    assert (cloud.width, cloud.height, cloud.point_step, cloud.row_step) == (3, 1, 22, 66)
+    assert [(field.name, field.offset) for field in cloud.fields][-2:] == [("ring", 16), ("time", 18)]
+    assert points["ring"].tolist() == [0, 0, 1]
+    np.testing.assert_allclose(points["time"], [0.0, 1.0 / 6.0, 1.0 / 6.0], rtol=1e-6)
+    at = np.stack([points["x"], points["y"], points["z"]], axis=1)
+    np.testing.assert_allclose(np.linalg.norm(at, axis=1), [10.0, 20.0, 30.0], rtol=1e-6)
+    np.testing.assert_allclose(
+        at[0], 10.0 * np.array([np.cos(0.5) * np.cos(1.0), -np.cos(0.5) * np.sin(1.0), -np.sin(0.5)]), rtol=1e-6
+    )

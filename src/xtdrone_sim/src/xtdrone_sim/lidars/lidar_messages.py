@@ -6,7 +6,8 @@ import numpy as np
 from rospy import Time
 from sensor_msgs.msg import LaserScan, PointCloud2, PointField
 
-from xtdrone_sim.lidars.measuring import Scan
+from xtdrone_sim.lidars.lidars import Lidar
+from xtdrone_sim.lidars.measuring import Scan, begin_us
 from xtdrone_sim.vehicles.lidar_mounts import LidarMount
 
 POINT = np.dtype(
@@ -49,3 +50,11 @@ def point_cloud(frame: str, stamp: Time, scan: Scan) -> PointCloud2:
     message.header.stamp, message.header.frame_id = stamp, frame
     message.row_step, message.data = points.nbytes, points.tobytes()
     return message
+
+
+def scan_message(lidar: Lidar, number: int, scan: Scan) -> LaserScan | PointCloud2:
+    """Return the message of a scan."""
+    stamp = Time(0, begin_us(lidar.mount, number) * 1000)
+    if lidar.mount.kind == "scan":
+        return laser_scan(lidar.mount, lidar.frame_id, stamp, scan)
+    return point_cloud(lidar.frame_id, stamp, scan)

@@ -34,22 +34,20 @@ from xtdrone_control import lockstep
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.lockstep.deferred import Deferred
 from xtdrone_control.program import ArgumentError, check_no_arguments, fleet_of
-from xtdrone_control.settings import Settings, check_choice, check_range, setting
+from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.early_parameters import private_parameters
-from xtdrone_sim.lidars.lidar_messages import laser_scan, point_cloud
+from xtdrone_sim.lidars.lidar_messages import scan_message
+from xtdrone_sim.lidars.lidars import Failure, Lidar, lidars_of
 from xtdrone_sim.lidars.measuring import Motion, Scan, begin_us, cast_scan, end_us, measured
 from xtdrone_sim.lidars.patterns import read_pattern
 from xtdrone_sim.lidars.scene_history import SceneHistory
 from xtdrone_sim.rays.scene import RayScene
 from xtdrone_sim.topics.scene_messages import scene_of
 from xtdrone_sim.vehicles.lidar_mounts import LEAST_RATE, MOST_RATE, ROSETTE, LidarMount
-from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.worlds.sdf import load_world_file, read_world, world_file
 
 USAGE = "lidars.py"
 TURNS = 50.0  # Hz, rate of /xtdrone/scene
-FAILURES = ("ok", "off", "frozen", "biased", "dropouts")
-MOST_BIAS = 100.0  # m
 
 _NAME = "lidars"
 _MOST_WORKERS = 4
@@ -83,61 +81,6 @@ class LidarSettings(Settings):
         return replace(mount, rate=self.rate or mount.rate, skew=mount.skew and self.skew)
 
 
-@dataclass(frozen=True)
-class Lidar:
-    """A lidar of one vehicle.
-
-    Attributes:
-        vehicle: name, e.g. ``iris_0``.
-        mount: its position and properties.
-    """
-
-    vehicle: str
-    mount: LidarMount
-
-    @property
-    def topic(self) -> str:
-        """Its topic."""
-        return f"/{self.vehicle}/{self.mount.name}"
-
-    @property
-    def frame_id(self) -> str:
-        """Its frame."""
-        return f"{self.vehicle}/{self.mount.frame}"
-
-    @property
-    def link(self) -> str:
-        """Gazebo's name of its link."""
-        return f"{self.vehicle}::{self.mount.link}"
-
-
-@dataclass(frozen=True)
-class Failure:
-    """How a lidar fails.
-
-    Attributes:
-        kind: of ``FAILURES``.
-        value: m of a bias, 0..1 of dropouts.
-    """
-
-    kind: str = "ok"
-    value: float = 0.0
-
-    @classmethod
-    def checked(cls, kind: str, value: float) -> Failure:
-        """Return a failure.
-
-        Raises:
-            ValueError: kind or value is not allowed.
-        """
-        check_choice("failure", kind, FAILURES)
-        if kind == "biased":
-            check_range("value", value, -MOST_BIAS, MOST_BIAS, "m")
-        if kind == "dropouts":
-            check_range("value", value, 0.0, 1.0)
-        return cls(kind, value)
-
-
 class _Shot(NamedTuple):
     """A scan in progress: index of its lidar and number."""
 
@@ -154,29 +97,11 @@ class _Done(NamedTuple):
 
 @dataclass
 class _State:
-    """What the node remembers of a lidar: number of the next scan, failure, and latest scan."""
+    """State of a lidar: number of its next scan, failure, and latest scan."""
 
     next: int | None = None
     failure: Failure = field(default_factory=Failure)
     last: Scan | None = None
-
-
-def lidars_of(fleet: Sequence[Vehicle]) -> tuple[Lidar, ...]:
-    """Return all lidars of a fleet, vehicle by vehicle.
-
-    Raises:
-        ModelError: a vehicle type cannot be used.
-    """
-    mounts = {kind: load_vehicle(kind).lidars for kind in dict.fromkeys(vehicle.model for vehicle in fleet)}
-    return tuple(Lidar(vehicle.name, mount) for vehicle in fleet for mount in mounts[vehicle.model])
-
-
-def scan_message(lidar: Lidar, number: int, scan: Scan) -> LaserScan | PointCloud2:
-    """Return the message of a scan."""
-    stamp = rospy.Time(0, begin_us(lidar.mount, number) * 1000)
-    if lidar.mount.kind == "scan":
-        return laser_scan(lidar.mount, lidar.frame_id, stamp, scan)
-    return point_cloud(lidar.frame_id, stamp, scan)
 
 
 def _scanned(lidar: Lidar, number: int, motion: Motion, own: int, failure: Failure) -> _Done:
@@ -210,7 +135,8 @@ class LidarNode:
             for k, lidar in enumerate(self._lidars)
         ]
         self._history = SceneHistory(round(1e6 * max(lidar.mount.duration for lidar in self._lidars)))
-        self._world, self._fleet = "empty", ()  # type: tuple[str, Sequence[Vehicle]]
+        self._world = "empty"
+        self._fleet: Sequence[Vehicle] = ()
         self._rays: RayScene | None = None
         self._is_hopeless = False  # the world cannot be used
         self._models: SceneModels | None = None

@@ -1,4 +1,4 @@
-"""Scans of a lidar: when they begin, where their rays begin, and what is measured of them."""
+"""Scans of a lidar: their times, the origins and hits of their rays, and the measurement."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Motion:
-    """What is there during a scan.
+    """Poses of all things during a scan.
 
     Attributes:
         times_us: (k,) simulated times, microseconds, ascending.
@@ -42,13 +42,13 @@ class Motion:
 
 @dataclass(frozen=True)
 class Scan:
-    """What a lidar measures in one scan.
+    """Measurement of one scan.
 
     Attributes:
         rays: directions, times and planes.
         ranges: (n,) m; infinite: no return; negative infinity: nearer than ``range_min``.
         intensities: (n,) 0..``WHITE``.
-        owners: (n,) what is met, see ``RayScene.owners``, or -1.
+        owners: (n,) index of the hit model or vehicle in ``RayScene.owners``, or -1.
     """
 
     rays: Rays
@@ -63,7 +63,7 @@ def begin_us(mount: LidarMount, number: int) -> int:
 
 
 def end_us(mount: LidarMount, number: int) -> int:
-    """Return the time until which a scan needs to know what moves, microseconds."""
+    """Return the time until which a scan needs the poses of moving things, microseconds."""
     return begin_us(mount, number + 1 if mount.skew else number)
 
 
@@ -102,7 +102,7 @@ def cast_scan(mount: LidarMount, number: int, motion: Motion, own: int = NOTHING
 def measured(
     mount: LidarMount, vehicle: str, number: int, rays: Rays, hits: Hits, bias: float = 0.0, lost: float = 0.0
 ) -> Scan:
-    """Return what a lidar makes of its hits: noise, dropouts, resolution and limits of range.
+    """Return the measurement of hits: with noise, dropouts, resolution and limits of range.
 
     The random numbers depend on seed, vehicle, name and number of the scan only.
 

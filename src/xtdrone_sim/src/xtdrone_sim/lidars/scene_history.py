@@ -1,4 +1,4 @@
-"""What has moved in the last moments, for scans that take time."""
+"""Scenes of the last moments, for scans that take time."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class SceneHistory:
         return self._samples[-1].time_us if self._samples else None
 
     def motion(self, rays: RayScene, link: str, begin_us: int, end_us: int) -> Motion | None:
-        """Return what is there from one time to another.
+        """Return the poses of all things from one time to another.
 
         Args:
             rays: the scene of the rays; it learns which models have been moved.

@@ -1,4 +1,4 @@
-"""Kernels that cast many rays, each at its own time, at what stands and what moves."""
+"""Kernels that cast many rays, each at its own time, at static and moving things."""
 
 from __future__ import annotations
 
@@ -95,17 +95,17 @@ def cast_rays(
 
     Args:
         nodes, surfaces: see ``tree.Trees``.
-        has_ground: whether the plane z = 0, owner 0, can be met from above.
-        things: (m,) ``THING``; the first is what stands.
+        has_ground: whether the plane z = 0, owner 0, is hit from above.
+        things: (m,) ``THING``; the first is all that is static.
         places: (k, m) ``PLACE``, of the things at k times.
         segments: (n,) number of the time before the ray's.
         shares: (n,) 0..1, how far the ray's time is on the way to the next one.
-        skip: owner that the rays do not meet; NOTHING: they meet all.
+        skip: owner that the rays pass through; NOTHING: none.
         origins: (n, 3) m, map.
         directions: (n, 3), of any length.
-        most: m; further away nothing is met.
+        most: largest range, m.
         ranges: (n,) filled: distance, m; infinite without a hit; NaN if origin or direction is no number, or 0.
-        owners: (n,) filled: what is met, or NOTHING.
+        owners: (n,) filled: owner of the surface that is hit, or NOTHING.
         cosines: (n,) filled: cosine of the angle between the ray and the surface's normal, 0..1.
     """
     stack = np.empty(DEPTH, np.int64)
@@ -152,7 +152,7 @@ def place_rays(places, segments, shares, mount, turn, local, origins, directions
 
 @kernel
 def distance_along(nodes, surfaces, things, places, position, direction, most):
-    """Return the distance, m, to what is met along a unit vector, the plane z = 0 excepted.
+    """Return the distance, m, to the nearest surface along a unit vector, the plane z = 0 excepted.
 
     Args:
         nodes, surfaces, things: see ``cast_rays``.

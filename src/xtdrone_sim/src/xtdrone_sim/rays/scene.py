@@ -1,7 +1,7 @@
-"""A world and what moves in it, for rays.
+"""A world, its vehicles and its people, for rays.
 
-Rays see what cameras see: the opaque visuals of links (of a link without visuals its collision shapes), people in the
-posture of their walk, and the ground, the plane z = 0, from above. Boxes, spheres and cylinders are exact.
+Rays see the same as cameras: the opaque visuals of links (of a link without visuals its collision shapes), people in
+the posture of their walk, and the ground, the plane z = 0, from above. Boxes, spheres and cylinders are exact.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ class SceneError(ValueError):
 
 
 class Hits(NamedTuple):
-    """What rays meet.
+    """Hits of rays.
 
     Attributes:
         ranges: (n,) distance, m; infinite without a hit, NaN for a ray whose origin or direction is no number.
-        owners: (n,) index in ``RayScene.owners`` of what is met; -1: nothing.
+        owners: (n,) index of the hit model or vehicle in ``RayScene.owners``; -1: no hit.
         cosines: (n,) cosine of the angle between the ray and the surface's normal, 0..1.
     """
 
@@ -62,7 +62,7 @@ class RayScene:
     """Trees over everything in a world.
 
     Attributes:
-        owners: names of what rays can meet: the ground, the world's models, the vehicles, the actors, added models.
+        owners: names of all that rays can hit: the ground, the world's models, the vehicles, the actors, added models.
     """
 
     def __init__(
@@ -234,13 +234,13 @@ class RayScene:
         scene: SceneAt | None = None,
         skip: int = NOTHING,
     ) -> Hits:
-        """Return what rays meet at one time; ``casting.cast_rays`` casts each at its own.
+        """Return the hits of rays at one time; ``casting.cast_rays`` casts each at its own.
 
         Args:
             origins: (n, 3) m, map.
             directions: (n, 3), map, of any length but 0.
             most: largest range, m.
-            scene: what moves; None: nothing is there but the world.
+            scene: poses of all moving things; None: the world alone.
             skip: index of an owner that rays pass through.
         """
         places = self.places(scene or SceneAt({}, {}))[None]

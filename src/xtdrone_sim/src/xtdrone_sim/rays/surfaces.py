@@ -18,14 +18,14 @@ _OPAQUE = 0.5  # least opacity of a visual that rays see
 
 
 def seen(visuals: Sequence[Visual], collisions: Sequence[Collision] = ()) -> list[tuple[Geometry, Pose]]:
-    """Return what rays see of a link: its opaque visuals as cameras do, or without visuals its collision shapes."""
+    """Return the shapes of a link that rays hit: its opaque visuals, or without visuals its collision shapes."""
     if visuals:
         return [(visual.geometry, visual.pose) for visual in visuals if visual.colour[3] >= _OPAQUE]
     return [(collision.geometry, collision.pose) for collision in collisions]
 
 
 def seen_of(model: SdfModel) -> list[tuple[Geometry, Pose]]:
-    """Return what rays see of a model, with poses in its frame; see ``seen``."""
+    """Return the shapes of a model that rays hit, with poses in its frame; see ``seen``."""
     return [
         (geometry, compose(link.pose, pose))
         for link in model.links

@@ -2,11 +2,11 @@
 
 A *surface* is a triangle, or the boundary of a box, a sphere or a cylinder. A tree's inner node has two children, the
 first directly behind it in the array; a leaf has a few surfaces. Several trees share one set of arrays: the first is
-that of what stands, in the frame of the world; the others are those of things that move, in frames of their own.
+that of all static models, in the frame of the world; the others are those of moving things, in frames of their own.
 
-Triangles are met as T. Möller and B. Trumbore describe (Fast, minimum storage ray-triangle intersection, Journal of
-Graphics Tools 2, 1997), from both sides; the trees are split where I. Wald's binned surface area heuristic is least (On
-fast construction of SAH-based bounding volume hierarchies, IEEE Symposium on Interactive Ray Tracing, 2007).
+Triangles are intersected from both sides as by T. Möller and B. Trumbore (Fast, minimum storage ray-triangle
+intersection, Journal of Graphics Tools 2, 1997). Trees are split where the binned surface area heuristic is least
+(I. Wald, On fast construction of SAH-based bounding volume hierarchies, IEEE Symposium on Interactive Ray Tracing, 2007).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ NOTHING = -1  # as surface: the ray meets none
 SURFACE = np.dtype(
     [
         ("kind", "i8"),
-        ("owner", "i8"),  # number of what it belongs to
+        ("owner", "i8"),  # number of the model or vehicle that it belongs to
         ("a", "f8", 3),  # triangle: first corner, m; others: middle, m
         ("b", "f8", 3),  # triangle: from the first corner to the second; others: first row of ``turn``
         ("c", "f8", 3),  # triangle: from the first corner to the third; others: second row
@@ -116,7 +116,7 @@ def _best_split(low, high, order, first, last, axis, least, most):
 
 @kernel
 def _divide(low, high, order, first, last, axis, least, most, where):
-    """Sort ``order[first:last]`` so that what is below bin ``where`` comes first; return where the others begin."""
+    """Sort ``order[first:last]`` so that surfaces below bin ``where`` come first; return the index of the others."""
     scale = _BINS / (most - least)
     middle = first
     for k in range(first, last):

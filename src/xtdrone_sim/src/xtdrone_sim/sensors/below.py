@@ -1,4 +1,4 @@
-"""What stands below vehicles, for sensors that look down: the models of a world, not other vehicles and people."""
+"""Models below vehicles, for sensors that look down; other vehicles and people are not seen."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What moves in a world, at one time: what cameras draw and what rays meet."""
+"""Poses of the moving things in a world at one time, for cameras and rays."""
 
 from __future__ import annotations
 
