@@ -6,7 +6,7 @@ that of all static models, in the frame of the world; the others are those of mo
 
 Triangles are intersected from both sides as by T. Möller and B. Trumbore (Fast, minimum storage ray-triangle
 intersection, Journal of Graphics Tools 2, 1997). Trees are split where the binned surface area heuristic is least
-(I. Wald, On fast construction of SAH-based bounding volume hierarchies, IEEE Symposium on Interactive Ray Tracing, 2007).
+(I. Wald, On fast construction of SAH-based bounding volume hierarchies, Symposium on Interactive Ray Tracing, 2007).
 """
 
 from __future__ import annotations
