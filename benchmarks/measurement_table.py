@@ -29,6 +29,7 @@ _MESSAGES = ("PositionTarget", "PoseStamped", "Imu", "Odometry", "TFMessage", "M
 _CODEC_METHODS = ("encode", "genpy_encode", "decode", "genpy_decode")
 _FILMS = ((1280, 720, True), (1280, 720, False), (640, 360, True))  # width and height in pixels, antialiasing
 _BACKENDS = ("egl", "tiny")
+_LIDARS = ("scan", "spinning", "pattern")
 _PARTICIPANTS = ("python", "cpp")
 _NO_PARTICIPANTS = "none"
 _STATIONS = 1  # ground stations of each vehicle
@@ -62,6 +63,11 @@ def _pictures(part: str, width: int, modes: Sequence[str]) -> Iterator[Case]:
         for backend in _BACKENDS:
             known = {"width": width, "height": height, "backend": backend}
             yield Case(part, f"{width} x {height} px, {backend}", known, f"{width}x{height}-{backend}")
+
+
+def _lidars(part: str, count: int, modes: Sequence[str]) -> Iterator[Case]:
+    for kind in _LIDARS:
+        yield Case(part, f"{count} {kind}", {"lidars": count, "kind": kind}, f"{count}-{kind}")
 
 
 def _films(part: str, count: int, modes: Sequence[str]) -> Iterator[Case]:
@@ -291,6 +297,23 @@ _TABLE = (
         label=lambda row: f"{row['width']} x {row['height']} px, {row['backend']}",
         first=_first("picture", lambda row: f"{row['width']} x {row['height']} px, {row['backend']}"),
         counted="widths",
+    ),
+    Measurement(
+        name="rays",
+        title="Scans of lidars in the world outdoor at 10 Hz, one core",
+        command=Program("rays", _CORE_SECONDS),
+        numbers=(1, 6),
+        limits=(1, 100),
+        fields=(
+            ("million\nrays/s", spread("million_rays_per_second")),
+            _SPEED,
+            _goal(["lidars", "kind"], {(6, "spinning"): 1.0}),
+        ),
+        summary=lambda row: f"{row['million_rays_per_second']:.2f} million rays a second",
+        cases=_lidars,
+        label=lambda row: f"{row['lidars']} {row['kind']}",
+        first=_first("lidars", lambda row: f"{row['lidars']} {row['kind']}"),
+        counted="lidars",
     ),
     Measurement(
         name="rviz",

@@ -65,7 +65,7 @@ def test_a_generated_launch_file_flies(stack: Stack) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["second_sdf:=iris_2d_lidar"], "'iris_2d_lidar' is not known, its 2D lidar (scan)"),
+        (["second_sdf:=iris_zhihang"], "'iris_zhihang' is not known, its depth camera (realsense/depth_camera)"),
         (["world:=$(find mavlink_sitl_gazebo)/worlds/indoor1.world"], "indoor1.world does not exist; there are empty"),
     ],
 )

@@ -21,9 +21,11 @@ from xtdrone_perception.gimbal_node import GimbalOptions
 from xtdrone_perception.tracking.geolocation import Noise, Person
 from xtdrone_perception.tracking.tracker import TrackerSettings
 from xtdrone_sim.cameras.camera_node import CameraSettings
+from xtdrone_sim.lidars.lidar_node import LidarSettings
 from xtdrone_sim.runtime.full_simulation import FullSettings
 from xtdrone_sim.runtime.simulator_node import NodeSettings
 from xtdrone_sim.topics.robot_tf import TfSettings
+from xtdrone_sim.vehicles.lidar_mounts import LidarMount
 from xtdrone_swarm.simplified.node import SimplifiedSettings
 
 PAGE = Path(__file__).parents[1] / "docs" / "settings.md"
@@ -35,6 +37,8 @@ CLASSES: dict[str, type[Settings]] = {
         SimplifiedSettings,
         CommandSettings,
         CameraSettings,
+        LidarSettings,
+        LidarMount,
         TfSettings,
         GimbalOptions,
         DetectionOptions,

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.programs import analysis, codecs, detector, drawing, program, simplified
+from benchmarks.programs import analysis, codecs, detector, drawing, program, rays, simplified
 from xtdrone_interaction.options import repository
 from xtdrone_interaction.recording.bag import read_bag
 
@@ -54,6 +54,12 @@ def test_the_analysis_is_measured(tmp_path: Path) -> None:
     assert row["megabytes_per_second"] > 0
     assert row["messages"] >= 27 * 200
     assert not list(tmp_path.glob("*.bag"))
+
+
+def test_rays_are_measured() -> None:
+    row = rays.measure(1, "scan", 0.01)
+    assert row["rays"] == 512
+    assert row["real_time_factor"] == pytest.approx(row["million_rays_per_second"] * 1e6 / 5120)
 
 
 def test_the_codecs_are_measured() -> None:

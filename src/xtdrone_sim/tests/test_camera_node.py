@@ -9,19 +9,25 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
 import re
-import shutil
-import socket
 import subprocess
 import sys
-import time
-import xmlrpc.client
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from graph_of_nodes import (
+    PATIENCE,
+    Graph,
+    needs_ros,
+    read_notes,
+    run_ticks,
+    running_graph,
+    running_server,
+    wait_for_nodes,
+    wait_until,
+)
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import parse_fleet
@@ -29,7 +35,6 @@ from xtdrone_control.frames import to_xyzw
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.rotation import from_euler
 
-ROSMASTER = shutil.which("rosmaster")
 try:
     import rospy
     from geometry_msgs.msg import Point, Pose, Quaternion
@@ -39,13 +44,13 @@ try:
 except ImportError:
     rospy = None
 
-pytestmark = pytest.mark.skipif(ROSMASTER is None or rospy is None, reason="needs ROS 1 and the built workspace")
+pytestmark = needs_ros
 
 NODE = Path(__file__).parents[1] / "nodes" / "cameras.py"
 FLEET = "typhoon_h480:2"
 CAMERA = "/typhoon_h480_0/cgo3_camera"
 RATE = 5.0
-PATIENCE = 120.0  # s of wall time, for what should take a few
+NAMES = ["/cameras", "/teller", "/taker"]
 
 
 def teller() -> None:
@@ -123,109 +128,29 @@ def slow(file: str) -> None:
     lockstep.spin(node.step)
 
 
-class Graph:
-    """A master of its own and the processes that a test starts."""
-
-    def __init__(self, folder: Path) -> None:
-        with socket.socket() as sock:
-            sock.bind(("127.0.0.1", 0))
-            port = sock.getsockname()[1]
-        self.folder = folder
-        self.processes: dict[str, subprocess.Popen] = {}
-        self.env = {
-            **os.environ,
-            "ROS_MASTER_URI": f"http://127.0.0.1:{port}",
-            "ROS_HOSTNAME": "127.0.0.1",
-            "ROS_LOG_DIR": str(folder),
-            "ROS_HOME": str(folder),
-            "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
-        }
-        self.start("master", str(ROSMASTER), "--core", "-p", str(port))
-        self.master = xmlrpc.client.ServerProxy(self.env["ROS_MASTER_URI"])
-        wait_until(self._master_answers, "the master answers")
-
-    def _master_answers(self) -> bool:
-        try:
-            return self.master.getPid("/test")[0] == 1
-        except OSError:
-            return False
-
-    def set_param(self, name: str, value: object) -> None:
-        self.master.setParam("/test", name, value)
-
-    def start(self, name: str, *command: str, stdin: int | None = None) -> subprocess.Popen:
-        with open(self.folder / f"{name}.out", "w") as out:
-            self.processes[name] = subprocess.Popen(
-                command, env=self.env, stdin=stdin, stdout=out, stderr=subprocess.STDOUT
-            )
-        return self.processes[name]
-
-    def role(self, name: str, *arguments: str, stdin: int | None = None) -> subprocess.Popen:
-        return self.start(name, sys.executable, __file__, name, *arguments, stdin=stdin)
-
-    def output(self) -> str:
-        return "\n".join(f"{path.name}: {path.read_text()[-1500:]}" for path in self.folder.glob("*.out"))
-
-    def stop(self) -> None:
-        for process in self.processes.values():
-            process.kill()
-        for process in self.processes.values():
-            process.wait()
-
-
-def wait_until(condition: Callable[[], bool], what: str) -> None:
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end, f"in vain waited until {what}"
-        time.sleep(0.02)
-
-
 @pytest.fixture
 def graph(tmp_path: Path) -> Iterator[Graph]:
-    graph = Graph(tmp_path)
-    yield graph
-    graph.stop()
+    yield from running_graph(tmp_path)
 
 
 @pytest.fixture
 def server(graph: Graph) -> Iterator[LockstepServer]:
-    server = LockstepServer(hang_limit=PATIENCE)
-    graph.set_param("/lockstep/uri", server.uri)
-    graph.set_param("/xtdrone/fleet", FLEET)
-    graph.set_param("/xtdrone/world", "empty")
-    yield server
-    server.close()
-
-
-def run(graph: Graph, server: LockstepServer, begin_us: int, end_us: int) -> None:
-    now: int | None = begin_us
-    while now is not None and now < end_us:
-        server.tick(now)
-        assert len(server.participants) == 3, graph.output()
-        now = server.next_due_us(now)
-
-
-def wait_for_nodes(graph: Graph, server: LockstepServer) -> None:
-    names = ["/cameras", "/teller", "/taker"]
-    assert server.wait_for(names, timeout=PATIENCE), server.missing(names) + graph.output()
-
-
-def read(file: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in file.read_text().splitlines()]
+    yield from running_server(graph)
 
 
 def test_pictures_have_exact_times_and_repeat_after_a_reset(graph: Graph, server: LockstepServer) -> None:
+    graph.set_param("/xtdrone/fleet", FLEET)
     graph.set_param("/cameras", {"rate": RATE, "backend": "tiny"})
     file = graph.folder / "taker.json"
     graph.start("cameras", sys.executable, str(NODE))
-    graph.role("teller")
-    graph.role("taker", str(file), "0.54", "0.86")
-    wait_for_nodes(graph, server)
+    graph.role(__file__, "teller")
+    graph.role(__file__, "taker", str(file), "0.54", "0.86")
+    wait_for_nodes(graph, server, NAMES)
     length = 1_400_000
-    run(graph, server, 0, length)
+    run_ticks(graph, server, 0, length, len(NAMES))
     server.reset_time(0)
-    run(graph, server, 0, length)
-    notes = read(file)
+    run_ticks(graph, server, 0, length, len(NAMES))
+    notes = read_notes(file)
     back = [note["what"] for note in notes].index("back")
     flights = [[note for note in part if note["what"] == "image"] for part in (notes[:back], notes[back:])]
     infos = [note for note in notes[:back] if note["what"] == "info"]
@@ -247,20 +172,23 @@ def test_pictures_have_exact_times_and_repeat_after_a_reset(graph: Graph, server
 def test_flight_continues_while_a_picture_is_drawn_and_only_for_subscribers(
     graph: Graph, server: LockstepServer
 ) -> None:
+    graph.set_param("/xtdrone/fleet", FLEET)
     file, drawn = graph.folder / "taker.json", graph.folder / "drawn.txt"
-    drawing = graph.role("slow", str(drawn), stdin=subprocess.PIPE)
+    drawing = graph.role(__file__, "slow", str(drawn), stdin=subprocess.PIPE)
     assert drawing.stdin is not None
-    graph.role("teller")
-    graph.role("taker", str(file), "99", "99")
-    wait_for_nodes(graph, server)
-    run(graph, server, 0, 400_000)  # ends though the picture exposed at 0.1 s, due at 0.4 s, is not drawn
+    graph.role(__file__, "teller")
+    graph.role(__file__, "taker", str(file), "99", "99")
+    wait_for_nodes(graph, server, NAMES)
+    run_ticks(
+        graph, server, 0, 400_000, len(NAMES)
+    )  # ends though the picture exposed at 0.1 s, due at 0.4 s, is not drawn
     wait_until(lambda: len(drawn.read_text().splitlines()) == 1, "the first picture is begun")
-    turns = [note["now"] for note in read(file) if note["what"] == "turn"]
+    turns = [note["now"] for note in read_notes(file) if note["what"] == "turn"]
     assert turns[-1] == 380_000
     drawing.stdin.write(b"\n" * 20)
     drawing.stdin.flush()
-    run(graph, server, 400_000, 900_000)
-    notes = read(file)
+    run_ticks(graph, server, 400_000, 900_000, len(NAMES))
+    notes = read_notes(file)
     images = [(note["now"], note["stamp"]) for note in notes if note["what"] == "image"]
     assert images == [(420_000, 80_000), (620_000, 280_000), (820_000, 480_000)]
     assert set(drawn.read_text().splitlines()) == {"typhoon_h480_0::cgo3_camera_link"}  # the other is not heard

@@ -13,7 +13,7 @@ from PIL import Image
 
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_sim.cameras.rendering import Renderer, RendererError
-from xtdrone_sim.cameras.rendering.triangles import MeshError, read_obj, triangles_of
+from xtdrone_sim.vehicles.triangles import MeshError, read_obj, triangles_of
 from xtdrone_sim.vehicles.visual import Box, Cylinder, Mesh, Pose, Sphere, Visual
 from xtdrone_sim.worlds.sdf import Light
 

@@ -58,7 +58,7 @@ def test_a_start_that_is_not_free_is_refused(world: str, poses: str, message: st
 
 
 def test_an_unknown_model_is_refused_with_a_list_of_the_known() -> None:
-    with pytest.raises(ModelError, match=r"vehicles: 'iris_sonar' is not known; there are iris, iris_opt_flow, .*solo"):
+    with pytest.raises(ModelError, match=r"vehicles: 'iris_sonar' is not known; there are iris, iris_2d_lidar, .*solo"):
         Simulation(parse_fleet("[{name: iris_0, model: iris_sonar}]"))
 
 

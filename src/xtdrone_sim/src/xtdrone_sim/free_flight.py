@@ -43,7 +43,7 @@ def _is_free(plant, armed, failures, failed, excluded):
 
 @kernel_for_threads
 def _advance(
-    first, last, steps, step, time_us, plant, models, field, place, gravity, dt, bias, fast, slow, down,
+    first, last, steps, step, time_us, plant, models, field, place, gravity, dt, bias, fast, slow, down, below,
     sensors, estimator, setpoint, control_records, params, mix, unmix, rotors, work,
 ):  # fmt: skip
     """Advance the vehicles ``first`` to ``last`` (excluded) by ``steps``.
@@ -53,7 +53,7 @@ def _advance(
         step: number of the first step since the start.
         time_us: simulated time before it, microseconds.
         plant, models: see ``plant.step_all``.
-        field, place, gravity, dt, bias, fast, slow, down: see ``sensor_models.sample_all``.
+        field, place, gravity, dt, bias, fast, slow, down, below: see ``sensor_models.sample_all``.
         sensors, estimator, setpoint, control_records, params, mix, unmix, rotors, work: see ``autopilot.step_all``.
     """
     for i in range(first, last):
@@ -61,7 +61,7 @@ def _advance(
         for k in range(steps):
             move(v, m, c.actuators, setpoint[i].armed, gravity, dt)
             sample_vehicle(
-                s, v, m, bias[i], fast[i], slow[i], down[i],
+                s, v, m, bias[i], fast[i], slow[i], down[i], below,
                 step + k, time_us + (k + 1) * STEP_US, field, place, gravity, dt,
             )  # fmt: skip
             control(s, estimator[i], setpoint[i], c, params[i], mix[i], unmix[i], rotors[i], dt, work)
@@ -79,7 +79,7 @@ def _advance_alone(most, step, time_us, plant, models, field, place, gravity, dt
     """
     count = plant.shape[0]
     wanted = np.empty(count, np.int64)
-    armed = records[6]["armed"]
+    armed = records[7]["armed"]
     done = 0
     while done < most:
         if done and sort_contacts(plant, models, armed, CHECK_STEPS, dt, wanted):
@@ -142,14 +142,24 @@ class FreeFlight:
         self._world, self._sensors, self._autopilot = world, sensors, autopilot
         self._failures = autopilot.failures.view(np.int32)
         self._armed, self._failed = autopilot.setpoint["armed"], autopilot.setpoint["failed_rotors"]
-        a, model = autopilot, world.model
+        limits = [count * i // max(threads, 1) for i in range(max(threads, 1) + 1)]
+        self._limits = list(pairwise(limits))
+        self._below: tuple[Any, ...] = ()
+        self._share_out()
+        self._threads = [_Thread(i) for i in range(1, len(self._shares))]
+
+    def _share_out(self) -> None:
+        """Collect the arguments of the kernels, again if there is something else below the vehicles."""
+        if self._below is self._sensors.below.arrays:
+            return
+        self._below = self._sensors.below.arrays
+        world, sensors, a, model = self._world, self._sensors, self._autopilot, self._world.model
         records = (
             world.plant, world.models, model.magnetic_field, sensors.place, model.gravity, world.time_step,
-            *sensors.noise, a.sensors, a.estimator, a.setpoint, a.control, a.params, a.mix, a.unmix, a.rotors,
+            *sensors.noise, self._below,
+            a.sensors, a.estimator, a.setpoint, a.control, a.params, a.mix, a.unmix, a.rotors,
         )  # fmt: skip
-        limits = [count * i // max(threads, 1) for i in range(max(threads, 1) + 1)]
-        self._shares = [(first, last, (*records, np.zeros((2, N_STATES)))) for first, last in pairwise(limits)]
-        self._threads = [_Thread(i) for i in range(1, len(self._shares))]
+        self._shares = [(first, last, (*records, np.zeros((2, N_STATES)))) for first, last in self._limits]
 
     @property
     def _checks_inside(self) -> bool:
@@ -188,6 +198,8 @@ class FreeFlight:
         if not steps:
             return 0
         self._sensors.draw(step)
+        self._sensors.below.update()
+        self._share_out()
         if self._checks_inside:
             steps = int(_advance_alone(most, step, time_us, *self._shares[0][2]))
         else:

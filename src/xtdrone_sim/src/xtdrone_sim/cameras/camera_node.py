@@ -20,14 +20,11 @@ image only when its publication is due. Cameras without subscribers take no imag
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
-import rosgraph
 import rospy
-import yaml
-from geometry_msgs.msg import Pose as PoseMessage
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import SetBool, SetBoolResponse
 from xtdrone_msgs.msg import SceneModels, SceneState
@@ -38,9 +35,11 @@ from xtdrone_control.program import ArgumentError, check_no_arguments, fleet_of
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.cameras.camera_worker import Changes, DrawingProcess, Drawn
 from xtdrone_sim.cameras.cameras import MOST_TURNS, Camera, Exposures, cameras_of, turn_rate
-from xtdrone_sim.cameras.drawn_scene import ActorState, SceneAt, View
+from xtdrone_sim.cameras.drawn_scene import View
 from xtdrone_sim.cameras.rendering import BACKENDS
-from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.early_parameters import private_parameters
+from xtdrone_sim.topics.scene_messages import scene_of
+from xtdrone_sim.worlds.scene_at import SceneAt
 
 USAGE = "cameras.py"
 MOST_LATENCY = 10.0  # s
@@ -190,7 +189,7 @@ class CameraNode:
             if view.link not in self._scene.links:
                 rospy.logwarn_throttle(10.0, f"/xtdrone/scene does not have {view.link}: no pictures of its camera")
                 continue
-            scene = scene or _scene_of(self._scene)
+            scene = scene or scene_of(self._scene)
             self._under_way.add(camera)
             self._deferred.put(_Shot(camera, stamp), now_us + self._latency_us, self._drawer.draw, scene, view)
 
@@ -238,38 +237,6 @@ def camera_info(camera: Camera) -> CameraInfo:
     return info
 
 
-def _scene_of(message: Any) -> SceneAt:
-    links = {name: _pose(pose) for name, pose in zip(message.links, message.poses, strict=True)}
-    actors = {
-        name: ActorState(_pose(pose), phase)
-        for name, pose, phase in zip(message.actors, message.actor_poses, message.actor_phases, strict=True)
-    }
-    return SceneAt(links, actors)
-
-
-def _pose(message: PoseMessage) -> Pose:
-    p, q = message.position, message.orientation
-    return Pose((p.x, p.y, p.z), (q.w, q.x, q.y, q.z))
-
-
-def private_parameters(arguments: Sequence[str]) -> dict[str, Any]:
-    """Return the private parameters before the node is registered: the rate of its turns depends on them.
-
-    Args:
-        arguments: the command line, with ``_rate:=2`` and the like.
-    """
-    name = lockstep.future_name(_NAME)
-    found = rosgraph.Master(name).getParam("/")
-    for part in name.strip("/").split("/"):
-        found = found.get(part, {}) if isinstance(found, Mapping) else {}
-    values = dict(found) if isinstance(found, Mapping) else {}
-    for argument in arguments:
-        key, mapped, text = argument.partition(":=")
-        if mapped and key.startswith("_") and not key.startswith("__"):
-            values[key[1:]] = yaml.safe_load(text)
-    return values
-
-
 def main(arguments: Sequence[str]) -> None:
     """Serve all cameras of the fleet until shutdown.
 
@@ -278,7 +245,7 @@ def main(arguments: Sequence[str]) -> None:
         DrawingError: pictures cannot be drawn.
     """
     check_no_arguments(arguments)
-    parameters = private_parameters(sys.argv)
+    parameters = private_parameters(_NAME, sys.argv)
     text = str(parameters.get("fleet") or rospy.get_param("/xtdrone/fleet", "typhoon_h480"))
     fleet = fleet_of(text) or ()
     try:

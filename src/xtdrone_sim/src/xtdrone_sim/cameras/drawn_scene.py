@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from xtdrone_control.fleet import Vehicle
@@ -12,35 +12,10 @@ from xtdrone_sim.vehicles.poses import OPTICAL_FRAME, compose
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.vehicles.visual import Box, Pose, Visual
 from xtdrone_sim.worlds import people
+from xtdrone_sim.worlds.scene_at import ActorState, SceneAt
 from xtdrone_sim.worlds.sdf import SdfActor, SdfModel, SdfWorld
 
 _GROUND = Visual(Box((2000.0, 2000.0, 0.1)), Pose((0.0, 0.0, -0.05)), (0.45, 0.5, 0.4, 1.0))
-
-
-@dataclass(frozen=True)
-class ActorState:
-    """State of an actor.
-
-    Attributes:
-        pose: point between its feet, x ahead, world.
-        phase: phase of its walk, cycles; negative: it stands.
-    """
-
-    pose: Pose
-    phase: float = -1.0
-
-
-@dataclass(frozen=True)
-class SceneAt:
-    """Poses of all moving objects at one time.
-
-    Attributes:
-        links: pose in the world by Gazebo's name of the link (model::link).
-        actors: states by name.
-    """
-
-    links: Mapping[str, Pose]
-    actors: Mapping[str, ActorState]
 
 
 @dataclass(frozen=True)

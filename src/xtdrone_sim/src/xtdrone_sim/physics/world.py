@@ -7,7 +7,7 @@ Bullet: weight is part of the wrench, so parked bodies stay in place. Models tha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -265,6 +265,11 @@ class World:
     def has_obstacles(self) -> bool:
         """Whether the vehicles can touch models of the world, or some are held."""
         return self._obstacles.count > 0 or bool(self.bodies.by_number) or bool(self._held)
+
+    @property
+    def standing(self) -> Collection[int]:
+        """Numbers of the models that stand where the world's file says, and have never been moved."""
+        return self._fixed.keys()
 
     @property
     def is_busy(self) -> bool:

@@ -1,7 +1,7 @@
 """Sensor models of one vehicle, with noise from per-vehicle seeded streams.
 
 IMU, magnetometer, barometer, GPS, and optionally an optical-flow camera and a range finder, which face down to level
-ground at height 0 (they do not see other vehicles).
+ground at height 0 and the models on it (they do not see other vehicles and people).
 
 The noise of vehicle i depends on the seed and on i only, not on the size of the fleet. The streams are drawn in blocks
 of one second ahead, so the kernel only adds them; flow and range share a separate stream.
@@ -15,9 +15,11 @@ import numpy as np
 
 from xtdrone_control.autopilot.autopilot import Autopilot
 from xtdrone_control.geodesy import geo
-from xtdrone_control.rotation_kernels import multiply, rotate_inverse
+from xtdrone_control.rotation_kernels import multiply, rotate, rotate_inverse
 from xtdrone_sim.kernel import kernel
 from xtdrone_sim.physics.world import World
+from xtdrone_sim.rays.casting import distance_along
+from xtdrone_sim.sensors.below import Below
 from xtdrone_sim.sensors.failure_injection import Failing
 
 STEPS = 250  # IMU samples per block of one second
@@ -158,10 +160,23 @@ def _optical_flow(s, v, m, noise, distance):
 
 
 @kernel
-def _look_down(s, v, m, noise):
-    """Sample range finder and flow camera along the body's z axis, over level ground at height 0."""
+def _distance_below(v, most, below):
+    """Return the distance along the body's z axis, m, to level ground at height 0, or to a model within ``most``."""
     cosine = 1.0 - 2.0 * (v.q[1] * v.q[1] + v.q[2] * v.q[2])
     distance = max(v.position[2], 1e-3) / cosine if cosine > 0.1 else math.inf
+    nodes, surfaces, things, places = below
+    if places.shape[0] == 0:
+        return distance
+    limit = min(distance, most)
+    x, y, z = rotate(v.q, 0.0, 0.0, -1.0)
+    met = distance_along(nodes, surfaces, things, places, v.position, (x, y, z), limit)
+    return max(met, 1e-3) if met < limit else distance
+
+
+@kernel
+def _look_down(s, v, m, noise, below):
+    """Sample range finder and flow camera along the body's z axis."""
+    distance = _distance_below(v, max(m.range_largest, m.flow_largest), below)
     if m.range_fitted:
         _range_finder(s, m, noise, distance)
     if m.flow_fitted:
@@ -169,7 +184,7 @@ def _look_down(s, v, m, noise):
 
 
 @kernel
-def sample_vehicle(s, v, m, b, fast, slow, down, step, time_us, field, place, gravity, dt):
+def sample_vehicle(s, v, m, b, fast, slow, down, below, step, time_us, field, place, gravity, dt):
     """Fill the ``SENSORS`` record ``s`` of one vehicle; see ``sample_all``."""
     k = step % STEPS
     slot = k // MAG_EVERY
@@ -186,11 +201,11 @@ def sample_vehicle(s, v, m, b, fast, slow, down, step, time_us, field, place, gr
     if step % GPS_EVERY == 0:
         _gps(s, v, m, b, slow[slot], place[0], place[1], place[2], dt * GPS_EVERY)
     if step % FLOW_EVERY == 0 and (m.range_fitted or m.flow_fitted):
-        _look_down(s, v, m, down[k // FLOW_EVERY])
+        _look_down(s, v, m, down[k // FLOW_EVERY], below)
 
 
 @kernel
-def sample_all(sensors, plant, models, bias, fast, slow, down, step, time_us, field, place, gravity, dt):
+def sample_all(sensors, plant, models, bias, fast, slow, down, below, step, time_us, field, place, gravity, dt):
     """Fill every vehicle's ``SENSORS`` record for step number ``step``.
 
     Args:
@@ -198,6 +213,7 @@ def sample_all(sensors, plant, models, bias, fast, slow, down, step, time_us, fi
         fast: (n, STEPS, _FAST) standard normals of this block.
         slow: (n, STEPS // MAG_EVERY, _SLOW) likewise.
         down: (n, STEPS // FLOW_EVERY, _DOWN) likewise.
+        below: see ``below.Below.arrays``.
         step: number of the step since the start.
         time_us: simulated time, microseconds.
         field: (3,) magnetic field, ENU, gauss.
@@ -207,7 +223,7 @@ def sample_all(sensors, plant, models, bias, fast, slow, down, step, time_us, fi
     """
     for i in range(sensors.shape[0]):
         sample_vehicle(
-            sensors[i], plant[i], models[i], bias[i], fast[i], slow[i], down[i],
+            sensors[i], plant[i], models[i], bias[i], fast[i], slow[i], down[i], below,
             step, time_us, field, place, gravity, dt,
         )  # fmt: skip
 
@@ -218,6 +234,7 @@ class Sensors:
     Attributes:
         failing: failure injection for sensors and motors.
         noise: arguments ``bias``, ``fast``, ``slow`` and ``down`` of ``sample_all``.
+        below: what stands below the vehicles.
         place: argument ``place`` of ``sample_all``.
     """
 
@@ -251,6 +268,7 @@ class Sensors:
         ]
         self._down = np.zeros((count, STEPS // FLOW_EVERY, _DOWN), np.float32)
         self.noise = self._bias, self._fast, self._slow, self._down
+        self.below = Below(world, needed=bool(fitted.any()))
         self.failing = Failing(autopilot.failures, world.models, seed)
         datum = world.model.datum
         self.place = np.array([datum.latitude, datum.longitude, datum.altitude])
@@ -267,12 +285,15 @@ class Sensors:
     def sample(self, step: int, time_us: int) -> None:
         """Sample every sensor that is due at step number ``step``."""
         self.draw(step)
+        if step % FLOW_EVERY == 0:
+            self.below.update()
         world = self._world
         sample_all(
             self._autopilot.sensors,
             world.plant,
             world.models,
             *self.noise,
+            self.below.arrays,
             step,
             time_us,
             world.model.magnetic_field,

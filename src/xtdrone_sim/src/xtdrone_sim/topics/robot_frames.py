@@ -1,4 +1,4 @@
-"""TF frames of a vehicle: ``VEHICLE/LINK`` for every link of its URDF, and the optical frames of its cameras."""
+"""TF frames of a vehicle: ``VEHICLE/LINK`` for every link of its URDF, and the frames of its cameras and lidars."""
 
 from __future__ import annotations
 
@@ -51,6 +51,9 @@ class RobotFrames:
         for camera in model.cameras:
             if camera.frame_id not in links:
                 self.fixed.append(Frame(f"{name}/{camera.link}", f"{name}/{camera.frame_id}", OPTICAL_FRAME))
+        for lidar in model.lidars:
+            if lidar.frame not in links:
+                self.fixed.append(Frame(f"{name}/{lidar.link}", f"{name}/{lidar.frame}", lidar.pose))
 
     def at_rest(self) -> list[Frame]:
         """Return the frames of moving joints, with all joints at 0."""

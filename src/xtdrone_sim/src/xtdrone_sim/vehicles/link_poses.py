@@ -1,4 +1,4 @@
-"""Poses of the moving links of all vehicles: bodies, gimbals, landing gears, and cameras."""
+"""Poses of the moving links of all vehicles: bodies, gimbals, landing gears, and those with cameras and lidars."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def place_all(links, table, plant, gimbals, gears):
 
 
 class Links:
-    """The moving links of a fleet, and its links with cameras.
+    """The moving links of a fleet, and its links with cameras and lidars.
 
     Attributes:
         names: Gazebo's names, ``model::link``.
@@ -147,7 +147,8 @@ def _entries(model: VehicleModel) -> list[tuple[str, str | None, Pose, int]]:
         carrier, pose = urdf.carrier(joint.parent)
         entries.append((link.name, carrier, compose(pose, joint.pose), _gimbal_joint(model.gimbal, joint.name)))
     known = {entry[0] for entry in entries}
-    for name in dict.fromkeys(camera.link for camera in model.cameras):
+    carriers = [camera.link for camera in model.cameras] + [lidar.link for lidar in model.lidars]
+    for name in dict.fromkeys(carriers):
         if name not in known:  # fixed to a moving link
             entries.append((name, *urdf.carrier(name), _STILL))
     return entries

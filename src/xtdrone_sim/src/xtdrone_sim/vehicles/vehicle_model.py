@@ -17,6 +17,7 @@ from xtdrone_control.autopilot.autopilot import RotorLayout
 from xtdrone_control.autopilot.state import MAX_ROTORS
 from xtdrone_sim.descriptions import ModelError, find, folders, read_description
 from xtdrone_sim.package_files import MODELS
+from xtdrone_sim.vehicles.lidar_mounts import LidarMount, read_lidars
 from xtdrone_sim.vehicles.mounts import (
     CameraMount,
     GimbalMount,
@@ -134,6 +135,7 @@ class VehicleModel:
         battery: battery and power consumption.
         urdf: links and joints; the root is the body, with the centre of mass at its origin, x ahead, z up.
         cameras: mounted cameras.
+        lidars: mounted lidars.
         gimbal: mounted gimbal; None without one.
         landing_gear: joints, at 0 on the ground and at their upper limits in flight.
     """
@@ -147,6 +149,7 @@ class VehicleModel:
     cameras: tuple[CameraMount, ...] = ()
     gimbal: GimbalMount | None = None
     landing_gear: tuple[Joint, ...] = ()
+    lidars: tuple[LidarMount, ...] = ()
 
     @property
     def rotor_layout(self) -> RotorLayout:
@@ -176,6 +179,7 @@ def load_vehicle(name: str) -> VehicleModel:
         _fill_sensors(record, description["sensors"])
         assumed = _assumed_layout(record, description.get("control_allocation"))
         cameras = read_cameras(description.get("cameras"), urdf)
+        lidars = read_lidars(description.get("lidars"), urdf, find("vehicles", name).parent)
         gimbal = read_gimbal(description.get("gimbal"), urdf)
         gear = read_landing_gear(description.get("landing_gear"), urdf)
     except (KeyError, TypeError) as error:
@@ -184,7 +188,7 @@ def load_vehicle(name: str) -> VehicleModel:
         raise ModelError(f"vehicle {name!r}: {error}") from error
     parameters = {str(key): float(value) for key, value in description.get("parameters", {}).items()}
     battery = _battery(description.get("battery", {}))
-    return VehicleModel(Path(name).stem, record, parameters, battery, urdf, assumed, cameras, gimbal, gear)
+    return VehicleModel(Path(name).stem, record, parameters, battery, urdf, assumed, cameras, gimbal, gear, lidars)
 
 
 def _description(description: dict[str, Any], folder: Path) -> Description:

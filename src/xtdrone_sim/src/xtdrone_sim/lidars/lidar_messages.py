@@ -1,0 +1,60 @@
+"""Scans as ROS messages."""
+
+from __future__ import annotations
+
+import numpy as np
+from rospy import Time
+from sensor_msgs.msg import LaserScan, PointCloud2, PointField
+
+from xtdrone_sim.lidars.lidars import Lidar
+from xtdrone_sim.lidars.measuring import Scan, begin_us
+from xtdrone_sim.vehicles.lidar_mounts import LidarMount
+
+POINT = np.dtype(
+    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")]
+)  # packed, as velodyne_pointcloud's PointXYZIRT
+_TYPES = {"<f4": PointField.FLOAT32, "<u2": PointField.UINT16}
+FIELDS = [
+    PointField(name, int(POINT.fields[name][1]), _TYPES[POINT.fields[name][0].str], 1)  # type: ignore[index]
+    for name in POINT.names or ()
+]
+
+
+def laser_scan(mount: LidarMount, frame: str, stamp: Time, scan: Scan) -> LaserScan:
+    """Return a scan in one plane; stamp: the first ray's time. Limits of range as in REP 117."""
+    message = LaserScan()
+    message.header.stamp, message.header.frame_id = stamp, frame
+    message.angle_min, message.angle_max = mount.angle_min, mount.angle_max
+    message.angle_increment = (mount.angle_max - mount.angle_min) / max(mount.samples - 1, 1)
+    message.time_increment = mount.duration / mount.samples
+    message.scan_time = 1.0 / mount.rate
+    message.range_min, message.range_max = mount.range_min, mount.range_max
+    message.ranges, message.intensities = scan.ranges.tolist(), scan.intensities.tolist()
+    return message
+
+
+def point_cloud(frame: str, stamp: Time, scan: Scan) -> PointCloud2:
+    """Return the returns of a scan as points, each in the lidar's frame at its own time.
+
+    Args:
+        frame: of the lidar.
+        stamp: of the first ray; a point's ``time`` is s after it.
+        scan: with any number of planes; rays without a return have no point.
+    """
+    seen = np.isfinite(scan.ranges)
+    points = np.empty(int(seen.sum()), POINT)
+    points["x"], points["y"], points["z"] = (scan.rays.directions[seen] * scan.ranges[seen, None]).T
+    points["intensity"], points["ring"] = scan.intensities[seen], scan.rays.rings[seen]
+    points["time"] = scan.rays.times[seen]
+    message = PointCloud2(height=1, width=len(points), fields=FIELDS, point_step=POINT.itemsize, is_dense=True)
+    message.header.stamp, message.header.frame_id = stamp, frame
+    message.row_step, message.data = points.nbytes, points.tobytes()
+    return message
+
+
+def scan_message(lidar: Lidar, number: int, scan: Scan) -> LaserScan | PointCloud2:
+    """Return the message of a scan."""
+    stamp = Time(0, begin_us(lidar.mount, number) * 1000)
+    if lidar.mount.kind == "scan":
+        return laser_scan(lidar.mount, lidar.frame_id, stamp, scan)
+    return point_cloud(lidar.frame_id, stamp, scan)

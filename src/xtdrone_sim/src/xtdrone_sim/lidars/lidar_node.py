@@ -1,0 +1,288 @@
+"""The lidars of all vehicles as a ROS node.
+
+=================================  ============================  ======================================================
+topic or service                   type                          content
+=================================  ============================  ======================================================
+/T/NAME                            sensor_msgs/LaserScan         of lidars of kind scan; stamp: time of the first ray
+/T/NAME                            sensor_msgs/PointCloud2       of others: x, y, z, intensity, ring, time
+/T/NAME/failure                    xtdrone_msgs/SetLidarFailure  lets the lidar fail
+/xtdrone/scene (subscribed)        xtdrone_msgs/SceneState       poses of links and actors
+/xtdrone/models (subscribed)       xtdrone_msgs/SceneModels      models added and deleted since the start
+=================================  ============================  ======================================================
+
+T is a vehicle, e.g. ``iris_0``, NAME the name of its lidar, e.g. ``scan``.
+
+Scan k of a lidar begins at k / rate s. It is cast in the turn in which the scene has come that covers its last ray, by
+another thread, and published a fixed simulated time later; simulated time continues meanwhile and waits only then.
+Lidars without subscribers cast no rays.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import rospy
+from sensor_msgs.msg import LaserScan, PointCloud2
+from xtdrone_msgs.msg import SceneModels, SceneState
+from xtdrone_msgs.srv import SetLidarFailure, SetLidarFailureRequest, SetLidarFailureResponse
+
+from xtdrone_control import lockstep
+from xtdrone_control.fleet import Vehicle
+from xtdrone_control.lockstep.deferred import Deferred
+from xtdrone_control.program import ArgumentError, check_no_arguments, fleet_of
+from xtdrone_control.settings import Settings, setting
+from xtdrone_sim.early_parameters import private_parameters
+from xtdrone_sim.lidars.lidar_messages import scan_message
+from xtdrone_sim.lidars.lidars import Failure, Lidar, lidars_of
+from xtdrone_sim.lidars.measuring import Motion, Scan, begin_us, cast_scan, end_us, measured
+from xtdrone_sim.lidars.patterns import read_pattern
+from xtdrone_sim.lidars.scene_history import SceneHistory
+from xtdrone_sim.rays.scene import RayScene
+from xtdrone_sim.topics.scene_messages import scene_of
+from xtdrone_sim.vehicles.lidar_mounts import LEAST_RATE, MOST_RATE, ROSETTE, LidarMount
+from xtdrone_sim.worlds.sdf import load_world_file, read_world, world_file
+
+USAGE = "lidars.py"
+TURNS = 50.0  # Hz, rate of /xtdrone/scene
+
+_NAME = "lidars"
+_MOST_WORKERS = 4
+
+
+def _check_rate(rate: float) -> None:
+    if 0.0 < rate < LEAST_RATE:
+        raise ValueError
+
+
+@dataclass(frozen=True)
+class LidarSettings(Settings):
+    """Private parameters of the node."""
+
+    rate: float = setting(
+        0.0,
+        low=0.0,
+        high=MOST_RATE,
+        unit="Hz",
+        check=_check_rate,
+        allowed=f"0, or {LEAST_RATE:g} to {MOST_RATE:g} Hz",
+        text="scans per second of each lidar, 0 for the rate in its vehicle's file",
+    )
+    latency: float = setting(
+        0.04, low=0.0, high=10.0, unit="s", text="simulated time from the end of a scan to its publication"
+    )
+    skew: bool = setting(True, text="false: all lidars cast their rays at the beginning of the scan")
+
+    def applied(self, mount: LidarMount) -> LidarMount:
+        """Return a lidar with these settings."""
+        return replace(mount, rate=self.rate or mount.rate, skew=mount.skew and self.skew)
+
+
+class _Shot(NamedTuple):
+    """A scan in progress: index of its lidar and number."""
+
+    lidar: int
+    number: int
+
+
+class _Done(NamedTuple):
+    """A scan and its message."""
+
+    scan: Scan
+    message: LaserScan | PointCloud2
+
+
+@dataclass
+class _State:
+    """State of a lidar: number of its next scan, failure, and latest scan."""
+
+    next: int | None = None
+    failure: Failure = field(default_factory=Failure)
+    last: Scan | None = None
+
+
+def _scanned(lidar: Lidar, number: int, motion: Motion, own: int, failure: Failure) -> _Done:
+    """Cast and measure a scan; called in a thread of its own."""
+    rays, hits = cast_scan(lidar.mount, number, motion, own)
+    bias = failure.value if failure.kind == "biased" else 0.0
+    lost = failure.value if failure.kind == "dropouts" else 0.0
+    scan = measured(lidar.mount, lidar.vehicle, number, rays, hits, bias, lost)
+    return _Done(scan, scan_message(lidar, number, scan))
+
+
+class LidarNode:
+    """Casts and publishes scans, turn by turn."""
+
+    def __init__(self, lidars: Sequence[Lidar], settings: LidarSettings) -> None:
+        """Advertise topics and services.
+
+        Args:
+            lidars: all lidars of the node.
+            settings: see ``LidarSettings``.
+        """
+        self._lidars = [replace(lidar, mount=settings.applied(lidar.mount)) for lidar in lidars]
+        self._latency_us = round(settings.latency * 1e6)
+        self._publishers = [
+            lockstep.Publisher(lidar.topic, LaserScan if lidar.mount.kind == "scan" else PointCloud2)
+            for lidar in self._lidars
+        ]
+        self._states = [_State() for _ in self._lidars]
+        self._services = [
+            rospy.Service(f"{lidar.topic}/failure", SetLidarFailure, lambda request, k=k: self._fail(k, request))
+            for k, lidar in enumerate(self._lidars)
+        ]
+        self._history = SceneHistory(round(1e6 * max(lidar.mount.duration for lidar in self._lidars)))
+        self._world = "empty"
+        self._fleet: Sequence[Vehicle] = ()
+        self._rays: RayScene | None = None
+        self._is_hopeless = False  # the world cannot be used
+        self._models: SceneModels | None = None
+        self._deferred = Deferred(min(_MOST_WORKERS, len(os.sched_getaffinity(0))), wait=lockstep.is_active())
+        lockstep.Subscriber("/xtdrone/scene", SceneState, self._take_scene)
+        lockstep.Subscriber("/xtdrone/models", SceneModels, self._take_models)
+        lockstep.add_reset_hook(self._restart)
+
+    def begin(self, world: str, fleet: Sequence[Vehicle]) -> None:
+        """Start scanning.
+
+        Args:
+            world: name or file.
+            fleet: all vehicles, which rays meet.
+        """
+        self._world, self._fleet = world, fleet
+
+    def _take_scene(self, message: SceneState) -> None:
+        self._history.add(message.header.stamp.to_nsec() // 1000, scene_of(message))
+
+    def _take_models(self, message: SceneModels) -> None:
+        self._models = message
+        if self._rays is not None:
+            self._change(self._rays, message)
+
+    def _change(self, rays: RayScene, message: SceneModels) -> None:
+        """Cast at other models from now on; one that cannot be read is left out."""
+        try:
+            rays.change(read_world(message.sdf, world_file(self._world)).models, message.deleted)
+        except ValueError as error:
+            rospy.logwarn(f"lidars: a model is not seen by rays: {error}")
+
+    def _scene(self) -> RayScene | None:
+        """Return the scene of the rays, which is built for the first scan; None if that is not possible."""
+        if self._rays is None and not self._is_hopeless:
+            try:
+                world = load_world_file(self._world)
+                self._rays = RayScene(world.models, self._fleet, world.actors)
+            except ValueError as error:
+                self._is_hopeless = True
+                rospy.logerr(f"lidars: no scans, as rays cannot be cast in the world {self._world}: {error}")
+                return None
+            if self._models is not None:
+                self._change(self._rays, self._models)
+        return self._rays
+
+    def _fail(self, k: int, request: SetLidarFailureRequest) -> SetLidarFailureResponse:
+        topic = self._lidars[k].topic
+        try:
+            failure = Failure.checked(request.failure, request.value)
+        except ValueError as error:
+            return SetLidarFailureResponse(False, f"{topic}: {error}")
+        self._states[k].failure = failure
+        text = f"{topic}: {failure.kind}" + (f" {failure.value:g}" if failure.kind in ("biased", "dropouts") else "")
+        rospy.loginfo(text)
+        return SetLidarFailureResponse(True, text)
+
+    def _restart(self) -> None:
+        """Discard the state from before a reset of simulated time, except failures."""
+        self._deferred.clear()
+        self._history.clear()
+        for state in self._states:
+            state.next, state.last = None, None
+
+    def step(self) -> None:
+        """Publish the scans and cast those that are due."""
+        now_us = rospy.Time.now().to_nsec() // 1000
+        for shot, done in self._deferred.ready(now_us):
+            self._publish(shot, done)
+        last_us = self._history.last_us
+        if last_us is None:
+            return
+        for k, lidar in enumerate(self._lidars):
+            for number in self._due(k, last_us):
+                if self._publishers[k].get_num_connections() and self._states[k].failure.kind != "off":
+                    self._begin(k, lidar, number, now_us)
+
+    def _due(self, k: int, last_us: int) -> range:
+        """Return the scans of a lidar that end between the scene before and the latest."""
+        mount, state = self._lidars[k].mount, self._states[k]
+        first_us = self._history.first_us or 0
+        if state.next is None:
+            state.next = max(0, int(first_us * 1e-6 * mount.rate) - 1)
+            while begin_us(mount, state.next) < first_us:
+                state.next += 1
+        first = state.next
+        while end_us(mount, state.next) <= last_us:
+            state.next += 1
+        return range(first, state.next)
+
+    def _begin(self, k: int, lidar: Lidar, number: int, now_us: int) -> None:
+        rays = self._scene()
+        if rays is None:
+            return
+        begin, end = begin_us(lidar.mount, number), end_us(lidar.mount, number)
+        motion = self._history.motion(rays, lidar.link, begin, end)
+        if motion is None:
+            rospy.logwarn_throttle(10.0, f"/xtdrone/scene does not have {lidar.link}: no scans of its lidar")
+            return
+        own = rays.number(lidar.vehicle)
+        failure = self._states[k].failure
+        self._deferred.put(_Shot(k, number), now_us + self._latency_us, _scanned, lidar, number, motion, own, failure)
+
+    def _publish(self, shot: _Shot, done: _Done) -> None:
+        lidar, state = self._lidars[shot.lidar], self._states[shot.lidar]
+        if state.failure.kind == "off":
+            return
+        message = done.message
+        if state.failure.kind == "frozen" and state.last is not None:
+            message = scan_message(lidar, shot.number, state.last)
+        else:
+            state.last = done.scan
+        self._publishers[shot.lidar].publish(message)
+
+    def close(self) -> None:
+        """End the casting."""
+        for service in self._services:
+            service.shutdown()
+        self._deferred.close()
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Serve all lidars of the fleet until shutdown.
+
+    Raises:
+        ArgumentError: an argument or parameter is not allowed.
+    """
+    check_no_arguments(arguments)
+    parameters: dict[str, Any] = private_parameters(_NAME, sys.argv)
+    text = str(parameters.get("fleet") or rospy.get_param("/xtdrone/fleet", "iris_2d_lidar"))
+    fleet = fleet_of(text) or ()
+    try:
+        settings = LidarSettings.from_parameters(lambda name, default: parameters.get(name[1:], default))
+        lidars = lidars_of(fleet)
+        for lidar in lidars:
+            if lidar.mount.kind == "pattern" and lidar.mount.pattern != ROSETTE:
+                read_pattern(lidar.mount.pattern_file)
+    except ValueError as error:
+        raise ArgumentError(str(error)) from error
+    if not lidars:
+        raise ArgumentError(f"/xtdrone/fleet: no vehicle of {text!r} has a lidar")
+    lockstep.init_node(_NAME, rate=TURNS)
+    node = LidarNode(lidars, settings)
+    try:
+        lockstep.start()  # returns when the simulator is running and has set the world
+        node.begin(str(rospy.get_param("~world", rospy.get_param("/xtdrone/world", "empty"))), fleet)
+        lockstep.spin(node.step)
+    finally:
+        node.close()

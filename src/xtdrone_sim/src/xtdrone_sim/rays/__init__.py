@@ -1,0 +1,1 @@
+"""Rays against everything in a world: ``scene.RayScene`` and its compiled kernels."""

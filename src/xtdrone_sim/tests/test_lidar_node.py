@@ -1,0 +1,156 @@
+"""The lidars' node with a real master in lockstep; this file plays the simulator.
+
+Called as a program this file is one of the other nodes: ``teller`` (of the scene) or ``taker`` (of scans).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from graph_of_nodes import Graph, needs_ros, read_notes, run_ticks, running_graph, running_server, wait_for_nodes
+
+from xtdrone_control import lockstep
+from xtdrone_control.lockstep.server import LockstepServer
+
+try:
+    import rospy
+    from geometry_msgs.msg import Point, Pose, Quaternion
+    from sensor_msgs.msg import LaserScan
+    from xtdrone_msgs.msg import SceneState
+    from xtdrone_msgs.srv import SetLidarFailure
+except ImportError:
+    rospy = None
+
+pytestmark = needs_ros
+
+NODE = Path(__file__).parents[1] / "nodes" / "lidars.py"
+SPEED = 2.0  # m/s, towards the other vehicle
+APART = 10.0  # m
+
+
+def teller() -> None:
+    """Publisher of the vehicles' places: the first flies to the second, which stands."""
+    lockstep.init_node("teller", rate=50.0)
+    publisher = lockstep.Publisher("/xtdrone/scene", SceneState)
+
+    def step() -> None:
+        now = rospy.Time.now()
+        message = SceneState(links=["iris_2d_lidar_0::base_link", "iris_2d_lidar_1::base_link"])
+        message.header.stamp = now
+        level = Quaternion(0.0, 0.0, 0.0, 1.0)
+        message.poses = [Pose(Point(SPEED * now.to_sec(), 0.0, 2.0), level), Pose(Point(APART, 0.05, 2.06), level)]
+        publisher.publish(message)
+
+    lockstep.start()
+    lockstep.spin(step)
+
+
+def taker(file: str) -> None:
+    """Writes down the scans of the first vehicle, a JSON line each; lets its lidar fail from 0.5 s on."""
+    lockstep.init_node("taker", rate=50.0)
+    out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process
+
+    def on_scan(message: LaserScan) -> None:
+        times = {"now": rospy.Time.now().to_nsec() // 1000, "stamp": message.header.stamp.to_nsec() // 1000}
+        ahead = message.ranges[len(message.ranges) // 2]
+        digest = hashlib.sha256(np.array(message.ranges).tobytes()).hexdigest()
+        note = {"what": "scan", **times, "frame": message.header.frame_id, "ahead": ahead, "digest": digest}
+        print(json.dumps(note), file=out)
+
+    keep = lockstep.Subscriber("/iris_2d_lidar_0/scan", LaserScan, on_scan)
+    lockstep.add_reset_hook(lambda: print(json.dumps({"what": "back"}), file=out))
+    lockstep.start()
+    fail = rospy.ServiceProxy("/iris_2d_lidar_0/scan/failure", SetLidarFailure)
+
+    def step() -> None:
+        for at, failure in ((0.5, "off"), (0.7, "frozen"), (0.94, "ok")):
+            if rospy.Time.now() == rospy.Time.from_sec(at):
+                assert fail(failure, 0.0).success
+        if rospy.Time.now() == rospy.Time.from_sec(0.2):
+            refused = fail("broken", 0.0), fail("biased", 1e9), fail("dropouts", -1.0)
+            print(json.dumps({"what": "refused", "words": [answer.message for answer in refused]}), file=out)
+            assert not any(answer.success for answer in refused)
+
+    lockstep.spin(step)
+    del keep
+
+
+@pytest.fixture
+def graph(tmp_path: Path) -> Iterator[Graph]:
+    yield from running_graph(tmp_path)
+
+
+@pytest.fixture
+def server(graph: Graph) -> Iterator[LockstepServer]:
+    yield from running_server(graph)
+
+
+def test_scans_have_exact_times_fail_on_request_and_repeat_after_a_reset(graph: Graph, server: LockstepServer) -> None:
+    graph.set_param("/xtdrone/fleet", "iris_2d_lidar:2")
+    file = graph.folder / "taker.json"
+    graph.start("lidars", sys.executable, str(NODE))
+    graph.role(__file__, "teller")
+    graph.role(__file__, "taker", str(file))
+    names = ["/lidars", "/teller", "/taker"]
+    wait_for_nodes(graph, server, names)
+    for _ in range(2):
+        run_ticks(graph, server, 0, 1_300_000, len(names))
+        server.reset_time(0)
+    notes = read_notes(file)
+    back = [note["what"] for note in notes].index("back")
+    parts = notes[:back], notes[back:]
+    flights = [[note for note in part if note["what"] == "scan"] for part in parts]
+    # A scan lasts 0.1 s, and is published 0.04 s after the scene of its end, which is known in the next turn; those due
+    # from 0.5 to 0.7 s do not come, those until 0.94 s have the ranges of the last one.
+    stamps = [note["stamp"] for note in flights[0]]
+    assert stamps == [0, 100_000, 200_000, 300_000, 600_000, 700_000, 800_000, 900_000, 1_000_000, 1_100_000]
+    assert len({note["now"] - note["stamp"] for note in flights[0]}) == 1
+    assert {note["frame"] for note in flights[0]} == {"iris_2d_lidar_0/laser_2d"}
+    assert [note["digest"] for note in flights[0]] == [note["digest"] for note in flights[1]]
+    frozen = {note["digest"] for note in flights[0] if note["stamp"] in (600_000, 700_000)}
+    assert frozen == {flights[0][3]["digest"]}
+    for note in flights[0][:4] + flights[0][-2:]:
+        # The ray ahead is the middle one, at half of the scan, and looks a little to the left. The other's body begins
+        # 0.13 m before its middle.
+        expected = APART - 0.13 - SPEED * (note["stamp"] * 1e-6 + 0.05)
+        assert note["ahead"] == pytest.approx(expected, abs=0.05)  # noise of 0.01 m
+    (refused, _) = [note["words"] for note in notes if note["what"] == "refused"]
+    assert "failure: 'broken' is not allowed, ok, off, frozen, biased or dropouts" in refused[0]
+    assert "value: 1000000000.0 is not allowed, -100 to 100 m" in refused[1]
+    assert "value: -1.0 is not allowed, 0 to 1" in refused[2]
+
+
+def test_a_fleet_without_lidars_is_reported(graph: Graph) -> None:
+    graph.set_param("/lidars/fleet", "iris:2")
+    node = graph.start("lidars", sys.executable, str(NODE))
+    assert node.wait(120.0) == 2
+    assert "no vehicle of 'iris:2' has a lidar" in graph.output()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        ({"rate": 99}, "~rate: 99 is not allowed, 0, or 0.1 to 50 Hz"),
+        ({"rate": 0.01}, "~rate: 0.01 is not allowed"),
+        ({"latency": math.nan}, "~latency: nan is not allowed, 0 to 10 s"),
+        ({"skew": 1}, "~skew: 1 is not allowed, true or false"),
+    ],
+)
+def test_invalid_parameters_are_reported(parameters: dict[str, Any], words: str) -> None:
+    from xtdrone_sim.lidars.lidar_node import LidarSettings
+
+    with pytest.raises(ValueError, match=re.escape(words)):
+        LidarSettings.from_parameters(lambda name, default: parameters.get(name[1:], default))
+
+
+if __name__ == "__main__":
+    {"teller": teller, "taker": taker}[sys.argv[1]](*sys.argv[2:])
