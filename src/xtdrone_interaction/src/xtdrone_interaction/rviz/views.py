@@ -98,9 +98,7 @@ def _formation(vehicles: list[str], flown: Array | None) -> Config:
         farther = _distance(corners - (x, y, z), _FORMATION_PITCH, _FORMATION_YAW)
         if farther <= _FARTHEST * distance:
             target, focus, distance = "map", (x, y, z), farther
-    return _config(
-        vehicles, _grid(60, 2.0), {}, _orbit(target, distance, _FORMATION_PITCH, _FORMATION_YAW, focus)
-    )
+    return _config(vehicles, _grid(60, 2.0), {}, _orbit(target, distance, _FORMATION_PITCH, _FORMATION_YAW, focus))
 
 
 def _slots(count: int) -> Array:
@@ -145,7 +143,11 @@ def _search(vehicles: list[str], flown: Array | None) -> Config:
     return _config(vehicles, _grid(60, 5.0), hidden, _orbit("map", distance, _SEARCH_PITCH, _SEARCH_YAW, focus))
 
 
-_VIEWS: dict[str, Callable[[list[str], Array | None], Config]] = {"vehicle": _vehicle, "formation": _formation, "search": _search}
+_VIEWS: dict[str, Callable[[list[str], Array | None], Config]] = {
+    "vehicle": _vehicle,
+    "formation": _formation,
+    "search": _search,
+}
 
 
 def _config(vehicles: Sequence[str], grid: Config, namespaces: Config, view: Config) -> Config:

@@ -26,8 +26,9 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
 from xtdrone_sim.cached_files import cached_folder
+from xtdrone_sim.cameras.rendering.triangles import triangles_of, write_obj
 from xtdrone_sim.vehicles.poses import compose
-from xtdrone_sim.vehicles.visual import Box, Colour, Cylinder, Mesh, Pose, Sphere, Visual
+from xtdrone_sim.vehicles.visual import Box, Colour, Cylinder, Geometry, Mesh, Pose, Sphere, Visual
 from xtdrone_sim.worlds import people
 from xtdrone_sim.worlds.people import Person
 from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld
@@ -164,12 +165,13 @@ def visual_marker(namespace: str, number: int, visual: Visual, parent: Pose) -> 
     """
     pose, shape = compose(parent, visual.pose), visual.geometry
     marker = Marker(ns=namespace, id=number, action=Marker.ADD, pose=_message(pose), color=ColorRGBA(*visual.colour))
-    if isinstance(shape, Mesh):
-        marker.type, marker.scale = Marker.MESH_RESOURCE, Vector3(*shape.scale)
+    if visual.texture is not None:
+        marker.type, marker.scale = Marker.MESH_RESOURCE, _scale(shape)
+        marker.mesh_resource = f"file://{_textured(shape, visual.texture, visual.colour)}"
+        marker.mesh_use_embedded_materials, marker.color = True, _OWN_COLOURS
+    elif isinstance(shape, Mesh):
+        marker.type, marker.scale = Marker.MESH_RESOURCE, _scale(shape)
         marker.mesh_resource = f"file://{shape.path}"
-        if visual.texture is not None:
-            marker.mesh_resource = f"file://{_textured(shape.path, visual.texture, visual.colour)}"
-            marker.mesh_use_embedded_materials, marker.color = True, _OWN_COLOURS
     elif isinstance(shape, Box):
         marker.type, marker.scale = Marker.CUBE, Vector3(*shape.size)
     elif isinstance(shape, Cylinder):
@@ -184,19 +186,26 @@ def _message(pose: Pose) -> PoseMessage:
     return PoseMessage(Point(*pose.position), Quaternion(x, y, z, w))
 
 
-def _textured(mesh: Path, texture: Path, colour: Colour) -> Path:
-    """Return a copy of a Wavefront file with texture and colour, in the user's cache: rviz reads materials from files.
+def _scale(shape: Geometry) -> Vector3:
+    return Vector3(*(shape.scale if isinstance(shape, Mesh) else (1.0, 1.0, 1.0)))
+
+
+def _textured(shape: Geometry, texture: Path, colour: Colour) -> Path:
+    """Return a Wavefront file with texture and colour, in the user's cache: rviz reads textures from such files alone.
 
     Raises:
-        OSError: a file cannot be read, or the cache cannot be written.
+        MeshError, OSError: a file cannot be read, or the cache cannot be written.
     """
-    content = mesh.read_bytes()
+    content = shape.path.read_bytes() if isinstance(shape, Mesh) else repr(shape).encode()
     look = " ".join(f"{value:.3f}" for value in colour[:3])
     digest = hashlib.sha256(f"{_FORMAT} {_BRIGHTER} {look} ".encode() + content + texture.read_bytes()).hexdigest()[:24]
 
     def write(folder: Path) -> None:
+        if not isinstance(shape, Mesh):
+            write_obj(folder / "shape.obj", triangles_of(shape))
+        plain = content if isinstance(shape, Mesh) else (folder / "shape.obj").read_bytes()
         own = (b"mtllib", b"usemtl")
-        lines = [line for line in content.splitlines(keepends=True) if not line.startswith(own)]
+        lines = [line for line in plain.splitlines(keepends=True) if not line.startswith(own)]
         (folder / "mesh.obj").write_bytes(b"mtllib mesh.mtl\nusemtl look\n" + b"".join(lines))
         (folder / "mesh.mtl").write_text(f"newmtl look\nKa {look}\nKd {look}\nmap_Kd look.png\n", encoding="utf-8")
         with Image.open(texture) as picture:
