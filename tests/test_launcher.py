@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import select
 import shutil
 import subprocess
 from pathlib import Path
@@ -127,13 +128,13 @@ def test_jobs_of_a_shell_end_with_it_unless_they_are_disowned(tmp_path: Path) ->
     os.close(slave)
     os.write(master, "".join(f"{line}\n" for line in lines).encode())
     said = b""
-    with open(master, "rb", buffering=0) as screen:
-        while True:
+    while shell.poll() is None or select.select([master], [], [], 0.0)[0]:
+        if select.select([master], [], [], 0.1)[0]:
             try:
-                said += screen.read(4096)
-            except OSError:  # the shell has ended
+                said += os.read(master, 4096)
+            except OSError:  # no process has the terminal any more
                 break
-    shell.wait()
+    os.close(master)
     group, hardened, kept = (int((tmp_path / name).read_text()) for name in ("group", "hardened", "kept"))
     try:
         assert b"ending what was started in this shell" in said

@@ -36,7 +36,7 @@ from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld
 MODELS, PEOPLE = "world", "people"
 _STANDS = 0.02  # m between two updates; a person that moves less stands
 _JUMP = 2.0  # m between two updates; a person that moves more has been put there
-_BRIGHTER = 1.6  # of textures: rviz's light comes from the viewer, so the ground is dark
+_BRIGHTER = 1.6  # of models' textures: rviz's light comes from the viewer, so the ground is dark
 _FORMAT = "1"  # of the cached meshes; a new version invalidates them
 _OWN_COLOURS = ColorRGBA(0.0, 0.0, 0.0, 0.0)  # those of the mesh's file
 
@@ -167,7 +167,8 @@ def visual_marker(namespace: str, number: int, visual: Visual, parent: Pose) -> 
     marker = Marker(ns=namespace, id=number, action=Marker.ADD, pose=_message(pose), color=ColorRGBA(*visual.colour))
     if visual.texture is not None:
         marker.type, marker.scale = Marker.MESH_RESOURCE, _scale(shape)
-        marker.mesh_resource = f"file://{_textured(shape, visual.texture, visual.colour)}"
+        brighter = 1.0 if namespace == PEOPLE else _BRIGHTER
+        marker.mesh_resource = f"file://{_textured(shape, visual.texture, visual.colour, brighter)}"
         marker.mesh_use_embedded_materials, marker.color = True, _OWN_COLOURS
     elif isinstance(shape, Mesh):
         marker.type, marker.scale = Marker.MESH_RESOURCE, _scale(shape)
@@ -190,7 +191,7 @@ def _scale(shape: Geometry) -> Vector3:
     return Vector3(*(shape.scale if isinstance(shape, Mesh) else (1.0, 1.0, 1.0)))
 
 
-def _textured(shape: Geometry, texture: Path, colour: Colour) -> Path:
+def _textured(shape: Geometry, texture: Path, colour: Colour, brighter: float) -> Path:
     """Return a Wavefront file with texture and colour, in the user's cache: rviz reads textures from such files alone.
 
     Raises:
@@ -198,7 +199,7 @@ def _textured(shape: Geometry, texture: Path, colour: Colour) -> Path:
     """
     content = shape.path.read_bytes() if isinstance(shape, Mesh) else repr(shape).encode()
     look = " ".join(f"{value:.3f}" for value in colour[:3])
-    digest = hashlib.sha256(f"{_FORMAT} {_BRIGHTER} {look} ".encode() + content + texture.read_bytes()).hexdigest()[:24]
+    digest = hashlib.sha256(f"{_FORMAT} {brighter} {look} ".encode() + content + texture.read_bytes()).hexdigest()[:24]
 
     def write(folder: Path) -> None:
         if not isinstance(shape, Mesh):
@@ -209,7 +210,7 @@ def _textured(shape: Geometry, texture: Path, colour: Colour) -> Path:
         (folder / "mesh.obj").write_bytes(b"mtllib mesh.mtl\nusemtl look\n" + b"".join(lines))
         (folder / "mesh.mtl").write_text(f"newmtl look\nKa {look}\nKd {look}\nmap_Kd look.png\n", encoding="utf-8")
         with Image.open(texture) as picture:
-            brighter = picture.convert("RGB").point([min(255, round(_BRIGHTER * value)) for value in range(256)] * 3)
-            brighter.save(folder / "look.png")
+            lit = picture.convert("RGB").point([min(255, round(brighter * value)) for value in range(256)] * 3)
+            lit.save(folder / "look.png")
 
     return cached_folder("rviz", digest, write) / "mesh.obj"
