@@ -202,7 +202,7 @@ def test_shipped_views_are_those_that_are_made(name):
 
 
 def test_the_formation_s_camera_stands_still_for_a_flight_that_it_can_show_from_nearby():
-    near, far = np.array([[-5.0, -5.0, 0.0], [8.0, 8.0, 9.0]]), np.array([[0.0, 0.0, 0.0], [300.0, 0.0, 9.0]])
+    near, far = np.array([[-2.0, -2.0, 0.0], [3.0, 3.0, 4.0]]), np.array([[0.0, 0.0, 0.0], [300.0, 0.0, 9.0]])
     assert_seen(make_view("formation", NAMES, near), near)
     frames = [yaml.safe_load(make_view("formation", NAMES, flown)) for flown in (near, far, None)]
     targets = [frame["Visualization Manager"]["Views"]["Current"]["Target Frame"] for frame in frames]
