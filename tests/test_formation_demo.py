@@ -135,6 +135,7 @@ def test_the_run_folder_is_complete(flight: Flight) -> None:
     names = {p.name for p in flight.folder.iterdir()}
     assert {"flight.bag", "report.json", "events.jsonl", "formations.png", "distances.png", "logs"} <= names
     assert "response_1_origin_to_T.png" in names
+    assert (flight.folder / "flight.mp4").stat().st_size > 50_000 or (flight.folder / "flight.gif").is_file()
 
 
 def test_nothing_is_left_running_after_the_flight(flight: Flight) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import pty
+import select
 import shutil
 import subprocess
 from pathlib import Path
@@ -102,3 +105,42 @@ def test_unwritable_folders_are_replaced() -> None:
     assert run.stdout.split() == ["unset", f"{REPOSITORY}/.setup/cache"], run.stderr
     assert "TMPDIR is /proc/no, which is not there" in run.stderr
     assert "/proc/self/.cache cannot be written to" in run.stderr
+
+
+def test_jobs_of_a_shell_end_with_it_unless_they_are_disowned(tmp_path: Path) -> None:
+    """Also those that ignore a hang-up, and all processes of a job."""
+    rc = f"source <(sed '/^source.*env.bash/d' {REPOSITORY}/scripts/shellrc.bash)"
+    lines = (
+        "(echo $BASHPID > group; sleep 600; true) &",
+        "nohup sleep 600 > out 2>&1 & echo $! > hardened",
+        "sleep 600 & echo $! > kept; disown",
+        "until test -s group; do sleep 0.1; done; exit",
+    )
+    start = tmp_path / "rc"
+    start.write_text(f"{rc}\n")
+    master, slave = pty.openpty()
+    shell = subprocess.Popen(
+        ["bash", "--rcfile", start, "-i"],
+        cwd=tmp_path,
+        env={**os.environ, "HOME": str(tmp_path)},
+        preexec_fn=lambda: os.login_tty(slave),
+    )
+    os.close(slave)
+    os.write(master, "".join(f"{line}\n" for line in lines).encode())
+    said = b""
+    while shell.poll() is None or select.select([master], [], [], 0.0)[0]:
+        if select.select([master], [], [], 0.1)[0]:
+            try:
+                said += os.read(master, 4096)
+            except OSError:  # no process has the terminal any more
+                break
+    os.close(master)
+    group, hardened, kept = (int((tmp_path / name).read_text()) for name in ("group", "hardened", "kept"))
+    try:
+        assert b"ending what was started in this shell" in said
+        for number in (group, hardened):
+            with pytest.raises(ProcessLookupError):
+                os.kill(number, 0)
+        os.kill(kept, 0)
+    finally:
+        os.kill(kept, 9)

@@ -18,6 +18,7 @@ import rospy
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_control.under_roslaunch import end_launch
 from xtdrone_interaction.formation.director import (
     RATE,
     RECORDER_LIMIT,
@@ -56,10 +57,13 @@ def main() -> int:
         )
     lockstep.start()
     try:
-        return director.run()
+        status = director.run()
     finally:
         if events is not None:
             events.close()
+    if status == 0:
+        end_launch()
+    return status
 
 
 if __name__ == "__main__":

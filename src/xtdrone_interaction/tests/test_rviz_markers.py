@@ -201,6 +201,14 @@ def test_shipped_views_are_those_that_are_made(name):
     assert MARKERS_TOPIC in [d.get("Marker Topic") for d in displays]
 
 
+def test_the_formation_s_camera_stands_still_for_a_flight_that_it_can_show_from_nearby():
+    near, far = np.array([[-2.0, -2.0, 0.0], [3.0, 3.0, 4.0]]), np.array([[0.0, 0.0, 0.0], [300.0, 0.0, 9.0]])
+    assert_seen(make_view("formation", NAMES, near), near)
+    frames = [yaml.safe_load(make_view("formation", NAMES, flown)) for flown in (near, far, None)]
+    targets = [frame["Visualization Manager"]["Views"]["Current"]["Target Frame"] for frame in frames]
+    assert targets == ["map", "iris_0/base_link", "iris_0/base_link"]
+
+
 @pytest.mark.parametrize("count", [1, 2, 3, 6, 9, 18, 30])
 @pytest.mark.parametrize("pattern", ["origin", "cube", "pyramid", "triangle"])
 def test_the_view_of_the_formation_has_all_slots_in_it(count, pattern):

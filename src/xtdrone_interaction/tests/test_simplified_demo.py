@@ -19,6 +19,7 @@ from xtdrone_interaction import cli, options
 from xtdrone_interaction.demos import formation_cli, formation_demo, simplified_demo
 from xtdrone_interaction.demos.formation_demo import DemoSettings
 from xtdrone_interaction.launching import supervised_launch
+from xtdrone_interaction.pictures.formation_film import frames as frames_of
 from xtdrone_interaction.recording.formation import FormationRecord
 from xtdrone_interaction.recording.model import Change
 from xtdrone_interaction.recording.positions import FleetTrack
@@ -315,6 +316,6 @@ def test_a_film_is_made_of_a_record_that_misses_a_topology() -> None:
         [Change(5.1, links)],
         events,
     )
-    frames = list(simplified_demo.film_frames(record))
+    frames = list(frames_of(record))
     assert frames[0].edges is None
     assert len(frames[-1].edges) == 2

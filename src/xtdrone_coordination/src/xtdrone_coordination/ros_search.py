@@ -47,6 +47,7 @@ from xtdrone_control.communication.setpoint import yaw_of
 from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_control.program import ArgumentError, check_no_arguments, needed_fleet
+from xtdrone_control.under_roslaunch import end_launch
 
 from .search import actions
 from .search.actions import Action
@@ -423,6 +424,8 @@ def run(arguments: Sequence[str]) -> None:
         while not (rospy.is_shutdown() or node.over):
             node.step()
             rate.sleep()
+        if node.over:
+            end_launch()
     except rospy.ROSInterruptException:
         pass  # shutdown
     finally:

@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.description = (
         "Fly the formation demo: takeoff, origin, each pattern in turn with the leader moving between, origin, "
-        "landing. Leaves runs/<time>/ with flight.bag, report.json, events.jsonl, pictures and logs."
+        "landing. Leaves runs/<time>/ with flight.bag, report.json, events.jsonl, pictures, a film and logs."
     )
     add = parser.add_argument
     DemoSettings.add_arguments(parser, ("n", "type", "poses", "patterns"))
@@ -39,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--leader", metavar="FILE.py:CLASS", help="your own leader class (default: the shipped one)")
     DemoSettings.add_arguments(parser, ("control", "avoidance", "clearance", "waive", "headless", "logs"))
     options.add_world(parser)
+    add("--no-film", dest="film", action="store_false", help="no film of the flight, flight.mp4, after its end")
     add("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
     options.add_master(parser)
     options.add_instance(parser)
@@ -64,6 +65,7 @@ def demo_settings(arguments: argparse.Namespace) -> DemoSettings:
         follower_class=follower_class,
         leader_class=options.leader_class(arguments.leader),
         world=options.world(arguments.world),
+        film=arguments.film,
     )
     config = options.repository() / "src" / "xtdrone_sim" / "config"
     options.one_of_files("vehicle type", settings.type, config / "vehicles")

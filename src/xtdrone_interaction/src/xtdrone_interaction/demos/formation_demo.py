@@ -52,6 +52,7 @@ class DemoSettings(Settings):
         simulator: ``full`` or ``simplified``.
         model: of simplified vehicles: ``first-order``, ``second-order``, a YAML file; empty for the type's.
         window: open a live window.
+        film: film the flight from its record afterwards.
         instance: number of the simulation on this machine.
     """
 
@@ -86,6 +87,7 @@ class DemoSettings(Settings):
     simulator: str = "full"
     model: str = ""
     window: bool = False
+    film: bool = False
     instance: int = 0
 
 
@@ -175,11 +177,24 @@ def _conclude(settings: DemoSettings, console: Console, command_wall: float, end
     last = flight(settings).events()[-1]
     if last["event"] == "failed":
         raise DemoError(last["reason"])
-    unstored = ("out", "master_port", "headless", "window", "instance")
+    unstored = ("out", "master_port", "headless", "window", "film", "instance")
     stored = {k: v for k, v in asdict(settings).items() if k not in unstored}
-    return report_flight(
-        settings.out / "flight.bag", {**stored, "command_wall": command_wall}, console, list(ended_nodes.found.values())
-    )
+    bag = settings.out / "flight.bag"
+    status = report_flight(bag, {**stored, "command_wall": command_wall}, console, list(ended_nodes.found.values()))
+    if settings.film:
+        _film(bag, console)
+    return status
+
+
+def _film(bag: Path, console: Console) -> None:
+    """Film the flight beside its bag; print the path, or why there is no film."""
+    from xtdrone_interaction.pictures.formation_film import default_file, make_film  # imports Matplotlib
+    from xtdrone_swarm.view import FilmError
+
+    try:
+        print_paths([make_film(read_formation(bag), default_file(bag.parent), console)], console)
+    except FilmError as error:
+        console.print(f"[yellow]no film:[/yellow] {escape(str(error))}", highlight=False, soft_wrap=True)
 
 
 def report_again(file: Path, console: Console) -> int:

@@ -173,4 +173,7 @@ def _report(
     for file in (bag, *(folder / name for name in _RESULTS)):
         if file.exists():
             console.print(f"  {file}", highlight=False, soft_wrap=True)
+    console.print(
+        f"./xtdrone record-view search --bag {bag} films it as rviz shows it", highlight=False, soft_wrap=True
+    )
     return 1 if report["shortcomings"] else 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -207,10 +206,11 @@ def _recorded(file: Path | None, settings: SwarmSettings) -> FormationRecord | N
 
 def _film(wanted: str | None, out: Path, *, window: bool) -> Path | None:
     """Return the file of the film, None for no film."""
+    from xtdrone_interaction.pictures.formation_film import default_file  # imports Matplotlib
     from xtdrone_swarm.view import check_film
 
     if wanted == "none" or (wanted is None and window):
         return None
     if wanted is None:
-        return out / ("flight.mp4" if shutil.which("ffmpeg") else "flight.gif")
+        return default_file(out)
     return check_film(Path(wanted).resolve())

@@ -53,12 +53,8 @@ SIMPLIFIED_TRUTH = "truth (simplified simulator, in one process)"
 FULL_TRUTH = "truth (full physics, in one process)"
 FULL_IN_PROCESS = "the same flight in full physics, in one process, with the same assignments"
 MOST_COMPARED = 50  # vehicles; larger flights are compared only on request
-_FILM_RATE = 15  # frames a second
-_FILM_SPEED = 8.0  # minimum speed of the film, relative to the flight
-_FILM_LENGTH = 60.0  # s, at most
 _DELAY = 0.25  # s of wall time, the longest delay that a paced flight catches up: longer than a picture, unlike a pause
 _END = object()
-_MOST_TOPOLOGY_LINES = 400
 
 
 @dataclass(frozen=True)
@@ -297,20 +293,6 @@ def _show(swarm: Swarm, turns: Iterator[None], speed: float, display: Display) -
         display.note(f"  {escape(str(error))}")
 
 
-def _frame(sim_time: float, places: Any, slots: Any, edges: Any, pattern: str) -> Any:
-    from xtdrone_swarm.view import Frame
-
-    return Frame(sim_time, places, slots, edges, pattern)
-
-
-def _edges(adjacency: Any) -> Any:
-    """Return the links of the topology, shape (e, 2); None if there are too many to draw."""
-    if adjacency is None:
-        return None
-    edges = np.argwhere(np.asarray(adjacency) > 0)
-    return edges if len(edges) <= _MOST_TOPOLOGY_LINES else None
-
-
 # results of a flight
 
 
@@ -330,7 +312,7 @@ def _conclude(
         paths += add_comparison(record, full, what, report, settings.out, console)
         write_report(report, file)
     if film.file is not None:
-        paths.append(make_film(record, film.file, console))
+        paths.append(_film(record, film.file, console))
     for path in paths:
         console.print(f"  {path}", highlight=False, soft_wrap=True)
     return 1 if report["shortcomings"] else 0
@@ -358,39 +340,17 @@ def add_comparison(
     return save_pictures(record, full, folder)
 
 
-def film_frames(record: FormationRecord) -> Iterator[Any]:
-    """Yield the flight's frames for a film."""
-    track = record.track
-    speed = max(_FILM_SPEED, float(track.time[-1] - track.time[0]) / _FILM_LENGTH)
-    step = max(1, math.ceil(speed / _FILM_RATE / float(np.median(np.diff(track.time))) - 0.5))
-    names = {round(w.start, 3): w.pattern for w in record.windows}
-    pattern, number, links = "", -1, -1  # links: index of the topology; the recorder may have missed one
-    edges = None
-    for k in range(0, len(track.time), step):
-        now, places = float(track.time[k]), track.position[k]
-        while number + 1 < len(record.patterns) and record.patterns[number + 1].time <= now:
-            number += 1
-        while links + 1 < len(record.topologies) and record.topologies[links + 1].time <= now:
-            links += 1
-            edges = _edges(record.topologies[links].value)
-        pattern = next((name for start, name in reversed(names.items()) if start <= now), pattern)
-        slots = None
-        if number >= 0:
-            slots = places[0] + np.vstack([np.zeros(3), record.patterns[number].value])
-        yield _frame(now, places, slots, edges, pattern)
-
-
-def make_film(record: FormationRecord, path: Path, console: Console) -> Path:
-    """Film a recorded flight at increased speed, showing the progress.
+def _film(record: FormationRecord, path: Path, console: Console) -> Path:
+    """Film the flight and return the path.
 
     Raises:
         DemoError: the film cannot be written.
     """
-    from xtdrone_swarm.view import FilmError, film
+    from xtdrone_interaction.pictures.formation_film import make_film  # imports Matplotlib
+    from xtdrone_swarm.view import FilmError
 
-    frames = list(film_frames(record))
     try:
-        return film(frames, path, _FILM_RATE, console, names=record.names)
+        return make_film(record, path, console)
     except FilmError as error:
         raise DemoError(str(error)) from error
 
@@ -424,7 +384,7 @@ def _after_ros(demo: DemoSettings, settings: SwarmSettings, film: FilmSettings, 
         paths += add_comparison(record, full, what, report, demo.out, console)
         write_report(report, file)
     if film.file is not None:
-        paths.append(make_film(record, film.file, console))
+        paths.append(_film(record, film.file, console))
     for path in paths:
         console.print(f"  {path}", highlight=False, soft_wrap=True)
     return 0

@@ -43,6 +43,7 @@ _VITAL = ("simulator", "mavros", "formation_director", "search_mission")  # requ
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 _INCOMPLETE = "participants have "  # "joined" or "not joined": the simulator's status while it waits at the start
 _ERROR_LINES = 12
+_SIGNALLED = 128  # exit status of a process that a signal ended, less the signal's number
 
 
 class DemoError(RuntimeError):
@@ -323,7 +324,12 @@ def run_flight(flight: Flight, console: Console, conclude: Callable[[EndedNodes]
                 _mend_bag(flight.out / flight.bag, flight.environment())
         return conclude(ended_nodes)
 
-    return run_launch(flight, console, fly)
+    status = run_launch(flight, console, fly)
+    bag = flight.out / flight.bag
+    if status > _SIGNALLED and bag.is_file():
+        words = f"recorded so far: {bag}; './xtdrone report {bag}' makes the report of it"
+        console.print(words, highlight=False, soft_wrap=True)
+    return status
 
 
 def run_launch(launch: Launch, console: Console, run: Callable[[], int]) -> int:
@@ -349,7 +355,7 @@ def run_launch(launch: Launch, console: Console, run: Callable[[], int]) -> int:
             return 1
         except Interrupted as signalled:
             console.print(f"stopped by {signalled}; nothing is left running", highlight=False)
-            return 128 + signalled.number
+            return _SIGNALLED + signalled.number
 
 
 @contextlib.contextmanager

@@ -185,8 +185,8 @@ def activity(recording: Recording, marks: list[tuple[float, str]]) -> Figure:
                 if (series := vehicle.series.get(name)) is not None and len(series):
                     size = np.linalg.norm(series.value, axis=1)
                     line(panel, series.time, size, color=colour[vehicle.name], lw=1.0, label=vehicle.name)
-        unit = "m/s²" if "acceleration" in what[0] else "m/s"
-        panel.set(ylabel=f"{title} [{unit}]" if title == "command" else "avoidance, size", ylim=(0.0, None))
+        unit = "m/s²" if "acceleration" in (commanded or what)[0] else "m/s"
+        panel.set(ylabel=f"{title} [{unit}]", ylim=(0.0, None))
     if recording.topologies:
         _draw_links(free.pop(0), recording)
     axes[-1].set_xlabel(recording.time_label)

@@ -19,6 +19,14 @@ if TYPE_CHECKING:
 _PRINTED_ROWS = 40  # on the terminal
 _MOST_ROWS = 300  # of a table of texts
 _MANY_ROWS = 20  # of texts; longer tables are folded
+_METRICS = (  # head of the column, digits, key
+    ("armed (s)", 1, "armed_time"),
+    ("way (m)", 1, "way"),
+    ("highest (m)", 2, "highest"),
+    ("fastest (m/s)", 2, "greatest_speed"),
+    ("fastest climb (m/s)", 2, "greatest_climb"),
+    ("least voltage (V)", 2, "least_voltage"),
+)
 _SEVERITIES = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
 _LEVELS = {4: "warning", 8: "error", 16: "fatal"}
 
@@ -84,22 +92,15 @@ def formation_table(reconfigurations: Iterable[dict[str, Any]], title: str = "Fo
 
 
 def vehicles_table(vehicles: dict[str, dict[str, Any]]) -> ReportTable:
-    """Return the table of the vehicles' metrics."""
+    """Return the table of the vehicles' metrics, without columns that are unknown of all of them."""
+    columns = [
+        (head, digits, key) for head, digits, key in _METRICS if any(v[key] is not None for v in vehicles.values())
+    ]
     rows = [
-        (
-            name,
-            number(item["armed_time"], 1),
-            number(item["way"], 1),
-            number(item["highest"]),
-            number(item["greatest_speed"]),
-            number(item["greatest_climb"]),
-            number(item["least_voltage"]),
-            str(item["warnings"]),
-        )
+        (name, *(number(item[key], digits) for _, digits, key in columns), str(item["warnings"]))
         for name, item in vehicles.items()
     ]
-    head = ("vehicle", "armed (s)", "way (m)", "highest (m)", "fastest (m/s)", "fastest climb (m/s)",
-            "least voltage (V)", "warnings")  # fmt: skip
+    head = ("vehicle", *(head for head, _, _ in columns), "warnings")
     return ReportTable("Vehicles", head, rows, long=len(rows) > 60)
 
 

@@ -28,6 +28,7 @@ class FilmSettings(Settings):
         bag: recorded flight; None for the running flight.
         demo: name of a demo to fly first, with ``bag`` None; empty for none.
         demo_options: options of the demo.
+        world: of a bag, name or absolute path; empty: the one that its results folder names, else none.
         size: width and height, px.
         out: file of the film.
         frames: folder for PNG files, or None.
@@ -38,6 +39,7 @@ class FilmSettings(Settings):
     bag: Path | None
     demo: str
     demo_options: tuple[str, ...]
+    world: str
     fps: float = setting(30.0, above=0.0, metavar="N", text="frames per second of the film")
     faster: float = setting(1.0, above=0.0, metavar="N", text="simulated seconds per second of the film")
     size: tuple[int, int]
@@ -86,6 +88,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     FilmSettings.add_arguments(parser, ("fps", "faster"))
     add("--size", type=checked(_size), default=(1280, 720), metavar="WxH", help="pixels (default: 1280x720)")
     FilmSettings.add_arguments(parser, ("antialiasing", "begin", "end"))
+    add("--world", metavar="WORLD",
+        help="world to show with a bag, by name or file (default: the one that the bag's folder names)")  # fmt: skip
     add("--frames", type=Path, metavar="FOLDER", help="also write each frame as a PNG file into a new folder")
     add("--master", default="", metavar="PORT|URI", help="port or URI of the running flight (default: automatic)")
 
@@ -129,6 +133,8 @@ def settings_of(arguments: argparse.Namespace) -> FilmSettings:
         name = str(Path(view).resolve())
     if demo_options and not arguments.demo:
         raise OptionError(f"{demo_options[0]!r}: options of a demo are for --demo only")
+    if arguments.world and arguments.bag is None:
+        raise OptionError("world: --world is for --bag only; other flights are shown in their own world")
     if arguments.bag is not None and not arguments.bag.is_file():
         raise OptionError(f"bag: {arguments.bag} does not exist")
     out = arguments.out or (arguments.bag.parent if arguments.bag else Path()) / f"{Path(name).stem}.mp4"
@@ -142,6 +148,7 @@ def settings_of(arguments: argparse.Namespace) -> FilmSettings:
         bag=arguments.bag,
         demo=arguments.demo or "",
         demo_options=tuple(demo_options),
+        world=options.world(arguments.world) if arguments.world else "",
         size=arguments.size,
         out=out.resolve(),
         frames=options.new_folder(arguments.frames) if arguments.frames else None,

@@ -48,7 +48,9 @@ _FIND = (1.2, 30.0)  # m, visible from far away
 _MOST_VIEW = 150.0  # m, longest distance from the camera to a corner of its view
 
 _DARK = ColorRGBA(0.10, 0.12, 0.16, 1.0)
+_LIGHT = ColorRGBA(1.0, 1.0, 1.0, 1.0)
 _SLOT = ColorRGBA(0.10, 0.60, 0.25, 0.30)
+_LIGHT_SLOT = ColorRGBA(0.80, 1.00, 0.55, 0.45)
 _HEARD = ColorRGBA(0.35, 0.40, 0.55, 0.9)
 _LISTENS = ColorRGBA(0.25, 0.60, 1.00, 0.9)
 _AVOIDS = ColorRGBA(0.90, 0.10, 0.10, 1.0)
@@ -122,6 +124,7 @@ class SwarmMarkers:
         self._trail = trail
         self._scale = scale
         self._spot = spot
+        self._ink, self._slot_colour = _DARK, _SLOT
         self._colours = [_colour(i) for i in range(len(names))]
         self.restart()
 
@@ -133,6 +136,10 @@ class SwarmMarkers:
         self._finds: list[tuple[tuple[float, float], str]] = []
         self._clear = True
         self._things_shown = 0
+
+    def stand_out(self) -> None:
+        """Use light colours for names and slots, before scenery."""
+        self._ink, self._slot_colour = _LIGHT, _LIGHT_SLOT
 
     # inputs
 
@@ -209,7 +216,7 @@ class SwarmMarkers:
         colour = self._colours[number]
         x, y, z = vehicle.position
         label = self._scale * _LABEL
-        text = _marker("names", number, Marker.TEXT_VIEW_FACING, _DARK, Vector3(0.0, 0.0, label))
+        text = _marker("names", number, Marker.TEXT_VIEW_FACING, self._ink, Vector3(0.0, 0.0, label))
         text.pose.position = Point(x, y, z + max(0.3, 0.5 * self._spot) + 0.75 * label)
         text.text = name
         made = [text]
@@ -240,7 +247,7 @@ class SwarmMarkers:
         return Vector3(self._scale * width, 0.0, 0.0)
 
     def _slots(self) -> Marker:
-        slots = _marker("slots", 0, Marker.SPHERE_LIST, _SLOT, Vector3(0.7, 0.7, 0.7))
+        slots = _marker("slots", 0, Marker.SPHERE_LIST, self._slot_colour, Vector3(0.7, 0.7, 0.7))
         leader = self._vehicles[self.names[0]].position
         if leader is not None:
             slots.points = [Point(*place) for place in np.add(leader, self._offsets)]

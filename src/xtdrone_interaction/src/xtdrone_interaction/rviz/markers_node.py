@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rospy
+from gazebo_msgs.msg import ModelStates
 from geometry_msgs.msg import PoseStamped, Vector3
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Float32MultiArray, Int32MultiArray, String
 from visualization_msgs.msg import MarkerArray
-from xtdrone_msgs.msg import ObjectsOnGround
+from xtdrone_msgs.msg import ObjectsOnGround, SceneModels
 
 from xtdrone_control import lockstep
+from xtdrone_control.fleet import Vehicle
 from xtdrone_control.program import check_no_arguments, needed_fleet
 from xtdrone_control.settings import Settings, setting
-from xtdrone_interaction.formation.geometry import PATTERN_TOPIC, TOPOLOGY_TOPIC, offsets_from_message
+from xtdrone_interaction.formation.geometry import PATTERN_TOPIC, TOPOLOGY_TOPIC, TRUTH_TOPIC, offsets_from_message
 from xtdrone_interaction.rviz.markers import TRAIL, SwarmMarkers, ground_view
 from xtdrone_interaction.rviz.views import FOR_MARKERS
+from xtdrone_interaction.rviz.world_markers import WorldMarkers
+from xtdrone_sim.vehicles.vehicle_model import load_vehicle
+from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.worlds.sdf import load_world_file, read_world
 
 NAME = "swarm_markers"
 TOPIC = "/xtdrone/markers"
@@ -44,28 +51,77 @@ class MarkerSettings(Settings):
 
 
 class MarkersNode:
-    """Subscribes to the swarm and publishes its markers."""
+    """Subscribes to the swarm and the world's models and people, and publishes their markers."""
 
-    def __init__(self, markers: SwarmMarkers) -> None:
-        """Advertise and subscribe."""
+    def __init__(self, markers: SwarmMarkers, cameras: Mapping[str, Collection[str]]) -> None:
+        """Advertise and subscribe.
+
+        Args:
+            markers: of the swarm.
+            cameras: names of each vehicle's cameras, by the vehicle's name.
+        """
         self._markers = markers
+        self._world: WorldMarkers | None = None
+        self._states: ModelStates | None = None
+        self._changes: SceneModels | None = None  # received before the world
+        self._subscribers = 0
         self._lenses: dict[str, CameraInfo] = {}
         self._publisher = lockstep.Publisher(TOPIC, MarkerArray)
         for name in markers.names:
             lockstep.Subscriber(f"/{name}/mavros/local_position/pose", PoseStamped, partial(self._on_pose, name))
             for mode in ("vel", "accel"):
                 lockstep.Subscriber(f"/xtdrone/{name}/avoid_{mode}", Vector3, partial(self._on_avoidance, name))
-            lockstep.Subscriber(f"/xtdrone/{name}/objects", ObjectsOnGround, partial(self._on_objects, name))
-            lockstep.Subscriber(f"/{name}/{CAMERA}/camera_info", CameraInfo, partial(self._lenses.__setitem__, name))
+            if cameras[name]:
+                lockstep.Subscriber(f"/xtdrone/{name}/objects", ObjectsOnGround, partial(self._on_objects, name))
+            if CAMERA in cameras[name]:
+                info = f"/{name}/{CAMERA}/camera_info"
+                lockstep.Subscriber(info, CameraInfo, partial(self._lenses.__setitem__, name))
         lockstep.Subscriber(PATTERN_TOPIC, Float32MultiArray, self._on_pattern)
         lockstep.Subscriber(TOPOLOGY_TOPIC, Int32MultiArray, self._on_topology)
         lockstep.Subscriber(SEARCH_EVENTS, String, self._on_search_event)
-        lockstep.add_reset_hook(markers.restart)
+        lockstep.Subscriber(TRUTH_TOPIC, ModelStates, self._on_states, queue_size=1)
+        lockstep.Subscriber("/xtdrone/models", SceneModels, self._on_models)
+        lockstep.add_reset_hook(self._restart)
+
+    def show_world(self, world: WorldMarkers) -> None:
+        """Show a world's models and people, too."""
+        self._world = world
+        if world.has_models:
+            self._markers.stand_out()
+        if self._changes is not None:
+            self._on_models(self._changes)
+
+    def _restart(self) -> None:
+        self._markers.restart()
+        self._states = None
+        self._subscribers = 0
 
     def step(self) -> None:
-        """Publish all markers if the topic has subscribers."""
-        if self._publisher.get_num_connections():
-            self._publisher.publish(self._markers.array(rospy.get_time()))
+        """Publish the markers if the topic has subscribers; a new subscriber receives the whole world."""
+        count = self._publisher.get_num_connections()
+        if not count:
+            self._subscribers = 0
+            return
+        array = self._markers.array(rospy.get_time())
+        if self._world is not None:
+            if count > self._subscribers:
+                self._world.restart()
+            if self._states is not None:
+                self._world.on_poses(_poses(self._states))
+                self._states = None
+            array.markers += self._world.changes(array.markers[0].header)
+        self._subscribers = count
+        self._publisher.publish(array)
+
+    def _on_states(self, message: ModelStates) -> None:
+        self._states = message
+
+    def _on_models(self, message: SceneModels) -> None:
+        if self._world is None:
+            self._changes = message
+            return
+        added = read_world(message.sdf, Path(str(rospy.get_param("/xtdrone/world", "")))).models
+        self._world.on_models(added, message.deleted)
 
     def _on_pose(self, name: str, message: PoseStamped) -> None:
         p = message.pose.position
@@ -97,6 +153,27 @@ class MarkersNode:
             self._markers.on_find((x, y), f"found by {event['vehicle']}")
 
 
+def _poses(message: ModelStates) -> dict[str, Pose]:
+    places = ((name, pose.position, pose.orientation) for name, pose in zip(message.name, message.pose, strict=True))
+    return {name: Pose((p.x, p.y, p.z), (q.w, q.x, q.y, q.z)) for name, p, q in places}
+
+
+def _cameras(vehicle: Vehicle) -> list[str]:
+    return [camera.name for camera in load_vehicle(vehicle.model).cameras]
+
+
+def _world_markers() -> WorldMarkers | None:
+    """Return the markers of the flown world; none, with a warning, if they cannot be made."""
+    name = str(rospy.get_param("/xtdrone/world", ""))  # the simplified simulator has none
+    if not name:
+        return None
+    try:
+        return WorldMarkers(load_world_file(name))
+    except (OSError, ValueError) as error:
+        rospy.logwarn(f"world {name} is not shown: {error}")
+        return None
+
+
 def main(arguments: Sequence[str]) -> None:
     """Run the node until shutdown.
 
@@ -114,6 +191,10 @@ def main(arguments: Sequence[str]) -> None:
 
     settings = MarkerSettings.from_parameters(get, private)
     lockstep.init_node(NAME, rate=settings.rate)
-    node = MarkersNode(SwarmMarkers([vehicle.name for vehicle in fleet], settings.trail, settings.scale, settings.spot))
-    lockstep.start()
+    markers = SwarmMarkers([vehicle.name for vehicle in fleet], settings.trail, settings.scale, settings.spot)
+    node = MarkersNode(markers, {vehicle.name: _cameras(vehicle) for vehicle in fleet})
+    lockstep.start()  # returns when the simulator is running and has set the world
+    world = _world_markers()
+    if world is not None:
+        node.show_world(world)
     lockstep.spin(node.step)

@@ -113,6 +113,8 @@ def _serve(settings: FilmSettings, record: Record, work: Path, on_turn: Callable
         server.attach_host(lockstep.host())
         rospy.set_param("/use_sim_time", True)
         rospy.set_param("/xtdrone/fleet", record.fleet)
+        if settings.world:
+            rospy.set_param("/xtdrone/world", settings.world)
         rospy.set_param("/lockstep/uri", server.uri)
         with Stage(dict(os.environ), work) as stage:
             stage.start_all(settings, record.fleet, flown=record.flown)

@@ -11,6 +11,7 @@ the film is kept).
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import subprocess
 import sys
@@ -63,7 +64,8 @@ def _film(settings: FilmSettings, console: Console) -> int:
     if settings.demo:
         folder = options.results_folder(None)
         command = [sys.executable, "-m", "xtdrone_interaction", "demo", settings.demo, "--out", str(folder)]
-        flown = _fly([*command, *settings.demo_options])
+        own = ["--no-film"] if settings.demo == "formation" else []
+        flown = _fly([*command, *own, *settings.demo_options])
         if not (folder / "flight.bag").is_file():
             raise StageError(f"demo {settings.demo}: status {flown}, and no flight was recorded in {folder}")
         settings = replace(settings, bag=folder / "flight.bag")
@@ -118,9 +120,24 @@ def film_bag(settings: FilmSettings, path: Path, work: Path, console: Console) -
             share = min(1.0, (now_us - begin_us) / max(1.0, end_us - begin_us))
             console.print(f"film: sim {now_us * 1e-6:.1f} s, {share:.0%}", highlight=False)
 
+    settings = replace(settings, world=settings.world or flown_world(path))
     frames = play(settings, bag, work, on_turn)
     rate = frames / (time.monotonic() - began)
     console.print(f"film: {frames} frames, {rate:.1f} a second of wall time", highlight=False)
+
+
+def flown_world(bag: Path) -> str:
+    """Return the world of a recorded flight, as the files beside its bag name it; empty if they do not."""
+    from xtdrone_interaction.demos.search_prepare import WORLD  # shapely is slow to import
+
+    searched = bag.absolute().parent / WORLD
+    if searched.is_file():
+        return str(searched)
+    try:
+        report = json.loads((bag.parent / "report.json").read_text(encoding="utf-8"))
+        return str(report["settings"]["world"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""
 
 
 def film_running(settings: FilmSettings, work: Path, console: Console) -> None:

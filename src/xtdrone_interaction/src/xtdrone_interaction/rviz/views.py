@@ -34,16 +34,18 @@ _REGION_MIDDLE = (60.0, 0.0, 0.0)
 """Approximate centre of the default search region, m, map."""
 _REGION_DISTANCE = 115.0  # m, for a view of the whole region
 _SEARCH_PITCH, _SEARCH_YAW = 0.75, 4.4  # rad
+_FORMATION_PITCH, _FORMATION_YAW = 0.42, 3.55  # rad
 _NEAREST = 20.0  # m
 _ASIDE = 10.0  # m around the flown area, to include finds
 _LARGEST = 50.0  # limit of the markers' scale and spots
 
 _PATTERNS = ("origin", "cube", "pyramid", "triangle")
+_FARTHEST = 1.8  # distance of a fixed camera on the formation, relative to that of one that follows the leader
 _FIELD = math.pi / 4.0  # rad, vertical field of view of rviz
 _MARGIN = 1.0  # m around a visible vehicle
 
 _BACKGROUND = "232; 236; 242"
-_GRID = "165; 172; 184"
+_GRID = "112; 120; 134"
 
 
 def shipped_folder() -> Path:
@@ -58,14 +60,15 @@ def make_view(name: str, vehicles: Sequence[str], flown: Array | None = None) ->
         name: one of SHIPPED.
         vehicles: names, such as ``iris_0``; the first one is the focus, or the leader.
         flown: positions that the view of the search has to include, shape (k, 3), m, map; None for the default search
-            region.
+            region. The formation's camera stands still if it can show all of them from nearby, else it follows the
+            leader.
 
     Raises:
         OptionError: unknown view.
     """
     if name not in _VIEWS:
         raise OptionError(f"view: {name!r} is unknown; there are: {', '.join(_VIEWS)}")
-    return _text(_search(vehicles, flown) if name == "search" else _VIEWS[name](list(vehicles)))
+    return _text(_VIEWS[name](list(vehicles), flown))
 
 
 def marker_parameters(name: str, flown: Array | None = None) -> dict[str, float]:
@@ -77,18 +80,25 @@ def marker_parameters(name: str, flown: Array | None = None) -> dict[str, float]
     return found
 
 
-def _vehicle(vehicles: list[str]) -> Config:
+def _vehicle(vehicles: list[str], _: Array | None) -> Config:
     hidden = {"slots": False, "topology": False}
     return _config(vehicles, _grid(100, 2.0), hidden, _orbit(f"{vehicles[0]}/base_link", 2.8, 0.35, 3.9))
 
 
-def _formation(vehicles: list[str]) -> Config:
-    pitch, yaw = 0.42, 3.55
+def _formation(vehicles: list[str], flown: Array | None) -> Config:
     slots = _slots(len(vehicles))
     middle = 0.5 * (slots.min(axis=0) + slots.max(axis=0))
     focus = (0.0, 0.0, round(float(middle[2]), 2))
-    distance = _distance(slots - focus, pitch, yaw)
-    return _config(vehicles, _grid(60, 2.0), {}, _orbit(f"{vehicles[0]}/base_link", distance, pitch, yaw, focus))
+    distance = _distance(slots - focus, _FORMATION_PITCH, _FORMATION_YAW)
+    target = f"{vehicles[0]}/base_link"
+    if flown is not None:
+        low, high = flown.min(axis=0), flown.max(axis=0)
+        x, y, z = np.round(0.5 * (low + high), 2).tolist()
+        corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
+        farther = _distance(corners - (x, y, z), _FORMATION_PITCH, _FORMATION_YAW)
+        if farther <= _FARTHEST * distance:
+            target, focus, distance = "map", (x, y, z), farther
+    return _config(vehicles, _grid(60, 2.0), {}, _orbit(target, distance, _FORMATION_PITCH, _FORMATION_YAW, focus))
 
 
 def _slots(count: int) -> Array:
@@ -127,13 +137,17 @@ def _search_camera(flown: Array | None) -> tuple[Point, float]:
     return (x, y, 0.0), max(round(distance, 1), _NEAREST)
 
 
-def _search(vehicles: Sequence[str], flown: Array | None = None) -> Config:
+def _search(vehicles: list[str], flown: Array | None) -> Config:
     hidden = {"slots": False, "topology": False, "avoidance": False}
     focus, distance = _search_camera(flown)
     return _config(vehicles, _grid(60, 5.0), hidden, _orbit("map", distance, _SEARCH_PITCH, _SEARCH_YAW, focus))
 
 
-_VIEWS: dict[str, Callable[[list[str]], Config]] = {"vehicle": _vehicle, "formation": _formation, "search": _search}
+_VIEWS: dict[str, Callable[[list[str], Array | None], Config]] = {
+    "vehicle": _vehicle,
+    "formation": _formation,
+    "search": _search,
+}
 
 
 def _config(vehicles: Sequence[str], grid: Config, namespaces: Config, view: Config) -> Config:

@@ -14,8 +14,14 @@ from xtdrone_sim.vehicles.visual import Box, Pose, Visual
 from xtdrone_sim.worlds import people
 from xtdrone_sim.worlds.scene_at import ActorState, SceneAt
 from xtdrone_sim.worlds.sdf import SdfActor, SdfModel, SdfWorld
+from xtdrone_sim.worlds.sdf.geometry import box_of
 
-_GROUND = Visual(Box((2000.0, 2000.0, 0.1)), Pose((0.0, 0.0, -0.05)), (0.45, 0.5, 0.4, 1.0))
+_GROUND = Box((2000.0, 2000.0, 0.1))
+_GROUND_COLOUR = (0.45, 0.5, 0.4, 1.0)
+_WIDE = 100.0  # m, sides of a model's shape that is ground of its own
+_ROUGH = 0.5  # m, distance of its top from z = 0
+_FLAT = 0.05  # m, height up to which a shape merges with ground at z = 0: far away, the renderer's depth is coarse
+_LOWERED = -0.12  # m, ground below such shapes
 
 
 @dataclass(frozen=True)
@@ -34,6 +40,28 @@ class View:
     far: float
 
 
+def ground_level(models: Sequence[SdfModel]) -> float | None:
+    """Return the height of the level ground to be drawn below models, m; None if one of them is wide ground itself.
+
+    The ground is drawn at z = 0, where it is in the physics, but a little lower under flat shapes, such as roads.
+
+    Raises:
+        SdfError: a mesh cannot be read.
+    """
+    level = 0.0
+    for model in models:
+        for link in model.links:
+            for visual in link.visuals:
+                pose = compose(compose(model.pose, link.pose), visual.pose)
+                low, high = box_of(visual.geometry, pose)
+                width, depth, _ = high - low
+                if min(width, depth) >= _WIDE and abs(high[2]) <= _ROUGH:
+                    return None
+                if abs(high[2]) <= _FLAT and min(width, depth) > _FLAT:
+                    level = _LOWERED
+    return level
+
+
 class DrawnScene:
     """Bodies for everything in a world.
 
@@ -49,7 +77,7 @@ class DrawnScene:
 
         Args:
             renderer: receives the bodies; the caller closes it.
-            world: the world to draw; one without models gets level ground.
+            world: the world to draw; one without ground of its own gets level ground, see ``ground_level``.
             fleet: vehicles, whose types are looked up by name.
 
         Raises:
@@ -64,8 +92,10 @@ class DrawnScene:
         self._renderer = renderer
         self._light = world.light
         self._shown: dict[str, int] = {}
-        if not world.models:
-            renderer.add([_GROUND])
+        level = ground_level(world.models)
+        if level is not None:
+            middle = Pose((0.0, 0.0, level - 0.5 * _GROUND.size[2]))
+            renderer.add([Visual(_GROUND, middle, _GROUND_COLOUR)])
         for model in world.models:
             poses = self._add_model(model)
             self._homes.update((name, (self.links[name], poses[name])) for name in poses.keys() & self.links.keys())
