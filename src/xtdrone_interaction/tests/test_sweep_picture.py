@@ -58,6 +58,17 @@ def test_the_longer_numbers_are_the_axis_and_texts_are_lines() -> None:
     assert [text.get_text() for text in axes.get_xticklabels()] == ["cube", "pyramid"]
 
 
+def test_what_is_not_shown_is_pooled_by_name_and_the_greatest_effect_is_shown() -> None:
+    studied = results(ki=[0, 1, 2, 3], k_rep=[1, 1.5], vel_max=[1, 2])  # the sum changes most with ki, then vel_max
+    axes = draw(studied).axes[0]
+    assert axes.get_xlabel() == "ki"
+    assert axes.get_legend().get_title().get_text() == "vel_max"
+    assert axes.get_title().splitlines()[1] == "pooled: k_rep (1, 1.5)"
+    axes = draw(studied, by="k_rep").axes[0]
+    assert axes.get_title().splitlines()[1] == "pooled: vel_max (1, 2)"
+    assert "pooled" not in draw(results(ki=[0, 1, 2, 3], k_rep=[1, 1.5])).axes[0].get_title()
+
+
 def test_many_values_of_two_numbers_are_a_map() -> None:
     shown = draw(results(a=list(range(9)), b=list(range(10))))
     axes, scale = shown.axes

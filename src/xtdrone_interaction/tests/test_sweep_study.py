@@ -35,6 +35,13 @@ def study(tmp_path: Path, **data: Any) -> Study:
     return make_study({"name": "s"} | data, tmp_path)
 
 
+def test_all_mistakes_are_named_at_once(tmp_path: Path) -> None:
+    with pytest.raises(OptionError) as raised:
+        make_study({"engine": "simplfied", "seed": 2, "parameters": {"folower.Kp": [1.0]}, "name": "x"}, tmp_path)
+    for words in ("'seed' is unknown", "engine: 'simplfied' is not allowed", "did you mean follower.Kp"):
+        assert words in str(raised.value)
+
+
 def test_shipped_studies_are_good() -> None:
     files = sorted((repository() / "src/xtdrone_interaction/config/studies").glob("*.yaml"))
     assert files

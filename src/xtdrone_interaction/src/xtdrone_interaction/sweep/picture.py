@@ -28,6 +28,7 @@ from xtdrone_interaction.sweep.run import FIGURES
 from xtdrone_interaction.sweep.store import METADATA
 
 DPI = 150
+_MOST_POOLED = 5  # values listed of a parameter
 _MOST_LINES = 8  # a second parameter with more values makes a colour map
 _MOST_TICKS = 15
 _LOG_RATIO = 1.05  # tolerance for even steps of a logarithmic axis
@@ -82,13 +83,14 @@ def draw(results: Results, figure: str | None = None, x: str | None = None, by: 
         results: of the sweep.
         figure: name; by default the settling time, or the first figure with values.
         x: parameter of the axis; by default the one with the most values, numbers before texts.
-        by: second parameter, drawn as lines or, with many values, as a colour map; by default the next one.
+        by: second parameter, drawn as lines or, with many values, as a colour map; by default the one of the others
+            whose values change the figure's mean the most. The title names the parameters over which means are taken.
 
     Raises:
         OptionError: an unknown name, or nothing to show.
     """
     figure = _figure_name(results, figure)
-    x, by = _parameters(results, x, by)
+    x, by = _parameters(results, figure, x, by)
     good = [error is None for error in results.columns["error"]]
     shown, axes = plt.subplots(figsize=(7.5, 5.0), layout="constrained")
     points = _points(results, figure, x, by)
@@ -101,7 +103,8 @@ def draw(results: Results, figure: str | None = None, x: str | None = None, by: 
     else:
         _draw_lines(axes, points, lines, x, by, figure)
     empty = sum(value is None for value, fine in zip(results.columns[figure], good, strict=True) if fine)
-    axes.set_title(_title(results, figure, len(good), len(good) - sum(good), empty), fontsize=10)
+    title = _title(results, figure, len(good), len(good) - sum(good), empty)
+    axes.set_title(title + _pooled(results, x, by), fontsize=10)
     return shown
 
 
@@ -133,7 +136,7 @@ def _figure_name(results: Results, wanted: str | None) -> str:
     return wanted
 
 
-def _parameters(results: Results, x: str | None, by: str | None) -> tuple[str, str | None]:
+def _parameters(results: Results, figure: str, x: str | None, by: str | None) -> tuple[str, str | None]:
     """Return the parameter of the axis, and the second one or None."""
     for thing, name in (("x", x), ("by", by)):
         if name is not None and name not in (*results.parameters, "seed"):
@@ -145,8 +148,25 @@ def _parameters(results: Results, x: str | None, by: str | None) -> tuple[str, s
     if x is None:
         x = free.pop(0) if free else next((name for name in results.parameters if name != by), "seed")
     if by is None and free:
-        by = free[0]
+        by = max(free, key=lambda name: _effect(results, figure, name))  # the first of equal ones
     return x, None if by == x else by
+
+
+def _effect(results: Results, figure: str, name: str) -> float:
+    """Return how much the mean of the figure changes over the values of a parameter."""
+    means = [np.mean(values) for values in _points(results, figure, name, None).values()]
+    return float(np.ptp(means)) if means else 0.0
+
+
+def _pooled(results: Results, x: str, by: str | None) -> str:
+    """Return a line of the title that names the varied parameters which the picture does not show; often empty."""
+    texts = []
+    for name in results.parameters:
+        values = sorted(set(results.columns[name]) - {None}, key=_order)
+        if name not in (x, by) and len(values) > 1:
+            shown = values if len(values) <= _MOST_POOLED else [values[0], "...", values[-1]]
+            texts.append(f"{name} ({', '.join(map(_text, shown))})")
+    return f"\npooled: {', '.join(texts)}" if texts else ""
 
 
 def _points(results: Results, figure: str, x: str, by: str | None) -> dict[tuple[Any, Any], list[float]]:

@@ -17,8 +17,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -169,6 +170,30 @@ def read_study(file: str | Path) -> Study:
         raise OptionError(f"study {path}: {error}") from error
 
 
+class _Checks:
+    """Checks of entries that do not depend on each other, so that all their errors are reported at once."""
+
+    def __init__(self) -> None:
+        self._errors: list[str] = []
+
+    def add(self, error: str) -> None:
+        """Report an error."""
+        self._errors.append(error)
+
+    def __call__(self, make: Callable[[], Any]) -> Any:
+        """Return the result of a check; None, and its error kept, if it fails."""
+        try:
+            return make()
+        except OptionError as error:
+            self.add(str(error))
+            return None
+
+    def end(self) -> None:
+        """Raise an OptionError with all errors, if there are any."""
+        if self._errors:
+            raise OptionError("; ".join(self._errors))
+
+
 def make_study(data: object, folder: Path) -> Study:
     """Create a study from YAML data.
 
@@ -183,24 +208,34 @@ def make_study(data: object, folder: Path) -> Study:
         raise OptionError(f"it is empty; a mapping with {', '.join(_KEYS)}")
     if not isinstance(data, Mapping):
         raise OptionError(f"{data!r} is no study; a mapping with {', '.join(_KEYS)}")
-    for key in data:
-        if key not in _KEYS:
-            raise OptionError(f"{key!r} is unknown; there are: {', '.join(_KEYS)}")
+    check = _Checks()
+    for key in (key for key in data if key not in _KEYS):
+        check.add(f"{key!r} is unknown; there are: {', '.join(_KEYS)}")
     found, attributes = _sources(data, folder)
     known = parameters.known_parameters(attributes)
-    combine = _choice("combine", data.get("combine", "grid"), COMBINATIONS)
-    axes = _axes(_mapping("parameters", data.get("parameters")), known, combine)
-    engine = _choice("engine", data.get("engine", "simplified"), ENGINES)
+    name = check(lambda: _name(data.get("name")))
+    combine = check(lambda: _choice("combine", data.get("combine", "grid"), COMBINATIONS)) or "grid"
+    engine = check(lambda: _choice("engine", data.get("engine", "simplified"), ENGINES))
+    usual = MISSION if engine == "core" else AIRBORNE
+    flight = check(lambda: _choice("flight", data.get("flight", usual), FLIGHTS))
+    seeds = check(lambda: _seeds(data.get("seeds", 1)))
+    sample_seed = check(lambda: _whole("sample_seed", data.get("sample_seed", 0), 0, _MOST_SEED))
+    varied = check(lambda: _mapping("parameters", data.get("parameters"))) or {}
+    constants = check(lambda: _mapping("constants", data.get("constants"))) or {}
+    for key in (*varied, *constants):
+        check(partial(parameters.find_parameter, key, known))
+    check.end()
+    axes = _axes(varied, known, combine)
     study = Study(
-        name=_name(data.get("name")),
+        name=name,
         engine=engine,
-        flight=_choice("flight", data.get("flight", MISSION if engine == "core" else AIRBORNE), FLIGHTS),
-        constants=_constants(_mapping("constants", data.get("constants")), known, axes),
+        flight=flight,
+        constants=_constants(constants, known, axes),
         axes=axes,
         combine=combine,
         samples=_samples(data, combine, axes),
-        sample_seed=_whole("sample_seed", data.get("sample_seed", 0), 0, _MOST_SEED),
-        seeds=_seeds(data.get("seeds", 1)),
+        sample_seed=sample_seed,
+        seeds=seeds,
         sources=found,
         known=known,
     )
