@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import time
@@ -58,12 +59,24 @@ class Station:
             self.listen()
 
     def command(self, system: int, command: int, *params: float) -> int:
-        """Send a command and return its result."""
-        self.last.pop((system, "COMMAND_ACK"), None)
-        values = [*params, *[0.0] * (7 - len(params))]
-        self.connection.mav.command_long_send(system, 1, command, 0, *values)
+        """Send a command, again each second as MAVLink's clients do, and return its result.
+
+        A busy client's socket may have no room for the acknowledgement.
+        """
         key = system, "COMMAND_ACK"
-        self.until(lambda: key in self.last and self.last[key].command == command, f"ack of {command} by {system}")
+        self.last.pop(key, None)
+        values = [*params, *[0.0] * (7 - len(params))]
+        attempts = itertools.count()
+        sent = -math.inf
+
+        def is_acknowledged() -> bool:
+            nonlocal sent
+            if time.monotonic() - sent > 1.0:
+                sent = time.monotonic()
+                self.connection.mav.command_long_send(system, 1, command, min(next(attempts), 255), *values)
+            return key in self.last and self.last[key].command == command
+
+        self.until(is_acknowledged, f"ack of {command} by {system}")
         return int(self.last[key].result)
 
     def height(self, system: int) -> float:

@@ -34,7 +34,7 @@ def test_class_of_a_module() -> None:
         ("/nowhere/mine.py", "cannot be imported"),
         ("no_such_module:Mine", "cannot be imported"),
         (f"{EXAMPLE}:Missing", "class Missing that inherits Follower"),
-        ("xtdrone_coordination.follower", "one class that inherits Follower, found 2"),
+        ("xtdrone_coordination.follower", "one class that inherits Follower; it has Follower, StarFollower"),
     ],
 )
 def test_load_errors_are_explained(text: str, message: str) -> None:

@@ -107,9 +107,14 @@ def test_a_stopped_node_behind_its_launcher_is_reported(tmp_path: Path) -> None:
     with (
         subprocess.Popen(["sleep", "99"]) as node,
         subprocess.Popen(
-            ["/x/node_launcher", "-cinput()", str(node.pid)], executable=sys.executable, stdin=subprocess.PIPE
+            ["/x/node_launcher", "-cprint(flush=True); input()", str(node.pid)],
+            executable=sys.executable,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
         ) as launcher,
     ):
+        assert launcher.stdout is not None
+        launcher.stdout.readline()  # the command line of a program that is being started is empty for a moment
         node.send_signal(signal.SIGSTOP)
         os.waitid(os.P_PID, node.pid, os.WSTOPPED)
         words = not_joined(_NODES.format(pid=launcher.pid).splitlines(), [], {}, tmp_path)
