@@ -20,6 +20,11 @@ from xtdrone_perception.following.human_tracking_node import TrackingOptions
 from xtdrone_perception.gimbal_node import GimbalOptions
 from xtdrone_perception.tracking.geolocation import Noise, Person
 from xtdrone_perception.tracking.tracker import TrackerSettings
+from xtdrone_sim.air.body_drag import BodyDragSettings
+from xtdrone_sim.air.downwash import DownwashSettings
+from xtdrone_sim.air.dryden import DrydenSettings
+from xtdrone_sim.air.ground_effect import GroundSettings
+from xtdrone_sim.air.wind_region import RegionSettings
 from xtdrone_sim.cameras.camera_node import CameraSettings
 from xtdrone_sim.lidars.lidar_node import LidarSettings
 from xtdrone_sim.runtime.full_simulation import FullSettings
@@ -39,6 +44,11 @@ CLASSES: dict[str, type[Settings]] = {
         CameraSettings,
         LidarSettings,
         LidarMount,
+        DrydenSettings,
+        RegionSettings,
+        GroundSettings,
+        DownwashSettings,
+        BodyDragSettings,
         TfSettings,
         GimbalOptions,
         DetectionOptions,

@@ -229,7 +229,7 @@ def test_effects_of_the_same_name_are_numbered_and_draw_separate_noise():
     ("entries", "text"),
     [
         ("gust.py", r"~effects: 'gust.py' is not allowed, a list"),
-        (["gust.py"], r"'gust.py' is not allowed, FILE.py:NAME"),
+        (["gust.py"], r"'gust.py' is not allowed, NAME, FILE.py:NAME"),
         ([3], r"3 is not allowed"),
         ([{"a.py:A": 1}], r"is not allowed"),
         (["/no/such.py:Gust"], r"/no/such.py:Gust cannot be loaded: FileNotFoundError"),

@@ -39,10 +39,12 @@ from numpy.typing import NDArray
 from xtdrone_control.user_module import import_user_module
 from xtdrone_sim.physics.plant import ASLEEP, FREE, advance_rotors, integrate_free, rotor_wrench
 
+from .air import AIR
 from .kernel import kernel
 
 Effect = Callable[[float, NDArray[Any], NDArray[Any], NDArray[np.float64], NDArray[np.float64]], object]
 
+_ENTRY = "NAME, FILE.py:NAME, module:NAME or {one of them: {ARGUMENT: VALUE}}"
 _SIGNATURE = "(time, vehicles, models, force, torque)"
 _RESET_SIGNATURE = "(models, time_step, random)"
 
@@ -187,16 +189,16 @@ def load_effects(entries: object, what: str = "effects") -> list[Effect]:
     """Return the effects that a parameter lists.
 
     Args:
-        entries: a list. Each entry is ``"FILE.py:NAME"`` or ``"module:NAME"``, or a mapping of one such text to the
-            arguments of a class or factory, as ``{"gust.py:Gust": {"speed": 3.0}}``. A function without arguments in
-            the list is itself the effect; a class is instantiated.
+        entries: a list. Each entry is a name of ``air.AIR``, ``"FILE.py:NAME"`` or ``"module:NAME"``, or a mapping of
+            one such text to the arguments of a class or factory, as ``{"dryden": {"speed": 7.7}}``. A function without
+            arguments in the list is itself the effect; a class is instantiated.
         what: name of the parameter, for messages.
 
     Raises:
         EffectError: an entry cannot be read, imported or instantiated.
     """
     if not isinstance(entries, list):
-        raise EffectError(f"{what}: {entries!r} is not allowed, a list of FILE.py:NAME or {{FILE.py:NAME: {{...}}}}")
+        raise EffectError(f"{what}: {entries!r} is not allowed, a list of {_ENTRY}")
     return [_load_effect(entry, what) for entry in entries]
 
 
@@ -205,10 +207,11 @@ def _load_effect(entry: object, what: str) -> Effect:
     if isinstance(entry, Mapping) and len(entry) == 1:
         ((place, arguments),) = entry.items()
     path, _, name = str(place).rpartition(":")
-    if not isinstance(place, str) or not path or not name or not isinstance(arguments, (Mapping, type(None))):
-        raise EffectError(f"{what}: {entry!r} is not allowed, FILE.py:NAME, module:NAME or {{FILE.py:NAME: {{...}}}}")
+    known = place in AIR or (isinstance(place, str) and path and name)
+    if not known or not isinstance(arguments, (Mapping, type(None))):
+        raise EffectError(f"{what}: {entry!r} is not allowed, {_ENTRY}; the names are {', '.join(AIR)}")
     try:
-        found = getattr(import_user_module(path), name)
+        found: Any = AIR[place] if place in AIR else getattr(import_user_module(path), name)
     except (Exception, SystemExit) as error:  # from the user's file
         raise EffectError(f"{what}: {place} cannot be loaded: {_described(error)}") from error
     if arguments is None and not inspect.isclass(found):

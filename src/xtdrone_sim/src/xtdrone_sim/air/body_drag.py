@@ -1,0 +1,63 @@
+"""Quadratic drag of the body: 1/2 rho C A v |v| on each axis of the body, with the sides of its box as areas.
+
+The vehicles' own drag is linear (PX4's Gazebo model): right for small speeds, too small for a fall or a storm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+from xtdrone_control.rotation_kernels import rotate, rotate_inverse
+from xtdrone_control.settings import Settings, setting
+from xtdrone_sim.kernel import kernel
+
+from .wind import DENSITY
+
+
+@dataclass(frozen=True)
+class BodyDragSettings(Settings):
+    """Settings of the body's drag."""
+
+    coefficient: float = setting(1.0, low=0.0, high=5.0, text="drag coefficient C, referred to the sides of the box")
+
+
+@kernel
+def _apply(vehicles, models, coefficient, force):
+    for i in range(len(vehicles)):
+        v, m = vehicles[i], models[i]
+        x, y, z = rotate_inverse(
+            v.q, v.velocity[0] - v.wind[0], v.velocity[1] - v.wind[1], v.velocity[2] - v.wind[2]
+        )  # fmt: skip
+        half = -0.5 * DENSITY * coefficient
+        fx, fy, fz = rotate(
+            v.q,
+            half * m.box[1] * m.box[2] * x * abs(x),
+            half * m.box[0] * m.box[2] * y * abs(y),
+            half * m.box[0] * m.box[1] * z * abs(z),
+        )
+        force[i, 0] += fx
+        force[i, 1] += fy
+        force[i, 2] += fz
+
+
+class BodyDrag:
+    """Drag that grows with the square of the air speed; the world's wind counts, the wind of other effects does not."""
+
+    name = "body_drag"
+
+    def __init__(self, **values: Any) -> None:
+        """Create it with settings of ``BodyDragSettings``.
+
+        Raises:
+            SettingError: a value is not allowed.
+        """
+        self.settings = BodyDragSettings(**values)
+
+    def __call__(
+        self, time: float, vehicles: NDArray[Any], models: NDArray[Any], force: NDArray[Any], torque: NDArray[Any]
+    ) -> None:
+        """Add each vehicle's drag."""
+        _apply(vehicles, models, self.settings.coefficient, force)
