@@ -155,7 +155,6 @@ class _Node:
         self._wanted = wanted
         self._lock = threading.Lock()
         self._starting: dict[str, Any] = {}  # subscription by vehicle whose estimators have not started
-        self._time = 0.0
 
     def run(self) -> int:
         """Run until the end of standard input."""
@@ -188,13 +187,12 @@ class _Node:
         self._say(kind, message=json.loads(message.data))
 
     def _on_status(self, status: Any) -> None:
-        self._time = status.sim_time.to_sec()
         self._say(
             "status",
             text=standstill(status),
             held=bool(status.paused or status.waiting_for),
             joined=list(status.participants),
-            time=self._time,
+            time=status.sim_time.to_sec(),
             paused=bool(status.paused),
         )
 
@@ -208,7 +206,7 @@ class _Node:
             # not in the subscription's own thread, which cannot join itself
             threading.Thread(target=subscription.unregister, daemon=True).start()
         if last:
-            self._say("estimators", time=self._time)
+            self._say("estimators", time=state.header.stamp.to_sec())
 
     def _end_with_input(self) -> None:
         while os.read(0, 4096):
