@@ -153,7 +153,8 @@ install_python() {
   say "Python packages: installing what is missing of $1.txt into .venv"
   : >"$pip_at_work"
   logged "pip-$1" "$venv/bin/python" -m pip install --disable-pip-version-check --no-input --progress-bar off -r "$root/$1.txt" || {
-    rm "$pip_at_work"
+    # Ctrl-C ends pip like an error. Only a pip that has not begun to install has left the environment as it was.
+    grep -q '^Installing collected packages' "$state_dir/logs/pip-$1.log" || rm "$pip_at_work"
     fail "Python packages could not be installed; is there a network?"
   }
   write_stamp "$venv/.$1.installed" "$(cat "$root/$1.txt")"
@@ -227,7 +228,8 @@ build_workspace() {
   rm -f "$state_dir/built"
   : >"$make_at_work"
   logged build configure_and_make || {
-    rm "$make_at_work"
+    # After an error of the compiler all other files are good; after a signal the last ones may not be.
+    grep -qE ' (Interrupt|Terminated|Killed|Hangup)$' "$state_dir/logs/build.log" || rm "$make_at_work"
     fail "the workspace could not be built"
   }
   write_stamp "$state_dir/built" "$(built_from)"

@@ -71,6 +71,12 @@ def is_whole(root: Path) -> bool:
     return (run.returncode, run.stdout) == (0, "399\n")
 
 
+def believes_to_be_ready(root: Path) -> bool:
+    """Return whether the next set-up would leave the virtual environment as it is."""
+    script = f'root="{root}"; source "$root/scripts/setup.bash"; has_venv && has_python requirements'
+    return subprocess.run(["bash", "-c", script], capture_output=True).returncode == 0
+
+
 def test_a_set_up_killed_at_any_moment_is_repaired_by_the_next_one(root: Path) -> None:
     began = time.monotonic()
     finish(start(root))
@@ -85,9 +91,27 @@ def test_a_set_up_killed_at_any_moment_is_repaired_by_the_next_one(root: Path) -
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
+        assert not believes_to_be_ready(root) or is_whole(root)
         if number % 5 == 4:
             finish(start(root))
             assert is_whole(root)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_an_interrupted_pip_ends_the_set_up_and_is_noticed(root: Path, number: signal.Signals) -> None:
+    """Ctrl-C reaches the whole group; a killed pip alone leaves its parent, which reports the failure."""
+    process = start(root)
+    log = root / ".setup/logs/pip-requirements.log"
+    poll(lambda: log.is_file() and "Installing collected packages" in log.read_text(), "pip installs", LIMIT)
+    if number is signal.SIGINT:
+        os.killpg(process.pid, number)
+    else:
+        subprocess.run(["pkill", "-KILL", "-g", str(process.pid), "-f", "pip install"], check=True)
+    process.communicate(timeout=LIMIT)
+    assert process.returncode != 0
+    assert not believes_to_be_ready(root)
+    assert "an installation was interrupted" in finish(start(root))
+    assert is_whole(root)
 
 
 def test_an_interrupted_pip_is_noticed(root: Path) -> None:
