@@ -210,9 +210,9 @@ def test_a_wrench_on_a_vehicle_gives_the_acceleration_of_its_mass(stack: Stack) 
     assert call(stack, "apply_body_wrench", srv.ApplyBodyWrench, body_name="iris_0::base_link", **push).success
     assert call(stack, "apply_body_wrench", srv.ApplyBodyWrench, body_name="iris_1", **later).success
     call(stack, "clear_body_wrenches", srv.BodyRequest, body_name="iris_1")
-    call(stack, "unpause_physics", Empty)
-    stack.pass_time(1.0)
+    stack.graph.call("/simulator/step", Step, duration=genpy.Duration(1))  # paused after it, in free fall
     state = state_of(stack, "iris_0")
+    call(stack, "unpause_physics", Empty)
     assert state.twist.linear.y == pytest.approx(3.0 * 0.402 / mass, rel=1e-6)
     assert state.twist.linear.x == 0.0
     assert put(stack, "iris_0", at(0.0, 0.0, 0.1)).success
