@@ -130,16 +130,15 @@ def test_ground_effect_is_that_of_cheeseman_and_bennett() -> None:
     np.testing.assert_allclose(torque, 0.0, atol=1e-9)
 
 
-def test_a_wake_keeps_its_momentum_and_pushes_what_is_below() -> None:
-    area = 4.0 * math.pi * 0.127**2
-    assert wake_speed(1e-9, 0.0, 15.0, area, 0.3, 0.1) == pytest.approx(math.sqrt(30.0 / (DENSITY * area)))
-    assert wake_speed(-0.1, 0.0, 15.0, area, 0.3, 0.1) == 0.0
-    radii = np.linspace(0.0, 6.0, 6001)
-    fluxes = []
-    for below in (1.0, 3.0, 8.0):
-        speeds = np.array([wake_speed(below, r, 15.0, area, 0.3, 0.1) for r in radii])
-        fluxes.append(float(np.trapz(speeds**2 * radii, radii)))
-    np.testing.assert_allclose(fluxes, fluxes[0], rtol=1e-4)
+def test_a_wake_has_the_momentum_of_its_thrust_and_pushes_what_is_below() -> None:
+    thrust, radius = 15.0, 0.127 * 2.0
+    beginning = wake_speed(1e-9, 0.0, thrust, radius, 0.12)
+    assert beginning == pytest.approx(math.sqrt(2.0 * thrust / (DENSITY * 4.0 * math.pi * 0.127**2)))
+    assert wake_speed(-0.1, 0.0, thrust, radius, 0.12) == 0.0
+    radii = np.linspace(0.0, 8.0, 8001)
+    for below in (0.1, 1.0, 3.0, 8.0):
+        speeds = np.array([wake_speed(below, r, thrust, radius, 0.12) for r in radii])
+        assert np.trapz(DENSITY * speeds**2 * 2.0 * math.pi * radii, radii) == pytest.approx(thrust, rel=1e-4)
     plant, models = fleet(3)
     plant["position"] = [(0.0, 0.0, 8.0), (0.1, 0.0, 6.0), (5.0, 0.0, 6.0)]
     force, _ = wrench(Downwash(), plant, models)

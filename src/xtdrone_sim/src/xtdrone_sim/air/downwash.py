@@ -1,9 +1,9 @@
 """Downwash: the wake of each vehicle pushes vehicles below it.
 
-Actuator disc theory gives the speed of the contracted wake, sqrt(2 T / (rho A)) for a thrust T over the discs' area A.
-The wake then spreads as a round turbulent jet with a Gaussian profile, whose momentum is kept (N. Rajaratnam,
-"Turbulent jets", 1976: the half-width grows by about 0.1 per distance). A vehicle in it has the drag of a plate,
-1/2 rho C A w^2.
+The wake is one round jet that begins with the total area A of the discs and, by actuator disc theory, the speed
+sqrt(2 T / (rho A)) for a thrust T. With the Gaussian profile exp(-(r/b)^2) its momentum flux is T, and stays T while it
+spreads (N. Rajaratnam, "Turbulent jets", 1976: the radius of half the speed grows by about 0.1 per distance, so b by
+0.1 / sqrt(ln 2) = 0.12). A vehicle in it has the drag of a plate, 1/2 rho C S w^2.
 """
 
 from __future__ import annotations
@@ -25,26 +25,27 @@ class DownwashSettings(Settings):
     """Settings of the downwash."""
 
     rotor_radius: float = setting(0.127, above=0.0, high=5.0, unit="m", text="radius of the rotors (iris: 10 inch)")
-    spread: float = setting(0.1, low=0.0, high=1.0, text="radius that the wake gains, per distance below the rotors")
+    spread: float = setting(
+        0.12, low=0.0, high=1.0, text="growth of the wake's radius b, per distance below the rotors"
+    )
     drag: float = setting(1.0, low=0.0, high=5.0, text="drag coefficient of a vehicle's top, referred to its box")
 
 
 @kernel
-def wake_speed(below, aside, thrust, area, radius, spread):
+def wake_speed(below, aside, thrust, radius, spread):
     """Return the speed of a wake, m/s downwards.
 
     Args:
         below: distance below the rotors, m; 0 above them.
         aside: distance from the wake's axis, m.
         thrust: N.
-        area: of all discs, m^2.
-        radius: of the wake at the rotors, m.
-        spread: radius that it gains per distance.
+        radius: of a disc with the area of all rotors, m.
+        spread: growth of the wake's radius per distance.
     """
     if below <= 0.0:
         return 0.0
     wide = radius + spread * below
-    return math.sqrt(2.0 * thrust / (DENSITY * area)) * radius / wide * math.exp(-((aside / wide) ** 2))
+    return math.sqrt(2.0 * thrust / (DENSITY * math.pi)) / wide * math.exp(-((aside / wide) ** 2))
 
 
 @kernel
@@ -54,12 +55,12 @@ def _apply(vehicles, models, rotor_radius, spread, drag, force):
         thrust = 0.0
         for k in range(m.rotor_count):
             thrust += m.thrust_constant * vehicles[i].rotor_speed[k] ** 2
-        area = m.rotor_count * math.pi * rotor_radius**2
+        radius = rotor_radius * math.sqrt(m.rotor_count)
         for j in range(len(vehicles)):
             x = vehicles[i].position[0] - vehicles[j].position[0]
             y = vehicles[i].position[1] - vehicles[j].position[1]
             below = vehicles[i].position[2] - vehicles[j].position[2]
-            speed = wake_speed(below, math.sqrt(x * x + y * y), thrust, area, m.radius, spread)
+            speed = wake_speed(below, math.sqrt(x * x + y * y), thrust, radius, spread)
             top = models[j].box[0] * models[j].box[1]
             force[j, 2] -= 0.5 * DENSITY * drag * top * speed * speed
 
