@@ -31,6 +31,7 @@ from xtdrone_interaction.gcs.exchanges.protocol import Exchange, Heartbeat
 _HOME = (47.397742, 8.545594)  # degrees, of the map's origin, PX4's default in simulation
 _PATIENCE = 300.0  # s of wall time without a response from a vehicle, on a busy machine
 _CONNECT_LIMIT = 600.0  # s of wall time until a node subscribes to its commands
+_LISTEN_LIMIT = 60.0  # s of wall time for a subscriber of a topic; the script may have killed it
 _CLIENT_STATUSES = (0, 1)  # exit statuses of a ground station: done, and rejected by a vehicle
 _SLICE = 0.02  # s of wall time
 _SECOND = 1_000_000  # us
@@ -264,7 +265,7 @@ class Actions:
         publisher = self._publishers[topic]
         listening = any(node.participant and node.alive for node in self._nodes.alive.values())
         if not publisher.get_num_connections() and listening:
-            self._stack.wait_for(publisher.get_num_connections, 2.0 if self.lost_words else _CONNECT_LIMIT)
+            self._stack.wait_for(publisher.get_num_connections, 2.0 if self.lost_words else _LISTEN_LIMIT)
         if not publisher.get_num_connections():
             self.lost_words += 1
             return

@@ -617,6 +617,25 @@ def test_decreasing_datagram_count_is_rejected(server, log):
     assert server.datagrams_expected == {14580: 5}
 
 
+def test_counts_for_a_late_participant_begin_when_it_joins(server):
+    """Datagrams that the simulator has sent since the last tick may have found no socket."""
+    sent = {24540: 3}
+    server.open_datagram_ports([14580], lambda: sent)
+    a = FakeParticipant(server, "/a")
+    joined(server, a)
+    with Running(server, 0, datagrams=dict(sent)):
+        sent[24540] = 5  # while the world advances to the next tick
+        a.done(a.tick())
+    late = FakeParticipant(server, "/late", udp_ports=[24540])
+    joined(server, late)
+    sent[24540] = 7
+    with Running(server, 36000, datagrams=dict(sent)):
+        tick = late.tick()
+        assert tick.datagrams == {24540: 2}
+        late.done(tick)
+        a.done(a.tick())
+
+
 # ---- barrier ----
 
 

@@ -508,3 +508,31 @@ def test_a_key_for_signing_is_rejected_with_one_text(world):
     world.ask(setup)
     texts = [m.text for m in named(world.run(0.1), "STATUSTEXT")]
     assert texts == ["MAVLink signing is not supported"]
+
+
+def test_a_vehicle_that_leaves_frees_ports_and_clients_and_counts_go_on(world):
+    vehicle = world.fleet[0]
+    others = [Client(0, vehicle.gcs_local_port, system=200 + i) for i in range(2)]
+    for other in others:
+        world.ask(heartbeat(6), client=other)
+    world.run(1.0, 20_000)
+    before, free = world.server.sent, world.server._limit.left
+    received = world.server.received[vehicle.gcs_local_port]
+    assert received == 2
+    world.server.remove_vehicle(0)
+    assert world.server.sent == before
+    assert vehicle.gcs_local_port not in world.server.received
+    assert world.server._limit.left == free + 2 - VEHICLE_CLIENTS
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", vehicle.gcs_local_port))
+    world.run(1.0, 20_000)
+    assert world.server.sent == before
+    world.server.add_vehicle(0, vehicle, {vehicle.gcs_local_port: 9})
+    assert world.server.received[vehicle.gcs_local_port] == 9
+    world.ask(heartbeat(6), client=others[0])
+    world.run(1.0, 20_000)
+    assert world.server.received[vehicle.gcs_local_port] == 10
+    assert all(world.server.sent[port] >= count for port, count in before.items())
+    assert world.server.sent != before
+    for other in others:
+        other.socket.close()

@@ -1,4 +1,4 @@
-"""``./xtdrone sim``: pause, resume, step, speed, reset and status of a running simulation.
+"""``./xtdrone sim``: time, vehicles and status of a running simulation.
 
 Master and services are called directly over XML-RPC and TCPROS, not through rospy: rospy's service client has no
 timeout, neither for the connection nor for the response, so that a suspended simulator would block a command
@@ -290,6 +290,20 @@ def _reset_vehicle(master: str, arguments: argparse.Namespace) -> str:
     return _accepted(call(master, "/simulator/reset_vehicle", ResetVehicle, request))
 
 
+def _add(master: str, arguments: argparse.Namespace) -> str:
+    from xtdrone_msgs.srv import AddVehicle, AddVehicleRequest
+
+    request = AddVehicleRequest(arguments.vehicle, arguments.model, arguments.pose or [])
+    return _accepted(call(master, "/simulator/add_vehicle", AddVehicle, request))
+
+
+def _remove(master: str, arguments: argparse.Namespace) -> str:
+    from xtdrone_msgs.srv import RemoveVehicle, RemoveVehicleRequest
+
+    request = RemoveVehicleRequest(arguments.vehicle)
+    return _accepted(call(master, "/simulator/remove_vehicle", RemoveVehicle, request))
+
+
 def _status(master: str, _arguments: argparse.Namespace) -> str:
     from xtdrone_msgs.srv import GetStatus, GetStatusRequest
 
@@ -418,6 +432,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                        help="simulation: time restarts at 0 (default); world: time continues; VEHICLE, as iris_3: only "
                        "this one stands, rebooted")  # fmt: skip
     _add_pose(reset, "where the vehicle then stands (default: where it started)")
+    join = add("add", _add, "let a vehicle join, at a place that the launch argument reserve keeps free; "
+               "launch/vehicle.launch starts its MAVROS node, too")  # fmt: skip
+    join.add_argument("vehicle", metavar="VEHICLE", help="its name, as iris_9")
+    join.add_argument("--model", default="", help="name or file of its description (default: its type)")
+    _add_pose(join, "where it stands (default: its place on the spawn grid)")
+    leave = add("remove", _remove, "take a vehicle out of the simulation, flying or not")
+    leave.add_argument("vehicle", metavar="VEHICLE", help="its name, as iris_9")
     add("status", _status, "print the state of the simulation, and the participants it waits for")
 
 

@@ -125,7 +125,11 @@ def _serve(calls: SimpleQueue[tuple[Any, ...] | None], ends: SimpleQueue[BaseExc
 
 
 class FreeFlight:
-    """Compiled steps of a simulation's vehicles."""
+    """Compiled steps of a simulation's vehicles.
+
+    Attributes:
+        sensors: sensor models.
+    """
 
     def __init__(self, world: World, sensors: Sensors, autopilot: Autopilot, threads: int | None = None) -> None:
         """Prepare the steps.
@@ -139,7 +143,8 @@ class FreeFlight:
         count = len(world.plant)
         if threads is None:
             threads = min(len(os.sched_getaffinity(0)), count // _VEHICLES_PER_THREAD, _MOST_THREADS)
-        self._world, self._sensors, self._autopilot = world, sensors, autopilot
+        self.sensors = sensors
+        self._world, self._autopilot = world, autopilot
         self._failures = autopilot.failures.view(np.int32)
         self._armed, self._failed = autopilot.setpoint["armed"], autopilot.setpoint["failed_rotors"]
         limits = [count * i // max(threads, 1) for i in range(max(threads, 1) + 1)]
@@ -150,10 +155,10 @@ class FreeFlight:
 
     def _share_out(self) -> None:
         """Collect the arguments of the kernels, again if there is something else below the vehicles."""
-        if self._below is self._sensors.below.arrays:
+        if self._below is self.sensors.below.arrays:
             return
-        self._below = self._sensors.below.arrays
-        world, sensors, a, model = self._world, self._sensors, self._autopilot, self._world.model
+        self._below = self.sensors.below.arrays
+        world, sensors, a, model = self._world, self.sensors, self._autopilot, self._world.model
         records = (
             world.plant, world.models, model.magnetic_field, sensors.place, model.gravity, world.time_step,
             *sensors.noise, self._below,
@@ -171,7 +176,7 @@ class FreeFlight:
 
         Those are the steps to the next check of the contacts, or more if no check until then can find any, or 0.
         """
-        if self._sensors.failing.any:
+        if self.sensors.failing.any:
             return 0
         steps = min(self._world.check_contacts(self._armed), most)
         if self._world.is_busy:
@@ -197,8 +202,8 @@ class FreeFlight:
         steps = self._possible_steps(most)
         if not steps:
             return 0
-        self._sensors.draw(step)
-        self._sensors.below.update()
+        self.sensors.draw(step)
+        self.sensors.below.update()
         self._share_out()
         if self._checks_inside:
             steps = int(_advance_alone(most, step, time_us, *self._shares[0][2]))

@@ -11,14 +11,14 @@ from collections.abc import Sequence
 
 from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
 from xtdrone_control.autopilot.commander.commander import Commander
-from xtdrone_control.fleet import StartPose, Vehicle, start_poses
+from xtdrone_control.fleet import StartPose, Vehicle, place_ids, start_poses, vehicle_named
 from xtdrone_sim.autopilots.backend import AutopilotFactory, BuiltinAutopilot
 from xtdrone_sim.physics.starts import StartError
 from xtdrone_sim.physics.world import World, load_world
 from xtdrone_sim.sensors.sensor_models import Sensors
 from xtdrone_sim.vehicles.gimbal import Gimbals
 from xtdrone_sim.vehicles.landing_gear import LandingGears
-from xtdrone_sim.vehicles.vehicle_model import load_vehicle
+from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
 
 from .effects import Effect, Effects
 from .free_flight import FreeFlight
@@ -28,8 +28,8 @@ class Simulation:
     """A fleet in a world.
 
     Attributes:
-        fleet: the vehicles, in order of their global index.
-        models: one per vehicle.
+        vehicles: by index; None for a place that is free. Places are those of the fleet and the reserved ones.
+        models: one per place; at a free one, that of the vehicle that was there last, or of the first vehicle.
         world: rigid bodies; ``world.plant`` is the ground truth.
         gimbals: camera gimbals of all vehicles.
         landing_gears: landing gears of all vehicles.
@@ -52,6 +52,7 @@ class Simulation:
         places: Sequence[tuple[float, float, float]] | None = None,
         autopilots: AutopilotFactory = BuiltinAutopilot,
         effects: Sequence[Effect] = (),
+        reserve: int = 0,
     ) -> None:
         """Place the fleet on the ground.
 
@@ -65,6 +66,7 @@ class Simulation:
             places: (x, y, z) of each vehicle's start, m ENU; replaces the poses of the fleet and the grid.
             autopilots: factory of the autopilot back end.
             effects: forces and torques on the vehicles in addition to those of rotors and drag, see ``effects``.
+            reserve: number of places for vehicles that join later, see ``add_vehicle``.
 
         Raises:
             EffectError: an effect cannot be applied.
@@ -76,16 +78,20 @@ class Simulation:
         known = {vehicle.model: load_vehicle(vehicle.model) for vehicle in fleet}
         models = [known[vehicle.model] for vehicle in fleet]
         poses = start_poses(fleet, rows) if places is None else [StartPose(*place) for place in places]
-        self.fleet = fleet
+        self.vehicles: list[Vehicle | None] = [*fleet, *[None] * reserve]
+        self._ids = place_ids(fleet, reserve)
+        self._joins: dict[int, int] = {}  # number of vehicles that have joined at a place
         self._model = model
-        self.models = models
-        self._poses = poses
+        self.models = [*models, *[models[0]] * reserve]
+        self._poses = [*poses, *[StartPose(0.0, 0.0)] * reserve]
         self._seed = seed
+        self._rows = rows
+        self._instance = fleet[0].instance
         self.effects = Effects(effects) if effects else None
-        self.autopilots = autopilots(fleet, models, model, model.datum if shared_datum else None)
+        self.autopilots = autopilots(fleet, models, model, model.datum if shared_datum else None, reserve)
         self._begin(0)
         try:
-            self.world.check_starts([vehicle.name for vehicle in fleet])
+            self.world.check_starts(self.names)
         except StartError:
             self.close()
             raise
@@ -93,17 +99,102 @@ class Simulation:
     def _begin(self, time_us: int) -> None:
         """Create world, sensors and autopilots in their initial state at simulated time ``time_us``."""
         self.time_us = time_us
-        self.world = World(self._model, self.models, self._poses, STEP_US * 1e-6, self.effects)
+        absent = [index for index, vehicle in enumerate(self.vehicles) if vehicle is None]
+        self.world = World(self._model, self.models, self._poses, STEP_US * 1e-6, self.effects, absent)
         if self.effects is not None:
             self.effects.begin(self.world.plant, self.world.models, time_us=time_us, step_us=STEP_US, seed=self._seed)
         self.autopilots.begin(self.world, time_us)
-        self.sensors = Sensors(self.world, self.autopilot, self._seed)
+        self.sensors = Sensors(self.world, self.autopilot, self._seed, self._joins)
         self.gimbals = Gimbals(self.models)
         self.landing_gears = LandingGears(self.models)
-        self._free_flight = None
-        if self.effects is None and not self.gimbals.any and not self.landing_gears.any:
-            self._free_flight = FreeFlight(self.world, self.sensors, self.autopilot)
+        for index in absent:
+            self.gimbals.fit(index, None)
+            self.landing_gears.fit(index, None)
+        self._free_flight: FreeFlight | None = None
+        self._choose_free_flight()
         self._steps = 0
+
+    def _choose_free_flight(self) -> None:
+        """Compile steps of the whole fleet, if no effect, gimbal or landing gear needs each of them."""
+        plain = self.effects is None and not self.gimbals.any and not self.landing_gears.any
+        if not plain:
+            self._free_flight = None
+        elif self._free_flight is None or self._free_flight.sensors is not self.sensors:
+            self._free_flight = FreeFlight(self.world, self.sensors, self.autopilot)
+
+    @property
+    def fleet(self) -> tuple[Vehicle, ...]:
+        """The vehicles in the world, in order of their index."""
+        return tuple(vehicle for vehicle in self.vehicles if vehicle is not None)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the vehicles by index; "" for a free place."""
+        return [vehicle.name if vehicle is not None else "" for vehicle in self.vehicles]
+
+    @property
+    def local_ports(self) -> list[int]:
+        """UDP ports of the autopilots' MAVLink, those of free places included."""
+        places = [Vehicle("place", index, number, self._instance) for index, number in enumerate(self._ids)]
+        return [
+            port for one in places for port in (one.offboard_local_port, one.gcs_local_port, one.payload_local_port)
+        ]
+
+    def add_vehicle(self, name: str, model: str = "", pose: StartPose | None = None) -> int:
+        """Let a vehicle join, disarmed on the ground, with an autopilot that boots now; others are not affected.
+
+        Args:
+            name: as ``iris_9``; the type is its beginning.
+            model: name or file of its description; "": the type.
+            pose: where it stands; None: the pose in the vehicle's place of the spawn grid.
+
+        Returns:
+            Its index. The place gives its MAVLink id and ports.
+
+        Raises:
+            ValueError: the name is taken or not allowed, no place is free, the model is unknown (ModelError), the pose
+                is not free (StartError), or autopilots cannot join; nothing has changed then.
+        """
+        self.autopilots.check_join()
+        if name in self.names:
+            raise ValueError(f"name: {name!r} is in the simulation already")
+        free = [index for index, vehicle in enumerate(self.vehicles) if vehicle is None]
+        if not free:
+            raise ValueError(
+                f"no place is free: {len(self.vehicles)} vehicles are in the simulation; reserve:=N keeps N more places"
+            )
+        vehicle = vehicle_named(name, self._ids[free[0]], self._instance, model)
+        index, description = free[0], load_vehicle(vehicle.model)
+        place = pose or start_poses([*self.fleet, vehicle], self._rows)[-1]
+        names = self.names
+        names[index] = name
+        self.world.add_vehicle(index, description, place, names)
+        self.vehicles[index], self.models[index], self._poses[index] = vehicle, description, place
+        self._joins[index] = self._joins.get(index, 0) + 1
+        self.autopilots.join(index, vehicle, description)
+        self.sensors.add_vehicle(index, self._joins[index])
+        self._refit(index, description)
+        return index
+
+    def remove_vehicle(self, index: int) -> None:
+        """Take a vehicle out of the world, flying or not; its place is free then, and the others are not affected.
+
+        Raises:
+            ValueError: autopilots cannot leave, or it is the only vehicle.
+        """
+        self.autopilots.check_join()
+        if len(self.fleet) == 1:
+            raise ValueError(f"{self.names[index]} is the only vehicle in the simulation and cannot leave")
+        self.world.remove_vehicle(index)
+        self.autopilots.leave(index)
+        self.sensors.remove_vehicle(index)
+        self.vehicles[index] = None
+        self._refit(index, None)
+
+    def _refit(self, index: int, model: VehicleModel | None) -> None:
+        self.gimbals.fit(index, model)
+        self.landing_gears.fit(index, model)
+        self._choose_free_flight()
 
     @property
     def autopilot(self) -> Autopilot:
@@ -162,7 +253,7 @@ class Simulation:
                 then.
         """
         self.autopilots.check_reboot()
-        self.world.put(index, pose or self._poses[index], [vehicle.name for vehicle in self.fleet])
+        self.world.put(index, pose or self._poses[index], self.names)
         self.autopilots.reboot(index)
         self.gimbals.reset(index)
         self.landing_gears.reset(index)

@@ -209,7 +209,9 @@ def _control_vehicle(sensors, e, s, c, p, mix, unmix, rotors, dt):
 
 @kernel
 def step_vehicle(sensors, estimator, setpoint, control, params, mix, unmix, rotors, dt, work):
-    """Advance one vehicle by one step; see ``step_all``."""
+    """Advance one vehicle by one step; see ``step_all``. Before its first sample it does nothing."""
+    if sensors.time_us == 0:
+        return
     update_vibration(estimator.vibration, sensors, dt)
     estimator.in_air = not control.landing.landed
     update_estimator(estimator, sensors, params, dt, work)
@@ -304,6 +306,21 @@ class Autopilot:
             record[which] = np.zeros(1, record.dtype)
         self._initialise_records(which)
         self.start_control(which)
+
+    def replace(self, index: int, layout: RotorLayout) -> None:
+        """Prepare the records of vehicle ``index`` for another vehicle, which has got no sample yet.
+
+        Args:
+            index: of the vehicle; ``params`` are its own already.
+            layout: its rotors.
+        """
+        self._layouts[index] = layout
+        self.rotors[index] = len(layout.positions)
+        self.failed_rotors[index] = 0
+        self.mix[index] = self.unmix[index] = 0.0
+        self._set_mixer(index)
+        self.sensors[index] = np.zeros(1, SENSORS)[0]
+        self.reboot(index)
 
     def rotor_count(self, index: int) -> int:
         """Return the number of rotors of vehicle ``index``."""

@@ -3,7 +3,7 @@
 A fleet is described as ``"iris:9"`` or ``"iris:3,typhoon_h480:2"``, or by a fleet file.
 """
 
-from .listing import fleet_text, parse_fleet, read_fleet_file, split_name, vehicle_named
+from .listing import fleet_text, parse_fleet, place_ids, read_fleet_file, split_name, vehicle_named
 from .poses import spawn_grid, start_pose, start_poses, with_poses
 from .spawns import SPAWNED, spawned_fleet, unused_ports
 from .vehicle import (
@@ -33,6 +33,7 @@ __all__ = [
     "fleet_text",
     "instance_port",
     "parse_fleet",
+    "place_ids",
     "read_fleet_file",
     "spawn_grid",
     "spawned_fleet",

@@ -69,6 +69,19 @@ def fleet_text(fleet: Sequence[Vehicle]) -> str:
     return json.dumps([_entry(vehicle) for vehicle in fleet])
 
 
+def place_ids(fleet: Sequence[Vehicle], reserve: int) -> list[int]:
+    """Return the id of each place for a vehicle: those of the fleet, then the lowest free ones for ``reserve`` more.
+
+    Raises:
+        FleetError: there would be less than none or more than 250 places.
+    """
+    ids = [vehicle.id for vehicle in fleet]
+    most = MAX_VEHICLES - len(fleet)
+    if not 0 <= reserve <= most:
+        raise FleetError(f"reserve: {reserve} is not allowed, 0 to {most} beside {len(fleet)} vehicles")
+    return ids + [number for number in range(MAX_VEHICLES) if number not in ids][:reserve]
+
+
 def vehicle_named(name: str, vehicle_id: int, instance: int, model: str = "", pose: StartPose | None = None) -> Vehicle:
     """Return the vehicle with a name such as ``iris_0``.
 

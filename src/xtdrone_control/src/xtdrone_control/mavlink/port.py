@@ -153,7 +153,6 @@ class Port:
         self.refused = 0
         self._warned: dict[str, tuple[int, float]] = {}
         self._limit = limit or ClientLimit(MAX_CLIENTS)
-        self._limit.ports.append(self)
         self._next_due_us: int | None = None
         self._due_changed = due_changed
         self.default = self._first_client((LOOPBACK, remote_port))
@@ -175,6 +174,7 @@ class Port:
                 error.errno,
                 f"{self.name}: UDP port {local_port} cannot be bound on {host}: {error.strerror or error}; {advice}",
             ) from error
+        self._limit.ports.append(self)
 
     def _first_client(self, peer: Address) -> Link:
         link = Link(self, peer, self.name)
@@ -207,7 +207,12 @@ class Port:
         return max(spoken, before)
 
     def close(self) -> None:
-        """Close the sockets."""
+        """Close the links and sockets, and leave the common limit of clients."""
+        for link in self._links.values():
+            link.close()
+        if self in self._limit.ports:
+            self._limit.ports.remove(self)
+            self._limit.left += len(self._links) - 1
         for reserved in self._reserved.values():
             reserved.close()
         self.socket.close()

@@ -52,10 +52,14 @@ class Credit:
             most: largest credit that can be saved.
             now_us: simulated time, microseconds.
         """
-        self._rate = per_step / STEP_US
+        self.set_rate(per_step)
         self._most = most
         self._accrued_us = now_us
         self.left = most
+
+    def set_rate(self, per_step: float) -> None:
+        """Change the credit added in a simulated step."""
+        self._rate = per_step / STEP_US
 
     def accrue(self, now_us: int) -> bool:
         """Add the credit accrued until ``now_us``; return whether time has moved since the last call."""
@@ -129,6 +133,12 @@ class DatagramQueues(Generic[PortKey]):
             return False
         strangers.add(sender)
         return True
+
+    def drop(self, port: PortKey) -> None:
+        """Drop all datagrams of a port that is closed."""
+        for key in [key for key in self._queues if key[0] is port]:
+            del self._queues[key], self._sizes[key]
+        self._strangers.pop(port, None)
 
     def waiting(self) -> list[tuple[PortKey, tuple[str, int]]]:
         """Return port and address of all senders with queued datagrams, the next to be served first."""

@@ -143,9 +143,9 @@ class MavlinkServer:
         """Bind all ports.
 
         Args:
-            fleet: the vehicles, in the order of the autopilot's records.
+            fleet: the vehicles, in the order of the autopilot's records, which may be more; see ``add_vehicle``.
             autopilot: autopilot that holds the records.
-            commanders: one for each vehicle; a replaced element means that the vehicle's autopilot was rebooted.
+            commanders: one for each record; a replaced element means that the vehicle's autopilot was rebooted.
             host: address to listen on; "0.0.0.0" for every network.
 
         Raises:
@@ -153,30 +153,70 @@ class MavlinkServer:
         """
         self._autopilot = autopilot
         self._commanders = commanders
-        self._vehicles: list[_Vehicle] = []
+        self._host = host
+        self._vehicles: dict[int, _Vehicle] = {}  # by index, in its order
+        self._sent_before: dict[int, int] = {}  # by remote port, to clients of ports that are closed
         self._sockets: dict[int, _Socket] = {}  # by descriptor
         self._common = select.epoll()  # sockets open to every sender
         self._reserved = select.epoll()  # sockets of single participants
         self._all = select.epoll()
         self._polls_common = True
         self._holding = False
-        limit = ClientLimit(CLIENTS + VEHICLE_CLIENTS * len(fleet))
+        self._ports: list[Port] = []
+        self._port_keys: dict[Port, _PortKey] = {}
+        self._next_keep_alive = self._next_part = 0.0
+        self._last_step = (-1, 0.0)  # simulated time at the last check, us, and wall time at which it was reached
+        self._credit = Credit(STEP_CREDIT, MAX_CREDIT)
+        self._queues: DatagramQueues[_PortKey] = DatagramQueues()
+        self._limit = ClientLimit(CLIENTS)
         try:
-            for index, (vehicle, commander) in enumerate(zip(fleet, commanders, strict=True)):
-                self._vehicles.append(_Vehicle(vehicle, autopilot, commander, index, host, limit))
+            for index, vehicle in enumerate(fleet):
+                self.add_vehicle(index, vehicle)
         except OSError:
             self.close()
             raise
-        self._ports = [port for served in self._vehicles for port in served.ports]
-        self._next_keep_alive = self._next_part = 0.0
-        self._last_step = (-1, 0.0)  # simulated time at the last check, us, and wall time at which it was reached
-        self._credit = Credit(STEP_CREDIT + VEHICLE_CREDIT * len(self._vehicles), MAX_CREDIT)
-        self._queues: DatagramQueues[_PortKey] = DatagramQueues()
-        self._port_keys = {port: (served, port) for served in self._vehicles for port in served.ports}
-        for served, port in self._port_keys.values():
-            self._watch(self._common, _Socket(served, port, port.socket))
         for poll in (self._common, self._reserved):
             self._all.register(poll.fileno(), select.EPOLLIN)
+
+    def add_vehicle(self, index: int, vehicle: Vehicle, received: Mapping[int, int] | None = None) -> None:
+        """Bind the ports of a vehicle.
+
+        Args:
+            index: of its records and its commander.
+            vehicle: the vehicle.
+            received: by local port, where to begin the counts of datagrams; None: from 0.
+
+        Raises:
+            LinkError: a port is in use; none stays bound then.
+        """
+        served = _Vehicle(vehicle, self._autopilot, self._commanders[index], index, self._host, self._limit)
+        self._vehicles = dict(sorted({**self._vehicles, index: served}.items()))
+        self._limit.left += VEHICLE_CLIENTS
+        for port in served.ports:
+            port.received = (received or {}).get(port.local_port, 0)
+            self._port_keys[port] = served, port
+            self._watch(self._common, _Socket(served, port, port.socket))
+        self._update_ports()
+        if self._holding:
+            served.receiver.hold_setpoints()
+
+    def remove_vehicle(self, index: int) -> None:
+        """Close the ports of a vehicle that leaves; its clients hear nothing more."""
+        served = self._vehicles.pop(index)
+        for port in served.ports:
+            for descriptor in [one for one, entry in self._sockets.items() if entry.port is port]:
+                entry = self._sockets.pop(descriptor)
+                (self._common if entry.socket is port.socket else self._reserved).unregister(descriptor)
+            self._queues.drop(self._port_keys.pop(port))
+            for remote, count in port.sent.items():
+                self._sent_before[remote] = self._sent_before.get(remote, 0) + count
+        served.close()
+        self._limit.left -= VEHICLE_CLIENTS
+        self._update_ports()
+
+    def _update_ports(self) -> None:
+        self._ports = [port for served in self._vehicles.values() for port in served.ports]
+        self._credit.set_rate(STEP_CREDIT + VEHICLE_CREDIT * len(self._vehicles))
 
     def fileno(self) -> int:
         """Return a descriptor that is readable when a datagram can be handled."""
@@ -185,7 +225,7 @@ class MavlinkServer:
     @property
     def next_due_us(self) -> int:
         """Simulated time, microseconds, at which ``send_streams`` is due next."""
-        return min([served.next_due_us for served in self._vehicles], default=_NEVER)
+        return min([served.next_due_us for served in self._vehicles.values()], default=_NEVER)
 
     @property
     def ports(self) -> list[Port]:
@@ -195,12 +235,12 @@ class MavlinkServer:
     @property
     def messages(self) -> tuple[str, ...]:
         """Names of the handled messages."""
-        return self._vehicles[0].receiver.messages
+        return next(iter(self._vehicles.values())).receiver.messages
 
     @property
     def sent(self) -> dict[int, int]:
         """Datagrams sent so far, by remote port."""
-        totals: dict[int, int] = {}
+        totals = dict(self._sent_before)
         for port in self._ports:
             for remote, count in port.sent.items():
                 totals[remote] = totals.get(remote, 0) + count
@@ -347,12 +387,13 @@ class MavlinkServer:
     def send_streams(self, now_us: int) -> None:
         """Send queued texts, and the telemetry and the messages of services that are due by ``now_us``."""
         self.follow_reboots()
-        for served in self._vehicles:
+        for served in self._vehicles.values():
             served.send(now_us)
 
     def follow_reboots(self) -> None:
         """Serve the new commander of every vehicle whose autopilot was rebooted."""
-        for served, commander in zip(self._vehicles, self._commanders, strict=True):
+        for index, served in self._vehicles.items():
+            commander = self._commanders[index]
             if served.commander is not commander:
                 served.reboot(self._autopilot, commander)
 
@@ -382,7 +423,8 @@ class MavlinkServer:
         """Wall time, s, after which ``keep_alive`` must be called again during a standstill."""
         if self.backlog:
             return 0.0
-        busy = self._queues or not self._polls_common or any(served.receiver.has_transfers for served in self._vehicles)
+        transfers = any(served.receiver.has_transfers for served in self._vehicles.values())
+        busy = self._queues or not self._polls_common or transfers
         return _PART_PERIOD if busy else _KEEP_ALIVE_PERIOD
 
     def _continue_transfers(self, wall: float, counted_ports: Callable[[], Collection[int]]) -> None:
@@ -395,7 +437,7 @@ class MavlinkServer:
         self._next_part = wall + _PART_PERIOD
         self._credit.left = max(self._credit.left, _PART_CREDIT)
         self._poll_common(True)
-        waiting = [served for served in self._vehicles if served.receiver.has_transfers]
+        waiting = [served for served in self._vehicles.values() if served.receiver.has_transfers]
         if not waiting:
             return
         counted = counted_ports()
@@ -409,29 +451,29 @@ class MavlinkServer:
 
         Args:
             autopilot: autopilot that holds the new records; its time may be before the old one.
-            commanders: the new commanders, one for each vehicle.
+            commanders: the new commanders, one for each record.
         """
         self._autopilot = autopilot
         self._commanders = commanders
-        for served, commander in zip(self._vehicles, commanders, strict=True):
-            served.reboot(autopilot, commander)
+        for index, served in self._vehicles.items():
+            served.reboot(autopilot, commanders[index])
 
     def hold_setpoints(self) -> None:
         """Begin a tick: queue setpoints of participants until ``release_setpoints``; see :class:`Receiver`."""
         self._holding = True
-        for served in self._vehicles:
+        for served in self._vehicles.values():
             served.receiver.hold_setpoints()
 
     def release_setpoints(self) -> None:
         """Apply the queued setpoints."""
         self._holding = False
         self._poll_common(True)
-        for served in self._vehicles:
+        for served in self._vehicles.values():
             served.receiver.release_setpoints()
 
     def close(self) -> None:
         """Close all sockets."""
         for poll in (self._all, self._common, self._reserved):
             poll.close()
-        for served in self._vehicles:
+        for served in self._vehicles.values():
             served.close()

@@ -11,6 +11,7 @@ Private parameters, besides those of ``mavros/launch/px4_config.yaml``:
   PX4 instances started by PX4's own scripts.
 - ``~vehicle``: serve only this vehicle of the fleet, e.g. ``iris_0``; topics are in the node's own namespace. With one
   node per vehicle, named ``/iris_0/mavros`` and so on, this is how real MAVROS is started for a fleet.
+- ``~wait_for_vehicle`` (false): wait until ``~vehicle`` has joined the simulation.
 - ``~fcu_url``, with ``~target_system_id`` and ``~target_component_id`` (or ``~tgt_system`` and ``~tgt_component``, the
   names in MAVROS's launch files): serve a single vehicle as real MAVROS does; topics are in the node's own namespace.
 - ``~lockstep`` (true): set to false to run on ROS time, like real MAVROS, even if the simulator runs in lockstep.
@@ -354,20 +355,26 @@ def _fleet(settings: Mapping[str, Any]) -> str:
     """Return the value of ``/xtdrone/fleet``, empty if it is not set.
 
     In lockstep, if ``settings`` do not name vehicles either, wait for the parameter: the launch file that sets it may
-    run on another machine and start later.
+    run on another machine and start later. With ``~wait_for_vehicle``, wait until it lists the vehicle.
 
     Raises:
         ROSInterruptException: the node was shut down while waiting.
     """
     fleet = str(rospy.get_param("/xtdrone/fleet", ""))
-    if fleet or not lockstep.is_active() or settings.get("fleet") or settings.get("fcu_url"):
+    wanted = str(settings.get("vehicle", "")) if settings.get("wait_for_vehicle") else ""
+    if not wanted and (fleet or not lockstep.is_active() or settings.get("fleet") or settings.get("fcu_url")):
         return fleet
-    rospy.loginfo("mavros: waiting for /xtdrone/fleet, which the simulator's launch file sets")
-    while not (fleet := str(rospy.get_param("/xtdrone/fleet", ""))):
+    rospy.loginfo("mavros: waiting for %s", wanted or "/xtdrone/fleet, which the simulator's launch file sets")
+    while not _lists(fleet := str(rospy.get_param("/xtdrone/fleet", "")), wanted):
         if rospy.is_shutdown():
             raise rospy.ROSInterruptException("shutdown")
         time.sleep(_POLL_PERIOD)  # wall time: the parameter server sends no notification for this
     return fleet
+
+
+def _lists(fleet: str, wanted: str) -> bool:
+    """Return whether a fleet is given, and has the vehicle ``wanted`` unless that is ""."""
+    return bool(fleet) and (not wanted or any(vehicle.name == wanted for vehicle in parse_fleet(fleet)))
 
 
 def _open(vehicles: list[Connection], source: tuple[int, int]) -> list[Link]:

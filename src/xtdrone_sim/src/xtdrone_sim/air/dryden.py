@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.kernel import kernel
+from xtdrone_sim.physics.plant import ABSENT
 
 from .wind import add_wind
 
@@ -99,11 +100,16 @@ def advance(states, noise, vehicles, speed, cos, sin, mean, dt, gusts):
     for row in range(rows):
         height, pace = 0.0, 0.0
         first, last = (row, row + 1) if rows == count else (0, count)
+        present = 0
+        for i in range(first, last):
+            present += vehicles[i].contact != ABSENT
         for i in range(first, last):
             v = vehicles[i]
+            if v.contact == ABSENT:
+                continue
             x, y, z = v.velocity[0] - speed * cos, v.velocity[1] - speed * sin, v.velocity[2]
-            height += v.position[2] / (last - first)
-            pace += math.sqrt(x * x + y * y + z * z) / (last - first)
+            height += v.position[2] / present
+            pace += math.sqrt(x * x + y * y + z * z) / present
         pace = max(pace, _LEAST_SPEED)
         sigma_u, sigma_w, length_u, length_w = intensities(height, speed)
         s, n = states[row], noise[row]

@@ -32,9 +32,9 @@ class AutopilotBackend(Protocol):
 
     Attributes:
         autopilot: records of all vehicles; a new object after each ``begin``.
-        commanders: mode and arming logic, one per vehicle of ``served``; a new list after each ``begin``. The reboot
-            of a single autopilot replaces its entry.
-        served: the vehicles whose MAVLink the simulator serves.
+        commanders: mode and arming logic, one per place of the fleet, or none at all; a new list after each ``begin``.
+            The reboot of a single autopilot replaces its entry. Those of absent places do nothing.
+        served: the vehicles whose MAVLink the simulator serves from the start.
         need_time: whether the autopilots answer their clients only while simulated time advances.
         descriptors: file descriptors on which data may arrive while time stands still; see ``serve``.
     """
@@ -71,6 +71,19 @@ class AutopilotBackend(Protocol):
     def reboot(self, index: int) -> None:
         """Reboot the autopilot of one vehicle, which stands still now; the others keep flying."""
 
+    def check_join(self) -> None:
+        """Check that vehicles can join and leave.
+
+        Raises:
+            ValueError: they cannot; the message gives the reason.
+        """
+
+    def join(self, index: int, vehicle: Vehicle, model: VehicleModel) -> None:
+        """Boot the autopilot of a vehicle that has joined at an absent place, with its default parameters."""
+
+    def leave(self, index: int) -> None:
+        """End the autopilot of a vehicle that leaves."""
+
     def missing(self) -> str:
         """Return which autopilots time must not start without yet; "" when all are present."""
 
@@ -85,7 +98,12 @@ class AutopilotFactory(Protocol):
     """Creates the autopilot back end of a fleet."""
 
     def __call__(
-        self, fleet: tuple[Vehicle, ...], models: Sequence[VehicleModel], world: WorldModel, datum: Datum | None
+        self,
+        fleet: tuple[Vehicle, ...],
+        models: Sequence[VehicleModel],
+        world: WorldModel,
+        datum: Datum | None,
+        reserve: int = 0,
     ) -> AutopilotBackend:
         """Create the back end; ``begin`` boots its autopilots.
 
@@ -94,6 +112,7 @@ class AutopilotFactory(Protocol):
             models: one per vehicle.
             world: the world in which they fly.
             datum: shared origin of all local frames; None: each starts at the vehicle's first GPS fix.
+            reserve: number of further, absent places.
         """
 
 
@@ -109,13 +128,14 @@ class BuiltinAutopilot:
         models: Sequence[VehicleModel],
         world: WorldModel,
         datum: Datum | None,
+        reserve: int = 0,
         params: Path | None = None,
         logs: Path | None = None,
     ) -> None:
         """Create parameters and plans of the vehicles, which survive a restart.
 
         Args:
-            fleet, models, world, datum: see ``AutopilotFactory``.
+            fleet, models, world, datum, reserve: see ``AutopilotFactory``.
             params: folder that stores changed parameters between runs, one file ``<vehicle>.params`` per vehicle;
                 None: every run starts with the defaults.
             logs: folder for the flight logs; None disables logging.
@@ -123,23 +143,26 @@ class BuiltinAutopilot:
         self.served = fleet
         self._logs = logs
         self._logger: Logger | None = None
+        self._params = params
+        self._declination = world.declination
+        self._absent = set(range(len(fleet), len(fleet) + reserve))
+        spare = list(fleet[:1]) * reserve  # an absent place has idle records of a vehicle like the first
+        models = [*models, *list(models[:1]) * reserve]
+        self._vehicles = [*fleet, *spare]
         self._layouts = [model.rotor_layout for model in models]
         self._battery_models = [model.battery for model in models]
         self._datum = datum
         self._parameters = [
-            Parameters(
-                {
-                    **model.parameters,
-                    "EKF2_MAG_DECL": world.declination,
-                    "MAV_SYS_ID": vehicle.system_id,
-                },
-                None if params is None else params / f"{vehicle.name}.params",
-            )
-            for vehicle, model in zip(fleet, models, strict=True)
+            self._load_parameters(vehicle, model, None if index in self._absent else params)
+            for index, (vehicle, model) in enumerate(zip(self._vehicles, models, strict=True))
         ]
-        self._plans = [Plans() for _ in fleet]
+        self._plans = [Plans() for _ in self._vehicles]
         self.autopilot = Autopilot(self._layouts, datum)
         self.commanders: list[Commander] = []
+
+    def _load_parameters(self, vehicle: Vehicle, model: VehicleModel, folder: Path | None) -> Parameters:
+        own = {"EKF2_MAG_DECL": self._declination, "MAV_SYS_ID": vehicle.system_id}
+        return Parameters({**model.parameters, **own}, None if folder is None else folder / f"{vehicle.name}.params")
 
     def begin(self, world: World, time_us: int) -> None:
         """Boot all autopilots; changed parameters, missions, geofences and rally points are kept."""
@@ -153,12 +176,18 @@ class BuiltinAutopilot:
         self.autopilot.start_control()
         self._batteries = Batteries(world, self.autopilot, self._battery_models, self._parameters)
         if self._logs is not None:
-            self._logger = Logger(self.autopilot, self.commanders, self._logs)
+            self._logger = self._make_logger(self._logs)
             self.autopilot.logs = self._logger.folders
             self._logger.update()
 
+    def _make_logger(self, folder: Path | None) -> Logger:
+        logger = Logger(self.autopilot, self.commanders, folder)
+        for index in self._absent:
+            logger.leave(index)
+        return logger
+
     def _boot(self, index: int) -> Commander:
-        commander = Commander(self.served[index], self.autopilot, self._parameters[index], index)
+        commander = Commander(self._vehicles[index], self.autopilot, self._parameters[index], index)
         commander.navigator.restore(self._plans[index])
         commander.open_log_stream = partial(self._open_log_stream, index)
         return commander
@@ -166,7 +195,7 @@ class BuiltinAutopilot:
     def _open_log_stream(self, index: int) -> LogStream | None:
         """Begin a stream of a vehicle's log; see ``Logger.open_stream``. Without log files it needs a logger first."""
         if self._logger is None:
-            self._logger = Logger(self.autopilot, self.commanders, None)
+            self._logger = self._make_logger(None)
         return self._logger.open_stream(index)
 
     def _reboot_as_commanded(self, index: int) -> None:
@@ -184,6 +213,30 @@ class BuiltinAutopilot:
         self.autopilot.sensors[index] = np.zeros(1, self.autopilot.sensors.dtype)[0]
         self._restart(index)
         self._batteries.reset(index)
+
+    def check_join(self) -> None:
+        """Do nothing: vehicles can join and leave."""
+
+    def join(self, index: int, vehicle: Vehicle, model: VehicleModel) -> None:
+        """See ``AutopilotBackend``; stored parameters of a vehicle of this name count."""
+        self._absent.remove(index)
+        self._vehicles[index], self._layouts[index] = vehicle, model.rotor_layout
+        self._battery_models[index] = model.battery
+        self._parameters[index] = self._load_parameters(vehicle, model, self._params)
+        self._plans[index] = Plans()
+        self._parameters[index].write_to(self.autopilot.params[index])
+        self.autopilot.replace(index, model.rotor_layout)
+        self._batteries.fit(index, model.battery)
+        commander = self.commanders[index] = self._boot(index)
+        if self._logger is not None:
+            self._logger.join(index, commander)
+
+    def leave(self, index: int) -> None:
+        """End the autopilot of a vehicle that leaves; its log is complete."""
+        if self._logger is not None:
+            self._logger.leave(index)
+        self.autopilot.replace(index, self._layouts[index])
+        self._absent.add(index)
 
     def _restart(self, index: int) -> None:
         self.autopilot.reboot(index)
@@ -212,6 +265,8 @@ class BuiltinAutopilot:
         if beat:
             self._batteries.update(self.autopilot.time_us)
             for index, commander in enumerate(self.commanders):
+                if index in self._absent:
+                    continue
                 commander.update()
                 if commander.rebooting:
                     self._reboot_as_commanded(index)

@@ -82,6 +82,10 @@ class Datagrams:
             for port in ports:
                 self._point(port, end)
 
+    def ports_changed(self) -> None:
+        """Open the sockets for participants again: a vehicle has joined."""
+        self._known = set()
+
     def _reserve(self, present: Mapping[_End, Iterable[int]]) -> None:
         """Open a socket for every address from which participants send."""
         peers: dict[int, set[str]] = {}

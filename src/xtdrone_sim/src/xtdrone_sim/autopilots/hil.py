@@ -60,6 +60,7 @@ class Hil:
         models: Sequence[VehicleModel],
         world: WorldModel,
         datum: Datum | None,
+        reserve: int = 0,
         *,
         host: str = "127.0.0.1",
         hang_limit: float = 60.0,
@@ -73,6 +74,7 @@ class Hil:
             models: one per vehicle.
             world: the world in which they fly.
             datum: unused: PX4 receives the origin of its local frame by MAVLink, which the simulator does not serve.
+            reserve: must be 0.
             host: address to listen on; "0.0.0.0" for every network interface.
             hang_limit: longest wait for the answer of an armed PX4, wall s; 0 for unlimited.
             idle: called periodically with 0 while waiting; may raise.
@@ -80,7 +82,10 @@ class Hil:
 
         Raises:
             HilError: a port is in use; all ports are closed.
+            ValueError: places are reserved.
         """
+        if reserve:
+            raise ValueError(f"reserve: {reserve} is not allowed with autopilot hil, 0; PX4 instances cannot join")
         place = world.datum.latitude, world.datum.longitude, world.datum.altitude
         self._layouts = [model.rotor_layout for model in models]
         self._hang_limit = hang_limit if hang_limit > 0.0 else math.inf
@@ -140,6 +145,22 @@ class Hil:
     def reboot(self, index: int) -> None:
         """See ``check_reboot``."""
         self.check_reboot()
+
+    def check_join(self) -> None:
+        """See ``AutopilotBackend``.
+
+        Raises:
+            ValueError: always; the PX4 instances are those of the start.
+        """
+        raise ValueError("autopilot: with PX4 instances (hil) no vehicle can join or leave, only with builtin ones")
+
+    def join(self, index: int, vehicle: Vehicle, model: VehicleModel) -> None:
+        """See ``check_join``."""
+        self.check_join()
+
+    def leave(self, index: int) -> None:
+        """See ``check_join``."""
+        self.check_join()
 
     def missing(self) -> str:
         """Return which vehicles have no PX4 yet; "" when all have."""

@@ -26,7 +26,7 @@ def set_joints(
     if len(names) != len(positions):
         raise RequestError(f"joint_positions: {len(positions)} are not allowed for {len(names)} joint_names")
     changes = [_setting(simulation, vehicle, name, value) for name, value in zip(names, positions, strict=True)]
-    vehicle_name = simulation.fleet[vehicle].name
+    vehicle_name = simulation.names[vehicle]
 
     def change() -> str:
         for set_one in changes:

@@ -39,18 +39,16 @@ class Models:
         first_added: number of the first model that a request adds.
     """
 
-    def __init__(self, simulation: Simulation, actors: ActorTopics, vehicles: Sequence[str]) -> None:
+    def __init__(self, simulation: Simulation, actors: ActorTopics) -> None:
         """Begin with the world as its file has it.
 
         Args:
             simulation: vehicles and models.
             actors: people.
-            vehicles: names of the vehicles.
         """
         self._simulation = simulation
         self._actors = actors
-        self._vehicles = {name: i for i, name in enumerate(vehicles)}
-        self._links = Links(list(vehicles), simulation.models)
+        self.update_vehicles()
         self.names: list[str] = []
         self.restart()
 
@@ -64,7 +62,18 @@ class Models:
         self.added: dict[int, SdfModel] = {}
         self._numbers = {name: number for number, name in enumerate(self.names)}
 
+    def update_vehicles(self) -> None:
+        """Follow vehicles that have joined or left."""
+        names = self._simulation.names
+        self._vehicles = {name: i for i, name in enumerate(names) if name}
+        self._links = Links(names, self._simulation.models)
+
     # names
+
+    @property
+    def vehicle_count(self) -> int:
+        """Number of vehicles in the world."""
+        return len(self._vehicles)
 
     @property
     def present(self) -> list[str]:
@@ -277,7 +286,8 @@ class Models:
             raise RequestError("model_name: 'ground_plane' cannot be deleted, the ground is always there")
         if self.vehicle(name) is not None:
             raise RequestError(
-                f"model_name: {name!r} is a vehicle with an autopilot, delete_model removes models and actors"
+                f"model_name: {name!r} is a vehicle with an autopilot, which /simulator/remove_vehicle takes out; "
+                "delete_model removes models and actors"
             )
         number = self._numbers.get(name)
         if number is None:

@@ -18,15 +18,13 @@ TOPIC = "/xtdrone/models"
 class ModelTopics:
     """Completes the topics of the simulator by the models that have changed, and tells cameras of new ones."""
 
-    def __init__(self, models: Models, vehicles: int) -> None:
+    def __init__(self, models: Models) -> None:
         """Advertise the topic of the changes to the world's models.
 
         Args:
             models: all models.
-            vehicles: number of vehicles.
         """
         self._models = models
-        self._first = 1 + vehicles  # of the world's models, in messages of model states
         self._changes = lockstep.Publisher(TOPIC, SceneModels, latch=True)
 
     def announce(self) -> None:
@@ -39,6 +37,7 @@ class ModelTopics:
     def complete(self, message: ModelStates) -> ModelStates:
         """Return the states of all models, given those of vehicles, the world's models at rest, and actors."""
         models = self._models
+        first = 1 + models.vehicle_count
         for number, state in models.bodies():
             pose, twist = pose_message(state.pose), twist_message(state)
             if number in models.added:
@@ -46,11 +45,11 @@ class ModelTopics:
                 message.pose.append(pose)
                 message.twist.append(twist)
             else:
-                message.pose[self._first + number] = pose
-                message.twist[self._first + number] = twist
+                message.pose[first + number] = pose
+                message.twist[first + number] = twist
         if not models.deleted:
             return message
-        gone = {self._first + number for number in models.deleted if number < models.first_actor}
+        gone = {first + number for number in models.deleted if number < models.first_actor}
         rows = zip(message.name, message.pose, message.twist, strict=True)
         kept = [row for index, row in enumerate(rows) if index not in gone]
         return ModelStates(*(list(column) for column in zip(*kept, strict=True)))

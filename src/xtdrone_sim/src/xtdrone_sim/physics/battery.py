@@ -72,6 +72,17 @@ class Batteries:
         """True charge of each battery, 0..1."""
         return self._charge
 
+    def fit(self, index: int, model: BatteryModel) -> None:
+        """Fit another vehicle at ``index`` with the full battery of its model; its parameters are those of now."""
+        self._cells[index] = model.cells
+        self._capacity[index], self._resistance[index] = model.capacity, model.resistance
+        self._motor_power[index], self._idle_power[index] = model.motor_power, model.idle_power
+        self._avionics_power[index] = model.avionics_power
+        self._any_cells = bool(self._cells.any())
+        self._changes = -1
+        self._read_parameters()
+        self.reset(index)
+
     def reset(self, index: int) -> None:
         """Replace the battery of vehicle ``index`` by a full one, and write its sensor values."""
         self._charge[index] = 1.0

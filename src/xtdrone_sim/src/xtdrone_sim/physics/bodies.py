@@ -20,7 +20,7 @@ from xtdrone_sim.physics.bullet import BulletClient, pybullet
 from xtdrone_sim.physics.contacts import REST_SPEED, REST_STEPS
 from xtdrone_sim.physics.mass import mass_of
 from xtdrone_sim.physics.obstacles import shape_array
-from xtdrone_sim.physics.plant import FREE, TOUCHING
+from xtdrone_sim.physics.plant import ABSENT, FREE, TOUCHING
 from xtdrone_sim.vehicles.poses import compose, inverse, rotate
 from xtdrone_sim.vehicles.visual import Pose
 from xtdrone_sim.worlds.sdf.bodies import MOST_SHAPES
@@ -56,6 +56,8 @@ def mark_near_bodies(plant, models, boxes, speeds, moving, limits, horizon, want
     count = 0
     for i in range(plant.shape[0]):
         v = plant[i]
+        if v.contact == ABSENT:
+            continue
         x, y, z = v.position[0], v.position[1], v.position[2]
         speed = math.sqrt(v.velocity[0] ** 2 + v.velocity[1] ** 2 + v.velocity[2] ** 2)
         own = models[i].radius + speed * horizon + (limits[0] if v.contact == FREE else limits[1])
@@ -188,7 +190,7 @@ class Bodies:
         self.awake.discard(number)
         for shape in body.shapes:
             self._client.removeBody(shape)
-        self._wake_around(boxes)
+        self.wake_around(boxes)
 
     def place(self, number: int, pose: Pose, velocity: Vector, spin: Vector, held: int = 0) -> None:
         """Put a body somewhere.
@@ -206,7 +208,7 @@ class Bodies:
         self.awake.discard(number)
         if body.is_solid and not held:
             self.awake.add(number)
-        self._wake_around(before)
+        self.wake_around(before)
 
     def _reset(self, body: Body, *, moving: bool) -> None:
         centre = compose(body.pose, body.frame)
@@ -280,7 +282,7 @@ class Bodies:
         for k in np.flatnonzero(near):
             self._wake_sleeper(numbers[k])
 
-    def _wake_around(self, boxes: NDArray[np.float64]) -> None:
+    def wake_around(self, boxes: NDArray[np.float64]) -> None:
         """Wake sleeping bodies near boxes (k, 6), m."""
         numbers = list(self.by_number)
         for k in np.flatnonzero(_meet(boxes, self._bounds(numbers)[0])):

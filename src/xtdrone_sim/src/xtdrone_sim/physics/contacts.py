@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from xtdrone_sim.kernel import kernel
-from xtdrone_sim.physics.plant import ASLEEP, FREE, TOUCHING
+from xtdrone_sim.physics.plant import ABSENT, ASLEEP, FREE, TOUCHING
 
 CHECK_STEPS = 5  # steps between two updates of the contact states; margins cover the motion in between
 NEAR = 0.25  # m of clearance below which Bullet integrates a body
@@ -20,7 +20,7 @@ REST_STEPS = 125  # steps at rest before it sleeps
 
 @kernel
 def sort_contacts(plant, models, armed, steps, dt, wanted):
-    """Fill ``wanted`` (n,) with FREE, TOUCHING or ASLEEP for every vehicle; return the number of changes."""
+    """Fill ``wanted`` (n,) with the contact state of every vehicle; return the number of changes."""
     mark_near(plant, models, steps, dt, wanted)
     return let_sleep(plant, models, armed, wanted)
 
@@ -29,19 +29,27 @@ def sort_contacts(plant, models, armed, steps, dt, wanted):
 def mark_near(plant, models, steps, dt, wanted):
     """Fill ``wanted`` (n,) with TOUCHING for vehicles near the ground or each other, with FREE for all others.
 
-    Vehicles are spheres around the collision boxes, enlarged by the distance travelled until the next check.
+    Absent ones remain so. Vehicles are spheres around the collision boxes, enlarged by the distance travelled until the
+    next check.
     """
     count = plant.shape[0]
     for i in range(count):
         v, m = plant[i], models[i]
+        if v.contact == ABSENT:
+            wanted[i] = ABSENT
+            continue
         reach = abs(v.velocity[2]) * steps * dt
         clearance = v.position[2] - m.radius - reach
         near = clearance < (NEAR if v.contact == FREE else FAR)
         wanted[i] = TOUCHING if near else FREE
     for i in range(count):
         v = plant[i]
+        if v.contact == ABSENT:
+            continue
         for j in range(i):
             o = plant[j]
+            if o.contact == ABSENT:
+                continue
             dx = v.position[0] - o.position[0]
             dy = v.position[1] - o.position[1]
             dz = v.position[2] - o.position[2]
@@ -81,6 +89,8 @@ def stay_free(plant, models, steps, gravity, dt):
     ahead = CHECK_STEPS * dt
     for i in range(count):
         v, m = plant[i], models[i]
+        if v.contact == ABSENT:
+            continue
         spin = v.rates[0] * v.rates[0] + v.rates[1] * v.rates[1] + v.rates[2] * v.rates[2]
         if v.contact != FREE or not spin < _FASTEST_SPIN * _FASTEST_SPIN:
             return False
@@ -90,8 +100,12 @@ def stay_free(plant, models, steps, gravity, dt):
             return False
     for i in range(count):
         v = plant[i]
+        if v.contact == ABSENT:
+            continue
         for j in range(i):
             o = plant[j]
+            if o.contact == ABSENT:
+                continue
             dx = v.position[0] - o.position[0]
             dy = v.position[1] - o.position[1]
             dz = v.position[2] - o.position[2]
@@ -112,6 +126,8 @@ def let_sleep(plant, models, armed, wanted):
     changes = 0
     for i in range(plant.shape[0]):
         v = plant[i]
+        if v.contact == ABSENT:
+            continue
         if v.contact == ASLEEP:
             wanted[i] = TOUCHING if armed[i] or _disturbed(plant, models, i) else ASLEEP
         elif wanted[i] == TOUCHING and not armed[i] and v.still_steps >= REST_STEPS:
@@ -127,7 +143,7 @@ def _disturbed(plant, models, i):
     v = plant[i]
     for j in range(plant.shape[0]):
         o = plant[j]
-        if j == i or o.contact == ASLEEP:
+        if j == i or o.contact == ASLEEP or o.contact == ABSENT:
             continue
         dx = v.position[0] - o.position[0]
         dy = v.position[1] - o.position[1]

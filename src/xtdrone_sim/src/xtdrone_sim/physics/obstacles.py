@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from xtdrone_control.frames import to_xyzw
 from xtdrone_sim.kernel import kernel
 from xtdrone_sim.physics.bullet import BulletClient, pybullet
-from xtdrone_sim.physics.plant import FREE, TOUCHING
+from xtdrone_sim.physics.plant import ABSENT, FREE, TOUCHING
 from xtdrone_sim.vehicles.poses import compose
 from xtdrone_sim.vehicles.visual import Box, Cylinder, Geometry, Mesh, Pose, Sphere
 from xtdrone_sim.worlds.sdf.geometry import box_of
@@ -51,6 +51,8 @@ def mark_near_obstacles(plant, models, boxes, origin, cell, begins, items, limit
     rows, columns = begins.shape[0], begins.shape[1] - 1
     for i in range(plant.shape[0]):
         v = plant[i]
+        if v.contact == ABSENT:
+            continue
         x, y, z = v.position[0], v.position[1], v.position[2]
         speed = math.sqrt(v.velocity[0] ** 2 + v.velocity[1] ** 2 + v.velocity[2] ** 2)
         reach = models[i].radius + speed * horizon + (limits[0] if v.contact == FREE else limits[1])

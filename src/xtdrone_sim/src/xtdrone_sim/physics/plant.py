@@ -18,6 +18,7 @@ from xtdrone_sim.kernel import kernel
 FREE = 0  # integrated here
 TOUCHING = 1  # near ground or another body: Bullet integrates
 ASLEEP = 2  # at rest on the ground with motors off: not integrated
+ABSENT = 3  # not in the world: a reserved place that no vehicle holds
 
 PLANT = np.dtype(
     [
@@ -30,7 +31,7 @@ PLANT = np.dtype(
         ("force", "f8", 3),  # N, world, without gravity
         ("torque", "f8", 3),  # N m, body
         ("wind", "f8", 3),  # m/s, world
-        ("contact", "i8"),  # FREE, TOUCHING or ASLEEP
+        ("contact", "i8"),  # FREE, TOUCHING, ASLEEP or ABSENT
         ("still_steps", "i8"),  # steps at rest with motors off
     ],
     align=True,
@@ -111,7 +112,7 @@ def integrate_free(v, m, gravity, dt):
 @kernel
 def step_vehicle(v, m, actuators, armed, gravity, dt):
     """Advance one vehicle; return 1 if Bullet must integrate its motion, else 0. See ``step_all``."""
-    if v.contact == ASLEEP and not armed:
+    if v.contact == ABSENT or (v.contact == ASLEEP and not armed):
         return 0
     advance_rotors(v, m, actuators, armed, dt)
     rotor_wrench(v, m)

@@ -33,11 +33,20 @@ from xtdrone_sim.physics.contacts import (
     stay_free,
 )
 from xtdrone_sim.physics.obstacles import Obstacles
-from xtdrone_sim.physics.plant import ASLEEP, PLANT, TOUCHING
+from xtdrone_sim.physics.plant import ABSENT, ASLEEP, PLANT, TOUCHING
 from xtdrone_sim.physics.starts import body_pose, check_starts
 from xtdrone_sim.vehicles.vehicle_model import MODEL, VehicleModel
 from xtdrone_sim.vehicles.visual import Pose
 from xtdrone_sim.worlds.sdf import SdfActor, SdfModel, load_world_file
+
+_NO_BODY = -1  # of an absent place
+
+
+def _absent() -> np.void:
+    """Return the record of a place that no vehicle holds."""
+    record = np.zeros(1, PLANT)[0]
+    record["q"][0], record["contact"] = 1.0, ABSENT
+    return record  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True)
@@ -90,7 +99,7 @@ class World:
     """All bodies of the world and their motion.
 
     Attributes:
-        plant: (n,) ``PLANT``, true state of the vehicles.
+        plant: (n,) ``PLANT``, true state of the vehicles; places that no vehicle holds are ABSENT.
         models: (n,) ``MODEL``.
         time_step: s.
         bodies: models that can change their place, by number.
@@ -106,6 +115,7 @@ class World:
         poses: Sequence[StartPose],
         time_step: float,
         effects: Effects | None = None,
+        absent: Collection[int] = (),
     ) -> None:
         """Place the vehicles.
 
@@ -114,6 +124,7 @@ class World:
             vehicles: one model per vehicle.
             poses: where each vehicle starts.
             time_step: s.
+            absent: indices of places that no vehicle holds; see ``add_vehicle``.
             effects: further forces and torques; their ``begin`` is called with ``plant`` before the first step.
         """
         count = len(vehicles)
@@ -129,7 +140,9 @@ class World:
             v["position"], v["q"] = body_pose(pose, float(m["box"][2]))
         self.plant["wind"] = model.wind
         self.plant["contact"] = TOUCHING
-        self._wanted = np.full(count, TOUCHING)
+        for i in absent:
+            self.plant[i] = _absent()
+        self._wanted = self.plant["contact"].copy()
         self._steps = 0
         self._checked = -1  # step before which the contact states have been updated
         self._fixed = {number: one for number, one in enumerate(model.models) if one.static}
@@ -141,7 +154,7 @@ class World:
         self.bodies = Bodies(self._bullet, model.friction, model.restitution)
         self.wrenches = wrenches.Wrenches()
         self._load_bullet()
-        self._touching = list(range(count))
+        self._update_touching()
 
     def _load_bullet(self) -> None:
         client = self._bullet
@@ -150,32 +163,38 @@ class World:
         ground = client.createCollisionShape(pybullet.GEOM_PLANE)
         self._ground = client.createMultiBody(0.0, ground)
         client.changeDynamics(self._ground, -1, lateralFriction=self.model.friction, restitution=self.model.restitution)
-        self._bodies = []
-        for v, m in zip(self.plant, self.models, strict=True):
-            shape = client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=(0.5 * m["box"]).tolist())
-            body = client.createMultiBody(
-                float(m["mass"]),
-                shape,
-                basePosition=v["position"].tolist(),
-                baseOrientation=to_xyzw(v["q"].tolist()),
-            )
-            client.changeDynamics(
-                body,
-                -1,
-                localInertiaDiagonal=m["inertia"].tolist(),
-                linearDamping=0.0,
-                angularDamping=0.0,
-                lateralFriction=self.model.friction,
-                restitution=self.model.restitution,
-                activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
-            )
-            self._bodies.append(body)
-        self._index_of = {body: i for i, body in enumerate(self._bodies)}
+        self._bodies = [
+            _NO_BODY if v["contact"] == ABSENT else self._create_body(v, m)
+            for v, m in zip(self.plant, self.models, strict=True)
+        ]
+        self._index_of = {body: i for i, body in enumerate(self._bodies) if body != _NO_BODY}
         owners = self._obstacles.load(client, self.model.friction, self.model.restitution)
         self._index_of.update((body, len(self._bodies) + owner) for body, owner in owners.items())
         for number, model in enumerate(self.model.models):
             if not model.static:
                 self.add_model(number, model, model.pose)
+
+    def _create_body(self, v: np.void, m: np.void) -> int:
+        """Return Bullet's body of a vehicle, at its present pose."""
+        client = self._bullet
+        shape = client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=(0.5 * m["box"]).tolist())
+        body = client.createMultiBody(
+            float(m["mass"]),
+            shape,
+            basePosition=v["position"].tolist(),
+            baseOrientation=to_xyzw(v["q"].tolist()),
+        )
+        client.changeDynamics(
+            body,
+            -1,
+            localInertiaDiagonal=m["inertia"].tolist(),
+            linearDamping=0.0,
+            angularDamping=0.0,
+            lateralFriction=self.model.friction,
+            restitution=self.model.restitution,
+            activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
+        )
+        return int(body)
 
     def check_starts(self, names: Sequence[str], which: Sequence[int] | None = None) -> None:
         """Check that the vehicles' places are free; see ``starts.check_starts``.
@@ -197,17 +216,66 @@ class World:
         Raises:
             StartError: the place is not free; nothing has changed then.
         """
+        self.plant[i] = self._start(i, pose, self.models, names)
+        self._hand_over(i)
+        self._update_touching()
+        self.collisions = {pair for pair in self.collisions if i not in pair}
+
+    def _start(self, i: int, pose: StartPose, models: NDArray[np.void], names: Sequence[str]) -> np.void:
+        """Return the plant record of vehicle ``i`` at a start pose.
+
+        Raises:
+            StartError: the place is not free.
+        """
         plant = self.plant.copy()
-        v = plant[i]
         plant[i] = np.zeros(1, PLANT)[0]
-        v["position"], v["q"] = body_pose(pose, float(self.models[i]["box"][2]))
+        v: np.void = plant[i]
+        v["position"], v["q"] = body_pose(pose, float(models[i]["box"][2]))
         v["wind"], v["contact"] = self.model.wind, TOUCHING
         owners = [model.name for model in self.model.models]
-        check_starts(plant, self.models, names, self._obstacles, owners, [i])
-        self.plant[i] = v
-        self._hand_over(i)
-        self._touching = np.flatnonzero(self.plant["contact"] == TOUCHING).tolist()
+        check_starts(plant, models, names, self._obstacles, owners, [i])
+        return v
+
+    def add_vehicle(self, i: int, vehicle: VehicleModel, pose: StartPose, names: Sequence[str]) -> None:
+        """Add a vehicle at an absent place, at rest.
+
+        Args:
+            i: index of the place.
+            vehicle: its model.
+            pose: where it stands.
+            names: of all vehicles, its own included; those of absent places are empty.
+
+        Raises:
+            StartError: the pose is not free; nothing has changed then.
+        """
+        models = self.models.copy()
+        models[i] = vehicle.record
+        self.plant[i] = self._start(i, pose, models, names)
+        self.models[i] = vehicle.record
+        self._bodies[i] = self._create_body(self.plant[i], self.models[i])
+        self._index_of[self._bodies[i]] = i
+        self._update_touching()
+
+    def remove_vehicle(self, i: int) -> None:
+        """Take a vehicle out of the world; what rests against it wakes."""
+        v, m = self.plant[i].copy(), self.models[i]
+        self._bullet.removeBody(self._bodies[i])
+        del self._index_of[self._bodies[i]]
+        self._bodies[i] = _NO_BODY
+        self._held.pop(i, None)
+        self.wrenches.clear(i)
         self.collisions = {pair for pair in self.collisions if i not in pair}
+        self.plant[i] = _absent()
+        distances = np.linalg.norm(self.plant["position"] - v["position"], axis=1)
+        near = distances < self.models["radius"] + m["radius"] + NEAR
+        for j in np.flatnonzero(near & (self.plant["contact"] == ASLEEP)).tolist():
+            self._touch(j)
+        reach = float(m["radius"])
+        self.bodies.wake_around(np.concatenate([v["position"] - reach, v["position"] + reach])[None])
+        self._update_touching()
+
+    def _update_touching(self) -> None:
+        self._touching = np.flatnonzero(self.plant["contact"] == TOUCHING).tolist()
 
     def step(self, actuators: NDArray[np.float64], armed: NDArray[np.int32]) -> None:
         """Advance the world by one time step under motor commands (n, MAX_ROTORS), 0..1, and armed flags (n,)."""
@@ -295,7 +363,7 @@ class World:
             else:
                 self._park(i, asleep=bool(self._wanted[i] == ASLEEP))
         contact[:] = self._wanted
-        self._touching = np.flatnonzero(contact == TOUCHING).tolist()
+        self._update_touching()
 
     def _changed_contacts(self, armed: NDArray[np.int32]) -> int:
         """Fill ``_wanted`` with the contact state of each vehicle; return the number of changes."""
@@ -395,7 +463,7 @@ class World:
         """Make Bullet integrate vehicle ``i`` from now on, at least until the next check."""
         self._hand_over(i)
         self.plant["contact"][i] = TOUCHING
-        self._touching = np.flatnonzero(self.plant["contact"] == TOUCHING).tolist()
+        self._update_touching()
 
     def _hand_over(self, i: int) -> None:
         """Make Bullet integrate body ``i`` from its current state."""

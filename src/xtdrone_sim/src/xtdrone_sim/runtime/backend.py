@@ -24,16 +24,13 @@ class SimulatorBackend(Protocol):
 
     Attributes:
         names: names of the vehicles, in order of their indices.
-        scenery: names of all other models, in order of their indices, which follow those of the vehicles; deleted
-            ones included.
-        actors: the names in ``scenery`` that belong to moving actors.
+        actors: names of the moving actors.
         step_us: base step, microseconds.
         overlap: the world advances to the next tick while participants work on the current one. What they send then
             takes effect at the next tick; without overlap it does so at once.
     """
 
     names: Sequence[str]
-    scenery: Sequence[str]
     actors: Sequence[str]
     step_us: int
     overlap: bool
@@ -97,8 +94,8 @@ class SimulatorBackend(Protocol):
     def model_states(self) -> ModelStates:
         """Return the poses and velocities of all models in Gazebo's format."""
 
-    def collisions(self) -> set[tuple[int, int]]:
-        """Return all collisions so far, as pairs of model indices."""
+    def collisions(self) -> set[tuple[str, str]]:
+        """Return all collisions so far, as pairs of names."""
 
     def restart(self, time_us: int) -> None:
         """Restore the initial state; simulated time continues from ``time_us``, microseconds."""
@@ -112,6 +109,21 @@ class SimulatorBackend(Protocol):
 
         Raises:
             ValueError: there is no such vehicle, or its place is not free; nothing has changed then.
+        """
+
+    def add_vehicle(self, name: str, model: str, pose: StartPose | None) -> None:
+        """Let a vehicle join; see ``Simulation.add_vehicle``.
+
+        Raises:
+            ValueError: it cannot join; nothing has changed then.
+            OSError: a port of it is in use; nothing has changed then.
+        """
+
+    def remove_vehicle(self, name: str) -> None:
+        """Take a vehicle out of the simulation.
+
+        Raises:
+            ValueError: there is no such vehicle, or it cannot leave.
         """
 
     def close(self) -> None:

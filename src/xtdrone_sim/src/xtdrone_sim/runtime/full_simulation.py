@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass
@@ -12,7 +13,7 @@ import rospy
 import yaml
 from gazebo_msgs.msg import ModelStates
 
-from xtdrone_control.fleet import StartPose, Vehicle, check_instance, fleet_text, parse_fleet, with_poses
+from xtdrone_control.fleet import MAX_VEHICLES, StartPose, Vehicle, check_instance, fleet_text, parse_fleet, with_poses
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.mavlink.server import MavlinkServer
 from xtdrone_control.settings import setting
@@ -23,6 +24,7 @@ from xtdrone_sim.effects import Effect, load_effects
 from xtdrone_sim.gazebo.models import Models
 from xtdrone_sim.gazebo.publishing import ModelTopics
 from xtdrone_sim.gazebo.services import GazeboServices
+from xtdrone_sim.physics.plant import ABSENT
 from xtdrone_sim.runtime.backend import HEAD_START, Idle, index_of
 from xtdrone_sim.runtime.launched import launched_world, read_launched
 from xtdrone_sim.runtime.mailbox import Mailbox
@@ -63,6 +65,7 @@ class FullSettings(NodeSettings):
     link_states_rate: float = setting(
         50.0, low=0.1, high=250.0, unit="Hz", text="rate of /gazebo/link_states in simulated time"
     )
+    reserve: int = setting(0, low=0, high=MAX_VEHICLES, text="places for vehicles that join later")
     shared_datum: bool = setting(
         True, text="one local frame for all vehicles; PX4 instances receive it as /xtdrone/shared_origin"
     )
@@ -137,6 +140,7 @@ class FullSimulation:
             shared_datum=settings.shared_datum,
             autopilots=self._factory(settings),
             effects=settings.effects,
+            reserve=settings.reserve,
         )
         if self._simulation.effects is not None:
             rospy.loginfo("simulator: effects on the vehicles: %s", ", ".join(self._simulation.effects.names))
@@ -144,9 +148,8 @@ class FullSimulation:
         rospy.set_param("/xtdrone/world", str(world_file(settings.world)))
         rospy.set_param("/xtdrone/shared_origin", self._origin_for_px4s(settings))
         self.step_us = self._simulation.step_us
-        self._model_states = ModelStatesMessage(self.names, self._simulation.world.model.models)
+        self._model_states = ModelStatesMessage(self._simulation.names, self._simulation.world.model.models)
         self.actors: Sequence[str] = [actor.name for actor in self._simulation.world.model.actors]
-        self.scenery: Sequence[str] = ()
         self._link_states_rate = settings.link_states_rate
         self._autopilots = self._simulation.autopilots
         self.overlap = settings.overlap and not self._autopilots.need_time
@@ -207,15 +210,14 @@ class FullSimulation:
         """Create the topics, and share the datagram counts with the lockstep server."""
         self._idle = idle
         self._server = server
-        server.open_datagram_ports(self._mavlink.received)
+        server.open_datagram_ports(self._simulation.local_ports, lambda: self._mavlink.sent)
         self._datagrams = Datagrams(self._mavlink, server, lambda text: rospy.logwarn("simulator: %s", text), idle)
         self._topics = LinkTopics(self._simulation, self._link_states_rate)
-        for name, model in zip(self.names, self._simulation.models, strict=True):
-            rospy.set_param(f"/{name}/robot_description", model.urdf.text)
+        for name in self.names:
+            self._describe(name)
         self._actors = ActorTopics(self._simulation.world.model.actors, lambda: self.time_us)
-        models = Models(self._simulation, self._actors, self.names)
-        self.scenery = models.names
-        self._changes = ModelTopics(models, len(self.names))
+        self._models = models = Models(self._simulation, self._actors)
+        self._changes = ModelTopics(models)
         self._topics.providers += [self._actors.add_to_scene, self._changes.add_to_scene]
         self._topics.states_providers.append(self._changes.add_to_links)
         self._gazebo = GazeboServices(self._simulation, models, self._changes, server)
@@ -271,8 +273,10 @@ class FullSimulation:
         self._mavlink.release_setpoints()
 
     def truth(self) -> bytes:
-        """Return the plant records as bytes."""
-        return self._simulation.world.plant.tobytes()
+        """Return the plant records of the vehicles as bytes."""
+        plant = self._simulation.world.plant
+        there = plant["contact"] != ABSENT
+        return (plant if there.all() else plant[there]).tobytes()
 
     def model_states(self) -> ModelStates:
         """Return the poses and velocities of all models in Gazebo's format."""
@@ -280,9 +284,13 @@ class FullSimulation:
         self._actors.add_to(message)
         return self._changes.complete(message)
 
-    def collisions(self) -> set[tuple[int, int]]:
-        """Return all collisions so far, as pairs of model indices."""
-        return self._simulation.world.collisions
+    def collisions(self) -> set[tuple[str, str]]:
+        """Return all collisions so far, as pairs of names."""
+        found = self._simulation.world.collisions
+        if not found:
+            return set()
+        names = [*self._simulation.names, *self._models.names]
+        return {(names[a], names[b]) for a, b in found}
 
     def restart(self, time_us: int) -> None:
         """Return the vehicles to their spawn positions and reboot all autopilots."""
@@ -290,13 +298,56 @@ class FullSimulation:
         self._actors.restart(time_us)
         self._topics.restart()
         self._gazebo.restart()
-        self._model_states = ModelStatesMessage(self.names, self._simulation.world.model.models)
+        self._model_states = ModelStatesMessage(self._simulation.names, self._simulation.world.model.models)
         self._mavlink.reboot(self._simulation.autopilot, self._simulation.commanders)
 
     def reset_vehicle(self, name: str, pose: StartPose | None) -> None:
         """See ``SimulatorBackend``."""
-        self._simulation.reset_vehicle(index_of(name, self.names), pose)
+        self._simulation.reset_vehicle(self._index(name), pose)
         self._mavlink.follow_reboots()
+
+    def _index(self, name: str) -> int:
+        index_of(name, self.names)
+        return self._simulation.names.index(name)
+
+    def add_vehicle(self, name: str, model: str, pose: StartPose | None) -> None:
+        """See ``SimulatorBackend``."""
+        if name not in self.names and name in self._models.present:
+            raise ValueError(f"name: {name[:80]!r} is the name of a model in the world")
+        simulation = self._simulation
+        index = simulation.add_vehicle(name, model, pose)
+        vehicle = simulation.vehicles[index]
+        assert vehicle is not None
+        try:
+            self._mavlink.add_vehicle(index, vehicle, self._server.datagrams_expected)
+        except OSError:
+            simulation.remove_vehicle(index)
+            raise
+        self._datagrams.ports_changed()
+        self._describe(name)
+        self._follow_vehicles()
+
+    def remove_vehicle(self, name: str) -> None:
+        """See ``SimulatorBackend``."""
+        index = self._index(name)
+        self._simulation.remove_vehicle(index)
+        self._mavlink.remove_vehicle(index)
+        with contextlib.suppress(KeyError):
+            rospy.delete_param(f"/{name}/robot_description")
+        self._follow_vehicles()
+
+    def _describe(self, name: str) -> None:
+        model = self._simulation.models[self._simulation.names.index(name)]
+        rospy.set_param(f"/{name}/robot_description", model.urdf.text)
+
+    def _follow_vehicles(self) -> None:
+        """Update names, topics and the fleet's parameter after a vehicle has joined or left."""
+        simulation = self._simulation
+        self.names = [vehicle.name for vehicle in simulation.fleet]
+        self._model_states = ModelStatesMessage(simulation.names, simulation.world.model.models)
+        self._models.update_vehicles()
+        self._topics.update_vehicles()
+        rospy.set_param("/xtdrone/fleet", fleet_text(simulation.fleet))
 
     def close(self) -> None:
         """Close the ports, and release the autopilots and the physics engine."""

@@ -40,6 +40,7 @@ _SLICE = 0.1  # s; longest single wait, so that a shutdown is noticed
 _JOIN_REPORT = 5.0  # wall s between two log messages about missing participants
 _HOLD_WARNING = 20.0  # wall s of waiting after which these become warnings, which appear on screen
 _LEAST_HANG_LIMIT = 2.0  # s; participants send a keep-alive each second
+UNLIMITED = "unlimited"
 _CONNECT_LIMIT = 30.0  # wall s to hold the world for a topic connection; generous for a loaded machine
 
 
@@ -70,7 +71,14 @@ def _is_node_name(text: object) -> bool:
 class NodeSettings(Settings):
     """Private parameters of both simulator nodes."""
 
-    speed: float = setting(1.0, low=0.0, high=1e6, text="target real-time factor, 0 for unlimited")
+    speed: float = setting(
+        1.0,
+        low=0.0,
+        high=1e6,
+        parse=lambda given: 0.0 if given == UNLIMITED else given,
+        allowed=f"0 to 1000000, or '{UNLIMITED}' (0)",
+        text=f"target real-time factor, 0 or {UNLIMITED}: as fast as possible",
+    )
     paused: bool = setting(False, text="start paused")
     until: float = setting(0.0, low=0.0, high=1e9, unit="s", text="simulated time at which the node ends, 0 for never")
     lockstep: bool = setting(
@@ -180,7 +188,7 @@ class SimulatorNode:
         self._time_us = backend.time_us  # /clock; the world may be one tick ahead of it
         self._next: _Tick | None = None  # the tick for which the world stands ready
         self._looked_us = backend.time_us  # last tick whose time does not depend on subscribers
-        self._collisions: set[tuple[int, int]] = set()
+        self._collisions: set[tuple[str, str]] = set()
         self._control = Control(
             pacer,
             self._server,
@@ -198,7 +206,7 @@ class SimulatorNode:
             gravity=backend.gravity,
             model_names=lambda: list(backend.model_states().name),
         )
-        self._vehicle_services = VehicleServices(self._control, self._mailbox, backend)
+        self._vehicle_services = VehicleServices(self._control, self._mailbox, backend, self._follow_vehicles)
         backend.open(self._server, self._mailbox, self._serve)
         self._poll = select.epoll()
         for descriptor in (self._mailbox.fileno(), self._server.fileno(), *backend.descriptors):
@@ -364,10 +372,8 @@ class SimulatorNode:
     def _report_collisions(self) -> None:
         found = self._backend.collisions()
         new = found - self._collisions
-        if new:
-            names = [*self._backend.names, *self._backend.scenery]
-            for a, b in sorted(new):
-                rospy.logwarn("simulator: collision of %s and %s", names[a], names[b])
+        for a, b in sorted(new):
+            rospy.logwarn("simulator: collision of %s and %s", a, b)
         if found != self._collisions:  # a vehicle put back may collide again
             self._collisions = set(found)
 
@@ -415,6 +421,10 @@ class SimulatorNode:
         clock.secs, micros = divmod(self._time_us, 1_000_000)
         clock.nsecs = micros * 1000
         self._clock.publish(self._clock_message)
+
+    def _follow_vehicles(self) -> None:
+        """Serve the ground truth of vehicles that have joined, and no longer that of those that have left."""
+        self._truth.update([*self._backend.names, *self._backend.actors])
 
     def _publish_states(self, now: int) -> None:
         self._next_states_us = now - now % self._states_period_us + self._states_period_us

@@ -2,6 +2,8 @@
 
 ==============================  ==========================  ==========================================================
 /simulator/reset_vehicle        xtdrone_msgs/ResetVehicle   stand at the start or a given pose, as after a reboot
+/simulator/add_vehicle          xtdrone_msgs/AddVehicle     join at a free place; ``reserve`` keeps places free
+/simulator/remove_vehicle       xtdrone_msgs/RemoveVehicle  leave, flying or not; the place is free then
 ==============================  ==========================  ==========================================================
 
 rospy calls the handlers in its own threads; each change is made in the simulator's thread, between two ticks.
@@ -13,9 +15,17 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import rospy
-from xtdrone_msgs.srv import ResetVehicle, ResetVehicleResponse
+from xtdrone_msgs.srv import (
+    AddVehicle,
+    AddVehicleResponse,
+    RemoveVehicle,
+    RemoveVehicleResponse,
+    ResetVehicle,
+    ResetVehicleResponse,
+)
 
 from xtdrone_control.fleet import StartPose, start_pose
+from xtdrone_control.lockstep.protocol import printable
 from xtdrone_sim.runtime.backend import SimulatorBackend
 from xtdrone_sim.runtime.control import Change, Control, ControlError
 from xtdrone_sim.runtime.mailbox import ClosedError, Mailbox
@@ -24,18 +34,24 @@ from xtdrone_sim.runtime.mailbox import ClosedError, Mailbox
 class VehicleServices:
     """Advertises the services; its methods may be called in any thread but the simulator's."""
 
-    def __init__(self, control: Control, mailbox: Mailbox, backend: SimulatorBackend) -> None:
+    def __init__(
+        self, control: Control, mailbox: Mailbox, backend: SimulatorBackend, followed: Callable[[], None]
+    ) -> None:
         """Advertise the services.
 
         Args:
             control: makes changes between ticks.
             mailbox: passes requests to the simulator's thread.
             backend: the simulated vehicles.
+            followed: called in the simulator's thread after a vehicle has joined or left.
         """
         self._control = control
         self._mailbox = mailbox
         self._backend = backend
+        self._followed = followed
         rospy.Service("~reset_vehicle", ResetVehicle, self._on_reset)
+        rospy.Service("~add_vehicle", AddVehicle, self._on_add)
+        rospy.Service("~remove_vehicle", RemoveVehicle, self._on_remove)
 
     def reset_vehicle(self, name: str, pose: StartPose | None, caller: str) -> str:
         """Put a vehicle back; see ``SimulatorBackend.reset_vehicle``.
@@ -53,6 +69,30 @@ class VehicleServices:
 
         return self._ask(Change(f"reset of {name}", make), caller)
 
+    def add_vehicle(self, name: str, model: str, pose: StartPose | None, caller: str) -> str:
+        """Let a vehicle join; see ``SimulatorBackend.add_vehicle``, and ``reset_vehicle`` for the rest."""
+
+        def make() -> str:
+            self._backend.add_vehicle(name, model, pose)
+            self._followed()
+            return f"{name} has joined, {self._count()} in the simulation"
+
+        return self._ask(Change(f"join of {printable(name)}", make), caller)
+
+    def remove_vehicle(self, name: str, caller: str) -> str:
+        """Take a vehicle out of the simulation; see ``add_vehicle``."""
+
+        def make() -> str:
+            self._backend.remove_vehicle(name)
+            self._followed()
+            return f"{name} has left, {self._count()} in the simulation"
+
+        return self._ask(Change(f"leave of {printable(name)}", make), caller)
+
+    def _count(self) -> str:
+        count = len(self._backend.names)
+        return "1 vehicle is" if count == 1 else f"{count} vehicles are"
+
     def _ask(self, change: Change, caller: str) -> str:
         asked = self._mailbox.put(lambda answer: self._control.ask_change(change, caller, answer))
         return str(asked.result())
@@ -62,11 +102,19 @@ class VehicleServices:
             *_answered(lambda: self.reset_vehicle(request.name, _pose(request.pose), _caller(request)))
         )
 
+    def _on_add(self, request: Any) -> AddVehicleResponse:
+        return AddVehicleResponse(
+            *_answered(lambda: self.add_vehicle(request.name, request.model, _pose(request.pose), _caller(request)))
+        )
+
+    def _on_remove(self, request: Any) -> RemoveVehicleResponse:
+        return RemoveVehicleResponse(*_answered(lambda: self.remove_vehicle(request.name, _caller(request))))
+
 
 def _answered(act: Callable[[], str]) -> tuple[bool, str]:
     try:
         return True, act()
-    except (ValueError, ControlError, ClosedError) as error:
+    except (ValueError, OSError, ControlError, ClosedError) as error:
         return False, str(error)
 
 

@@ -22,6 +22,7 @@ class Below:
     Attributes:
         arrays: trees, things and places, see ``casting.cast_rays``; empty if no vehicle looks down, or the world has no
             models.
+        needed: whether a vehicle looks down.
     """
 
     def __init__(self, world: World, *, needed: bool) -> None:
@@ -36,14 +37,14 @@ class Below:
         """
         self.arrays: tuple[Any, ...] = _NOTHING
         self._world = world
-        self._needed = needed
+        self.needed = needed
         self._rays = RayScene(world.model.models) if needed and world.model.models else None
         self._there: tuple[tuple[int, ...], ...] = ((), ())
         self.update()
 
     def update(self) -> None:
         """Take over which models are there, and where those are that can move."""
-        if not self._needed:
+        if not self.needed:
             return
         bodies = self._world.bodies.by_number
         there = tuple(self._world.standing), tuple(bodies)

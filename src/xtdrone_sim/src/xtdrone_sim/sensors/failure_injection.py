@@ -230,9 +230,14 @@ class Failing:
         self._numbers = failures.view(np.int32)
         self._models = models
         self._memory = np.zeros(len(failures), MEMORY)
-        self._memory["counter"] = (np.arange(len(failures)) + 1) * 2_654_435_761 + seed
+        self._memory["counter"] = self._counters = (np.arange(len(failures)) + 1) * 2_654_435_761 + seed
         self._work = np.zeros(_WIDTH)
         self._commands = np.zeros((len(failures), MAX_ROTORS))
+
+    def forget(self, index: int) -> None:
+        """Begin anew for another vehicle at ``index``."""
+        self._memory[index] = np.zeros(1, MEMORY)[0]
+        self._memory["counter"][index] = self._counters[index]
 
     def look(self) -> bool:
         """Return whether any unit fails."""

@@ -32,8 +32,17 @@ class GroundTruth:
 
     def __init__(self, names: Sequence[str]) -> None:
         """Advertise the topics of these models."""
-        self._publishers = {name: lockstep.Publisher(topic(name), Odometry) for name in names}
-        self._messages = {name: _empty(name) for name in names}
+        self._publishers: dict[str, lockstep.Publisher] = {}
+        self._messages: dict[str, Odometry] = {}
+        self.update(names)
+
+    def update(self, names: Sequence[str]) -> None:
+        """Serve these models, of which some may be new, and others gone."""
+        for name in [name for name in self._publishers if name not in names]:
+            self._publishers.pop(name).unregister()
+        for name in names:
+            if name not in self._publishers:
+                self._publishers[name], self._messages[name] = lockstep.Publisher(topic(name), Odometry), _empty(name)
 
     @property
     def wanted(self) -> bool:

@@ -3,13 +3,15 @@
 IMU, magnetometer, barometer, GPS, and optionally an optical-flow camera and a range finder, which face down to level
 ground at height 0 and the models on it (they do not see other vehicles and people).
 
-The noise of vehicle i depends on the seed and on i only, not on the size of the fleet. The streams are drawn in blocks
+The noise of vehicle i depends on the seed and on i only, not on the size of the fleet; that of a vehicle that joins,
+also on how many have had its place before. The streams are drawn in blocks
 of one second ahead, so the kernel only adds them; flow and range share a separate stream.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -17,6 +19,7 @@ from xtdrone_control.autopilot.autopilot import Autopilot
 from xtdrone_control.geodesy import geo
 from xtdrone_control.rotation_kernels import multiply, rotate, rotate_inverse
 from xtdrone_sim.kernel import kernel
+from xtdrone_sim.physics.plant import ABSENT
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.rays.casting import distance_along
 from xtdrone_sim.sensors.below import Below
@@ -32,6 +35,7 @@ _SLOW = 20  # normals per slot of MAG_EVERY steps: mag 3, baro 2, gps position 3
 
 _DOWN = 5  # normals per sample of flow and range: flow 2, its gyroscope 2, range 1
 _DOWN_STREAM = 1  # second part of its spawn key
+_JOINED = 2  # second part of the spawn keys of a vehicle that has joined; then the number of its join, and its streams
 _BEST_FLOW = 255
 
 BIAS = np.dtype(
@@ -185,7 +189,9 @@ def _look_down(s, v, m, noise, below):
 
 @kernel
 def sample_vehicle(s, v, m, b, fast, slow, down, below, step, time_us, field, place, gravity, dt):
-    """Fill the ``SENSORS`` record ``s`` of one vehicle; see ``sample_all``."""
+    """Fill the ``SENSORS`` record ``s`` of one vehicle; see ``sample_all``. An absent one gets no samples."""
+    if v.contact == ABSENT:
+        return
     k = step % STEPS
     slot = k // MAG_EVERY
     s.time_us = time_us
@@ -238,49 +244,79 @@ class Sensors:
         place: argument ``place`` of ``sample_all``.
     """
 
-    def __init__(self, world: World, autopilot: Autopilot, seed: int) -> None:
+    def __init__(self, world: World, autopilot: Autopilot, seed: int, joins: Mapping[int, int] | None = None) -> None:
         """Draw the turn-on biases.
 
         Args:
             world: provides the true state.
             autopilot: its ``sensors`` are written.
             seed: seed of all noise; vehicle i uses its i-th child.
+            joins: by index, the number of the join of each vehicle that has joined, from 1; see ``add_vehicle``.
         """
         count = len(world.plant)
         self._world = world
         self._autopilot = autopilot
-        self._streams = [
-            np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(i,)))) for i in range(count)
-        ]
+        self._seed = seed
+        self._streams: dict[int, np.random.Generator] = {}
+        self._down_streams: dict[int, np.random.Generator] = {}
         self._bias = np.zeros(count, BIAS)
-        for i, stream in enumerate(self._streams):
-            m, b = world.models[i], self._bias[i]
-            b["gyro"] = m["gyro_turn_on_bias"] * stream.standard_normal(3)
-            b["accel"] = m["accel_turn_on_bias"] * stream.standard_normal(3)
-            b["mag"] = m["mag_bias"] * stream.standard_normal(3)
-            b["gps"] = m["gps_wander"] * stream.standard_normal(3)
+        for i in np.flatnonzero(world.plant["contact"] != ABSENT).tolist():
+            self._begin(i, (joins or {}).get(i, 0))
         self._fast = np.empty((count, STEPS, _FAST), np.float32)
         self._slow = np.empty((count, STEPS // MAG_EVERY, _SLOW), np.float32)
-        fitted = (world.models["flow_fitted"] | world.models["range_fitted"]) != 0
-        self._down_streams = [
-            (i, np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(i, _DOWN_STREAM)))))
-            for i in np.flatnonzero(fitted).tolist()
-        ]
         self._down = np.zeros((count, STEPS // FLOW_EVERY, _DOWN), np.float32)
         self.noise = self._bias, self._fast, self._slow, self._down
-        self.below = Below(world, needed=bool(fitted.any()))
+        self.below = Below(world, needed=bool(self._down_streams))
         self.failing = Failing(autopilot.failures, world.models, seed)
         datum = world.model.datum
         self.place = np.array([datum.latitude, datum.longitude, datum.altitude])
 
+    def _begin(self, i: int, join: int) -> None:
+        """Begin the streams of vehicle ``i`` and draw its turn-on biases; see ``add_vehicle``."""
+        keys = ((i,), (i, _DOWN_STREAM)) if not join else ((i, _JOINED, join, 0), (i, _JOINED, join, _DOWN_STREAM))
+        stream, down = (
+            np.random.Generator(np.random.PCG64(np.random.SeedSequence(self._seed, spawn_key=key))) for key in keys
+        )
+        self._streams[i] = stream
+        m, b = self._world.models[i], self._bias[i]
+        b["gyro"] = m["gyro_turn_on_bias"] * stream.standard_normal(3)
+        b["accel"] = m["accel_turn_on_bias"] * stream.standard_normal(3)
+        b["mag"] = m["mag_bias"] * stream.standard_normal(3)
+        b["gps"] = m["gps_wander"] * stream.standard_normal(3)
+        if m["flow_fitted"] or m["range_fitted"]:
+            self._down_streams[i] = down
+
+    def add_vehicle(self, i: int, join: int) -> None:
+        """Begin the noise of a vehicle that has joined.
+
+        Args:
+            i: its index.
+            join: number of vehicles that have had this index since the start, from 1; the noise depends on it.
+        """
+        self._bias[i] = np.zeros(1, BIAS)[0]
+        self._begin(i, join)
+        self.failing.forget(i)
+        self._draw(i)
+        if i in self._down_streams and not self.below.needed:
+            self.below = Below(self._world, needed=True)
+
+    def remove_vehicle(self, i: int) -> None:
+        """End the noise of a vehicle that leaves."""
+        del self._streams[i]
+        self._down_streams.pop(i, None)
+
     def draw(self, step: int) -> None:
         """Draw the noise of the next second if a block begins at step number ``step``."""
         if step % STEPS == 0:
-            for i, stream in enumerate(self._streams):
-                stream.standard_normal(dtype=np.float32, out=self._fast[i])
-                stream.standard_normal(dtype=np.float32, out=self._slow[i])
-            for i, stream in self._down_streams:
-                stream.standard_normal(dtype=np.float32, out=self._down[i])
+            for i in self._streams:
+                self._draw(i)
+
+    def _draw(self, i: int) -> None:
+        stream = self._streams[i]
+        stream.standard_normal(dtype=np.float32, out=self._fast[i])
+        stream.standard_normal(dtype=np.float32, out=self._slow[i])
+        if i in self._down_streams:
+            self._down_streams[i].standard_normal(dtype=np.float32, out=self._down[i])
 
     def sample(self, step: int, time_us: int) -> None:
         """Sample every sensor that is due at step number ``step``."""

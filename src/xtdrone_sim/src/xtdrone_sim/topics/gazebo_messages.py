@@ -21,9 +21,11 @@ class ModelStatesMessage:
         """Create the message.
 
         Args:
-            names: names of the vehicles.
+            names: names of the vehicles; those of absent ones are empty.
             models: of the world.
         """
+        self._present = None if all(names) else np.array([bool(name) for name in names])
+        names = [name for name in names if name]
         poses = [Pose(Point(*model.pose.position), Quaternion(*to_xyzw(model.pose.orientation))) for model in models]
         level = Pose(orientation=Quaternion(0.0, 0.0, 0.0, 1.0))
         self._message = ModelStates(
@@ -42,6 +44,8 @@ class ModelStatesMessage:
         Returns:
             Poses in the world frame (ENU, quaternion x, y, z, w) and twists in the world frame, as Gazebo gives them.
         """
+        if self._present is not None:
+            plant = plant[self._present]
         message = self._message
         for column in (message.name, message.pose, message.twist):
             del column[self._size :]

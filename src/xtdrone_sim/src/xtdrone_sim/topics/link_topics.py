@@ -51,18 +51,28 @@ class LinkTopics:
         self.states_providers: list[StatesProvider] = []
         self._simulation = simulation
         self._states_period_us = round(1e6 / states_rate)
-        names = [vehicle.name for vehicle in simulation.fleet]
-        self._links = Links(names, simulation.models)
         self._scene = lockstep.Publisher("/xtdrone/scene", SceneState)
         self._states = lockstep.Publisher("/gazebo/link_states", LinkStates)
-        self._joints = [
-            (i, lockstep.Publisher(f"/{name}/joint_states", JointState))
-            for i, (name, model) in enumerate(zip(names, simulation.models, strict=True))
-            if model.gimbal is not None or model.landing_gear
-        ]
-        self._regular = [self._scene, *(publisher for _, publisher in self._joints)]
+        self._joints: dict[str, tuple[int, lockstep.Publisher]] = {}
+        self.update_vehicles()
         self._published_us = -1
         self._next_states_us = 0
+
+    def update_vehicles(self) -> None:
+        """Follow vehicles that have joined or left."""
+        simulation = self._simulation
+        self._links = Links(simulation.names, simulation.models)
+        jointed = {
+            name: i
+            for i, (name, model) in enumerate(zip(simulation.names, simulation.models, strict=True))
+            if name and (model.gimbal is not None or model.landing_gear)
+        }
+        for name in [name for name in self._joints if name not in jointed]:
+            self._joints.pop(name)[1].unregister()
+        for name, i in jointed.items():
+            if name not in self._joints:
+                self._joints[name] = i, lockstep.Publisher(f"/{name}/joint_states", JointState)
+        self._regular = [self._scene, *(publisher for _, publisher in self._joints.values())]
 
     def next_publication_us(self, now_us: int) -> int | None:
         """Return the next publication time, microseconds; None without subscribers."""
@@ -88,7 +98,7 @@ class LinkTopics:
             self._publish_links(header, scene=scene, states=states)
         if now % PERIOD_US:
             return
-        for vehicle, publisher in self._joints:
+        for vehicle, publisher in self._joints.values():
             if publisher.get_num_connections():
                 publisher.publish(self._joint_state(vehicle, header))
 

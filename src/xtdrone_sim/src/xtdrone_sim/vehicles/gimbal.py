@@ -143,8 +143,18 @@ class Gimbals:
         for record, model in zip(self.records, models, strict=True):
             if model.gimbal is not None:
                 _fit(record, model)
+        self._update_fitted()
+
+    def _update_fitted(self) -> None:
         self._fitted: list[int] = np.flatnonzero(self.records["fitted"]).tolist()
         self.any = bool(self._fitted)
+
+    def fit(self, index: int, model: VehicleModel | None) -> None:
+        """Fit the vehicle ``index`` with the gimbal of a model, pointing ahead; without one, None removes it."""
+        self.records[index] = np.zeros(1, GIMBAL)[0]
+        if model is not None and model.gimbal is not None:
+            _fit(self.records[index], model)
+        self._update_fitted()
 
     def reset(self, index: int) -> None:
         """Point the gimbal of vehicle ``index`` ahead, without a setpoint."""

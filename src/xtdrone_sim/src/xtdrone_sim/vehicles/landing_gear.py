@@ -40,8 +40,14 @@ class LandingGears:
             models: one per vehicle.
         """
         self.records = np.zeros(len(models), GEAR)
-        for record, model in zip(self.records, models, strict=True):
-            record["speed"] = min((joint.velocity / joint.upper for joint in model.landing_gear), default=0.0)
+        for index, model in enumerate(models):
+            self.fit(index, model)
+
+    def fit(self, index: int, model: VehicleModel | None) -> None:
+        """Fit the vehicle ``index`` with the landing gear of a model, lowered; None removes it."""
+        joints = () if model is None else model.landing_gear
+        self.records[index] = np.zeros(1, GEAR)[0]
+        self.records[index]["speed"] = min((joint.velocity / joint.upper for joint in joints), default=0.0)
         self._fitted: list[int] = np.flatnonzero(self.records["speed"]).tolist()
         self.any = bool(self._fitted)
 

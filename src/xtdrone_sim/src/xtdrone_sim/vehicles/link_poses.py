@@ -95,13 +95,15 @@ class Links:
         """Read the vehicles' descriptions.
 
         Args:
-            names: names of the vehicles.
+            names: names of the vehicles; those of absent ones are empty.
             models: one per vehicle.
         """
         self.names: list[str] = []
         self.vehicles: list[int] = []
         rows: list[tuple[object, ...]] = []
         for vehicle, (name, model) in enumerate(zip(names, models, strict=True)):
+            if not name:
+                continue
             entry: dict[str, int] = {}
             for link, parent, pose, joint in _entries(model):
                 entry[link] = len(rows)
@@ -113,6 +115,8 @@ class Links:
         self._table = np.array(rows, _TABLE)
         self._numbers = {name: i for i, name in enumerate(self.names)}
         for name, model in zip(names, models, strict=True):
+            if not name:
+                continue
             self._numbers.setdefault(name, self._numbers[f"{name}::{model.urdf.root}"])
         self.states = np.zeros(len(rows), LINK)
 

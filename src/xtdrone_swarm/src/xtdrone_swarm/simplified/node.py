@@ -177,7 +177,7 @@ class SimplifiedScene:
 
     Attributes:
         names: names of the vehicles.
-        scenery, actors: empty.
+        actors: empty.
         step_us: base step, microseconds.
         gravity: gravitational acceleration, m/s^2.
         need_time: false, because services are answered immediately.
@@ -197,7 +197,6 @@ class SimplifiedScene:
     ) -> None:
         """Create the scene of ``vehicles``; the other arguments are those of ``VehicleTopics``."""
         self.names: Sequence[str] = vehicles.names
-        self.scenery: Sequence[str] = ()
         self.actors: Sequence[str] = ()
         self.step_us = vehicles.step_us
         self._vehicles = vehicles
@@ -304,7 +303,7 @@ class SimplifiedScene:
             message.twist.append(Twist(Vector3(*velocity), Vector3()))
         return message
 
-    def collisions(self) -> set[tuple[int, int]]:
+    def collisions(self) -> set[tuple[str, str]]:
         """Return an empty set: simplified vehicles do not collide."""
         return set()
 
@@ -323,6 +322,18 @@ class SimplifiedScene:
             _check_level(name, pose)
         self._vehicles.reset(index, None if pose is None else pose[:3], None if pose is None else pose.yaw)
         self._topics[index].restart()
+
+    def add_vehicle(self, name: str, model: str, pose: StartPose | None) -> None:
+        """Refuse: the vehicles of the simplified simulator are those of the start.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError(f"name: {name[:80]!r} cannot join: the simplified simulator keeps the vehicles of its start")
+
+    def remove_vehicle(self, name: str) -> None:
+        """Refuse; see ``add_vehicle``."""
+        raise ValueError(f"name: {name[:80]!r} cannot leave: the simplified simulator keeps the vehicles of its start")
 
     def close(self) -> None:
         """Release the vehicles' resources."""

@@ -261,6 +261,7 @@ class Logger:
             _Ring(autopilot.control, _BASE_ROWS),
         ]
         self._rotors = np.array([autopilot.rotor_count(i) for i in range(count)], np.int64)
+        self._absent: set[int] = set()
         for i in range(len(self.folders)):
             self._attach_listeners(i)
 
@@ -297,6 +298,22 @@ class Logger:
         if self.folders:
             self._status[index] = StatusTopics(commander, self._ids)
             self._attach_listeners(index)
+
+    def leave(self, index: int) -> None:
+        """End the log and the stream of a vehicle that leaves the simulation; it gets no other one."""
+        self.flush()
+        self._end_log(index)
+        self._end_stream(index)
+        self._detach_listeners(index)
+        self._absent.add(index)
+
+    def join(self, index: int, commander: Commander) -> None:
+        """Log a vehicle that has joined the simulation from now on, in the folder of its name."""
+        self._absent.discard(index)
+        self._rotors[index] = self._autopilot.rotor_count(index)
+        if self.folders:
+            self.folders[index] = LogFolder(self.folders[index].root.parent / commander.vehicle.name)
+        self.reboot(index, commander)
 
     def close(self) -> None:
         """Flush and end all logs and streams, and detach the listeners."""
@@ -351,6 +368,8 @@ class Logger:
         if not self.folders:
             return
         for i, commander in enumerate(self._commanders):
+            if i in self._absent:
+                continue
             self._start_or_stop(i, commander, now_us)
             log = self._logs[i]
             if log is None:

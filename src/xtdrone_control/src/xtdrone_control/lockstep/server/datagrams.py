@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 
 from ..protocol import ProtocolError
 from .participant import Participant
@@ -20,11 +20,20 @@ class DatagramCounts:
         self.sent: dict[int, int] = {}
         self.expected: dict[int, int] = {}
         self._ports: frozenset[int] = frozenset()
+        self._sent_so_far: Callable[[], Mapping[int, int]] = lambda: self.sent
         self._remote_ports: set[int] = set()
 
-    def open_ports(self, ports: Collection[int]) -> None:
-        """Set the UDP ports on which the simulator receives datagrams; counts of all other ports are ignored."""
+    def open_ports(self, ports: Collection[int], sent_so_far: Callable[[], Mapping[int, int]] | None = None) -> None:
+        """Set the UDP ports on which the simulator receives datagrams; counts of all other ports are ignored.
+
+        Args:
+            ports: The ports.
+            sent_so_far: Returns the numbers of datagrams sent until now, by the participants' port; by default those
+                at the last tick count.
+        """
         self._ports = frozenset(ports)
+        if sent_so_far is not None:
+            self._sent_so_far = sent_so_far
 
     def add_participant(self, participant: Participant, udp_ports: tuple[int, ...]) -> None:
         """Start counting for a participant that joins.
@@ -34,8 +43,9 @@ class DatagramCounts:
             udp_ports: Local ports on which it receives; ignored unless the simulator has opened ports.
         """
         participant.udp_ports = udp_ports if self._ports else ()
-        # Datagrams sent before it joined cannot have reached it.
-        participant.datagrams_base = {port: self.sent.get(port, 0) for port in participant.udp_ports}
+        # Datagrams sent before it joined need not have reached it: it may have bound its port just now.
+        sent = self._sent_so_far() if participant.udp_ports else {}
+        participant.datagrams_base = {port: sent.get(port, 0) for port in participant.udp_ports}
 
     def news_for(self, participant: Participant) -> dict[int, int]:
         """Return the counts of a participant's ports that changed since its last TICK."""

@@ -112,12 +112,14 @@ class LockstepServer:
         """
         self._channels.attach_host(link)
 
-    def open_datagram_ports(self, ports: Collection[int]) -> None:
+    def open_datagram_ports(
+        self, ports: Collection[int], sent_so_far: Callable[[], Mapping[int, int]] | None = None
+    ) -> None:
         """Set the UDP ports on which the simulator receives the datagrams that participants count in DONE.
 
         Counts of other ports are ignored; without such ports, ``udp_ports`` of participants are ignored as well.
         """
-        self._datagrams.open_ports(ports)
+        self._datagrams.open_ports(ports, sent_so_far)
 
     def remote_sender(self, port: int) -> bool:
         """Return whether the last participant to send to one of the simulator's UDP ports is on another machine."""
