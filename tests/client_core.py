@@ -16,7 +16,7 @@ from pathlib import Path
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.mavlink.server import MavlinkServer
 from xtdrone_sim.autopilots.backend import BuiltinAutopilot
-from xtdrone_sim.runtime.pacing import Pacer
+from xtdrone_sim.runtime.requests.pacing import Pacer
 from xtdrone_sim.simulation import Simulation
 
 CHUNK_US = 8000  # simulated time between two looks at the sockets

@@ -26,7 +26,7 @@ from evaluate import SETTINGS, detector_of
 from make_data import REGION, Scene, View, people_of
 
 from xtdrone_control.rotation import from_euler
-from xtdrone_coordination.search.candidates import Candidate, Evidence, Sighting, nearest
+from xtdrone_coordination.search.people.candidates import Candidate, Evidence, Sighting, nearest
 from xtdrone_coordination.search.settings import MissionSettings
 from xtdrone_sim.vehicles.poses import rotate
 from xtdrone_sim.vehicles.visual import Mesh, Pose, Visual

@@ -17,9 +17,9 @@ from shapely.geometry import Polygon
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_coordination.search import actions as control
-from xtdrone_coordination.search.candidates import Sighting
 from xtdrone_coordination.search.coverage_map import shows
 from xtdrone_coordination.search.mission import SearchMission
+from xtdrone_coordination.search.people.candidates import Sighting
 from xtdrone_coordination.search.planning.plans import DatumSettings, SearchOptions, mission_items, plan_search
 from xtdrone_coordination.search.settings import MissionSettings
 from xtdrone_coordination.search.vehicle import State

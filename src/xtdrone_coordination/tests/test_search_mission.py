@@ -11,7 +11,7 @@ import pytest
 from search_world import Thing, World, decoy, person
 
 from xtdrone_control.autopilot.navigator import plan
-from xtdrone_coordination.search.candidates import Candidate, Sighting
+from xtdrone_coordination.search.people.candidates import Candidate, Sighting
 from xtdrone_coordination.search.settings import MissionSettings
 from xtdrone_coordination.search.vehicle import State
 

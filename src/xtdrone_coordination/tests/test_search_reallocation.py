@@ -10,12 +10,12 @@ import pytest
 
 from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.pinhole import Pinhole
-from xtdrone_coordination.search.candidates import Candidate, Evidence, nearest
 from xtdrone_coordination.search.coverage_map import CoverageMap
+from xtdrone_coordination.search.losses.reallocation import cut, share_out
+from xtdrone_coordination.search.people.candidates import Candidate, Evidence, nearest
 from xtdrone_coordination.search.planning.coverage_path import Waypoint, length
 from xtdrone_coordination.search.planning.plans import DatumSettings
 from xtdrone_coordination.search.planning.region import make_region
-from xtdrone_coordination.search.reallocation import cut, share_out
 from xtdrone_coordination.search.vehicle import AssignedMission
 
 REST = [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from xtdrone_sim.runtime.pacing import Pacer, SpeedMeter
+from xtdrone_sim.runtime.requests.pacing import Pacer, SpeedMeter
 
 
 @pytest.mark.parametrize("speed", [0.01, 1.0, 5.0])

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from .candidates import Candidate
 from .coverage_map import CoverageMap
-from .reallocation import Reallocation
+from .losses.reallocation import Reallocation
+from .people.candidates import Candidate
 from .reports import Find, outcome_report, possible_report
 from .states.base import MissionControl
 from .states.following import FollowingPerson

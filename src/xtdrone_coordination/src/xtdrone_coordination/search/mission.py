@@ -24,14 +24,14 @@ from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.pinhole import Pinhole
 
 from .actions import Action, Position, PushMission
-from .association import Association
-from .candidates import Candidate, Sighting
 from .conclusion import Conclusion
 from .coverage_map import CoverageMap
-from .dispatch import Dispatch
-from .finds import Finds
-from .losses import Losses
-from .reallocation import Reallocation
+from .losses.lost_vehicles import Losses
+from .losses.reallocation import Reallocation
+from .people.association import Association
+from .people.candidates import Candidate, Sighting
+from .people.dispatch import Dispatch
+from .people.finds import Finds
 from .reports import Event, make_event, progress_report
 from .settings import MissionSettings
 from .states.base import VehicleState, because

@@ -27,8 +27,8 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from .candidates import Candidate
 from .coverage_map import CoverageMap
+from .people.candidates import Candidate
 from .planning.coverage_path import Point
 from .vehicle import State, Vehicle
 

@@ -12,7 +12,7 @@ from xtdrone_control.autopilot.navigator.plan import Items
 from xtdrone_control.geodesy.datum import Datum
 
 from .actions import Position
-from .candidates import Candidate, Evidence
+from .people.candidates import Candidate, Evidence
 from .planning.coverage_path import Point, Waypoint
 from .planning.plans import waypoint_item
 

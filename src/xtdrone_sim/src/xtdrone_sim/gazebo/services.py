@@ -48,7 +48,7 @@ from xtdrone_sim.gazebo.publishing import ModelTopics
 from xtdrone_sim.gazebo.queries import Queries
 from xtdrone_sim.gazebo.refused import advertise_refused
 from xtdrone_sim.gazebo.urdf_models import model_of_urdf
-from xtdrone_sim.runtime.mailbox import ClosedError, Mailbox
+from xtdrone_sim.runtime.requests.mailbox import ClosedError, Mailbox
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.worlds.sdf import SdfError, SdfModel, read_model
 

@@ -9,7 +9,7 @@ from gazebo_msgs.msg import ModelStates
 
 from xtdrone_control.fleet import StartPose
 from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_sim.runtime.mailbox import Mailbox
+from xtdrone_sim.runtime.requests.mailbox import Mailbox
 
 Idle = Callable[[float], None]
 """Waits up to the given wall time, s, and meanwhile serves everything except the lockstep server."""

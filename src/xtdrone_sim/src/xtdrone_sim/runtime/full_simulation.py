@@ -27,7 +27,7 @@ from xtdrone_sim.gazebo.services import GazeboServices
 from xtdrone_sim.physics.plant import ABSENT
 from xtdrone_sim.runtime.backend import HEAD_START, Idle, index_of
 from xtdrone_sim.runtime.launched import launched_world, read_launched
-from xtdrone_sim.runtime.mailbox import Mailbox
+from xtdrone_sim.runtime.requests.mailbox import Mailbox
 from xtdrone_sim.runtime.simulator_node import NodeSettings, close_all, log, run_node
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.topics.gazebo_messages import ModelStatesMessage

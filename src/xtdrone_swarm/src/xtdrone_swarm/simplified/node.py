@@ -40,7 +40,7 @@ from xtdrone_control.program import ArgumentError, check_multirotor, parse_count
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_coordination.patterns import origin_columns
 from xtdrone_sim.runtime.backend import HEAD_START, Idle, index_of
-from xtdrone_sim.runtime.mailbox import Mailbox
+from xtdrone_sim.runtime.requests.mailbox import Mailbox
 from xtdrone_sim.runtime.simulator_node import NodeSettings, run_node
 from xtdrone_swarm.simplified.model import Model, load_model
 from xtdrone_swarm.simplified.simplified_vehicles import SimplifiedVehicles

@@ -6,7 +6,7 @@ import math
 from typing import ClassVar, Protocol
 
 from ..actions import Action, SetMode
-from ..candidates import Candidate
+from ..people.candidates import Candidate
 from ..settings import MissionSettings
 from ..vehicle import SecondLook, Vehicle
 

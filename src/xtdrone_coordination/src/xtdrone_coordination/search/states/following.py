@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..actions import Follow
-from ..candidates import Candidate
+from ..people.candidates import Candidate
 from ..reports import rounded_xy
 from ..vehicle import Following, SecondLook, State, Vehicle
 from .base import MissionControl

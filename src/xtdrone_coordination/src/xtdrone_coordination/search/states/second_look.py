@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from xtdrone_control.pinhole import Pinhole
 
 from ..actions import OFFBOARD, PointCamera
-from ..candidates import EXTRAPOLATION, Candidate
 from ..coverage_map import shows
+from ..people.candidates import EXTRAPOLATION, Candidate
 from ..reports import rounded_xy
 from ..vehicle import LookStage, SecondLook, State, Vehicle
 from .base import MissionControl

@@ -44,8 +44,8 @@ from xtdrone_msgs.msg import SimulationStatus
 from xtdrone_msgs.srv import GetStatus, GetStatusResponse, SetSpeed, SetSpeedResponse, Step, StepResponse
 
 from xtdrone_control.speed import LEAST_SPEED
-from xtdrone_sim.runtime.control import Control, ControlError, Reset, Status, StepRequest
-from xtdrone_sim.runtime.mailbox import ClosedError, Mailbox
+from xtdrone_sim.runtime.requests.control import Control, ControlError, Reset, Status, StepRequest
+from xtdrone_sim.runtime.requests.mailbox import ClosedError, Mailbox
 
 _STATUS_PERIOD = 1.0  # wall s
 _STATE_PERIOD = 0.1  # wall s between two polls of changes that arrive without an event

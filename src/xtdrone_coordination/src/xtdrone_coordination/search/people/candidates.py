@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 
-from .planning.coverage_path import Point
+from ..planning.coverage_path import Point
 
 _MAX_PROBABILITY = 0.95  # cap on a detector's probability: its errors are correlated from picture to picture
 _MISS = -1.5  # log-odds of a picture of the place without a detection: about one in four misses a person

@@ -9,10 +9,10 @@ from typing import Protocol
 import shapely
 from shapely.geometry import Polygon
 
+from ..reports import rounded_xy
+from ..settings import MissionSettings
+from ..vehicle import Vehicle
 from .candidates import Candidate, Sighting, nearest
-from .reports import rounded_xy
-from .settings import MissionSettings
-from .vehicle import Vehicle
 
 _WALKING_SPEED = 1.5  # m/s that a person may move while unseen
 

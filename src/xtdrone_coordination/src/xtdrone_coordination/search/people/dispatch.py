@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ..states.base import MissionControl
+from ..vehicle import OFFBOARD_STATES, Vehicle
 from .candidates import Candidate
-from .states.base import MissionControl
-from .vehicle import OFFBOARD_STATES, Vehicle
 
 
 class Dispatch:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from ..reports import rounded_xy
+from ..states.base import MissionControl
+from ..states.following import FollowingPerson
+from ..vehicle import State, Vehicle
 from .reallocation import Reallocation
-from .reports import rounded_xy
-from .states.base import MissionControl
-from .states.following import FollowingPerson
-from .vehicle import State, Vehicle
 
 
 class Losses:

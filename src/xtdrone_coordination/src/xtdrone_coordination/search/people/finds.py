@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from .reallocation import Reallocation
-from .reports import Find, rounded_xy
-from .states.base import MissionControl
-from .vehicle import BUSY, LookStage, SecondLook, State, Vehicle
+from ..losses.reallocation import Reallocation
+from ..reports import Find, rounded_xy
+from ..states.base import MissionControl
+from ..vehicle import BUSY, LookStage, SecondLook, State, Vehicle
 
 
 class Finds:

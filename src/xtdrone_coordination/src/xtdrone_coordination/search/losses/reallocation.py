@@ -6,10 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
-from .actions import MISSION, PushMission
-from .planning.coverage_path import Point, Waypoint, length
-from .states.base import MissionControl
-from .vehicle import State, Vehicle
+from ..actions import MISSION, PushMission
+from ..planning.coverage_path import Point, Waypoint, length
+from ..states.base import MissionControl
+from ..vehicle import State, Vehicle
 
 _MIN_PART = 10.0  # m; a shorter part is not worth the flight to it
 

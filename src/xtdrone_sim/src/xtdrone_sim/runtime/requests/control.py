@@ -16,9 +16,9 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from xtdrone_sim.runtime.mailbox import ClosedError
-from xtdrone_sim.runtime.pacing import Pacer, SpeedMeter
-from xtdrone_sim.runtime.stepping import Goal, Outcome, StepError, Stepper
+from xtdrone_sim.runtime.requests.mailbox import ClosedError
+from xtdrone_sim.runtime.requests.pacing import Pacer, SpeedMeter
+from xtdrone_sim.runtime.requests.stepping import Goal, Outcome, StepError, Stepper
 
 PATIENCE = 10.0
 """Longest wait of a step or a reset for the end of the current tick, wall s."""
