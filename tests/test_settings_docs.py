@@ -31,6 +31,11 @@ from xtdrone_sim.runtime.full_simulation import FullSettings
 from xtdrone_sim.runtime.simulator_node import NodeSettings
 from xtdrone_sim.topics.robot_tf import TfSettings
 from xtdrone_sim.vehicles.lidar_mounts import LidarMount
+from xtdrone_sim.worlds.generated.city import CitySettings
+from xtdrone_sim.worlds.generated.countryside import CountrysideSettings
+from xtdrone_sim.worlds.generated.forest import ForestSettings
+from xtdrone_sim.worlds.generated.indoor import IndoorSettings
+from xtdrone_sim.worlds.generated.maze import MazeSettings
 from xtdrone_swarm.simplified.node import SimplifiedSettings
 
 PAGE = Path(__file__).parents[1] / "docs" / "settings.md"
@@ -49,6 +54,11 @@ CLASSES: dict[str, type[Settings]] = {
         GroundSettings,
         DownwashSettings,
         BodyDragSettings,
+        ForestSettings,
+        MazeSettings,
+        IndoorSettings,
+        CitySettings,
+        CountrysideSettings,
         TfSettings,
         GimbalOptions,
         DetectionOptions,

@@ -83,13 +83,14 @@ def test_a_missing_sensor_is_named() -> None:
 
 def test_worlds_are_found_as_by_gazebo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert launched_world("outdoor") == "outdoor"
+    assert launched_world("worlds/indoor1.world") == "indoor1"
     ours = Path(launched_world("worlds/empty.world"))
     assert ours.parts[-3:] == ("mavlink_sitl_gazebo", "worlds", "empty.world")
     (tmp_path / "worlds").mkdir()
     theirs = tmp_path / "worlds" / "indoor9.world"
     theirs.touch()
     absent = str(ours.with_name("indoor9.world"))
-    with pytest.raises(ModelError, match=r"indoor9.world does not exist; there are empty, .*set GAZEBO_RESOURCE_PATH"):
+    with pytest.raises(ModelError, match=r"indoor9.world does not exist; there are ego_swarm, empty, .*set GAZEBO_RESOURCE_PATH"):
         launched_world(absent)
     monkeypatch.setenv("GAZEBO_RESOURCE_PATH", f"/nowhere:{tmp_path}")
     assert launched_world(absent) == str(theirs)

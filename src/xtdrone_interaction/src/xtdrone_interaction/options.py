@@ -261,17 +261,17 @@ def world(text: str) -> str:
         OptionError: there is no such world, or its file is invalid.
     """
     from xtdrone_sim.descriptions import ModelError  # the reader of worlds is slow to import
-    from xtdrone_sim.worlds.sdf.worlds import load_world_file, world_names
+    from xtdrone_sim.worlds.catalogue import is_known, known_names, load_world
 
-    name = text if text in world_names() else str(Path(text).expanduser().absolute())
+    name = text if is_known(text) else str(Path(text).expanduser().absolute())
     if any(c.isspace() for c in name):
         raise OptionError(f"world: {name!r} has a space in it, which roslaunch cannot pass on")
     if name != text and not name.endswith((".world", ".sdf", ".yaml", ".yml")):
         raise OptionError(
-            f"world: {text!r} is unknown; there are {', '.join(world_names())}, or a file: .world, .sdf, .yaml"
+            f"world: {text!r} is unknown; there are {', '.join(known_names())}, or a file: .world, .sdf, .yaml"
         )
     try:
-        load_world_file(name)
+        load_world(name)
     except ModelError as error:
         raise OptionError(f"world: {error}") from error
     return name

@@ -59,7 +59,7 @@ class Simulation:
         Args:
             fleet: see ``xtdrone_control.fleet.parse_fleet``.
             rows: number of vehicles side by side on the spawn grid.
-            world: name or file, see ``sdf.load_world_file``.
+            world: name or file, see ``catalogue.find_world``.
             seed: seed of all sensor noise.
             shared_datum: whether all local frames share the world's origin; otherwise each starts at the vehicle's
                 first GPS fix.

@@ -29,6 +29,7 @@ from xtdrone_interaction.formation.geometry import natural_order
 from xtdrone_interaction.options import OptionError, repository, seed_setting, speed_setting, vehicles_setting
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.worlds import people, scenery
+from xtdrone_sim.worlds.catalogue import load_world
 from xtdrone_sim.worlds.sdf import SdfWorld, load_world_file, write_world
 
 CAMERA = "cgo3_camera"  # the detector's camera
@@ -215,7 +216,7 @@ def shipped_region() -> Path:
 def _world(settings: SearchSettings, region: Polygon) -> SdfWorld:
     """Return the user's world, or one generated from the seed with all people in the region."""
     if settings.world:
-        return load_world_file(settings.world)
+        return load_world(settings.world)
     return generate_world(region, settings.seed, settings.persons, walking=settings.walking)
 
 

@@ -37,7 +37,8 @@ from xtdrone_sim.physics.plant import ABSENT, ASLEEP, PLANT, TOUCHING
 from xtdrone_sim.physics.starts import body_pose, check_starts
 from xtdrone_sim.vehicles.vehicle_model import MODEL, VehicleModel
 from xtdrone_sim.vehicles.visual import Pose
-from xtdrone_sim.worlds.sdf import SdfActor, SdfModel, load_world_file
+from xtdrone_sim.worlds import catalogue
+from xtdrone_sim.worlds.sdf import SdfActor, SdfModel
 
 _NO_BODY = -1  # of an absent place
 
@@ -76,12 +77,12 @@ class WorldModel:
 
 
 def load_world(name: str) -> WorldModel:
-    """Return the world ``name``; see ``sdf.load_world_file``.
+    """Return the world ``name``; see ``catalogue.load_world``.
 
     Raises:
         ModelError: the world is unknown, a field is missing, or a value is not allowed.
     """
-    world = load_world_file(name)
+    world = catalogue.load_world(name)
     return WorldModel(
         world.datum,
         world.gravity,

@@ -33,7 +33,7 @@ from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.topics.gazebo_messages import ModelStatesMessage
 from xtdrone_sim.topics.link_topics import LinkTopics
 from xtdrone_sim.worlds.actor_topics import ActorTopics
-from xtdrone_sim.worlds.sdf import world_file
+from xtdrone_sim.worlds.catalogue import find_world
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,7 +145,7 @@ class FullSimulation:
         if self._simulation.effects is not None:
             rospy.loginfo("simulator: effects on the vehicles: %s", ", ".join(self._simulation.effects.names))
         rospy.set_param("/xtdrone/fleet", fleet_text(settings.fleet))
-        rospy.set_param("/xtdrone/world", str(world_file(settings.world)))
+        rospy.set_param("/xtdrone/world", str(find_world(settings.world)))
         rospy.set_param("/xtdrone/shared_origin", self._origin_for_px4s(settings))
         self.step_us = self._simulation.step_us
         self._model_states = ModelStatesMessage(self._simulation.names, self._simulation.world.model.models)

@@ -13,6 +13,7 @@ from xtdrone_control.mavros.link.connection import FcuUrl, LinkError, parse_fcu_
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.package_files import PACKAGE
 from xtdrone_sim.vehicles.upstream_models import FLOWN_WITHOUT
+from xtdrone_sim.worlds.generated import UPSTREAM, is_generated
 
 LAUNCHED_MAVROS = "/xtdrone/launched_mavros"
 """Parameter with a key for each MAVROS node that was launched; the node has the same key as ``KEY``."""
@@ -74,7 +75,9 @@ def launched_world(name: str) -> str:
     for place in (*places, _WORLDS / path.name):
         if place.is_file():
             return str(place)
-    known = ", ".join(sorted(file.stem for file in _WORLDS.glob("*.world")))
+    if is_generated(path.stem):
+        return path.stem
+    known = ", ".join(sorted({*UPSTREAM, *(file.stem for file in _WORLDS.glob("*.world"))}))
     raise ModelError(
         f"world: {name} does not exist; there are {known}; for XTDrone's own, set {_WORLDS_VARIABLE} to its folder "
         "sitl_config, or give the launch file world:=FILE"

@@ -1,0 +1,39 @@
+"""Worlds by name: files of the package, files of users, and worlds generated from a seed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from xtdrone_sim.worlds.generated import KINDS, UPSTREAM, generated_file, is_generated
+from xtdrone_sim.worlds.sdf import SdfWorld, load_world_file, world_file, world_names
+
+
+def known_names() -> list[str]:
+    """Return the names of all worlds without options."""
+    return sorted({*world_names(), *KINDS, *UPSTREAM})
+
+
+def is_known(name: str) -> bool:
+    """Return whether a world has this name, options included."""
+    return name in world_names() or is_generated(name)
+
+
+def find_world(name: str) -> Path:
+    """Return the absolute path of a world's file, which is written first if the world is generated.
+
+    Args:
+        name: a name of ``known_names``, a generated one with options, or a path; see ``sdf.load_world_file``.
+
+    Raises:
+        ModelError: an unknown name, or an option that is not allowed.
+    """
+    return generated_file(name) if is_generated(name) else world_file(name)
+
+
+def load_world(name: str) -> SdfWorld:
+    """Load a world; see ``find_world``.
+
+    Raises:
+        ModelError: an unknown name, an option that is not allowed, or an invalid file.
+    """
+    return load_world_file(str(find_world(name)) if is_generated(name) else name)

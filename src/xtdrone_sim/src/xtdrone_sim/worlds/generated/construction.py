@@ -1,0 +1,100 @@
+"""What the generators of worlds share: the start area, ground, boxes, and free places."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from xtdrone_control.rotation import from_euler
+from xtdrone_sim.vehicles.visual import Box, Collision, Colour, Mesh, Pose, Visual
+from xtdrone_sim.worlds.scenery import assets
+from xtdrone_sim.worlds.scenery.ground import Rectangle
+from xtdrone_sim.worlds.scenery.objects import Thing
+from xtdrone_sim.worlds.sdf import Light, SdfLink, SdfModel, SdfWorld, load_world_file
+
+START: Rectangle = (-3.0, -3.0, 18.0, 13.0)
+"""x0, y0, x1, y1, m: no world has anything here, so that the fleet finds its spawn grid free."""
+BESIDE = 20.0
+"""x, m, at which buildings begin, with their entrance towards the start area."""
+
+_TILE = 256.0  # m, side of a tile of ground
+_GROUND = -0.06  # m: below shapes that lie on the ground
+_WHITE = (1.0, 1.0, 1.0, 1.0)
+
+
+def box(size: tuple[float, float, float], centre: tuple[float, float, float], colour: Colour) -> Visual:
+    """Return a box with edges along the axes, m."""
+    x, y, z = (round(value, 4) for value in centre)
+    a, b, c = (round(value, 4) for value in size)
+    return Visual(Box((a, b, c)), Pose((x, y, z)), colour)
+
+
+def solid(name: str, shapes: Iterable[Visual], ghosts: Iterable[Visual] = ()) -> SdfModel:
+    """Return a model that stands: shapes that collide, and ``ghosts`` that are only seen."""
+    shapes = tuple(shapes)
+    collisions = tuple(Collision(shape.geometry, shape.pose) for shape in shapes)
+    return SdfModel(name, links=(SdfLink("link", visuals=(*shapes, *ghosts), collisions=collisions),))
+
+
+def placed(name: str, thing: Thing, x: float, y: float, yaw: float) -> SdfModel:
+    """Return an object of the scenery at a place, m, turned by ``yaw``, rad."""
+    link = SdfLink("link", visuals=thing.visuals, collisions=thing.collisions)
+    return SdfModel(name, Pose((round(x, 3), round(y, 3), 0.0), from_euler(0.0, 0.0, round(yaw, 3))), True, (link,))
+
+
+def ground(texture: str, region: Rectangle, number: int = 0) -> SdfModel:
+    """Return textured ground far beyond a region; the physical ground is the plane z = 0."""
+    x0, y0, x1, y1 = region
+    across = [2 * math.ceil(0.5 * side / _TILE) + 1 for side in (x1 - x0, y1 - y0)]
+    tiles = []
+    for i in range(across[0]):
+        for j in range(across[1]):
+            x = round(0.5 * (x0 + x1) + (i - 0.5 * (across[0] - 1)) * _TILE, 3)
+            y = round(0.5 * (y0 + y1) + (j - 0.5 * (across[1] - 1)) * _TILE, 3)
+            form = Mesh(assets.mesh("ground"), (_TILE, _TILE, 1.0))
+            tiles.append(Visual(form, Pose((x, y, _GROUND)), _WHITE, assets.texture(texture, number)))
+    return SdfModel("ground", links=(SdfLink("link", visuals=tuple(tiles)),))
+
+
+def world(name: str, models: Iterable[SdfModel], light: Light | None = None) -> SdfWorld:
+    """Return a world with the surroundings of ``empty``."""
+    return replace(load_world_file("empty"), name=name, models=tuple(models), light=light or Light())
+
+
+class Places:
+    """Circles on the ground that keep apart from each other and from the start area."""
+
+    def __init__(self, rng: np.random.Generator, region: Rectangle, *, clear: Rectangle | None = START) -> None:
+        """Begin with an empty region, m; ``clear`` stays free."""
+        self._rng, self._region, self._clear = rng, region, clear
+        self._circles = np.zeros((0, 3))
+
+    def take(self, radius: float, gap: float, tries: int = 60) -> tuple[float, float] | None:
+        """Occupy a random place for a circle, ``gap`` m from all others; None if none was found."""
+        x0, y0, x1, y1 = self._region
+        if x1 - x0 < 2.0 * radius or y1 - y0 < 2.0 * radius:
+            return None
+        for _ in range(tries):
+            x = round(float(self._rng.uniform(x0 + radius, x1 - radius)), 3)
+            y = round(float(self._rng.uniform(y0 + radius, y1 - radius)), 3)
+            if self.is_free(x, y, radius, gap):
+                self.occupy(x, y, radius)
+                return x, y
+        return None
+
+    def occupy(self, x: float, y: float, radius: float) -> None:
+        """Occupy a circle, m."""
+        self._circles = np.vstack([self._circles, (x, y, radius)])
+
+    def is_free(self, x: float, y: float, radius: float, gap: float) -> bool:
+        """Return whether a circle is ``gap`` m from all others, and outside the start area."""
+        if self._clear is not None:
+            x0, y0, x1, y1 = self._clear
+            if math.hypot(max(x0 - x, 0.0, x - x1), max(y0 - y, 0.0, y - y1)) < radius:
+                return False
+        circles = self._circles
+        distance = np.hypot(circles[:, 0] - x, circles[:, 1] - y)
+        return bool((distance >= radius + circles[:, 2] + gap).all())
