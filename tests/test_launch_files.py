@@ -65,8 +65,8 @@ def test_a_generated_launch_file_flies(stack: Stack) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["second_sdf:=iris_zhihang"], "'iris_zhihang' is not known, its depth camera (realsense/depth_camera)"),
-        (["world:=$(find mavlink_sitl_gazebo)/worlds/zhihang9.world"], "zhihang9.world does not exist; there are ego_swarm"),
+        (["second_sdf:=tailsitter"], "'tailsitter' is not known, a VTOL aircraft"),
+        (["world:=$(find mavlink_sitl_gazebo)/worlds/moon.world"], "moon.world does not exist; there are ego_swarm"),
     ],
 )
 def test_what_cannot_fly_ends_the_launch_with_one_line(arguments: list[str], message: str, stack: Stack) -> None:

@@ -632,6 +632,14 @@ def test_counts_for_a_late_participant_begin_when_it_joins(server):
     with Running(server, 36000, datagrams=dict(sent)):
         tick = late.tick()
         assert tick.datagrams == {24540: 2}
+        assert server.begins_counts
+        late.done(tick)
+        a.done(a.tick())
+    sent[24540] = 8
+    with Running(server, 72000, datagrams=dict(sent)):
+        tick = late.tick()
+        assert tick.datagrams == {24540: 3}
+        assert not server.begins_counts
         late.done(tick)
         a.done(a.tick())
 

@@ -65,7 +65,7 @@ def test_a_fleets_cameras_have_upstreams_names() -> None:
     cameras = cameras_of(parse_fleet("iris:1,typhoon_h480:2"))
     assert [camera.topics for camera in cameras] == ["/typhoon_h480_0/cgo3_camera", "/typhoon_h480_1/cgo3_camera"]
     assert cameras[1].frame_id == "typhoon_h480_1/cgo3_camera_optical_frame"
-    assert cameras[1].view.link == "typhoon_h480_1::cgo3_camera_link"
+    assert cameras[1].views[0].link == "typhoon_h480_1::cgo3_camera_link"
 
 
 @pytest.fixture

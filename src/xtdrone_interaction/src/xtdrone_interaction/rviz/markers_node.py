@@ -159,7 +159,7 @@ def _poses(message: ModelStates) -> dict[str, Pose]:
 
 
 def _cameras(vehicle: Vehicle) -> list[str]:
-    return [camera.name for camera in load_vehicle(vehicle.model).cameras]
+    return [camera.name for camera in load_vehicle(vehicle.model).cameras if camera.kind == "rgb"]
 
 
 def _world_markers() -> WorldMarkers | None:

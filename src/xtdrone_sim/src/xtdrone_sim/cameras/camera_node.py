@@ -5,6 +5,7 @@ topic or service                   type                      content
 =================================  ========================  ==========================================================
 /T/CAMERA/image_raw                sensor_msgs/Image         rgb8; stamp: time of the exposure
 /T/CAMERA/camera_info              sensor_msgs/CameraInfo    with each image, no distortion
+/T/CAMERA/...                      ...                       of depth cameras and stereo pairs, see ``outputs``
 /T/CAMERA/freeze                   std_srvs/SetBool          true: stops the images, as a failed camera does
 /xtdrone/scene (subscribed)        xtdrone_msgs/SceneState   poses of links and actors
 /xtdrone/models (subscribed)       xtdrone_msgs/SceneModels  models added and deleted since the start
@@ -25,7 +26,6 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import rospy
-from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import SetBool, SetBoolResponse
 from xtdrone_msgs.msg import SceneModels, SceneState
 
@@ -36,6 +36,7 @@ from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.cameras.camera_worker import Changes, DrawingProcess, Drawn
 from xtdrone_sim.cameras.cameras import MOST_TURNS, Camera, Exposures, cameras_of, turn_rate
 from xtdrone_sim.cameras.drawn_scene import View
+from xtdrone_sim.cameras.outputs import COSTLY, messages, topics_of
 from xtdrone_sim.cameras.rendering import BACKENDS
 from xtdrone_sim.early_parameters import private_parameters
 from xtdrone_sim.topics.scene_messages import scene_of
@@ -119,8 +120,13 @@ class CameraNode:
         self._cameras = list(cameras)
         self._latency_us = round(settings.latency * 1e6)
         self._exposures = Exposures(settings.rates(cameras), turns)
-        self._images = [lockstep.Publisher(f"{camera.topics}/image_raw", Image) for camera in cameras]
-        self._infos = [lockstep.Publisher(f"{camera.topics}/camera_info", CameraInfo) for camera in cameras]
+        self._publishers = [
+            {
+                topic: lockstep.Publisher(f"{camera.topics}/{topic}", kind)
+                for topic, kind in topics_of(camera.mount).items()
+            }
+            for camera in cameras
+        ]
         self._frozen: set[int] = set()
         self._services = [
             rospy.Service(f"{camera.topics}/freeze", SetBool, lambda request, k=k: self._freeze(k, request.data))
@@ -171,9 +177,9 @@ class CameraNode:
             DrawingError: images cannot be drawn.
         """
         now_us = rospy.Time.now().to_nsec() // 1000
-        for shot, picture in self._deferred.ready(now_us):
+        for shot, pictures in self._deferred.ready(now_us):
             self._under_way.discard(shot.camera)
-            self._publish(shot, picture)
+            self._publish(shot, pictures)
         if self._scene is None or self._drawer is None:
             return
         stamp = self._scene.header.stamp
@@ -185,20 +191,31 @@ class CameraNode:
             if camera in self._under_way and not lockstep.is_active():
                 self.lost += 1
                 continue
-            view = self._cameras[camera].view
-            if view.link not in self._scene.links:
-                rospy.logwarn_throttle(10.0, f"/xtdrone/scene does not have {view.link}: no pictures of its camera")
+            views = self._cameras[camera].views
+            if views[0].link not in self._scene.links:
+                rospy.logwarn_throttle(10.0, f"/xtdrone/scene does not have {views[0].link}: no pictures of its camera")
                 continue
             scene = scene or scene_of(self._scene)
             self._under_way.add(camera)
-            self._deferred.put(_Shot(camera, stamp), now_us + self._latency_us, self._drawer.draw, scene, view)
+            self._deferred.put(_Shot(camera, stamp), now_us + self._latency_us, self._draw, scene, views)
+
+    def _draw(self, scene: SceneAt, views: Sequence[View]) -> list[bytes] | None:
+        """Return the pictures of an exposure; None if one is lost. Called in a thread of ``Deferred``."""
+        assert self._drawer is not None
+        pictures = []
+        for view in views:
+            picture = self._drawer.draw(scene, view)
+            if picture is None:
+                return None
+            pictures.append(picture)
+        return pictures
 
     def _heard(self, camera: int) -> bool:
-        return self._images[camera].get_num_connections() > 0 or self._infos[camera].get_num_connections() > 0
+        return any(publisher.get_num_connections() > 0 for publisher in self._publishers[camera].values())
 
-    def _publish(self, shot: _Shot, picture: bytes | None) -> None:
+    def _publish(self, shot: _Shot, pictures: list[bytes] | None) -> None:
         camera = self._cameras[shot.camera]
-        if picture is None:
+        if pictures is None:
             assert self._drawer is not None
             self.lost += 1
             rospy.logwarn(
@@ -208,14 +225,10 @@ class CameraNode:
             return
         if shot.camera in self._frozen:
             return
-        info = camera_info(camera)
-        info.header.stamp = shot.stamp
-        pinhole = camera.mount.pinhole
-        image = Image(height=pinhole.height, width=pinhole.width, encoding="rgb8", step=3 * pinhole.width, data=picture)
-        image.header.stamp = shot.stamp
-        image.header.frame_id = info.header.frame_id
-        self._images[shot.camera].publish(image)
-        self._infos[shot.camera].publish(info)
+        publishers = self._publishers[shot.camera]
+        wanted = [topic for topic, one in publishers.items() if topic not in COSTLY or one.get_num_connections() > 0]
+        for topic, message in messages(camera, shot.stamp, pictures, wanted).items():
+            publishers[topic].publish(message)
 
     def close(self) -> None:
         """End the drawing."""
@@ -224,17 +237,6 @@ class CameraNode:
         if self._drawer is not None:
             self._drawer.close()
         self._deferred.close()
-
-
-def camera_info(camera: Camera) -> CameraInfo:
-    """Return a camera's calibration; its stamp is zero."""
-    p = camera.mount.pinhole
-    info = CameraInfo(height=p.height, width=p.width, distortion_model="plumb_bob", D=[0.0] * 5)
-    info.header.frame_id = camera.frame_id
-    info.K = [p.fx, 0.0, p.cx, 0.0, p.fy, p.cy, 0.0, 0.0, 1.0]
-    info.R = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-    info.P = [p.fx, 0.0, p.cx, 0.0, 0.0, p.fy, p.cy, 0.0, 0.0, 0.0, 1.0, 0.0]
-    return info
 
 
 def main(arguments: Sequence[str]) -> None:

@@ -102,7 +102,9 @@ class DrawingProcess:
         self._changes = changes
 
     def draw(self, scene: SceneAt, view: View) -> bytes | None:
-        """Return the rows of an image, RGB; None if the process has ended meanwhile and was replaced.
+        """Return the rows of an image, RGB, and with ``view.depth`` then those of the depths, float32, m.
+
+        None if the process has ended meanwhile and was replaced.
 
         Raises:
             DrawingError: the world cannot be drawn, or several processes have ended without drawing an image.
@@ -174,7 +176,9 @@ def _serve(connection: Connection) -> None:
                 continue
             at, view = order
             try:
-                answer = ("", scene.draw(at, view).rgb.tobytes())
+                picture = scene.draw(at, view)
+                depth = b"" if picture.depth is None else picture.depth.tobytes()
+                answer = ("", picture.rgb.tobytes() + depth)
             except ValueError as error:
                 answer = (str(error), b"")
             connection.send(answer)

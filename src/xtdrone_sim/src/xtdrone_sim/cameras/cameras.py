@@ -39,9 +39,12 @@ class Camera:
         return f"{self.vehicle}/{self.mount.frame_id}"
 
     @property
-    def view(self) -> View:
-        """The view that the renderer draws."""
-        return View(f"{self.vehicle}::{self.mount.link}", self.mount.pinhole, self.mount.near, self.mount.far)
+    def views(self) -> tuple[View, ...]:
+        """The views that the renderer draws, of a stereo pair the left one first."""
+        m = self.mount
+        return tuple(
+            View(f"{self.vehicle}::{m.link}", m.pinhole, m.near, m.far, pose, m.has_depth) for _, pose in m.eyes
+        )
 
 
 def cameras_of(fleet: Sequence[Vehicle]) -> tuple[Camera, ...]:

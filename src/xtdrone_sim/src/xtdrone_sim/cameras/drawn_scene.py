@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.pinhole import Pinhole
@@ -32,12 +32,16 @@ class View:
         link: Gazebo's name of its link.
         pinhole: its projection and image size.
         near, far: clipping distances, m.
+        pose: of the camera in the link: x ahead, z up in the picture.
+        depth: whether depths are wanted, too.
     """
 
     link: str
     pinhole: Pinhole
     near: float
     far: float
+    pose: Pose = field(default_factory=Pose)
+    depth: bool = False
 
 
 def ground_level(models: Sequence[SdfModel]) -> float | None:
@@ -180,8 +184,9 @@ class DrawnScene:
         self._put_back(scene)
         for name, state in scene.actors.items():
             self._place_actor(name, state)
-        camera = compose(scene.links[view.link], OPTICAL_FRAME)
-        return self._renderer.draw(view.pinhole, camera, view.near, view.far, self._light, labels)
+        link = scene.links[view.link]
+        camera = compose(link if view.pose == Pose() else compose(link, view.pose), OPTICAL_FRAME)
+        return self._renderer.draw(view.pinhole, camera, view.near, view.far, self._light, labels, view.depth)
 
     def _put_back(self, scene: SceneAt) -> None:
         """Return the world's models that a restart has put back, and hide actors that are gone."""

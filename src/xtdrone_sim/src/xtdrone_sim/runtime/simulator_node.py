@@ -354,6 +354,8 @@ class SimulatorNode:
             self._digests.tick(now, backend.truth())
         backend.begin_tick(self._serve_in_tick)
         if backend.overlap and not self._over():
+            if self._server.begins_counts:
+                self._server.end_tick(self._wait_for_participant)
             # Until the barrier ends, no input is read: what participants send takes effect at the next tick, always.
             self._next = self._advance()
         backend.end_tick(self._serve_in_tick)
@@ -393,6 +395,16 @@ class SimulatorNode:
         if self._mailbox.fileno() in ready:
             self._mailbox.serve()
         self._services.tend()
+
+    def _wait_for_participant(self, timeout: float) -> None:
+        """Wait up to ``timeout`` wall s for the lockstep server alone.
+
+        Raises:
+            ROSInterruptException: the node shuts down.
+        """
+        if self._stop.requested():
+            raise rospy.ROSInterruptException("shutdown")
+        select.select([self._server.fileno()], [], [], min(timeout, _SLICE))
 
     def _serve_in_tick(self, timeout: float) -> None:
         """Serve as ``_serve`` does, while the barrier waits for participants.

@@ -49,8 +49,10 @@ class RobotFrames:
         self.fixed = [Frame(f"{name}/{joint.parent}", f"{name}/{joint.child}", joint.pose) for joint in still]
         links = {link.name for link in urdf.links}
         for camera in model.cameras:
-            if camera.frame_id not in links:
-                self.fixed.append(Frame(f"{name}/{camera.link}", f"{name}/{camera.frame_id}", OPTICAL_FRAME))
+            for frame, pose in camera.eyes:
+                if frame not in links:
+                    optical = compose(pose, OPTICAL_FRAME)
+                    self.fixed.append(Frame(f"{name}/{camera.link}", f"{name}/{frame}", optical))
         for lidar in model.lidars:
             if lidar.frame not in links:
                 self.fixed.append(Frame(f"{name}/{lidar.link}", f"{name}/{lidar.frame}", lidar.pose))

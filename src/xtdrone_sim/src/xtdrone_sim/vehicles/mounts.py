@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from xtdrone_control.pinhole import Pinhole
-from xtdrone_control.rotation import Quaternion, Vector, multiply
-from xtdrone_control.settings import check_range
+from xtdrone_control.rotation import Quaternion, Vector, from_euler, multiply
+from xtdrone_control.settings import check_choice, check_range
+from xtdrone_sim.vehicles.poses import compose
 from xtdrone_sim.vehicles.urdf import FIXED, Description, Joint, UrdfError
+from xtdrone_sim.vehicles.visual import Pose
 
-_CAMERA = {"name", "link", "width", "height", "hfov", "rate", "near", "far", "frame_id"}
+_CAMERA = {"name", "link", "width", "height", "hfov", "rate", "near", "far", "frame_id", "kind", "position", "rpy"}
+_DEPTH = {"range_min", "range_max", "noise", "encoding", "seed"}
+_STEREO = {"baseline"}
+KINDS = ("rgb", "depth", "rgbd", "stereo")
+ENCODINGS = ("32FC1", "16UC1")
 _GIMBAL = {"yaw", "roll", "pitch", "rate"}
 _AXES: dict[str, Vector] = {"yaw": (0.0, 0.0, 1.0), "roll": (1.0, 0.0, 0.0), "pitch": (0.0, 1.0, 0.0)}
 _ALIGNED = 1e-6
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
 
 
 class MountError(ValueError):
@@ -27,12 +35,20 @@ class CameraMount:
     """A camera on a link of a vehicle.
 
     Attributes:
-        name: name in the topics ``/VEHICLE/NAME/image_raw`` and ``camera_info``.
-        link: link of the URDF; the camera looks along its x axis, with z up in the picture.
+        name: name in the topics, which ``cameras.outputs`` lists for each kind.
+        link: link of the URDF.
         pinhole: projection.
         rate: picture rate in simulated time, Hz.
         near, far: limits of the visible range, m.
-        frame_id: optical frame (x right, y down, z ahead), to be prefixed with ``VEHICLE/``.
+        frame_id: optical frame (x right, y down, z ahead), to be prefixed with ``VEHICLE/``; of a stereo pair, that of
+            the left camera.
+        kind: one of ``KINDS``.
+        pose: in the link; the camera looks along x, with z up in the picture.
+        baseline: of a stereo pair, m; the left camera is at +y, the right one at -y.
+        range_min, range_max: depths outside are not measured, m.
+        noise: standard deviation of a depth over its square, 1/m: that of stereo and structured light.
+        encoding: of depth images, one of ``ENCODINGS``: m, or mm as whole numbers.
+        seed: of the noise, together with vehicle and name.
     """
 
     name: str
@@ -42,6 +58,31 @@ class CameraMount:
     near: float
     far: float
     frame_id: str
+    kind: str = "rgb"
+    pose: Pose = field(default_factory=Pose)
+    baseline: float = 0.0
+    range_min: float = 0.0
+    range_max: float = math.inf
+    noise: float = 0.0
+    encoding: str = "32FC1"
+    seed: int = 0
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether it measures depths."""
+        return self.kind in ("depth", "rgbd")
+
+    @property
+    def eyes(self) -> tuple[tuple[str, Pose], ...]:
+        """Optical frame and pose in the link of each of its cameras, the left one first."""
+        if self.kind != "stereo":
+            return ((self.frame_id, self.pose),)
+        half = 0.5 * self.baseline
+        right = f"{self.name.replace('/', '_')}_right_optical_frame"
+        return tuple(
+            (frame, compose(self.pose, Pose((0.0, side, 0.0))))
+            for frame, side in ((self.frame_id, half), (right, -half))
+        )
 
 
 @dataclass(frozen=True)
@@ -85,17 +126,54 @@ def read_cameras(cameras: Any, urdf: Description) -> tuple[CameraMount, ...]:
 
 
 def _camera(entry: Any, where: str, urdf: Description) -> CameraMount:
-    _check_fields(entry, _CAMERA, {"name", "link", "width", "height", "hfov"}, where)
+    kind = entry.get("kind", "rgb") if isinstance(entry, Mapping) else "rgb"
+    own = {"stereo": _STEREO, "depth": _DEPTH, "rgbd": _DEPTH}.get(str(kind), set())
+    _check_fields(entry, _CAMERA | own, {"name", "link", "width", "height", "hfov"} | (own & _STEREO), where)
     name, link = str(entry["name"]), str(entry["link"])
     try:
+        check_choice("kind", kind, KINDS)
+        if _NAME.fullmatch(name) is None:
+            raise ValueError(
+                f"name: {name[:80]!r} is not allowed, letters, digits and _, in parts separated by slashes"
+            )
         pinhole = Pinhole.of_view(entry["width"], entry["height"], entry["hfov"])
         near = check_range("near", entry.get("near", 0.05), 1e-3, 10.0, "m")
         far = check_range("far", entry.get("far", 500.0), near, 1e5, "m")
         rate = check_range("rate", entry.get("rate", 10.0), 0.1, 50.0, "Hz")
         urdf.link(link)
+        pose, special = _pose(entry), _special(entry, kind)
     except ValueError as error:
         raise MountError(f"{where} ({name}): {error}") from error
-    return CameraMount(name, link, pinhole, rate, near, far, str(entry.get("frame_id", f"{name}_optical_frame")))
+    side = "_left" if kind == "stereo" else ""
+    frame = str(entry.get("frame_id", f"{name.replace('/', '_')}{side}_optical_frame"))
+    return CameraMount(name, link, pinhole, rate, near, far, frame, kind, pose, **special)
+
+
+def _pose(entry: Mapping[str, Any]) -> Pose:
+    parts = []
+    for name, most, unit in (("position", 10.0, "m"), ("rpy", 2.0 * math.pi, "rad")):
+        values = entry.get(name, [0.0, 0.0, 0.0])
+        if not isinstance(values, list) or len(values) != 3:
+            raise ValueError(f"{name}: {str(values)[:80]} is not allowed, a list of 3 numbers")
+        parts.append([check_range(name, value, -most, most, unit) for value in values])
+    (x, y, z), (roll, pitch, yaw) = parts
+    return Pose((x, y, z), from_euler(roll, pitch, yaw))
+
+
+def _special(entry: Mapping[str, Any], kind: str) -> dict[str, Any]:
+    """Return the fields of depth cameras and stereo pairs."""
+    if kind == "stereo":
+        return {"baseline": check_range("baseline", entry["baseline"], 1e-3, 10.0, "m")}
+    if kind == "rgb":
+        return {}
+    least = check_range("range_min", entry.get("range_min", 0.2), 0.0, 1000.0, "m")
+    return {
+        "range_min": least,
+        "range_max": check_range("range_max", entry.get("range_max", 10.0), least, 1000.0, "m"),
+        "noise": check_range("noise", entry.get("noise", 0.0), 0.0, 1.0, "1/m"),
+        "encoding": check_choice("encoding", entry.get("encoding", ENCODINGS[0]), ENCODINGS),
+        "seed": int(check_range("seed", entry.get("seed", 0), 0, 2**31 - 1)),
+    }
 
 
 def read_gimbal(gimbal: Any, urdf: Description) -> GimbalMount | None:

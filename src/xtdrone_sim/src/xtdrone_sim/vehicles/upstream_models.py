@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-_STEREO = "stereo camera (stereo_camera/left, stereo_camera/right)"
 _IMU = "separate IMU (imu_gazebo)"
 
 FLOWN_WITHOUT = {
-    "iris_stereo_camera": f"{_STEREO} and {_IMU}",
-    "solo_stereo_camera": f"{_STEREO} and {_IMU}",
+    "iris_stereo_camera": _IMU,
+    "solo_stereo_camera": _IMU,
     "iris_2d_lidar": _IMU,
-    "iris_3d_lidar": f"{_STEREO} and {_IMU}",
-    "iris_3d_gpu_lidar": f"{_STEREO} and {_IMU}",
+    "iris_3d_lidar": _IMU,
+    "iris_3d_gpu_lidar": _IMU,
+    "iris_downward_camera": _IMU,
+    "iris_realsense_camera": _IMU,
+    "iris_realsense_livox": _IMU,
+    "iris_zhihang": _IMU,
+    "typhoon_h480_realsense": _IMU,
 }
-"""What is missing on models that fly: those that XTDrone's launch generator chooses for every iris and solo, and those
-with lidars."""
+"""What is missing on models that fly."""
 
 _REASONS = {
-    "iris_downward_camera": "its downward camera (camera/image_raw)",
-    "iris_realsense_camera": "its depth camera (realsense/depth_camera)",
-    "iris_realsense_livox": "its depth camera (realsense/depth_camera) and Livox lidar (scan)",
-    "iris_zhihang": "its depth camera (realsense/depth_camera), stereo and downward cameras",
-    "typhoon_h480_stereo": f"its {_STEREO}",
-    "typhoon_h480_realsense": "its depth camera (realsense/depth_camera)",
     "rover": "a ground vehicle",
     "rover_with_lidar_stereo": "a ground vehicle with lidar and stereo cameras",
     "catvehicle": "a ground vehicle",

@@ -34,6 +34,8 @@ class TickBarrier:
         ticks: Number of ticks so far.
         time_us: Simulation time of the last tick in microseconds, -1 before the first.
         awaited: Number of participants whose DONE is outstanding.
+        begins_counts: Whether this barrier's TICKs begin the count of datagrams of a port. The participant then takes
+            all others that have arrived as sent before; further ones must not be sent until its DONE.
     """
 
     def __init__(
@@ -63,6 +65,7 @@ class TickBarrier:
         self.ticks = 0
         self.time_us = -1
         self.awaited = 0
+        self.begins_counts = False
         self._participants = participants
         self._connections = connections
         self._channels = channels
@@ -112,6 +115,7 @@ class TickBarrier:
         self._datagrams.sent = dict(datagrams or {})
         due = [participant for participant in self._participants.values() if participant.due_us <= now_us]
         self._under_way = bool(due)
+        self.begins_counts = False
         if due:
             self.ticks += 1
             self._last_poll = time.monotonic()
@@ -167,7 +171,9 @@ class TickBarrier:
         """Send TICK together with connections made and lost and with datagram counts."""
         counts = participant.news.counts
         peers = b"".join(pack_object(Kind.PEER, content) for content in participant.news.take_peers())
+        known = len(participant.datagrams_reported)
         ports = self._datagrams.news_for(participant) if participant.udp_ports else {}
+        self.begins_counts |= len(participant.datagrams_reported) > known
         frame = pack_barrier(Kind.TICK, self.ticks, self.time_us, counts, ports)
         counts.clear()
         self._connections.expect(connection, self.ticks)

@@ -171,6 +171,11 @@ class LockstepServer:
         """
         self._barrier.begin(now_us, datagrams, idle)
 
+    @property
+    def begins_counts(self) -> bool:
+        """Whether no datagrams may be sent until this barrier has ended, see ``TickBarrier``."""
+        return self._barrier.begins_counts
+
     def end_tick(self, idle: Idle | None = None, head_start: float = 0.0) -> None:
         """Wait for DONE of each participant that has received TICK.
 

@@ -35,10 +35,12 @@ class Picture:
     Attributes:
         rgb: colours, shape (height, width, 3), uint8.
         labels: body at each pixel or -1, shape (height, width), int32; None if not requested.
+        depth: distance along the optical axis, m, infinite where nothing is, (height, width); None if not requested.
     """
 
     rgb: NDArray[np.uint8]
     labels: NDArray[np.int32] | None
+    depth: NDArray[np.float32] | None = None
 
 
 class Renderer:
@@ -197,6 +199,7 @@ class Renderer:
         far: float = 300.0,
         light: Light | None = None,
         labels: bool = False,
+        depth: bool = False,
     ) -> Picture:
         """Draw the view of a camera.
 
@@ -206,6 +209,7 @@ class Renderer:
             near, far: limits of the visible depth, m.
             light: sun and sky; None: the defaults of ``Light``.
             labels: whether to return labels too.
+            depth: whether to return depths too; with EGL they have the resolution of its depth buffer of 16 bits.
 
         Raises:
             ValueError: invalid limits, projection or pose.
@@ -219,6 +223,7 @@ class Renderer:
         picture = Picture(
             np.empty((pinhole.height, pinhole.width, 3), np.uint8),
             np.empty((pinhole.height, pinhole.width), np.int32) if labels else None,
+            np.empty((pinhole.height, pinhole.width), np.float32) if depth else None,
         )
         ranges = self._extents.ranges(pinhole, pose, near, far) if self.backend == "egl" else [(near, far)]
         step = _TILE if self.backend == "egl" else (pinhole.width, pinhole.height)
@@ -266,7 +271,12 @@ class Renderer:
         size = (tile.height, tile.width)
         rows, columns = slice(corner[0], corner[0] + size[0]), slice(corner[1], corner[1] + size[1])
         colours = np.asarray(rgb, np.uint8).reshape(*size, 4)[:, :, :3]
-        nothing = np.asarray(depth).reshape(size) >= 1.0
+        buffer = np.asarray(depth).reshape(size)
+        nothing = buffer >= 1.0
+        if picture.depth is not None:
+            near, far = limits
+            metres = np.where(nothing, np.inf, near * far / (far - buffer * (far - near)))
+            np.copyto(picture.depth[rows, columns], metres, where=~nothing | (not over), casting="same_kind")
         shade = np.minimum(1.0, np.add(light.ambient, light.diffuse))
         if np.any(shade < 1.0):
             table = np.round(np.arange(256)[:, None] * shade).astype(np.uint8)
