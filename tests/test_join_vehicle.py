@@ -11,7 +11,7 @@ from conftest import REPOSITORY, Graph, Program, Stack, poll, wait_for_ports
 pytest.importorskip("rospy")
 
 import rosgraph
-from gazebo_msgs.msg import ModelStates
+from gazebo_msgs.msg import ContactsState, ModelStates
 from mavros_msgs.msg import State
 from mavros_msgs.srv import CommandBool, SetMode
 from nav_msgs.msg import Odometry
@@ -54,13 +54,17 @@ def test_a_vehicle_joins_flies_and_leaves(stack: Stack) -> None:
     models = stack.graph.hear("/gazebo/model_states", ModelStates)
     state = stack.graph.hear("/iris_1/mavros/state", State)
     truth = stack.graph.hear("/xtdrone/iris_1/ground_truth/odom", Odometry)
+    bumper = stack.graph.hear("/iris_1/benchmarker/collision", ContactsState)
     guest = invite(stack, "iris_1", "pose:=[4, 1, 0, 0, 0, 1.5]", "communication:=true")
     stack.wait(lambda: models.last and "iris_1" in models.last.name, "iris_1 is in the world", sim=300.0)
     stack.wait(lambda: state.last and state.last.system_status == STANDBY, "iris_1 is ready", sim=300.0)
     assert {"/mavros", "/iris_1/mavros"} <= participants(stack)
+    stack.wait(lambda: bumper.last and bumper.last.states, "iris_1 touches the ground")
+    assert bumper.last.states[0].collision2_name == "ground_plane::link::collision"
     assert stack.graph.call("/iris_1/mavros/set_mode", SetMode, custom_mode="AUTO.TAKEOFF").mode_sent
     assert stack.graph.call("/iris_1/mavros/cmd/arming", CommandBool, value=True).success
     stack.wait(lambda: truth.last and truth.last.pose.pose.position.z > 1.0, "iris_1 flies")
+    stack.wait(lambda: not bumper.last.states, "iris_1 touches nothing")
     place = truth.last.pose.pose.position
     assert (place.x, place.y) == pytest.approx((4.0, 1.0), abs=0.5)
     assert "did not arrive" not in guest.output

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,28 @@ def _absent() -> np.void:
     record = np.zeros(1, PLANT)[0]
     record["q"][0], record["contact"] = 1.0, ABSENT
     return record  # type: ignore[no-any-return]
+
+
+GROUND = -1
+"""The ground, as the other body of a contact."""
+
+
+class Contact(NamedTuple):
+    """A contact point of a vehicle.
+
+    Attributes:
+        other: what it touches: numbered as in ``World.collisions``, or ``GROUND``.
+        position: (3,) m, world.
+        normal: (3,) unit vector into the vehicle, world.
+        force: (3,) on the vehicle, friction included, N, world.
+        depth: penetration, m.
+    """
+
+    other: int
+    position: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    force: NDArray[np.float64]
+    depth: float
 
 
 @dataclass(frozen=True)
@@ -536,6 +559,23 @@ class World:
             pair = (min(a, b), max(a, b))
             if pair[0] < len(self._bodies):
                 self.collisions.add(pair)
+
+    def contacts(self, i: int) -> list[Contact]:
+        """Return the contact points of vehicle ``i`` in the last step in which Bullet had it; none in free flight."""
+        if self.plant["contact"][i] not in (TOUCHING, ASLEEP):
+            return []
+        found = []
+        for point in self._bullet.getContactPoints(self._bodies[i]):
+            if point[8] > 0.0:
+                continue
+            is_first = point[1] == self._bodies[i]
+            sign = 1.0 if is_first else -1.0  # the normal points from the second body to the first
+            normal = sign * np.array(point[7])
+            friction = sign * (point[10] * np.array(point[11]) + point[12] * np.array(point[13]))
+            other = self._index_of.get(point[2] if is_first else point[1], GROUND)
+            place = np.array(point[5 if is_first else 6])
+            found.append(Contact(other, place, normal, point[9] * normal + friction, -float(point[8])))
+        return found
 
     def close(self) -> None:
         """Disconnect from Bullet."""

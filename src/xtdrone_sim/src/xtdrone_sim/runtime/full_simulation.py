@@ -30,6 +30,7 @@ from xtdrone_sim.runtime.launched import launched_world, read_launched
 from xtdrone_sim.runtime.requests.mailbox import Mailbox
 from xtdrone_sim.runtime.simulator_node import NodeSettings, close_all, log, run_node
 from xtdrone_sim.simulation import Simulation
+from xtdrone_sim.topics.contact_topics import ContactTopics
 from xtdrone_sim.topics.gazebo_messages import ModelStatesMessage
 from xtdrone_sim.topics.link_topics import LinkTopics
 from xtdrone_sim.worlds.actor_topics import ActorTopics
@@ -220,6 +221,7 @@ class FullSimulation:
         self._changes = ModelTopics(models)
         self._topics.providers += [self._actors.add_to_scene, self._changes.add_to_scene]
         self._topics.states_providers.append(self._changes.add_to_links)
+        self._contacts = ContactTopics(self._simulation, lambda: models.names)
         self._gazebo = GazeboServices(self._simulation, models, self._changes, server)
         self._gazebo.open(mailbox)
 
@@ -241,7 +243,8 @@ class FullSimulation:
 
     def next_publication_us(self, now_us: int) -> int | None:
         """Return when link states are published next, microseconds; None without subscribers."""
-        return self._topics.next_publication_us(now_us)
+        times = (self._topics.next_publication_us(now_us), self._contacts.next_publication_us(now_us))
+        return min((time for time in times if time is not None), default=None)
 
     def advance(self, until_us: int) -> None:
         """Step to ``until_us``, and send the telemetry streams that are due."""
@@ -262,6 +265,7 @@ class FullSimulation:
     def begin_tick(self, idle: Idle) -> None:
         """Publish link states, and begin a barrier; setpoints of participants are held until it ends."""
         self._topics.publish()
+        self._contacts.publish()
         self._mavlink.hold_setpoints()
         self._server.begin_tick(self._simulation.time_us, self._mavlink.sent, idle)
 
@@ -297,6 +301,7 @@ class FullSimulation:
         self._simulation.restart(time_us)
         self._actors.restart(time_us)
         self._topics.restart()
+        self._contacts.restart()
         self._gazebo.restart()
         self._model_states = ModelStatesMessage(self._simulation.names, self._simulation.world.model.models)
         self._mavlink.reboot(self._simulation.autopilot, self._simulation.commanders)
@@ -347,6 +352,7 @@ class FullSimulation:
         self._model_states = ModelStatesMessage(simulation.names, simulation.world.model.models)
         self._models.update_vehicles()
         self._topics.update_vehicles()
+        self._contacts.update_vehicles()
         rospy.set_param("/xtdrone/fleet", fleet_text(simulation.fleet))
 
     def close(self) -> None:
