@@ -516,7 +516,7 @@ def test_a_vehicle_that_leaves_frees_ports_and_clients_and_counts_go_on(world):
     for other in others:
         world.ask(heartbeat(6), client=other)
     world.run(1.0, 20_000)
-    before, free = world.server.sent, world.server._limit.left
+    before, free = dict(world.server.sent), world.server._limit.left
     received = world.server.received[vehicle.gcs_local_port]
     assert received == 2
     world.server.remove_vehicle(0)

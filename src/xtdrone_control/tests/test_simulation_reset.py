@@ -103,7 +103,7 @@ def test_after_a_reboot_streams_begin_anew(world):
     world.hear()
     world.command(511, 32, 1e6)  # LOCAL_POSITION_NED once a second
     assert "LOCAL_POSITION_NED" in types(world.run(2.0))
-    sent, received = world.server.sent, world.server.received
+    sent, received = dict(world.server.sent), world.server.received
     autopilot = FakeAutopilot(1)
     autopilot.time_us = 0
     autopilot.estimator["initialised"] = 0

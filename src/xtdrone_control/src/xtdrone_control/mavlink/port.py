@@ -116,6 +116,7 @@ class Port:
         data_rate: int = 4_000_000,
         by_wall: bool = False,
         limit: ClientLimit | None = None,
+        totals: dict[int, int] | None = None,
         due_changed: Callable[[], None] = silent,
     ) -> None:
         """Bind the port.
@@ -131,6 +132,7 @@ class Port:
             data_rate: see the attribute.
             by_wall: see the attribute.
             limit: client limit shared with other ports; ``MAX_CLIENTS`` by default.
+            totals: sum of ``sent`` of all ports that share it; updated.
             due_changed: called when ``next_due_us`` may have changed.
 
         Raises:
@@ -146,6 +148,7 @@ class Port:
         self.by_wall = by_wall
         self.received = 0
         self.sent: dict[int, int] = {}
+        self._totals = {} if totals is None else totals
         self.lost = 0
         self.malformed = 0
         self.foreign = 0
@@ -421,7 +424,11 @@ class Port:
         """Bound the table of sent datagrams: remove the oldest counts of removed clients."""
         living = {link.peer[1] for link in self._links.values()}
         for port in [port for port in self.sent if port not in living][: max(len(self.sent) - _MAX_COUNTS, 0)]:
-            del self.sent[port]
+            rest = self._totals.get(port, 0) - self.sent.pop(port)
+            if rest > 0:
+                self._totals[port] = rest
+            else:
+                self._totals.pop(port, None)
 
     def keep_alive(self, now_us: int, counted: Collection[int]) -> None:
         """Send a HEARTBEAT, at most one in a wall second, to clients that are not at ``counted`` ports."""
@@ -452,6 +459,7 @@ class Port:
             accepted, error = frames.send(descriptor)
             if accepted:
                 self.sent[peer[1]] = self.sent.get(peer[1], 0) + accepted
+                self._totals[peer[1]] = self._totals.get(peer[1], 0) + accepted
                 retried = False
             if not error:
                 break

@@ -38,7 +38,14 @@ class _Vehicle:
     """The ports of one vehicle and the receiver of their messages."""
 
     def __init__(
-        self, vehicle: Vehicle, autopilot: Autopilot, commander: Commander, index: int, host: str, limit: ClientLimit
+        self,
+        vehicle: Vehicle,
+        autopilot: Autopilot,
+        commander: Commander,
+        index: int,
+        host: str,
+        limit: ClientLimit,
+        totals: dict[int, int],
     ) -> None:
         self.index = index
         self.commander = commander
@@ -64,6 +71,7 @@ class _Vehicle:
                         data_rate=data_rate,
                         by_wall=by_wall,
                         limit=limit,
+                        totals=totals,
                         due_changed=self._due_changed,
                     )
                 )
@@ -135,7 +143,11 @@ class _Socket(NamedTuple):
 
 
 class MavlinkServer:
-    """MAVLink of a fleet. All calls come from one thread; only ``receive`` with a timeout blocks."""
+    """MAVLink of a fleet. All calls come from one thread; only ``receive`` with a timeout blocks.
+
+    Attributes:
+        sent: datagrams sent so far, by remote port; updated as they are sent.
+    """
 
     def __init__(
         self, fleet: Sequence[Vehicle], autopilot: Autopilot, commanders: Sequence[Commander], host: str = LOOPBACK
@@ -155,7 +167,7 @@ class MavlinkServer:
         self._commanders = commanders
         self._host = host
         self._vehicles: dict[int, _Vehicle] = {}  # by index, in its order
-        self._sent_before: dict[int, int] = {}  # by remote port, to clients of ports that are closed
+        self.sent: dict[int, int] = {}
         self._sockets: dict[int, _Socket] = {}  # by descriptor
         self._common = select.epoll()  # sockets open to every sender
         self._reserved = select.epoll()  # sockets of single participants
@@ -189,7 +201,8 @@ class MavlinkServer:
         Raises:
             LinkError: a port is in use; none stays bound then.
         """
-        served = _Vehicle(vehicle, self._autopilot, self._commanders[index], index, self._host, self._limit)
+        commander = self._commanders[index]
+        served = _Vehicle(vehicle, self._autopilot, commander, index, self._host, self._limit, self.sent)
         self._vehicles = dict(sorted({**self._vehicles, index: served}.items()))
         self._limit.left += VEHICLE_CLIENTS
         for port in served.ports:
@@ -208,8 +221,6 @@ class MavlinkServer:
                 entry = self._sockets.pop(descriptor)
                 (self._common if entry.socket is port.socket else self._reserved).unregister(descriptor)
             self._queues.drop(self._port_keys.pop(port))
-            for remote, count in port.sent.items():
-                self._sent_before[remote] = self._sent_before.get(remote, 0) + count
         served.close()
         self._limit.left -= VEHICLE_CLIENTS
         self._update_ports()
@@ -236,15 +247,6 @@ class MavlinkServer:
     def messages(self) -> tuple[str, ...]:
         """Names of the handled messages."""
         return next(iter(self._vehicles.values())).receiver.messages
-
-    @property
-    def sent(self) -> dict[int, int]:
-        """Datagrams sent so far, by remote port."""
-        totals = dict(self._sent_before)
-        for port in self._ports:
-            for remote, count in port.sent.items():
-                totals[remote] = totals.get(remote, 0) + count
-        return totals
 
     @property
     def received(self) -> dict[int, int]:

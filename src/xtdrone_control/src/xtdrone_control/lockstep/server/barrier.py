@@ -112,7 +112,7 @@ class TickBarrier:
         """Send the TICKs of one barrier, see ``LockstepServer.begin_tick``."""
         self._await_connections(idle)
         self.time_us = now_us
-        self._datagrams.sent = dict(datagrams or {})
+        self._datagrams.take(datagrams or {}, self._participants.values())
         due = [participant for participant in self._participants.values() if participant.due_us <= now_us]
         self._under_way = bool(due)
         self.begins_counts = False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 
 from ..protocol import ProtocolError
 from .participant import Participant
@@ -12,7 +12,7 @@ class DatagramCounts:
     """Cumulative numbers of datagrams by UDP port.
 
     Attributes:
-        sent: Datagrams sent by the simulator, by the participants' port.
+        sent: Datagrams sent by the simulator until the last tick, by the participants' port.
         expected: Datagrams that participants report having sent, by the simulator's port.
     """
 
@@ -34,6 +34,11 @@ class DatagramCounts:
         self._ports = frozenset(ports)
         if sent_so_far is not None:
             self._sent_so_far = sent_so_far
+
+    def take(self, sent: Mapping[int, int], participants: Iterable[Participant]) -> None:
+        """Store the numbers of datagrams sent to the participants' ports; ``sent`` may have thousands of others."""
+        ports = (port for participant in participants for port in participant.udp_ports)
+        self.sent = {port: sent[port] for port in ports if port in sent}
 
     def add_participant(self, participant: Participant, udp_ports: tuple[int, ...]) -> None:
         """Start counting for a participant that joins.
