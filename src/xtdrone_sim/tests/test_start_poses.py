@@ -96,3 +96,15 @@ def test_home_and_local_origin_fit_the_start(shared: bool) -> None:
         home = commander.home
         assert np.asarray(home.position[:2], float) == pytest.approx([north, east], abs=0.5)
     simulation.close()
+
+
+@pytest.mark.parametrize("height", [1.0, 5.0])
+def test_a_vehicle_that_falls_to_the_ground_aligns_at_rest(height: float) -> None:
+    simulation = Simulation(parse_fleet("iris:1"), places=[(0.0, 3.0, height)])
+    simulation.run_until(10_000_000)
+    estimate, truth = simulation.autopilot.estimator[0], simulation.world.plant[0]
+    x, y, z = truth["position"].tolist()
+    assert estimate["position"].tolist() == pytest.approx([y, x, -z], abs=0.1)
+    assert float(np.linalg.norm(estimate["velocity"])) < 0.1
+    assert simulation.commanders[0].ready_to_arm
+    simulation.close()

@@ -29,6 +29,8 @@ COVARIANCE_PERIOD = 0.012  # s; PX4: EKF2_PREDICT_US = 10 ms, rounded up to whol
 ALIGNMENT_SAMPLES = 100  # IMU samples averaged at rest before the first attitude
 _LONGEST_ALIGNMENT = 500  # IMU samples after which alignment ends without a magnetometer
 _MIN_MAG_SAMPLES = 5
+_LEAST_FORCE, _LARGEST_FORCE = 0.8 * GRAVITY, 1.2 * GRAVITY  # m/s^2 of a vehicle at rest (PX4: Ekf::initialiseTilt)
+_MOST_ROTATION = math.radians(15.0)  # rad/s, likewise
 
 
 @kernel
@@ -43,13 +45,43 @@ def _add_samples(sums, s):
 
 
 @kernel
+def _length(x, y, z):
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@kernel
+def _was_at_rest(sums, s):
+    """Return whether the mean specific force and the latest sample are those of a vehicle at rest."""
+    mean = _length(sums.accel[0], sums.accel[1], sums.accel[2]) / sums.samples
+    last = _length(s.accel[0], s.accel[1], s.accel[2])
+    if not (_LEAST_FORCE <= mean <= _LARGEST_FORCE and _LEAST_FORCE <= last <= _LARGEST_FORCE):
+        return False
+    return _length(s.gyro[0], s.gyro[1], s.gyro[2]) <= _MOST_ROTATION
+
+
+@kernel
+def _forget_samples(sums):
+    for i in range(3):
+        sums.accel[i] = 0.0
+        sums.mag[i] = 0.0
+    sums.samples = 0
+    sums.mag_samples = 0
+
+
+@kernel
 def align(e, s, p):
-    """Average IMU and magnetometer samples at rest; initialise attitude and covariance after enough samples."""
+    """Average IMU and magnetometer samples at rest; initialise attitude and covariance after enough samples.
+
+    A vehicle that has moved meanwhile, for example one that fell to the ground, begins anew.
+    """
     sums = e.alignment
     _add_samples(sums, s)
     wants_mag = int(p.ekf2_mag_type) != 5
     no_mag = not wants_mag or sums.samples >= _LONGEST_ALIGNMENT
     if sums.samples < ALIGNMENT_SAMPLES or (sums.mag_samples < _MIN_MAG_SAMPLES and not no_mag):
+        return
+    if not _was_at_rest(sums, s):
+        _forget_samples(sums)
         return
     ax, ay, az = sums.accel[0], sums.accel[1], sums.accel[2]
     roll = math.atan2(-ay, -az)
