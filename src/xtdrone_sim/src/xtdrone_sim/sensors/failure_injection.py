@@ -235,7 +235,7 @@ class Failing:
         self._commands = np.zeros((len(failures), MAX_ROTORS))
 
     def forget(self, index: int) -> None:
-        """Begin anew for another vehicle at ``index``."""
+        """Reset the memory of vehicle ``index``, whose place another vehicle takes."""
         self._memory[index] = np.zeros(1, MEMORY)[0]
         self._memory["counter"][index] = self._counters[index]
 

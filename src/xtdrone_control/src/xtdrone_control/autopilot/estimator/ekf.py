@@ -72,7 +72,7 @@ def _forget_samples(sums):
 def align(e, s, p):
     """Average IMU and magnetometer samples at rest; initialise attitude and covariance after enough samples.
 
-    A vehicle that has moved meanwhile, for example one that fell to the ground, begins anew.
+    If the vehicle has moved meanwhile, for example fallen to the ground, the averaging restarts.
     """
     sums = e.alignment
     _add_samples(sums, s)
