@@ -113,7 +113,7 @@ def test_a_flight_is_the_same_with_the_doctor(graph: Graph, tmp_path: Path) -> N
             stack.launch(
                 "multi_vehicle.launch",
                 "vehicles:=iris:1",
-                "speed:=0",
+                "speed:=5",  # slow enough for several reports in the air
                 "participants:=/mavros,/drone_script",
                 f"digest:={files[-1]}",
             )

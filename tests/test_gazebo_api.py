@@ -191,9 +191,9 @@ def test_spawn_get_properties_push_and_delete(stack: Stack) -> None:
     push = dict(wrench=Wrench(force=Vector3(8.0, 0.0, 0.0)), duration=genpy.Duration(0, 700_000_000))
     answer = call(stack, "apply_body_wrench", srv.ApplyBodyWrench, body_name="box_1::link", **push)
     assert answer.success, answer.status_message
-    call(stack, "unpause_physics", Empty)
-    stack.pass_time(1.5)
+    stack.graph.call("/simulator/step", Step, duration=genpy.Duration(1, 500_000_000))  # paused after it, in free fall
     assert state_of(stack, "box_1").twist.linear.x == pytest.approx(8.0 * 0.7 / 4.0, rel=1e-6)
+    call(stack, "unpause_physics", Empty)
     assert call(stack, "delete_model", srv.DeleteModel, model_name="box_1").success
     assert not call(stack, "delete_model", srv.DeleteModel, model_name="box_1").success
     assert call(stack, "spawn_urdf_model", srv.SpawnModel, model_name="ball", **{**spawn, "model_xml": URDF}).success

@@ -64,7 +64,7 @@ def test_two_at_once_choose_ports_of_their_own(tmp_path: Path) -> None:
     ("options", "words"),
     [
         (["--script", "nowhere.py"], "script: 'nowhere.py' is not allowed, an existing .py file"),
-        (["--world", "oudoor"], "world: 'oudoor' is unknown; there are empty, outdoor, or a file"),
+        (["--world", "oudoor"], "world: 'oudoor' is unknown; there are city, countryside, "),
         (["--world", "nowhere.world"], "nowhere.world: No such file"),
         (["--instance", "9"], "9"),
     ],

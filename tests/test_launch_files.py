@@ -41,9 +41,7 @@ def test_a_generated_launch_file_flies(stack: Stack) -> None:
     places = [(round(pose.position.x, 1), round(pose.position.y, 1)) for pose in poses]
     assert places == [(0.0, 3.0), (3.0, -4.5), (6.0, 3.0)]
     assert poses[1].orientation.z == pytest.approx(0.707, abs=0.01)
-    stack.log_has(
-        "roslaunch", "iris_0: iris_stereo_camera flies without its stereo camera", "3 participants have joined"
-    )
+    stack.log_has("roslaunch", "3 participants have joined")
 
     tf = graph.hear("/tf", TFMessage)
     stack.wait(lambda: tf.last, "XTDrone's static_transform_publisher publishes")

@@ -30,6 +30,7 @@ from xtdrone_sim.lidars.lidar_node import LidarSettings
 from xtdrone_sim.runtime.full_simulation import FullSettings
 from xtdrone_sim.runtime.simulator_node import NodeSettings
 from xtdrone_sim.topics.robot_tf import TfSettings
+from xtdrone_sim.vehicles.imu_mounts import ImuMount
 from xtdrone_sim.vehicles.lidar_mounts import LidarMount
 from xtdrone_sim.worlds.generated.city import CitySettings
 from xtdrone_sim.worlds.generated.countryside import CountrysideSettings
@@ -49,6 +50,7 @@ CLASSES: dict[str, type[Settings]] = {
         CameraSettings,
         LidarSettings,
         LidarMount,
+        ImuMount,
         DrydenSettings,
         RegionSettings,
         GroundSettings,

@@ -30,7 +30,7 @@ PATIENCE = 120.0  # s of wall time; bounds a broken test
         (["--n", "10000"], "--n: '10000' is not allowed, a whole number from 2 to 250"),
         (["--n", "nine"], "'nine' is not allowed"),
         (["--type", "zeppelin"], "vehicle type: 'zeppelin' is unknown; there are: "),
-        (["--world", "moon"], "world: 'moon' is unknown; there are empty, "),
+        (["--world", "moon"], "world: 'moon' is unknown; there are city, "),
         (["--patterns", "cube,heart"], "pattern 'heart' is unknown for 9 vehicles; there are: "),
         (["--patterns", "cube,,cube"], "--patterns: 'cube,,cube' is not allowed"),
         (["--n", "9", "--patterns", "T"], "pattern 'T' is unknown for 9 vehicles"),

@@ -62,7 +62,7 @@ def test_help_of_a_group_lists_its_members() -> None:
         ("xtdrone demo formation --control ", {"vel", "accel"}),
         ("xtdrone bench --o", {"--only"}),
         ("xtdrone soak --s", {"--short", "--seed", "--speed", "--script"}),
-        ("xtdrone sim re", {"resume", "reset"}),
+        ("xtdrone sim re", {"resume", "reset", "remove"}),
         ("xtdrone gcs params s", {"set", "save"}),
         ("xtdrone help comp", {"compare", "compare-px4", "completion"}),
         ("xtdrone bench --json runs/", set()),

@@ -28,7 +28,7 @@ REGION = "region: [[15, -8], [45, -8], [45, 16], [15, 16]]\nholes: [[[25, 0], [3
         (["--height", "3"], "--height: '3' is not allowed, 6 to 25 m"),
         (["--camera-rate", "nan"], "--camera-rate: 'nan' is not allowed, 0.5 to 10 Hz"),
         (["--persons", "-1"], "--persons: '-1' is not allowed"),
-        (["--world", "nowhere"], "worlds: 'nowhere' is not known; there are empty, outdoor"),
+        (["--world", "nowhere"], "worlds: 'nowhere' is not known; there are city, countryside"),
         (["--height", "20"], "height: 20 m: with the gimbal at -60 deg a person of 1.7 m"),
         (["--n", "12"], "height: 12 vehicles that are at least 0.5 m above each other"),
         (["--region", __file__], "test_search_cli.py: "),

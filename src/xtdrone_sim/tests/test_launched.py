@@ -10,7 +10,6 @@ import pytest
 from xtdrone_control.fleet import FleetError
 from xtdrone_sim.descriptions import ModelError, read_description
 from xtdrone_sim.runtime.launched import launched_world, read_launched
-from xtdrone_sim.vehicles.upstream_models import FLOWN_WITHOUT
 
 
 def group(number: int, sdf: str = "iris") -> dict[str, Any]:
@@ -63,16 +62,11 @@ def test_a_mavros_node_without_its_vehicle_is_named(changes: dict[str, Any], wor
     assert words in warning
 
 
-def test_what_a_model_flies_without_is_named() -> None:
-    (warning,) = read_launched(parameters(mavros(0), mavros(1), "iris_stereo_camera")).warnings
-    assert warning.startswith("iris_0: iris_stereo_camera flies without its separate IMU")
-
-
-def test_the_generator_s_models_fly_as_their_base() -> None:
-    for name in FLOWN_WITHOUT:
+def test_models_with_sensors_fly_as_their_base() -> None:
+    for name in ("iris_stereo_camera", "solo_stereo_camera", "iris_zhihang", "typhoon_h480_realsense"):
         base = "typhoon_h480" if name.startswith("typhoon") else name.split("_")[0]
         own, those = (read_description("vehicles", one) for one in (name, base))
-        for sensors in ("cameras", "lidars"):
+        for sensors in ("cameras", "lidars", "imus"):
             own.pop(sensors, None)
             those.pop(sensors, None)
         assert own == those

@@ -51,8 +51,8 @@ from xtdrone_control.under_roslaunch import end_launch
 
 from .search import actions
 from .search.actions import Action
-from .search.candidates import Sighting
 from .search.mission import SearchMission
+from .search.people.candidates import Sighting
 from .search.planning.plans import DatumSettings
 from .search.planning.region import RegionError, read_region
 from .search.settings import MissionSettings

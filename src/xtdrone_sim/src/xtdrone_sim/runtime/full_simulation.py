@@ -32,6 +32,7 @@ from xtdrone_sim.runtime.simulator_node import NodeSettings, close_all, log, run
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.topics.contact_topics import ContactTopics
 from xtdrone_sim.topics.gazebo_messages import ModelStatesMessage
+from xtdrone_sim.topics.imu_topics import ImuTopics
 from xtdrone_sim.topics.link_topics import LinkTopics
 from xtdrone_sim.worlds.actor_topics import ActorTopics
 from xtdrone_sim.worlds.catalogue import find_world
@@ -222,6 +223,7 @@ class FullSimulation:
         self._topics.providers += [self._actors.add_to_scene, self._changes.add_to_scene]
         self._topics.states_providers.append(self._changes.add_to_links)
         self._contacts = ContactTopics(self._simulation, lambda: models.names)
+        self._imus = ImuTopics(self._simulation)
         self._gazebo = GazeboServices(self._simulation, models, self._changes, server)
         self._gazebo.open(mailbox)
 
@@ -243,7 +245,7 @@ class FullSimulation:
 
     def next_publication_us(self, now_us: int) -> int | None:
         """Return when link states are published next, microseconds; None without subscribers."""
-        times = (self._topics.next_publication_us(now_us), self._contacts.next_publication_us(now_us))
+        times = [one.next_publication_us(now_us) for one in (self._topics, self._contacts, self._imus)]
         return min((time for time in times if time is not None), default=None)
 
     def advance(self, until_us: int) -> None:
@@ -266,6 +268,7 @@ class FullSimulation:
         """Publish link states, and begin a barrier; setpoints of participants are held until it ends."""
         self._topics.publish()
         self._contacts.publish()
+        self._imus.publish()
         self._mavlink.hold_setpoints()
         self._server.begin_tick(self._simulation.time_us, self._mavlink.sent, idle)
 
@@ -302,6 +305,7 @@ class FullSimulation:
         self._actors.restart(time_us)
         self._topics.restart()
         self._contacts.restart()
+        self._imus.restart()
         self._gazebo.restart()
         self._model_states = ModelStatesMessage(self._simulation.names, self._simulation.world.model.models)
         self._mavlink.reboot(self._simulation.autopilot, self._simulation.commanders)
@@ -353,6 +357,7 @@ class FullSimulation:
         self._models.update_vehicles()
         self._topics.update_vehicles()
         self._contacts.update_vehicles()
+        self._imus.update_vehicles()
         rospy.set_param("/xtdrone/fleet", fleet_text(simulation.fleet))
 
     def close(self) -> None:

@@ -12,7 +12,6 @@ from xtdrone_control.fleet import SPAWNED, FleetError, Vehicle, spawned_fleet, u
 from xtdrone_control.mavros.link.connection import FcuUrl, LinkError, parse_fcu_url
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.package_files import PACKAGE
-from xtdrone_sim.vehicles.upstream_models import FLOWN_WITHOUT
 from xtdrone_sim.worlds.generated import UPSTREAM, is_generated
 
 LAUNCHED_MAVROS = "/xtdrone/launched_mavros"
@@ -54,7 +53,7 @@ def read_launched(parameters: Mapping[str, Any], instance: int = 0) -> Launched:
     nodes = dict(_launched_nodes(parameters, set(_subtree(parameters, LAUNCHED_MAVROS)), ""))
     urls = {name: url for name, settings in sorted(nodes.items()) if (url := _url(settings)) is not None}
     _check_local_ports(urls)
-    warnings = [*_models(fleet), *unused_ports(groups, fleet), *_links(fleet, nodes, urls)]
+    warnings = [*unused_ports(groups, fleet), *_links(fleet, nodes, urls)]
     return Launched(fleet, tuple(sorted(nodes)), tuple(warnings))
 
 
@@ -118,12 +117,6 @@ def _check_local_ports(urls: Mapping[str, FcuUrl]) -> None:
                 "each needs its own"
             )
         seen[url.bind_port] = name
-
-
-def _models(fleet: tuple[Vehicle, ...]) -> Iterator[str]:
-    for model in dict.fromkeys(vehicle.model for vehicle in fleet if vehicle.model in FLOWN_WITHOUT):
-        names = ", ".join(vehicle.name for vehicle in fleet if vehicle.model == model)
-        yield f"{names}: {model} flies without its {FLOWN_WITHOUT[model]}"
 
 
 def _links(

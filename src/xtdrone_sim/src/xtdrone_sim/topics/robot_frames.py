@@ -53,6 +53,9 @@ class RobotFrames:
                 if frame not in links:
                     optical = compose(pose, OPTICAL_FRAME)
                     self.fixed.append(Frame(f"{name}/{camera.link}", f"{name}/{frame}", optical))
+        for imu in model.imus:
+            if imu.frame not in links:
+                self.fixed.append(Frame(self.body, f"{name}/{imu.frame}", imu.pose))
         for lidar in model.lidars:
             if lidar.frame not in links:
                 self.fixed.append(Frame(f"{name}/{lidar.link}", f"{name}/{lidar.frame}", lidar.pose))

@@ -1,22 +1,6 @@
-"""XTDrone's models whose sensors are not simulated here: the reason why a name is unknown, or what it flies without."""
+"""XTDrone's models that are not simulated here: the reason why a name is unknown."""
 
 from __future__ import annotations
-
-_IMU = "separate IMU (imu_gazebo)"
-
-FLOWN_WITHOUT = {
-    "iris_stereo_camera": _IMU,
-    "solo_stereo_camera": _IMU,
-    "iris_2d_lidar": _IMU,
-    "iris_3d_lidar": _IMU,
-    "iris_3d_gpu_lidar": _IMU,
-    "iris_downward_camera": _IMU,
-    "iris_realsense_camera": _IMU,
-    "iris_realsense_livox": _IMU,
-    "iris_zhihang": _IMU,
-    "typhoon_h480_realsense": _IMU,
-}
-"""What is missing on models that fly."""
 
 _REASONS = {
     "rover": "a ground vehicle",

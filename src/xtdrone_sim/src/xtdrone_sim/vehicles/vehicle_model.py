@@ -17,6 +17,7 @@ from xtdrone_control.autopilot.autopilot import RotorLayout
 from xtdrone_control.autopilot.state import MAX_ROTORS
 from xtdrone_sim.descriptions import ModelError, find, folders, read_description
 from xtdrone_sim.package_files import MODELS
+from xtdrone_sim.vehicles.imu_mounts import ImuMount, read_imus
 from xtdrone_sim.vehicles.lidar_mounts import LidarMount, read_lidars
 from xtdrone_sim.vehicles.mounts import (
     CameraMount,
@@ -136,6 +137,7 @@ class VehicleModel:
         urdf: links and joints; the root is the body, with the centre of mass at its origin, x ahead, z up.
         cameras: mounted cameras.
         lidars: mounted lidars.
+        imus: further IMUs.
         gimbal: mounted gimbal; None without one.
         landing_gear: joints, at 0 on the ground and at their upper limits in flight.
     """
@@ -150,6 +152,7 @@ class VehicleModel:
     gimbal: GimbalMount | None = None
     landing_gear: tuple[Joint, ...] = ()
     lidars: tuple[LidarMount, ...] = ()
+    imus: tuple[ImuMount, ...] = ()
 
     @property
     def rotor_layout(self) -> RotorLayout:
@@ -180,6 +183,7 @@ def load_vehicle(name: str) -> VehicleModel:
         assumed = _assumed_layout(record, description.get("control_allocation"))
         cameras = read_cameras(description.get("cameras"), urdf)
         lidars = read_lidars(description.get("lidars"), urdf, find("vehicles", name).parent)
+        imus = read_imus(description.get("imus"))
         gimbal = read_gimbal(description.get("gimbal"), urdf)
         gear = read_landing_gear(description.get("landing_gear"), urdf)
     except (KeyError, TypeError) as error:
@@ -188,7 +192,9 @@ def load_vehicle(name: str) -> VehicleModel:
         raise ModelError(f"vehicle {name!r}: {error}") from error
     parameters = {str(key): float(value) for key, value in description.get("parameters", {}).items()}
     battery = _battery(description.get("battery", {}))
-    return VehicleModel(Path(name).stem, record, parameters, battery, urdf, assumed, cameras, gimbal, gear, lidars)
+    return VehicleModel(
+        Path(name).stem, record, parameters, battery, urdf, assumed, cameras, gimbal, gear, lidars, imus
+    )
 
 
 def _description(description: dict[str, Any], folder: Path) -> Description:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.worlds.generated import KINDS, UPSTREAM, generated_file, is_generated
 from xtdrone_sim.worlds.sdf import SdfWorld, load_world_file, world_file, world_names
+
+_ENDINGS = (".world", ".sdf", ".yaml", ".yml")
 
 
 def known_names() -> list[str]:
@@ -27,7 +30,11 @@ def find_world(name: str) -> Path:
     Raises:
         ModelError: an unknown name, or an option that is not allowed.
     """
-    return generated_file(name) if is_generated(name) else world_file(name)
+    if is_generated(name):
+        return generated_file(name)
+    if not name.endswith(_ENDINGS) and name not in world_names():
+        raise ModelError(f"worlds: {name[:80]!r} is not known; there are {', '.join(known_names())}")
+    return world_file(name)
 
 
 def load_world(name: str) -> SdfWorld:
@@ -36,4 +43,4 @@ def load_world(name: str) -> SdfWorld:
     Raises:
         ModelError: an unknown name, an option that is not allowed, or an invalid file.
     """
-    return load_world_file(str(find_world(name)) if is_generated(name) else name)
+    return load_world_file(str(find_world(name)))

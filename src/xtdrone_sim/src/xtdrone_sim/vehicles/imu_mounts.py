@@ -1,0 +1,81 @@
+"""Further IMUs that a vehicle's YAML mounts on its body, beside that of the autopilot."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from xtdrone_control.rotation import from_euler
+from xtdrone_control.settings import Settings, setting
+from xtdrone_sim.vehicles.mounts import MountError
+from xtdrone_sim.vehicles.visual import Pose
+
+MOST_RATE = 250.0
+"""Hz: one sample for each step of the simulation."""
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
+
+
+def _check_name(name: str) -> None:
+    if not _NAME.fullmatch(name):
+        raise ValueError("letters, digits and underscores, in parts separated by slashes, each from a letter on")
+
+
+@dataclass(frozen=True)
+class ImuMount(Settings):
+    """An IMU: an entry of the list ``imus:``. Noise densities are those of data sheets."""
+
+    name: str = setting("imu_gazebo", check=_check_name, text="the topic is ``/VEHICLE/NAME``, sensor_msgs/Imu")
+    frame_id: str = setting("", text="its frame, x ahead, ``VEHICLE/`` is prefixed; empty: NAME_frame")
+    position: tuple[float, float, float] = setting((0.0, 0.0, 0.0), low=-10.0, high=10.0, unit="m", text="in the body")
+    rpy: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.0), low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad", text="roll, pitch, yaw in the body"
+    )
+    rate: float = setting(MOST_RATE, low=1.0, high=MOST_RATE, unit="Hz", text="samples per simulated second")
+    gyro_noise: float = setting(0.0, low=0.0, high=1.0, unit="rad/s/√Hz", text="noise density of the gyroscope")
+    gyro_walk: float = setting(0.0, low=0.0, high=1.0, unit="rad/s²/√Hz", text="random walk of its bias")
+    gyro_bias: float = setting(0.0, low=0.0, high=1.0, unit="rad/s", text="standard deviation of its first bias")
+    accel_noise: float = setting(0.0, low=0.0, high=10.0, unit="m/s²/√Hz", text="noise density of the accelerometer")
+    accel_walk: float = setting(0.0, low=0.0, high=10.0, unit="m/s³/√Hz", text="random walk of its bias")
+    accel_bias: float = setting(0.0, low=0.0, high=10.0, unit="m/s²", text="standard deviation of its first bias")
+    seed: int = setting(0, low=0, high=2**31 - 1, text="of the noise, together with vehicle and name")
+
+    @property
+    def frame(self) -> str:
+        """Name of its frame without ``VEHICLE/``."""
+        return self.frame_id or f"{self.name.replace('/', '_')}_frame"
+
+    @property
+    def pose(self) -> Pose:
+        """Pose in the body."""
+        return Pose(self.position, from_euler(*self.rpy))
+
+
+def read_imus(imus: Any) -> tuple[ImuMount, ...]:
+    """Return the IMUs of the YAML list ``imus:``.
+
+    Args:
+        imus: content of the list; None for none.
+
+    Raises:
+        MountError: an unknown or invalid field, or a name or frame given twice.
+    """
+    if not isinstance(imus or [], list):
+        raise MountError(f"imus: {imus!r} is not allowed, a list")
+    mounts = tuple(_imu(entry, f"imus, number {i}") for i, entry in enumerate(imus or [], start=1))
+    for what, values in (("name", [m.name for m in mounts]), ("frame_id", [m.frame for m in mounts])):
+        for value in values:
+            if values.count(value) > 1:
+                raise MountError(f"imus: {what} {value!r} is given {values.count(value)} times")
+    return mounts
+
+
+def _imu(entry: Any, where: str) -> ImuMount:
+    if not isinstance(entry, Mapping):
+        raise MountError(f"{where}: {entry!r} is not allowed, a mapping")
+    try:
+        return ImuMount.from_mapping(entry, where)
+    except ValueError as error:
+        raise MountError(str(error)) from error
