@@ -25,6 +25,8 @@ from xtdrone_sim.gazebo.models import Models
 from xtdrone_sim.gazebo.publishing import ModelTopics
 from xtdrone_sim.gazebo.services import GazeboServices
 from xtdrone_sim.physics.plant import ABSENT
+from xtdrone_sim.robots.listing import Robot, parse_robots
+from xtdrone_sim.robots.robot_topics import RobotTopics
 from xtdrone_sim.runtime.backend import HEAD_START, Idle, index_of
 from xtdrone_sim.runtime.launched import launched_world, read_launched
 from xtdrone_sim.runtime.requests.mailbox import Mailbox
@@ -47,6 +49,7 @@ class FullSettings(NodeSettings):
             ``~spawned`` those that XTDrone's launch files spawn, see ``launched.read_launched``.
         effects: forces and torques added to the vehicles in this order (``~effects``: a list, or its YAML as text; each
             entry ``FILE.py:NAME``, ``module:NAME`` or ``{FILE.py:NAME: {ARGUMENT: VALUE, ...}}``).
+        robots: ground robots (``~robots``, see ``listing.parse_robots``).
     """
 
     fleet: tuple[Vehicle, ...]
@@ -73,6 +76,7 @@ class FullSettings(NodeSettings):
     params: str = setting("", text="folder that keeps changed vehicle parameters, empty for none")
     log_dir: str = setting("", text="folder for ULogs of the vehicles, empty for none")
     effects: tuple[Effect, ...] = ()
+    robots: tuple[Robot, ...] = ()
 
 
 def read_settings() -> FullSettings:
@@ -87,7 +91,8 @@ def read_settings() -> FullSettings:
     else:
         text = str(rospy.get_param("~fleet", rospy.get_param("/xtdrone/fleet", "iris:1")))
         fleet = with_poses(parse_fleet(text, instance), str(rospy.get_param("~poses", "")))
-    return FullSettings.from_parameters(rospy.get_param, fleet=fleet, effects=_effects("~effects"))
+    robots = parse_robots(str(rospy.get_param("~robots", "")))
+    return FullSettings.from_parameters(rospy.get_param, fleet=fleet, effects=_effects("~effects"), robots=robots)
 
 
 def _spawned(instance: int) -> tuple[Vehicle, ...]:
@@ -152,6 +157,7 @@ class FullSimulation:
         self._model_states = ModelStatesMessage(self._simulation.names, self._simulation.world.model.models)
         self.actors: Sequence[str] = [actor.name for actor in self._simulation.world.model.actors]
         self._link_states_rate = settings.link_states_rate
+        self._listed = settings.robots
         self._autopilots = self._simulation.autopilots
         self.overlap = settings.overlap and not self._autopilots.need_time
         self._mavlink = MavlinkServer(
@@ -222,6 +228,7 @@ class FullSimulation:
         self._topics.providers += [self._actors.add_to_scene, self._changes.add_to_scene]
         self._topics.states_providers.append(self._changes.add_to_links)
         self._contacts = ContactTopics(self._simulation, lambda: models.names)
+        self._robots = RobotTopics(self._listed, self._simulation, models, self._changes)
         self._gazebo = GazeboServices(self._simulation, models, self._changes, server)
         self._gazebo.open(mailbox)
 
@@ -243,7 +250,8 @@ class FullSimulation:
 
     def next_publication_us(self, now_us: int) -> int | None:
         """Return when link states are published next, microseconds; None without subscribers."""
-        times = (self._topics.next_publication_us(now_us), self._contacts.next_publication_us(now_us))
+        topics = (self._topics, self._contacts, self._robots)
+        times = [one.next_publication_us(now_us) for one in topics]
         return min((time for time in times if time is not None), default=None)
 
     def advance(self, until_us: int) -> None:
@@ -266,6 +274,7 @@ class FullSimulation:
         """Publish link states, and begin a barrier; setpoints of participants are held until it ends."""
         self._topics.publish()
         self._contacts.publish()
+        self._robots.publish()
         self._mavlink.hold_setpoints()
         self._server.begin_tick(self._simulation.time_us, self._mavlink.sent, idle)
 
@@ -303,6 +312,7 @@ class FullSimulation:
         self._topics.restart()
         self._contacts.restart()
         self._gazebo.restart()
+        self._robots.restart()
         self._model_states = ModelStatesMessage(self._simulation.names, self._simulation.world.model.models)
         self._mavlink.reboot(self._simulation.autopilot, self._simulation.commanders)
 
