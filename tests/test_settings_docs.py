@@ -27,6 +27,8 @@ from xtdrone_sim.air.ground_effect import GroundSettings
 from xtdrone_sim.air.wind_region import RegionSettings
 from xtdrone_sim.cameras.camera_node import CameraSettings
 from xtdrone_sim.lidars.lidar_node import LidarSettings
+from xtdrone_sim.robots.kinematics import AckermannLimits, DifferentialLimits, DriveLimits
+from xtdrone_sim.robots.robot_model import BodySettings, PlatformSettings
 from xtdrone_sim.runtime.full_simulation import FullSettings
 from xtdrone_sim.runtime.simulator_node import NodeSettings
 from xtdrone_sim.topics.robot_tf import TfSettings
@@ -62,6 +64,11 @@ CLASSES: dict[str, type[Settings]] = {
         CitySettings,
         CountrysideSettings,
         TfSettings,
+        DriveLimits,
+        DifferentialLimits,
+        AckermannLimits,
+        BodySettings,
+        PlatformSettings,
         GimbalOptions,
         DetectionOptions,
         GroundOptions,

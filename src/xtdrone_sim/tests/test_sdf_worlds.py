@@ -223,10 +223,10 @@ def test_unspecified_values_are_those_of_the_empty_world() -> None:
 
 def test_unsupported_elements_are_reported_once(caplog: pytest.LogCaptureFixture) -> None:
     read_world(
-        world("\n".join([visual("<geometry><heightmap/></geometry>").replace("'m'", f"'m{k}'") for k in (1, 2)])), FILE
+        world("\n".join([visual("<geometry><cone/></geometry>").replace("'m'", f"'m{k}'") for k in (1, 2)])), FILE
     )
-    assert [message for message in caplog.messages if "heightmap" in message] == [
-        f"{FILE}: line 3: <heightmap> is not supported and ignored"
+    assert [message for message in caplog.messages if "cone" in message] == [
+        f"{FILE}: line 3: <cone> is not supported and ignored"
     ]
 
 

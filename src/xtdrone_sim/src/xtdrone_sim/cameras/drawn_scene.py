@@ -10,7 +10,7 @@ from xtdrone_control.pinhole import Pinhole
 from xtdrone_sim.cameras.rendering import Picture, Renderer
 from xtdrone_sim.vehicles.poses import OPTICAL_FRAME, compose
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.vehicles.visual import Box, Pose, Visual
+from xtdrone_sim.vehicles.visual import Box, Mesh, Pose, Visual
 from xtdrone_sim.worlds import people
 from xtdrone_sim.worlds.scene_at import ActorState, SceneAt
 from xtdrone_sim.worlds.sdf import SdfActor, SdfModel, SdfWorld
@@ -21,6 +21,7 @@ _GROUND_COLOUR = (0.45, 0.5, 0.4, 1.0)
 _WIDE = 100.0  # m, sides of a model's shape that is ground of its own
 _ROUGH = 0.5  # m, distance of its top from z = 0
 _FLAT = 0.05  # m, height up to which a shape merges with ground at z = 0: far away, the renderer's depth is coarse
+_TERRAIN = 20.0  # m, sides of a mesh from which on it counts as terrain, which may rise from z = 0
 _LOWERED = -0.12  # m, ground below such shapes
 
 
@@ -47,7 +48,8 @@ class View:
 def ground_level(models: Sequence[SdfModel]) -> float | None:
     """Return the height of the level ground to be drawn below models, m; None if one of them is wide ground itself.
 
-    The ground is drawn at z = 0, where it is in the physics, but a little lower under flat shapes, such as roads.
+    The ground is drawn at z = 0, where it is in the physics, but a little lower under terrain and flat shapes, such as
+    roads.
 
     Raises:
         SdfError: a mesh cannot be read.
@@ -61,7 +63,8 @@ def ground_level(models: Sequence[SdfModel]) -> float | None:
                 width, depth, _ = high - low
                 if min(width, depth) >= _WIDE and abs(high[2]) <= _ROUGH:
                     return None
-                if abs(high[2]) <= _FLAT and min(width, depth) > _FLAT:
+                is_terrain = isinstance(visual.geometry, Mesh) and min(width, depth) > _TERRAIN and abs(low[2]) <= _FLAT
+                if is_terrain or (abs(high[2]) <= _FLAT and min(width, depth) > _FLAT):
                     level = _LOWERED
     return level
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from xtdrone_sim.gazebo.frames import STANDING, State, in_world, part_of
 from xtdrone_sim.gazebo.limits import MOST_ADDED, RequestError, check_model, check_name, unknown
+from xtdrone_sim.physics.bodies import Drive
 from xtdrone_sim.physics.wrenches import Wrench
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.vehicles.link_poses import Links
@@ -267,14 +268,27 @@ class Models:
         placed = replace(model, name=name, pose=compose(origin, model.pose))
 
         def add() -> str:
-            number = len(self.names)
-            self._simulation.world.add_model(number, placed, placed.pose)
-            self.names.append(name)
-            self._numbers[name] = number
-            self.added[number] = placed
+            self.enter(placed)
             return f"{name} is added, {'a model that stands' if placed.static else 'a body that moves'}"
 
         return add
+
+    def enter(self, model: SdfModel, drive: Drive | None = None) -> int:
+        """Add a model at its pose under a free name, and return its number.
+
+        Args:
+            model: its description.
+            drive: what moves it, see ``Bodies.add``; None: forces.
+
+        Raises:
+            SdfError: a mesh file cannot be read.
+        """
+        number = len(self.names)
+        self._simulation.world.add_model(number, model, model.pose, drive)
+        self.names.append(model.name)
+        self._numbers[model.name] = number
+        self.added[number] = model
+        return number
 
     def deleting(self, name: str) -> Change:
         """Return the change that deletes a model or an actor.

@@ -2,13 +2,15 @@
 
 A movable model is one rigid body of Bullet with the mass of all its links. At rest it sleeps: nothing integrates it
 until a vehicle or another moving body comes near. A body without mass stands where it is put. A held body stands too,
-until the time of the hold has passed.
+until the time of the hold has passed. A driven body, a robot, moves as its drive determines: Bullet gets its velocity,
+so that it carries and pushes what touches it, and what stands stops it.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +32,8 @@ from xtdrone_sim.worlds.sdf.types import SdfModel
 _NEAR = 0.1  # m between the boxes of two bodies below which a moving one wakes the other
 _ROLLING = 1e-3  # m, rolling and spinning friction: a ball comes to rest
 _LOST = 1e6  # m from the origin at which a body has left the world
+_TOUCH = 1e-3  # m of overlap from which on something stops a driven body
+_STEEP = 0.7  # vertical part of a normal above which a surface is floor or ceiling
 
 
 @kernel
@@ -81,6 +85,26 @@ def mark_near_bodies(plant, models, boxes, speeds, moving, limits, horizon, want
     return count
 
 
+class Drive(Protocol):
+    """Moves a body along its own way; see ``robots.kinematics.Drive``."""
+
+    @property
+    def is_still(self) -> bool:
+        """Whether it stands and is to stand."""
+
+    def propose(self, dt: float) -> tuple[Pose, Vector, Vector]:
+        """Return pose, velocity, m/s, and spin, rad/s, of the model in the world for a step of ``dt``, s."""
+
+    def accept(self) -> None:
+        """Make the step that was proposed last."""
+
+    def block(self) -> None:
+        """Stop at once, without the step that was proposed last."""
+
+    def place(self, pose: Pose) -> None:
+        """Stand at a pose."""
+
+
 @dataclass(eq=False)
 class Body:
     """A model in Bullet.
@@ -97,6 +121,8 @@ class Body:
         spin: rad/s, world.
         held: step until which it stands where it was put.
         still_steps: steps at rest.
+        drive: what moves it; None: forces.
+        way: pose, velocity and spin that the drive has proposed for the present step.
     """
 
     model: SdfModel
@@ -110,6 +136,8 @@ class Body:
     spin: Vector = (0.0, 0.0, 0.0)
     held: int = 0
     still_steps: int = 0
+    drive: Drive | None = None
+    way: tuple[Pose, Vector, Vector] = (Pose(), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     force: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     torque: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
 
@@ -144,8 +172,14 @@ class Bodies:
         self._client = client
         self._surface = {"lateralFriction": friction, "restitution": restitution}
 
-    def add(self, number: int, model: SdfModel, pose: Pose) -> Body:
+    def add(self, number: int, model: SdfModel, pose: Pose, drive: Drive | None = None) -> Body:
         """Create a body at a pose; one with mass is awake.
+
+        Args:
+            number: of its model.
+            model: its description; that of a driven body has its centre of mass at the origin.
+            pose: of the model in the world.
+            drive: what moves it; None: forces.
 
         Raises:
             SdfError: a mesh file cannot be read.
@@ -178,7 +212,7 @@ class Bodies:
             settings |= {"activationState": pybullet.ACTIVATION_STATE_DISABLE_SLEEPING}
         for shape in shapes:
             self._client.changeDynamics(shape, -1, **settings)
-        body = self.by_number[number] = Body(model, frame, mass, weight, shapes, box, pose)
+        body = self.by_number[number] = Body(model, frame, mass, weight, shapes, box, pose, drive=drive)
         if body.is_solid:
             self.awake.add(number)
         return body
@@ -204,6 +238,8 @@ class Bodies:
         body = self.by_number[number]
         before, _ = self._bounds([number])
         body.pose, body.velocity, body.spin, body.held, body.still_steps = pose, velocity, spin, held, 0
+        if body.drive is not None:
+            body.drive.place(pose)
         self._reset(body, moving=not held)
         self.awake.discard(number)
         if body.is_solid and not held:
@@ -293,11 +329,14 @@ class Bodies:
         if body.is_solid and not body.held and number not in self.awake:
             self.wake(number)
 
-    def push(self, gravity: float) -> None:
-        """Apply weight and wrenches for the next step of Bullet."""
+    def push(self, gravity: float, dt: float) -> None:
+        """Apply weight, wrenches and drives for the next step of Bullet, of ``dt``, s."""
         apply_force, apply_torque = self._client.applyExternalForce, self._client.applyExternalTorque
         for number in sorted(self.awake):
             body = self.by_number[number]
+            if body.drive is not None:
+                self._drive(body, body.drive, dt)
+                continue
             fx, fy, fz = body.force
             force = (fx, fy, fz - body.weight * body.mass * gravity)
             apply_force(body.shapes[0], -1, force, body.centre, pybullet.WORLD_FRAME)
@@ -310,8 +349,13 @@ class Bodies:
     def read(self) -> None:
         """Take over the motion from Bullet after its step, and let bodies at rest sleep."""
         pose_of, velocity_of = self._client.getBasePositionAndOrientation, self._client.getBaseVelocity
+        for number, body in self.by_number.items():
+            if body.drive is not None:
+                self._follow(number, body, body.drive)
         for number in sorted(self.awake):
             body = self.by_number[number]
+            if body.drive is not None:
+                continue
             position, (x, y, z, w) = pose_of(body.shapes[0])
             velocity, spin = velocity_of(body.shapes[0])
             if not max(map(abs, position)) < _LOST:  # also if it is not a number
@@ -328,6 +372,47 @@ class Bodies:
         for body in self.by_number.values():
             if body.held:
                 self._reset(body, moving=False)
+
+    def _drive(self, body: Body, drive: Drive, dt: float) -> None:
+        """Give Bullet the velocity of a driven body for its next step."""
+        body.force, body.torque = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
+        _, velocity, spin = body.way = drive.propose(dt)
+        self._client.resetBaseVelocity(body.shapes[0], velocity, spin)
+
+    def _follow(self, number: int, body: Body, drive: Drive) -> None:
+        """Put a driven body where its drive has moved it in Bullet's last step, unless something stopped it."""
+        if number in self.awake:
+            if self._is_blocked(body):
+                drive.block()
+                body.velocity = body.spin = (0.0, 0.0, 0.0)
+            else:
+                drive.accept()
+                body.pose, body.velocity, body.spin = body.way
+            body.still_steps = body.still_steps + 1 if drive.is_still else 0
+            if body.still_steps >= REST_STEPS:
+                self._put_to_sleep(number, body)
+        self._reset(body, moving=True)
+
+    def _is_blocked(self, body: Body) -> bool:
+        """Return whether a driven body runs into something that stands or is driven itself."""
+        _, velocity, spin = body.way
+        own, origin = body.shapes[0], np.array(body.pose.position)
+        if not any(velocity) and not any(spin):
+            return False
+        for point in self._client.getContactPoints(own):
+            side = 1.0 if point[1] == own else -1.0
+            other = point[2] if point[1] == own else point[1]
+            normal = side * np.array(point[7])  # from the other to this body
+            if point[8] > -_TOUCH or abs(normal[2]) > _STEEP or not self._is_firm(other):
+                continue
+            arm = np.array(point[5] if point[1] == own else point[6]) - origin
+            if float((np.array(velocity) + np.cross(spin, arm)) @ normal) < 0.0:
+                return True
+        return False
+
+    def _is_firm(self, shape: int) -> bool:
+        driven = any(shape in body.shapes for body in self.by_number.values() if body.drive is not None)
+        return driven or self._client.getDynamicsInfo(shape, -1)[0] == 0.0
 
     def _put_to_sleep(self, number: int, body: Body) -> None:
         self.awake.discard(number)

@@ -21,7 +21,7 @@ from xtdrone_control.rotation import Quaternion, Vector
 from xtdrone_sim.effects import Effects, drive_rotors, integrate_all
 from xtdrone_sim.physics import plant as dynamics
 from xtdrone_sim.physics import wrenches
-from xtdrone_sim.physics.bodies import Bodies
+from xtdrone_sim.physics.bodies import Bodies, Drive
 from xtdrone_sim.physics.bullet import connect, pybullet
 from xtdrone_sim.physics.contacts import (
     CHECK_STEPS,
@@ -417,19 +417,32 @@ class World:
 
     # requests, between two steps
 
-    def add_model(self, number: int, model: SdfModel, pose: Pose) -> None:
+    def add_model(self, number: int, model: SdfModel, pose: Pose, drive: Drive | None = None) -> None:
         """Add a model at a pose in the world.
 
         Args:
             number: a number that no model has had; see ``collisions``.
             model: a static one stands, any other is awake.
             pose: in the world.
+            drive: what moves it; None: forces.
 
         Raises:
             SdfError: a mesh file cannot be read.
         """
-        body = self.bodies.add(number, model, pose)
+        body = self.bodies.add(number, model, pose, drive)
         self._index_of.update((shape, len(self._bodies) + number) for shape in body.shapes)
+
+    def overlaps(self, number: int) -> list[tuple[int, float]]:
+        """Return what a body is inside of at present: index, as in ``collisions``, and depth, m, of each."""
+        own = self.bodies.by_number[number].shapes
+        self._bullet.performCollisionDetection()
+        found: dict[int, float] = {}
+        for shape in own:
+            for point in self._bullet.getContactPoints(shape):
+                other = self._index_of.get(point[2] if point[1] == shape else point[1])
+                if other is not None and point[8] < 0.0:
+                    found[other] = max(found.get(other, 0.0), -float(point[8]))
+        return sorted(found.items())
 
     def remove_model(self, number: int) -> None:
         """Remove a model."""
@@ -525,7 +538,7 @@ class World:
             apply_force(self._bodies[i], -1, (fx, fy, fz - weight), position, pybullet.WORLD_FRAME)
             apply_torque(self._bodies[i], -1, self._world_torque(v), pybullet.WORLD_FRAME)
         if self.bodies.by_number:
-            self.bodies.push(gravity)
+            self.bodies.push(gravity, dt)
         client.stepSimulation()
         if self.bodies.by_number:
             self.bodies.read()

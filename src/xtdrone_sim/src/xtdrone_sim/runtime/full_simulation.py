@@ -25,6 +25,8 @@ from xtdrone_sim.gazebo.models import Models
 from xtdrone_sim.gazebo.publishing import ModelTopics
 from xtdrone_sim.gazebo.services import GazeboServices
 from xtdrone_sim.physics.plant import ABSENT
+from xtdrone_sim.robots.listing import Robot, parse_robots
+from xtdrone_sim.robots.robot_topics import RobotTopics
 from xtdrone_sim.runtime.backend import HEAD_START, Idle, index_of
 from xtdrone_sim.runtime.launched import launched_world, read_launched
 from xtdrone_sim.runtime.requests.mailbox import Mailbox
@@ -48,6 +50,7 @@ class FullSettings(NodeSettings):
             ``~spawned`` those that XTDrone's launch files spawn, see ``launched.read_launched``.
         effects: forces and torques added to the vehicles in this order (``~effects``: a list, or its YAML as text; each
             entry ``FILE.py:NAME``, ``module:NAME`` or ``{FILE.py:NAME: {ARGUMENT: VALUE, ...}}``).
+        robots: ground robots (``~robots``, see ``listing.parse_robots``).
     """
 
     fleet: tuple[Vehicle, ...]
@@ -74,6 +77,7 @@ class FullSettings(NodeSettings):
     params: str = setting("", text="folder that keeps changed vehicle parameters, empty for none")
     log_dir: str = setting("", text="folder for ULogs of the vehicles, empty for none")
     effects: tuple[Effect, ...] = ()
+    robots: tuple[Robot, ...] = ()
 
 
 def read_settings() -> FullSettings:
@@ -88,7 +92,8 @@ def read_settings() -> FullSettings:
     else:
         text = str(rospy.get_param("~fleet", rospy.get_param("/xtdrone/fleet", "iris:1")))
         fleet = with_poses(parse_fleet(text, instance), str(rospy.get_param("~poses", "")))
-    return FullSettings.from_parameters(rospy.get_param, fleet=fleet, effects=_effects("~effects"))
+    robots = parse_robots(str(rospy.get_param("~robots", "")))
+    return FullSettings.from_parameters(rospy.get_param, fleet=fleet, effects=_effects("~effects"), robots=robots)
 
 
 def _spawned(instance: int) -> tuple[Vehicle, ...]:
@@ -153,6 +158,7 @@ class FullSimulation:
         self._model_states = ModelStatesMessage(self._simulation.names, self._simulation.world.model.models)
         self.actors: Sequence[str] = [actor.name for actor in self._simulation.world.model.actors]
         self._link_states_rate = settings.link_states_rate
+        self._listed = settings.robots
         self._autopilots = self._simulation.autopilots
         self.overlap = settings.overlap and not self._autopilots.need_time
         self._mavlink = MavlinkServer(
@@ -224,6 +230,7 @@ class FullSimulation:
         self._topics.states_providers.append(self._changes.add_to_links)
         self._contacts = ContactTopics(self._simulation, lambda: models.names)
         self._imus = ImuTopics(self._simulation)
+        self._robots = RobotTopics(self._listed, self._simulation, models, self._changes)
         self._gazebo = GazeboServices(self._simulation, models, self._changes, server)
         self._gazebo.open(mailbox)
 
@@ -245,7 +252,8 @@ class FullSimulation:
 
     def next_publication_us(self, now_us: int) -> int | None:
         """Return when link states are published next, microseconds; None without subscribers."""
-        times = [one.next_publication_us(now_us) for one in (self._topics, self._contacts, self._imus)]
+        topics = (self._topics, self._contacts, self._imus, self._robots)
+        times = [one.next_publication_us(now_us) for one in topics]
         return min((time for time in times if time is not None), default=None)
 
     def advance(self, until_us: int) -> None:
@@ -269,6 +277,7 @@ class FullSimulation:
         self._topics.publish()
         self._contacts.publish()
         self._imus.publish()
+        self._robots.publish()
         self._mavlink.hold_setpoints()
         self._server.begin_tick(self._simulation.time_us, self._mavlink.sent, idle)
 
@@ -307,6 +316,7 @@ class FullSimulation:
         self._contacts.restart()
         self._imus.restart()
         self._gazebo.restart()
+        self._robots.restart()
         self._model_states = ModelStatesMessage(self._simulation.names, self._simulation.world.model.models)
         self._mavlink.reboot(self._simulation.autopilot, self._simulation.commanders)
 

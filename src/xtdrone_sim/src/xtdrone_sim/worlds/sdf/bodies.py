@@ -8,6 +8,7 @@ import numpy as np
 
 from xtdrone_sim.vehicles.urdf import Inertial
 from xtdrone_sim.worlds.sdf.elements import Element, read_pose
+from xtdrone_sim.worlds.sdf.geometry import has_heightmap
 from xtdrone_sim.worlds.sdf.types import DEFAULT_INERTIAL, SdfLink
 
 INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
@@ -42,6 +43,9 @@ def read_inertial(link: Element) -> Inertial | None:
 
 def why_standing(model: Element, links: Sequence[SdfLink]) -> str:
     """Return why a model that is not static cannot be a rigid body; "" if it can."""
+    for element in model.all("link"):
+        if has_heightmap(element):
+            return f"its link {element.name()!r} is terrain"
     shapes = sum(len(link.collisions) for link in links)
     if not shapes:
         return "nothing of it collides, so that it would fall for ever"

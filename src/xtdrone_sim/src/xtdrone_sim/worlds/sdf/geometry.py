@@ -14,15 +14,17 @@ from xtdrone_control.bounded_file import read_text
 from xtdrone_sim.vehicles.poses import compose, rotate
 from xtdrone_sim.vehicles.visual import Box, Collision, Cylinder, Geometry, Mesh, Pose, Sphere, Visual
 from xtdrone_sim.worlds.sdf.elements import Element, ForbiddenError, read_pose, resolve, uri_of, write_pose
+from xtdrone_sim.worlds.sdf.heightmaps import read_heightmap
 from xtdrone_sim.worlds.sdf.materials import GREY, painted, write_material
-from xtdrone_sim.worlds.sdf.meshes import ENDINGS, LARGEST_MESH, MeshPart, extruded, read_mesh
+from xtdrone_sim.worlds.sdf.meshes import ENDINGS, LARGEST_MESH, MeshPart, check_wavefront, extruded, read_mesh
 from xtdrone_sim.worlds.sdf.types import SdfError
 
 Array = NDArray[np.float64]
 
 
-_FORMS = ("box", "cylinder", "sphere", "mesh", "plane", "polyline")
+_FORMS = ("box", "cylinder", "sphere", "mesh", "heightmap", "plane", "polyline")
 _MOST_CORNERS = 1000  # of a polyline
+_TERRAIN_TEXTURE = 10.0  # m, side of a texture of terrain, as in SDF
 _THIN = 0.002  # m, thickness of the box that represents a plane
 
 
@@ -73,11 +75,11 @@ def read_collisions(element: Element) -> list[Collision]:
     """
     element.warn_unknown(("pose", "geometry"), ("surface", "max_contacts", "laser_retro"))
     pose = read_pose(element)
-    return [Collision(geometry, pose) for geometry, _ in _read_shapes(element.required("geometry"))]
+    return [Collision(geometry, pose) for geometry, _ in _read_shapes(element.required("geometry"), is_solid=True)]
 
 
-def _read_shapes(element: Element) -> list[tuple[Geometry, MeshPart | None]]:
-    """Read a <geometry>; a mesh file has one shape for each of its materials."""
+def _read_shapes(element: Element, is_solid: bool = False) -> list[tuple[Geometry, MeshPart | None]]:
+    """Read a <geometry>; a mesh file has one shape for each material, solid terrain one for each tile."""
     if not element.children:
         raise element.error(f"is empty, needs one of {', '.join(_FORMS)}")
     form = element.children[0]
@@ -85,6 +87,8 @@ def _read_shapes(element: Element) -> list[tuple[Geometry, MeshPart | None]]:
         raise element.children[1].error("is not allowed, a <geometry> has one form")
     if form.tag == "mesh":
         return _read_mesh(form)
+    if form.tag == "heightmap":
+        return _read_heightmap(form, is_solid)
     geometry = _read_primitive(form, element)
     return [] if geometry is None else [(geometry, None)]
 
@@ -135,6 +139,48 @@ def _read_plane(element: Element) -> Geometry:
     return Box((x, y, _THIN))
 
 
+def has_heightmap(link: Element) -> bool:
+    """Return whether a shape of a <link> is a <heightmap>."""
+    shapes = [shape.one("geometry") for shape in link.children if shape.tag in {"visual", "collision"}]
+    return any(geometry is not None and geometry.one("heightmap") is not None for geometry in shapes)
+
+
+def _read_heightmap(element: Element, is_solid: bool) -> list[tuple[Geometry, MeshPart | None]]:
+    """Read a <heightmap>; one whose picture is missing or cannot be read is left out with a warning."""
+    element.warn_unknown(("uri", "size", "pos", "texture"), ("blend", "use_terrain_paging", "sampling"))
+    uri, size, pos = element.required("uri"), element.one("size"), element.one("pos")
+    extent = (1.0, 1.0, 1.0) if size is None else _triple(size.numbers((3,), 1e-3, 1e5))
+    middle = (0.0, 0.0, 0.0) if pos is None else _triple(pos.numbers((3,), -1e5, 1e5))
+    texture, side = _terrain_texture(element)
+    try:
+        whole, *tiles = read_heightmap(resolve(uri), extent, middle, side)
+    except ForbiddenError:
+        raise
+    except SdfError as error:
+        uri.warn_ignored(f"is left out: {error}")
+        return []
+    if is_solid:
+        return [(Mesh(tile), None) for tile in tiles]
+    return [(Mesh(whole), None if texture is None else MeshPart(whole, texture=texture))]
+
+
+def _terrain_texture(element: Element) -> tuple[Path | None, float]:
+    """Return the picture of the first <texture> of a <heightmap>, and the side of one texture, m."""
+    found = element.first("texture")
+    if found is None:
+        return None, _TERRAIN_TEXTURE
+    found.warn_unknown(("diffuse", "size"), ("normal",))
+    picture, size = found.one("diffuse"), found.one("size")
+    side = _TERRAIN_TEXTURE if size is None else size.number(0.01, 1e5)
+    try:
+        return (None if picture is None else resolve(picture)), side
+    except ForbiddenError:
+        raise
+    except SdfError:
+        found.warn_ignored("names a picture that is not found: the terrain is plain")
+        return None, side
+
+
 def _read_mesh(element: Element) -> list[tuple[Geometry, MeshPart | None]]:
     """Read a <mesh>; one that is missing or cannot be read is left out with a warning."""
     element.warn_unknown(("uri", "scale", "submesh"))
@@ -151,6 +197,11 @@ def _read_mesh(element: Element) -> list[tuple[Geometry, MeshPart | None]]:
     if ending == ".obj":
         if submesh is not None:
             submesh.warn_ignored("is not supported in Wavefront files and ignored")
+        try:
+            check_wavefront(path)
+        except SdfError as error:
+            uri.warn_ignored(f"is left out: {error}")
+            return []
         return [(Mesh(path, factors), None)]
     if ending not in ENDINGS:
         uri.warn_ignored(f"{uri.string()!r} is left out: meshes are .obj, {', '.join(ENDINGS)}")

@@ -1,7 +1,8 @@
-"""COLLADA and STL meshes and extruded polygons as Wavefront files, which renderer and physics read.
+"""COLLADA, STL and glTF meshes and extruded polygons as Wavefront files, which renderer and physics read.
 
-The files are in the user's cache, by the content they are made from. Of COLLADA, geometry, node transforms, units,
-plain colours and textures of the materials are used; <up_axis> is ignored, as in Gazebo Classic.
+The files are in the user's cache, by the content they are made from. Of COLLADA and glTF, geometry, node transforms,
+units, plain colours and textures of the materials are used. <up_axis> of COLLADA is ignored, as in Gazebo Classic. In
+glTF y is up (glTF 2.0 specification, 3.4); its meshes are turned so that z is up.
 """
 
 from __future__ import annotations
@@ -20,20 +21,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.bounded_file import MB, read_bytes
+from xtdrone_control.bounded_file import MB, load_json, read_bytes
 from xtdrone_sim.cached_files import cached_folder
 from xtdrone_sim.vehicles.visual import Colour
 from xtdrone_sim.worlds.sdf.types import SdfError
 
 LARGEST_MESH = 64 * MB
 MOST_TRIANGLES = 300_000
-ENDINGS = (".dae", ".stl")
+ENDINGS = (".dae", ".stl", ".gltf", ".glb")
 """File name endings of the meshes that ``read_mesh`` converts."""
 
 _FORMAT = b"1"  # of the cached files; a new version invalidates them
-_LARGEST_PICTURE = 32 * MB
+_LARGEST_PICTURE = LARGEST_MESH
 _UNIT = re.compile(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']([^\"']+)[\"']")
 _PARTS = "parts.json"
+_UPRIGHT = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ class MeshPart:
 
 
 def read_mesh(path: Path, submesh: str = "", centred: bool = False) -> tuple[MeshPart, ...]:
-    """Return the parts of a COLLADA or STL file, one for each material; the first call for a content converts it.
+    """Return the parts of a COLLADA, STL or glTF file, one for each material; the first call for a content converts it.
 
     Args:
         path: file with one of ``ENDINGS``.
@@ -66,7 +68,8 @@ def read_mesh(path: Path, submesh: str = "", centred: bool = False) -> tuple[Mes
         data = read_bytes(path, LARGEST_MESH)
     except OSError as error:
         raise SdfError(f"{path}: {error.strerror or error}") from error
-    key = hashlib.sha256(_FORMAT + f"{path.absolute()}\n{submesh}\n{centred}\n".encode() + data).hexdigest()[:24]
+    content = data + _buffers(data, path) if path.suffix.lower() == ".gltf" else data
+    key = hashlib.sha256(_FORMAT + f"{path.absolute()}\n{submesh}\n{centred}\n".encode() + content).hexdigest()[:24]
     try:
         return _parts_in(cached_folder("meshes", key, lambda folder: _convert(data, path, submesh, centred, folder)))
     except OSError as error:
@@ -93,9 +96,7 @@ def _convert(data: bytes, path: Path, submesh: str, centred: bool, folder: Path)
         meshes = [(name, mesh) for name, mesh in meshes if submesh in name]
         if not meshes:
             raise SdfError(f"{path}: it has no geometry {submesh!r}")
-    count = sum(len(mesh.faces) for _, mesh in meshes)
-    if not 0 < count <= MOST_TRIANGLES:
-        raise SdfError(f"{path}: it has {count} triangles, 1 to {MOST_TRIANGLES} are allowed")
+    _check_triangles(sum(len(mesh.faces) for _, mesh in meshes), path)
     corners = np.concatenate([mesh.vertices for _, mesh in meshes])
     if not np.isfinite(corners).all():
         raise SdfError(f"{path}: it has corners that are not finite")
@@ -107,6 +108,40 @@ def _convert(data: bytes, path: Path, submesh: str, centred: bool, folder: Path)
         file.write_text("".join(_wavefront(group, middle)))
         rows.append({"file": file.name, "colour": look.colour, "texture": texture})
     (folder / _PARTS).write_text(json.dumps(rows))
+
+
+def _buffers(data: bytes, path: Path) -> bytes:
+    """Return the files that hold the numbers of a .gltf file; the loader names those that are missing."""
+    try:
+        names = [str(buffer.get("uri", "")) for buffer in load_json(data.decode("utf-8")).get("buffers", [])]
+    except (AttributeError, TypeError, ValueError) as error:
+        raise SdfError(f"{path}: not a GLTF file: {error}") from error
+    files = [path.parent / Path(name).name for name in names if not name.startswith("data:")]
+    return b"".join(read_bytes(file, LARGEST_MESH) for file in files if file.is_file())
+
+
+def _check_triangles(count: int, path: Path) -> None:
+    if not 0 < count <= MOST_TRIANGLES:
+        raise SdfError(f"{path}: it has {count} triangles, 1 to {MOST_TRIANGLES} are allowed")
+
+
+def check_wavefront(path: Path) -> None:
+    """Check the size of a Wavefront file before renderer and physics read it.
+
+    Raises:
+        SdfError: the file cannot be read, or has no or too many triangles.
+    """
+    try:
+        status = path.stat()
+        faces = _count_faces(path, status.st_mtime_ns, status.st_size)
+    except OSError as error:
+        raise SdfError(f"{path}: {error.strerror or error}") from error
+    _check_triangles(faces, path)
+
+
+@lru_cache(maxsize=1024)
+def _count_faces(path: Path, _modified: int, _size: int) -> int:
+    return read_bytes(path, LARGEST_MESH).count(b"\nf ")
 
 
 def _loaded(data: bytes, path: Path) -> list[tuple[str, Any]]:
@@ -124,8 +159,12 @@ def _loaded(data: bytes, path: Path) -> list[tuple[str, Any]]:
         found = []
         for _, _, name, matrix in sorted(placed, key=lambda row: row[:2]):
             mesh = scene.geometry[name].copy()
+            if not hasattr(mesh, "faces"):  # points or lines
+                continue
             mesh.apply_transform(matrix)
             mesh.apply_scale(_metres(data) if kind == "dae" else 1.0)
+            if kind in ("gltf", "glb"):
+                mesh.apply_transform(_UPRIGHT)
             found.append((str(name), mesh))
     except SdfError:
         raise
@@ -149,13 +188,13 @@ def _metres(data: bytes) -> float:
 
 
 class _Pictures:
-    """Finds the textures of a COLLADA file beside it or in the model's folder of textures, whatever its paths say."""
+    """Finds the textures and buffers of a file beside it or in the model's textures, whatever its paths say."""
 
     def __init__(self, folder: Path) -> None:
         self._folders = (folder, folder.parent / "materials" / "textures", folder / "textures", folder.parent)
 
     def get(self, name: str) -> bytes:
-        """Return the content of a picture; raise OSError if it is not there."""
+        """Return the content of a file; raise OSError if it is not there."""
         base = Path(str(name).replace("\\", "/")).name
         for folder in self._folders:
             if (folder / base).is_file():

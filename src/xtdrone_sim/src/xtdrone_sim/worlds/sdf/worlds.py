@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from xtdrone_control.bounded_file import read_bytes
 from xtdrone_control.geodesy.datum import Datum
@@ -12,9 +15,14 @@ from xtdrone_sim.package_files import CONFIG, PACKAGE
 from xtdrone_sim.worlds.sdf.elements import LARGEST, Element
 from xtdrone_sim.worlds.sdf.reader import parse_model, parse_world
 from xtdrone_sim.worlds.sdf.types import SdfError, SdfModel, SdfWorld
+from xtdrone_sim.worlds.sdf.yaml_models import read_models
 
 WORLDS = PACKAGE / "worlds"
 
+MODELS = "models"
+"""Field of a YAML file with the list of the world's models."""
+
+_FIELDS = ("datum", "gravity", "wind", "magnetic_field", "ground", MODELS)
 _ENDINGS = (".world", ".sdf")
 
 
@@ -131,6 +139,16 @@ def _text(path: Path) -> bytes:
 
 def _from_yaml(name: str) -> SdfWorld:
     description = read_description("worlds", name)
+    for field in description:
+        if field not in _FIELDS:
+            raise ModelError(f"world {name!r}: field {str(field)[:60]!r} is not known; there are {', '.join(_FIELDS)}")
+    world = _surroundings(description, name)
+    if MODELS not in description:
+        return world
+    return replace(world, models=read_models(description[MODELS], Path(name).absolute()))
+
+
+def _surroundings(description: Mapping[str, Any], name: str) -> SdfWorld:
     try:
         datum, field, ground = (description[key] for key in ("datum", "magnetic_field", "ground"))
         declination, inclination = math.radians(field["declination"]), math.radians(field["inclination"])

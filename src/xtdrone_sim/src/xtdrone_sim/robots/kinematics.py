@@ -1,0 +1,263 @@
+"""Motion of wheeled robots on level ground, without slip: differential drive and Ackermann steering.
+
+The origin of a robot is on the ground below the middle of its driven axle. Speed, yaw rate and steering angle follow
+their commands within limits of their rates; along a step, the origin moves on the exact arc of its speed and yaw rate.
+K. Lynch and F. Park, *Modern Robotics*, 13.3, give the equations.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from xtdrone_control.rotation import Vector, from_euler, yaw_of
+from xtdrone_control.settings import SettingError, Settings, setting
+from xtdrone_sim.vehicles.visual import Pose
+
+_NEVER = -1
+
+
+class Joint(NamedTuple):
+    """State of a joint: name, angle, rad, and rate, rad/s."""
+
+    name: str
+    angle: float
+    rate: float
+
+
+@dataclass(frozen=True)
+class DriveState:
+    """State of a robot.
+
+    Attributes:
+        x, y, z: m, map ENU.
+        yaw: rad, counter-clockwise from east.
+        speed: along its own x, m/s.
+        rate: yaw rate, rad/s.
+        steering: angle of a front wheel in the middle, rad; 0 with a differential drive.
+        left, right: angles that the driven wheels have turned, rad.
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    yaw: float = 0.0
+    speed: float = 0.0
+    rate: float = 0.0
+    steering: float = 0.0
+    left: float = 0.0
+    right: float = 0.0
+
+    @property
+    def pose(self) -> Pose:
+        """Pose of the origin in the world."""
+        return Pose((self.x, self.y, self.z), from_euler(0.0, 0.0, self.yaw))
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveLimits(Settings):
+    """Wheels and limits of a robot."""
+
+    wheel_radius: float = setting(0.15, low=0.01, high=2.0, unit="m", text="of the driven wheels")
+    track: float = setting(0.8, low=0.05, high=10.0, unit="m", text="distance of left and right wheels")
+    speed: float = setting(2.0, low=0.01, high=50.0, unit="m/s", text="largest speed, forwards and backwards")
+    acceleration: float = setting(2.0, low=0.01, high=50.0, unit="m/s^2", text="largest change of the speed")
+    timeout: float = setting(
+        0.5, low=0.0, high=3600.0, unit="s", text="time without a command after which the robot stops; 0: never"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class DifferentialLimits(DriveLimits):
+    """Limits of a differential drive."""
+
+    turn_rate: float = setting(2.0, low=0.01, high=50.0, unit="rad/s", text="largest yaw rate")
+    turn_acceleration: float = setting(6.0, low=0.01, high=500.0, unit="rad/s^2", text="largest change of the yaw rate")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AckermannLimits(DriveLimits):
+    """Limits of a car."""
+
+    wheelbase: float = setting(2.62, low=0.1, high=20.0, unit="m", text="distance of front and rear axle")
+    steering: float = setting(0.52, low=0.01, high=1.4, unit="rad", text="largest angle of a front wheel in the middle")
+    steering_rate: float = setting(1.0, low=0.01, high=50.0, unit="rad/s", text="largest change of the steering angle")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.wheelbase / math.tan(self.steering) <= 0.5 * self.track:
+            most = math.atan(2.0 * self.wheelbase / self.track)
+            raise SettingError(
+                "steering", self.steering, f"below {most:.3f} rad: the inner wheel would turn on the spot"
+            )
+
+
+class Drive(ABC):
+    """A robot's wheels and motors.
+
+    Attributes:
+        state: at the present time.
+    """
+
+    limits: DriveLimits
+
+    def __init__(self, pose: Pose = Pose()) -> None:  # noqa: B008, immutable
+        """Stand at a pose, of which the yaw counts."""
+        self.state = DriveState()
+        self.place(pose)
+
+    def place(self, pose: Pose) -> None:
+        """Stand at a pose in the world, upright; the command ends."""
+        x, y, z = pose.position
+        self.state = replace(DriveState(), x=x, y=y, z=z, yaw=yaw_of(pose.orientation))
+        self._linear = self._angular = 0.0
+        self._left_us, self._next = _NEVER, self.state
+
+    def command(self, linear: float, angular: float) -> None:
+        """Set the wanted speed, m/s, and the wanted yaw rate, rad/s (of a car: steering angle, rad).
+
+        Values beyond the limits count as the limits.
+
+        Raises:
+            ValueError: a value is not finite.
+        """
+        for name, value in (("linear.x", linear), ("angular.z", angular)):
+            if not math.isfinite(value):
+                raise SettingError(name, value, "a finite number")
+        self._linear, self._angular = _clipped(linear, self.limits.speed), angular
+        self._left_us = round(self.limits.timeout * 1e6) if self.limits.timeout else _NEVER
+
+    @property
+    def is_still(self) -> bool:
+        """Whether the robot stands and has no command to move."""
+        return not (self.state.speed or self.state.rate or self._linear or self._turns())
+
+    def propose(self, dt: float) -> tuple[Pose, Vector, Vector]:
+        """Return pose, mean velocity, m/s, and spin, rad/s, in the world of a step of ``dt``, s; see ``accept``."""
+        if self._left_us != _NEVER:
+            self._left_us -= round(dt * 1e6)
+            if self._left_us < 0:
+                self._left_us, self._linear = _NEVER, 0.0
+                self._stop_turning()
+        old = self.state
+        self._next = new = self._moved(dt)
+        pace = ((new.x - old.x) / dt, (new.y - old.y) / dt, 0.0)
+        return new.pose, pace, (0.0, 0.0, new.rate)
+
+    def accept(self) -> None:
+        """Make the step that was proposed last."""
+        self.state = self._next
+
+    def block(self) -> None:
+        """Stop at once where the robot is, instead of the step that was proposed last."""
+        self.state = replace(self.state, speed=0.0, rate=0.0)
+
+    def _moved(self, dt: float) -> DriveState:
+        old = self.state
+        change = self.limits.acceleration * dt
+        speed = old.speed + _clipped(self._linear - old.speed, change)
+        steering, rate = self._turned(old, speed, dt)
+        half = 0.5 * rate * dt
+        way = speed * dt * (math.sin(half) / half if half else 1.0)  # the chord of the arc
+        yaw = math.remainder(old.yaw + rate * dt, math.tau)
+        apart = 0.5 * self.limits.track * rate
+        return DriveState(
+            old.x + way * math.cos(old.yaw + half),
+            old.y + way * math.sin(old.yaw + half),
+            old.z,
+            yaw,
+            speed,
+            rate,
+            steering,
+            old.left + (speed - apart) / self.limits.wheel_radius * dt,
+            old.right + (speed + apart) / self.limits.wheel_radius * dt,
+        )
+
+    def _wheels(self, left: str, right: str) -> list[Joint]:
+        state, apart = self.state, 0.5 * self.limits.track * self.state.rate
+        return [
+            Joint(left, state.left, (state.speed - apart) / self.limits.wheel_radius),
+            Joint(right, state.right, (state.speed + apart) / self.limits.wheel_radius),
+        ]
+
+    @abstractmethod
+    def _turned(self, old: DriveState, speed: float, dt: float) -> tuple[float, float]:
+        """Return the steering angle and the yaw rate of a step."""
+
+    @abstractmethod
+    def _turns(self) -> bool:
+        """Return whether the command makes a standing robot turn something."""
+
+    @abstractmethod
+    def _stop_turning(self) -> None:
+        """End the turning command after the timeout."""
+
+    @abstractmethod
+    def joints(self) -> list[Joint]:
+        """Return the states of all joints."""
+
+
+class Differential(Drive):
+    """Two driven wheels: yaw rate and speed follow from their speeds."""
+
+    def __init__(self, limits: DifferentialLimits, pose: Pose = Pose()) -> None:  # noqa: B008, immutable
+        """Stand at a pose."""
+        self.limits: DifferentialLimits = limits
+        super().__init__(pose)
+
+    def _turned(self, old: DriveState, speed: float, dt: float) -> tuple[float, float]:
+        wanted = _clipped(self._angular, self.limits.turn_rate)
+        return 0.0, old.rate + _clipped(wanted - old.rate, self.limits.turn_acceleration * dt)
+
+    def _turns(self) -> bool:
+        return self._angular != 0.0
+
+    def _stop_turning(self) -> None:
+        self._angular = 0.0
+
+    def joints(self) -> list[Joint]:
+        """Return the states of the two wheels."""
+        return self._wheels("left_wheel_joint", "right_wheel_joint")
+
+
+class Ackermann(Drive):
+    """A car: the rear axle drives, both front wheels point at right angles to the middle of the curve."""
+
+    def __init__(self, limits: AckermannLimits, pose: Pose = Pose()) -> None:  # noqa: B008, immutable
+        """Stand at a pose."""
+        self.limits: AckermannLimits = limits
+        super().__init__(pose)
+
+    def _turned(self, old: DriveState, speed: float, dt: float) -> tuple[float, float]:
+        wanted = _clipped(self._angular, self.limits.steering)
+        steering = old.steering + _clipped(wanted - old.steering, self.limits.steering_rate * dt)
+        return steering, speed * math.tan(steering) / self.limits.wheelbase
+
+    def _turns(self) -> bool:
+        return _clipped(self._angular, self.limits.steering) != self.state.steering
+
+    def _stop_turning(self) -> None:
+        """Keep the steering angle, as a car without a driver does."""
+
+    def joints(self) -> list[Joint]:
+        """Return the states of the rear wheels, of the front wheels and of their steering.
+
+        cot(left) = cot(steering) - track / (2 wheelbase), cot(right) likewise with +. The speed of a front wheel is
+        that of the origin times the ratio of their distances from the middle of the curve.
+        """
+        state, limits = self.state, self.limits
+        slope = math.tan(state.steering) / limits.wheelbase  # curvature of the origin's way, 1/m
+        found = self._wheels("rear_left_wheel_joint", "rear_right_wheel_joint")
+        for side, name, turned in ((-1.0, "front_left", state.left), (1.0, "front_right", state.right)):
+            share = 1.0 + 0.5 * side * limits.track * slope
+            angle = math.atan2(limits.wheelbase * slope, share)
+            rate = state.speed * math.hypot(share, limits.wheelbase * slope) / limits.wheel_radius
+            found.append(Joint(f"{name}_steering_joint", angle, 0.0))
+            found.append(Joint(f"{name}_wheel_joint", turned, rate))
+        return found
+
+
+def _clipped(value: float, most: float) -> float:
+    return max(-most, min(most, value))

@@ -1,0 +1,148 @@
+"""Descriptions of ground robots: ``config/robots/TYPE.yaml``, or a file of one's own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from xtdrone_control.rotation import from_euler
+from xtdrone_control.settings import SettingError, Settings, setting
+from xtdrone_sim.descriptions import ModelError, available, read_description
+from xtdrone_sim.robots.kinematics import Ackermann, AckermannLimits, Differential, DifferentialLimits, Drive
+from xtdrone_sim.vehicles.urdf import Inertial
+from xtdrone_sim.vehicles.visual import Box, Collision, Cylinder, Pose, Visual
+from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
+
+LINK = "base_link"
+DRIVES = ("differential", "ackermann")
+
+_FIELDS = ("drive", "limits", "body", "platform")
+_LEAST_CLEARANCE = 0.05  # m: bodies do not touch the ground, on which the wheels roll without being simulated
+_HEAVY = 1e5  # kg and kg m^2: Bullet's solver then moves what touches the robot, as its motors would
+_TYRE = (0.08, 0.08, 0.08, 1.0)
+_MARK = (0.8, 0.1, 0.1, 1.0)
+_PLATE = 0.04  # m, thickness of a platform
+
+
+@dataclass(frozen=True)
+class BodySettings(Settings):
+    """Body of a robot, a box."""
+
+    length: float = setting(1.2, low=0.05, high=20.0, unit="m", text="along its x")
+    width: float = setting(0.8, low=0.05, high=20.0, unit="m", text="along its y")
+    height: float = setting(0.35, low=0.02, high=10.0, unit="m", text="of its top above the ground")
+    clearance: float = setting(0.1, low=_LEAST_CLEARANCE, high=5.0, unit="m", text="of its bottom above the ground")
+    ahead: float = setting(0.0, low=-10.0, high=10.0, unit="m", text="of its middle before the driven axle")
+    colour: tuple[float, float, float] = setting((0.3, 0.3, 0.3), low=0.0, high=1.0, text="red, green, blue")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.height <= self.clearance:
+            raise SettingError("height", self.height, f"above clearance, {self.clearance:g} m")
+
+
+@dataclass(frozen=True)
+class PlatformSettings(Settings):
+    """Platform above a robot's body, on which vehicles land."""
+
+    length: float = setting(1.4, low=0.1, high=50.0, unit="m", text="along its x")
+    width: float = setting(1.4, low=0.1, high=50.0, unit="m", text="along its y")
+    height: float = setting(0.5, low=0.1, high=20.0, unit="m", text="of its top above the ground")
+    colour: tuple[float, float, float] = setting((0.85, 0.85, 0.8), low=0.0, high=1.0, text="red, green, blue")
+
+
+@dataclass(frozen=True)
+class RobotModel:
+    """A type of robot.
+
+    Attributes:
+        limits: wheels, and limits of the motion.
+        body: its body.
+        platform: its platform; None without one.
+    """
+
+    limits: DifferentialLimits | AckermannLimits
+    body: BodySettings
+    platform: PlatformSettings | None
+
+    def drive(self, pose: Pose) -> Drive:
+        """Return wheels and motors that stand at a pose."""
+        if isinstance(self.limits, AckermannLimits):
+            return Ackermann(self.limits, pose)
+        return Differential(self.limits, pose)
+
+    def model(self, name: str, pose: Pose) -> SdfModel:
+        """Return what the world has of it: one link with body, platform and wheels."""
+        body, deck = self.body, self.platform
+        trunk = Box((body.length, body.width, round(body.height - body.clearance, 6)))
+        place = Pose((body.ahead, 0.0, 0.5 * (body.height + body.clearance)))
+        visuals, collisions = [Visual(trunk, place, (*body.colour, 1.0))], [Collision(trunk, place)]
+        if deck is not None:
+            plate = Box((deck.length, deck.width, _PLATE))
+            top = Pose((body.ahead, 0.0, deck.height - 0.5 * _PLATE))
+            visuals.append(Visual(plate, top, (*deck.colour, 1.0)))
+            collisions.append(Collision(plate, top))
+            side = 0.35 * min(deck.length, deck.width)
+            visuals += [
+                Visual(Box(size), Pose((body.ahead, 0.0, deck.height + 0.001)), _MARK)
+                for size in ((side, 0.15 * side, 0.004), (0.15 * side, side, 0.004))
+            ]
+            post = deck.height - _PLATE - body.height
+            if post > 0.0:
+                visuals.append(Visual(Cylinder(0.06, post), Pose((body.ahead, 0.0, body.height + 0.5 * post)), _TYRE))
+        inertial = Inertial(_HEAVY, Pose(), (_HEAVY, _HEAVY, _HEAVY, 0.0, 0.0, 0.0))
+        link = SdfLink(LINK, visuals=(*visuals, *self._wheels()), collisions=tuple(collisions), inertial=inertial)
+        return SdfModel(name, pose, False, (link,))
+
+    def _wheels(self) -> list[Visual]:
+        limits = self.limits
+        axles = [0.0, limits.wheelbase] if isinstance(limits, AckermannLimits) else [0.0]
+        wheel = Cylinder(limits.wheel_radius, 0.35 * limits.wheel_radius)
+        level = from_euler(0.5 * math.pi, 0.0, 0.0)
+        half = 0.5 * limits.track
+        return [Visual(wheel, Pose((x, y, limits.wheel_radius), level), _TYRE) for x in axles for y in (-half, half)]
+
+
+def robot_types() -> list[str]:
+    """Return the names of the package's robots."""
+    return available("robots")
+
+
+def load_robot(name: str) -> RobotModel:
+    """Return a type of robot.
+
+    Args:
+        name: one of ``robot_types``, or a path ending in .yaml or .yml.
+
+    Raises:
+        ModelError: an unknown type, or an invalid file; the message names file, field, value and what is allowed.
+    """
+    if not name.endswith((".yaml", ".yml")) and name not in robot_types():
+        raise ModelError(
+            f"robots: type {name[:60]!r} is not known; there are {', '.join(robot_types())}, or a YAML file"
+        )
+    given = read_description("robots", str(Path(name).expanduser()) if name.endswith((".yaml", ".yml")) else name)
+    for field in given:
+        if field not in _FIELDS:
+            raise ModelError(f"robot {name}: field {str(field)[:60]!r} is not known; there are {', '.join(_FIELDS)}")
+    try:
+        return _checked(given)
+    except SettingError as error:
+        raise ModelError(f"robot {name}: {error}") from error
+
+
+def _checked(given: Mapping[str, object]) -> RobotModel:
+    kind = given.get("drive")
+    if kind not in DRIVES:
+        raise SettingError("drive", kind, " or ".join(DRIVES))
+    settings = AckermannLimits if kind == "ackermann" else DifferentialLimits
+    limits = settings.from_mapping(given.get("limits", {}), "limits")
+    body = BodySettings.from_mapping(given.get("body", {}), "body")
+    deck = given.get("platform")
+    platform = None if deck is None else PlatformSettings.from_mapping(deck, "platform")
+    if platform is not None and platform.height < body.height + _PLATE:
+        raise SettingError("platform height", platform.height, f"at least body and plate, {body.height + _PLATE:g} m")
+    assert isinstance(limits, DifferentialLimits | AckermannLimits)
+    return RobotModel(limits, body, platform)

@@ -1,0 +1,178 @@
+"""Topics of the ground robots, NAME standing for a robot's, as ugv_0.
+
+==========================  ===========================  ==============================================================
+NAME/cmd_vel (in)           geometry_msgs/Twist          linear.x: speed, m/s; angular.z: yaw rate, rad/s, of a car the
+                                                         steering angle, rad, as for XTDrone's catvehicle
+NAME/odom                   nav_msgs/Odometry            from the wheels, without error: NAME/odom -> NAME/base_link
+NAME/joint_states           sensor_msgs/JointState       wheels and steering
+/tf                         tf2_msgs/TFMessage           NAME/odom -> NAME/base_link
+/tf_static                  tf2_msgs/TFMessage           map -> NAME/odom, NAME/base_link -> NAME/platform
+==========================  ===========================  ==============================================================
+
+The rate is 50 Hz of simulated time; nothing is computed without subscribers. The frame ``odom`` is that of the start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import rospy
+from geometry_msgs.msg import (
+    Point,
+    PoseWithCovariance,
+    Quaternion,
+    Transform,
+    TransformStamped,
+    Twist,
+    TwistWithCovariance,
+    Vector3,
+)
+from geometry_msgs.msg import Pose as PoseMessage
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
+
+from xtdrone_control import lockstep
+from xtdrone_control.frames import to_xyzw
+from xtdrone_sim.gazebo.models import Models
+from xtdrone_sim.gazebo.publishing import ModelTopics
+from xtdrone_sim.physics.starts import StartError
+from xtdrone_sim.robots.kinematics import Drive
+from xtdrone_sim.robots.listing import Robot
+from xtdrone_sim.robots.robot_model import LINK
+from xtdrone_sim.simulation import Simulation
+from xtdrone_sim.topics.link_topics import PERIOD_US
+from xtdrone_sim.vehicles.poses import compose, inverse
+from xtdrone_sim.vehicles.visual import Pose
+
+_WARNING_PERIOD = 5.0  # wall s between two equal warnings
+_TOLERANCE = 0.01  # m of overlap at the start
+_EXACT = 1e-9  # m^2, rad^2 and their rates: covariance of odometry without error, which filters divide by
+
+
+class RobotTopics:
+    """The robots of a simulation; all methods are called in the simulator's thread."""
+
+    def __init__(self, robots: Sequence[Robot], simulation: Simulation, models: Models, shown: ModelTopics) -> None:
+        """Put the robots into the world, advertise and subscribe; called after ``lockstep.host()``.
+
+        Args:
+            robots: names, types and start poses.
+            simulation: with the world that they drive in.
+            models: all models, which they join.
+            shown: tells cameras and lidars of them.
+
+        Raises:
+            ValueError: a name is taken, or a place is not free.
+        """
+        self._robots, self._simulation, self._models, self._shown = robots, simulation, models, shown
+        self._drives: dict[str, Drive] = {}
+        self._numbers: dict[str, int] = {}
+        self._published_us = -1
+        for robot in robots:
+            if robot.name in models.present:
+                raise ValueError(f"robots: {robot.name!r} is the name of a vehicle or of a model in the world")
+        self._enter()
+        self._odometry = {robot.name: lockstep.Publisher(f"/{robot.name}/odom", Odometry) for robot in robots}
+        self._joints = {robot.name: lockstep.Publisher(f"/{robot.name}/joint_states", JointState) for robot in robots}
+        for robot in robots:
+            lockstep.Subscriber(f"/{robot.name}/cmd_vel", Twist, partial(self._on_command, robot.name))
+        if robots:
+            self._tf = lockstep.Publisher("/tf", TFMessage)
+            self._static = lockstep.Publisher("/tf_static", TFMessage, latch=True)
+            self._static.publish(TFMessage(self._fixed_frames()))
+
+    def _enter(self) -> None:
+        """Put all robots at their start poses.
+
+        Raises:
+            StartError: a place is not free.
+        """
+        world = self._simulation.world
+        for robot in self._robots:
+            drive = self._drives[robot.name] = robot.model.drive(robot.pose)
+            self._numbers[robot.name] = self._models.enter(robot.model.model(robot.name, robot.pose), drive)
+        names = [*self._simulation.names, *self._models.names]
+        for robot in self._robots:
+            for other, depth in world.overlaps(self._numbers[robot.name]):
+                if depth > _TOLERANCE:
+                    x, y, _ = robot.pose.position
+                    place = f"the start at {x:g} {y:g} m is not free"
+                    raise StartError(f"{robot.name}: {place}: it is {depth:.2f} m inside {names[other]}")
+        if self._robots:
+            self._shown.announce()
+
+    def restart(self) -> None:
+        """Put all robots at their start poses, after a restart of the simulation."""
+        self._published_us = -1
+        self._enter()
+
+    def _on_command(self, name: str, message: Twist) -> None:
+        drive, bodies = self._drives[name], self._simulation.world.bodies
+        if self._numbers[name] not in bodies.by_number:
+            rospy.logwarn_throttle(_WARNING_PERIOD, f"simulator: /{name}/cmd_vel: {name} has been deleted")
+            return
+        try:
+            drive.command(message.linear.x, message.angular.z)
+        except ValueError as error:
+            rospy.logwarn_throttle(_WARNING_PERIOD, f"simulator: /{name}/cmd_vel: {error}")
+            return
+        if not drive.is_still:
+            bodies.wake(self._numbers[name])
+
+    def _has_subscribers(self) -> bool:
+        if not self._robots:
+            return False
+        publishers = [self._tf, *self._odometry.values(), *self._joints.values()]
+        return any(publisher.get_num_connections() for publisher in publishers)
+
+    def next_publication_us(self, now_us: int) -> int | None:
+        """Return the next publication time, microseconds; None without subscribers."""
+        return now_us - now_us % PERIOD_US + PERIOD_US if self._has_subscribers() else None
+
+    def publish(self) -> None:
+        """Publish to all topics with subscribers if the current time is a publication time."""
+        now = self._simulation.time_us
+        if now % PERIOD_US or now == self._published_us or not self._has_subscribers():
+            return
+        self._published_us = now
+        stamp, frames = rospy.Time(0, now * 1000), []
+        there = self._simulation.world.bodies.by_number
+        for robot in self._robots:
+            if self._numbers[robot.name] not in there:
+                continue
+            drive = self._drives[robot.name]
+            pose = compose(inverse(robot.pose), drive.state.pose)
+            frames.append(_transform(stamp, f"{robot.name}/odom", f"{robot.name}/{LINK}", pose))
+            if self._odometry[robot.name].get_num_connections():
+                self._odometry[robot.name].publish(_odometry(stamp, robot.name, pose, drive))
+            if self._joints[robot.name].get_num_connections():
+                names, angles, rates = (list(column) for column in zip(*drive.joints(), strict=True))
+                self._joints[robot.name].publish(JointState(Header(stamp=stamp), names, angles, rates, []))
+        if self._tf.get_num_connections():
+            self._tf.publish(TFMessage(frames))
+
+    def _fixed_frames(self) -> list[TransformStamped]:
+        frames = []
+        for robot in self._robots:
+            frames.append(_transform(rospy.Time(), "map", f"{robot.name}/odom", robot.pose))
+            deck = robot.model.platform
+            if deck is not None:
+                place = Pose((robot.model.body.ahead, 0.0, deck.height))
+                frames.append(_transform(rospy.Time(), f"{robot.name}/{LINK}", f"{robot.name}/platform", place))
+        return frames
+
+
+def _transform(stamp: rospy.Time, parent: str, child: str, pose: Pose) -> TransformStamped:
+    turn = Quaternion(*to_xyzw(pose.orientation))
+    return TransformStamped(Header(stamp=stamp, frame_id=parent), child, Transform(Vector3(*pose.position), turn))
+
+
+def _odometry(stamp: rospy.Time, name: str, pose: Pose, drive: Drive) -> Odometry:
+    placed = PoseMessage(Point(*pose.position), Quaternion(*to_xyzw(pose.orientation)))
+    twist = Twist(Vector3(drive.state.speed, 0.0, 0.0), Vector3(0.0, 0.0, drive.state.rate))
+    exact = [_EXACT if k % 7 == 0 else 0.0 for k in range(36)]
+    header = Header(stamp=stamp, frame_id=f"{name}/odom")
+    return Odometry(header, f"{name}/{LINK}", PoseWithCovariance(placed, exact), TwistWithCovariance(twist, exact))
