@@ -4,8 +4,8 @@
 /VEHICLE/NAME      sensor_msgs/Imu     of each entry of ``imus:`` in the vehicle's YAML, at its rate in simulated time
 =================  ==================  ==============================================================================
 
-The orientation is the true one, of the IMU in ``map`` (ENU); rates and specific force are in the IMU's frame. The change
-of the rates, which counts away from the centre, is that by rotors and drag, without contacts.
+The orientation is the true one, of the IMU in ``map`` (ENU); rates and specific force are in the IMU's frame. The
+change of the rates, which counts away from the centre, is that by rotors and drag, without contacts.
 """
 
 from __future__ import annotations
