@@ -111,3 +111,32 @@ def test_ctrl_c_during_a_step_is_reported_and_the_step_continues(monkeypatch, ca
     monkeypatch.setattr(sim_cli, "call", interrupted)
     assert cli.main(["sim", "step", "--for", "100", "--master", "11311"]) == 130
     assert "the step continues; './xtdrone sim pause' ends it" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("offered", "words", "wanted"),
+    [
+        ("failure", ["iris_0/scan", "biased", "0.5"], ("/iris_0/scan/failure", ("biased", 0.5))),
+        ("failure", ["/iris_0/scan", "ok"], ("/iris_0/scan/failure", ("ok", 0.0))),
+        ("freeze", ["iris_0/camera", "off"], ("/iris_0/camera/freeze", (True,))),
+        ("freeze", ["iris_0/camera", "ok"], ("/iris_0/camera/freeze", (False,))),
+        ("freeze", ["iris_0/camera", "biased"], "failure: 'biased' is not allowed for a camera, off or ok"),
+        ("", ["iris_0/scan", "off"], "no lidar or camera 'iris_0/scan' runs"),
+    ],
+)
+def test_sensors_fail_by_the_service_that_they_offer(offered, words, wanted, monkeypatch, capsys):
+    asked = []
+
+    def answer(master, service, kind, request):
+        asked.append((service, tuple(getattr(request, name) for name in request.__slots__)))
+        return types.SimpleNamespace(success=True, message="done")
+
+    monkeypatch.setattr(sim_cli, "find_service", lambda master, name: ("", 1) if offered and offered in name else None)
+    monkeypatch.setattr(sim_cli, "choose_master", lambda *_: ("http://127.0.0.1:1", ""))
+    monkeypatch.setattr(sim_cli, "call", answer)
+    status = cli.main(["sim", "fail", *words])
+    if isinstance(wanted, str):
+        assert status == 1
+        assert wanted in capsys.readouterr().err
+    else:
+        assert (status, asked) == (0, [wanted])
