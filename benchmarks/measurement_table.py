@@ -291,6 +291,8 @@ _TABLE = (
         fields=(
             ("CPU\nms/picture", spread("milliseconds")),
             ("wall\nms/picture", spread("wall_milliseconds")),
+            ("with\ndepth ms", spread("depth_milliseconds")),
+            ("stereo\npair ms", spread("stereo_milliseconds")),
         ),
         summary=_picture_summary,
         cases=_pictures,

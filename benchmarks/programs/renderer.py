@@ -10,7 +10,8 @@ import math
 import statistics
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 from benchmarks.programs.program import Column, Row, run
@@ -38,7 +39,8 @@ def measure(width: int, height: int, backend: str, seconds: float) -> dict[str, 
         seconds: minimum wall time of the measurement, above 0.
 
     Returns:
-        width, height, backend, milliseconds (processor time, median), wall_milliseconds (median), pictures.
+        width, height, backend, milliseconds (processor time, median), wall_milliseconds (median), pictures; and
+        depth_milliseconds and stereo_milliseconds (wall, medians), of a picture with depth and of a stereo pair.
 
     Raises:
         RendererError: there is no such renderer here.
@@ -48,6 +50,7 @@ def measure(width: int, height: int, backend: str, seconds: float) -> dict[str, 
     with Renderer(backend) as renderer:
         scene = DrawnScene(renderer, world)
         view = View("camera", Pinhole.of_view(width, height, _FIELD), 0.05, 500.0)
+        right = replace(view, pose=Pose((0.0, -0.12, 0.0)))
         x, y, _ = world.actors[0].pose.position
         turned = [from_euler(0.0, _PITCH, 2.0 * math.pi * k / _VIEWS) for k in range(_VIEWS)]
         places = [
@@ -57,14 +60,9 @@ def measure(width: int, height: int, backend: str, seconds: float) -> dict[str, 
             )
             for k, a in enumerate(2.0 * math.pi * k / _VIEWS for k in range(_VIEWS))
         ]
-        scene.draw(places[0], view)
-        used: list[float] = []
-        waited: list[float] = []
-        while sum(waited) < seconds or len(used) < _VIEWS:
-            cpu, wall = time.process_time(), time.perf_counter()
-            scene.draw(places[len(used) % _VIEWS], view)
-            used.append(time.process_time() - cpu)
-            waited.append(time.perf_counter() - wall)
+        used, waited = _times(scene, places, (view,), seconds)
+        _, with_depth = _times(scene, places, (replace(view, depth=True),), seconds)
+        _, of_pair = _times(scene, places, (view, right), seconds)
         name = renderer.backend
     return {
         "width": width,
@@ -72,8 +70,27 @@ def measure(width: int, height: int, backend: str, seconds: float) -> dict[str, 
         "backend": name,
         "milliseconds": 1e3 * statistics.median(used),
         "wall_milliseconds": 1e3 * statistics.median(waited),
+        "depth_milliseconds": 1e3 * statistics.median(with_depth),
+        "stereo_milliseconds": 1e3 * statistics.median(of_pair),
         "pictures": len(used),
     }
+
+
+def _times(
+    scene: DrawnScene, places: Sequence[SceneAt], views: Sequence[View], seconds: float
+) -> tuple[list[float], list[float]]:
+    """Return processor and wall times, s, of exposures that draw all ``views``, after one that is not counted."""
+    used: list[float] = []
+    waited: list[float] = []
+    for view in views:
+        scene.draw(places[0], view)
+    while sum(waited) < seconds or len(used) < len(places):
+        cpu, wall = time.process_time(), time.perf_counter()
+        for view in views:
+            scene.draw(places[len(used) % len(places)], view)
+        used.append(time.process_time() - cpu)
+        waited.append(time.perf_counter() - wall)
+    return used, waited
 
 
 COLUMNS = (
@@ -81,6 +98,8 @@ COLUMNS = (
     Column("backend", "{backend}"),
     Column("CPU ms", "{milliseconds:.1f}"),
     Column("wall ms", "{wall_milliseconds:.1f}"),
+    Column("with depth ms", "{depth_milliseconds:.1f}"),
+    Column("stereo ms", "{stereo_milliseconds:.1f}"),
 )
 
 

@@ -782,12 +782,13 @@ def test_table_of_the_detector() -> None:
 
 
 def test_table_of_the_renderer() -> None:
-    row = {"width": 640, "height": 360, "backend": "egl", "milliseconds": 30.0, "wall_milliseconds": 24.5}
+    row = {"width": 640, "height": 360, "backend": "egl", "milliseconds": 30.0, "wall_milliseconds": 24.5,
+           "depth_milliseconds": 26.0, "stereo_milliseconds": 49.0}  # fmt: skip
     results = {"machine": {"load_before": [0.1, 0.1, 0.1]}, "renderer": [row, row | {"backend": "tiny"}]}
     text = _printed(results)
     lines = [[cell.strip() for cell in line.strip("│").split("│")] for line in text.splitlines() if "│" in line]
-    assert ["640 x 360 px, egl", "30.00", "24.50"] in lines
-    assert ["640 x 360 px, tiny", "30.00", "24.50"] in lines
+    assert ["640 x 360 px, egl", "30.00", "24.50", "26.00", "49.00"] in lines
+    assert ["640 x 360 px, tiny", "30.00", "24.50", "26.00", "49.00"] in lines
 
 
 def test_table_of_films() -> None:
