@@ -119,6 +119,7 @@ def test_messages_of_an_rgbd_camera() -> None:
     camera = made_camera()
     p = camera.mount.pinhole
     made = messages(camera, STAMP, [depth_of(camera, 4.0)], list(topics_of(camera.mount)))
+    assert made.pop("color/image_raw/compressed").header.stamp == STAMP
     assert set(made) == {
         "depth/image_raw", "depth/camera_info", "depth/points", "color/image_raw", "color/camera_info",
     }  # fmt: skip
@@ -228,4 +229,4 @@ def test_what_is_refused(changes: dict[str, Any], words: str) -> None:
 def test_pictures_of_a_colour_camera_are_drawn_without_depth(tmp_path: Path) -> None:
     (camera,) = cameras_of(fleet("typhoon_h480"))
     assert [view.depth for view in camera.views] == [False]
-    assert list(topics_of(camera.mount)) == ["image_raw", "camera_info"]
+    assert list(topics_of(camera.mount)) == ["image_raw", "image_raw/compressed", "camera_info"]

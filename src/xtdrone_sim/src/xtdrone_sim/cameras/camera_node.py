@@ -4,8 +4,8 @@
 topic or service                   type                      content
 =================================  ========================  ==========================================================
 /T/CAMERA/image_raw                sensor_msgs/Image         rgb8; stamp: time of the exposure
-/T/CAMERA/camera_info              sensor_msgs/CameraInfo    with each image, no distortion
-/T/CAMERA/...                      ...                       of depth cameras and stereo pairs, see ``outputs``
+/T/CAMERA/camera_info              sensor_msgs/CameraInfo    with each image, plumb_bob
+/T/CAMERA/...                      ...                       compressed, depths, stereo pairs: see ``outputs``
 /T/CAMERA/freeze                   std_srvs/SetBool          true: stops the images, as a failed camera does
 /xtdrone/scene (subscribed)        xtdrone_msgs/SceneState   poses of links and actors
 /xtdrone/models (subscribed)       xtdrone_msgs/SceneModels  models added and deleted since the start

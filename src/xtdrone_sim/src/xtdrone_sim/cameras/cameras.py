@@ -42,9 +42,7 @@ class Camera:
     def views(self) -> tuple[View, ...]:
         """The views that the renderer draws, of a stereo pair the left one first."""
         m = self.mount
-        return tuple(
-            View(f"{self.vehicle}::{m.link}", m.pinhole, m.near, m.far, pose, m.has_depth) for _, pose in m.eyes
-        )
+        return tuple(View(f"{self.vehicle}::{m.link}", m.drawn, m.near, m.far, pose, m.has_depth) for _, pose in m.eyes)
 
 
 def cameras_of(fleet: Sequence[Vehicle]) -> tuple[Camera, ...]:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from xtdrone_control.lens import Lens, drawing_of
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_control.rotation import Quaternion, Vector, from_euler, multiply
 from xtdrone_control.settings import check_choice, check_range
@@ -16,8 +17,10 @@ from xtdrone_sim.vehicles.urdf import FIXED, Description, Joint, UrdfError
 from xtdrone_sim.vehicles.visual import Pose
 
 _CAMERA = {"name", "link", "width", "height", "hfov", "rate", "near", "far", "frame_id", "kind", "position", "rpy"}
+_PICTURE = {"image_noise", "seed"}
 _DEPTH = {"range_min", "range_max", "noise", "encoding", "seed"}
 _STEREO = {"baseline"}
+_RGB = {"distortion"}
 KINDS = ("rgb", "depth", "rgbd", "stereo")
 ENCODINGS = ("32FC1", "16UC1")
 _GIMBAL = {"yaw", "roll", "pitch", "rate"}
@@ -48,7 +51,9 @@ class CameraMount:
         range_min, range_max: depths outside are not measured, m.
         noise: standard deviation of a depth over its square, 1/m: that of stereo and structured light.
         encoding: of depth images, one of ``ENCODINGS``: m, or mm as whole numbers.
-        seed: of the noise, together with vehicle and name.
+        seed: of the noises, together with vehicle and name.
+        image_noise: standard deviation of each channel of colour pictures, in parts of full scale, as in Gazebo.
+        lens: distortion of a camera of kind ``rgb``; None: a pinhole.
     """
 
     name: str
@@ -66,6 +71,13 @@ class CameraMount:
     noise: float = 0.0
     encoding: str = "32FC1"
     seed: int = 0
+    image_noise: float = 0.0
+    lens: Lens | None = None
+
+    @property
+    def drawn(self) -> Pinhole:
+        """Projection of the pictures that the renderer draws for it."""
+        return drawing_of(self.lens).pinhole if self.lens is not None else self.pinhole
 
     @property
     def has_depth(self) -> bool:
@@ -127,8 +139,9 @@ def read_cameras(cameras: Any, urdf: Description) -> tuple[CameraMount, ...]:
 
 def _camera(entry: Any, where: str, urdf: Description) -> CameraMount:
     kind = entry.get("kind", "rgb") if isinstance(entry, Mapping) else "rgb"
-    own = {"stereo": _STEREO, "depth": _DEPTH, "rgbd": _DEPTH}.get(str(kind), set())
-    _check_fields(entry, _CAMERA | own, {"name", "link", "width", "height", "hfov"} | (own & _STEREO), where)
+    own = {"stereo": _STEREO | _PICTURE, "depth": _DEPTH, "rgbd": _DEPTH | _PICTURE, "rgb": _RGB | _PICTURE}
+    fields = own.get(str(kind), set())
+    _check_fields(entry, _CAMERA | fields, {"name", "link", "width", "height", "hfov"} | (fields & _STEREO), where)
     name, link = str(entry["name"]), str(entry["link"])
     try:
         check_choice("kind", kind, KINDS)
@@ -141,7 +154,7 @@ def _camera(entry: Any, where: str, urdf: Description) -> CameraMount:
         far = check_range("far", entry.get("far", 500.0), near, 1e5, "m")
         rate = check_range("rate", entry.get("rate", 10.0), 0.1, 50.0, "Hz")
         urdf.link(link)
-        pose, special = _pose(entry), _special(entry, kind)
+        pose, special = _pose(entry), _special(entry, kind) | _picture(entry, pinhole)
     except ValueError as error:
         raise MountError(f"{where} ({name}): {error}") from error
     side = "_left" if kind == "stereo" else ""
@@ -172,8 +185,27 @@ def _special(entry: Mapping[str, Any], kind: str) -> dict[str, Any]:
         "range_max": check_range("range_max", entry.get("range_max", 10.0), least, 1000.0, "m"),
         "noise": check_range("noise", entry.get("noise", 0.0), 0.0, 1.0, "1/m"),
         "encoding": check_choice("encoding", entry.get("encoding", ENCODINGS[0]), ENCODINGS),
-        "seed": int(check_range("seed", entry.get("seed", 0), 0, 2**31 - 1)),
     }
+
+
+def _picture(entry: Mapping[str, Any], pinhole: Pinhole) -> dict[str, Any]:
+    """Return noise and lens of a camera's pictures, and the seed."""
+    return {
+        "seed": int(check_range("seed", entry.get("seed", 0), 0, 2**31 - 1)),
+        "image_noise": check_range("image_noise", entry.get("image_noise", 0.0), 0.0, 1.0),
+        "lens": _lens(entry.get("distortion"), pinhole),
+    }
+
+
+def _lens(values: Any, pinhole: Pinhole) -> Lens | None:
+    if values is None:
+        return None
+    if not isinstance(values, list) or len(values) != 5:
+        raise ValueError(f"distortion: {str(values)[:80]} is not allowed, a list of 5 numbers: k1, k2, p1, p2, k3")
+    k1, k2, p1, p2, k3 = (check_range("distortion", value, -10.0, 10.0) for value in values)
+    lens = Lens(pinhole, (k1, k2, p1, p2, k3))
+    drawing_of(lens)
+    return lens
 
 
 def read_gimbal(gimbal: Any, urdf: Description) -> GimbalMount | None:
