@@ -200,4 +200,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    # Orders are instances of the imported module's classes, not of those of __main__.
+    from xtdrone_sim.cameras import camera_worker
+
+    camera_worker.main()
