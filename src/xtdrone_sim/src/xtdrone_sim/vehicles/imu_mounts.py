@@ -3,31 +3,24 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import Settings, setting
-from xtdrone_sim.vehicles.mounts import MountError
+from xtdrone_sim.vehicles.mounts import MountError, check_sensor_name
 from xtdrone_sim.vehicles.visual import Pose
 
 MOST_RATE = 250.0
 """Hz: one sample for each step of the simulation."""
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
-
-
-def _check_name(name: str) -> None:
-    if not _NAME.fullmatch(name):
-        raise ValueError("letters, digits and underscores, in parts separated by slashes, each from a letter on")
 
 
 @dataclass(frozen=True)
 class ImuMount(Settings):
     """An IMU: an entry of the list ``imus:``. Noise densities are those of data sheets."""
 
-    name: str = setting("imu_gazebo", check=_check_name, text="the topic is ``/VEHICLE/NAME``, sensor_msgs/Imu")
+    name: str = setting("imu_gazebo", check=check_sensor_name, text="the topic is ``/VEHICLE/NAME``, sensor_msgs/Imu")
     frame_id: str = setting("", text="its frame, x ahead, ``VEHICLE/`` is prefixed; empty: NAME_frame")
     position: tuple[float, float, float] = setting((0.0, 0.0, 0.0), low=-10.0, high=10.0, unit="m", text="in the body")
     rpy: tuple[float, float, float] = setting(

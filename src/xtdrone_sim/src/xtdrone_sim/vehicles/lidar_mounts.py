@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 
 from xtdrone_control.rotation import Vector, from_euler
 from xtdrone_control.settings import SettingError, Settings, setting
-from xtdrone_sim.vehicles.mounts import MountError
+from xtdrone_sim.vehicles.mounts import MountError, check_sensor_name
 from xtdrone_sim.vehicles.urdf import Description
 from xtdrone_sim.vehicles.visual import Pose
 
@@ -20,19 +19,13 @@ ROSETTE = "rosette"
 LEAST_RATE, MOST_RATE = 0.1, 50.0  # Hz
 MOST_RAYS = 1_000_000
 """Largest number of rays of one scan."""
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
-
-
-def _check_name(name: str) -> None:
-    if not _NAME.fullmatch(name):
-        raise ValueError("letters, digits and underscores, in parts separated by slashes, each from a letter on")
 
 
 @dataclass(frozen=True)
 class LidarMount(Settings):
     """A lidar on a link of a vehicle: an entry of the list ``lidars:``."""
 
-    name: str = setting("scan", check=_check_name, text="the topic is ``/VEHICLE/NAME``")
+    name: str = setting("scan", check=check_sensor_name, text="the topic is ``/VEHICLE/NAME``")
     link: str = setting("base_link", text="link of the URDF that carries it")
     kind: str = setting(
         "scan",

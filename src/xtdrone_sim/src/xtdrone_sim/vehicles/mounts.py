@@ -33,6 +33,16 @@ class MountError(ValueError):
     """An invalid camera, gimbal or landing gear; the message names field, value and what is allowed."""
 
 
+def check_sensor_name(name: str) -> None:
+    """Check the name of a sensor, which is part of its topic.
+
+    Raises:
+        ValueError: the name is not allowed; the message says what is.
+    """
+    if not _NAME.fullmatch(name):
+        raise ValueError("letters, digits and underscores, in parts separated by slashes, each from a letter on")
+
+
 @dataclass(frozen=True)
 class CameraMount:
     """A camera on a link of a vehicle.

@@ -37,8 +37,8 @@ def main(arguments: Sequence[str]) -> None:
         raise ArgumentError(f"{name} cannot join: no simulator offers {_ADD} after {_PATIENCE:g} s") from error
     announce(f"simulator: {_accepted(_ADD, AddVehicle, name, model, pose)}")
     try:
-        while not over.wait(1.0) and not rospy.is_shutdown():
-            pass
+        rospy.on_shutdown(over.set)
+        over.wait()
     finally:
         _leave(name)
         rospy.signal_shutdown("the vehicle has left")
