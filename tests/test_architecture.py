@@ -16,12 +16,14 @@ ALLOWED = {
     "xtdrone_sim": {"xtdrone_control"},
     "xtdrone_coordination": {"xtdrone_control"},
     "xtdrone_perception": {"xtdrone_control"},
+    "xtdrone_planning": {"xtdrone_control", "xtdrone_perception"},
     "xtdrone_swarm": {"xtdrone_control", "xtdrone_sim", "xtdrone_coordination"},
     "xtdrone_interaction": {
         "xtdrone_control",
         "xtdrone_sim",
         "xtdrone_coordination",
         "xtdrone_perception",
+        "xtdrone_planning",
         "xtdrone_swarm",
     },
 }
