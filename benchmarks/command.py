@@ -34,7 +34,12 @@ from xtdrone_interaction.options import OptionError
 
 SCHEMA = 1  # of the JSON file
 _FLOWN = ("stack", "formation", "free")
-_MODES = {"both": ("per_uav", "shared"), "per-uav": ("per_uav",), "shared": ("shared",)}
+_MODES = {
+    "all": ("per_uav", "merged", "shared"),
+    "per-uav": ("per_uav",),
+    "merged": ("merged",),
+    "shared": ("shared",),
+}
 
 FULL = Length(
     core_seconds=3.0,
@@ -74,9 +79,9 @@ class BenchSettings(Settings):
     vehicles: dict[str, tuple[int, ...]]
     json: Path
     processes: str = setting(
-        "both",
+        "all",
         choices=tuple(_MODES),
-        text="formation with a process per vehicle and role, with one per role, or both",
+        text="formation with a process per vehicle and role, with one per vehicle, with one per role, or all three",
     )
     repeat: int = setting(
         1, low=1, high=20, metavar="TIMES", text="repetitions of each measurement, of which the tables show medians"
@@ -86,7 +91,7 @@ class BenchSettings(Settings):
 
     @property
     def modes(self) -> tuple[str, ...]:
-        """Modes of the formation: ``per_uav``, ``shared``."""
+        """Modes of the formation: ``per_uav``, ``merged``, ``shared``."""
         return _MODES[self.processes]
 
     @property

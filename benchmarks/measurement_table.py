@@ -98,7 +98,7 @@ def _links(part: str, count: int, modes: Sequence[str]) -> Iterator[Case]:
 
 def _formations(part: str, count: int, modes: Sequence[str]) -> Iterator[Case]:
     for mode in modes:
-        if mode == "per_uav" and count > _MOST_PER_UAV and len(modes) > 1:
+        if mode != "shared" and count > _MOST_PER_UAV and len(modes) > 1:
             continue
         title = f"{_title(count)}, processes {mode.replace('_', ' ')}"
         yield Case(part, title, {"vehicles": count, "mode": mode}, f"{count}-{mode}")
@@ -425,7 +425,10 @@ _TABLE = (
         limits=(2, MAX_VEHICLES),
         fields=(
             _SPEED,
-            _goal(["vehicles", "mode"], {(9, "per_uav"): 3.0, (30, "per_uav"): 1.0}),
+            _goal(
+                ["vehicles", "mode"],
+                {(9, "per_uav"): 3.0, (30, "per_uav"): 1.0, (9, "merged"): 9.0, (30, "merged"): 3.0},
+            ),
             ("flight\ns", flight_time),
             _OVERLAP,
             *_PROCESSES,

@@ -10,6 +10,7 @@ import pytest
 from xtdrone_control.communication.commands import CommandSettings
 from xtdrone_control.settings import Settings
 from xtdrone_coordination.network import NetworkOptions
+from xtdrone_coordination.ros import HostedCommunication
 from xtdrone_coordination.search.settings import MissionSettings
 from xtdrone_interaction.formation.director import DirectorSettings
 from xtdrone_interaction.rviz.markers_node import MarkerSettings
@@ -49,6 +50,7 @@ CLASSES: dict[str, type[Settings]] = {
         FullSettings,
         SimplifiedSettings,
         CommandSettings,
+        HostedCommunication,
         CameraSettings,
         LidarSettings,
         LidarMount,

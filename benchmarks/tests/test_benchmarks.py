@@ -74,7 +74,7 @@ PATIENCE = 120.0  # s of wall time; bounds a broken test
         (["--vehicles", "free=1"], "vehicles of free: '1' is not allowed; 2 to 250"),
         (["--vehicles", "=9"], "part '' in '=9' is not measured"),
         (["--repeat", "0"], "--repeat: '0' is not allowed, a whole number from 1 to 20"),
-        (["--processes", "many"], "--processes: 'many' is not allowed, both, per-uav or shared"),
+        (["--processes", "many"], "--processes: 'many' is not allowed, all, per-uav, merged or shared"),
         (
             ["--baseline", "no such"],
             "baseline: 'no such' is no commit of this repository; a hash, a branch or a tag is",
@@ -164,6 +164,8 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
         "telemetry, 30 vehicles, 2 of 2",
         "formation, 9 vehicles, processes per uav, 1 of 2",
         "formation, 9 vehicles, processes per uav, 2 of 2",
+        "formation, 9 vehicles, processes merged, 1 of 2",
+        "formation, 9 vehicles, processes merged, 2 of 2",
         "formation, 9 vehicles, processes shared, 1 of 2",
         "formation, 9 vehicles, processes shared, 2 of 2",
         "formation, 100 vehicles, processes shared, 1 of 2",

@@ -61,7 +61,7 @@ class Circumstance:
         speed: target real-time factor, 0 for unlimited.
         one_core: whether all processes run on one core.
         load: number of busy programs beside it.
-        processes: ``per_uav`` or ``shared``.
+        processes: ``per_uav``, ``merged`` or ``shared``.
         recorded: whether rosbag, which is outside the lockstep, records it.
         truth_only: compare only the true states of the vehicles; otherwise all topics are published even without
             subscribers, so that subscribers make no difference.
@@ -85,10 +85,11 @@ FULL = (
     Circumstance("busy machine", load=4),
     Circumstance("no subscribers", truth_only=True),
     Circumstance("recorded by rosbag", recorded=True, truth_only=True),
+    Circumstance("a process per vehicle", processes="merged"),
     Circumstance("shared processes", processes="shared"),
 )
 SHORT = (
-    Circumstance("half speed, one busy core", speed=0.5, one_core=True, load=2),
+    Circumstance("a process per vehicle, half speed, one busy core", 0.5, one_core=True, load=2, processes="merged"),
     Circumstance("shared processes, real time", speed=1.0, processes="shared"),
     Circumstance("recorded by rosbag", recorded=True, truth_only=True),
 )

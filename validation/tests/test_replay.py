@@ -155,6 +155,6 @@ def test_the_outcome_is_plain_data_and_its_table_fits_80_columns(tmp_path: Path)
     console = Console(file=io.StringIO(), width=80)
     replay_check._print_table(known, rows, console)
     shown = console.file.getvalue()
-    for word in ("half speed, one busy core", "messages", "outcome", "differs", "same"):
+    for word in ("a process per vehicle", "messages", "outcome", "differs", "same"):
         assert word in shown
     assert "…" not in shown

@@ -46,7 +46,7 @@ PATIENCE = 120.0  # s of wall time; bounds a broken test
         (["--seed", "-1"], "--seed: '-1' is not allowed"),
         (["--waive", "speed"], "--waive: 'speed' is not allowed, names with commas between, of settling, steady-error"),
         (["--clearance", "inf"], "--clearance: 'inf' is not allowed"),
-        (["--processes", "many"], "invalid choice: 'many' (choose from 'per-uav', 'shared')"),
+        (["--processes", "many"], "invalid choice: 'many' (choose from 'per-uav', 'merged', 'shared')"),
         (["--master-port", "80"], "--master-port: '80' is not allowed, a whole number from 1024 to 65535"),
         (["--follower", "mine.py"], "follower: mine.py does not exist"),
         (["--pattern-file", "/nowhere.yaml"], "pattern file /nowhere.yaml"),

@@ -36,6 +36,8 @@ from numpy.typing import ArrayLike
 from std_msgs.msg import Float32MultiArray, Float64MultiArray, Int32MultiArray
 
 from xtdrone_control import lockstep
+from xtdrone_control.communication.commands import CommandSettings
+from xtdrone_control.communication.multirotor import MultirotorCommunication
 from xtdrone_control.program import (
     ArgumentError,
     check_multirotor,
@@ -278,6 +280,24 @@ class AvoidanceNode:
                 publisher.publish(Vector3(*avoidance.avoid(i, self.swarm.positions, self._radius)))
 
 
+@dataclass(frozen=True)
+class HostedCommunication(CommandSettings):
+    """A follower's process that also does the work of its vehicles' communication nodes."""
+
+    communication: bool = setting(
+        False,
+        text="carry out XTDrone's commands of the followers' vehicles in this process, in place of "
+        "multirotor_communication.py; a process less for each vehicle",
+    )
+
+    def open(self, kind: str, ids: Sequence[int]) -> list[MultirotorCommunication]:
+        """Declare the topics of the vehicles' communication, if any; call between init_node and start of lockstep."""
+        if not self.communication:
+            return []
+        commands = {"hover_speed": self.hover_speed, "cmd_timeout": self.cmd_timeout}
+        return [MultirotorCommunication(f"{kind}_{i}", in_lockstep=lockstep.is_active(), **commands) for i in ids]
+
+
 def run_follower(cls: type[Follower] = Follower, *, mode_argument: bool = False) -> int:
     """Run a follower program with ``sys.argv``; return the exit status.
 
@@ -297,6 +317,7 @@ def run_follower(cls: type[Follower] = Follower, *, mode_argument: bool = False)
         lockstep.init_node(name, rate=RATE)
         given = {"mode": mode[0]} if mode else {}
         settings = options(FollowerOptions, given)
+        communication = options(HostedCommunication, {})
         chosen = class_parameter(cls, Follower)
         swarm = make_swarm(count, len(ids))
         followers = [chosen(i, count, swarm=swarm, options=settings, warn=rospy.logwarn) for i in ids]
@@ -304,8 +325,19 @@ def run_follower(cls: type[Follower] = Follower, *, mode_argument: bool = False)
             follower.info = rospy.loginfo
         with lockstep.registering_together():
             node = FollowerNode(kind, followers)
-        lockstep.start()
-        lockstep.spin(node.step)
+            hosted = communication.open(kind, ids)
+
+        def step() -> None:
+            for vehicle in hosted:
+                vehicle.step()
+            node.step()
+
+        try:
+            lockstep.start()
+            lockstep.spin(step)
+        finally:
+            for vehicle in hosted:
+                vehicle.close()
 
     usage = "TYPE ID NUM" + (" vel|accel" if mode_argument else " [vel|accel]") + "   (ID: 1, 1-8, 1,3 or all)"
     return run_program(main, sys.argv, f"{Path(sys.argv[0]).name} {usage}")

@@ -31,8 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     DemoSettings.add_arguments(parser, ("n", "type", "poses", "patterns"))
     add("--pattern-file", type=Path, metavar="FILE", help="YAML file with your own patterns")
     DemoSettings.add_arguments(parser, ("speed", "seed"))
-    add("--processes", choices=["per-uav", "shared"], default="per-uav",
-        help="one process per vehicle and role, as in the paper, or one per role (default: %(default)s)")  # fmt: skip
+    add("--processes", choices=["per-uav", "merged", "shared"], default="per-uav",
+        help="one process per vehicle and role, as in the paper; one per vehicle; or one per role "
+        "(default: %(default)s)")  # fmt: skip
     add("--follower", default=DEFAULT_FOLLOWER, metavar="PROGRAM",
         help="follower program of xtdrone_coordination, or FILE.py[:CLASS] with your own follower class "
         "(default: %(default)s)")  # fmt: skip

@@ -63,8 +63,8 @@ class DemoSettings(Settings):
     pattern_file: str = ""
     processes: str = setting(
         "per_uav",
-        choices=("per_uav", "shared"),
-        text="one process per vehicle and role, as in the paper, or one per role",
+        choices=("per_uav", "merged", "shared"),
+        text="one process per vehicle and role, as in the paper; one per vehicle; or one per role",
     )
     follower: str = DEFAULT_FOLLOWER
     follower_class: str = ""

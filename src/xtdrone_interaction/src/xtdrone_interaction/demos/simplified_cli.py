@@ -56,8 +56,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="compare with a recorded flight instead: flight.bag of './xtdrone demo formation'")  # fmt: skip
     network = parser.add_argument_group("network", "Communication between the vehicles; only with --without-ros.")
     NetworkOptions.add_arguments(network, _NETWORK)
-    add("--processes", choices=["per-uav", "shared"], default="per-uav",
-        help="on ROS: a process per vehicle and role, or one per role (default: %(default)s)")  # fmt: skip
+    add("--processes", choices=["per-uav", "merged", "shared"], default="per-uav",
+        help="on ROS: a process per vehicle and role, one per vehicle, or one per role "
+        "(default: %(default)s)")  # fmt: skip
     SwarmSettings.add_arguments(parser, ("headless",))
     add("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
     options.add_master(parser)
