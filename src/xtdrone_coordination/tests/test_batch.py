@@ -484,3 +484,22 @@ def test_an_array_swarm_is_a_swarm_state() -> None:
     assert not swarm.fresh(1, 9)
     with pytest.raises(ValueError, match=r"shape \(2, 3\), must be \(3, 3\)"):
         swarm.hear(np.zeros((2, 3)))
+
+
+@pytest.mark.parametrize("kind", [SwarmState, ArraySwarm])
+@given(st.lists(st.floats(width=32), min_size=18, max_size=20), st.floats(-9.0, 9.0))
+def test_states_of_all_vehicles_are_stored_as_if_one_by_one(
+    kind: type[SwarmState], numbers: list[float], old: float
+) -> None:
+    together, one_by_one = kind(3), kind(3)
+    for swarm in (together, one_by_one):
+        swarm.on_position(0, (old, old, old))
+        swarm.tick()
+    together.hear_states(tuple(numbers))
+    for i in range(3):
+        x, y, z, vx, vy, vz = numbers[6 * i : 6 * i + 6]
+        one_by_one.on_position(i, (x, y, z))
+        one_by_one.on_velocity(i, (vx, vy, vz))
+    assert list(together.positions) == list(one_by_one.positions)
+    assert list(together.velocities) == list(one_by_one.velocities)
+    assert [together.fresh(i, 0) for i in range(3)] == [one_by_one.fresh(i, 0) for i in range(3)]

@@ -29,7 +29,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import numpy as np
 import rospy
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped, Vector3
 from numpy.typing import ArrayLike
@@ -52,7 +51,7 @@ from xtdrone_coordination.laws import avoidance
 from xtdrone_coordination.laws.consensus import Vector
 from xtdrone_coordination.laws.topology import without_neighbours
 from xtdrone_coordination.patterns import PatternError
-from xtdrone_coordination.swarm import ArraySwarm, SwarmState, number_list
+from xtdrone_coordination.swarm import STATE_FIELDS, ArraySwarm, SwarmState, number_list
 from xtdrone_coordination.user_classes import load_class, nothing_overridden
 
 if TYPE_CHECKING:
@@ -62,7 +61,6 @@ PATTERN_TOPIC = "/xtdrone/formation_pattern"
 TOPOLOGY_TOPIC = "/xtdrone/communication_topology"
 
 MANY = 30  # followers per process from which on computing them together is worth the start-up time of the kernels
-_SWARM_FIELDS = 6  # numbers a vehicle in the swarm topic: x, y, z, vx, vy, vz; m, m/s, ENU
 
 _Base = TypeVar("_Base")
 _Settings = TypeVar("_Settings", bound=Settings)
@@ -98,17 +96,10 @@ def subscribe_swarm(
         swarm.on_velocity(index, (v.x, v.y, v.z))
 
     def on_swarm(message: Float64MultiArray) -> None:
-        if len(message.data) < _SWARM_FIELDS * swarm.count:
+        if len(message.data) < STATE_FIELDS * swarm.count:
             rospy.logwarn_throttle(10.0, f"{topic}: {len(message.data)} numbers are too few for {swarm.count} vehicles")
             return
-        if isinstance(swarm, ArraySwarm):
-            rows = np.array(message.data[: _SWARM_FIELDS * swarm.count]).reshape(swarm.count, _SWARM_FIELDS)
-            swarm.hear(rows[:, :3], rows[:, 3:])
-            return
-        for i in range(swarm.count):
-            x, y, z, vx, vy, vz = message.data[_SWARM_FIELDS * i : _SWARM_FIELDS * (i + 1)]
-            swarm.on_position(i, (x, y, z))
-            swarm.on_velocity(i, (vx, vy, vz))
+        swarm.hear_states(message.data)
 
     topic = str(rospy.get_param("/xtdrone/swarm_topic", ""))
     if topic:

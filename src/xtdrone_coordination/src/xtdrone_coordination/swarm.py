@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xtdrone_coordination.laws.consensus import Vector
 
+STATE_FIELDS = 6  # numbers of a vehicle in a message with the states of all: x, y, z, vx, vy, vz; m, m/s, ENU
 NEVER = -1  # in ArraySwarm.heard and velocity_heard
 _MAX_RUNS = 8  # of vehicle numbers in a message
 _PLAIN = 1e300  # a sum of squares below it: all numbers are finite, and so are sums of them
@@ -52,6 +53,25 @@ class SwarmState:
         """Store a vehicle's velocity, m/s ENU; ignored unless finite."""
         if math.isfinite(velocity[0] + velocity[1] + velocity[2]):
             self.velocities[index] = velocity
+
+    def hear_states(self, numbers: Sequence[float]) -> None:
+        """Store positions and velocities of all vehicles; those that are not finite are ignored.
+
+        Args:
+            numbers: x, y, z, vx, vy, vz of each vehicle in turn, m and m/s ENU; at least ``STATE_FIELDS * count``.
+        """
+        states = numbers[: STATE_FIELDS * self.count]
+        x, y, z, vx, vy, vz = (states[k::STATE_FIELDS] for k in range(STATE_FIELDS))
+        if math.isfinite(sum(states)):  # then each of them is
+            self.positions[:] = zip(x, y, z, strict=True)
+            self.velocities[:] = zip(vx, vy, vz, strict=True)
+            self._heard[:] = [self.ticks] * self.count
+            return
+        for i, (position, velocity) in enumerate(
+            zip(zip(x, y, z, strict=True), zip(vx, vy, vz, strict=True), strict=True)
+        ):
+            self.on_position(i, position)
+            self.on_velocity(i, velocity)
 
     def tick(self) -> None:
         """Count one period of the control loop; call it once per period, after all updates."""
@@ -110,6 +130,11 @@ class ArraySwarm(SwarmState):
         if velocities is not None:
             _store(velocities, self.velocity_rows, self.velocity_heard, self.ticks)
             self._velocities = None
+
+    def hear_states(self, numbers: Sequence[float]) -> None:
+        """Store positions and velocities of all vehicles, see :meth:`SwarmState.hear_states`."""
+        rows = np.array(numbers[: STATE_FIELDS * self.count]).reshape(self.count, STATE_FIELDS)
+        self.hear(rows[:, :3], rows[:, 3:])
 
     def on_position(self, index: int, position: Vector) -> None:
         """Store a vehicle's position, m ENU; ignored unless finite."""
