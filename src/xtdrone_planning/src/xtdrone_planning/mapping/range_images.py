@@ -1,0 +1,211 @@
+"""Scans and depth pictures as one thing: an image of ranges, each with its direction and time.
+
+A lidar's cloud has only returns. Where a whole neighbourhood of rays has none, the way is free up to the sensor's range;
+a single ray without a return may as well be a dropout and tells nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_control.settings import Settings, setting
+
+Array = NDArray[np.float64]
+
+_KINDS = {1: "i1", 2: "u1", 3: "<i2", 4: "<u2", 5: "<i4", 6: "<u4", 7: "<f4", 8: "<f8"}
+"""numpy's types of sensor_msgs/PointField's."""
+
+
+class ScanError(ValueError):
+    """A cloud or picture that cannot be read; the message names the field, its value and what is allowed."""
+
+
+@dataclass(frozen=True)
+class LidarSettings(Settings):
+    """The lidar whose cloud is mapped; the defaults are those of ``iris_3d_lidar``."""
+
+    lidar_topic: str = setting("velodyne_points", text="topic of the cloud below /VEHICLE/")
+    lidar_position: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.06), low=-5.0, high=5.0, unit="m", text="the lidar's place in base_link, FLU"
+    )
+    columns: int = setting(512, low=16, high=4096, text="columns of a turn")
+    channels: int = setting(32, low=1, high=256, text="planes")
+    vertical_min: float = setting(-0.2617993877991494, low=-1.57, high=1.57, unit="rad", text="lowest plane")
+    vertical_max: float = setting(0.2617993877991494, low=-1.57, high=1.57, unit="rad", text="highest plane")
+    lidar_range: tuple[float, float] = setting(
+        (0.3, 30.0), low=0.0, high=300.0, unit="m", text="nearest and farthest return that is mapped"
+    )
+
+
+@dataclass(frozen=True)
+class DepthSettings(Settings):
+    """The depth camera whose picture is mapped; the defaults are those of ``iris_depth_camera``."""
+
+    depth_topic: str = setting("depth_camera/depth", text="where image_raw and camera_info are, below /VEHICLE/")
+    depth_position: tuple[float, float, float] = setting(
+        (0.1, 0.0, 0.0), low=-5.0, high=5.0, unit="m", text="the camera's place in base_link, FLU; it looks ahead"
+    )
+    stride: int = setting(4, low=1, high=32, text="every so many pixels, across and down, are mapped", unit="px")
+    depth_range: tuple[float, float] = setting(
+        (0.2, 9.5), low=0.0, high=100.0, unit="m", text="nearest and farthest depth that is mapped"
+    )
+
+
+@dataclass(frozen=True)
+class RangeImage:
+    """The rays of one measurement in the sensor's frame (x ahead, y left, z up).
+
+    Attributes:
+        ranges: (rows, columns) m; NaN without a return.
+        directions: (rows, columns, 3) unit vectors.
+        times: (rows, columns) s after the stamp.
+        farthest: m up to which the way is free where nothing returns.
+        round: whether the last column is beside the first.
+        ordered: whether pixels that are neighbours are so in space; otherwise a missing return tells nothing.
+    """
+
+    ranges: Array
+    directions: Array
+    times: Array
+    farthest: float
+    round: bool = False
+    ordered: bool = True
+
+    def rays(self) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+        """Return the rays that tell something.
+
+        Returns:
+            Ranges (n,), directions (n, 3), times (n,), and whether each ends at something (n,).
+        """
+        hits = np.isfinite(self.ranges)
+        known = hits | self._empty(~hits)
+        ranges = np.where(hits, self.ranges, self.farthest)
+        return ranges[known], self.directions[known], self.times[known], hits[known]
+
+    def _empty(self, missing: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return the pixels without a return whose four neighbours have none either."""
+        if not self.ordered:
+            return np.zeros_like(missing)
+        rows = np.pad(missing, ((1, 1), (0, 0)), mode="edge")
+        columns = np.pad(missing, ((0, 0), (1, 1)), mode="wrap" if self.round else "edge")
+        return missing & rows[:-2] & rows[2:] & columns[:, :-2] & columns[:, 2:]
+
+
+def points_of(message: object) -> NDArray[np.void]:
+    """Return the points of a sensor_msgs/PointCloud2, (n,), as records with its fields.
+
+    Raises:
+        ScanError: the layout is not that of a cloud with x, y and z.
+    """
+    fields = {field.name: field for field in message.fields}  # type: ignore[attr-defined]
+    step, data = message.point_step, message.data  # type: ignore[attr-defined]
+    if message.is_bigendian or not {"x", "y", "z"} <= fields.keys():  # type: ignore[attr-defined]
+        raise ScanError(f"fields: {', '.join(fields) or 'none'} are not allowed, x, y, z, little-endian")
+    unknown = [f.name for f in fields.values() if f.datatype not in _KINDS or f.count != 1 or f.offset >= step]
+    if unknown or step <= 0 or len(data) % step:
+        raise ScanError(f"point_step: {step} with {len(data)} bytes and {unknown} is not allowed, a whole cloud")
+    kind = np.dtype(
+        {
+            "names": list(fields),
+            "formats": [_KINDS[field.datatype] for field in fields.values()],
+            "offsets": [field.offset for field in fields.values()],
+            "itemsize": step,
+        }
+    )
+    return np.frombuffer(data, kind)
+
+
+class LidarImages:
+    """Clouds of a spinning lidar as range images."""
+
+    def __init__(self, settings: LidarSettings) -> None:
+        """Prepare the directions of all rays."""
+        self._settings = settings
+        azimuth = np.linspace(-math.pi, math.pi, settings.columns, endpoint=False)
+        elevation = np.linspace(settings.vertical_min, settings.vertical_max, settings.channels)[:, None]
+        shape = (settings.channels, settings.columns)
+        parts = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)
+        self._directions = np.stack([np.broadcast_to(part, shape) for part in parts], axis=-1)
+
+    def image(self, points: NDArray[np.void]) -> RangeImage:
+        """Return the range image of a cloud.
+
+        Args:
+            points: as of ``points_of``; without ``ring`` the order of points is unknown, without ``time`` all are of
+                the stamp.
+        """
+        places = np.stack([points["x"], points["y"], points["z"]], axis=1).astype(float)
+        ranges = np.sqrt((places * places).sum(axis=1))
+        nearest, farthest = self._settings.lidar_range
+        names = points.dtype.names or ()
+        times = points["time"].astype(float) if "time" in names else np.zeros(len(points))
+        used = np.isfinite(ranges) & (ranges >= nearest) & (ranges <= farthest) & np.isfinite(times)
+        if "ring" not in names:
+            return self._unordered(places[used], ranges[used], times[used])
+        rows = points["ring"].astype(np.int64)
+        used &= rows < self._settings.channels
+        return self._ordered(places[used], ranges[used], times[used], rows[used])
+
+    def _ordered(self, places: Array, ranges: Array, times: Array, rows: NDArray[np.int64]) -> RangeImage:
+        columns = self._settings.columns
+        turn = (np.arctan2(places[:, 1], places[:, 0]) + math.pi) / (2.0 * math.pi)
+        column = np.rint(turn * columns).astype(np.int64) % columns
+        image = np.full(self._directions.shape[:2], np.nan)
+        directions = self._directions.copy()
+        image[rows, column] = ranges
+        directions[rows, column] = places / ranges[:, None]
+        last = float(times.max()) if len(times) else 0.0
+        all_times = np.broadcast_to(np.arange(columns) * (last / max(columns - 1, 1)), image.shape).copy()
+        all_times[rows, column] = times
+        return RangeImage(image, directions, all_times, self._settings.lidar_range[1], round=True)
+
+    def _unordered(self, places: Array, ranges: Array, times: Array) -> RangeImage:
+        directions = places / ranges[:, None]
+        return RangeImage(ranges[None], directions[None], times[None], self._settings.lidar_range[1], ordered=False)
+
+
+class DepthImages:
+    """Pictures of a depth camera as range images."""
+
+    def __init__(self, settings: DepthSettings) -> None:
+        """Start without the camera's intrinsics."""
+        self._settings = settings
+        self._key: tuple[float, ...] = ()
+        self._directions = np.zeros((0, 0, 3))
+        self._lengths = np.zeros((0, 0))
+
+    def image(self, depths: Array, intrinsics: tuple[float, float, float, float]) -> RangeImage:
+        """Return the range image of a picture.
+
+        Args:
+            depths: (height, width) m along the optical axis, NaN or infinite without a value.
+            intrinsics: fx, fy, cx, cy, pixels, of camera_info's K.
+
+        Raises:
+            ScanError: a focal length is not positive.
+        """
+        step = self._settings.stride
+        self._prepare(depths.shape, intrinsics)
+        nearest, farthest = self._settings.depth_range
+        thinned = np.asarray(depths[step // 2 :: step, step // 2 :: step], float)
+        used = (thinned >= nearest) & (thinned <= farthest)
+        ranges = np.where(used, thinned, np.nan) * self._lengths
+        return RangeImage(ranges, self._directions, np.zeros_like(ranges), farthest)
+
+    def _prepare(self, shape: tuple[int, ...], intrinsics: tuple[float, float, float, float]) -> None:
+        fx, fy, cx, cy = intrinsics
+        if not (fx > 0.0 and fy > 0.0 and math.isfinite(sum(intrinsics))):
+            raise ScanError(f"camera_info K: fx {fx}, fy {fy} are not allowed, focal lengths above 0 px")
+        key = (*shape, *intrinsics)
+        if key == self._key:
+            return
+        step = self._settings.stride
+        v, u = np.mgrid[step // 2 : shape[0] : step, step // 2 : shape[1] : step].astype(float)
+        ahead = np.stack([np.ones_like(u), -(u - cx) / fx, -(v - cy) / fy], axis=-1)
+        self._lengths = np.linalg.norm(ahead, axis=-1)
+        self._directions = ahead / self._lengths[..., None]
+        self._key = key

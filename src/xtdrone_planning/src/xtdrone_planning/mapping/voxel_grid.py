@@ -1,0 +1,139 @@
+"""The local map: a box of voxels that moves with the vehicle, each with the evidence that it is occupied.
+
+Evidence is a log-odds value in hundredths, clamped (A. Hornung et al., OctoMap: an efficient probabilistic 3D mapping
+framework based on octrees, Autonomous Robots 34, 2013, equations 2 to 4). A voxel that no ray has met has none, which
+is the third state, unknown.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_control.settings import Settings, setting
+from xtdrone_planning.mapping.distance_field import distance_field
+from xtdrone_planning.mapping.ray_casting import cast_rays, free_sphere
+
+Array = NDArray[np.float64]
+
+HIT, MISS = 85, -40
+"""Evidence of a ray that ends in a voxel, and of one that passes through it."""
+LEAST, MOST = -200, 350
+OCCUPIED_FROM, FREE_TO = 50, -30
+"""A voxel is occupied from the one on, free up to the other, and unknown in between."""
+
+_SLACK = 1.0  # m that the vehicle may be off the middle of the box before it moves
+
+
+@dataclass(frozen=True)
+class MapSettings(Settings):
+    """The local map."""
+
+    resolution: float = setting(0.2, low=0.05, high=1.0, unit="m", text="side of a voxel")
+    side: float = setting(24.0, low=4.0, high=80.0, unit="m", text="side of the map, along x and y")
+    height: float = setting(4.8, low=1.0, high=40.0, unit="m", text="height of the map")
+    farthest: float = setting(3.0, low=0.5, high=10.0, unit="m", text="distances to obstacles are known up to this")
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Voxels along x, y and z."""
+        across, up = (round(length / self.resolution) for length in (self.side, self.height))
+        return across, across, up
+
+
+class VoxelGrid:
+    """The local map.
+
+    Attributes:
+        resolution: side of a voxel, m.
+        evidence: (nx, ny, nz) int16, log-odds of occupation in hundredths.
+        distance: (nx, ny, nz) float32, m from a voxel's middle to that of the nearest occupied one; see
+            ``update_distance``.
+        corner: (3,) number of the lowest voxel on the lattice whose voxel 0 begins at the origin of ``map``.
+    """
+
+    def __init__(self, settings: MapSettings) -> None:
+        """Start with a map of which nothing is known, around the origin."""
+        self.settings = settings
+        self.resolution = settings.resolution
+        self.evidence = np.zeros(settings.shape, np.int16)
+        self.distance = np.full(settings.shape, settings.farthest, np.float32)
+        self.corner = -np.array(settings.shape, np.int64) // 2
+        self._marks = np.zeros(settings.shape, np.int32)
+        self._mark = 0
+
+    @property
+    def origin(self) -> Array:
+        """Lowest corner, (3,) m in map."""
+        return np.asarray(self.corner * self.resolution, float)
+
+    @property
+    def upper(self) -> Array:
+        """Highest corner, (3,) m in map."""
+        return np.asarray((self.corner + self.evidence.shape) * self.resolution, float)
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self.evidence[:] = 0
+        self.distance[:] = self.settings.farthest
+
+    def recentre(self, position: Array) -> None:
+        """Move the box, in whole voxels, so that ``position``, (3,) m in map, is near its middle."""
+        middle = 0.5 * (self.origin + self.upper)
+        if np.all(np.abs(position - middle) <= _SLACK):
+            return
+        corner = np.floor(position / self.resolution).astype(np.int64) - np.array(self.evidence.shape) // 2
+        moved = corner - self.corner
+        self.evidence = _shifted(self.evidence, moved, 0)
+        self.distance = _shifted(self.distance, moved, self.settings.farthest)
+        self._marks[:] = 0
+        self._mark = 0
+        self.corner = corner
+
+    def insert(self, origins: Array, ends: Array, hits: NDArray[np.bool_]) -> None:
+        """Enter the rays of one measurement.
+
+        Args:
+            origins: (n, 3) where the rays begin, m in map.
+            ends: (n, 3) where they end; beyond the box is allowed.
+            hits: (n,) whether something was met at the end; otherwise the ray is free to its end.
+        """
+        self._mark += 2
+        cast_rays(self.evidence, self._marks, self._mark, self.corner, self.resolution, origins, ends, hits)
+
+    def free_around(self, position: Array, radius: float) -> None:
+        """Enter that the vehicle itself is here: unknown voxels within ``radius`` m become free."""
+        free_sphere(self.evidence, self.corner, self.resolution, np.asarray(position, float), radius)
+
+    def update_distance(self) -> None:
+        """Compute the distances from the present evidence."""
+        distance_field(self.evidence, OCCUPIED_FROM, self.resolution, self.settings.farthest, self.distance)
+
+    def is_inside(self, point: Array) -> bool:
+        """Return whether a point, (3,) m in map, is within the box."""
+        return bool(np.all(point >= self.origin) and np.all(point < self.upper))
+
+    def index(self, point: Array) -> tuple[int, int, int]:
+        """Return the voxel of a point within the box, (3,) m in map."""
+        i, j, k = (np.floor(np.asarray(point) / self.resolution).astype(np.int64) - self.corner).tolist()
+        return i, j, k
+
+    def middle(self, indices: NDArray[np.int64]) -> Array:
+        """Return the middles of voxels (..., 3), m in map."""
+        return np.asarray((indices + self.corner + 0.5) * self.resolution, float)
+
+    def occupied(self) -> Array:
+        """Return the middles of all occupied voxels, (n, 3) m in map."""
+        return self.middle(np.argwhere(self.evidence >= OCCUPIED_FROM))
+
+
+def _shifted(values: NDArray[np.generic], moved: NDArray[np.int64], fill: float) -> NDArray[np.generic]:
+    """Return a grid whose voxel i is the old one's voxel i + ``moved``; new voxels have the value ``fill``."""
+    shifted = np.full_like(values, fill)
+    old = [slice(max(0, m), n + min(0, m)) for m, n in zip(moved.tolist(), values.shape, strict=True)]
+    new = [slice(max(0, -m), n + min(0, -m)) for m, n in zip(moved.tolist(), values.shape, strict=True)]
+    if all(part.stop > part.start for part in old):
+        shifted[tuple(new)] = values[tuple(old)]
+    return shifted

@@ -1,0 +1,1 @@
+"""Paths through a map, without time: searched on the local grid."""

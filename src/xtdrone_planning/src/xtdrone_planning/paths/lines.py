@@ -1,0 +1,81 @@
+"""Kernels on lines through the map: how far they are seen, and which corners of a path can be left out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from xtdrone_planning.kernel import kernel
+from xtdrone_planning.mapping.field_lookup import distance_at, is_seen
+
+
+@kernel
+def is_open(distance, evidence, corner, resolution, a, b, clearance, radius):
+    """Return whether a straight line is clear of obstacles and was seen.
+
+    Args:
+        distance, evidence, corner, resolution: the map.
+        a, b: (3,) ends, m.
+        clearance: least distance to an obstacle, m.
+        radius: of the disc that must have been seen, m; 0: only the line itself; below 0: nothing.
+    """
+    length = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
+    steps = max(1, int(math.ceil(2.0 * length / resolution)))
+    for n in range(steps + 1):
+        part = n / steps
+        x, y, z = a[0] + part * (b[0] - a[0]), a[1] + part * (b[1] - a[1]), a[2] + part * (b[2] - a[2])
+        if distance_at(distance, corner, resolution, x, y, z)[0] < clearance:
+            return False
+        if radius >= 0.0 and not is_seen(evidence, corner, resolution, x, y, z, radius):
+            return False
+    return True
+
+
+@kernel
+def seen_count(evidence, corner, resolution, points, radius, exempt, farthest):
+    """Return how many of the first points were seen, each with a disc around it.
+
+    Args:
+        evidence, corner, resolution: the map.
+        points: (n, 3) m.
+        radius: of the disc, m.
+        exempt: the first points up to this way from the start need not have been seen: the vehicle is there, m.
+        farthest: points beyond this way from the start do not count, m.
+    """
+    way = 0.0
+    for n in range(len(points)):
+        if n > 0:
+            u, v, w = points[n] - points[n - 1]
+            way += math.sqrt(u * u + v * v + w * w)
+        if way > farthest:
+            return n
+        if way > exempt and not is_seen(
+            evidence, corner, resolution, points[n, 0], points[n, 1], points[n, 2], radius
+        ):
+            return n
+    return len(points)
+
+
+@kernel
+def without_corners(distance, evidence, corner, resolution, points, clearance, radius):
+    """Return the points (m, 3) that are left of a path when straight lines replace its corners where they are open.
+
+    Args:
+        distance, evidence, corner, resolution: the map.
+        points: (n, 3) m; the first and last remain.
+        clearance, radius: see ``is_open``; the line between neighbours is always used.
+    """
+    kept = np.empty_like(points)
+    kept[0] = points[0]
+    count, at = 1, 0
+    while at < len(points) - 1:
+        to = at + 1
+        for other in range(len(points) - 1, at + 1, -1):
+            if is_open(distance, evidence, corner, resolution, points[at], points[other], clearance, radius):
+                to = other
+                break
+        kept[count] = points[to]
+        count += 1
+        at = to
+    return kept[:count]

@@ -1,0 +1,104 @@
+"""A path from the vehicle towards a goal on the local map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_planning.mapping.voxel_grid import VoxelGrid
+from xtdrone_planning.paths.grid_search import BLOCKED, REACHED, UNDECIDED, search
+from xtdrone_planning.paths.lines import seen_count, without_corners
+
+Array = NDArray[np.float64]
+
+_ENTRIES = 400_000  # of the search's heap
+
+
+@dataclass(frozen=True)
+class LocalPath:
+    """A path.
+
+    Attributes:
+        outcome: REACHED, BLOCKED or UNDECIDED; see ``grid_search``. Reached also means: the edge of the map towards it.
+        points: (n, 3) corners of its seen part, m in map, the start first; a single point if nothing ahead was seen.
+        ahead: (3,) point of the path, seen or not, 3 m from the start or at its end: where to look.
+        is_whole: whether the seen part ends at the goal.
+    """
+
+    outcome: int
+    points: Array
+    ahead: Array
+    is_whole: bool
+
+
+class PathSearch:
+    """Searches paths; has the work space of the search."""
+
+    def __init__(self, most: int) -> None:
+        """Prepare.
+
+        Args:
+            most: number of voxels that a search opens at most, which bounds its time.
+        """
+        self._most = most
+        self._stamp = 0
+        self._size = 0
+
+    def find(
+        self,
+        grid: VoxelGrid,
+        start: Array,
+        goal: Array,
+        clearance: float,
+        radius: float,
+        heights: tuple[float, float],
+        farthest: float,
+    ) -> LocalPath:
+        """Search a path.
+
+        Args:
+            grid: the map; ``start`` must be within.
+            start, goal: (3,) m in map.
+            clearance: least distance of the path to obstacles, m.
+            radius: of the disc that must have been seen around each point, m.
+            heights: lowest and highest flight, m in map.
+            farthest: longest way that is returned, m.
+        """
+        self._prepare(grid)
+        places = [value / grid.resolution - grid.corner[2] for value in heights]
+        first = np.array(grid.index(start))
+        layers = grid.evidence.shape[2]
+        lowest = int(np.clip(np.ceil(places[0] - 0.5), 0, layers - 1))
+        highest = int(np.clip(np.floor(places[1] - 0.5), lowest, layers - 1))
+        outcome, voxels = search(
+            grid.distance, grid.evidence, clearance, first, goal / grid.resolution - grid.corner,
+            min(lowest, first[2]), max(highest, first[2]), self._most,
+            self._costs, self._parents, self._stamps, self._stamp, self._heap, self._keys,
+        )  # fmt: skip
+        points = grid.middle(voxels)
+        points[0] = start
+        if outcome == REACHED and grid.is_inside(goal) and heights[0] <= goal[2] <= heights[1]:
+            points = np.vstack([points[:-1] if len(points) > 1 else points, goal])
+        seen = max(1, seen_count(grid.evidence, grid.corner, grid.resolution, points, radius, 2.0 * radius, farthest))
+        ahead = points[min(len(points) - 1, round(3.0 / grid.resolution))]
+        is_whole = outcome == REACHED and seen == len(points) and bool(np.allclose(points[-1], goal))
+        kept = without_corners(
+            grid.distance, grid.evidence, grid.corner, grid.resolution, points[:seen], clearance, radius
+        )
+        return LocalPath(int(outcome), kept, ahead, is_whole)
+
+    def _prepare(self, grid: VoxelGrid) -> None:
+        if self._size != grid.evidence.size:
+            self._size = grid.evidence.size
+            self._costs = np.zeros(self._size, np.float32)
+            self._parents = np.zeros(self._size, np.int32)
+            self._stamps = np.zeros(self._size, np.int32)
+            self._heap = np.zeros(_ENTRIES, np.int32)
+            self._keys = np.zeros(_ENTRIES, np.float32)
+            self._stamp = 0
+        self._stamp += 1
+
+
+__all__ = ["BLOCKED", "REACHED", "UNDECIDED", "LocalPath", "PathSearch"]

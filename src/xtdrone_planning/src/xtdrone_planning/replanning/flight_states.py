@@ -1,0 +1,275 @@
+"""The states of a flight to a goal, and what leads from one to the next.
+
+::
+
+    Waiting -> Planning -> Following -> HoveringAtGoal
+                 |  ^        |   |
+                 v  |        v   +----> Braking (obstacle or sensor) -> Planning
+           Unreachable     Planning (end of what has been seen)
+
+A new goal leads to Planning, from Following without a stop. When the pilot takes over or the vehicle is on the ground the
+planner is Waiting.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+
+from xtdrone_planning.replanning.situation import Situation
+from xtdrone_planning.trajectories.local_trajectory import State
+from xtdrone_planning.trajectories.uniform_spline import UniformSpline
+
+OK, WARNING, ERROR = 0, 1, 2
+"""Levels of diagnostic_msgs/DiagnosticStatus."""
+
+
+class _Planner(Protocol):
+    """What the states need of the planner; see ``planner.Planner``."""
+
+    goal: np.ndarray | None
+    goal_number: int
+    trajectory: UniformSpline | None
+    searched: str
+    settings: object
+
+    def hold(self, position: np.ndarray, time: float) -> None: ...
+    def plan(self, now: Situation, start: State) -> bool: ...
+    def brake(self, time: float) -> None: ...
+    def conflict(self, now: Situation) -> float: ...
+    def is_at_goal(self, position: np.ndarray) -> bool: ...
+    def begin(self, now: Situation) -> FlightState: ...
+
+
+class FlightState:
+    """A state.
+
+    Attributes:
+        name: for reports.
+        looks: whether the vehicle turns to where the path leads.
+    """
+
+    name = ""
+    looks = False
+
+    def step(self, planner: _Planner, now: Situation) -> FlightState:
+        """Return the state of the next turn."""
+        raise NotImplementedError
+
+    def report(self, planner: _Planner, now: Situation) -> tuple[int, str]:
+        """Return level and text for the diagnostics."""
+        return (ERROR, now.fault) if now.fault else (OK, self.name)
+
+
+class Waiting(FlightState):
+    """No goal; nothing is commanded."""
+
+    name = "waiting"
+
+    def step(self, planner: _Planner, now: Situation) -> FlightState:
+        """Begin with a goal in flight; on the ground a goal is dropped."""
+        if planner.goal is None:
+            return self
+        if not now.is_flying:
+            planner.goal = None
+            planner.searched = "a goal was dropped: the vehicle is not flying"
+            return self
+        return planner.begin(now)
+
+    def report(self, planner: _Planner, now: Situation) -> tuple[int, str]:
+        """Return level and text; a dropped goal is a warning."""
+        if planner.searched:
+            return WARNING, f"{self.name}; {planner.searched}"
+        return (WARNING, now.fault) if now.fault else (OK, self.name)
+
+
+class Planning(FlightState):
+    """Hovers, looks to where the path leads, and searches a trajectory in every new map."""
+
+    name = "planning"
+    looks = True
+
+    def __init__(self, since: float, goal_number: int) -> None:
+        """Begin.
+
+        Args:
+            since: s of ROS time.
+            goal_number: number of the goal.
+        """
+        self._since = since
+        self._goal_number = goal_number
+        self._map_count = -1
+
+    def step(self, planner: _Planner, now: Situation) -> FlightState:
+        """Follow a trajectory once there is one."""
+        if planner.goal is None:
+            return Hovering()
+        if not now.is_offboard:
+            planner.hold(now.position, now.time)  # setpoints are sent, so that OFFBOARD can begin
+            self._since = now.time
+            return self
+        if self._goal_number != planner.goal_number:
+            self._since, self._goal_number = now.time, planner.goal_number
+        if now.fault or now.map_count == self._map_count:
+            if now.fault:
+                self._since = now.time
+            return self
+        self._map_count = now.map_count
+        if planner.plan(now, _rest(planner)):
+            return Following(now, planner.goal_number)
+        if now.time - self._since > planner.settings.patience:
+            return Unreachable(now.time, planner.goal_number)
+        return self
+
+    def report(self, planner: _Planner, now: Situation) -> tuple[int, str]:
+        """Return level and text."""
+        if now.fault:
+            return ERROR, f"hovering; {now.fault}"
+        return (WARNING, f"{self.name}; {planner.searched}") if planner.searched else (OK, self.name)
+
+
+class Following(FlightState):
+    """Flies a trajectory, and replaces it by one through the newest map."""
+
+    name = "following"
+
+    def __init__(self, now: Situation, goal_number: int) -> None:
+        """Begin with the trajectory of the planner."""
+        self._planned = now.time
+        self._map_count = now.map_count
+        self._goal_number = goal_number
+
+    def step(self, planner: _Planner, now: Situation) -> FlightState:
+        """Brake, plan anew, or arrive."""
+        trajectory = planner.trajectory
+        assert trajectory is not None
+        if planner.goal is None:
+            planner.brake(now.time)
+            return Braking("the goal was dropped")
+        place, velocity, acceleration = trajectory.at(now.time)
+        if _length(place - now.position) > planner.settings.astray:
+            planner.hold(now.position, now.time)
+            planner.searched = "the vehicle was off its trajectory"
+            return Planning(now.time, planner.goal_number)
+        if now.fault:
+            planner.brake(now.time)
+            return Braking(now.fault)
+        if now.time >= trajectory.end:
+            if planner.is_at_goal(trajectory.points[-1]):
+                return HoveringAtGoal(planner.goal_number)
+            return Planning(now.time, planner.goal_number)
+        if now.map_count != self._map_count:
+            self._map_count = now.map_count
+            return self._with_new_map(planner, now, State(place, velocity, acceleration))
+        return self
+
+    def _with_new_map(self, planner: _Planner, now: Situation, state: State) -> FlightState:
+        blocked = math.isfinite(planner.conflict(now))
+        is_new = self._goal_number != planner.goal_number
+        assert planner.trajectory is not None
+        due = now.time - self._planned >= planner.settings.period and not planner.is_at_goal(
+            planner.trajectory.points[-1]
+        )
+        if (blocked or is_new or due) and planner.plan(now, state):
+            self._planned, self._goal_number = now.time, planner.goal_number
+        elif blocked:
+            planner.brake(now.time)
+            return Braking("an obstacle on the trajectory, and no other found")
+        elif is_new:
+            planner.brake(now.time)
+            return Braking("no trajectory to the new goal")
+        return self
+
+    def report(self, planner: _Planner, now: Situation) -> tuple[int, str]:
+        """Return level and text."""
+        return OK, self.name
+
+
+class Braking(FlightState):
+    """Stops on the path that was checked."""
+
+    name = "braking"
+
+    def __init__(self, reason: str) -> None:
+        """Begin; the planner's trajectory is the one that brakes."""
+        self.reason = reason
+
+    def step(self, planner: _Planner, now: Situation) -> FlightState:
+        """Plan from where the vehicle has stopped."""
+        assert planner.trajectory is not None
+        if now.time < planner.trajectory.end:
+            return self
+        return Hovering() if planner.goal is None else Planning(now.time, planner.goal_number)
+
+    def report(self, planner: _Planner, now: Situation) -> tuple[int, str]:
+        """Return level and text."""
+        return WARNING, f"{self.name}; {self.reason}"
+
+
+class Hovering(FlightState):
+    """Hovers without a goal."""
+
+    name = "hovering"
+
+    def step(self, planner: _Planner, now: Situation) -> FlightState:
+        """Begin with a goal."""
+        return self if planner.goal is None else Planning(now.time, planner.goal_number)
+
+
+class HoveringAtGoal(FlightState):
+    """Hovers at the goal."""
+
+    name = "hovering at the goal"
+
+    def __init__(self, goal_number: int) -> None:
+        """Begin at a goal of this number."""
+        self._goal_number = goal_number
+
+    def step(self, planner: _Planner, now: Situation) -> FlightState:
+        """Begin with another goal."""
+        if planner.goal is None:
+            return Hovering()
+        return self if planner.goal_number == self._goal_number else Planning(now.time, planner.goal_number)
+
+    def report(self, planner: _Planner, now: Situation) -> tuple[int, str]:
+        """Return level and text; nothing is flown, so a failed sensor is only a warning."""
+        return (WARNING, f"{self.name}; {now.fault}") if now.fault else (OK, self.name)
+
+
+class Unreachable(FlightState):
+    """Hovers, as no trajectory to the goal was found, and tries again from time to time."""
+
+    name = "goal unreachable"
+
+    def __init__(self, since: float, goal_number: int) -> None:
+        """Begin; see ``Planning``."""
+        self._tried = since
+        self._goal_number = goal_number
+
+    def step(self, planner: _Planner, now: Situation) -> FlightState:
+        """Try again; another goal is planned at once."""
+        if planner.goal is None:
+            return Hovering()
+        if planner.goal_number != self._goal_number:
+            return Planning(now.time, planner.goal_number)
+        if now.time - self._tried >= planner.settings.retry and not now.fault:
+            self._tried = now.time
+            if planner.plan(now, _rest(planner)):
+                return Following(now, planner.goal_number)
+        return self
+
+    def report(self, planner: _Planner, now: Situation) -> tuple[int, str]:
+        """Return level and text."""
+        return ERROR, f"{self.name}; {now.fault or planner.searched}"
+
+
+def _rest(planner: _Planner) -> State:
+    """Return the state of the vehicle that hovers at the end of its trajectory."""
+    assert planner.trajectory is not None
+    return State(planner.trajectory.points[-1], np.zeros(3), np.zeros(3))
+
+
+def _length(vector: np.ndarray) -> float:
+    return float(np.sqrt((vector * vector).sum()))

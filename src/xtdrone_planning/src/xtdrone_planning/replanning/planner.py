@@ -1,0 +1,188 @@
+"""The planner of one vehicle: a goal and a map in, setpoints out. Its states are in ``flight_states``."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_control.rotation import wrap_pi
+from xtdrone_planning.mapping.voxel_grid import VoxelGrid
+from xtdrone_planning.paths.grid_search import BLOCKED, REACHED
+from xtdrone_planning.paths.local_path import LocalPath, PathSearch
+from xtdrone_planning.replanning.flight_states import FlightState, Planning, Waiting
+from xtdrone_planning.replanning.situation import Command, PlannerSettings, Situation
+from xtdrone_planning.trajectories.local_trajectory import State, TrajectorySettings, conflict_time, plan_along
+from xtdrone_planning.trajectories.slowing_down import stopping
+from xtdrone_planning.trajectories.time_law import length_of
+from xtdrone_planning.trajectories.uniform_spline import UniformSpline, resting
+
+Array = NDArray[np.float64]
+
+_LOOK_AHEAD = 0.6  # s: the yaw looks where the vehicle is then
+_SLOW = 0.3  # m in that time: the yaw is kept
+_LEAST_WAY = 0.6  # m: a shorter seen path is not worth flying, unless it ends at the goal
+
+
+class Planner:
+    """Plans for one vehicle.
+
+    Attributes:
+        settings: how it decides.
+        limits: of its trajectories.
+        state: the present state of flight.
+        goal: (3,) m in map, None without one.
+        trajectory: what is flown; at rest where the vehicle hovers; None before the first goal.
+        number: counts the trajectories.
+        path: the last path.
+        searched: outcome of the last search and why it gave no trajectory, for the report.
+    """
+
+    def __init__(self, grid: VoxelGrid, settings: PlannerSettings, limits: TrajectorySettings) -> None:
+        """Start waiting.
+
+        Args:
+            grid: the map, which others update.
+            settings, limits: see the attributes.
+        """
+        self.grid = grid
+        self.settings = settings
+        self.limits = limits
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget goal and trajectory."""
+        self.state: FlightState = Waiting()
+        self.goal: Array | None = None
+        self.goal_number = 0
+        self.trajectory: UniformSpline | None = None
+        self.number = 0
+        self.path: LocalPath | None = None
+        self.searched = ""
+        self._search = PathSearch(self.settings.voxels)
+        self._yaw: float | None = None
+        self._yaw_time = 0.0
+        self._was_offboard = False
+
+    def set_goal(self, goal: Array) -> None:
+        """Accept a goal, (3,) m in map, for the next turn.
+
+        Raises:
+            GoalError: see ``PlannerSettings.check_goal``; the present goal stays.
+        """
+        self.settings.check_goal(goal)
+        self.goal = np.array(goal, float)
+        self.goal_number += 1
+
+    def cancel(self) -> None:
+        """Drop the goal; in flight the vehicle brakes on its path and hovers."""
+        self.goal = None
+
+    def step(self, now: Situation) -> Command | None:
+        """Advance by a turn; return the setpoint, or None while the planner commands nothing."""
+        if self._was_offboard and not now.is_offboard:
+            self._release()
+        self._was_offboard = now.is_offboard
+        if not now.is_flying:
+            self._release()
+        self.state = self.state.step(self, now)
+        if self.trajectory is None:
+            self._yaw = None
+            return None
+        position, velocity, acceleration = self.trajectory.at(now.time)
+        return Command(position, velocity, acceleration, self._slewed_yaw(now))
+
+    def _release(self) -> None:
+        """Give the vehicle up: the pilot or the autopilot has taken over, or it is on the ground."""
+        if not isinstance(self.state, Waiting):
+            self.goal, self.trajectory = None, None
+            self.state = Waiting()
+
+    # for the states
+
+    def hold(self, position: Array, time: float) -> None:
+        """Hover at a position, (3,) m in map, from now on."""
+        self._fly(resting(position, time))
+
+    def plan(self, now: Situation, start: State) -> bool:
+        """Plan from a state at the present time; return whether the new trajectory is flown.
+
+        ``searched`` then says why not.
+        """
+        assert self.goal is not None
+        if not self.grid.is_inside(start.position):
+            self.searched = "the vehicle is outside of its map"
+            return False
+        clearance = self.limits.clearance(self.grid.resolution)
+        heights = (self.settings.lowest, self.settings.highest)
+        self.path = self._search.find(
+            self.grid, start.position, self.goal, clearance, self.limits.radius, heights, self.settings.horizon
+        )
+        if self.path.outcome == BLOCKED:
+            self.searched = self._why_blocked()
+            return False
+        if length_of(self.path.points) < _LEAST_WAY and not self.path.is_whole:
+            self.searched = "the way ahead has not been seen"
+            return False
+        found = plan_along(self.grid, self.path.points, start, now.time, self.limits)
+        if found is None:
+            self.searched = "no trajectory within the limits"
+            return False
+        self.searched = "" if self.path.outcome == REACHED else "the search was cut short"
+        self._fly(found)
+        return True
+
+    def brake(self, time: float) -> None:
+        """Stop on the present path."""
+        assert self.trajectory is not None
+        self._fly(stopping(self.trajectory, time, 0.8 * self.limits.acceleration))
+
+    def conflict(self, now: Situation) -> float:
+        """Return when the trajectory meets an obstacle of the present map, s of ROS time; infinite if it does not."""
+        if self.trajectory is None:
+            return math.inf
+        return conflict_time(self.grid, self.trajectory, now.time, self.limits, unknown=False)
+
+    def is_at_goal(self, position: Array) -> bool:
+        """Return whether a position is the goal."""
+        return self.goal is not None and float(np.sqrt(((position - self.goal) ** 2).sum())) < self.grid.resolution
+
+    def begin(self, now: Situation) -> FlightState:
+        """Hover here, and plan for the goal."""
+        self.hold(now.position, now.time)
+        return Planning(now.time, self.goal_number)
+
+    def _fly(self, trajectory: UniformSpline) -> None:
+        self.trajectory = trajectory
+        self.number += 1
+
+    def _why_blocked(self) -> str:
+        goal = self.goal
+        assert goal is not None
+        if self.grid.is_inside(goal):
+            away = float(self.grid.distance[self.grid.index(goal)])
+            if away < self.limits.clearance(self.grid.resolution):
+                return f"the goal is {away:.1f} m from an obstacle"
+        return "there is no way to the goal on the map"
+
+    def _slewed_yaw(self, now: Situation) -> float:
+        """Return the yaw towards the way ahead, within the yaw rate."""
+        passed = now.time - self._yaw_time
+        if self._yaw is None or passed < 0.0:
+            self._yaw, passed = now.yaw, 0.0
+        self._yaw_time = now.time
+        wanted = self._wanted_yaw(now)
+        if wanted is not None:
+            most = self.settings.yaw_rate * passed
+            self._yaw = wrap_pi(self._yaw + min(most, max(-most, wrap_pi(wanted - self._yaw))))
+        return self._yaw
+
+    def _wanted_yaw(self, now: Situation) -> float | None:
+        assert self.trajectory is not None
+        here = self.trajectory.at(now.time)[0]
+        there = self.trajectory.at(now.time + _LOOK_AHEAD)[0]
+        if self.state.looks and self.path is not None and self.goal is not None:
+            there = self.path.ahead
+        x, y = float(there[0] - here[0]), float(there[1] - here[1])
+        return math.atan2(y, x) if math.hypot(x, y) > _SLOW else None

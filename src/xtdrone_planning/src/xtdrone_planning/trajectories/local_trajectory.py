@@ -1,0 +1,142 @@
+"""A trajectory along a path: smooth, within the limits, clear of obstacles, and at rest at the path's end.
+
+As it ends at rest within space that was seen, the vehicle can follow it to its end whatever happens to the planner; the
+idea of J. Tordesillas et al., FASTER: fast and safe trajectory planner for navigation in unknown environments, IEEE
+Transactions on Robotics 38, 2022.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_control.settings import Settings, setting
+from xtdrone_planning.mapping.voxel_grid import VoxelGrid
+from xtdrone_planning.trajectories.clearance_check import first_conflict
+from xtdrone_planning.trajectories.spline_cost import optimise
+from xtdrone_planning.trajectories.time_law import TimeLaw, length_of, points_along
+from xtdrone_planning.trajectories.uniform_spline import UniformSpline, first_points
+
+Array = NDArray[np.float64]
+
+_INTERVAL = 0.25  # s between knots, as far as the number of segments allows
+_FEWEST, _MOST = 6, 40  # segments
+_PACES = (1.0, 0.8, 0.6, 0.4)  # parts of the speed limit that are tried in turn
+_WEIGHTS = (300.0, 1500.0)  # of nearness to obstacles, tried in turn
+_STRETCHES = 4  # of time, until the limits hold
+_ITERATIONS = 60
+_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class TrajectorySettings(Settings):
+    """Limits of trajectories, and the vehicle's size."""
+
+    speed: float = setting(4.0, low=0.2, high=15.0, unit="m/s", text="greatest speed")
+    acceleration: float = setting(3.0, low=0.3, high=8.0, unit="m/s²", text="greatest acceleration")
+    radius: float = setting(0.4, low=0.1, high=3.0, unit="m", text="the vehicle's, around its rotors")
+    margin: float = setting(0.15, low=0.0, high=2.0, unit="m", text="between vehicle and obstacles, beyond the radius")
+    comfort: float = setting(
+        0.35, low=0.0, high=3.0, unit="m", text="further distance to obstacles that is kept where there is room"
+    )
+
+    def clearance(self, resolution: float) -> float:
+        """Return the least distance, m, between the vehicle's middle and that of an occupied voxel."""
+        return self.radius + self.margin + 0.5 * resolution
+
+
+class State(NamedTuple):
+    """Where a trajectory begins: position, velocity and acceleration, (3,) each, m, m/s, m/s^2 in map."""
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+
+
+def plan_along(
+    grid: VoxelGrid, corners: Array, state: State, time: float, settings: TrajectorySettings
+) -> UniformSpline | None:
+    """Return a trajectory along a path, or None if no attempt has held all limits.
+
+    Args:
+        grid: the map.
+        corners: (n, 3) path, which begins at the state's position, m.
+        state: at the start.
+        time: of the start, s of ROS time.
+        settings: limits.
+    """
+    length = length_of(corners)
+    if len(corners) < 2 or length < _TOLERANCE:
+        return None
+    ahead = corners[1] - corners[0]
+    speed = max(0.0, float(state.velocity @ ahead) / max(float(np.linalg.norm(ahead)), _TOLERANCE))
+    for pace in _PACES:
+        law = TimeLaw.along(length, speed, pace * settings.speed, 0.7 * pace * settings.acceleration)
+        segments = int(np.clip(math.ceil(law.duration / _INTERVAL) + 2, _FEWEST, _MOST))
+        interval = max(law.duration / (segments - 2), 0.05)
+        reference = points_along(corners, law.way((np.arange(segments + 3) - 1.0) * interval))
+        for weight in _WEIGHTS:
+            spline = _attempt(grid, reference, interval, state, time, weight, settings)
+            if spline is not None and is_flyable(grid, spline, time, settings):
+                return spline
+    return None
+
+
+def is_flyable(grid: VoxelGrid, spline: UniformSpline, time: float, settings: TrajectorySettings) -> bool:
+    """Return whether a trajectory is clear and seen from a time, s, on; the limits are not checked."""
+    return math.isinf(conflict_time(grid, spline, time, settings))
+
+
+def conflict_time(
+    grid: VoxelGrid, spline: UniformSpline, time: float, settings: TrajectorySettings, *, unknown: bool = True
+) -> float:
+    """Return the ROS time, s, at which a trajectory meets an obstacle or space that was not seen; inf if it does not.
+
+    Args:
+        grid: the map.
+        spline: the trajectory.
+        time: from which on it is checked, s.
+        settings: the vehicle's size.
+        unknown: whether space that was not seen is in the way.
+    """
+    clearance = settings.radius + 0.5 * grid.resolution
+    found = first_conflict(
+        spline.points, spline.interval, max(0.0, time - spline.start), grid.distance, grid.evidence, grid.corner,
+        grid.resolution, clearance, settings.radius if unknown else -1.0, 2.0 * settings.radius,
+    )  # fmt: skip
+    return spline.start + float(found)
+
+
+def _attempt(
+    grid: VoxelGrid,
+    reference: Array,
+    interval: float,
+    state: State,
+    time: float,
+    weight: float,
+    settings: TrajectorySettings,
+) -> UniformSpline | None:
+    """Optimise, and slow down until the limits hold; None if they do not."""
+    points = reference.copy()
+    points[-3:] = reference[-1]
+    comfort = settings.clearance(grid.resolution) + settings.comfort
+    most_speed = max(settings.speed, float(np.linalg.norm(state.velocity))) + _TOLERANCE
+    most_acceleration = max(settings.acceleration, float(np.linalg.norm(state.acceleration))) + _TOLERANCE
+    for _ in range(_STRETCHES):
+        points[:3] = first_points(state.position, state.velocity, state.acceleration, interval)
+        optimise(
+            points, interval, reference, grid.distance, grid.corner, grid.resolution, comfort, weight,
+            0.97 * settings.speed, 0.92 * settings.acceleration, _ITERATIONS,
+        )  # fmt: skip
+        spline = UniformSpline(time, interval, points)
+        excess = max(
+            spline.greatest_speed() / most_speed, math.sqrt(spline.greatest_acceleration() / most_acceleration)
+        )
+        if excess <= 1.0:
+            return spline
+        interval *= min(1.3, 1.01 * excess)
+    return None

@@ -1,0 +1,55 @@
+"""Stopping on the path of a trajectory: the same places, later and later."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_planning.trajectories.uniform_spline import UniformSpline, first_points
+
+Array = NDArray[np.float64]
+
+_INTERVAL = 0.1  # s between knots
+_STILL = 0.05  # m/s
+_MOST = 200  # knots
+
+
+def stopping(spline: UniformSpline, time: float, deceleration: float) -> UniformSpline:
+    """Return the trajectory that brakes on the path of another one.
+
+    Args:
+        spline: the trajectory that is flown.
+        time: from which on to brake, s of ROS time.
+        deceleration: m/s^2.
+
+    Returns:
+        A trajectory that begins at ``time`` with position and velocity of the other, follows its path (to the fourth
+        order in the interval of 0.1 s), and ends at rest.
+    """
+    position, velocity, acceleration = spline.at(time)
+    places = _slower_places(spline, time, deceleration)
+    speed = _length(velocity)
+    braking = acceleration - deceleration * velocity / speed if speed > _STILL else np.zeros(3)
+    inner = places[2:-1] - (places[1:-2] - 2.0 * places[2:-1] + places[3:]) / 6.0
+    first = first_points(position, velocity, braking, _INTERVAL)
+    return UniformSpline(time, _INTERVAL, np.vstack([first, inner, np.tile(places[-1], (3, 1))]))
+
+
+def _slower_places(spline: UniformSpline, time: float, deceleration: float) -> Array:
+    """Return the places (n, 3), m, at the knots of the trajectory that brakes; at least 4."""
+    places, at, rate = [spline.at(time)[0]], time, 1.0
+    while len(places) < _MOST:
+        speed = _length(spline.at(at)[1])
+        slower = rate - deceleration * _INTERVAL / max(speed, _STILL)
+        if slower <= 0.0 or speed * rate <= _STILL or at >= spline.end:
+            break
+        at += 0.5 * (rate + slower) * _INTERVAL
+        rate = slower
+        places.append(spline.at(at)[0])
+    at += 0.5 * rate * rate * _length(spline.at(at)[1]) / deceleration
+    last = spline.at(at)[0]
+    return np.array([*places, *[last] * max(1, 4 - len(places))])
+
+
+def _length(vector: Array) -> float:
+    return float(np.sqrt((vector * vector).sum()))

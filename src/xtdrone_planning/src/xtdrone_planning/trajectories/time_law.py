@@ -1,0 +1,71 @@
+"""The time at which a vehicle is where on a line: it speeds up, keeps a speed, and stops at the end."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TimeLaw:
+    """Way over time with constant accelerations, from ``speed`` to ``peak`` to rest.
+
+    Attributes:
+        length: of the line, m.
+        speed: at the start, m/s.
+        peak: greatest speed, m/s.
+        acceleration: when speeding up and when braking, m/s^2; braking is stronger where the line is too short.
+    """
+
+    length: float
+    speed: float
+    peak: float
+    acceleration: float
+
+    @classmethod
+    def along(cls, length: float, speed: float, limit: float, acceleration: float) -> TimeLaw:
+        """Return the fastest law with speeds up to ``limit``, m/s; from a higher ``speed`` it brakes at once."""
+        reachable = math.sqrt(acceleration * length + 0.5 * speed * speed)
+        return cls(length, speed, max(speed, min(limit, reachable)), acceleration)
+
+    @property
+    def _parts(self) -> tuple[float, float, float, float]:
+        """Duration and way of speeding up; duration and way of braking."""
+        rise = (self.peak - self.speed) / self.acceleration
+        rise_way = 0.5 * (self.peak + self.speed) * rise
+        fall_way = min(0.5 * self.peak * self.peak / self.acceleration, self.length - rise_way)
+        return rise, rise_way, 2.0 * fall_way / self.peak if self.peak > 0.0 else 0.0, fall_way
+
+    @property
+    def duration(self) -> float:
+        """Time to the end, s."""
+        rise, rise_way, fall, fall_way = self._parts
+        return rise + fall + (self.length - rise_way - fall_way) / self.peak if self.peak > 0.0 else 0.0
+
+    def way(self, times: Array) -> Array:
+        """Return the way (n,), m, at times (n,), s; before the start 0 and after the end ``length``."""
+        rise, rise_way, fall, fall_way = self._parts
+        total = self.duration
+        t = np.clip(times, 0.0, total)
+        rising = self.speed * t + 0.5 * self.acceleration * t * t
+        level = rise_way + self.peak * (t - rise)
+        left = total - t
+        falling = self.length - (0.5 * self.peak / fall * left * left if fall > 0.0 else 0.0 * left)
+        return np.where(t < rise, rising, np.where(left > fall, level, falling))
+
+
+def points_along(corners: Array, ways: Array) -> Array:
+    """Return the points (n, 3) at ways (n,), m, along a line of ``corners`` (m, 3)."""
+    sides = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+    reached = np.concatenate([[0.0], np.cumsum(sides)])
+    return np.stack([np.interp(ways, reached, corners[:, c]) for c in range(3)], axis=1)
+
+
+def length_of(corners: Array) -> float:
+    """Return the length of a line of ``corners`` (n, 3), m."""
+    return float(np.linalg.norm(np.diff(corners, axis=0), axis=1).sum())
