@@ -27,7 +27,7 @@ def test_time_may_flow_while_an_answer_is_waited_for_in_a_turn(monkeypatch):
 
     monkeypatch.setattr(multirotor.lockstep, "needs_time", needs_time)
     monkeypatch.setattr(multirotor.rospy, "ServiceProxy", proxy)
-    services = multirotor._Services("iris_0", in_lockstep=True)
+    services = multirotor.MavrosServices("iris_0", in_lockstep=True)
     services.submit(Request("ARM", True))
     assert seen == ["begin", "/iris_0/mavros/cmd/arming", "end"]
     [(_, accepted, reason)] = services.finished()

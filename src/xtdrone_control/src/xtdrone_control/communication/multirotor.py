@@ -52,7 +52,7 @@ class RosLog:
         rospy.logwarn_throttle_identical(5.0, text)
 
 
-class _Services:
+class MavrosServices:
     """Calls the MAVROS services of one vehicle.
 
     In lockstep a call blocks: the simulator waits, so the result falls into the same tick in every run. In real time a
@@ -145,7 +145,7 @@ class MavrosLink:
         """
         self.vehicle = vehicle
         self.core = core
-        self._services = _Services(vehicle, in_lockstep=in_lockstep)
+        self._services = MavrosServices(vehicle, in_lockstep=in_lockstep)
         self._message = PositionTarget()
         self._encoded: Setpoint | None = None
         self._output = lockstep.Publisher(f"/{vehicle}/mavros/setpoint_raw/local", PositionTarget)

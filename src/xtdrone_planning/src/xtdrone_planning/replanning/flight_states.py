@@ -40,6 +40,8 @@ class _Planner(Protocol):
     def brake(self, time: float) -> None: ...
     def conflict(self, now: Situation) -> float: ...
     def is_at_goal(self, position: np.ndarray) -> bool: ...
+    def is_astray(self, now: Situation) -> bool: ...
+    def estimate(self, now: Situation) -> State: ...
     def begin(self, now: Situation) -> FlightState: ...
 
 
@@ -148,11 +150,8 @@ class Following(FlightState):
         if planner.goal is None:
             planner.brake(now.time)
             return Braking("the goal was dropped")
-        place, velocity, acceleration = trajectory.at(now.time)
-        if _length(place - now.position) > planner.settings.astray:
-            planner.hold(now.position, now.time)
-            planner.searched = "the vehicle was off its trajectory"
-            return Planning(now.time, planner.goal_number)
+        if planner.is_astray(now) and not now.fault:
+            return self._from_estimate(planner, now)
         if now.fault:
             planner.brake(now.time)
             return Braking(now.fault)
@@ -162,8 +161,18 @@ class Following(FlightState):
             return Planning(now.time, planner.goal_number)
         if now.map_count != self._map_count:
             self._map_count = now.map_count
-            return self._with_new_map(planner, now, State(place, velocity, acceleration))
+            return self._with_new_map(planner, now, State(*trajectory.at(now.time)))
         return self
+
+    def _from_estimate(self, planner: _Planner, now: Situation) -> FlightState:
+        """Plan from where the vehicle is rather than from where it should be."""
+        state = planner.estimate(now)
+        if planner.plan(now, state):
+            self._planned, self._goal_number = now.time, planner.goal_number
+            return self
+        planner.hold(state.position, now.time)
+        planner.searched = "the vehicle was off its trajectory"
+        return Planning(now.time, planner.goal_number)
 
     def _with_new_map(self, planner: _Planner, now: Situation, state: State) -> FlightState:
         blocked = math.isfinite(planner.conflict(now))
@@ -269,7 +278,3 @@ def _rest(planner: _Planner) -> State:
     """Return the state of the vehicle that hovers at the end of its trajectory."""
     assert planner.trajectory is not None
     return State(planner.trajectory.points[-1], np.zeros(3), np.zeros(3))
-
-
-def _length(vector: np.ndarray) -> float:
-    return float(np.sqrt((vector * vector).sum()))

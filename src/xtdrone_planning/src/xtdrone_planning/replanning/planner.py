@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +65,7 @@ class Planner:
         self._yaw: float | None = None
         self._yaw_time = 0.0
         self._was_offboard = False
+        self._commanded: deque[tuple[float, Array]] = deque()
 
     def set_goal(self, goal: Array) -> None:
         """Accept a goal, (3,) m in map, for the next turn.
@@ -89,8 +91,10 @@ class Planner:
         self.state = self.state.step(self, now)
         if self.trajectory is None:
             self._yaw = None
+            self._commanded.clear()
             return None
         position, velocity, acceleration = self.trajectory.at(now.time)
+        self._commanded.append((now.time, position))
         return Command(position, velocity, acceleration, self._slewed_yaw(now))
 
     def _release(self) -> None:
@@ -147,6 +151,21 @@ class Planner:
     def is_at_goal(self, position: Array) -> bool:
         """Return whether a position is the goal."""
         return self.goal is not None and float(np.sqrt(((position - self.goal) ** 2).sum())) < self.grid.resolution
+
+    def is_astray(self, now: Situation) -> bool:
+        """Return whether the vehicle is too far from where it should be by now."""
+        present = now.time - self.settings.lead
+        while len(self._commanded) > 1 and self._commanded[1][0] <= present:
+            self._commanded.popleft()
+        if not self._commanded or self._commanded[0][0] > present:
+            return False
+        away = self._commanded[0][1] - now.position
+        return float(np.sqrt((away * away).sum())) > self.settings.astray
+
+    def estimate(self, now: Situation) -> State:
+        """Return the state in which the vehicle will be at the time of the next setpoint, from its estimate."""
+        self._commanded.clear()
+        return State(now.position + self.settings.lead * now.velocity, now.velocity, np.zeros(3))
 
     def begin(self, now: Situation) -> FlightState:
         """Hover here, and plan for the goal."""

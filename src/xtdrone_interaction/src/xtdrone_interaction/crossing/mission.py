@@ -1,0 +1,128 @@
+"""One vehicle's part of a flight through obstacles, without ROS: which command follows from which report."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from xtdrone_control.settings import Settings, setting
+
+ARRIVED, UNREACHABLE = "hovering at the goal", "goal unreachable"
+"""Texts of /T/planner/state that end a crossing."""
+
+_SPACING = 2.0  # s between two equal commands
+_SETTLED = 1.0  # s at the goal before landing
+
+
+@dataclass(frozen=True)
+class CrossingSettings(Settings):
+    """Private parameters of the director."""
+
+    time_limit: float = setting(
+        180.0, low=10.0, high=3600.0, unit="s", text="simulated time after which a vehicle that has not arrived lands"
+    )
+    out: str = setting("", text="folder for events.jsonl, empty for none")
+    recorder: str = setting("", text="node that records the flight; time starts when it has subscribed, or after 30 s")
+
+
+@dataclass
+class Reports:
+    """What a vehicle has reported last.
+
+    Attributes:
+        armed, mode: of mavros/state.
+        planner: text of planner/state; empty before the first.
+    """
+
+    armed: bool = False
+    mode: str = ""
+    planner: str = ""
+
+
+@dataclass
+class Crossing:
+    """The flight of one vehicle.
+
+    Attributes:
+        name: of the vehicle.
+        goal: x, y, z, m in map.
+        limit: time limit, s.
+        phase: preparing, taking off, crossing, landing, landed or failed.
+        outcome: arrived, or why not; empty before that is known.
+        reports: what the vehicle reports.
+        begun, ended: ROS times at which the goal was sent and reached, s; NaN before that.
+    """
+
+    name: str
+    goal: tuple[float, float, float]
+    limit: float
+    phase: str = "preparing"
+    outcome: str = ""
+    reports: Reports = field(default_factory=Reports)
+    begun: float = math.nan
+    ended: float = math.nan
+    _sent: dict[str, float] = field(default_factory=dict)
+    _since: float = math.nan
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the vehicle is back on the ground, or never left it."""
+        return self.phase in ("landed", "failed")
+
+    def step(self, now: float) -> list[str]:
+        """Return the commands at ``now``, s: ARM, AUTO.TAKEOFF, GOAL or AUTO.LAND."""
+        return {
+            "preparing": self._prepare,
+            "taking off": self._take_off,
+            "crossing": self._cross,
+            "landing": self._land,
+        }.get(self.phase, lambda _: [])(now)
+
+    def _prepare(self, now: float) -> list[str]:
+        if self.reports.armed:
+            self.phase = "taking off"
+            return []
+        if now > self.limit:
+            self.phase, self.outcome = "failed", "the vehicle could not be armed"
+            return []
+        return self._repeat("ARM", now) if self.reports.planner and self.reports.mode else []
+
+    def _take_off(self, now: float) -> list[str]:
+        if self.reports.mode == "AUTO.LOITER" and "AUTO.TAKEOFF" in self._sent and now - self._sent["AUTO.TAKEOFF"] > 1.0:
+            self.phase, self.begun = "crossing", now
+            return ["GOAL"]
+        if not self.reports.armed:
+            self.phase, self.outcome = "failed", "the vehicle has disarmed"
+            return []
+        return [] if self.reports.mode == "AUTO.TAKEOFF" else self._repeat("AUTO.TAKEOFF", now)
+
+    def _cross(self, now: float) -> list[str]:
+        arrived = self.reports.planner == ARRIVED
+        self._since = (now if math.isnan(self._since) else self._since) if arrived else math.nan
+        if arrived and math.isnan(self.ended):
+            self.ended = now
+        if arrived and now - self._since >= _SETTLED:
+            self.outcome = "arrived"
+        elif self.reports.planner == UNREACHABLE:
+            self.outcome = UNREACHABLE
+        elif not self.reports.armed:
+            self.phase, self.outcome = "failed", "the vehicle has disarmed in flight"
+            return []
+        elif now - self.begun > self.limit:
+            self.outcome = f"not arrived within {self.limit:g} s"
+        if self.outcome:
+            self.phase = "landing"
+            return self._repeat("AUTO.LAND", now)
+        return []
+
+    def _land(self, now: float) -> list[str]:
+        if not self.reports.armed:
+            self.phase = "landed" if self.outcome == "arrived" else "failed"
+            return []
+        return [] if self.reports.mode == "AUTO.LAND" else self._repeat("AUTO.LAND", now)
+
+    def _repeat(self, command: str, now: float) -> list[str]:
+        if now - self._sent.get(command, -math.inf) < _SPACING:
+            return []
+        self._sent[command] = now
+        return [command]

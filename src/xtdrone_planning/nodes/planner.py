@@ -1,0 +1,45 @@
+#!/usr/bin/env python3
+"""Fly vehicles to goals around obstacles that their sensors see: ``planner.py iris_3d_lidar 0``.
+
+One process serves one vehicle (``0``) or several (``0-5``, ``1,3``, ``all``: all of that type in /xtdrone/fleet).
+Topics are listed in ``xtdrone_planning.replanning.planner_node``.
+
+Parameters:
+    ~sensor (lidar or depth), and those of the planner, the map, the sensors and the trajectories, see docs/settings.md.
+    /xtdrone/fleet (as ``iris_3d_lidar:6``): the fleet; without it ids are not checked against a count.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import rospy
+
+from xtdrone_control import lockstep
+from xtdrone_control.program import run_program, served_vehicles
+from xtdrone_planning.replanning.planner_node import RATE, planners_of
+
+USAGE = "planner.py TYPE ID   (ID: 0, 0-5, 1,3,5 or all)"
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the node for the vehicles in the arguments until shutdown."""
+    kind, ids, name = served_vehicles(arguments, rospy.get_param("/xtdrone/fleet", None))
+    lockstep.init_node(f"{name}_planner", rate=RATE)
+    planners = planners_of([f"{kind}_{index}" for index in ids])
+
+    def step() -> None:
+        for planner in planners:
+            planner.step()
+
+    try:
+        lockstep.start()
+        lockstep.spin(step)
+    finally:
+        for planner in planners:
+            planner.close()
+
+
+if __name__ == "__main__":
+    sys.exit(run_program(main, sys.argv, USAGE))

@@ -1,0 +1,302 @@
+"""The planner of a vehicle as a ROS node.
+
+For each vehicle ``T`` (as ``iris_3d_lidar_0``), besides the sensor's topics of ``mapping.map_feed``:
+
+==================================  ==============================  ==================================================
+topic                               type                            meaning
+==================================  ==============================  ==================================================
+/T/planner/goal                     geometry_msgs/PoseStamped       in: goal in map; its orientation is not used
+/move_base_simple/goal              geometry_msgs/PoseStamped       in: rviz's 2D Nav Goal, at the vehicle's height
+/T/planner/cancel                   std_msgs/Empty                  in: drop the goal, brake and hover
+/T/mavros/local_position/pose       geometry_msgs/PoseStamped       in, as velocity_local (TwistStamped)
+/T/mavros/state, extended_state     mavros_msgs/State, ...          in: mode; whether it is armed and in the air
+/T/mavros/setpoint_raw/local        mavros_msgs/PositionTarget      out: position, velocity, acceleration and yaw
+/T/planner/trajectory               xtdrone_msgs/SplineTrajectory   out: latched, each new trajectory
+/T/planner/path                     nav_msgs/Path                   out: its places, for rviz
+/T/planner/state                    std_msgs/String                 out: latched, on change: see ``flight_states``
+/T/map/occupied                     sensor_msgs/PointCloud2         out, while subscribed: middles of occupied voxels
+/T/map/slice                        nav_msgs/OccupancyGrid          out, while subscribed: the layer of flight
+/diagnostics                        diagnostic_msgs/DiagnosticArray out: once a second, and on change
+==================================  ==============================  ==================================================
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point, PoseStamped, TwistStamped, Vector3
+from mavros_msgs.msg import ExtendedState, PositionTarget, State
+from nav_msgs.msg import OccupancyGrid, Path
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Empty, String
+from xtdrone_msgs.msg import SplineTrajectory
+
+from xtdrone_control import lockstep
+from xtdrone_control.communication.commands import Request
+from xtdrone_control.communication.multirotor import MavrosServices
+from xtdrone_control.rotation import yaw_of
+from xtdrone_planning.mapping.local_map import LocalMap
+from xtdrone_planning.mapping.map_feed import MapFeed, SensorSettings
+from xtdrone_planning.mapping.map_messages import FRAME, occupied_cloud, slice_at
+from xtdrone_planning.mapping.range_images import DepthSettings, LidarSettings
+from xtdrone_planning.mapping.sensor_watch import SensorWatch, WatchSettings
+from xtdrone_planning.mapping.voxel_grid import MapSettings
+from xtdrone_planning.replanning.planner import Planner
+from xtdrone_planning.replanning.situation import Command, GoalError, PlannerSettings, Situation
+from xtdrone_planning.trajectories.local_trajectory import TrajectorySettings
+from xtdrone_planning.trajectories.trajectory_messages import path_message, spline_message
+
+RATE = 50.0  # Hz, as the MAVROS layer's
+
+_STREAM_LEAD = 0.5  # s of setpoints before OFFBOARD is requested; PX4 rejects it without a stream
+_REQUEST_SPACING = 2.0  # s between requests
+_STALE_POSE = 0.5  # s
+_MAP_PERIOD = 0.5  # s between two publications of the map
+_REPORT_PERIOD = 1.0  # s
+
+
+@dataclass(frozen=True)
+class NodeSettings:
+    """All settings of the node.
+
+    Attributes:
+        sensor, lidar, depth, watch: of the sensor.
+        grid: of the local map.
+        limits: of trajectories.
+        planner: of the planner.
+    """
+
+    sensor: SensorSettings
+    lidar: LidarSettings
+    depth: DepthSettings
+    watch: WatchSettings
+    grid: MapSettings
+    limits: TrajectorySettings
+    planner: PlannerSettings
+
+
+def read_settings() -> NodeSettings:
+    """Return the settings that the private parameters give.
+
+    Raises:
+        SettingError: a parameter is not allowed.
+    """
+    return NodeSettings(
+        SensorSettings.from_parameters(rospy.get_param),
+        LidarSettings.from_parameters(rospy.get_param),
+        DepthSettings.from_parameters(rospy.get_param),
+        WatchSettings.from_parameters(rospy.get_param),
+        MapSettings.from_parameters(rospy.get_param),
+        TrajectorySettings.from_parameters(rospy.get_param),
+        PlannerSettings.from_parameters(rospy.get_param),
+    )
+
+
+class VehiclePlanner:
+    """Topics of one vehicle around its planner."""
+
+    def __init__(self, name: str, settings: NodeSettings, *, rviz_goal: bool) -> None:
+        """Declare the topics.
+
+        Args:
+            name: of the vehicle.
+            settings: see ``NodeSettings``.
+            rviz_goal: whether /move_base_simple/goal is this vehicle's.
+        """
+        self.name = name
+        self._settings = settings
+        self._watch = SensorWatch(settings.watch)
+        self._map = LocalMap(settings.grid, 2.0 * settings.limits.radius)
+        self.planner = Planner(self._map.grid, settings.planner, settings.limits)
+        base = f"/{name}/mavros"
+        self._feed = MapFeed(name, self._map, self._watch, settings.sensor.sensor, settings.lidar, settings.depth)
+        self._services = MavrosServices(name, in_lockstep=lockstep.is_active())
+        self._setpoint = lockstep.Publisher(f"{base}/setpoint_raw/local", PositionTarget)
+        self._trajectory = lockstep.Publisher(f"/{name}/planner/trajectory", SplineTrajectory, latch=True)
+        self._path = lockstep.Publisher(f"/{name}/planner/path", Path)
+        self._state = lockstep.Publisher(f"/{name}/planner/state", String, latch=True)
+        self._occupied = lockstep.Publisher(f"/{name}/map/occupied", PointCloud2)
+        self._slice = lockstep.Publisher(f"/{name}/map/slice", OccupancyGrid)
+        self._diagnostics = lockstep.Publisher("/diagnostics", DiagnosticArray)
+        lockstep.Subscriber(f"/{name}/planner/goal", PoseStamped, self._on_goal)
+        lockstep.Subscriber(f"/{name}/planner/cancel", Empty, lambda _: self.planner.cancel())
+        if rviz_goal:
+            lockstep.Subscriber("/move_base_simple/goal", PoseStamped, self._on_level_goal)
+        lockstep.Subscriber(f"{base}/local_position/pose", PoseStamped, self._on_pose)
+        lockstep.Subscriber(f"{base}/local_position/velocity_local", TwistStamped, self._on_velocity)
+        lockstep.Subscriber(f"{base}/state", State, self._on_state)
+        lockstep.Subscriber(f"{base}/extended_state", ExtendedState, self._on_extended_state)
+        lockstep.add_reset_hook(self._restart)
+        self._forget()
+
+    def _restart(self) -> None:
+        """Begin again, as simulated time was set back."""
+        self.planner.restart()
+        self._map.restart()
+        self._watch.restart()
+        self._forget()
+
+    def _forget(self) -> None:
+        self._pose: PoseStamped | None = None
+        self._velocity = np.zeros(3)
+        self._armed = self._in_air = self._offboard = False
+        self._streaming_since: float | None = None
+        self._requested = self._mapped = self._reported = -math.inf
+        self._published_number = 0
+        self._report: tuple[int, str] = (-1, "")
+        self._published_state = ""
+
+    # messages
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        p, q = message.pose.position, message.pose.orientation
+        if all(map(math.isfinite, (p.x, p.y, p.z, q.x, q.y, q.z, q.w))):
+            self._pose = message
+
+    def _on_velocity(self, message: TwistStamped) -> None:
+        linear = message.twist.linear
+        if all(map(math.isfinite, (linear.x, linear.y, linear.z))):
+            self._velocity = np.array([linear.x, linear.y, linear.z])
+
+    def _on_state(self, message: State) -> None:
+        self._armed, self._offboard = message.armed, message.armed and message.mode == "OFFBOARD"
+
+    def _on_extended_state(self, message: ExtendedState) -> None:
+        self._in_air = message.landed_state != ExtendedState.LANDED_STATE_ON_GROUND
+
+    def _on_goal(self, message: PoseStamped) -> None:
+        self._set_goal(message, message.pose.position.z)
+
+    def _on_level_goal(self, message: PoseStamped) -> None:
+        if self._pose is not None:
+            self._set_goal(message, self._pose.pose.position.z)
+
+    def _set_goal(self, message: PoseStamped, height: float) -> None:
+        if message.header.frame_id.lstrip("/") not in ("", FRAME):
+            rospy.logwarn(f"{self.name}: goal: frame {message.header.frame_id!r} is not allowed, {FRAME!r}; ignored")
+            return
+        place = message.pose.position
+        try:
+            self.planner.set_goal(np.array([place.x, place.y, height]))
+        except GoalError as error:
+            rospy.logwarn(f"{self.name}: {error}; ignored")
+
+    # turns
+
+    def step(self) -> None:
+        """Advance by a turn; call it at 50 Hz."""
+        stamp = rospy.Time.now()
+        situation = self._situation(stamp.to_sec())
+        if situation is None:
+            self._publish_report(stamp, (2, "no position from the autopilot"))
+            return
+        command = self.planner.step(situation)
+        for request, accepted, reason in self._services.finished():
+            if not accepted:
+                rospy.logwarn(f"{self.name}: {request.command} was rejected ({reason or 'no reason given'})")
+        if command is None:
+            self._streaming_since = None
+        else:
+            self._publish_setpoint(command, stamp)
+            self._request_offboard(situation)
+        self._publish_trajectory(stamp)
+        self._publish_map(situation, stamp)
+        self._publish_report(stamp, self._judged(situation))
+
+    def _situation(self, now: float) -> Situation | None:
+        if self._pose is None or now - self._pose.header.stamp.to_sec() > _STALE_POSE:
+            return None
+        p, q = self._pose.pose.position, self._pose.pose.orientation
+        return Situation(
+            time=now + self._settings.planner.lead,
+            position=np.array([p.x, p.y, p.z]),
+            velocity=self._velocity,
+            yaw=yaw_of((q.w, q.x, q.y, q.z)),
+            is_flying=self._armed and self._in_air,
+            is_offboard=self._offboard,
+            map_count=self._watch.count,
+            fault=self._watch.fault(now),
+        )
+
+    def _publish_setpoint(self, command: Command, stamp: rospy.Time) -> None:
+        message = PositionTarget(coordinate_frame=PositionTarget.FRAME_LOCAL_NED)
+        message.header.stamp = stamp
+        message.type_mask = PositionTarget.IGNORE_YAW_RATE
+        message.position = Point(*command.position.tolist())
+        message.velocity = Vector3(*command.velocity.tolist())
+        message.acceleration_or_force = Vector3(*command.acceleration.tolist())
+        message.yaw = command.yaw
+        self._setpoint.publish(message)
+
+    def _request_offboard(self, now: Situation) -> None:
+        if self._streaming_since is None:
+            self._streaming_since = now.time
+        if now.is_offboard or not self._settings.planner.offboard:
+            return
+        if now.time - self._streaming_since >= _STREAM_LEAD and now.time - self._requested >= _REQUEST_SPACING:
+            self._requested = now.time
+            self._services.submit(Request("OFFBOARD", None))
+
+    def _publish_trajectory(self, stamp: rospy.Time) -> None:
+        planner = self.planner
+        if planner.trajectory is None or planner.number == self._published_number:
+            return
+        self._published_number = planner.number
+        radius = self._settings.limits.radius
+        self._trajectory.publish(
+            spline_message(planner.trajectory, self.name, planner.number, radius, stamp, FRAME)
+        )
+        if self._path.get_num_connections():
+            self._path.publish(path_message(planner.trajectory, stamp, FRAME))
+
+    def _publish_map(self, now: Situation, stamp: rospy.Time) -> None:
+        if now.time - self._mapped < _MAP_PERIOD:
+            return
+        self._mapped = now.time
+        if self._occupied.get_num_connections():
+            self._occupied.publish(occupied_cloud(self._map.grid, stamp))
+        if self._slice.get_num_connections():
+            self._slice.publish(slice_at(self._map.grid, float(now.position[2]), stamp))
+
+    def _judged(self, now: Situation) -> tuple[int, str]:
+        level, text = self.planner.state.report(self.planner, now)
+        if level == 0 and self._watch.sees_nothing:
+            return 1, f"{text}; the sensor sees nothing within its range"
+        return level, text
+
+    def _publish_report(self, stamp: rospy.Time, report: tuple[int, str]) -> None:
+        state = self.planner.state.name
+        if state != self._published_state:
+            self._published_state = state
+            self._state.publish(String(state))
+        now = stamp.to_sec()
+        if report[0] == self._report[0] and now - self._reported < _REPORT_PERIOD:
+            return
+        if report[0] > max(self._report[0], 0):
+            rospy.logwarn(f"{self.name}: planner: {report[1]}")
+        self._report, self._reported = report, now
+        level, text = report
+        status = DiagnosticStatus(level=level, name=f"{self.name}: planner", message=text, hardware_id=self.name)
+        status.values = [
+            KeyValue("state", state),
+            KeyValue("measurements", str(self._watch.count)),
+            KeyValue("trajectories", str(self.planner.number)),
+        ]
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = stamp
+        self._diagnostics.publish(message)
+
+    def close(self) -> None:
+        """Cancel pending service calls."""
+        self._services.close()
+
+
+def planners_of(names: Sequence[str]) -> list[VehiclePlanner]:
+    """Return the planners of some vehicles; rviz's goals are the first one's."""
+    settings = read_settings()
+    return [VehiclePlanner(name, settings, rviz_goal=number == 0) for number, name in enumerate(names)]

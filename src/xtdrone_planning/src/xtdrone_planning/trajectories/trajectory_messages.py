@@ -1,0 +1,70 @@
+"""Trajectories as messages."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import rospy
+from geometry_msgs.msg import Point, PoseStamped
+from nav_msgs.msg import Path
+from xtdrone_msgs.msg import SplineTrajectory
+
+from xtdrone_planning.trajectories.uniform_spline import UniformSpline
+
+_LEAST_POINTS, _MOST_POINTS = 4, 10_000
+_SPACING = 0.1  # s between the poses of a path
+
+
+class TrajectoryError(ValueError):
+    """A message that is no trajectory; the message names the field, its value and what is allowed."""
+
+
+def spline_message(
+    spline: UniformSpline, vehicle: str, number: int, radius: float, stamp: rospy.Time, frame: str
+) -> SplineTrajectory:
+    """Return a trajectory as a message.
+
+    Args:
+        spline: the trajectory.
+        vehicle: name, as ``iris_0``.
+        number: counts the vehicle's trajectories.
+        radius: of the vehicle, m.
+        stamp: time of planning.
+        frame: of the points.
+    """
+    message = SplineTrajectory(vehicle=vehicle, id=number, interval=spline.interval, radius=radius)
+    message.header.stamp, message.header.frame_id = stamp, frame
+    message.start = rospy.Time.from_sec(spline.start)
+    message.control_points = [Point(*point) for point in spline.points.tolist()]
+    return message
+
+
+def spline_of(message: SplineTrajectory) -> UniformSpline:
+    """Return the trajectory of a message.
+
+    Raises:
+        TrajectoryError: too few or too many points, a number that is not finite, or an interval that is not positive.
+    """
+    count = len(message.control_points)
+    if not _LEAST_POINTS <= count <= _MOST_POINTS:
+        raise TrajectoryError(f"control_points: {count} are not allowed, {_LEAST_POINTS} to {_MOST_POINTS}")
+    if not (message.interval > 0.0 and math.isfinite(message.interval)):
+        raise TrajectoryError(f"interval: {message.interval} is not allowed, above 0 s")
+    points = np.array([(point.x, point.y, point.z) for point in message.control_points])
+    if not np.isfinite(points).all():
+        raise TrajectoryError("control_points: not finite numbers are not allowed")
+    return UniformSpline(message.start.to_sec(), float(message.interval), points)
+
+
+def path_message(spline: UniformSpline, stamp: rospy.Time, frame: str) -> Path:
+    """Return the places of a trajectory every 0.1 s, for rviz."""
+    message = Path()
+    message.header.stamp, message.header.frame_id = stamp, frame
+    times = spline.start + np.arange(0.0, spline.duration + _SPACING, _SPACING)
+    for position in spline.positions(times).tolist():
+        pose = PoseStamped(header=message.header)
+        pose.pose.position = Point(*position)
+        pose.pose.orientation.w = 1.0
+        message.poses.append(pose)
+    return message
