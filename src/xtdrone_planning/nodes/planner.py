@@ -18,7 +18,7 @@ import rospy
 
 from xtdrone_control import lockstep
 from xtdrone_control.program import run_program, served_vehicles
-from xtdrone_planning.replanning.planner_node import RATE, planners_of
+from xtdrone_planning.replanning.planner_node import RATE, PlannerNode
 
 USAGE = "planner.py TYPE ID   (ID: 0, 0-5, 1,3,5 or all)"
 
@@ -27,18 +27,12 @@ def main(arguments: Sequence[str]) -> None:
     """Run the node for the vehicles in the arguments until shutdown."""
     kind, ids, name = served_vehicles(arguments, rospy.get_param("/xtdrone/fleet", None))
     lockstep.init_node(f"{name}_planner", rate=RATE)
-    planners = planners_of([f"{kind}_{index}" for index in ids])
-
-    def step() -> None:
-        for planner in planners:
-            planner.step()
-
+    node = PlannerNode([f"{kind}_{index}" for index in ids])
     try:
         lockstep.start()
-        lockstep.spin(step)
+        lockstep.spin(node.step)
     finally:
-        for planner in planners:
-            planner.close()
+        node.close()
 
 
 if __name__ == "__main__":

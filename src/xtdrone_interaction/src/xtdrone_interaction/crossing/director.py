@@ -39,6 +39,7 @@ from xtdrone_interaction.formation.geometry import EVENTS_TOPIC, PROGRESS_TOPIC
 
 RATE = 10.0  # Hz
 _PROGRESS_TICKS = 2
+_PHASES = ("preparing", "taking off", "crossing", "landing", "landed", "failed")
 _LAST_TICKS = 5  # ticks to run after the flight, so that the recorder receives the last events
 
 Goal = tuple[float, float, float]
@@ -175,11 +176,12 @@ class CrossingDirector:
             for crossing in self._crossings
             if crossing.name in self._positions and not crossing.is_over
         ]
-        phases = [crossing.phase for crossing in self._crossings]
+        phase = min((crossing.phase for crossing in self._crossings), key=_PHASES.index)
         values = {
             "sim_time": rospy.get_time(),
-            "phase": max(set(phases), key=lambda phase: (phases.count(phase), phase)),
-            "under_way": sum(not crossing.is_over for crossing in self._crossings),
-            "farthest": round(max(left), 1) if left else None,
+            "phase": phase,
+            "step": _PHASES.index(phase) + 1,
+            "steps": len(_PHASES),
+            "text": f"{max(left):.0f} m to the goal" if left else "",
         }
         self._progress_publisher.publish(String(json.dumps(values)))

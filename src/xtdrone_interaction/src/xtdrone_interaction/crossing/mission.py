@@ -88,7 +88,11 @@ class Crossing:
         return self._repeat("ARM", now) if self.reports.planner and self.reports.mode else []
 
     def _take_off(self, now: float) -> list[str]:
-        if self.reports.mode == "AUTO.LOITER" and "AUTO.TAKEOFF" in self._sent and now - self._sent["AUTO.TAKEOFF"] > 1.0:
+        if (
+            self.reports.mode == "AUTO.LOITER"
+            and "AUTO.TAKEOFF" in self._sent
+            and now - self._sent["AUTO.TAKEOFF"] > 1.0
+        ):
             self.phase, self.begun = "crossing", now
             return ["GOAL"]
         if not self.reports.armed:

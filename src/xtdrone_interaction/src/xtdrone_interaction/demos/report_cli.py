@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from xtdrone_interaction.console import PatientConsole, run_reported
-from xtdrone_interaction.demos import formation_demo, search_demo
+from xtdrone_interaction.demos import forest_demo, formation_demo, search_demo
 from xtdrone_interaction.demos.search_prepare import is_search
 
 
@@ -18,5 +18,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Make the report and return the exit status."""
-    demo = search_demo if is_search(arguments.file.parent) else formation_demo
+    folder = arguments.file.parent
+    demo = search_demo if is_search(folder) else forest_demo if forest_demo.is_forest(folder) else formation_demo
     return run_reported(lambda: demo.report_again(arguments.file, PatientConsole()))

@@ -39,7 +39,13 @@ _SILENCE_LIMIT = 60.0  # s between two progress messages
 _PATIENCE = 25.0  # s for roslaunch to stop its nodes
 _NODE_PATIENCE = 8.0  # s for a node to stop
 _STOPPED = 5.0  # s between two polls; a longer gap means that this program was suspended
-_VITAL = ("simulator", "mavros", "formation_director", "search_mission")  # required for the flight to continue
+_VITAL = (
+    "simulator",
+    "mavros",
+    "formation_director",
+    "search_mission",
+    "crossing_director",
+)  # required for the flight to continue
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 _INCOMPLETE = "participants have "  # "joined" or "not joined": the simulator's status while it waits at the start
 _ERROR_LINES = 12

@@ -99,3 +99,34 @@ def _search_table(vehicles: dict[str, dict[str, Any]]) -> ReportTable:
         for name, item in vehicles.items()
     ]
     return ReportTable("Vehicles", ("vehicle", "way (m)", "top (m)", "pictures", "passed over"), rows)
+
+
+def print_crossing(report: dict[str, Any], console: Console) -> None:
+    """Print the figures of a flight through obstacles.
+
+    Args:
+        report: of :func:`~xtdrone_interaction.metrics.crossing.make_report`.
+        console: to print on.
+    """
+    for name, vehicle in report["vehicles"].items():
+        line = f"{name}: {vehicle['outcome']}"
+        if "time" in vehicle:
+            line += (
+                f"; {vehicle['straight']:.1f} m in {vehicle['time']:.1f} s, {vehicle['mean_speed']:.1f} m/s on average "
+                f"(straight and without obstacles: {vehicle['straight_time']:.1f} s), path {vehicle['path']:.1f} m"
+            )
+        if vehicle["clearance"] is not None:
+            line += f"; nearest obstacle {vehicle['clearance']:.2f} m from its middle"
+        console.print(line + ".", highlight=False, soft_wrap=True, markup=False)
+        for kind, words in (("map", "map update"), ("plan", "plan")):
+            found = report["timings"].get(name, {}).get(kind)
+            if found is not None:
+                console.print(
+                    f"  {words}: {found['median_ms']:.1f} ms (median of {found['count']}), {found['p95_ms']:.1f} ms "
+                    "(95 %), wall time on this machine",
+                    highlight=False,
+                )
+    if report["least_distance"] is not None:
+        console.print(f"Least distance of two vehicles {report['least_distance']:.2f} m.", highlight=False)
+    for text in report["shortcomings"]:
+        console.print(f"[red]Missed:[/red] {escape(text)}", highlight=False, soft_wrap=True)

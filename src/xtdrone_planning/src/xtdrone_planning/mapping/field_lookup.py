@@ -50,7 +50,7 @@ def _cell(place, count):
         return 0.0, 0, 0.0
     if place >= count - 1.0:
         return 1.0, count - 2, 0.0
-    lower = int(math.floor(place))
+    lower = math.floor(place)
     return place - lower, lower, 1.0
 
 
@@ -72,7 +72,7 @@ def is_seen(evidence, corner, resolution, x, y, z, radius):
     ci, cj = x / resolution - corner[0], y / resolution - corner[1]
     k = math.floor(z / resolution) - corner[2]
     reach = radius / resolution
-    if not (0 <= ci - reach and ci + reach < nx and 0 <= cj - reach and cj + reach < ny and 0 <= k < nz):
+    if not (ci - reach >= 0 and ci + reach < nx and cj - reach >= 0 and cj + reach < ny and 0 <= k < nz):
         return False
     for i in range(math.floor(ci - reach), math.floor(ci + reach) + 1):
         for j in range(math.floor(cj - reach), math.floor(cj + reach) + 1):

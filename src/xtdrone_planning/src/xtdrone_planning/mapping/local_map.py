@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -69,7 +71,7 @@ class LocalMap:
         poses = [pose.copy() for pose in found if pose is not None]
         if len(poses) < len(found):
             return None, spacing
-        for before, after in zip(poses, poses[1:], strict=False):
+        for before, after in itertools.pairwise(poses):
             if before[3:] @ after[3:] < 0.0:
                 after[3:] *= -1.0  # a quaternion and its negative are the same rotation: use the nearer one
         return np.array(poses), spacing

@@ -12,6 +12,7 @@ topic (subscribed)                   type                     meaning
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,7 +42,9 @@ _INTRINSICS = (0, 4, 2, 5)  # fx, fy, cx, cy in K
 class SensorSettings(Settings):
     """Which sensor maps."""
 
-    sensor: str = setting("lidar", choices=("lidar", "depth"), text="what maps: a lidar's cloud or a depth camera's picture")
+    sensor: str = setting(
+        "lidar", choices=("lidar", "depth"), text="what maps: a lidar's cloud or a depth camera's picture"
+    )
 
 
 class MapFeed:
@@ -55,6 +58,7 @@ class MapFeed:
         sensor: str,
         lidar: LidarSettings,
         depth: DepthSettings,
+        timed: Callable[[], AbstractContextManager[None]] = nullcontext,
     ) -> None:
         """Declare the topics.
 
@@ -64,7 +68,9 @@ class MapFeed:
             watch: judges the sensor.
             sensor: lidar or depth.
             lidar, depth: of the sensor.
+            timed: returns a context in which each measurement is read and entered.
         """
+        self._timed = timed
         self._vehicle = vehicle
         self._map = local_map
         self._watch = watch
@@ -99,6 +105,10 @@ class MapFeed:
         self._enter(message, lambda: self._depth.image(depths_of(message), intrinsics))
 
     def _enter(self, message: PointCloud2 | Image, read: Callable[[], RangeImage]) -> None:
+        with self._timed():
+            self._read_and_enter(message, read)
+
+    def _read_and_enter(self, message: PointCloud2 | Image, read: Callable[[], RangeImage]) -> None:
         try:
             image = read()
         except ScanError as error:

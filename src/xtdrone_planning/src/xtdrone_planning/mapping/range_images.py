@@ -1,7 +1,7 @@
 """Scans and depth pictures as one thing: an image of ranges, each with its direction and time.
 
-A lidar's cloud has only returns. Where a whole neighbourhood of rays has none, the way is free up to the sensor's range;
-a single ray without a return may as well be a dropout and tells nothing.
+A lidar's cloud has only returns. Where a whole neighbourhood of rays has none, the way is free up to the sensor's
+range; a single ray without a return may as well be a dropout and tells nothing.
 """
 
 from __future__ import annotations

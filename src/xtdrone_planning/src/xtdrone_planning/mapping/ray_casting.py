@@ -46,7 +46,11 @@ def cast_rays(evidence, marks, mark, corner, resolution, origins, ends, hits):
 def _pass_through(evidence, marks, mark, corner, resolution, origin, end):
     """Enter that the voxels of a ray are free; see ``cast_rays``."""
     nx, ny, nz = evidence.shape
-    x, y, z = (origin[0] / resolution - corner[0], origin[1] / resolution - corner[1], origin[2] / resolution - corner[2])
+    x, y, z = (
+        origin[0] / resolution - corner[0],
+        origin[1] / resolution - corner[1],
+        origin[2] / resolution - corner[2],
+    )
     dx, dy, dz = (end[0] - origin[0]) / resolution, (end[1] - origin[1]) / resolution, (end[2] - origin[2]) / resolution
     i, j, k = math.floor(x), math.floor(y), math.floor(z)
     across_x, next_x, step_x = _axis(x, dx, i)

@@ -11,8 +11,12 @@ from xtdrone_control.settings import Settings, setting
 class WatchSettings(Settings):
     """When a sensor counts as failed."""
 
-    silence: float = setting(0.5, low=0.05, high=10.0, unit="s", text="a sensor without a measurement for longer has failed")
-    repeats: int = setting(4, low=2, high=100, text="a sensor that repeats a measurement bit by bit so often has failed")
+    silence: float = setting(
+        0.5, low=0.05, high=10.0, unit="s", text="a sensor without a measurement for longer has failed"
+    )
+    repeats: int = setting(
+        4, low=2, high=100, text="a sensor that repeats a measurement bit by bit so often has failed"
+    )
 
 
 class SensorWatch:

@@ -24,7 +24,9 @@ _NEAR, _NEAR_COST = 0.4, 1.5  # m beyond the clearance within which obstacles co
 
 
 @kernel
-def search(distance, evidence, clearance, start, goal, lowest, highest, most, costs, parents, stamps, stamp, heap, keys):
+def search(
+    distance, evidence, clearance, start, goal, lowest, highest, most, costs, parents, stamps, stamp, heap, keys
+):
     """Search a path from a voxel to a goal, which may be outside: then to where the way to it leaves the grid.
 
     Args:
@@ -74,7 +76,9 @@ def search(distance, evidence, clearance, start, goal, lowest, highest, most, co
             for dj in range(-1, 2):
                 for dk in range(-1, 2):
                     a, b, c = i + di, j + dj, k + dk
-                    if (di == 0 and dj == 0 and dk == 0) or not (0 <= a < nx and 0 <= b < ny and lowest <= c <= highest):
+                    if (di == 0 and dj == 0 and dk == 0) or not (
+                        0 <= a < nx and 0 <= b < ny and lowest <= c <= highest
+                    ):
                         continue
                     there = distance[a, b, c]
                     if there < clearance and not (here < clearance and there >= here and there > 0.0):

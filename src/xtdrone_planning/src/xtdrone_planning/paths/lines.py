@@ -21,7 +21,7 @@ def is_open(distance, evidence, corner, resolution, a, b, clearance, radius):
         radius: of the disc that must have been seen, m; 0: only the line itself; below 0: nothing.
     """
     length = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
-    steps = max(1, int(math.ceil(2.0 * length / resolution)))
+    steps = max(1, math.ceil(2.0 * length / resolution))
     for n in range(steps + 1):
         part = n / steps
         x, y, z = a[0] + part * (b[0] - a[0]), a[1] + part * (b[1] - a[1]), a[2] + part * (b[2] - a[2])
@@ -50,9 +50,7 @@ def seen_count(evidence, corner, resolution, points, radius, exempt, farthest):
             way += math.sqrt(u * u + v * v + w * w)
         if way > farthest:
             return n
-        if way > exempt and not is_seen(
-            evidence, corner, resolution, points[n, 0], points[n, 1], points[n, 2], radius
-        ):
+        if way > exempt and not is_seen(evidence, corner, resolution, points[n, 0], points[n, 1], points[n, 2], radius):
             return n
     return len(points)
 

@@ -7,8 +7,8 @@
                  v  |        v   +----> Braking (obstacle or sensor) -> Planning
            Unreachable     Planning (end of what has been seen)
 
-A new goal leads to Planning, from Following without a stop. When the pilot takes over or the vehicle is on the ground the
-planner is Waiting.
+A new goal leads to Planning, from Following without a stop. When the pilot takes over or the vehicle is on the ground
+the planner is Waiting.
 """
 
 from __future__ import annotations

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,13 +42,21 @@ class Planner:
         searched: outcome of the last search and why it gave no trajectory, for the report.
     """
 
-    def __init__(self, grid: VoxelGrid, settings: PlannerSettings, limits: TrajectorySettings) -> None:
+    def __init__(
+        self,
+        grid: VoxelGrid,
+        settings: PlannerSettings,
+        limits: TrajectorySettings,
+        timed: Callable[[], AbstractContextManager[None]] = nullcontext,
+    ) -> None:
         """Start waiting.
 
         Args:
             grid: the map, which others update.
             settings, limits: see the attributes.
+            timed: returns a context in which each plan is made.
         """
+        self._timed = timed
         self.grid = grid
         self.settings = settings
         self.limits = limits
@@ -114,6 +124,10 @@ class Planner:
 
         ``searched`` then says why not.
         """
+        with self._timed():
+            return self._plan(now, start)
+
+    def _plan(self, now: Situation, start: State) -> bool:
         assert self.goal is not None
         if not self.grid.is_inside(start.position):
             self.searched = "the vehicle is outside of its map"

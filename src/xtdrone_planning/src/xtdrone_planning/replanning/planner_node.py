@@ -25,6 +25,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path as FilePath
 
 import numpy as np
 import rospy
@@ -40,6 +41,7 @@ from xtdrone_control import lockstep
 from xtdrone_control.communication.commands import Request
 from xtdrone_control.communication.multirotor import MavrosServices
 from xtdrone_control.rotation import yaw_of
+from xtdrone_control.settings import Settings, setting
 from xtdrone_planning.mapping.local_map import LocalMap
 from xtdrone_planning.mapping.map_feed import MapFeed, SensorSettings
 from xtdrone_planning.mapping.map_messages import FRAME, occupied_cloud, slice_at
@@ -48,6 +50,7 @@ from xtdrone_planning.mapping.sensor_watch import SensorWatch, WatchSettings
 from xtdrone_planning.mapping.voxel_grid import MapSettings
 from xtdrone_planning.replanning.planner import Planner
 from xtdrone_planning.replanning.situation import Command, GoalError, PlannerSettings, Situation
+from xtdrone_planning.replanning.stopwatch import Stopwatch, write_summaries
 from xtdrone_planning.trajectories.local_trajectory import TrajectorySettings
 from xtdrone_planning.trajectories.trajectory_messages import path_message, spline_message
 
@@ -61,6 +64,13 @@ _REPORT_PERIOD = 1.0  # s
 
 
 @dataclass(frozen=True)
+class ReportSettings(Settings):
+    """What the node reports at its end."""
+
+    timings: str = setting("", text="file for the wall times of map updates and plans, JSON; empty: none")
+
+
+@dataclass(frozen=True)
 class NodeSettings:
     """All settings of the node.
 
@@ -69,6 +79,7 @@ class NodeSettings:
         grid: of the local map.
         limits: of trajectories.
         planner: of the planner.
+        report: at the end.
     """
 
     sensor: SensorSettings
@@ -78,6 +89,7 @@ class NodeSettings:
     grid: MapSettings
     limits: TrajectorySettings
     planner: PlannerSettings
+    report: ReportSettings
 
 
 def read_settings() -> NodeSettings:
@@ -94,6 +106,7 @@ def read_settings() -> NodeSettings:
         MapSettings.from_parameters(rospy.get_param),
         TrajectorySettings.from_parameters(rospy.get_param),
         PlannerSettings.from_parameters(rospy.get_param),
+        ReportSettings.from_parameters(rospy.get_param),
     )
 
 
@@ -112,9 +125,13 @@ class VehiclePlanner:
         self._settings = settings
         self._watch = SensorWatch(settings.watch)
         self._map = LocalMap(settings.grid, 2.0 * settings.limits.radius)
-        self.planner = Planner(self._map.grid, settings.planner, settings.limits)
+        self.stopwatch = Stopwatch()
+        timed = self.stopwatch.measuring
+        self.planner = Planner(self._map.grid, settings.planner, settings.limits, lambda: timed("plan"))
         base = f"/{name}/mavros"
-        self._feed = MapFeed(name, self._map, self._watch, settings.sensor.sensor, settings.lidar, settings.depth)
+        self._feed = MapFeed(
+            name, self._map, self._watch, settings.sensor.sensor, settings.lidar, settings.depth, lambda: timed("map")
+        )
         self._services = MavrosServices(name, in_lockstep=lockstep.is_active())
         self._setpoint = lockstep.Publisher(f"{base}/setpoint_raw/local", PositionTarget)
         self._trajectory = lockstep.Publisher(f"/{name}/planner/trajectory", SplineTrajectory, latch=True)
@@ -248,9 +265,7 @@ class VehiclePlanner:
             return
         self._published_number = planner.number
         radius = self._settings.limits.radius
-        self._trajectory.publish(
-            spline_message(planner.trajectory, self.name, planner.number, radius, stamp, FRAME)
-        )
+        self._trajectory.publish(spline_message(planner.trajectory, self.name, planner.number, radius, stamp, FRAME))
         if self._path.get_num_connections():
             self._path.publish(path_message(planner.trajectory, stamp, FRAME))
 
@@ -296,7 +311,32 @@ class VehiclePlanner:
         self._services.close()
 
 
-def planners_of(names: Sequence[str]) -> list[VehiclePlanner]:
-    """Return the planners of some vehicles; rviz's goals are the first one's."""
-    settings = read_settings()
-    return [VehiclePlanner(name, settings, rviz_goal=number == 0) for number, name in enumerate(names)]
+class PlannerNode:
+    """The planners of one or several vehicles in one process."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        """Declare the topics; rviz's goals are the first vehicle's.
+
+        Raises:
+            SettingError: a parameter is not allowed.
+        """
+        settings = read_settings()
+        self._timings = settings.report.timings
+        self._planners = [VehiclePlanner(name, settings, rviz_goal=n == 0) for n, name in enumerate(names)]
+
+    def step(self) -> None:
+        """Advance every planner by a turn."""
+        for planner in self._planners:
+            planner.step()
+
+    def close(self) -> None:
+        """Cancel pending service calls, and write the timings."""
+        for planner in self._planners:
+            planner.close()
+        if self._timings:
+            try:
+                write_summaries(
+                    FilePath(self._timings), {planner.name: planner.stopwatch for planner in self._planners}
+                )
+            except OSError as error:
+                rospy.logwarn(f"planner: timings: {error}")

@@ -34,7 +34,11 @@ class PlannerSettings(Settings):
     retry: float = setting(2.0, low=0.1, high=60.0, unit="s", text="time between attempts at an unreachable goal")
     voxels: int = setting(40000, low=100, high=10_000_000, text="voxels that a search opens at most, bounds its time")
     lead: float = setting(
-        0.2, low=0.0, high=1.0, unit="s", text="setpoints are so much ahead of the trajectory: the lag of autopilot and vehicle"
+        0.2,
+        low=0.0,
+        high=1.0,
+        unit="s",
+        text="setpoints are so much ahead of the trajectory: the lag of autopilot and vehicle",
     )
     astray: float = setting(1.0, low=0.1, high=10.0, unit="m", text="farther off its trajectory the vehicle plans anew")
     yaw_rate: float = setting(1.5, low=0.1, high=6.0, unit="rad/s", text="greatest yaw rate")

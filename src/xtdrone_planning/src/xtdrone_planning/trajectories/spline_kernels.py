@@ -55,7 +55,11 @@ def greatest_speed(points, interval):
     for k in range(len(points) - 3):
         cubic[:] = 0.0
         for c in range(3):
-            a, b, d = points[k + 1, c] - points[k, c], points[k + 2, c] - points[k + 1, c], points[k + 3, c] - points[k + 2, c]
+            a, b, d = (
+                points[k + 1, c] - points[k, c],
+                points[k + 2, c] - points[k + 1, c],
+                points[k + 3, c] - points[k + 2, c],
+            )
             # velocity (a (1-u)^2 + b (1 + 2u - 2u^2) + d u^2) / 2 = p u^2 + q u + r, in voxels of the interval
             p, q, r = 0.5 * (a - 2.0 * b + d), b - a, 0.5 * (a + b)
             cubic[3] += 2.0 * p * p

@@ -49,7 +49,7 @@ class TimeLaw:
 
     def way(self, times: Array) -> Array:
         """Return the way (n,), m, at times (n,), s; before the start 0 and after the end ``length``."""
-        rise, rise_way, fall, fall_way = self._parts
+        rise, rise_way, fall, _ = self._parts
         total = self.duration
         t = np.clip(times, 0.0, total)
         rising = self.speed * t + 0.5 * self.acceleration * t * t

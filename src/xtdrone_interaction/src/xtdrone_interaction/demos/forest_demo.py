@@ -1,0 +1,194 @@
+"""Fly through a forest: run launch/forest.launch, show its progress, and write the report and the map."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from xtdrone_control.fleet import parse_fleet
+from xtdrone_control.settings import Settings, setting
+from xtdrone_interaction.formation.geometry import EVENTS_TOPIC, PROGRESS_TOPIC
+from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, escape, run_flight
+from xtdrone_interaction.metrics.clearance import solids_of
+from xtdrone_interaction.metrics.crossing import make_report
+from xtdrone_interaction.metrics.formation import write_report
+from xtdrone_interaction.monitoring.progress_display import Display
+from xtdrone_interaction.options import seed_setting, speed_setting
+from xtdrone_interaction.recording.crossing import read_crossing
+from xtdrone_interaction.recording.model import RecordError
+from xtdrone_interaction.report.terminal import print_crossing, print_paths
+
+_TYPES = {"lidar": "iris_3d_lidar", "depth": "iris_depth_camera"}
+_START_LIMIT = 180.0  # s of wall time until the first progress message; kernels may have to be compiled
+_TIMINGS = "planning_times.json"
+_SETTINGS = "forest.json"  # in the results folder, for a report that is made again
+_RESULTS = ("flight.bag", "report.json", "map.png")
+
+
+def _numbers(text: object) -> tuple[float, ...]:
+    try:
+        values = tuple(float(part) for part in str(text).split(","))
+    except ValueError:
+        values = ()
+    if not 2 <= len(values) <= 3 or not all(map(math.isfinite, values)):
+        raise ValueError("two or three numbers, as 14,5 or 65,5,2, m in map")
+    return values
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForestDemoSettings(Settings):
+    """Settings of a flight through a forest.
+
+    Attributes:
+        world: name or file; see ``generated_world``.
+        out: folder of the results.
+        master_port: TCP port of the flight's own ROS master; 0 for the running one of ROS_MASTER_URI.
+        instance: number of the simulation on this machine.
+    """
+
+    sensor: str = setting("lidar", choices=tuple(_TYPES), text="what the UAV sees by")
+    speed_limit: float = setting(4.0, low=0.2, high=15.0, unit="m/s", metavar="M/S", text="greatest speed")
+    acceleration_limit: float = setting(
+        3.0, low=0.3, high=8.0, unit="m/s²", metavar="M/S2", text="greatest acceleration"
+    )
+    density: float = setting(0.1, low=0.01, high=0.2, unit="1/m²", metavar="D", text="trees per square metre")
+    world: str = ""
+    start: tuple[float, ...] = setting(
+        (14.0, 5.0), parse=_numbers, metavar="X,Y", text="start, m in map (default: 14,5)"
+    )
+    goal: tuple[float, ...] = setting(
+        (65.0, 5.0, 2.0), parse=_numbers, metavar="X,Y[,Z]", text="goal, m in map (default: 65,5,2; height 2)"
+    )
+    time_limit: float = setting(
+        180.0, low=10.0, high=3600.0, unit="s", metavar="S", text="simulated time after which the UAV lands where it is"
+    )
+    seed: int = seed_setting("seed of the forest and of all noise")
+    speed: float = speed_setting()
+    out: Path = Path()
+    master_port: int = 0
+    headless: bool = setting(False, text="no live display: print a line of progress every few seconds")
+    logs: bool = setting(False, text="write the vehicle's flight log (PX4's ULog)")
+    instance: int = 0
+
+    @property
+    def fleet(self) -> str:
+        """The vehicles, as /xtdrone/fleet has them."""
+        return f"{_TYPES[self.sensor]}:1"
+
+    @property
+    def generated_world(self) -> str:
+        """The forest of the seed: bare trunks on 40 x 40 m between start and goal."""
+        return f"forest:seed={self.seed},density={self.density:g},length=73,width=40,trunks=true"
+
+    def stored(self) -> dict[str, Any]:
+        """Return the settings stored in the report."""
+        unstored = ("out", "master_port", "headless", "instance")
+        return {key: value for key, value in asdict(self).items() if key not in unstored}
+
+
+def run_forest(settings: ForestDemoSettings, console: Console) -> int:
+    """Fly.
+
+    Returns:
+        The exit status: 0 if the UAV has arrived without a touch, 1 if not, 128 + signal when stopped.
+    """
+    begin = time.monotonic()
+
+    def conclude(_: object) -> int:
+        stored = {**settings.stored(), "fleet": settings.fleet, "wall_time": time.monotonic() - begin}
+        (settings.out / _SETTINGS).write_text(json.dumps(stored, indent=2) + "\n", encoding="utf-8")
+        return _report(settings.out, stored, console)
+
+    return run_flight(flight(settings), console, conclude)
+
+
+def flight(settings: ForestDemoSettings) -> Flight:
+    """Return the launch file with its arguments."""
+    start, goal = settings.start, settings.goal
+    height = goal[2] if len(goal) > 2 else 2.0
+    return Flight(
+        file="forest.launch",
+        arguments={
+            "vehicles": settings.fleet,
+            "sensor": settings.sensor,
+            "poses": f"[[{','.join(f'{value:g}' for value in start)}]]",
+            "goals": f"[[{goal[0]:g},{goal[1]:g},{height:g}]]",
+            "world": settings.world,
+            "speed_limit": settings.speed_limit,
+            "acceleration_limit": settings.acceleration_limit,
+            "time_limit": settings.time_limit,
+            "seed": settings.seed,
+            "speed": settings.speed,
+            "out": settings.out,
+            **({"log": settings.out / "ulog"} if settings.logs else {}),
+            **({"instance": settings.instance} if settings.instance else {}),
+        },
+        out=settings.out,
+        bag="flight.bag",
+        master_port=settings.master_port,
+        headless=settings.headless,
+        instance=settings.instance,
+        start_limit=_START_LIMIT,
+        progress_topic=PROGRESS_TOPIC,
+        events_topic=EVENTS_TOPIC,
+        last_events=("finished",),
+        show_event=show_event,
+    )
+
+
+def show_event(event: dict[str, Any], display: Display) -> None:
+    """Show an event of the director, if it is of interest to the user."""
+    if event.get("outcome") and event["event"] == "landing":
+        display.note(f"  {event['time']:6.1f} s  {event['vehicle']}: {escape(str(event['outcome']))}")
+
+
+def is_forest(folder: Path) -> bool:
+    """Return whether a results folder is that of a flight through a forest."""
+    return (folder / _SETTINGS).is_file()
+
+
+def report_again(bag: Path, console: Console) -> int:
+    """Make report and map of a recorded flight again; return the exit status.
+
+    Raises:
+        DemoError: it cannot be read.
+    """
+    try:
+        settings = json.loads((bag.parent / _SETTINGS).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise DemoError(f"{bag.parent / _SETTINGS}: {error}") from error
+    return _report(bag.parent, settings, console)
+
+
+def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
+    """Write report.json and map.png, print the figures, and return the exit status.
+
+    Raises:
+        DemoError: the bag is not the record of such a flight.
+    """
+    from xtdrone_interaction.pictures.crossing_map import save_crossing_map  # matplotlib takes a while to import
+    from xtdrone_sim.worlds.catalogue import load_world
+
+    timings: dict[str, Any] = {}
+    with contextlib.suppress(FileNotFoundError, ValueError):
+        timings = json.loads((folder / _TIMINGS).read_text(encoding="utf-8"))
+    try:
+        names = [vehicle.name for vehicle in parse_fleet(str(settings["fleet"]))]
+        record = read_crossing(folder / "flight.bag", names)
+        solids, _ = solids_of(load_world(str(settings["world"])).models)
+    except (RecordError, ValueError) as error:
+        raise DemoError(str(error)) from error
+    report = make_report(record, solids, settings, timings)
+    write_report(report, folder / "report.json")
+    save_crossing_map(record, solids, folder / "map.png")
+    print_crossing(report, console)
+    print_paths((folder / name for name in _RESULTS if (folder / name).exists()), console)
+    return 1 if report["shortcomings"] else 0
