@@ -27,20 +27,30 @@ from xtdrone_interaction.recording.model import RecordError
 from xtdrone_interaction.report.terminal import print_crossing, print_paths
 
 _TYPES = {"lidar": "iris_3d_lidar", "depth": "iris_depth_camera"}
+_HEIGHT = 2.0  # m
 _START_LIMIT = 180.0  # s of wall time until the first progress message; kernels may have to be compiled
 _TIMINGS = "planning_times.json"
 _SETTINGS = "forest.json"  # in the results folder, for a report that is made again
 _RESULTS = ("flight.bag", "report.json", "map.png")
 
 
-def _numbers(text: object) -> tuple[float, ...]:
+def _numbers(text: object, counts: tuple[int, ...], example: str) -> tuple[float, ...]:
     try:
         values = tuple(float(part) for part in str(text).split(","))
     except ValueError:
         values = ()
-    if not 2 <= len(values) <= 3 or not all(map(math.isfinite, values)):
-        raise ValueError("two or three numbers, as 14,5 or 65,5,2, m in map")
+    if len(values) not in counts or not all(map(math.isfinite, values)):
+        raise ValueError(f"{' or '.join(map(str, counts))} numbers with commas between, as {example}, m in map")
     return values
+
+
+def _parse_start(text: object) -> tuple[float, ...]:
+    return _numbers(text, (2,), "14,5")
+
+
+def _parse_goal(text: object) -> tuple[float, ...]:
+    values = _numbers(text, (2, 3), "65,5,2")
+    return values if len(values) > 2 else (*values, _HEIGHT)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,17 +65,17 @@ class ForestDemoSettings(Settings):
     """
 
     sensor: str = setting("lidar", choices=tuple(_TYPES), text="what the UAV sees by")
-    speed_limit: float = setting(4.0, low=0.2, high=15.0, unit="m/s", metavar="M/S", text="greatest speed")
+    speed_limit: float = setting(4.5, low=0.2, high=15.0, unit="m/s", metavar="M/S", text="greatest speed")
     acceleration_limit: float = setting(
         3.0, low=0.3, high=8.0, unit="m/s²", metavar="M/S2", text="greatest acceleration"
     )
     density: float = setting(0.1, low=0.01, high=0.2, unit="1/m²", metavar="D", text="trees per square metre")
     world: str = ""
-    start: tuple[float, ...] = setting(
-        (14.0, 5.0), parse=_numbers, metavar="X,Y", text="start, m in map (default: 14,5)"
+    start: tuple[float, float] = setting(
+        (14.0, 5.0), parse=_parse_start, metavar="X,Y", text="start, m in map (default: 14,5)"
     )
-    goal: tuple[float, ...] = setting(
-        (65.0, 5.0, 2.0), parse=_numbers, metavar="X,Y[,Z]", text="goal, m in map (default: 65,5,2; height 2)"
+    goal: tuple[float, float, float] = setting(
+        (65.0, 5.0, _HEIGHT), parse=_parse_goal, metavar="X,Y[,Z]", text="goal, m in map (default: 65,5,2)"
     )
     time_limit: float = setting(
         180.0, low=10.0, high=3600.0, unit="s", metavar="S", text="simulated time after which the UAV lands where it is"
@@ -113,14 +123,13 @@ def run_forest(settings: ForestDemoSettings, console: Console) -> int:
 def flight(settings: ForestDemoSettings) -> Flight:
     """Return the launch file with its arguments."""
     start, goal = settings.start, settings.goal
-    height = goal[2] if len(goal) > 2 else 2.0
     return Flight(
         file="forest.launch",
         arguments={
             "vehicles": settings.fleet,
             "sensor": settings.sensor,
             "poses": f"[[{','.join(f'{value:g}' for value in start)}]]",
-            "goals": f"[[{goal[0]:g},{goal[1]:g},{height:g}]]",
+            "goals": f"[[{','.join(f'{value:g}' for value in goal)}]]",
             "world": settings.world,
             "speed_limit": settings.speed_limit,
             "acceleration_limit": settings.acceleration_limit,

@@ -214,7 +214,7 @@ class Braking(FlightState):
 
     def report(self, planner: _Planner, now: Situation) -> tuple[int, str]:
         """Return level and text."""
-        return WARNING, f"{self.name}; {self.reason}"
+        return (ERROR, f"{self.name}; {now.fault}") if now.fault else (WARNING, f"{self.name}; {self.reason}")
 
 
 class Hovering(FlightState):

@@ -133,12 +133,17 @@ class Planner:
             self.searched = "the vehicle is outside of its map"
             return False
         clearance = self.limits.clearance(self.grid.resolution)
+        if self.grid.is_inside(self.goal):
+            away = float(self.grid.distance[self.grid.index(self.goal)])
+            if away < clearance:
+                self.searched = f"the goal is {away:.1f} m from an obstacle"
+                return False
         heights = (self.settings.lowest, self.settings.highest)
         self.path = self._search.find(
             self.grid, start.position, self.goal, clearance, self.limits.radius, heights, self.settings.horizon
         )
         if self.path.outcome == BLOCKED:
-            self.searched = self._why_blocked()
+            self.searched = "there is no way to the goal on the map"
             return False
         if length_of(self.path.points) < _LEAST_WAY and not self.path.is_whole:
             self.searched = "the way ahead has not been seen"
@@ -189,15 +194,6 @@ class Planner:
     def _fly(self, trajectory: UniformSpline) -> None:
         self.trajectory = trajectory
         self.number += 1
-
-    def _why_blocked(self) -> str:
-        goal = self.goal
-        assert goal is not None
-        if self.grid.is_inside(goal):
-            away = float(self.grid.distance[self.grid.index(goal)])
-            if away < self.limits.clearance(self.grid.resolution):
-                return f"the goal is {away:.1f} m from an obstacle"
-        return "there is no way to the goal on the map"
 
     def _slewed_yaw(self, now: Situation) -> float:
         """Return the yaw towards the way ahead, within the yaw rate."""

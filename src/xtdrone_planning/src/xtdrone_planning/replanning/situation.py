@@ -32,7 +32,7 @@ class PlannerSettings(Settings):
         6.0, low=0.5, high=120.0, unit="s", text="a goal to which no trajectory is found for so long is unreachable"
     )
     retry: float = setting(2.0, low=0.1, high=60.0, unit="s", text="time between attempts at an unreachable goal")
-    voxels: int = setting(40000, low=100, high=10_000_000, text="voxels that a search opens at most, bounds its time")
+    voxels: int = setting(25000, low=100, high=10_000_000, text="voxels that a search opens at most, bounds its time")
     lead: float = setting(
         0.2,
         low=0.0,

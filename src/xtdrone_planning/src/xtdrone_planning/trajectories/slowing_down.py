@@ -29,9 +29,11 @@ def stopping(spline: UniformSpline, time: float, deceleration: float) -> Uniform
     position, velocity, acceleration = spline.at(time)
     places = _slower_places(spline, time, deceleration)
     speed = _length(velocity)
-    braking = acceleration - deceleration * velocity / speed if speed > _STILL else np.zeros(3)
+    if speed > _STILL:
+        along = float((velocity * acceleration).sum()) / speed
+        acceleration = acceleration - (along + max(deceleration, -along)) * velocity / speed
     inner = places[2:-1] - (places[1:-2] - 2.0 * places[2:-1] + places[3:]) / 6.0
-    first = first_points(position, velocity, braking, _INTERVAL)
+    first = first_points(position, velocity, acceleration, _INTERVAL)
     return UniformSpline(time, _INTERVAL, np.vstack([first, inner, np.tile(places[-1], (3, 1))]))
 
 
@@ -39,9 +41,13 @@ def _slower_places(spline: UniformSpline, time: float, deceleration: float) -> A
     """Return the places (n, 3), m, at the knots of the trajectory that brakes; at least 4."""
     places, at, rate = [spline.at(time)[0]], time, 1.0
     while len(places) < _MOST:
-        speed = _length(spline.at(at)[1])
-        slower = rate - deceleration * _INTERVAL / max(speed, _STILL)
-        if slower <= 0.0 or speed * rate <= _STILL or at >= spline.end:
+        _, velocity, acceleration = spline.at(at)
+        speed = _length(velocity)
+        if speed * rate <= _STILL or at >= spline.end:
+            break
+        along = float((velocity * acceleration).sum()) / speed * rate * rate
+        slower = rate - max(0.0, deceleration + along) * _INTERVAL / speed
+        if slower <= 0.0:
             break
         at += 0.5 * (rate + slower) * _INTERVAL
         rate = slower
