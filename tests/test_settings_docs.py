@@ -12,6 +12,7 @@ from xtdrone_control.settings import Settings
 from xtdrone_coordination.network import NetworkOptions
 from xtdrone_coordination.ros import HostedCommunication
 from xtdrone_coordination.search.settings import MissionSettings
+from xtdrone_interaction.crossing.mission import CrossingSettings
 from xtdrone_interaction.formation.director import DirectorSettings
 from xtdrone_interaction.rviz.markers_node import MarkerSettings
 from xtdrone_perception.detection.detector import DetectorSettings
@@ -21,6 +22,13 @@ from xtdrone_perception.following.human_tracking_node import TrackingOptions
 from xtdrone_perception.gimbal_node import GimbalOptions
 from xtdrone_perception.tracking.geolocation import Noise, Person
 from xtdrone_perception.tracking.tracker import TrackerSettings
+from xtdrone_planning.mapping.map_feed import SensorChoice
+from xtdrone_planning.mapping.range_images import DepthMapping, LidarMapping
+from xtdrone_planning.mapping.sensor_watch import WatchSettings
+from xtdrone_planning.mapping.voxel_grid import MapSettings
+from xtdrone_planning.replanning.planner_node import TimingSettings
+from xtdrone_planning.replanning.situation import PlannerSettings
+from xtdrone_planning.trajectories.local_trajectory import TrajectorySettings
 from xtdrone_sim.air.body_drag import BodyDragSettings
 from xtdrone_sim.air.downwash import DownwashSettings
 from xtdrone_sim.air.dryden import DrydenSettings
@@ -83,6 +91,15 @@ CLASSES: dict[str, type[Settings]] = {
         MissionSettings,
         NetworkOptions,
         DirectorSettings,
+        CrossingSettings,
+        PlannerSettings,
+        TrajectorySettings,
+        SensorChoice,
+        LidarMapping,
+        DepthMapping,
+        WatchSettings,
+        MapSettings,
+        TimingSettings,
         MarkerSettings,
     )
 }

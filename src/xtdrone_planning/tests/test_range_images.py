@@ -10,16 +10,16 @@ import pytest
 from xtdrone_planning.mapping.local_map import LocalMap
 from xtdrone_planning.mapping.range_images import (
     DepthImages,
-    DepthSettings,
+    DepthMapping,
     LidarImages,
-    LidarSettings,
+    LidarMapping,
     RangeImage,
     ScanError,
 )
 from xtdrone_planning.mapping.voxel_grid import MapSettings
 
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("time", "<f4")])
-LIDAR = LidarSettings(columns=64, channels=4, vertical_min=-0.2, vertical_max=0.2)
+LIDAR = LidarMapping(columns=64, channels=4, vertical_min=-0.2, vertical_max=0.2)
 
 
 def cloud(azimuths, rings, ranges, times) -> np.ndarray:
@@ -75,7 +75,7 @@ def test_points_too_near_or_not_finite_tell_nothing():
 
 def test_a_depth_picture_of_a_wall_is_a_plane():
     depths = np.full((48, 64), 4.0)
-    image = DepthImages(DepthSettings(stride=4)).image(depths, (60.0, 60.0, 32.0, 24.0))
+    image = DepthImages(DepthMapping(stride=4)).image(depths, (60.0, 60.0, 32.0, 24.0))
     ranges, directions, _, hits = image.rays()
     assert hits.all()
     assert np.allclose(directions[:, 0] * ranges, 4.0)
@@ -85,7 +85,7 @@ def test_a_depth_picture_of_a_wall_is_a_plane():
 
 def test_bad_intrinsics_are_named():
     with pytest.raises(ScanError, match=r"fx 0\.0"):
-        DepthImages(DepthSettings()).image(np.ones((8, 8)), (0.0, 60.0, 4.0, 4.0))
+        DepthImages(DepthMapping()).image(np.ones((8, 8)), (0.0, 60.0, 4.0, 4.0))
 
 
 def test_a_scan_in_flight_is_placed_ray_by_ray():

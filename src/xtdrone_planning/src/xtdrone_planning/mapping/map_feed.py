@@ -26,9 +26,9 @@ from xtdrone_planning.mapping.local_map import LocalMap
 from xtdrone_planning.mapping.map_messages import depths_of
 from xtdrone_planning.mapping.range_images import (
     DepthImages,
-    DepthSettings,
+    DepthMapping,
     LidarImages,
-    LidarSettings,
+    LidarMapping,
     RangeImage,
     ScanError,
     points_of,
@@ -39,7 +39,7 @@ _INTRINSICS = (0, 4, 2, 5)  # fx, fy, cx, cy in K
 
 
 @dataclass(frozen=True)
-class SensorSettings(Settings):
+class SensorChoice(Settings):
     """Which sensor maps."""
 
     sensor: str = setting(
@@ -56,8 +56,8 @@ class MapFeed:
         local_map: LocalMap,
         watch: SensorWatch,
         sensor: str,
-        lidar: LidarSettings,
-        depth: DepthSettings,
+        lidar: LidarMapping,
+        depth: DepthMapping,
         timed: Callable[[], AbstractContextManager[None]] = nullcontext,
     ) -> None:
         """Declare the topics.

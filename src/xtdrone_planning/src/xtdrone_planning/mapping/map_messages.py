@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import rospy
@@ -16,7 +17,7 @@ from xtdrone_planning.mapping.voxel_grid import FREE_TO, OCCUPIED_FROM, VoxelGri
 FRAME = "map"
 
 _XYZ = [PointField(name, 4 * n, PointField.FLOAT32, 1) for n, name in enumerate("xyz")]
-_DEPTHS = {"32FC1": (np.dtype("<f4"), 1.0), "16UC1": (np.dtype("<u2"), 0.001)}
+_DEPTHS: dict[str, tuple[np.dtype[Any], float]] = {"32FC1": (np.dtype("<f4"), 1.0), "16UC1": (np.dtype("<u2"), 0.001)}
 """Encodings of depth pictures (REP 118): type, and m in a unit."""
 
 

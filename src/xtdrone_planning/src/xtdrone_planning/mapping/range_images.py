@@ -25,7 +25,7 @@ class ScanError(ValueError):
 
 
 @dataclass(frozen=True)
-class LidarSettings(Settings):
+class LidarMapping(Settings):
     """The lidar whose cloud is mapped; the defaults are those of ``iris_3d_lidar``."""
 
     lidar_topic: str = setting("velodyne_points", text="topic of the cloud below /VEHICLE/")
@@ -42,7 +42,7 @@ class LidarSettings(Settings):
 
 
 @dataclass(frozen=True)
-class DepthSettings(Settings):
+class DepthMapping(Settings):
     """The depth camera whose picture is mapped; the defaults are those of ``iris_depth_camera``."""
 
     depth_topic: str = setting("depth_camera/depth", text="where image_raw and camera_info are, below /VEHICLE/")
@@ -122,7 +122,7 @@ def points_of(message: object) -> NDArray[np.void]:
 class LidarImages:
     """Clouds of a spinning lidar as range images."""
 
-    def __init__(self, settings: LidarSettings) -> None:
+    def __init__(self, settings: LidarMapping) -> None:
         """Prepare the directions of all rays."""
         self._settings = settings
         azimuth = np.linspace(-math.pi, math.pi, settings.columns, endpoint=False)
@@ -171,7 +171,7 @@ class LidarImages:
 class DepthImages:
     """Pictures of a depth camera as range images."""
 
-    def __init__(self, settings: DepthSettings) -> None:
+    def __init__(self, settings: DepthMapping) -> None:
         """Start without the camera's intrinsics."""
         self._settings = settings
         self._key: tuple[float, ...] = ()

@@ -8,6 +8,7 @@ is the third state, unknown.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from xtdrone_planning.mapping.distance_field import distance_field
 from xtdrone_planning.mapping.ray_casting import cast_rays, free_sphere
 
 Array = NDArray[np.float64]
+_Grid = TypeVar("_Grid", NDArray[np.int16], NDArray[np.float32])
 
 HIT, MISS = 85, -40
 """Evidence of a ray that ends in a voxel, and of one that passes through it."""
@@ -129,7 +131,7 @@ class VoxelGrid:
         return self.middle(np.argwhere(self.evidence >= OCCUPIED_FROM))
 
 
-def _shifted(values: NDArray[np.generic], moved: NDArray[np.int64], fill: float) -> NDArray[np.generic]:
+def _shifted(values: _Grid, moved: NDArray[np.int64], fill: float) -> _Grid:
     """Return a grid whose voxel i is the old one's voxel i + ``moved``; new voxels have the value ``fill``."""
     shifted = np.full_like(values, fill)
     old = [slice(max(0, m), n + min(0, m)) for m, n in zip(moved.tolist(), values.shape, strict=True)]

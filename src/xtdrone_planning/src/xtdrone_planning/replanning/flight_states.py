@@ -18,7 +18,7 @@ from typing import Protocol
 
 import numpy as np
 
-from xtdrone_planning.replanning.situation import Situation
+from xtdrone_planning.replanning.situation import PlannerSettings, Situation
 from xtdrone_planning.trajectories.local_trajectory import State
 from xtdrone_planning.trajectories.uniform_spline import UniformSpline
 
@@ -33,7 +33,7 @@ class _Planner(Protocol):
     goal_number: int
     trajectory: UniformSpline | None
     searched: str
-    settings: object
+    settings: PlannerSettings
 
     def hold(self, position: np.ndarray, time: float) -> None: ...
     def plan(self, now: Situation, start: State) -> bool: ...

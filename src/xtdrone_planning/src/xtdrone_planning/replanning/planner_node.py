@@ -43,9 +43,9 @@ from xtdrone_control.communication.multirotor import MavrosServices
 from xtdrone_control.rotation import yaw_of
 from xtdrone_control.settings import Settings, setting
 from xtdrone_planning.mapping.local_map import LocalMap
-from xtdrone_planning.mapping.map_feed import MapFeed, SensorSettings
+from xtdrone_planning.mapping.map_feed import MapFeed, SensorChoice
 from xtdrone_planning.mapping.map_messages import FRAME, occupied_cloud, slice_at
-from xtdrone_planning.mapping.range_images import DepthSettings, LidarSettings
+from xtdrone_planning.mapping.range_images import DepthMapping, LidarMapping
 from xtdrone_planning.mapping.sensor_watch import SensorWatch, WatchSettings
 from xtdrone_planning.mapping.voxel_grid import MapSettings
 from xtdrone_planning.replanning.planner import Planner
@@ -64,7 +64,7 @@ _REPORT_PERIOD = 1.0  # s
 
 
 @dataclass(frozen=True)
-class ReportSettings(Settings):
+class TimingSettings(Settings):
     """What the node reports at its end."""
 
     timings: str = setting("", text="file for the wall times of map updates and plans, JSON; empty: none")
@@ -82,14 +82,14 @@ class NodeSettings:
         report: at the end.
     """
 
-    sensor: SensorSettings
-    lidar: LidarSettings
-    depth: DepthSettings
+    sensor: SensorChoice
+    lidar: LidarMapping
+    depth: DepthMapping
     watch: WatchSettings
     grid: MapSettings
     limits: TrajectorySettings
     planner: PlannerSettings
-    report: ReportSettings
+    report: TimingSettings
 
 
 def read_settings() -> NodeSettings:
@@ -99,14 +99,14 @@ def read_settings() -> NodeSettings:
         SettingError: a parameter is not allowed.
     """
     return NodeSettings(
-        SensorSettings.from_parameters(rospy.get_param),
-        LidarSettings.from_parameters(rospy.get_param),
-        DepthSettings.from_parameters(rospy.get_param),
+        SensorChoice.from_parameters(rospy.get_param),
+        LidarMapping.from_parameters(rospy.get_param),
+        DepthMapping.from_parameters(rospy.get_param),
         WatchSettings.from_parameters(rospy.get_param),
         MapSettings.from_parameters(rospy.get_param),
         TrajectorySettings.from_parameters(rospy.get_param),
         PlannerSettings.from_parameters(rospy.get_param),
-        ReportSettings.from_parameters(rospy.get_param),
+        TimingSettings.from_parameters(rospy.get_param),
     )
 
 

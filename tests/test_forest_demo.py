@@ -1,0 +1,65 @@
+"""``./xtdrone demo forest``: a flight through trees in lockstep, its report, and values that are not allowed."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import START_LIMIT, WALL_LIMIT, wait_for_ports
+
+from xtdrone_interaction import cli
+
+pytest.importorskip("rospy")
+
+RADIUS = 0.4  # m, of the vehicle with its rotors
+
+
+def fly(folder: Path, *arguments: str) -> tuple[int, str]:
+    """Run the demo; return exit status and output."""
+    command = [sys.executable, "-m", "xtdrone_interaction", "demo", "forest", "--headless", "--out", str(folder)]
+    run = subprocess.run(
+        [*command, *arguments], capture_output=True, text=True, timeout=START_LIMIT + 2 * WALL_LIMIT, check=False
+    )
+    return run.returncode, run.stdout + run.stderr
+
+
+def test_a_uav_flies_through_trees_and_the_report_says_how(tmp_path: Path) -> None:
+    wait_for_ports("iris:1")
+    status, output = fly(tmp_path / "run", "--seed", "2", "--goal", "38,5")
+    assert status == 0, output
+    report = json.loads((tmp_path / "run" / "report.json").read_text())
+    vehicle = report["vehicles"]["iris_3d_lidar_0"]
+    assert vehicle["outcome"] == "arrived"
+    assert vehicle["clearance"] > RADIUS
+    assert vehicle["straight"] == pytest.approx(24.0, abs=0.5)
+    assert vehicle["path"] >= vehicle["straight"]
+    assert vehicle["time"] > vehicle["straight_time"]
+    assert vehicle["mean_speed"] > 1.5
+    assert report["collisions"] == report["shortcomings"] == []
+    assert report["timings"]["iris_3d_lidar_0"]["plan"]["count"] > 5
+    assert (tmp_path / "run" / "map.png").stat().st_size > 10_000
+    assert "arrived" in output
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--goal", "3"], "2 or 3 numbers with commas between"),
+        (["--start", "a,b"], "2 numbers with commas between"),
+        (["--sensor", "radar"], "radar"),
+        (["--speed-limit", "0"], "0.2 to 15 m/s"),
+        (["--world", "forrest"], "'forrest' is unknown"),
+    ],
+)
+def test_values_that_are_not_allowed_are_named(
+    options: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        status = cli.main(["demo", "forest", *options])
+    except SystemExit as ended:  # of argparse
+        status = int(str(ended.code))
+    assert status == 2
+    assert words in capsys.readouterr().err
