@@ -1,0 +1,49 @@
+"""The planner in flight, with a lidar that freezes and one that is silent: it brakes, waits, and arrives in the end."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import rospy
+from conftest import START_LIMIT, WALL_LIMIT, Stack, poll, wait_for_ports
+
+PILOT = Path(__file__).with_name("planner_pilot.py")
+WORLD = "forest:density=0.05,trunks=true,seed=4,length=50,width=30"
+
+PARAMETERS = {"/lockstep/wait": True, "/use_sim_time": True, "/xtdrone/fleet": "iris_3d_lidar:1"}
+
+
+def test_a_lidar_that_fails_in_flight_is_reported_and_does_no_harm(graph, tmp_path: Path) -> None:
+    wait_for_ports("iris:1")
+    record = tmp_path / "record.jsonl"
+    for (
+        name,
+        value,
+    ) in PARAMETERS.items():  # nodes that start before the launch file's parameters wait for the simulator
+        rospy.set_param(name, value)
+    stack = Stack(graph, tmp_path, "iris_3d_lidar:1")
+    try:
+        stack.launch(
+            "multi_vehicle.launch", "vehicles:=iris_3d_lidar:1", "poses:=[[14,5]]", f"world:={WORLD}", "speed:=0",
+            "lidars:=true", "participants:=/mavros,/lidars,/planner,/planner_pilot",
+        )  # fmt: skip
+        stack.run("planner", "xtdrone_planning", "planner.py", "iris_3d_lidar", "0")
+        pilot = stack.start("planner_pilot", [sys.executable, str(PILOT), str(record), "__name:=planner_pilot"])
+        poll(lambda: not pilot.alive, "the pilot's end", START_LIMIT + WALL_LIMIT)
+    finally:
+        stack.stop()
+    lines = [json.loads(line) for line in record.read_text().splitlines()]
+    assert lines[-1]["kind"] == "end", lines[-8:]
+    states = [line["text"] for line in lines if line["kind"] == "state"]
+    failed = ["following", "braking", "planning"]
+    assert states == ["waiting", "planning", *failed, *failed, "following", "hovering at the goal"]
+    reports = [(line["level"], line["text"]) for line in lines if line["kind"] == "report"]
+    assert (1, "waiting; a goal was dropped: the vehicle is not flying") in reports
+    assert any(level == 2 and "sensor frozen: 4 equal measurements" in text for level, text in reports)
+    assert any(level == 2 and "sensor silent for 0." in text for level, text in reports)
+    assert reports[-1][0] == 0
+    ends = [line["end"] for line in lines if line["kind"] == "trajectory"]
+    assert all(end[2] < 5.0 for end in ends)  # the goal that was too high was never flown to
+    assert ends[-1] == [40.0, 5.0, 2.0]
