@@ -21,7 +21,7 @@ def test_a_lidar_that_fails_in_flight_is_reported_and_does_no_harm(graph, tmp_pa
     for (
         name,
         value,
-    ) in PARAMETERS.items():  # nodes that start before the launch file's parameters wait for the simulator
+    ) in PARAMETERS.items():  # nodes may start before the launch file has set them
         rospy.set_param(name, value)
     stack = Stack(graph, tmp_path, "iris_3d_lidar:1")
     try:

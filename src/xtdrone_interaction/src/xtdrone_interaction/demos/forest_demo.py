@@ -77,6 +77,9 @@ class ForestDemoSettings(Settings):
     goal: tuple[float, float, float] = setting(
         (65.0, 5.0, _HEIGHT), parse=_parse_goal, metavar="X,Y[,Z]", text="goal, m in map (default: 65,5,2)"
     )
+    highest: float = setting(
+        5.0, low=1.0, high=100.0, unit="m", metavar="M", text="highest flight; lower than walls: round, not over them"
+    )
     time_limit: float = setting(
         180.0, low=10.0, high=3600.0, unit="s", metavar="S", text="simulated time after which the UAV lands where it is"
     )
@@ -133,6 +136,7 @@ def flight(settings: ForestDemoSettings) -> Flight:
             "world": settings.world,
             "speed_limit": settings.speed_limit,
             "acceleration_limit": settings.acceleration_limit,
+            "highest": settings.highest,
             "time_limit": settings.time_limit,
             "seed": settings.seed,
             "speed": settings.speed,
