@@ -72,6 +72,7 @@ class CameraSettings(Settings):
         0.1, low=0.0, high=MOST_LATENCY, unit="s", text="simulated time from exposure to publication"
     )
     backend: str = setting("auto", choices=BACKENDS, text="OpenGL implementation of the renderer")
+    shadows: bool = setting(False, text="shadows of the sun, by rays, unless the world's light has none")
 
     def rates(self, cameras: Sequence[Camera]) -> list[float]:
         """Return each camera's rate, Hz."""
@@ -275,7 +276,7 @@ def main(arguments: Sequence[str]) -> None:
     try:
         lockstep.start()  # returns when the simulator is running and has set the world
         world = str(rospy.get_param("~world", rospy.get_param("/xtdrone/world", "empty")))
-        node.begin(DrawingProcess(Drawn(world, text, settings.backend)))
+        node.begin(DrawingProcess(Drawn(world, text, settings.backend, settings.shadows)))
         lockstep.spin(node.step)
     finally:
         node.close()

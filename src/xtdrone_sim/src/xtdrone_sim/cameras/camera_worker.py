@@ -38,11 +38,13 @@ class Drawn:
         world: name or file.
         fleet: e.g. ``typhoon_h480:6``.
         backend: back end of the renderer.
+        shadows: whether the sun casts shadows.
     """
 
     world: str
     fleet: str
     backend: str = "auto"
+    shadows: bool = False
 
 
 @dataclass(frozen=True)
@@ -165,7 +167,8 @@ def _serve(connection: Connection) -> None:
     drawn: Drawn = connection.recv()
     try:
         renderer = Renderer(drawn.backend)
-        scene = DrawnScene(renderer, load_world_file(drawn.world), parse_fleet(drawn.fleet))
+        fleet = parse_fleet(drawn.fleet)
+        scene = DrawnScene(renderer, load_world_file(drawn.world), fleet, shadows=drawn.shadows)
     except (ValueError, OSError, RendererError) as error:
         connection.send((f"{drawn.world}: {error}", None))
         return

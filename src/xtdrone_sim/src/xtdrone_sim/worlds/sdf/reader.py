@@ -200,8 +200,10 @@ def _with(light: Light, field: str, value: Any) -> Light:
 
 
 def _sun(sun: Element, light: Light) -> Light:
-    sun.warn_unknown(("direction", "diffuse"), ("pose", "specular", "attenuation", "cast_shadows", "spot", "intensity"))
-    direction, diffuse = sun.one("direction"), sun.one("diffuse")
+    sun.warn_unknown(("direction", "diffuse", "cast_shadows"), ("pose", "specular", "attenuation", "spot", "intensity"))
+    direction, diffuse, casts = sun.one("direction"), sun.one("diffuse"), sun.one("cast_shadows")
+    if casts is not None and not casts.boolean():
+        light = replace(light, shadows=False)
     if direction is not None:
         x, y, z = direction.numbers((3,))
         if z >= 0.0:
