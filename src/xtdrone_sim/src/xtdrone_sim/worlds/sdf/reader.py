@@ -189,7 +189,8 @@ def _light(element: Element, light: Light) -> Light:
         if sun.attributes.get("type") == "directional":
             suns.append(sun)
         else:
-            sun.warn_ignored(f"of type {sun.attributes.get('type')!r} is not supported and ignored")
+            kind = sun.attributes.get("type", "")
+            sun.warn_ignored(f"of type {kind!r} is not supported and ignored; the renderer has a directional one")
     for sun in suns[1:]:
         sun.warn_ignored("beside the first directional one is not supported and ignored")
     return _sun(suns[0], light) if suns else light
