@@ -43,6 +43,7 @@ from xtdrone_sim.runtime.simulator_node import NodeSettings
 from xtdrone_sim.topics.robot_tf import TfSettings
 from xtdrone_sim.vehicles.imu_mounts import ImuMount
 from xtdrone_sim.vehicles.lidar_mounts import LidarMount
+from xtdrone_sim.video.video_node import VideoSettings
 from xtdrone_sim.worlds.generated.city import CitySettings
 from xtdrone_sim.worlds.generated.countryside import CountrysideSettings
 from xtdrone_sim.worlds.generated.forest import ForestSettings
@@ -60,6 +61,7 @@ CLASSES: dict[str, type[Settings]] = {
         CommandSettings,
         HostedCommunication,
         CameraSettings,
+        VideoSettings,
         LidarSettings,
         LidarMount,
         ImuMount,
