@@ -4,7 +4,7 @@
 One process serves one vehicle. ``xtdrone_perception.slam.lidar_odometry_node`` lists the topics.
 
 Parameters:
-    those of ``NodeSettings``, ``OdometrySettings`` and ``HealthLimits`` in ``xtdrone_perception.slam``, see
+    those of ``LidarOdometryOptions``, ``RegistrationOptions`` and ``HealthLimits`` in ``xtdrone_perception.slam``, see
         docs/settings.md.
     /xtdrone/fleet (as ``iris_slam:1``): the fleet; without it ids are not checked against a count.
 """

@@ -32,7 +32,7 @@ _CORRELATION = 100.0  # points that share a surface share its errors; found by c
 
 
 @dataclass(frozen=True)
-class OdometrySettings(Settings):
+class RegistrationOptions(Settings):
     """Private parameters of the registration."""
 
     range_min: float = setting(0.5, low=0.0, high=100.0, unit="m", text="nearer points are not used")
@@ -94,7 +94,7 @@ class LidarOdometry:
         pose: (4, 4) body to map, at the end of the last scan.
     """
 
-    def __init__(self, settings: OdometrySettings, lidar: Array, start: Array) -> None:
+    def __init__(self, settings: RegistrationOptions, lidar: Array, start: Array) -> None:
         """Start with an empty map.
 
         Args:

@@ -44,7 +44,7 @@ from xtdrone_perception.tracking.pose_history import PoseHistory
 
 from . import odometry_messages as messages
 from .deskewing import ScanMotion, motion_of
-from .lidar_odometry import LidarOdometry, OdometrySettings, Registration, predicted_pose
+from .lidar_odometry import LidarOdometry, RegistrationOptions, Registration, predicted_pose
 from .odometry_health import Fault, Health, HealthLimits, ScanFigures, State, fault_of
 from .poses import pose_of, rotation_of, turned_about_z, yaw_of
 from .scan_points import PointScan, read_cloud
@@ -61,7 +61,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class NodeSettings(Settings):
+class LidarOdometryOptions(Settings):
     """Private parameters of the node."""
 
     cloud: str = setting("velodyne_points", text="topic of the clouds below the vehicle's namespace")
@@ -107,7 +107,7 @@ class _Outcome(NamedTuple):
 class VehicleOdometry:
     """Topics and state of one vehicle."""
 
-    def __init__(self, name: str, settings: NodeSettings, odometry: OdometrySettings, limits: HealthLimits) -> None:
+    def __init__(self, name: str, settings: LidarOdometryOptions, odometry: RegistrationOptions, limits: HealthLimits) -> None:
         """Declare the topics.
 
         Args:
@@ -311,11 +311,11 @@ class VehicleOdometry:
             rospy.loginfo(f"{self._name}: odometry is good again")
 
 
-def read_settings() -> tuple[NodeSettings, OdometrySettings, HealthLimits]:
+def read_settings() -> tuple[LidarOdometryOptions, RegistrationOptions, HealthLimits]:
     """Read the private parameters.
 
     Raises:
         SettingError: a parameter is not allowed.
     """
     get: Any = rospy.get_param
-    return NodeSettings.from_parameters(get), OdometrySettings.from_parameters(get), HealthLimits.from_parameters(get)
+    return LidarOdometryOptions.from_parameters(get), RegistrationOptions.from_parameters(get), HealthLimits.from_parameters(get)
