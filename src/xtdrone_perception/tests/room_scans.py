@@ -25,7 +25,8 @@ def directions(rings: int = 16, columns: int = 512) -> Array:
 
 def ranges(origins: Array, rays: Array, room: tuple[tuple[float, ...], tuple[float, ...]] | None = ROOM) -> Array:
     """Return the ranges (n,) of rays from inside a room with a block; without a room, of the plane z = 0."""
-    with np.errstate(divide="ignore", invalid="ignore"):
+    rays = np.where(np.abs(rays) < 1e-9, 1e-9, rays)  # no 0 / 0
+    with np.errstate(divide="ignore"):
         if room is None:
             down = -origins[:, 2] / rays[:, 2]
             return np.where(down > 0.0, down, np.inf)

@@ -138,7 +138,8 @@ def _fly(settings: SlamSettings, console: Console) -> int:
         return 0
 
     status = run_launch(launch, console, go)
-    return status or report_again(settings.out / "flight.bag", console, settings.stored())
+    flown = {"world": settings.world, "seed": settings.seed, "height": settings.height, "way": list(settings.way)}
+    return status or report_again(settings.out / "flight.bag", console, flown)
 
 
 def report_again(bag: Path, console: Console, settings: dict[str, Any] | None = None) -> int:

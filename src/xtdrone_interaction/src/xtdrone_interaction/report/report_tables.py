@@ -68,11 +68,8 @@ def number(value: float | None, digits: int = 2) -> str:
 
 def odometry_table(rows: Iterable[dict[str, Any]]) -> ReportTable:
     """Return the table of odometry against the truth, see :class:`~xtdrone_interaction.metrics.odometry.OdometryErrors`."""
-    head = (
-        "odometry", "aligned by", "way (m)", "ATE (m)", "greatest (m)", "at the end (m)", "drift (%)", "RPE of 10 m (%)",
-        "RPE of 10 m (deg)",
-    )  # fmt: skip
-    keys = (("way", 1), ("ate", 3), ("greatest", 3), ("end", 3), ("drift", 3), ("rpe_percent", 2), ("rpe_turn", 2))
+    head = ("odometry", "aligned", "way (m)", "ATE (m)", "most (m)", "end (m)", "drift (%)", "RPE (%)")
+    keys = (("way", 1), ("ate", 3), ("greatest", 3), ("end", 3), ("drift", 3), ("rpe_percent", 2))
     texts = [
         (f"{row['vehicle']} {row['source']}", row["alignment"], *(number(row[key], digits) for key, digits in keys))
         for row in rows
