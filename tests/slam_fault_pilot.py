@@ -1,7 +1,7 @@
 """A script for './xtdrone demo slam': in flight the lidar fails as the environment's SLAM_FAULT says.
 
-It ends well if odometry names the fault on /diagnostics, no pose reaches the autopilot from then on, and the vehicle comes
-down by itself, slowly.
+It ends well if odometry names the fault on /diagnostics, no pose reaches the autopilot from then on, and the vehicle
+comes down by itself, slowly.
 """
 
 from __future__ import annotations

@@ -22,7 +22,18 @@ def fly(out: Path, *arguments: str, **environment: str) -> subprocess.CompletedP
     """Run the demo in a short flight."""
     variables = {k: v for k, v in os.environ.items() if k not in ("ROS_MASTER_URI", "DISPLAY", "ROS_LOG_DIR")}
     return subprocess.run(
-        [sys.executable, "-m", "xtdrone_interaction", "demo", "slam", "--speed", "unlimited", "--out", str(out), *arguments],
+        [
+            sys.executable,
+            "-m",
+            "xtdrone_interaction",
+            "demo",
+            "slam",
+            "--speed",
+            "unlimited",
+            "--out",
+            str(out),
+            *arguments,
+        ],
         env={**variables, **environment},
         capture_output=True,
         text=True,

@@ -25,7 +25,7 @@ USAGE = "lidar_odometry.py TYPE ID   (ID: a number, as 0)"
 
 def main(arguments: Sequence[str]) -> None:
     """Run the node for a vehicle until shutdown."""
-    kind, ids, name = served_vehicles(arguments, rospy.get_param("/xtdrone/fleet", None))
+    _, ids, name = served_vehicles(arguments, rospy.get_param("/xtdrone/fleet", None))
     if len(ids) != 1:
         raise ArgumentError(f"id: {len(ids)} vehicles are not allowed, one for each node")
     lockstep.init_node(f"{name}_lidar_odometry", rate=RATE)

@@ -38,7 +38,11 @@ def ranges(origins: Array, rays: Array, room: tuple[tuple[float, ...], tuple[flo
 
 
 def room_scan(
-    begin: Array, end: Array, seed: int, room: tuple[tuple[float, ...], tuple[float, ...]] | None = ROOM, noise: float = 0.02
+    begin: Array,
+    end: Array,
+    seed: int,
+    room: tuple[tuple[float, ...], tuple[float, ...]] | None = ROOM,
+    noise: float = 0.02,
 ) -> PointScan:
     """Return a scan between two poses (4, 4), the second after one period; the lidar is at the body's origin."""
     rays = directions()

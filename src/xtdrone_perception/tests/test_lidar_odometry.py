@@ -27,7 +27,7 @@ def true_pose(time: float) -> np.ndarray:
 
 
 def fly(seconds: float, room: object = ROOM, start: float = 0.0) -> tuple[LidarOdometry, list, np.ndarray]:
-    """Return odometry, registrations, and the last true pose of a flight in which motion is known as by an autopilot."""
+    """Return odometry, registrations, and the last true pose of a flight whose motion is known as by an autopilot."""
     odometry, found = LidarOdometry(OPTIONS, np.eye(4), true_pose(start + PERIOD)), []
     for k in range(round(seconds / PERIOD)):
         begin, end = true_pose(start + k * PERIOD), true_pose(start + (k + 1) * PERIOD)

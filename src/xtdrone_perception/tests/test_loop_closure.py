@@ -19,7 +19,9 @@ def ring(count: int = 20, radius: float = 10.0) -> list[np.ndarray]:
     """Return poses on a circle, ahead along it; the last one is at the first."""
     angles = np.linspace(0.0, 2.0 * np.pi, count + 1)
     return [
-        pose_of((radius * np.cos(a), radius * np.sin(a), 0.2 * np.sin(3 * a)), Rotation.from_rotvec([0, 0, a + np.pi / 2]))
+        pose_of(
+            (radius * np.cos(a), radius * np.sin(a), 0.2 * np.sin(3 * a)), Rotation.from_rotvec([0, 0, a + np.pi / 2])
+        )
         for a in angles
     ]
 

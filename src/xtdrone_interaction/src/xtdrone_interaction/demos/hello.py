@@ -7,7 +7,6 @@ Exit status: 0 for a flight to its end, 1 if the script or the launch has failed
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 

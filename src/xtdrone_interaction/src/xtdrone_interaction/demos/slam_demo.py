@@ -61,9 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Fly one vehicle without GPS: its lidar says where it is, on a way round a building, home and down. Leaves "
         "runs/<time>/ with flight.bag, report.json, and pictures of the way with its map and of the drift."
     )
-    parser.add_argument(
-        "--script", type=Path, default=SCRIPT, metavar="FILE.py", help="script that flies iris_slam_0"
-    )
+    parser.add_argument("--script", type=Path, default=SCRIPT, metavar="FILE.py", help="script that flies iris_slam_0")
     parser.add_argument(
         "--way", nargs="+", default=[], metavar="X,Y", help="points of the way, m east and north of the start"
     )
@@ -127,7 +125,7 @@ def _fly(settings: SlamSettings, console: Console) -> int:
         headless=True,
         instance=settings.instance,
     )
-    command = [settings.script, f"{TYPE}_0", str(settings.height), *settings.way]
+    command: list[Path | str] = [settings.script, f"{TYPE}_0", str(settings.height), *settings.way]
 
     def go() -> int:
         ended_nodes = EndedNodes(launch.log)

@@ -243,4 +243,3 @@ def write_trajectories(recording: Recording, folder: Path) -> list[Path]:
                 files.append(folder / f"{vehicle}_{name}.{ending}")
                 write(trajectory, files[-1])
     return files
-

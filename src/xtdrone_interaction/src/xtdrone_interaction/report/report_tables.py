@@ -67,7 +67,11 @@ def number(value: float | None, digits: int = 2) -> str:
 
 
 def odometry_table(rows: Iterable[dict[str, Any]]) -> ReportTable:
-    """Return the table of odometry against the truth, see :class:`~xtdrone_interaction.metrics.odometry.OdometryErrors`."""
+    """Return the table of odometry against the truth.
+
+    Args:
+        rows: see :class:`~xtdrone_interaction.metrics.odometry.OdometryErrors`.
+    """
     head = ("odometry", "aligned", "way (m)", "ATE (m)", "most (m)", "end (m)", "drift (%)", "RPE (%)")
     keys = (("way", 1), ("ate", 3), ("greatest", 3), ("end", 3), ("drift", 3), ("rpe_percent", 2))
     texts = [

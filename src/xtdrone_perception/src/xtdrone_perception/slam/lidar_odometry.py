@@ -3,7 +3,7 @@
 The registration is voxelised generalised ICP (K. Koide et al., Voxelized GICP for fast and accurate 3D point cloud
 registration, ICRA 2021) by small_gicp, against a map of Gaussians that forgets what has not been seen for a long time.
 Point-to-point ICP was measured beside it: of a lidar's few rings on the ground the points are drawn along with the
-vehicle, so it lost 1 m of height on 80 m of way where this loses 0.1 m, and took fifteen times as long.
+vehicle, so it lost 1 m of height on 80 m of way where this loses 0.1 m, and took several times as long.
 
 One thread: the sums of several threads would depend on their order.
 """

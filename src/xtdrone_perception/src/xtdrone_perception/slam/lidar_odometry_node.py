@@ -44,7 +44,7 @@ from xtdrone_perception.tracking.pose_history import PoseHistory
 
 from . import odometry_messages as messages
 from .deskewing import ScanMotion, motion_of
-from .lidar_odometry import LidarOdometry, RegistrationOptions, Registration, predicted_pose
+from .lidar_odometry import LidarOdometry, Registration, RegistrationOptions, predicted_pose
 from .odometry_health import Fault, Health, HealthLimits, ScanFigures, State, fault_of
 from .poses import pose_of, rotation_of, turned_about_z, yaw_of
 from .scan_points import PointScan, read_cloud
@@ -107,7 +107,9 @@ class _Outcome(NamedTuple):
 class VehicleOdometry:
     """Topics and state of one vehicle."""
 
-    def __init__(self, name: str, settings: LidarOdometryOptions, odometry: RegistrationOptions, limits: HealthLimits) -> None:
+    def __init__(
+        self, name: str, settings: LidarOdometryOptions, odometry: RegistrationOptions, limits: HealthLimits
+    ) -> None:
         """Declare the topics.
 
         Args:
@@ -194,7 +196,9 @@ class VehicleOdometry:
         times = np.linspace(0.0, duration, _KNOTS)
         found = [self._attitudes.at(begin_ns + round(t * 1e9)) for t in times.tolist()]
         if any(entry is None for entry in found):
-            rospy.logwarn_throttle(10.0, f"{self._name}: no odometry: no attitude on mavros/imu/data at the scan's time")
+            rospy.logwarn_throttle(
+                10.0, f"{self._name}: no odometry: no attitude on mavros/imu/data at the scan's time"
+            )
             return None
         attitudes = Rotation.from_quat(np.array(found))
         end_ns = begin_ns + round(duration * 1e9)
@@ -318,4 +322,8 @@ def read_settings() -> tuple[LidarOdometryOptions, RegistrationOptions, HealthLi
         SettingError: a parameter is not allowed.
     """
     get: Any = rospy.get_param
-    return LidarOdometryOptions.from_parameters(get), RegistrationOptions.from_parameters(get), HealthLimits.from_parameters(get)
+    return (
+        LidarOdometryOptions.from_parameters(get),
+        RegistrationOptions.from_parameters(get),
+        HealthLimits.from_parameters(get),
+    )

@@ -78,7 +78,9 @@ def transform(pose: Array, stamp: Time, parent: str, child: str) -> TFMessage:
     """Return a pose (4, 4) of ``child`` in ``parent`` for tf."""
     found = pose_message(pose)
     p = found.position
-    entry = TransformStamped(Header(stamp=stamp, frame_id=parent), child, Transform(Vector3(p.x, p.y, p.z), found.orientation))
+    entry = TransformStamped(
+        Header(stamp=stamp, frame_id=parent), child, Transform(Vector3(p.x, p.y, p.z), found.orientation)
+    )
     return TFMessage([entry])
 
 

@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField
 _TIMES = ("time", "t", "timestamp", "time_offset")  # s, except for whole numbers, which are ns
 MOST_POINTS = 2_000_000
+_LONGEST = 1.0  # s, of a scan
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,6 @@ def _times(table: NDArray[Any]) -> Array:
             times = table[name].astype(float)
             if table.dtype[name].kind in "iu":
                 times *= 1e-9
-            usable = np.isfinite(times).all() and (not len(times) or 0.0 <= times.min() and times.max() <= 1.0)
-            return times if usable else np.zeros(len(table))
+            is_usable = bool(((times >= 0.0) & (times <= _LONGEST)).all())
+            return times if is_usable else np.zeros(len(table))
     return np.zeros(len(table))

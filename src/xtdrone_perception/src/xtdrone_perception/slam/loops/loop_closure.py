@@ -1,7 +1,7 @@
 """Loop closure: where the vehicle is again at a place that it knows, drift since then is found and taken back.
 
-Every few metres a keyframe keeps the scan. A new one is registered with those nearby in space and far off on the way, by
-generalised ICP on submaps; a registration that fits well becomes an edge of the pose graph beside those of odometry.
+Every few metres a keyframe keeps the scan. A new one is registered, by generalised ICP on submaps, with one that is near
+in space and far off on the way; what fits well becomes an edge of the pose graph beside those of odometry.
 """
 
 from __future__ import annotations
@@ -32,7 +32,9 @@ class LoopOptions(Settings):
     radius: float = setting(12.0, low=1.0, high=200.0, unit="m", text="greatest distance of the places of a loop")
     way: float = setting(40.0, low=1.0, high=1e5, unit="m", text="least way between the places of a loop")
     submap: int = setting(2, low=0, high=20, text="keyframes on each side that join the map of a known place")
-    resolution: float = setting(0.5, low=0.05, high=5.0, unit="m", text="side of the cells in which points are averaged")
+    resolution: float = setting(
+        0.5, low=0.05, high=5.0, unit="m", text="side of the cells in which points are averaged"
+    )
     reach: float = setting(1.5, low=0.1, high=20.0, unit="m", text="greatest distance of corresponding points")
     least_share: float = setting(0.6, low=0.0, high=1.0, text="least share of points with a correspondence")
     most_residual: float = setting(2.0, above=0.0, high=100.0, text="greatest root mean square of normalised residuals")
@@ -105,7 +107,9 @@ class LoopClosure:
         self.poses.append(pose)
         number = len(self.keyframes) - 1
         self.edges.append(
-            Edge(number - 1, number, inverse(last.odometry) @ odometry, _information(self.options.drift * max(step, 0.1)))
+            Edge(
+                number - 1, number, inverse(last.odometry) @ odometry, _information(self.options.drift * max(step, 0.1))
+            )
         )
         loop = self._loop(number)
         if loop is None:

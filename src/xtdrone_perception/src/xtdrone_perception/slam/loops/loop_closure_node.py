@@ -92,7 +92,9 @@ class VehicleLoops:
         self._poses[message.header.stamp.to_nsec()] = pose
         corrected = self._correction @ pose
         stamp = message.header.stamp
-        out = messages.odometry(corrected, np.zeros(3), np.reshape(message.pose.covariance, (6, 6)), stamp, self._frames)
+        out = messages.odometry(
+            corrected, np.zeros(3), np.reshape(message.pose.covariance, (6, 6)), stamp, self._frames
+        )
         out.header.frame_id, out.twist = self._frames.map, message.twist
         self._odometry.publish(out)
         self._tf.publish(messages.transform(self._correction, stamp, self._frames.map, self._frames.odom))

@@ -1,9 +1,9 @@
 """Pose graph: the poses that agree best with measured relative poses, some of which may be wrong.
 
-Nonlinear least squares over SE(3) (G. Grisetti et al., A Tutorial on Graph-Based SLAM, IEEE ITS Magazine 2(4), 2010) by
-Levenberg-Marquardt steps on sparse normal equations. Loops have Cauchy's robust kernel: a wrong one loses its weight. The
-kernel is narrowed by and by (H. Yang et al., Graduated Non-Convexity for Robust Spatial Perception, RA-L 5(2), 2020), for
-drift makes right loops look wrong at first.
+Nonlinear least squares over SE(3) (G. Grisetti et al., A Tutorial on Graph-Based SLAM, IEEE ITS Magazine 2(4), 2010)
+by Levenberg-Marquardt steps on sparse normal equations. Loops have Cauchy's robust kernel: a wrong one loses its
+weight. The kernel is narrowed by and by (H. Yang et al., Graduated Non-Convexity for Robust Spatial Perception, RA-L
+5(2), 2020), for drift makes right loops look wrong at first.
 """
 
 from __future__ import annotations
