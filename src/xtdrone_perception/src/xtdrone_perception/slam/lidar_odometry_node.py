@@ -75,6 +75,7 @@ class LidarOdometryOptions(Settings):
     heading: float | None = setting(
         None, low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad", text="its yaw then, ENU; none: the autopilot's"
     )
+    level: bool = setting(True, text="take base_link for level then; false: its roll and pitch are the autopilot's")
     latency: float = setting(0.04, low=0.0, high=1.0, unit="s", text="simulated time from a scan to its result")
     feed: bool = setting(True, text="send poses to the autopilot")
     tf: bool = setting(False, text="publish T/odom to T/base_link")
@@ -212,11 +213,12 @@ class VehicleOdometry:
     def _started(self, job: _Job) -> LidarOdometry:
         """Return the odometry, which starts with the first scan."""
         if self._core is None:
-            heading = self._settings.heading
-            tilted = pose_of(self._settings.start, job.attitude)
-            if heading is not None:
-                tilted = pose_of(self._settings.start, turned_about_z(heading - yaw_of(tilted)) * job.attitude)
-            self._core = LidarOdometry(self._registration, self._lidar, tilted)
+            settings = self._settings
+            own = yaw_of(pose_of((0.0, 0.0, 0.0), job.attitude))
+            heading = own if settings.heading is None else settings.heading
+            tilt = Rotation.identity() if settings.level else turned_about_z(-own) * job.attitude
+            start = pose_of(settings.start, turned_about_z(heading) * tilt)
+            self._core = LidarOdometry(self._registration, self._lidar, start)
         return self._core
 
     # registration, by the worker
