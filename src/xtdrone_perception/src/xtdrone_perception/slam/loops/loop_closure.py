@@ -1,7 +1,7 @@
 """Loop closure: where the vehicle is again at a place that it knows, drift since then is found and taken back.
 
-Every few metres a keyframe keeps the scan. A new one is registered, by generalised ICP on submaps, with one that is near
-in space and far off on the way; what fits well becomes an edge of the pose graph beside those of odometry.
+Every few metres a keyframe keeps the scan. A new one is registered, by generalised ICP on submaps, with one that is
+near in space and far off on the way; what fits well becomes an edge of the pose graph beside those of odometry.
 """
 
 from __future__ import annotations
