@@ -20,6 +20,11 @@ from xtdrone_perception.detection.yolo_node import DetectionOptions, GroundOptio
 from xtdrone_perception.following.following import FollowSettings
 from xtdrone_perception.following.human_tracking_node import TrackingOptions
 from xtdrone_perception.gimbal_node import GimbalOptions
+from xtdrone_perception.slam.lidar_odometry import RegistrationOptions
+from xtdrone_perception.slam.lidar_odometry_node import LidarOdometryOptions
+from xtdrone_perception.slam.loops.loop_closure import LoopOptions
+from xtdrone_perception.slam.loops.loop_closure_node import LoopNodeOptions
+from xtdrone_perception.slam.odometry_health import HealthLimits
 from xtdrone_perception.tracking.geolocation import Noise, Person
 from xtdrone_perception.tracking.tracker import TrackerSettings
 from xtdrone_planning.mapping.map_feed import SensorChoice
@@ -76,6 +81,11 @@ CLASSES: dict[str, type[Settings]] = {
         CitySettings,
         CountrysideSettings,
         TfSettings,
+        LidarOdometryOptions,
+        RegistrationOptions,
+        HealthLimits,
+        LoopOptions,
+        LoopNodeOptions,
         DriveLimits,
         DifferentialLimits,
         AckermannLimits,
