@@ -15,10 +15,12 @@ from xtdrone_control.fleet import StartPose, Vehicle, place_ids, start_poses, ve
 from xtdrone_sim.autopilots.backend import AutopilotFactory, BuiltinAutopilot
 from xtdrone_sim.physics.starts import StartError
 from xtdrone_sim.physics.world import World, load_world
+from xtdrone_sim.sensors.others import Others
 from xtdrone_sim.sensors.sensor_models import Sensors
 from xtdrone_sim.vehicles.gimbal import Gimbals
 from xtdrone_sim.vehicles.landing_gear import LandingGears
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
+from xtdrone_sim.worlds.actors import actors_of
 
 from .effects import Effect, Effects
 from .free_flight import FreeFlight
@@ -34,6 +36,7 @@ class Simulation:
         gimbals: camera gimbals of all vehicles.
         landing_gears: landing gears of all vehicles.
         effects: forces and torques added to those of the rotors; None without effects.
+        actors: people, at their states of any time.
         autopilots: autopilot back end of the fleet.
         time_us: simulated time, microseconds.
         step_us: length of a step, microseconds.
@@ -71,6 +74,7 @@ class Simulation:
         Raises:
             EffectError: an effect cannot be applied.
             ModelError: a vehicle's model or the world is unknown.
+            ValueError: a person's skin is unknown.
             FleetError: the number of rows is invalid.
             StartError: a vehicle would start below the ground, in an obstacle or in another vehicle.
         """
@@ -88,6 +92,7 @@ class Simulation:
         self._rows = rows
         self._instance = fleet[0].instance
         self.effects = Effects(effects) if effects else None
+        self.actors = actors_of(model.actors)
         self.autopilots = autopilots(fleet, models, model, model.datum if shared_datum else None, reserve)
         self._begin(0)
         try:
@@ -104,9 +109,11 @@ class Simulation:
         if self.effects is not None:
             self.effects.begin(self.world.plant, self.world.models, time_us=time_us, step_us=STEP_US, seed=self._seed)
         self.autopilots.begin(self.world, time_us)
-        self.sensors = Sensors(self.world, self.autopilot, self._seed, self._joins)
+        self.actors.restart(time_us)
         self.gimbals = Gimbals(self.models)
         self.landing_gears = LandingGears(self.models)
+        others = Others(self.vehicles, self.models, self.world, self.gimbals, self.landing_gears, self.actors)
+        self.sensors = Sensors(self.world, others, self.autopilot, self._seed, self._joins)
         for index in absent:
             self.gimbals.fit(index, None)
             self.landing_gears.fit(index, None)

@@ -223,7 +223,7 @@ class FullSimulation:
         self._topics = LinkTopics(self._simulation, self._link_states_rate)
         for name in self.names:
             self._describe(name)
-        self._actors = ActorTopics(self._simulation.world.model.actors, lambda: self.time_us)
+        self._actors = ActorTopics(self._simulation.actors, lambda: self.time_us)
         self._models = models = Models(self._simulation, self._actors)
         self._changes = ModelTopics(models)
         self._topics.providers += [self._actors.add_to_scene, self._changes.add_to_scene]
@@ -311,7 +311,6 @@ class FullSimulation:
     def restart(self, time_us: int) -> None:
         """Return the vehicles to their spawn positions and reboot all autopilots."""
         self._simulation.restart(time_us)
-        self._actors.restart(time_us)
         self._topics.restart()
         self._contacts.restart()
         self._imus.restart()

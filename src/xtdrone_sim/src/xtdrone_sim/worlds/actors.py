@@ -16,6 +16,7 @@ import numpy as np
 
 from xtdrone_control.rotation import Vector, yaw_of
 from xtdrone_control.settings import check_range
+from xtdrone_sim.worlds import people
 from xtdrone_sim.worlds.sdf import SdfActor, Trajectory
 
 TURN_RATE = 1.5  # rad/s, in place
@@ -137,7 +138,8 @@ class Actors:
         self.restart(0)
 
     def restart(self, time_us: int) -> None:
-        """Restart the initial behaviour of all actors at a simulated time, microseconds."""
+        """Restart the initial behaviour of all actors at a simulated time, microseconds, also of those removed."""
+        self._gone: set[int] = set()
         self._ways = [
             _first_way(actor, time_us, stride) for actor, stride in zip(self._actors, self._strides, strict=True)
         ]
@@ -145,6 +147,15 @@ class Actors:
     def states(self, time_us: int) -> list[ActorState]:
         """Return the states of all actors at a simulated time, microseconds, not before their last commands."""
         return [way.at(time_us) for way in self._ways]
+
+    def present(self, time_us: int) -> list[tuple[str, ActorState]]:
+        """Return names and states of the actors that are there, as ``states``."""
+        named = zip(self.names, self.states(time_us), strict=True)
+        return [one for number, one in enumerate(named) if number not in self._gone]
+
+    def remove(self, number: int) -> None:
+        """Remove an actor until the next restart."""
+        self._gone.add(number)
 
     def send(self, number: int, x: float, y: float, speed: float, time_us: int) -> None:
         """Send an actor to a position, replacing its current motion; it stands after its arrival.
@@ -177,6 +188,16 @@ class Actors:
             yaw: rad.
         """
         self._ways[number] = _Stand(ActorState(position, yaw, STANDING))
+
+
+def actors_of(actors: Sequence[SdfActor]) -> Actors:
+    """Return the actors of a world, with the strides of their skins.
+
+    Raises:
+        ValueError: a skin is unknown.
+    """
+    skins = people.skins([actor.skin for actor in actors])
+    return Actors(actors, [people.read(skin).stride for skin in skins])
 
 
 def _first_way(actor: SdfActor, time_us: int, stride: float) -> _Way:
