@@ -102,6 +102,7 @@ class Drive(ABC):
     """
 
     limits: DriveLimits
+    yields = True  # to what stands
 
     def __init__(self, pose: Pose = Pose()) -> None:  # noqa: B008, immutable
         """Stand at a pose, of which the yaw counts."""

@@ -74,6 +74,7 @@ class FullSettings(NodeSettings):
     shared_datum: bool = setting(
         True, text="one local frame for all vehicles; PX4 instances receive it as /xtdrone/shared_origin"
     )
+    solid_people: bool = setting(False, text="vehicles and robots collide with people")
     params: str = setting("", text="folder that keeps changed vehicle parameters, empty for none")
     log_dir: str = setting("", text="folder for ULogs of the vehicles, empty for none")
     effects: tuple[Effect, ...] = ()
@@ -148,6 +149,7 @@ class FullSimulation:
             autopilots=self._factory(settings),
             effects=settings.effects,
             reserve=settings.reserve,
+            solid_people=settings.solid_people,
         )
         if self._simulation.effects is not None:
             rospy.loginfo("simulator: effects on the vehicles: %s", ", ".join(self._simulation.effects.names))

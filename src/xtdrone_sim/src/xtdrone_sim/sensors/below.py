@@ -105,7 +105,7 @@ class Below:
 
     def _update_models(self) -> None:
         """Place models only; nothing is done while they stand."""
-        bodies = self._world.bodies.by_number
+        bodies = self._world.bodies.models
         there = tuple(self._world.standing), tuple(bodies)
         if there == self._there and not bodies and not self._seen:
             return
@@ -118,7 +118,7 @@ class Below:
         """Return the scene of the rays with the models that are there."""
         if self._rays is None:
             self._rays = RayScene([])
-        models, bodies = self._world.model.models, self._world.bodies.by_number
+        models, bodies = self._world.model.models, self._world.bodies.models
         there = tuple(self._world.standing), tuple(bodies)
         if there != self._there:
             self._there = there
@@ -130,7 +130,7 @@ class Below:
 
     def _bodies(self) -> tuple[dict[str, Pose], dict[str, Array]]:
         """Return the poses of the links of models that can move, and the models' velocities, by name."""
-        bodies = self._world.bodies.by_number.values()
+        bodies = self._world.bodies.models.values()
         links = {
             f"{body.model.name}::{link.name}": compose(body.pose, link.pose)
             for body in bodies
