@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import rospy
 from conftest import START_LIMIT, Graph, Program, Stack, poll, wait_for_ports
 from gazebo_msgs import srv
 from gazebo_msgs.msg import ModelStates
@@ -68,7 +69,9 @@ def test_a_ugv_and_a_car_drive_by_cmd_vel(stack: Stack, start: Start, tmp_path: 
     angles = dict(zip(joints.last.name, joints.last.position, strict=True))
     assert angles["front_left_steering_joint"] > 0.3 > angles["front_right_steering_joint"] > 0.2
     names = {(frame.header.frame_id, frame.child_frame_id) for frame in tf.last.transforms}
-    assert names == {("ugv_0/odom", "ugv_0/base_link"), ("car_0/odom", "car_0/base_link")}
+    assert names >= {("ugv_0/odom", "ugv_0/base_link"), ("car_0/odom", "car_0/base_link")}
+    assert {("ugv_0/base_link", "ugv_0/left_wheel"), ("car_0/front_left_steering", "car_0/front_left_wheel")} <= names
+    assert "front_left_steering_joint" in rospy.get_param("/car_0/robot_description")
     assert {frame.child_frame_id for frame in fixed.last.transforms} >= {"ugv_0/odom", "ugv_0/platform", "car_0/odom"}
 
     graph.say("/ugv_0/cmd_vel", Twist(linear=Vector3(x=math.nan)))

@@ -20,6 +20,11 @@ from xtdrone_perception.detection.yolo_node import DetectionOptions, GroundOptio
 from xtdrone_perception.following.following import FollowSettings
 from xtdrone_perception.following.human_tracking_node import TrackingOptions
 from xtdrone_perception.gimbal_node import GimbalOptions
+from xtdrone_perception.slam.lidar_odometry import RegistrationOptions
+from xtdrone_perception.slam.lidar_odometry_node import LidarOdometryOptions
+from xtdrone_perception.slam.loops.loop_closure import LoopOptions
+from xtdrone_perception.slam.loops.loop_closure_node import LoopNodeOptions
+from xtdrone_perception.slam.odometry_health import HealthLimits
 from xtdrone_perception.tracking.geolocation import Noise, Person
 from xtdrone_perception.tracking.tracker import TrackerSettings
 from xtdrone_planning.mapping.map_feed import SensorChoice
@@ -43,8 +48,11 @@ from xtdrone_sim.robots.robot_model import BodySettings, PlatformSettings
 from xtdrone_sim.runtime.full_simulation import FullSettings
 from xtdrone_sim.runtime.simulator_node import NodeSettings
 from xtdrone_sim.topics.robot_tf import TfSettings
+from xtdrone_sim.uwb.uwb_node import UwbSettings
 from xtdrone_sim.vehicles.imu_mounts import ImuMount
 from xtdrone_sim.vehicles.lidar_mounts import LidarMount
+from xtdrone_sim.video.video_node import VideoSettings
+from xtdrone_sim.vehicles.uwb_mounts import UwbMount
 from xtdrone_sim.worlds.generated.city import CitySettings
 from xtdrone_sim.worlds.generated.countryside import CountrysideSettings
 from xtdrone_sim.worlds.generated.forest import ForestSettings
@@ -62,8 +70,11 @@ CLASSES: dict[str, type[Settings]] = {
         CommandSettings,
         HostedCommunication,
         CameraSettings,
+        VideoSettings,
         LidarSettings,
         LidarMount,
+        UwbSettings,
+        UwbMount,
         ImuMount,
         DrydenSettings,
         RegionSettings,
@@ -76,6 +87,11 @@ CLASSES: dict[str, type[Settings]] = {
         CitySettings,
         CountrysideSettings,
         TfSettings,
+        LidarOdometryOptions,
+        RegistrationOptions,
+        HealthLimits,
+        LoopOptions,
+        LoopNodeOptions,
         DriveLimits,
         DifferentialLimits,
         AckermannLimits,

@@ -49,7 +49,7 @@ def test_the_launcher_lists_the_commands_of_the_table() -> None:
 def test_help_of_a_group_lists_its_members() -> None:
     for words in (["help", "demo"], ["demo", "--help"]):
         run = subprocess.run([repository() / "xtdrone", *words], check=True, capture_output=True, text=True)
-        for name in ("hello", "formation", "simplified", "search"):
+        for name in ("hello", "formation", "simplified", "search", "slam"):
             assert re.search(rf"^  {name} +{re.escape(COMMANDS[f'demo {name}'].help)}$", run.stdout, re.MULTILINE)
 
 
@@ -57,7 +57,7 @@ def test_help_of_a_group_lists_its_members() -> None:
     ("line", "offered"),
     [
         ("xtdrone re", {"report", "record", "record-view", "replay-check"}),
-        ("xtdrone demo ", {"hello", "formation", "simplified", "search", "forest"}),
+        ("xtdrone demo ", {"hello", "formation", "simplified", "search", "forest", "slam"}),
         ("xtdrone demo formation --contr", {"--control"}),
         ("xtdrone demo formation --control ", {"vel", "accel"}),
         ("xtdrone bench --o", {"--only"}),

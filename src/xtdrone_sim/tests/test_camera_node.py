@@ -51,6 +51,11 @@ FLEET = "typhoon_h480:2"
 CAMERA = "/typhoon_h480_0/cgo3_camera"
 RATE = 5.0
 NAMES = ["/cameras", "/teller", "/taker"]
+BLURRED = """
+extends: typhoon_h480
+cameras:
+  - {name: cgo3_camera, link: cgo3_camera_link, width: 160, height: 90, hfov: 2.0, exposure: 0.02, exposure_pictures: 3}
+"""
 
 
 def teller() -> None:
@@ -167,6 +172,28 @@ def test_pictures_have_exact_times_and_repeat_after_a_reset(graph: Graph, server
     focal = 320.0 / math.tan(1.0)
     assert infos[0]["k"] == pytest.approx([focal, 0, 320, 0, focal, 180, 0, 0, 1])
     assert infos[0]["p"] == pytest.approx([focal, 0, 320, 0, 0, focal, 180, 0, 0, 0, 1, 0])
+
+
+def test_a_blurred_picture_has_the_middle_of_its_exposure_and_repeats(graph: Graph, server: LockstepServer) -> None:
+    (graph.folder / "typhoon_h480.yaml").write_text(BLURRED)
+    graph.env["XTDRONE_VEHICLES"] = str(graph.folder)
+    graph.set_param("/xtdrone/fleet", FLEET)
+    graph.set_param("/cameras", {"rate": RATE, "backend": "tiny"})
+    file = graph.folder / "taker.json"
+    graph.start("cameras", sys.executable, str(NODE))
+    graph.role(__file__, "teller")
+    graph.role(__file__, "taker", str(file), "99", "99")
+    wait_for_nodes(graph, server, NAMES)
+    run_ticks(graph, server, 0, 700_000, len(NAMES))
+    server.reset_time(0)
+    run_ticks(graph, server, 0, 700_000, len(NAMES))
+    notes = read_notes(file)
+    back = [note["what"] for note in notes].index("back")
+    flights = [[note for note in part if note["what"] == "image"] for part in (notes[:back], notes[back:])]
+    # The shutter closes at the scene of 20 ms before the node's turn, 10 ms after the middle.
+    assert [image["stamp"] for image in flights[0]] == [70_000, 270_000, 470_000]
+    assert [image["digest"] for image in flights[0]] == [image["digest"] for image in flights[1]]
+    assert len({image["digest"] for image in flights[0]}) == 3
 
 
 def test_flight_continues_while_a_picture_is_drawn_and_only_for_subscribers(

@@ -20,7 +20,7 @@ CAMERA = {"camera": Pose((-6.0, 0.0, 0.8))}
 
 
 def picture(process: DrawingProcess, scene: SceneAt) -> np.ndarray:
-    rows = process.draw(scene, VIEW)
+    rows = process.draw([scene], VIEW)
     assert rows is not None, process.last_end
     return np.frombuffer(rows, np.uint8).reshape(SIZE[1], SIZE[0], 3).astype(int)
 

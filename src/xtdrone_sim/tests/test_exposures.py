@@ -76,23 +76,23 @@ def process() -> Iterator[DrawingProcess]:
 
 
 def test_a_killed_drawing_process_loses_only_its_picture(process: DrawingProcess) -> None:
-    first = process.draw(DOWN, VIEW)
+    first = process.draw([DOWN], VIEW)
     assert first is not None
     assert len(first) == 64 * 36 * 3
     os.kill(process.pid, signal.SIGKILL)
-    assert process.draw(DOWN, VIEW) is None
+    assert process.draw([DOWN], VIEW) is None
     assert (process.ended, process.last_end) == (1, "signal 9")
-    assert process.draw(DOWN, VIEW) == first
+    assert process.draw([DOWN], VIEW) == first
     with pytest.raises(DrawingError, match=r"camera's link: 'x::y' is not in the scene; there are typhoon_h480_0::"):
-        process.draw(DOWN, View("x::y", VIEW.pinhole, 0.1, 500.0))
-    assert process.draw(DOWN, VIEW) == first
+        process.draw([DOWN], View("x::y", VIEW.pinhole, 0.1, 500.0))
+    assert process.draw([DOWN], VIEW) == first
 
 
 def test_closing_over_a_picture_starts_no_other_process(process: DrawingProcess) -> None:
-    assert process.draw(DOWN, VIEW) is not None
+    assert process.draw([DOWN], VIEW) is not None
     os.kill(process.pid, signal.SIGSTOP)
     drawn: list[bytes | None] = []
-    thread = threading.Thread(target=lambda: drawn.append(process.draw(DOWN, VIEW)))
+    thread = threading.Thread(target=lambda: drawn.append(process.draw([DOWN], VIEW)))
     thread.start()
     process.close()
     thread.join()
@@ -103,6 +103,6 @@ def test_a_world_that_cannot_be_drawn_is_reported(tmp_path: Path) -> None:
     process = DrawingProcess(Drawn(str(tmp_path / "none.world"), "typhoon_h480:1", "tiny"))
     try:
         with pytest.raises(DrawingError, match=r"none.world.*No such file"):
-            process.draw(DOWN, VIEW)
+            process.draw([DOWN], VIEW)
     finally:
         process.close()

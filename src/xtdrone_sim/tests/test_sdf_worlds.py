@@ -230,6 +230,31 @@ def test_unsupported_elements_are_reported_once(caplog: pytest.LogCaptureFixture
     ]
 
 
+def test_lamps_that_the_renderer_does_not_have_are_reported(caplog: pytest.LogCaptureFixture) -> None:
+    sun = "<light name='s' type='directional'><diffuse>1 0 0 1</diffuse></light>"
+    lamps = "".join(f"<light name='{kind}' type='{kind}'/>\n" for kind in ("point", "spot"))
+    assert read_world(world(sun + lamps + sun), FILE).light.diffuse == (1.0, 0.0, 0.0)
+    said = "\n".join(caplog.messages)
+    for words in ("of type 'point' is not supported and ignored", "of type 'spot' is", "beside the first directional"):
+        assert said.count(words) == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("<direction>0 0 1</direction>", "<direction>: '0 0 1' is not allowed, the third number is under 0: downwards"),
+        ("<direction>0 0</direction>", "<direction>: '0 0' is not allowed, 3 finite numbers"),
+        ("<diffuse>2 0 0 1</diffuse>", "<diffuse>: '2 0 0 1' is not allowed, 3 or 4 finite numbers"),
+        ("<cast_shadows>maybe</cast_shadows>", "<cast_shadows>: 'maybe' is not allowed"),
+    ],
+)
+def test_invalid_lights_are_reported(content: str, words: str) -> None:
+    with pytest.raises(SdfError) as caught:
+        read_world(world(f"<light name='s' type='directional'>{content}</light>"), FILE)
+    assert words in str(caught.value)
+    assert str(caught.value).startswith(f"{FILE}: line ")
+
+
 # what Gazebo takes without an error
 
 BOX = "<collision name='c'><geometry><box><size>1 1 1</size></box></geometry></collision>"

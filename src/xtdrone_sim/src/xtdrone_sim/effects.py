@@ -145,6 +145,10 @@ class Effects:
         self._vehicles, self._models = _read_only(plant), _read_only(models)
         self._force, self._torque = np.zeros((len(plant), 3)), np.zeros((len(plant), 3))
         self._time_us, self._step_us = time_us, step_us
+        for k, effect in enumerate(self._effects):
+            feel = getattr(effect, "feel", None)
+            if feel is not None:
+                feel([one for one in self._effects[:k] if hasattr(one, "winds")])
         trial, armed = plant.copy(), np.zeros(len(plant), np.int32)
         for name, effect in zip(self.names, self._effects, strict=True):
             self._reset(name, effect, seed)

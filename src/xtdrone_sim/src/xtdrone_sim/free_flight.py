@@ -24,7 +24,7 @@ from xtdrone_sim.physics.contacts import CHECK_STEPS, sort_contacts
 from xtdrone_sim.physics.plant import ASLEEP, TOUCHING
 from xtdrone_sim.physics.plant import step_vehicle as move
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.sensors.sensor_models import STEPS, Sensors, sample_vehicle
+from xtdrone_sim.sensors.sensor_models import FLOW_EVERY, STEPS, Sensors, sample_vehicle
 
 _VEHICLES_PER_THREAD = 12  # fewer are done sooner than another thread starts
 _MOST_THREADS = 8
@@ -61,7 +61,7 @@ def _advance(
         for k in range(steps):
             move(v, m, c.actuators, setpoint[i].armed, gravity, dt)
             sample_vehicle(
-                s, v, m, bias[i], fast[i], slow[i], down[i], below,
+                i, s, v, m, bias[i], fast[i], slow[i], down[i], below,
                 step + k, time_us + (k + 1) * STEP_US, field, place, gravity, dt,
             )  # fmt: skip
             control(s, estimator[i], setpoint[i], c, params[i], mix[i], unmix[i], rotors[i], dt, work)
@@ -199,11 +199,16 @@ class FreeFlight:
             The number of steps, up to ``most``; 0 if the next one must be done by ``Simulation.step``.
         """
         most = min(most, STEPS - step % STEPS)
+        if self.sensors.below.sees_others:  # samples that depend on other vehicles are left to ``Simulation.step``
+            most = min(most, -step % FLOW_EVERY)
+            if not most:
+                return 0
         steps = self._possible_steps(most)
         if not steps:
             return 0
         self.sensors.draw(step)
-        self.sensors.below.update()
+        if not self.sensors.below.sees_others:
+            self.sensors.below.update(time_us)
         self._share_out()
         if self._checks_inside:
             steps = int(_advance_alone(most, step, time_us, *self._shares[0][2]))

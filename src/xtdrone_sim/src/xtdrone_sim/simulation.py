@@ -13,12 +13,15 @@ from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.fleet import StartPose, Vehicle, place_ids, start_poses, vehicle_named
 from xtdrone_sim.autopilots.backend import AutopilotFactory, BuiltinAutopilot
+from xtdrone_sim.physics.solid_people import SolidPeople
 from xtdrone_sim.physics.starts import StartError
 from xtdrone_sim.physics.world import World, load_world
+from xtdrone_sim.sensors.others import Others
 from xtdrone_sim.sensors.sensor_models import Sensors
 from xtdrone_sim.vehicles.gimbal import Gimbals
 from xtdrone_sim.vehicles.landing_gear import LandingGears
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
+from xtdrone_sim.worlds.actors import actors_of
 
 from .effects import Effect, Effects
 from .free_flight import FreeFlight
@@ -34,6 +37,7 @@ class Simulation:
         gimbals: camera gimbals of all vehicles.
         landing_gears: landing gears of all vehicles.
         effects: forces and torques added to those of the rotors; None without effects.
+        actors: people, at their states of any time.
         autopilots: autopilot back end of the fleet.
         time_us: simulated time, microseconds.
         step_us: length of a step, microseconds.
@@ -53,6 +57,7 @@ class Simulation:
         autopilots: AutopilotFactory = BuiltinAutopilot,
         effects: Sequence[Effect] = (),
         reserve: int = 0,
+        solid_people: bool = False,
     ) -> None:
         """Place the fleet on the ground.
 
@@ -67,10 +72,12 @@ class Simulation:
             autopilots: factory of the autopilot back end.
             effects: forces and torques on the vehicles in addition to those of rotors and drag, see ``effects``.
             reserve: number of places for vehicles that join later, see ``add_vehicle``.
+            solid_people: whether vehicles and robots collide with people.
 
         Raises:
             EffectError: an effect cannot be applied.
             ModelError: a vehicle's model or the world is unknown.
+            ValueError: a person's skin is unknown.
             FleetError: the number of rows is invalid.
             StartError: a vehicle would start below the ground, in an obstacle or in another vehicle.
         """
@@ -88,13 +95,21 @@ class Simulation:
         self._rows = rows
         self._instance = fleet[0].instance
         self.effects = Effects(effects) if effects else None
+        self.actors = actors_of(model.actors)
+        self._solid_people = solid_people
+        self._bodies_of_people: SolidPeople | None = None
         self.autopilots = autopilots(fleet, models, model, model.datum if shared_datum else None, reserve)
         self._begin(0)
         try:
-            self.world.check_starts(self.names)
+            self._check_starts()
         except StartError:
             self.close()
             raise
+
+    def _check_starts(self) -> None:
+        self.world.check_starts(self.names)
+        if self._bodies_of_people is not None:
+            self._bodies_of_people.check_starts(self.names)
 
     def _begin(self, time_us: int) -> None:
         """Create world, sensors and autopilots in their initial state at simulated time ``time_us``."""
@@ -104,9 +119,13 @@ class Simulation:
         if self.effects is not None:
             self.effects.begin(self.world.plant, self.world.models, time_us=time_us, step_us=STEP_US, seed=self._seed)
         self.autopilots.begin(self.world, time_us)
-        self.sensors = Sensors(self.world, self.autopilot, self._seed, self._joins)
+        self.actors.restart(time_us)
+        if self._solid_people:
+            self._bodies_of_people = SolidPeople(self.world, self.actors, self._model.actors, lambda: self.time_us)
         self.gimbals = Gimbals(self.models)
         self.landing_gears = LandingGears(self.models)
+        others = Others(self.vehicles, self.models, self.world, self.gimbals, self.landing_gears, self.actors)
+        self.sensors = Sensors(self.world, others, self.autopilot, self._seed, self._joins)
         for index in absent:
             self.gimbals.fit(index, None)
             self.landing_gears.fit(index, None)

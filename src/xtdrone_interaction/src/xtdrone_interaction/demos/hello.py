@@ -7,15 +7,8 @@ Exit status: 0 for a flight to its end, 1 if the script or the launch has failed
 from __future__ import annotations
 
 import argparse
-import os
-import queue
-import subprocess
-import sys
-import threading
-import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
 
 from rich.console import Console
 from rich.syntax import Syntax
@@ -23,12 +16,10 @@ from rich.syntax import Syntax
 from xtdrone_control.settings import Settings
 from xtdrone_interaction import options
 from xtdrone_interaction.console import PatientConsole, run_reported
+from xtdrone_interaction.launching.flown_script import fly_script
 from xtdrone_interaction.launching.supervised_launch import (
     DemoError,
     Launch,
-    Watch,
-    check_progress,
-    escape,
     master_port,
     run_launch,
     watching,
@@ -38,9 +29,6 @@ from xtdrone_interaction.options import MachineSettings, OptionError, seed_setti
 
 FLEET = "iris:1"
 SCRIPT = options.repository() / "src" / "xtdrone_control" / "examples" / "hello.py"
-_LIMIT = 60.0  # s of wall time without progress
-_LOG_LINE = "[INFO] "  # of ROS; the script's own output and warnings are shown
-_END_LIMIT = 10.0  # s for the script to end after a signal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,104 +118,13 @@ def _fly(settings: HelloSettings, console: Console) -> int:
     def go() -> int:
         ended_nodes = EndedNodes(launch.log)
         with watching(launch, console, ended_nodes, {}) as watch:
-            status = _run_script(settings, launch, watch)
+            status = fly_script([settings.script], launch, watch)
         if status:
             raise DemoError(f"{settings.script.name} has ended with status {status}")
         _say_goodbye(settings, console)
         return 0
 
     return run_launch(launch, console, go)
-
-
-def _run_script(settings: HelloSettings, launch: Launch, watch: Watch) -> int:
-    """Run the script beside the launch, show its output, and return its exit status.
-
-    Raises:
-        DemoError: the launch has ended, or nothing has advanced for a long time.
-    """
-    _wait_for_master(watch)
-    script = Script(settings.script, launch)
-    begun = False
-    try:
-        while True:
-            status = script.status
-            for line in script.take():
-                if not line.startswith(_LOG_LINE):
-                    watch.display.note(f"  {escape(line)}")
-            if status is not None:
-                return status
-            if not watch.running():
-                watch.show_ended_nodes()
-                raise DemoError("the simulation has ended before the script")
-            watch.poll(starting=not begun)
-            if not begun and watch.startup.runs:
-                begun = True
-                watch.display.note(f"flying; {launch.control_words}")
-            if not begun:
-                check_progress(watch, _LIMIT, "the flight did not begin: no progress")
-    finally:
-        script.end()
-
-
-def _wait_for_master(watch: Watch) -> None:
-    """Wait until the ROS master answers: the script looks for the simulator there.
-
-    Raises:
-        DemoError: it does not.
-    """
-    while not any(message["kind"] == "master" for message in watch.poll(starting=True)):
-        if not watch.running():
-            raise DemoError("roslaunch ended before it started a node")
-        check_progress(watch, _LIMIT, "the flight did not begin: no progress")
-
-
-class Script:
-    """The script's process and its output."""
-
-    def __init__(self, file: Path, launch: Launch) -> None:
-        """Start it as a node of the launch's ROS master."""
-        environment = {**launch.environment(), "PYTHONUNBUFFERED": "1"}
-        self._process = subprocess.Popen(
-            [sys.executable, str(file)],
-            env=environment,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            errors="replace",
-            cwd=os.getcwd(),
-        )
-        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
-        assert self._process.stdout is not None
-        self._reader = threading.Thread(target=self._read, args=(self._process.stdout,), daemon=True)
-        self._reader.start()
-
-    @property
-    def status(self) -> int | None:
-        """The exit status once all output has been read; None before that."""
-        return None if self._reader.is_alive() else self._process.wait()
-
-    def take(self) -> list[str]:
-        """Return the new lines of its output."""
-        lines = []
-        while not self._lines.empty():
-            lines.append(self._lines.get())
-        return lines
-
-    def end(self) -> None:
-        """Interrupt it if it runs, and wait for its end."""
-        end = time.monotonic() + _END_LIMIT
-        for stop in (self._process.terminate, self._process.kill):
-            if self._process.poll() is None:
-                stop()
-                try:
-                    self._process.wait(max(0.1, end - time.monotonic()))
-                except subprocess.TimeoutExpired:
-                    continue
-
-    def _read(self, output: IO[str]) -> None:
-        for line in output:
-            self._lines.put(line.rstrip("\n"))
 
 
 def _say_goodbye(settings: HelloSettings, console: Console) -> None:

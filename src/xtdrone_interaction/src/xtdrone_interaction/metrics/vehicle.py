@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from xtdrone_interaction.formation.geometry import least_distances
+from xtdrone_interaction.metrics import odometry
 from xtdrone_interaction.metrics.formation import make_report
 from xtdrone_interaction.metrics.tracking import trackings
 from xtdrone_interaction.recording.formation import FormationRecord
@@ -39,6 +40,7 @@ def summarise(recording: Recording, record: FormationRecord | None) -> dict[str,
         "cut_off": recording.cut,
         "notes": recording.notes,
         "vehicles": {vehicle.name: vehicle_metrics(vehicle) for vehicle in recording.vehicles},
+        "odometry": odometry.of_recording(recording),
         "collisions": recording.collisions,
         "formation": None,
     }

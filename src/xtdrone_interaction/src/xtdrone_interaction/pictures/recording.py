@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 from xtdrone_interaction.metrics.formation import DISTANCE_LIMIT
 from xtdrone_interaction.metrics.tracking import spectrum
 from xtdrone_interaction.metrics.vehicle import least_distance_series
-from xtdrone_interaction.pictures import formation
+from xtdrone_interaction.pictures import formation, odometry
 from xtdrone_interaction.pictures.drawing import (
     NO_MODE,
     NamedFigure,
@@ -49,6 +49,7 @@ def pictures(recording: Recording, record: FormationRecord | None) -> Iterator[N
     if known:
         yield NamedFigure("positions", "Positions", positions(recording, known, marks))
         yield NamedFigure("tracks", "Tracks from above", tracks(recording, known))
+    yield from odometry.pictures(recording)
     placed = [vehicle for vehicle in recording.vehicles if vehicle.name in known]
     if any("velocity" in vehicle.series for vehicle in placed):
         yield NamedFigure("velocities", "Velocities", velocities(recording, placed, marks))

@@ -42,6 +42,8 @@ _SET_BACK = 1_000_000_000  # ns; a clock that goes back by more was set back
 _MOST_TEXTS = 2000  # kept per topic
 _MODEL_STATES = "gazebo_msgs/ModelStates"
 _MODEL, _TRUE = "/gazebo", "/truth"  # owners of model positions without and with own times; no vehicle has such a name
+_TRUE_POSE, _ODOMETRY = "/true_pose", "/odometry"  # owners of whole poses; the name of an odometry is VEHICLE/SOURCE
+_OWNERS = (_MODEL, _TRUE, _TRUE_POSE, _ODOMETRY)
 
 _POSITIONS_AND_VELOCITIES = frozenset({"pose", "odometry", "velocity"})
 _XYZ = ("x", "y", "z")
@@ -85,7 +87,9 @@ _COMMANDS = {
 _MAVROS = re.compile(r"^(?P<space>.*?)/?(?P<rest>mavros/.+)$")
 _TRUTH = re.compile(r"^/xtdrone/(?P<name>[^/]+)/ground_truth/odom$")
 _XTDRONE = re.compile(r"^/xtdrone/(?P<name>[^/]+)/(?P<rest>[^/]+)$")
+_ODOMETRY_TOPIC = re.compile(r"^/(?P<name>[^/]+)/(?P<source>(?!mavros)[^/]+)/odometry$")
 _TRUE_POSITION = _under("pose.pose.position")
+_TRUE_ORIENTATION = _under("pose.pose.orientation", _QUATERNION)
 
 
 def read_bag(
@@ -274,6 +278,8 @@ class _Collector:
             return self._add_models
         if _TRUTH.match(name):
             return self._add_truth
+        if _ODOMETRY_TOPIC.match(name):
+            return self._add_odometry
         if (found := _MAVROS.match(name)) and found["rest"] in _NUMBERS:
             return self._add_numbers
         if found and found["rest"] == "mavros/state":
@@ -412,6 +418,20 @@ class _Collector:
         decoded, time = self._decoded(connection, layout, batch, *_TRUE_POSITION)
         if len(time):
             self.columns.add((_TRUE, found["name"]), time, decoded.numbers(_TRUE_POSITION))
+        if all(path in layout.fields for path in _TRUE_ORIENTATION):
+            self._add_pose((_TRUE_POSE, found["name"]), connection, layout, batch)
+
+    def _add_odometry(self, connection: Connection, layout: Layout, batch: Batch) -> None:
+        """Add the poses of a node such as lidar_odometry."""
+        found = _ODOMETRY_TOPIC.match(connection.topic)
+        if found is not None and self._has(connection, layout, *_TRUE_POSITION, *_TRUE_ORIENTATION):
+            self._add_pose((_ODOMETRY, f"{found['name']}/{found['source']}"), connection, layout, batch)
+
+    def _add_pose(self, key: tuple[str, str], connection: Connection, layout: Layout, batch: Batch) -> None:
+        paths = _TRUE_POSITION + _TRUE_ORIENTATION
+        decoded, time = self._decoded(connection, layout, batch, *paths)
+        if len(time):
+            self.columns.add(key, time, decoded.numbers(paths))
 
     def _add_models(self, connection: Connection, layout: Layout, batch: Batch) -> None:
         """Add true positions of all models."""
@@ -492,15 +512,20 @@ class _Collector:
         thinned = self.columns.thinned
         series = {key: value.since(recording.origin) for key, value in self.columns.series().items()}
         for key, value in series.items():
-            if key[1] in _POSITIONS_AND_VELOCITIES or key[0] in (_MODEL, _TRUE):
+            if key[1] in _POSITIONS_AND_VELOCITIES or key[0] in _OWNERS:
                 series[key] = plausible(value)
                 if (lost := len(value) - len(series[key])) > 0:
                     recording.notes.append(f"{lost} positions of {' '.join(key)} are out of range, and left out")
-        names = {key[0] for key in series if key[0] not in (_MODEL, _TRUE)} | set(self.states) | set(self.texts)
+        names = {key[0] for key in series if key[0] not in _OWNERS} | set(self.states) | set(self.texts)
         for name in sorted(names, key=natural_order):
             vehicle = VehicleRecord(name, {what: value for (owner, what), value in series.items() if owner == name})
             if not (vehicle.series.keys() - set(_COMMANDS.values()) or name in self.states):
                 continue  # a topic of XTDrone that belongs to no vehicle, such as /xtdrone/leader/...
+            vehicle.odometry = {
+                what.partition("/")[2]: value
+                for (owner, what), value in series.items()
+                if owner == _ODOMETRY and what.partition("/")[0] == name
+            }
             vehicle.thinned = {what for owner, what in thinned if owner == name}
             if (raw := vehicle.series.pop("raw imu", None)) is not None:
                 vehicle.series["imu"] = raw
@@ -518,6 +543,7 @@ class _Collector:
             if owner == _MODEL:  # without stamps; the recorder's clock may be off
                 recording.models[name] = Series(regular_times(value.time), value.value)
         recording.models |= {name: value for (owner, name), value in series.items() if owner == _TRUE}
+        recording.true_poses = {name: value for (owner, name), value in series.items() if owner == _TRUE_POSE}
 
 
 def _vehicle_name(space: str) -> str:

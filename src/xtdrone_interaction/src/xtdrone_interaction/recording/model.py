@@ -71,6 +71,7 @@ class VehicleRecord:
             "command" and "body command" (m/s), "acceleration command" and "body acceleration command" (m/s2),
             "avoidance" (m/s or m/s2); "battery" (V, share of full, A flowing in), "global" (degrees, m), "imu" (rad/s
             and m/s2, FLU).
+        odometry: poses x, y, z (m), quaternion x, y, z, w by the node that found them, as "lidar_odometry".
         thinned: quantities of which not every message was kept.
         modes: start time and name of each flight mode.
         armed: time and new state of each arming and disarming.
@@ -80,6 +81,7 @@ class VehicleRecord:
 
     name: str
     series: dict[str, Series] = field(default_factory=dict)
+    odometry: dict[str, Series] = field(default_factory=dict)
     thinned: set[str] = field(default_factory=set)
     modes: list[tuple[float, str]] = field(default_factory=list)
     armed: list[tuple[float, bool]] = field(default_factory=list)
@@ -108,6 +110,7 @@ class Recording:
         topics: sorted by name.
         vehicles: sorted by name.
         models: true positions by model name, m, each (t, 3); empty where no simulator ran.
+        true_poses: x, y, z (m), quaternion x, y, z, w by name, where the truth's odometry was recorded.
         truth_source: description of ``models``, for captions.
         patterns: assigned offsets at each change.
         topologies: communication topologies at each change; row i: the vehicles that vehicle i listens to.
@@ -129,6 +132,7 @@ class Recording:
     topics: list[TopicStatistics] = field(default_factory=list)
     vehicles: list[VehicleRecord] = field(default_factory=list)
     models: dict[str, Series] = field(default_factory=dict)
+    true_poses: dict[str, Series] = field(default_factory=dict)
     truth_source: str = TRUTH
     patterns: list[Change] = field(default_factory=list)
     topologies: list[Change] = field(default_factory=list)

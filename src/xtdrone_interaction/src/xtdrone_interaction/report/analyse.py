@@ -15,6 +15,7 @@ from typing import Any
 from rich.console import Console
 
 from xtdrone_interaction.bags.ros1bag import BagError
+from xtdrone_interaction.metrics.odometry import write_trajectories
 from xtdrone_interaction.metrics.vehicle import summarise, summarise_log
 from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.pictures import flight_log
@@ -48,6 +49,7 @@ def analyse(files: Sequence[Path], folder: Path, console: Console, part: int | N
     record = formation_of(recording)
     metrics = summarise(recording, record)
     shown = recording_pictures.pictures(recording, record if metrics["formation"] else None)
+    write_trajectories(recording, folder)
     write_page(_recording_page(recording, metrics), metrics, shown, folder, console)
 
 
@@ -58,6 +60,8 @@ def _recording_page(recording: Recording, metrics: dict[str, Any]) -> ReportPage
         page.notes += metrics["formation"]["shortcomings"]
     else:
         page.notes += recording.collisions
+    if metrics["odometry"]:
+        page.tables.append(report_tables.odometry_table(metrics["odometry"]))
     page.tables += [report_tables.vehicles_table(metrics["vehicles"]), report_tables.modes_table(metrics["vehicles"])]
     texts = report_tables.texts_table(recording), report_tables.warnings_table(recording)
     page.tables += [table for table in texts if table.rows]

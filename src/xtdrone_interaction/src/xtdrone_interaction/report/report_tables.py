@@ -66,6 +66,21 @@ def number(value: float | None, digits: int = 2) -> str:
     return "" if value is None else f"{value:.{digits}f}"
 
 
+def odometry_table(rows: Iterable[dict[str, Any]]) -> ReportTable:
+    """Return the table of odometry against the truth.
+
+    Args:
+        rows: see :class:`~xtdrone_interaction.metrics.odometry.OdometryErrors`.
+    """
+    head = ("odometry", "aligned", "way (m)", "ATE (m)", "most (m)", "end (m)", "drift (%)", "RPE (%)")
+    keys = (("way", 1), ("ate", 3), ("greatest", 3), ("end", 3), ("drift", 3), ("rpe_percent", 2))
+    texts = [
+        (f"{row['vehicle']} {row['source']}", row["alignment"], *(number(row[key], digits) for key, digits in keys))
+        for row in rows
+    ]
+    return ReportTable("Odometry against the truth", head, texts, texts=frozenset({1}))
+
+
 def formation_table(reconfigurations: Iterable[dict[str, Any]], title: str = "Formation") -> ReportTable:
     """Return the table of a formation flight.
 

@@ -5,16 +5,18 @@ The vehicles' own drag is linear (PX4's Gazebo model): right for small speeds, t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.rotation_kernels import rotate, rotate_inverse
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.kernel import kernel
 
-from .wind import DENSITY
+from .wind import DENSITY, FurtherWind
 
 
 @dataclass(frozen=True)
@@ -25,12 +27,13 @@ class BodyDragSettings(Settings):
 
 
 @kernel
-def _apply(vehicles, models, coefficient, force):
+def _apply(vehicles, models, coefficient, winds, force):
     for i in range(len(vehicles)):
         v, m = vehicles[i], models[i]
-        x, y, z = rotate_inverse(
-            v.q, v.velocity[0] - v.wind[0], v.velocity[1] - v.wind[1], v.velocity[2] - v.wind[2]
-        )  # fmt: skip
+        ax = v.velocity[0] - v.wind[0] - winds[i, 0]
+        ay = v.velocity[1] - v.wind[1] - winds[i, 1]
+        az = v.velocity[2] - v.wind[2] - winds[i, 2]
+        x, y, z = rotate_inverse(v.q, ax, ay, az)
         half = -0.5 * DENSITY * coefficient
         fx, fy, fz = rotate(
             v.q,
@@ -44,7 +47,7 @@ def _apply(vehicles, models, coefficient, force):
 
 
 class BodyDrag:
-    """Drag that grows with the square of the air speed; the world's wind counts, the wind of other effects does not."""
+    """Drag that grows with the square of the air speed, in the world's wind and in that of the effects before it."""
 
     name = "body_drag"
 
@@ -55,9 +58,17 @@ class BodyDrag:
             SettingError: a value is not allowed.
         """
         self.settings = BodyDragSettings(**values)
+        self._winds: Sequence[FurtherWind] = ()
+
+    def feel(self, winds: Sequence[FurtherWind]) -> None:
+        """Count these winds from now on, too."""
+        self._winds = tuple(winds)
 
     def __call__(
         self, time: float, vehicles: NDArray[Any], models: NDArray[Any], force: NDArray[Any], torque: NDArray[Any]
     ) -> None:
         """Add each vehicle's drag."""
-        _apply(vehicles, models, self.settings.coefficient, force)
+        total = np.zeros((len(vehicles), 3))
+        for wind in self._winds:
+            total += wind.winds
+        _apply(vehicles, models, self.settings.coefficient, total, force)

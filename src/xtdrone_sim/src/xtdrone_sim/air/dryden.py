@@ -148,6 +148,11 @@ class Dryden:
         """
         self.settings = DrydenSettings(**values)
 
+    @property
+    def winds(self) -> NDArray[Any]:
+        """See ``wind.FurtherWind``."""
+        return self.gusts
+
     def reset(self, models: NDArray[Any], time_step: float, random: np.random.Generator) -> None:
         """Start with turbulence that has blown for long."""
         rows = 1 if self.settings.shared else len(models)

@@ -1,11 +1,27 @@
-"""The wrench of a further wind on a vehicle, and the density of air."""
+"""Further winds, besides the world's: their wrench on a vehicle, how other effects feel them; density of air.
+
+An effect with an attribute ``winds``, (N, 3) m/s ENU of its latest step, is a wind that those after it can feel: one
+with a method ``feel`` gets the winds before it when a world begins.
+"""
 
 from __future__ import annotations
+
+from typing import Any, Protocol
+
+from numpy.typing import NDArray
 
 from xtdrone_control.rotation_kernels import rotate, rotate_inverse
 from xtdrone_sim.kernel import kernel
 
 DENSITY = 1.225  # kg/m^3, standard atmosphere at sea level
+
+
+class FurtherWind(Protocol):
+    """An effect that is a wind."""
+
+    @property
+    def winds(self) -> NDArray[Any]:
+        """Wind at each vehicle in the latest step, (N, 3) m/s ENU."""
 
 
 @kernel

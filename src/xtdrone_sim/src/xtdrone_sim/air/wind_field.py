@@ -42,6 +42,7 @@ class WindField:
         if not callable(function):
             raise ValueError(f"function: {function!r} is not allowed, a function (time, positions)")
         self._function = function
+        self.winds: NDArray[Any] = np.zeros((0, 3))
 
     def __call__(
         self, time: float, vehicles: NDArray[Any], models: NDArray[Any], force: NDArray[Any], torque: NDArray[Any]
@@ -54,4 +55,5 @@ class WindField:
         given = np.asarray(self._function(time, np.ascontiguousarray(vehicles["position"])), dtype=float)
         if given.shape not in ((3,), (len(vehicles), 3)):
             raise ValueError(f"the wind has the shape {given.shape}, it must be ({len(vehicles)}, 3) or (3,)")
-        _apply(vehicles, models, np.ascontiguousarray(np.broadcast_to(given, (len(vehicles), 3))), force, torque)
+        self.winds = np.ascontiguousarray(np.broadcast_to(given, (len(vehicles), 3)))
+        _apply(vehicles, models, self.winds, force, torque)

@@ -61,9 +61,11 @@ def share(position, low, high, edge):
 
 
 @kernel
-def _apply(vehicles, models, low, high, edge, wind, force, torque):
+def _apply(vehicles, models, low, high, edge, wind, winds, force, torque):
     for i in range(len(vehicles)):
         part = share(vehicles[i].position, low, high, edge)
+        for k in range(3):
+            winds[i, k] = part * wind[k]
         if part > 0.0:
             add_wind(vehicles[i], models[i], part * wind[0], part * wind[1], part * wind[2], force[i], torque[i])
 
@@ -81,9 +83,13 @@ class WindRegion:
         """
         self.settings = s = RegionSettings(**values)
         self._low, self._high, self._wind = np.array(s.low), np.array(s.high), np.array(s.wind)
+        self.winds: NDArray[Any] = np.zeros((0, 3))
 
     def __call__(
         self, time: float, vehicles: NDArray[Any], models: NDArray[Any], force: NDArray[Any], torque: NDArray[Any]
     ) -> None:
         """Add the wrench of the wind on the vehicles inside."""
-        _apply(vehicles, models, self._low, self._high, self.settings.edge, self._wind, force, torque)
+        if len(self.winds) != len(vehicles):
+            self.winds = np.zeros((len(vehicles), 3))
+        edge = self.settings.edge
+        _apply(vehicles, models, self._low, self._high, edge, self._wind, self.winds, force, torque)

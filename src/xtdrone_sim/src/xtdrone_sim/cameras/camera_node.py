@@ -38,6 +38,7 @@ from xtdrone_sim.cameras.cameras import MOST_TURNS, Camera, Exposures, cameras_o
 from xtdrone_sim.cameras.drawn_scene import View
 from xtdrone_sim.cameras.outputs import COSTLY, messages, topics_of
 from xtdrone_sim.cameras.rendering import BACKENDS
+from xtdrone_sim.cameras.shutter import RecentScenes, exposure_times, middle_us
 from xtdrone_sim.early_parameters import private_parameters
 from xtdrone_sim.topics.scene_messages import scene_of
 from xtdrone_sim.worlds.scene_at import SceneAt
@@ -71,6 +72,7 @@ class CameraSettings(Settings):
         0.1, low=0.0, high=MOST_LATENCY, unit="s", text="simulated time from exposure to publication"
     )
     backend: str = setting("auto", choices=BACKENDS, text="OpenGL implementation of the renderer")
+    shadows: bool = setting(False, text="shadows of the sun, by rays, unless the world's light has none")
 
     def rates(self, cameras: Sequence[Camera]) -> list[float]:
         """Return each camera's rate, Hz."""
@@ -83,8 +85,8 @@ class Drawer(Protocol):
     ended: int
     last_end: str
 
-    def draw(self, scene: SceneAt, view: View) -> bytes | None:
-        """Return the rows of an image; None if it is lost."""
+    def draw(self, scenes: Sequence[SceneAt], view: View) -> bytes | None:
+        """Return the rows of an image, the mean of those of the scenes; None if it is lost."""
 
     def change(self, changes: Changes) -> None:
         """Draw the next images with other models."""
@@ -94,7 +96,7 @@ class Drawer(Protocol):
 
 
 class _Shot(NamedTuple):
-    """An image in progress: index of its camera and time of its exposure."""
+    """An image in progress: index of its camera and time of (the middle of) its exposure."""
 
     camera: int
     stamp: rospy.Time
@@ -133,6 +135,7 @@ class CameraNode:
             for k, camera in enumerate(cameras)
         ]
         self._scene: SceneState | None = None
+        self._recent = RecentScenes(max((camera.mount.exposure for camera in cameras), default=0.0), scene_of)
         self._last: dict[int, rospy.Time] = {}  # stamp of each camera's latest image
         self._under_way: set[int] = set()
         self._drawer: Drawer | None = None
@@ -155,6 +158,7 @@ class CameraNode:
 
     def _take_scene(self, message: SceneState) -> None:
         self._scene = message
+        self._recent.add(_microseconds(message.header.stamp), message)
 
     def _freeze(self, camera: int, frozen: bool) -> SetBoolResponse:
         (self._frozen.add if frozen else self._frozen.discard)(camera)
@@ -167,6 +171,7 @@ class CameraNode:
         """Discard the state from before a reset of simulated time."""
         self._deferred.clear()
         self._scene = None
+        self._recent.clear()
         self._last.clear()
         self._under_way.clear()
 
@@ -176,14 +181,13 @@ class CameraNode:
         Raises:
             DrawingError: images cannot be drawn.
         """
-        now_us = rospy.Time.now().to_nsec() // 1000
+        now_us = _microseconds(rospy.Time.now())
         for shot, pictures in self._deferred.ready(now_us):
             self._under_way.discard(shot.camera)
             self._publish(shot, pictures)
         if self._scene is None or self._drawer is None:
             return
         stamp = self._scene.header.stamp
-        scene = None
         for camera in self._exposures.due(now_us):
             if camera in self._frozen or not self._heard(camera) or self._last.get(camera) == stamp:
                 continue
@@ -195,16 +199,21 @@ class CameraNode:
             if views[0].link not in self._scene.links:
                 rospy.logwarn_throttle(10.0, f"/xtdrone/scene does not have {views[0].link}: no pictures of its camera")
                 continue
-            scene = scene or scene_of(self._scene)
+            mount, closed_us = self._cameras[camera].mount, _microseconds(stamp)
+            opened_us = closed_us - round(1e6 * mount.exposure)
+            if opened_us < 0:
+                continue
+            scenes = [self._recent.at(time_us) for time_us in exposure_times(mount, closed_us)]
             self._under_way.add(camera)
-            self._deferred.put(_Shot(camera, stamp), now_us + self._latency_us, self._draw, scene, views)
+            shot = _Shot(camera, rospy.Time(0, 1000 * middle_us(mount, closed_us)) if mount.exposure else stamp)
+            self._deferred.put(shot, now_us + self._latency_us, self._draw, scenes, views)
 
-    def _draw(self, scene: SceneAt, views: Sequence[View]) -> list[bytes] | None:
+    def _draw(self, scenes: Sequence[SceneAt], views: Sequence[View]) -> list[bytes] | None:
         """Return the pictures of an exposure; None if one is lost. Called in a thread of ``Deferred``."""
         assert self._drawer is not None
         pictures = []
         for view in views:
-            picture = self._drawer.draw(scene, view)
+            picture = self._drawer.draw(scenes, view)
             if picture is None:
                 return None
             pictures.append(picture)
@@ -239,6 +248,10 @@ class CameraNode:
         self._deferred.close()
 
 
+def _microseconds(time: rospy.Time) -> int:
+    return int(time.to_nsec() // 1000)
+
+
 def main(arguments: Sequence[str]) -> None:
     """Serve all cameras of the fleet until shutdown.
 
@@ -263,7 +276,7 @@ def main(arguments: Sequence[str]) -> None:
     try:
         lockstep.start()  # returns when the simulator is running and has set the world
         world = str(rospy.get_param("~world", rospy.get_param("/xtdrone/world", "empty")))
-        node.begin(DrawingProcess(Drawn(world, text, settings.backend)))
+        node.begin(DrawingProcess(Drawn(world, text, settings.backend, settings.shadows)))
         lockstep.spin(node.step)
     finally:
         node.close()

@@ -11,12 +11,14 @@ import socket
 import subprocess
 import sys
 import threading
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_sim.cameras.drawn_scene import DrawnScene, View
 from xtdrone_sim.cameras.rendering import Renderer, RendererError
+from xtdrone_sim.cameras.shutter import mean_of
 from xtdrone_sim.worlds.scene_at import SceneAt
 from xtdrone_sim.worlds.sdf import load_world_file, read_world, world_file
 
@@ -36,11 +38,13 @@ class Drawn:
         world: name or file.
         fleet: e.g. ``typhoon_h480:6``.
         backend: back end of the renderer.
+        shadows: whether the sun casts shadows.
     """
 
     world: str
     fleet: str
     backend: str = "auto"
+    shadows: bool = False
 
 
 @dataclass(frozen=True)
@@ -101,10 +105,11 @@ class DrawingProcess:
         """Draw the next images with other models."""
         self._changes = changes
 
-    def draw(self, scene: SceneAt, view: View) -> bytes | None:
+    def draw(self, scenes: Sequence[SceneAt], view: View) -> bytes | None:
         """Return the rows of an image, RGB, and with ``view.depth`` then those of the depths, float32, m.
 
-        None if the process has ended meanwhile and was replaced.
+        The colours are the mean of those of all scenes, the depths are those of the one in the middle. None if the
+        process has ended meanwhile and was replaced.
 
         Raises:
             DrawingError: the world cannot be drawn, or several processes have ended without drawing an image.
@@ -117,7 +122,7 @@ class DrawingProcess:
             if changes is not self._told:
                 self._connection.send(changes)
                 self._told = changes
-            self._connection.send((scene, view))
+            self._connection.send((tuple(scenes), view))
             picture = self._answer()
         except (EOFError, ConnectionError):
             self._replace()
@@ -162,7 +167,8 @@ def _serve(connection: Connection) -> None:
     drawn: Drawn = connection.recv()
     try:
         renderer = Renderer(drawn.backend)
-        scene = DrawnScene(renderer, load_world_file(drawn.world), parse_fleet(drawn.fleet))
+        fleet = parse_fleet(drawn.fleet)
+        scene = DrawnScene(renderer, load_world_file(drawn.world), fleet, shadows=drawn.shadows)
     except (ValueError, OSError, RendererError) as error:
         connection.send((f"{drawn.world}: {error}", None))
         return
@@ -174,14 +180,21 @@ def _serve(connection: Connection) -> None:
             if isinstance(order, Changes):
                 _change(scene, order, drawn.world)
                 continue
-            at, view = order
+            moments, view = order
             try:
-                picture = scene.draw(at, view)
-                depth = b"" if picture.depth is None else picture.depth.tobytes()
-                answer = ("", picture.rgb.tobytes() + depth)
+                answer = ("", _exposed(scene, moments, view))
             except ValueError as error:
                 answer = (str(error), b"")
             connection.send(answer)
+
+
+def _exposed(scene: DrawnScene, moments: Sequence[SceneAt], view: View) -> bytes:
+    """Return the bytes of ``DrawingProcess.draw``."""
+    pictures = [
+        scene.draw(at, replace(view, depth=view.depth and k == len(moments) // 2)) for k, at in enumerate(moments)
+    ]
+    depth = pictures[len(moments) // 2].depth
+    return mean_of([picture.rgb for picture in pictures]).tobytes() + (b"" if depth is None else depth.tobytes())
 
 
 def _change(scene: DrawnScene, changes: Changes, world: str) -> None:

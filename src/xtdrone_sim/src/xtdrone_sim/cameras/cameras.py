@@ -8,9 +8,12 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from xtdrone_control.fleet import Vehicle
+from xtdrone_control.lenses import drawing_of
 from xtdrone_control.settings import check_range
 from xtdrone_sim.cameras.drawn_scene import View
+from xtdrone_sim.vehicles.poses import compose
 from xtdrone_sim.vehicles.vehicle_model import CameraMount, load_vehicle
+from xtdrone_sim.vehicles.visual import Pose
 
 LEAST_TURNS = 10.0  # Hz, least rate of the node's turns, which take and publish the images
 MOST_TURNS = 50.0  # Hz, rate of /xtdrone/scene
@@ -40,9 +43,20 @@ class Camera:
 
     @property
     def views(self) -> tuple[View, ...]:
-        """The views that the renderer draws, of a stereo pair the left one first."""
+        """The views that the renderer draws for an exposure.
+
+        With depths first that of the pinhole; then, for a lens or without depths, those of each eye: of a lens, the
+        faces of its drawing (``lenses.drawing_of``). The left eye of a stereo pair comes first.
+        """
         m = self.mount
-        return tuple(View(f"{self.vehicle}::{m.link}", m.drawn, m.near, m.far, pose, m.has_depth) for _, pose in m.eyes)
+        link = f"{self.vehicle}::{m.link}"
+        plain = [View(link, m.pinhole, m.near, m.far, pose, m.has_depth) for _, pose in m.eyes]
+        if m.lens is None:
+            return tuple(plain)
+        drawing = drawing_of(m.lens)
+        turned = [compose(pose, Pose(orientation=face)) for _, pose in m.eyes for face in drawing.faces]
+        faces = [View(link, drawing.pinhole, m.near, m.far, pose) for pose in turned]
+        return (*(plain if m.has_depth else ()), *faces)
 
 
 def cameras_of(fleet: Sequence[Vehicle]) -> tuple[Camera, ...]:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_sim.cameras.rendering import Picture, Renderer
+from xtdrone_sim.cameras.sun_shadows import SunShadows, darkened
 from xtdrone_sim.vehicles.poses import OPTICAL_FRAME, compose
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.vehicles.visual import Box, Mesh, Pose, Visual
@@ -77,7 +78,9 @@ class DrawnScene:
         links: body by Gazebo's name of the link (model::link).
     """
 
-    def __init__(self, renderer: Renderer, world: SdfWorld, fleet: Sequence[Vehicle] = ()) -> None:
+    def __init__(
+        self, renderer: Renderer, world: SdfWorld, fleet: Sequence[Vehicle] = (), *, shadows: bool = False
+    ) -> None:
         """Add the world's models, the vehicles' links and the actors' postures.
 
         Models keep the world's poses until ``draw`` gets others; vehicles and actors are hidden until then.
@@ -86,6 +89,7 @@ class DrawnScene:
             renderer: receives the bodies; the caller closes it.
             world: the world to draw; one without ground of its own gets level ground, see ``ground_level``.
             fleet: vehicles, whose types are looked up by name.
+            shadows: whether the sun casts shadows, if the world's light does.
 
         Raises:
             ValueError: an invalid mesh, texture, person or vehicle type; the text names it.
@@ -98,6 +102,7 @@ class DrawnScene:
         self._deleted: frozenset[str] = frozenset()
         self._renderer = renderer
         self._light = world.light
+        self._shadows = SunShadows(world, fleet) if shadows and world.light.shadows else None
         self._shown: dict[str, int] = {}
         level = ground_level(world.models)
         if level is not None:
@@ -131,6 +136,8 @@ class DrawnScene:
         Raises:
             ValueError: an invalid mesh or texture; the text names it.
         """
+        if self._shadows is not None:
+            self._shadows.change(added, deleted)
         wanted = {model.name: model for model in added}
         for name in [name for name, model in self._added.items() if wanted.get(name) != model]:
             for link in self._added.pop(name).links:
@@ -189,7 +196,13 @@ class DrawnScene:
             self._place_actor(name, state)
         link = scene.links[view.link]
         camera = compose(link if view.pose == Pose() else compose(link, view.pose), OPTICAL_FRAME)
-        return self._renderer.draw(view.pinhole, camera, view.near, view.far, self._light, labels, view.depth)
+        depth = view.depth or self._shadows is not None
+        picture = self._renderer.draw(view.pinhole, camera, view.near, view.far, self._light, labels, depth)
+        if self._shadows is None or picture.depth is None:
+            return picture
+        reached = self._shadows.reached(scene, view.pinhole, camera, picture.depth)
+        shaded = darkened(picture.rgb, reached, self._light)
+        return replace(picture, rgb=shaded, depth=picture.depth if view.depth else None)
 
     def _put_back(self, scene: SceneAt) -> None:
         """Return the world's models that a restart has put back, and hide actors that are gone."""

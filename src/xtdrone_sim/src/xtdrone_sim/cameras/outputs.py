@@ -10,13 +10,14 @@ stereo  left/image_raw, left/image_raw/compressed, left/camera_info, and the sam
 
 Depths are distances along the optical axis; what is nearer than ``range_min`` or farther than ``range_max`` is NaN, or
 0 in 16UC1 (REP 118). Clouds are organised as the picture, in the optical frame, with NaN for such pixels. A stereo pair
-is rectified: both pictures have the same rows, and the right one's P has -fx times the baseline
-(sensor_msgs/CameraInfo). Compressed pictures are those of image_transport's plug-in ``compressed``, with its quality.
+without a lens is rectified: both pictures have the same rows, and the right one's P has -fx times the baseline
+(sensor_msgs/CameraInfo). With a lens, image_raw is distorted and its camera_info has the coefficients;
+image_rect_color beside it is the same picture without distortion, as image_proc makes it; depths and their clouds have
+none. Compressed pictures are those of image_transport's plug-in ``compressed``, with its quality.
 """
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Collection, Sequence
 from typing import Any
 
@@ -25,9 +26,9 @@ import rospy
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, PointField
 
-from xtdrone_control.lens import drawing_of
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_sim.cameras.cameras import Camera
+from xtdrone_sim.cameras.colours import Exposure, noise_of, opencv
 from xtdrone_sim.vehicles.mounts import CameraMount
 
 COSTLY = frozenset(
@@ -37,6 +38,10 @@ COSTLY = frozenset(
         "color/image_raw/compressed",
         "left/image_raw/compressed",
         "right/image_raw/compressed",
+        "image_rect_color",
+        "color/image_rect_color",
+        "left/image_rect_color",
+        "right/image_rect_color",
     }
 )
 """Topics whose messages are made only for subscribers."""
@@ -67,7 +72,11 @@ _MESSAGES: dict[str, dict[str, type]] = {
 
 def topics_of(mount: CameraMount) -> dict[str, type]:
     """Return the types of a camera's messages by topic, below ``/VEHICLE/NAME/``."""
-    return _MESSAGES[mount.kind]
+    kinds = _MESSAGES[mount.kind]
+    if mount.lens is None:
+        return kinds
+    rectified = [topic.replace("image_raw", "image_rect_color") for topic in kinds if topic.endswith("image_raw")]
+    return kinds | {topic: Image for topic in rectified if not topic.startswith("depth/")}
 
 
 def messages(camera: Camera, stamp: rospy.Time, pictures: Sequence[bytes], wanted: Collection[str]) -> dict[str, Any]:
@@ -83,76 +92,35 @@ def messages(camera: Camera, stamp: rospy.Time, pictures: Sequence[bytes], wante
     depth = None
     if mount.has_depth and {"depth/image_raw", "depth/points"} & set(wanted):
         depth = measured(mount, _depths(pinhole, pictures[0]), noise_of(camera, stamp))
-    colours = _Colours(camera, stamp, pictures)
+    colours = Exposure(camera, stamp, pictures)
     made: dict[str, Any] = {}
     for topic in wanted:
         eye = 1 if topic.startswith("right/") else 0
         part, _, what = topic.rpartition("/")
         if what == "camera_info":
-            message: Any = camera_info(camera, right=eye == 1)
+            message: Any = camera_info(camera, right=eye == 1, rectified=part == "depth")
         elif what == "points":
             assert depth is not None
-            message = cloud(pinhole, depth, colours.of(0) if mount.kind == "rgbd" else None)
+            message = cloud(pinhole, depth, colours.rectified(0) if mount.kind == "rgbd" else None)
         elif part == "depth":
             assert depth is not None
             message = _depth_image(depth, mount.encoding)
         elif what == "compressed":
-            message = compressed(colours.of(eye))
+            message = compressed(colours.raw(eye))
         else:
-            message = _image(colours.of(eye))
+            message = _image(colours.rectified(eye) if what == "image_rect_color" else colours.raw(eye))
         message.header.stamp = stamp
         message.header.frame_id = camera.frame_id
         made[topic] = message
     return made
 
 
-class _Colours:
-    """The colour pictures of one exposure, each developed once."""
-
-    def __init__(self, camera: Camera, stamp: rospy.Time, pictures: Sequence[bytes]) -> None:
-        self._camera = camera
-        self._stamp = stamp
-        self._pictures = pictures
-        self._made: dict[int, NDArray[np.uint8]] = {}
-
-    def of(self, eye: int) -> NDArray[np.uint8]:
-        """Return the picture of the left or only camera, 0, or of the right one, 1: (height, width, 3) RGB."""
-        if eye not in self._made:
-            mount = self._camera.mount
-            picture = through_lens(mount, _colours(mount.drawn, self._pictures[eye]))
-            self._made[eye] = grainy(picture, mount.image_noise, noise_of(self._camera, self._stamp, 1 + eye))
-        return self._made[eye]
-
-
-def through_lens(mount: CameraMount, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a picture drawn with ``mount.drawn`` as its lens shows it, (height, width, 3), between pixels linear."""
-    if mount.lens is None:
-        return picture
-    drawing = drawing_of(mount.lens)
-    return np.asarray(_opencv().remap(picture, drawing.columns, drawing.rows, _opencv().INTER_LINEAR))
-
-
-def grainy(picture: NDArray[np.uint8], deviation: float, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Return a picture with normal noise in each channel, of a standard deviation in parts of 255, cut to 0 to 255."""
-    if deviation == 0.0:
-        return picture
-    noise = np.float32(255.0 * deviation) * rng.standard_normal(picture.shape, np.float32)
-    return np.clip(np.rint(picture + noise), 0.0, 255.0).astype(np.uint8)
-
-
 def compressed(picture: NDArray[np.uint8]) -> CompressedImage:
     """Return a picture (height, width, 3) RGB as JPEG, with the format that image_transport writes and reads."""
-    opencv = _opencv()
-    options = [opencv.IMWRITE_JPEG_QUALITY, _QUALITY]
-    _, data = opencv.imencode(".jpg", opencv.cvtColor(picture, opencv.COLOR_RGB2BGR), options)
+    cv2 = opencv()
+    options = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
+    _, data = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), options)
     return CompressedImage(format="rgb8; jpeg compressed bgr8", data=data.tobytes())
-
-
-def _opencv() -> Any:
-    """Return OpenCV, which cameras without compressed topics or lenses do not load."""
-    import cv2
-
-    return cv2
 
 
 def _image(picture: NDArray[np.uint8]) -> Image:
@@ -160,26 +128,9 @@ def _image(picture: NDArray[np.uint8]) -> Image:
     return Image(height=height, width=width, encoding="rgb8", step=3 * width, data=picture.tobytes())
 
 
-def _colours(pinhole: Pinhole, picture: bytes) -> NDArray[np.uint8]:
-    size = pinhole.width * pinhole.height
-    return np.frombuffer(picture, np.uint8, 3 * size).reshape(pinhole.height, pinhole.width, 3)
-
-
 def _depths(pinhole: Pinhole, picture: bytes) -> NDArray[np.float32]:
     size = pinhole.width * pinhole.height
     return np.frombuffer(picture, np.float32, size, 3 * size).reshape(pinhole.height, pinhole.width)
-
-
-def noise_of(camera: Camera, stamp: rospy.Time, *stream: int) -> np.random.Generator:
-    """Return the generator of one exposure's noise: the same for its time, whatever was taken before.
-
-    Args:
-        camera: the camera.
-        stamp: time of the exposure.
-        stream: none for depths; 1 for the left or only colour picture, 2 for the right one.
-    """
-    name = zlib.crc32(camera.topics.encode())
-    return np.random.default_rng((camera.mount.seed, name, stamp.to_nsec(), *stream))
 
 
 def measured(mount: CameraMount, depth: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
@@ -227,12 +178,19 @@ def cloud(pinhole: Pinhole, depth: NDArray[np.float32], colours: NDArray[np.uint
     )
 
 
-def camera_info(camera: Camera, *, right: bool = False) -> CameraInfo:
-    """Return a camera's calibration, or that of the ``right`` one of a stereo pair; its stamp is zero."""
+def camera_info(camera: Camera, *, right: bool = False, rectified: bool = False) -> CameraInfo:
+    """Return a camera's calibration; its stamp is zero.
+
+    Args:
+        camera: the camera.
+        right: that of the right one of a stereo pair.
+        rectified: that of pictures without distortion, such as depths.
+    """
     p = camera.mount.pinhole
     info = CameraInfo(height=p.height, width=p.width, distortion_model="plumb_bob", D=[0.0] * 5)
-    if camera.mount.lens is not None:
-        info.D = list(camera.mount.lens.coefficients)
+    lens = camera.mount.lens
+    if lens is not None and not rectified:
+        info.distortion_model, info.D = lens.model, list(lens.coefficients)
     info.header.frame_id = camera.frame_id
     info.K = [p.fx, 0.0, p.cx, 0.0, p.fy, p.cy, 0.0, 0.0, 1.0]
     info.R = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]

@@ -165,7 +165,7 @@ class Models:
         world = self._simulation.world
         numbers = range(self.first_actor) if still else []
         rows = [number for number in numbers if number not in self.deleted]
-        rows = sorted({*rows, *world.bodies.by_number})
+        rows = sorted({*rows, *world.bodies.models})
         out = []
         for number in rows:
             state, name = self._model_state(number), self.names[number]
@@ -174,7 +174,7 @@ class Models:
 
     def bodies(self) -> list[tuple[int, State]]:
         """Return number and state of all models that can have changed their place."""
-        return [(number, self._model_state(number)) for number in self._simulation.world.bodies.by_number]
+        return [(number, self._model_state(number)) for number in self._simulation.world.bodies.models]
 
     # changes
 
@@ -374,7 +374,7 @@ class Models:
                 raise RequestError(f"body_name: {name!r} is not a body of its own, forces act on {base}::{root}")
             return vehicle, world.plant["position"][vehicle].tolist()
         number = self._numbers.get(base)
-        body = None if number is None else world.bodies.by_number.get(number)
+        body = None if number is None else world.bodies.models.get(number)
         if number is None or body is None or not body.is_solid:
             raise RequestError(f"body_name: {name!r} does not move, it is no vehicle and no model that falls")
         return len(world.plant) + number, body.centre

@@ -86,7 +86,13 @@ def mark_near_bodies(plant, models, boxes, speeds, moving, limits, horizon, want
 
 
 class Drive(Protocol):
-    """Moves a body along its own way; see ``robots.kinematics.Drive``."""
+    """Moves a body along its own way; see ``robots.kinematics.Drive``.
+
+    Attributes:
+        yields: whether what stands stops it.
+    """
+
+    yields: bool
 
     @property
     def is_still(self) -> bool:
@@ -158,6 +164,7 @@ class Bodies:
     Attributes:
         by_number: by the model's number; see ``World.collisions``.
         awake: numbers of the bodies that Bullet moves.
+        people: numbers of the bodies that are people.
     """
 
     def __init__(self, client: BulletClient, friction: float, restitution: float) -> None:
@@ -169,8 +176,16 @@ class Bodies:
         """
         self.by_number: dict[int, Body] = {}
         self.awake: set[int] = set()
+        self.people: set[int] = set()
         self._client = client
         self._surface = {"lateralFriction": friction, "restitution": restitution}
+
+    @property
+    def models(self) -> dict[int, Body]:
+        """All bodies by number but people."""
+        if not self.people:
+            return self.by_number
+        return {number: body for number, body in self.by_number.items() if number not in self.people}
 
     def add(self, number: int, model: SdfModel, pose: Pose, drive: Drive | None = None) -> Body:
         """Create a body at a pose; one with mass is awake.
@@ -382,7 +397,7 @@ class Bodies:
     def _follow(self, number: int, body: Body, drive: Drive) -> None:
         """Put a driven body where its drive has moved it in Bullet's last step, unless something stopped it."""
         if number in self.awake:
-            if self._is_blocked(body):
+            if drive.yields and self._is_blocked(body):
                 drive.block()
                 body.velocity = body.spin = (0.0, 0.0, 0.0)
             else:

@@ -110,6 +110,11 @@ class Obstacles:
         self._boxes: NDArray[np.float64] = np.array(boxes, float).reshape(-1, 6)
         self._lay_grid()
 
+    @property
+    def shapes(self) -> Sequence[tuple[Geometry, Pose]]:
+        """All shapes with their poses in the world."""
+        return self._shapes
+
     def _lay_grid(self) -> None:
         boxes = self._boxes
         low = boxes[:, :2].min(axis=0) if self.count else np.zeros(2)

@@ -13,6 +13,7 @@ from xtdrone_control.frames import to_xyzw
 from xtdrone_control.rotation import Quaternion, Vector, from_euler, rotate
 from xtdrone_sim.physics.bullet import BulletClient, connect, pybullet
 from xtdrone_sim.physics.obstacles import Obstacles
+from xtdrone_sim.rays.solid_ground import SolidGround
 
 _GAP = 0.001  # m between a spawned body and the ground
 _TOLERANCE = 0.01  # m; so little of an overlap is pushed apart without a jump
@@ -51,8 +52,11 @@ def check_starts(
         StartError: a vehicle overlaps something by more than a centimetre.
     """
     there = [i for i, name in enumerate(names) if name]
+    ground = SolidGround(obstacles.shapes)
     for i in there if which is None else which:
         _check_ground(plant[i], models[i], names[i])
+        if ground.has_terrain:
+            _check_terrain(plant[i], models[i], names[i], ground)
     pairs = [(i, j) for i in (there if which is None else which) for j in there if j != i and (which or j < i)]
     near = [(i, j) for i, j in pairs if _are_near(plant, models, i, j)]
     beside = {i: obstacles.around(plant[i]["position"], float(models[i]["radius"])) for i in which or there}
@@ -76,6 +80,37 @@ def _check_ground(v: np.void, m: np.void, name: str) -> None:
     axes = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     half = sum(0.5 * float(side) * abs(rotate(q, *axis)[2]) for side, axis in zip(m["box"], axes, strict=True))
     _check(half - float(v["position"][2]), v, name, "the ground")
+
+
+def _check_terrain(v: np.void, m: np.void, name: str, ground: SolidGround) -> None:
+    """Check that a vehicle is above the heightmaps below its box."""
+    signs = np.array([(a, b, c) for a in (-0.5, 0.5) for b in (-0.5, 0.5) for c in (-0.5, 0.5)])
+    corners = np.array([rotate(v["q"].tolist(), *corner) for corner in (signs * m["box"]).tolist()]) + v["position"]
+    lowest = float(corners[:, 2].min())
+    check_height(ground, np.vstack([corners[:, :2], v["position"][None, :2]]), lowest, name, _GAP)
+
+
+def check_height(ground: SolidGround, places: NDArray[np.float64], height: float, name: str, gap: float = 0.0) -> None:
+    """Check that something starts above the heightmaps of a world.
+
+    Args:
+        ground: of the world.
+        places: (n, 2) m, map, that it stands over.
+        height: of its lowest point, m.
+        name: of the vehicle or robot.
+        gap: by which that point is above the given start, m.
+
+    Raises:
+        StartError: it does not; the message has the lowest height that is allowed.
+    """
+    most = float(ground.terrain(places).max())
+    if most - height > _TOLERANCE:
+        x, y = places[-1].tolist()
+        least = math.ceil(100.0 * most) / 100.0
+        raise StartError(
+            f"{name}: the start is not free: at {x:.2f} {y:.2f} m, z = {height - gap:.2f} m is below the terrain; "
+            f"at least {least:.2f} m is allowed"
+        )
 
 
 def _are_near(plant: NDArray[np.void], models: NDArray[np.void], i: int, j: int) -> bool:

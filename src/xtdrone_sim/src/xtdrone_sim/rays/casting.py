@@ -151,18 +151,19 @@ def place_rays(places, segments, shares, mount, turn, local, origins, directions
 
 
 @kernel
-def distance_along(nodes, surfaces, things, places, position, direction, most):
-    """Return the distance, m, to the nearest surface along a unit vector, the plane z = 0 excepted.
+def distance_along(nodes, surfaces, things, places, skip, position, direction, most):
+    """Return the distance, m, to the nearest surface along a unit vector, the plane z = 0 excepted, and its owner.
 
     Args:
         nodes, surfaces, things: see ``cast_rays``.
         places: (m,) ``PLACE`` of the things.
+        skip: owner that the ray passes through; NOTHING: none.
         position: three numbers, m, map.
         direction: three numbers, map.
-        most: m; returned if nothing is nearer.
+        most: m; returned if nothing is nearer, with NOTHING as owner.
     """
     o, d, stack = np.empty(3), np.empty(3), np.empty(DEPTH, np.int64)
     for k in range(3):
         o[k], d[k] = position[k], direction[k]
-    best, _, _ = _cast(nodes, surfaces, False, things, places, places, 0.0, NOTHING, o, d, most, stack)
-    return best
+    best, owner, _ = _cast(nodes, surfaces, False, things, places, places, 0.0, skip, o, d, most, stack)
+    return best, owner

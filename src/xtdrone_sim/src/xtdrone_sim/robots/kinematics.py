@@ -1,8 +1,9 @@
-"""Motion of wheeled robots on level ground, without slip: differential drive and Ackermann steering.
+"""Motion of wheeled robots, without slip: differential drive and Ackermann steering.
 
 The origin of a robot is on the ground below the middle of its driven axle. Speed, yaw rate and steering angle follow
 their commands within limits of their rates; along a step, the origin moves on the exact arc of its speed and yaw rate.
-K. Lynch and F. Park, *Modern Robotics*, 13.3, give the equations.
+K. Lynch and F. Park, *Modern Robotics*, 13.3, give the equations. On slopes the way is along the robot's x axis, and
+height and attitude follow the ground below the wheels, see ``rolling``.
 """
 
 from __future__ import annotations
@@ -12,8 +13,22 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from xtdrone_control.rotation import Vector, from_euler, yaw_of
+import numpy as np
+
+from xtdrone_control.rotation import Vector, from_euler, multiply, yaw_of
 from xtdrone_control.settings import SettingError, Settings, setting
+from xtdrone_sim.robots.rolling import (
+    STEP,
+    Footprint,
+    Ground,
+    Heights,
+    Stand,
+    followed,
+    heights_below,
+    places,
+    stand_on,
+)
+from xtdrone_sim.vehicles.poses import conjugate
 from xtdrone_sim.vehicles.visual import Pose
 
 _NEVER = -1
@@ -38,6 +53,8 @@ class DriveState:
         rate: yaw rate, rad/s.
         steering: angle of a front wheel in the middle, rad; 0 with a differential drive.
         left, right: angles that the driven wheels have turned, rad.
+        roll, pitch: rad; 0 on level ground.
+        heights: of the ground below the wheels, m, see ``rolling.places``.
     """
 
     x: float = 0.0
@@ -49,11 +66,14 @@ class DriveState:
     steering: float = 0.0
     left: float = 0.0
     right: float = 0.0
+    roll: float = 0.0
+    pitch: float = 0.0
+    heights: Heights = (0.0, 0.0, 0.0, 0.0)
 
     @property
     def pose(self) -> Pose:
         """Pose of the origin in the world."""
-        return Pose((self.x, self.y, self.z), from_euler(0.0, 0.0, self.yaw))
+        return Pose((self.x, self.y, self.z), from_euler(self.roll, self.pitch, self.yaw))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +84,7 @@ class DriveLimits(Settings):
     track: float = setting(0.8, low=0.05, high=10.0, unit="m", text="distance of left and right wheels")
     speed: float = setting(2.0, low=0.01, high=50.0, unit="m/s", text="largest speed, forwards and backwards")
     acceleration: float = setting(2.0, low=0.01, high=50.0, unit="m/s^2", text="largest change of the speed")
+    slope: float = setting(0.35, low=0.0, high=0.7, unit="rad", text="steepest ground; a steeper one stops the robot")
     timeout: float = setting(
         0.5, low=0.0, high=3600.0, unit="s", text="time without a command after which the robot stops; 0: never"
     )
@@ -102,16 +123,33 @@ class Drive(ABC):
     """
 
     limits: DriveLimits
+    yields = True  # to what stands
 
     def __init__(self, pose: Pose = Pose()) -> None:  # noqa: B008, immutable
         """Stand at a pose, of which the yaw counts."""
         self.state = DriveState()
+        self._ground: Ground | None = None
+        self._feet = Footprint(-1.0, 1.0, 1.0)
         self.place(pose)
 
+    def stand_on(self, ground: Ground, feet: Footprint) -> None:
+        """Stand and roll on ground that need not be level, from the present place on.
+
+        Args:
+            ground: what is far above the robot does not count.
+            feet: where the wheels touch it.
+        """
+        self._ground, self._feet = ground, feet
+        self.place(self.state.pose)
+
     def place(self, pose: Pose) -> None:
-        """Stand at a pose in the world, upright; the command ends."""
+        """Stand at a pose in the world, upright or on the ground below it; the command ends."""
         x, y, z = pose.position
-        self.state = replace(DriveState(), x=x, y=y, z=z, yaw=yaw_of(pose.orientation))
+        self.state = replace(DriveState(), x=x, y=y, z=z, yaw=yaw_of(pose.orientation), heights=(z, z, z, z))
+        if self._ground is not None:
+            at = places(x, y, self.state.yaw, self._feet)
+            span = max(map(abs, self._feet))  # the ground may rise by 45 degrees
+            self.state = self._standing(self.state, heights_below(self._ground, at, (z + span,) * 4))
         self._linear = self._angular = 0.0
         self._left_us, self._next = _NEVER, self.state
 
@@ -130,6 +168,11 @@ class Drive(ABC):
         self._left_us = round(self.limits.timeout * 1e6) if self.limits.timeout else _NEVER
 
     @property
+    def is_level(self) -> bool:
+        """Whether the robot stands on the plane z = 0."""
+        return not (self.state.z or self.state.roll or self.state.pitch)
+
+    @property
     def is_still(self) -> bool:
         """Whether the robot stands and has no command to move."""
         return not (self.state.speed or self.state.rate or self._linear or self._turns())
@@ -143,8 +186,8 @@ class Drive(ABC):
                 self._stop_turning()
         old = self.state
         self._next = new = self._moved(dt)
-        pace = ((new.x - old.x) / dt, (new.y - old.y) / dt, 0.0)
-        return new.pose, pace, (0.0, 0.0, new.rate)
+        pace = ((new.x - old.x) / dt, (new.y - old.y) / dt, (new.z - old.z) / dt)
+        return new.pose, pace, _spin(old, new, dt)
 
     def accept(self) -> None:
         """Make the step that was proposed last."""
@@ -161,9 +204,10 @@ class Drive(ABC):
         steering, rate = self._turned(old, speed, dt)
         half = 0.5 * rate * dt
         way = speed * dt * (math.sin(half) / half if half else 1.0)  # the chord of the arc
+        way *= math.cos(old.pitch)
         yaw = math.remainder(old.yaw + rate * dt, math.tau)
         apart = 0.5 * self.limits.track * rate
-        return DriveState(
+        new = DriveState(
             old.x + way * math.cos(old.yaw + half),
             old.y + way * math.sin(old.yaw + half),
             old.z,
@@ -173,7 +217,28 @@ class Drive(ABC):
             steering,
             old.left + (speed - apart) / self.limits.wheel_radius * dt,
             old.right + (speed + apart) / self.limits.wheel_radius * dt,
+            old.roll,
+            old.pitch,
+            old.heights,
         )
+        return new if self._ground is None else self._rolled(old, new, self._ground)
+
+    def _rolled(self, old: DriveState, new: DriveState, ground: Ground) -> DriveState:
+        """Return ``new`` on the ground there, or where it stands before a slope or a step that is too much for it."""
+        before, after = (places(one.x, one.y, one.yaw, self._feet) for one in (old, new))
+        ways = np.hypot(*(after - before).T).tolist()
+        below = heights_below(ground, after, old.heights)
+        heights = followed(old.heights, below, ways, STEP * self.limits.wheel_radius)
+        if heights is not None:
+            stands = self._standing(new, heights)
+            tilts = [Stand(0.0, one.roll, one.pitch).tilt for one in (old, stands)]
+            if tilts[1] <= max(self.limits.slope, tilts[0]):
+                return stands
+        return replace(old, speed=0.0, rate=0.0, steering=new.steering)
+
+    def _standing(self, state: DriveState, heights: Heights) -> DriveState:
+        z, roll, pitch = stand_on(heights, self._feet)
+        return replace(state, z=z, roll=roll, pitch=pitch, heights=heights)
 
     def _wheels(self, left: str, right: str) -> list[Joint]:
         state, apart = self.state, 0.5 * self.limits.track * self.state.rate
@@ -257,6 +322,15 @@ class Ackermann(Drive):
             found.append(Joint(f"{name}_steering_joint", angle, 0.0))
             found.append(Joint(f"{name}_wheel_joint", turned, rate))
         return found
+
+
+def _spin(old: DriveState, new: DriveState, dt: float) -> Vector:
+    """Return the mean spin of a step, rad/s, world: that of the yaw alone while the robot is level."""
+    if not (old.roll or old.pitch or new.roll or new.pitch):
+        return (0.0, 0.0, new.rate)
+    w, x, y, z = multiply(new.pose.orientation, conjugate(old.pose.orientation))
+    scale = math.copysign(2.0, w) / dt  # the sine of half a small angle
+    return (scale * x, scale * y, scale * z)
 
 
 def _clipped(value: float, most: float) -> float:

@@ -17,22 +17,31 @@ _FIELDS = ("name", "type", "pose")
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,59}")
 _FIRST, _APART, _ROWS = (12.0, 0.0), 5.0, 3  # m, of the places without a pose, beside the vehicles' grid
 _FAR = 1e5  # m
+_WITH_HEIGHT = 4  # numbers of a pose
 
 
 class Robot(NamedTuple):
-    """A robot of a launch: name, as ``ugv_0``, type, and where it stands."""
+    """A robot of a launch.
+
+    Attributes:
+        name: as ``ugv_0``.
+        model: its type.
+        pose: where it stands.
+        has_height: whether z is given; otherwise it stands on the terrain there.
+    """
 
     name: str
     model: RobotModel
     pose: Pose
+    has_height: bool = False
 
 
 def parse_robots(text: str) -> tuple[Robot, ...]:
     """Return the robots that a launch names.
 
     Args:
-        text: TYPE:COUNT, comma-separated, or a YAML list of {name: NAME, type: TYPE, pose: [x, y, yaw]}, m and rad,
-            ENU; empty for none.
+        text: TYPE:COUNT, comma-separated, or a YAML list of {name: NAME, type: TYPE, pose: [x, y, yaw]} or [x, y,
+            z, yaw], m and rad, ENU; empty for none.
 
     Raises:
         ValueError: the text is malformed, a type unknown, a value not allowed, or a name twice.
@@ -50,7 +59,9 @@ def parse_robots(text: str) -> tuple[Robot, ...]:
             raise SettingError("robots", name, "a name that no other robot has")
         if kind not in models:
             models[kind] = load_robot(kind)
-        robots.append(Robot(name, models[kind], _pose(name, entry.get("pose"), number)))
+        pose = entry.get("pose")
+        has_height = isinstance(pose, list) and len(pose) == _WITH_HEIGHT
+        robots.append(Robot(name, models[kind], _pose(name, pose, number), has_height))
     return tuple(robots)
 
 
@@ -91,10 +102,8 @@ def _pose(name: str, value: Any, number: int) -> Pose:
     if value is None:
         column, row = divmod(number, _ROWS)
         return Pose((_FIRST[0] + _APART * column, _FIRST[1] + _APART * row, 0.0))
-    if not isinstance(value, list) or len(value) not in (2, 3):
-        raise SettingError(f"robots: {name}: pose", value, "x, y, m, and as needed yaw, rad")
-    x, y, yaw = (
-        check_range(f"robots: {name}: pose", part, -_FAR, _FAR)
-        for part in (value if len(value) == 3 else [*value, 0.0])
-    )
-    return Pose((x, y, 0.0), from_euler(0.0, 0.0, yaw))
+    if not isinstance(value, list) or len(value) not in (2, 3, _WITH_HEIGHT):
+        raise SettingError(f"robots: {name}: pose", value, "x, y, m, and as needed yaw, rad, or x, y, z, yaw")
+    x, y, *rest = (check_range(f"robots: {name}: pose", part, -_FAR, _FAR) for part in value)
+    z, yaw = rest if len(value) == _WITH_HEIGHT else (0.0, rest[0] if rest else 0.0)
+    return Pose((x, y, z), from_euler(0.0, 0.0, yaw))

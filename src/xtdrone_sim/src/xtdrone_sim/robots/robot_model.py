@@ -11,6 +11,7 @@ from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_sim.descriptions import ModelError, available, read_description
 from xtdrone_sim.robots.kinematics import Ackermann, AckermannLimits, Differential, DifferentialLimits, Drive
+from xtdrone_sim.robots.rolling import Footprint, Ground
 from xtdrone_sim.vehicles.urdf import Inertial
 from xtdrone_sim.vehicles.visual import Box, Collision, Cylinder, Pose, Visual
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
@@ -23,6 +24,7 @@ _LEAST_CLEARANCE = 0.05  # m: bodies do not touch the ground, on which the wheel
 _HEAVY = 1e5  # kg and kg m^2: Bullet's solver then moves what touches the robot, as its motors would
 _TYRE = (0.08, 0.08, 0.08, 1.0)
 _MARK = (0.8, 0.1, 0.1, 1.0)
+_CASTORS = 0.4  # of the body's length, before and behind its middle
 _PLATE = 0.04  # m, thickness of a platform
 
 
@@ -67,14 +69,28 @@ class RobotModel:
     body: BodySettings
     platform: PlatformSettings | None
 
-    def drive(self, pose: Pose) -> Drive:
-        """Return wheels and motors that stand at a pose."""
+    def drive(self, pose: Pose, ground: Ground | None = None) -> Drive:
+        """Return wheels and motors that stand at a pose, on ``ground`` if it is not level."""
+        drive: Drive
         if isinstance(self.limits, AckermannLimits):
-            return Ackermann(self.limits, pose)
-        return Differential(self.limits, pose)
+            drive = Ackermann(self.limits, pose)
+        else:
+            drive = Differential(self.limits, pose)
+        if ground is not None:
+            drive.stand_on(ground, self.feet)
+        return drive
 
-    def model(self, name: str, pose: Pose) -> SdfModel:
-        """Return what the world has of it: one link with body, platform and wheels."""
+    @property
+    def feet(self) -> Footprint:
+        """Where it stands on the ground: on its wheels; with two of them, also on castors ahead and behind."""
+        side = 0.5 * self.limits.track
+        if isinstance(self.limits, AckermannLimits):
+            return Footprint(0.0, self.limits.wheelbase, side)
+        half = _CASTORS * self.body.length
+        return Footprint(self.body.ahead - half, self.body.ahead + half, side)
+
+    def model(self, name: str, pose: Pose, *, wheels: bool = True) -> SdfModel:
+        """Return what the world has of it: one link with body, platform and, if wanted, wheels."""
         body, deck = self.body, self.platform
         trunk = Box((body.length, body.width, round(body.height - body.clearance, 6)))
         place = Pose((body.ahead, 0.0, 0.5 * (body.height + body.clearance)))
@@ -93,16 +109,41 @@ class RobotModel:
             if post > 0.0:
                 visuals.append(Visual(Cylinder(0.06, post), Pose((body.ahead, 0.0, body.height + 0.5 * post)), _TYRE))
         inertial = Inertial(_HEAVY, Pose(), (_HEAVY, _HEAVY, _HEAVY, 0.0, 0.0, 0.0))
-        link = SdfLink(LINK, visuals=(*visuals, *self._wheels()), collisions=tuple(collisions), inertial=inertial)
+        link = SdfLink(
+            LINK,
+            visuals=(*visuals, *(self._wheels() if wheels else ())),
+            collisions=tuple(collisions),
+            inertial=inertial,
+        )
         return SdfModel(name, pose, False, (link,))
 
+    @property
+    def wheels(self) -> list[tuple[str, float, float, bool]]:
+        """Name, x and y, m, of each wheel, and whether it is steered."""
+        half, limits = 0.5 * self.limits.track, self.limits
+        if isinstance(limits, AckermannLimits):
+            axles = [("rear_", 0.0, False), ("front_", limits.wheelbase, True)]
+        else:
+            axles = [("", 0.0, False)]
+        return [
+            (f"{axle}{side}", x, y, is_steered)
+            for axle, x, is_steered in axles
+            for side, y in (("right", -half), ("left", half))
+        ]
+
+    @property
+    def wheel(self) -> Visual:
+        """A wheel about its middle; its axis is y."""
+        radius = self.limits.wheel_radius
+        return Visual(
+            Cylinder(radius, 0.35 * radius), Pose((0.0, 0.0, 0.0), from_euler(0.5 * math.pi, 0.0, 0.0)), _TYRE
+        )
+
     def _wheels(self) -> list[Visual]:
-        limits = self.limits
-        axles = [0.0, limits.wheelbase] if isinstance(limits, AckermannLimits) else [0.0]
-        wheel = Cylinder(limits.wheel_radius, 0.35 * limits.wheel_radius)
-        level = from_euler(0.5 * math.pi, 0.0, 0.0)
-        half = 0.5 * limits.track
-        return [Visual(wheel, Pose((x, y, limits.wheel_radius), level), _TYRE) for x in axles for y in (-half, half)]
+        wheel, height = self.wheel, self.limits.wheel_radius
+        return [
+            Visual(wheel.geometry, Pose((x, y, height), wheel.pose.orientation), _TYRE) for _, x, y, _ in self.wheels
+        ]
 
 
 def robot_types() -> list[str]:

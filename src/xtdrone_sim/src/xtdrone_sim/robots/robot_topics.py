@@ -5,7 +5,7 @@ NAME/cmd_vel (in)           geometry_msgs/Twist          linear.x: speed, m/s; a
                                                          steering angle, rad, as for XTDrone's catvehicle
 NAME/odom                   nav_msgs/Odometry            from the wheels, without error: NAME/odom -> NAME/base_link
 NAME/joint_states           sensor_msgs/JointState       wheels and steering
-/tf                         tf2_msgs/TFMessage           NAME/odom -> NAME/base_link
+/tf                         tf2_msgs/TFMessage           NAME/odom -> NAME/base_link -> wheels, as left_wheel
 /tf_static                  tf2_msgs/TFMessage           map -> NAME/odom, NAME/base_link -> NAME/platform
 ==========================  ===========================  ==============================================================
 
@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
+import numpy as np
 import rospy
 from geometry_msgs.msg import (
     Point,
@@ -38,10 +39,12 @@ from xtdrone_control import lockstep
 from xtdrone_control.frames import to_xyzw
 from xtdrone_sim.gazebo.models import Models
 from xtdrone_sim.gazebo.publishing import ModelTopics
-from xtdrone_sim.physics.starts import StartError
+from xtdrone_sim.physics.starts import StartError, check_height
+from xtdrone_sim.rays.solid_ground import SolidGround, shapes_of
 from xtdrone_sim.robots.kinematics import Drive
 from xtdrone_sim.robots.listing import Robot
 from xtdrone_sim.robots.robot_model import LINK
+from xtdrone_sim.robots.robot_urdf import urdf_of, wheel_frames
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.topics.link_topics import PERIOD_US
 from xtdrone_sim.vehicles.poses import compose, inverse
@@ -79,6 +82,7 @@ class RobotTopics:
         self._joints = {robot.name: lockstep.Publisher(f"/{robot.name}/joint_states", JointState) for robot in robots}
         for robot in robots:
             lockstep.Subscriber(f"/{robot.name}/cmd_vel", Twist, partial(self._on_command, robot.name))
+            rospy.set_param(f"/{robot.name}/robot_description", urdf_of(robot.name, robot.model))
         if robots:
             self._tf = lockstep.Publisher("/tf", TFMessage)
             self._static = lockstep.Publisher("/tf_static", TFMessage, latch=True)
@@ -91,9 +95,14 @@ class RobotTopics:
             StartError: a place is not free.
         """
         world = self._simulation.world
+        ground = SolidGround(shapes_of(world.model.models)) if self._robots else None
+        self._starts: dict[str, Pose] = {}
         for robot in self._robots:
-            drive = self._drives[robot.name] = robot.model.drive(robot.pose)
-            self._numbers[robot.name] = self._models.enter(robot.model.model(robot.name, robot.pose), drive)
+            start = _on_terrain(robot, ground) if ground is not None and ground.has_terrain else robot.pose
+            drive = robot.model.drive(start, None if ground is None or ground.is_level else ground)
+            pose = self._starts[robot.name] = start if drive.is_level else drive.state.pose
+            self._drives[robot.name] = drive
+            self._numbers[robot.name] = self._models.enter(robot.model.model(robot.name, pose), drive)
         names = [*self._simulation.names, *self._models.names]
         for robot in self._robots:
             for other, depth in world.overlaps(self._numbers[robot.name]):
@@ -144,8 +153,12 @@ class RobotTopics:
             if self._numbers[robot.name] not in there:
                 continue
             drive = self._drives[robot.name]
-            pose = compose(inverse(robot.pose), drive.state.pose)
+            pose = compose(inverse(self._starts[robot.name]), drive.state.pose)
             frames.append(_transform(stamp, f"{robot.name}/odom", f"{robot.name}/{LINK}", pose))
+            frames += [
+                _transform(stamp, f"{robot.name}/{parent}", f"{robot.name}/{child}", place)
+                for parent, child, place in wheel_frames(robot.model, drive.joints())
+            ]
             if self._odometry[robot.name].get_num_connections():
                 self._odometry[robot.name].publish(_odometry(stamp, robot.name, pose, drive))
             if self._joints[robot.name].get_num_connections():
@@ -157,12 +170,26 @@ class RobotTopics:
     def _fixed_frames(self) -> list[TransformStamped]:
         frames = []
         for robot in self._robots:
-            frames.append(_transform(rospy.Time(), "map", f"{robot.name}/odom", robot.pose))
+            frames.append(_transform(rospy.Time(), "map", f"{robot.name}/odom", self._starts[robot.name]))
             deck = robot.model.platform
             if deck is not None:
                 place = Pose((robot.model.body.ahead, 0.0, deck.height))
                 frames.append(_transform(rospy.Time(), f"{robot.name}/{LINK}", f"{robot.name}/platform", place))
         return frames
+
+
+def _on_terrain(robot: Robot, ground: SolidGround) -> Pose:
+    """Return the start pose of a robot at the height of the terrain there, unless its own is given.
+
+    Raises:
+        StartError: the given height is below the terrain.
+    """
+    x, y, z = robot.pose.position
+    middle = np.array([[x, y]])
+    if robot.has_height:
+        check_height(ground, middle, z, robot.name)
+        return robot.pose
+    return Pose((x, y, max(z, float(ground.terrain(middle)[0]))), robot.pose.orientation)
 
 
 def _transform(stamp: rospy.Time, parent: str, child: str, pose: Pose) -> TransformStamped:

@@ -74,6 +74,7 @@ class FullSettings(NodeSettings):
     shared_datum: bool = setting(
         True, text="one local frame for all vehicles; PX4 instances receive it as /xtdrone/shared_origin"
     )
+    solid_people: bool = setting(False, text="vehicles and robots collide with people")
     params: str = setting("", text="folder that keeps changed vehicle parameters, empty for none")
     log_dir: str = setting("", text="folder for ULogs of the vehicles, empty for none")
     effects: tuple[Effect, ...] = ()
@@ -148,6 +149,7 @@ class FullSimulation:
             autopilots=self._factory(settings),
             effects=settings.effects,
             reserve=settings.reserve,
+            solid_people=settings.solid_people,
         )
         if self._simulation.effects is not None:
             rospy.loginfo("simulator: effects on the vehicles: %s", ", ".join(self._simulation.effects.names))
@@ -223,7 +225,7 @@ class FullSimulation:
         self._topics = LinkTopics(self._simulation, self._link_states_rate)
         for name in self.names:
             self._describe(name)
-        self._actors = ActorTopics(self._simulation.world.model.actors, lambda: self.time_us)
+        self._actors = ActorTopics(self._simulation.actors, lambda: self.time_us)
         self._models = models = Models(self._simulation, self._actors)
         self._changes = ModelTopics(models)
         self._topics.providers += [self._actors.add_to_scene, self._changes.add_to_scene]
@@ -311,7 +313,6 @@ class FullSimulation:
     def restart(self, time_us: int) -> None:
         """Return the vehicles to their spawn positions and reboot all autopilots."""
         self._simulation.restart(time_us)
-        self._actors.restart(time_us)
         self._topics.restart()
         self._contacts.restart()
         self._imus.restart()

@@ -1,7 +1,7 @@
 """Sensor models of one vehicle, with noise from per-vehicle seeded streams.
 
 IMU, magnetometer, barometer, GPS, and optionally an optical-flow camera and a range finder, which face down to level
-ground at height 0 and the models on it (they do not see other vehicles and people).
+ground at height 0 and what is above it: models, other vehicles, people.
 
 The noise of vehicle i depends on the seed and on i only, not on the size of the fleet; that of a vehicle that joins,
 also on how many have had its place before. The streams are drawn in blocks
@@ -24,6 +24,7 @@ from xtdrone_sim.physics.world import World
 from xtdrone_sim.rays.casting import distance_along
 from xtdrone_sim.sensors.below import Below
 from xtdrone_sim.sensors.failure_injection import Failing
+from xtdrone_sim.sensors.others import Others
 
 STEPS = 250  # IMU samples per block of one second
 MAG_EVERY = 5  # steps: 50 Hz
@@ -150,9 +151,15 @@ def _range_finder(s, m, noise, distance):
 
 
 @kernel
-def _optical_flow(s, v, m, noise, distance):
-    """Sample the angular flow of the ground, including the camera's rotation; signs as in OPTICAL_FLOW_RAD."""
-    vx, vy, _ = rotate_inverse(v.q, v.velocity[0], v.velocity[1], v.velocity[2])
+def _optical_flow(s, v, m, noise, distance, surface):
+    """Sample the angular flow of a surface, including the camera's rotation; signs as in OPTICAL_FLOW_RAD.
+
+    Args:
+        s, v, m, noise: records, and (5,) normals.
+        distance: of the surface, m.
+        surface: its velocity, m/s, map.
+    """
+    vx, vy, _ = rotate_inverse(v.q, v.velocity[0] - surface[0], v.velocity[1] - surface[1], v.velocity[2] - surface[2])
     seen = m.flow_least <= distance <= m.flow_largest
     flow = (v.rates[0] + vy / distance, -v.rates[1] + vx / distance)  # FLU's y is FRD's -y
     for i in range(2):
@@ -164,32 +171,40 @@ def _optical_flow(s, v, m, noise, distance):
 
 
 @kernel
-def _distance_below(v, most, below):
-    """Return the distance along the body's z axis, m, to level ground at height 0, or to a model within ``most``."""
+def _surface_below(own, v, most, below):
+    """Return the distance along the body's z axis, m, to the nearest surface, and its velocity, m/s, map.
+
+    It is level ground at height 0, or anything within ``most`` but vehicle ``own`` itself.
+    """
+    still = (0.0, 0.0, 0.0)
     cosine = 1.0 - 2.0 * (v.q[1] * v.q[1] + v.q[2] * v.q[2])
     distance = max(v.position[2], 1e-3) / cosine if cosine > 0.1 else math.inf
-    nodes, surfaces, things, places = below
+    nodes, surfaces, things, places, numbers, velocities = below
     if places.shape[0] == 0:
-        return distance
+        return distance, still
     limit = min(distance, most)
     x, y, z = rotate(v.q, 0.0, 0.0, -1.0)
-    met = distance_along(nodes, surfaces, things, places, v.position, (x, y, z), limit)
-    return max(met, 1e-3) if met < limit else distance
+    met, owner = distance_along(nodes, surfaces, things, places, numbers[own], v.position, (x, y, z), limit)
+    if not met < limit:
+        return distance, still
+    if 0 <= owner < velocities.shape[0]:
+        still = (velocities[owner, 0], velocities[owner, 1], velocities[owner, 2])
+    return max(met, 1e-3), still
 
 
 @kernel
-def _look_down(s, v, m, noise, below):
+def _look_down(own, s, v, m, noise, below):
     """Sample range finder and flow camera along the body's z axis."""
-    distance = _distance_below(v, max(m.range_largest, m.flow_largest), below)
+    distance, surface = _surface_below(own, v, max(m.range_largest, m.flow_largest), below)
     if m.range_fitted:
         _range_finder(s, m, noise, distance)
     if m.flow_fitted:
-        _optical_flow(s, v, m, noise, distance)
+        _optical_flow(s, v, m, noise, distance, surface)
 
 
 @kernel
-def sample_vehicle(s, v, m, b, fast, slow, down, below, step, time_us, field, place, gravity, dt):
-    """Fill the ``SENSORS`` record ``s`` of one vehicle; see ``sample_all``. An absent one gets no samples."""
+def sample_vehicle(own, s, v, m, b, fast, slow, down, below, step, time_us, field, place, gravity, dt):
+    """Fill the ``SENSORS`` record ``s`` of vehicle ``own``; see ``sample_all``. An absent one gets no samples."""
     if v.contact == ABSENT:
         return
     k = step % STEPS
@@ -207,7 +222,7 @@ def sample_vehicle(s, v, m, b, fast, slow, down, below, step, time_us, field, pl
     if step % GPS_EVERY == 0:
         _gps(s, v, m, b, slow[slot], place[0], place[1], place[2], dt * GPS_EVERY)
     if step % FLOW_EVERY == 0 and (m.range_fitted or m.flow_fitted):
-        _look_down(s, v, m, down[k // FLOW_EVERY], below)
+        _look_down(own, s, v, m, down[k // FLOW_EVERY], below)
 
 
 @kernel
@@ -229,7 +244,7 @@ def sample_all(sensors, plant, models, bias, fast, slow, down, below, step, time
     """
     for i in range(sensors.shape[0]):
         sample_vehicle(
-            sensors[i], plant[i], models[i], bias[i], fast[i], slow[i], down[i], below,
+            i, sensors[i], plant[i], models[i], bias[i], fast[i], slow[i], down[i], below,
             step, time_us, field, place, gravity, dt,
         )  # fmt: skip
 
@@ -240,21 +255,24 @@ class Sensors:
     Attributes:
         failing: failure injection for sensors and motors.
         noise: arguments ``bias``, ``fast``, ``slow`` and ``down`` of ``sample_all``.
-        below: what stands below the vehicles.
+        below: what is below the vehicles.
         place: argument ``place`` of ``sample_all``.
     """
 
-    def __init__(self, world: World, autopilot: Autopilot, seed: int, joins: Mapping[int, int] | None = None) -> None:
+    def __init__(
+        self, world: World, others: Others, autopilot: Autopilot, seed: int, joins: Mapping[int, int] | None = None
+    ) -> None:
         """Draw the turn-on biases.
 
         Args:
             world: provides the true state.
+            others: vehicles and people, which sensors see.
             autopilot: its ``sensors`` are written.
             seed: seed of all noise; vehicle i uses its i-th child.
             joins: by index, the number of the join of each vehicle that has joined, from 1; see ``add_vehicle``.
         """
         count = len(world.plant)
-        self._world = world
+        self._world, self._others = world, others
         self._autopilot = autopilot
         self._seed = seed
         self._streams: dict[int, np.random.Generator] = {}
@@ -266,7 +284,7 @@ class Sensors:
         self._slow = np.empty((count, STEPS // MAG_EVERY, _SLOW), np.float32)
         self._down = np.zeros((count, STEPS // FLOW_EVERY, _DOWN), np.float32)
         self.noise = self._bias, self._fast, self._slow, self._down
-        self.below = Below(world, needed=bool(self._down_streams))
+        self.below = Below(world, others, needed=bool(self._down_streams))
         self.failing = Failing(autopilot.failures, world.models, seed)
         datum = world.model.datum
         self.place = np.array([datum.latitude, datum.longitude, datum.altitude])
@@ -298,7 +316,7 @@ class Sensors:
         self.failing.forget(i)
         self._draw(i)
         if i in self._down_streams and not self.below.needed:
-            self.below = Below(self._world, needed=True)
+            self.below = Below(self._world, self._others, needed=True)
 
     def remove_vehicle(self, i: int) -> None:
         """End the noise of a vehicle that leaves."""
@@ -322,7 +340,7 @@ class Sensors:
         """Sample every sensor that is due at step number ``step``."""
         self.draw(step)
         if step % FLOW_EVERY == 0:
-            self.below.update()
+            self.below.update(time_us)
         world = self._world
         sample_all(
             self._autopilot.sensors,

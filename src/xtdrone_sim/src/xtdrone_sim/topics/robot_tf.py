@@ -27,6 +27,7 @@ class TfSettings(Settings):
 
     rate: float = setting(30.0, low=1.0, high=50.0, unit="Hz", text="publishing rate in simulated time")
     frame_id: str = setting("map", text="frame of the vehicles' positions")
+    body: bool = setting(True, text="publish the vehicles' positions; false: odometry publishes VEHICLE/base_link")
 
 
 def transform(frame: Frame, stamp: rospy.Time) -> TransformStamped:
@@ -39,14 +40,14 @@ def transform(frame: Frame, stamp: rospy.Time) -> TransformStamped:
 class RobotTf:
     """Collects the messages received in a turn and publishes them as one TF message."""
 
-    def __init__(self, models: dict[str, VehicleModel], frame_id: str) -> None:
+    def __init__(self, models: dict[str, VehicleModel], settings: TfSettings) -> None:
         """Advertise and subscribe.
 
         Args:
             models: models by vehicle name.
-            frame_id: of the vehicles' positions.
+            settings: of the node.
         """
-        self._frame_id = frame_id
+        self._frame_id, self._body = settings.frame_id, settings.body
         self._new: dict[str, TransformStamped] = {}
         self._told: set[RobotFrames] = set()  # vehicles whose joint states have been received; others are at 0
         self._publisher = lockstep.Publisher("/tf", TFMessage)
@@ -68,10 +69,11 @@ class RobotTf:
             self._new.clear()
 
     def _on_pose(self, frames: RobotFrames, message: PoseStamped) -> None:
-        p = message.pose.position
-        place = Transform(Vector3(p.x, p.y, p.z), message.pose.orientation)
-        header = Header(stamp=message.header.stamp, frame_id=self._frame_id)
-        self._new[frames.body] = TransformStamped(header, frames.body, place)
+        if self._body:
+            p = message.pose.position
+            place = Transform(Vector3(p.x, p.y, p.z), message.pose.orientation)
+            header = Header(stamp=message.header.stamp, frame_id=self._frame_id)
+            self._new[frames.body] = TransformStamped(header, frames.body, place)
         if frames not in self._told:
             self._place(frames.at_rest(), message.header.stamp)
 
@@ -99,6 +101,6 @@ def main(arguments: Sequence[str]) -> None:
         raise ArgumentError(str(error)) from error
     lockstep.init_node("robot_tf", rate=settings.rate)
     settings = TfSettings.from_parameters(rospy.get_param)
-    node = RobotTf({vehicle.name: types[vehicle.model] for vehicle in fleet}, settings.frame_id)
+    node = RobotTf({vehicle.name: types[vehicle.model] for vehicle in fleet}, settings)
     lockstep.start()
     lockstep.spin(node.step)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from xtdrone_control.lens import Lens, drawing_of
+from xtdrone_control.lenses import Equidistant, Lens, PlumbBob, drawing_of
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_control.rotation import Quaternion, Vector, from_euler, multiply
 from xtdrone_control.settings import check_choice, check_range
@@ -17,12 +17,14 @@ from xtdrone_sim.vehicles.urdf import FIXED, Description, Joint, UrdfError
 from xtdrone_sim.vehicles.visual import Pose
 
 _CAMERA = {"name", "link", "width", "height", "hfov", "rate", "near", "far", "frame_id", "kind", "position", "rpy"}
-_PICTURE = {"image_noise", "seed"}
+_PICTURE = {"image_noise", "seed", "distortion", "distortion_model", "exposure", "exposure_pictures"}
 _DEPTH = {"range_min", "range_max", "noise", "encoding", "seed"}
 _STEREO = {"baseline"}
-_RGB = {"distortion"}
 KINDS = ("rgb", "depth", "rgbd", "stereo")
 ENCODINGS = ("32FC1", "16UC1")
+_LENSES: dict[str, type[PlumbBob] | type[Equidistant]] = {kind.model: kind for kind in (PlumbBob, Equidistant)}
+_LONGEST = 0.5  # s, exposure
+_MOST_PICTURES = 63  # of an exposure
 _GIMBAL = {"yaw", "roll", "pitch", "rate"}
 _AXES: dict[str, Vector] = {"yaw": (0.0, 0.0, 1.0), "roll": (1.0, 0.0, 0.0), "pitch": (0.0, 1.0, 0.0)}
 _ALIGNED = 1e-6
@@ -63,7 +65,9 @@ class CameraMount:
         encoding: of depth images, one of ``ENCODINGS``: m, or mm as whole numbers.
         seed: of the noises, together with vehicle and name.
         image_noise: standard deviation of each channel of colour pictures, in parts of full scale, as in Gazebo.
-        lens: distortion of a camera of kind ``rgb``; None: a pinhole.
+        lens: distortion of colour pictures; None: a pinhole.
+        exposure: time for which the shutter is open, s; 0: a moment.
+        exposure_pictures: odd number of moments whose mean is the picture of an exposure that takes time.
     """
 
     name: str
@@ -83,11 +87,8 @@ class CameraMount:
     seed: int = 0
     image_noise: float = 0.0
     lens: Lens | None = None
-
-    @property
-    def drawn(self) -> Pinhole:
-        """Projection of the pictures that the renderer draws for it."""
-        return drawing_of(self.lens).pinhole if self.lens is not None else self.pinhole
+    exposure: float = 0.0
+    exposure_pictures: int = 9
 
     @property
     def has_depth(self) -> bool:
@@ -149,7 +150,7 @@ def read_cameras(cameras: Any, urdf: Description) -> tuple[CameraMount, ...]:
 
 def _camera(entry: Any, where: str, urdf: Description) -> CameraMount:
     kind = entry.get("kind", "rgb") if isinstance(entry, Mapping) else "rgb"
-    own = {"stereo": _STEREO | _PICTURE, "depth": _DEPTH, "rgbd": _DEPTH | _PICTURE, "rgb": _RGB | _PICTURE}
+    own = {"stereo": _STEREO | _PICTURE, "depth": _DEPTH, "rgbd": _DEPTH | _PICTURE, "rgb": _PICTURE}
     fields = own.get(str(kind), set())
     _check_fields(entry, _CAMERA | fields, {"name", "link", "width", "height", "hfov"} | (fields & _STEREO), where)
     name, link = str(entry["name"]), str(entry["link"])
@@ -159,17 +160,17 @@ def _camera(entry: Any, where: str, urdf: Description) -> CameraMount:
             raise ValueError(
                 f"name: {name[:80]!r} is not allowed, letters, digits and _, in parts separated by slashes"
             )
-        pinhole = Pinhole.of_view(entry["width"], entry["height"], entry["hfov"])
+        lens, pinhole = _lens(entry) if fields >= _PICTURE else (None, _pinhole(entry))
         near = check_range("near", entry.get("near", 0.05), 1e-3, 10.0, "m")
         far = check_range("far", entry.get("far", 500.0), near, 1e5, "m")
         rate = check_range("rate", entry.get("rate", 10.0), 0.1, 50.0, "Hz")
         urdf.link(link)
-        pose, special = _pose(entry), _special(entry, kind) | _picture(entry, pinhole)
+        pose, special = _pose(entry), _special(entry, kind) | _picture(entry)
     except ValueError as error:
         raise MountError(f"{where} ({name}): {error}") from error
     side = "_left" if kind == "stereo" else ""
     frame = str(entry.get("frame_id", f"{name.replace('/', '_')}{side}_optical_frame"))
-    return CameraMount(name, link, pinhole, rate, near, far, frame, kind, pose, **special)
+    return CameraMount(name, link, pinhole, rate, near, far, frame, kind, pose, lens=lens, **special)
 
 
 def _pose(entry: Mapping[str, Any]) -> Pose:
@@ -198,24 +199,46 @@ def _special(entry: Mapping[str, Any], kind: str) -> dict[str, Any]:
     }
 
 
-def _picture(entry: Mapping[str, Any], pinhole: Pinhole) -> dict[str, Any]:
-    """Return noise and lens of a camera's pictures, and the seed."""
+def _picture(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the noise of a camera's pictures, the seed, and the exposure."""
+    count = entry.get("exposure_pictures", 9)
+    if int(check_range("exposure_pictures", count, 1, _MOST_PICTURES)) != count or count % 2 != 1:
+        raise ValueError(f"exposure_pictures: {count} is not allowed, an odd number from 1 to {_MOST_PICTURES}")
     return {
+        "exposure": check_range("exposure", entry.get("exposure", 0.0), 0.0, _LONGEST, "s"),
+        "exposure_pictures": int(count),
         "seed": int(check_range("seed", entry.get("seed", 0), 0, 2**31 - 1)),
         "image_noise": check_range("image_noise", entry.get("image_noise", 0.0), 0.0, 1.0),
-        "lens": _lens(entry.get("distortion"), pinhole),
     }
 
 
-def _lens(values: Any, pinhole: Pinhole) -> Lens | None:
+def _pinhole(entry: Mapping[str, Any]) -> Pinhole:
+    return Pinhole.of_view(entry["width"], entry["height"], entry["hfov"])
+
+
+def _lens(entry: Mapping[str, Any]) -> tuple[Lens | None, Pinhole]:
+    """Return the lens of a camera's pictures, if there is one, and the pinhole without its distortion."""
+    values = entry.get("distortion")
+    model = check_choice("distortion_model", entry.get("distortion_model", PlumbBob.model), tuple(_LENSES))
+    names = _LENSES[model].names
     if values is None:
-        return None
-    if not isinstance(values, list) or len(values) != 5:
-        raise ValueError(f"distortion: {str(values)[:80]} is not allowed, a list of 5 numbers: k1, k2, p1, p2, k3")
-    k1, k2, p1, p2, k3 = (check_range("distortion", value, -10.0, 10.0) for value in values)
-    lens = Lens(pinhole, (k1, k2, p1, p2, k3))
+        if "distortion_model" in entry:
+            raise ValueError(f"distortion: nothing is not allowed with distortion_model, {_coefficients(names)}")
+        return None, _pinhole(entry)
+    if not isinstance(values, list) or len(values) != len(names):
+        raise ValueError(f"distortion: {str(values)[:80]} is not allowed, {_coefficients(names)}")
+    numbers = tuple(check_range("distortion", value, -10.0, 10.0) for value in values)
+    lens: Lens
+    if model == Equidistant.model:
+        lens = Equidistant.of_view(entry["width"], entry["height"], entry["hfov"], numbers)
+    else:
+        lens = PlumbBob(_pinhole(entry), numbers)
     drawing_of(lens)
-    return lens
+    return lens, lens.pinhole
+
+
+def _coefficients(names: Sequence[str]) -> str:
+    return f"a list of {len(names)} numbers: {', '.join(names)}"
 
 
 def read_gimbal(gimbal: Any, urdf: Description) -> GimbalMount | None:

@@ -23,9 +23,7 @@ from xtdrone_msgs.msg import SceneState
 from xtdrone_control import lockstep
 from xtdrone_control.rotation import yaw_of
 from xtdrone_sim.vehicles.visual import Pose as VisualPose
-from xtdrone_sim.worlds import people
 from xtdrone_sim.worlds.actors import Actors, ActorState
-from xtdrone_sim.worlds.sdf import SdfActor
 
 _WARNING_PERIOD = 5.0  # wall s between two equal warnings
 
@@ -37,22 +35,17 @@ class ActorTopics:
         names: of all actors, in the order of the world.
     """
 
-    def __init__(self, actors: Sequence[SdfActor], now_us: Callable[[], int]) -> None:
+    def __init__(self, actors: Actors, now_us: Callable[[], int]) -> None:
         """Subscribe to the commands; called after ``lockstep.host()``.
 
         Args:
-            actors: actors of the world.
+            actors: actors of the simulation.
             now_us: returns the simulated time, microseconds.
-
-        Raises:
-            ValueError: a skin is unknown.
         """
-        skins = people.skins([actor.skin for actor in actors])
-        self._actors = Actors(actors, [people.read(skin).stride for skin in skins])
-        self.names: Sequence[str] = self._actors.names
-        self._gone: set[int] = set()
+        self._actors = actors
+        self.names: Sequence[str] = actors.names
         self._now_us = now_us
-        for number in range(len(actors)):
+        for number in range(len(actors.names)):
             lockstep.Subscriber(f"/actor_{number}/cmd_motion", ActorMotion, partial(self._on_motion, number))
 
     def _on_motion(self, number: int, message: ActorMotion) -> None:
@@ -61,14 +54,9 @@ class ActorTopics:
         except ValueError as error:
             rospy.logwarn_throttle(_WARNING_PERIOD, f"simulator: /actor_{number}/cmd_motion: {error}")
 
-    def restart(self, time_us: int) -> None:
-        """Restart all actors at a simulated time, microseconds, also those that were removed."""
-        self._gone.clear()
-        self._actors.restart(time_us)
-
     def remove(self, number: int) -> None:
         """Remove an actor until the next restart."""
-        self._gone.add(number)
+        self._actors.remove(number)
 
     def place(self, number: int, pose: VisualPose) -> None:
         """Let an actor stand at a pose, upright; its current motion ends."""
@@ -81,8 +69,7 @@ class ActorTopics:
         return VisualPose(state.position, (math.cos(half), 0.0, 0.0, math.sin(half)))
 
     def _present(self) -> list[tuple[str, ActorState]]:
-        states = zip(self.names, self._actors.states(self._now_us()), strict=True)
-        return [named for number, named in enumerate(states) if number not in self._gone]
+        return self._actors.present(self._now_us())
 
     def add_to_scene(self, scene: SceneState) -> None:
         """Add the actors to a scene message."""

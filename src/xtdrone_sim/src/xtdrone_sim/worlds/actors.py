@@ -1,7 +1,8 @@
 """Motion of people who stand, follow a script or walk to a commanded position, in closed form.
 
 The state of an actor follows from its last command and from simulated time alone, so it does not depend on the division
-of time into steps, to the last bit. Actors walk through obstacles.
+of time into steps, to the last bit. Actors walk through obstacles; whether things are stopped by them is a matter of
+``physics.solid_people``.
 
 Frame: map, ENU, m. Yaw counter-clockwise from east, rad.
 """
@@ -9,13 +10,14 @@ Frame: map, ENU, m. Yaw counter-clockwise from east, rad.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from xtdrone_control.rotation import Vector, yaw_of
 from xtdrone_control.settings import check_range
+from xtdrone_sim.worlds import people
 from xtdrone_sim.worlds.sdf import SdfActor, Trajectory
 
 TURN_RATE = 1.5  # rad/s, in place
@@ -40,6 +42,8 @@ class ActorState(NamedTuple):
 
 
 class _Way(Protocol):
+    ends_us: float  # simulated time from which on it stands for ever; infinite: never
+
     def at(self, time_us: int) -> ActorState:
         """Return the state at a simulated time, microseconds."""
 
@@ -47,6 +51,7 @@ class _Way(Protocol):
 class _Stand:
     def __init__(self, state: ActorState) -> None:
         self._state = state._replace(phase=STANDING)
+        self.ends_us = -math.inf
 
     def at(self, time_us: int) -> ActorState:
         return self._state
@@ -66,6 +71,7 @@ class _Walk:
         self._turn = math.remainder(heading - start.yaw, math.tau)
         self._turning = abs(self._turn) / TURN_RATE if abs(self._turn) > TURNS_IN_PLACE else 0.0
         self._first_phase = max(start.phase, 0.0) if self._turning == 0.0 else 0.0
+        self.ends_us = begin_us + 1e6 * (self._turning + self._distance / speed)
 
     def at(self, time_us: int) -> ActorState:
         passed = (time_us - self._begin_us) * 1e-6
@@ -90,6 +96,8 @@ class _Script:
         self._begin_us = begin_us + round(trajectory.delay_start * 1e6)
         self._loop, self._stride = trajectory.loop, stride
         self._times_us = np.array([round(waypoint.time * 1e6) for waypoint in waypoints])
+        last_us = int(self._times_us[-1])
+        self.ends_us = math.inf if self._loop and last_us > 0 else self._begin_us + last_us
         self._places = np.array([waypoint.pose.position for waypoint in waypoints])
         self._yaws = [yaw_of(waypoint.pose.orientation) for waypoint in waypoints]
         legs = np.linalg.norm(np.diff(self._places[:, :2], axis=0), axis=1)
@@ -134,10 +142,13 @@ class Actors:
         """
         self.names = [actor.name for actor in actors]
         self._actors, self._strides = list(actors), list(strides)
+        self._told: Callable[[int], None] = lambda _: None
         self.restart(0)
 
     def restart(self, time_us: int) -> None:
-        """Restart the initial behaviour of all actors at a simulated time, microseconds."""
+        """Restart the initial behaviour of all actors at a simulated time, microseconds, also of those removed."""
+        self._gone: set[int] = set()
+        self._told = lambda _: None
         self._ways = [
             _first_way(actor, time_us, stride) for actor, stride in zip(self._actors, self._strides, strict=True)
         ]
@@ -145,6 +156,28 @@ class Actors:
     def states(self, time_us: int) -> list[ActorState]:
         """Return the states of all actors at a simulated time, microseconds, not before their last commands."""
         return [way.at(time_us) for way in self._ways]
+
+    def present(self, time_us: int) -> list[tuple[str, ActorState]]:
+        """Return names and states of the actors that are there, as ``states``."""
+        named = zip(self.names, self.states(time_us), strict=True)
+        return [one for number, one in enumerate(named) if number not in self._gone]
+
+    def remove(self, number: int) -> None:
+        """Remove an actor until the next restart."""
+        self._gone.add(number)
+        self._told(number)
+
+    def is_present(self, number: int) -> bool:
+        """Return whether an actor has not been removed."""
+        return number not in self._gone
+
+    def rests(self, number: int, time_us: int) -> bool:
+        """Return whether an actor stands from a simulated time, microseconds, until its next command."""
+        return time_us >= self._ways[number].ends_us
+
+    def watch(self, told: Callable[[int], None]) -> None:
+        """Call a function with the number of each actor that gets a command or is removed, until the next restart."""
+        self._told = told
 
     def send(self, number: int, x: float, y: float, speed: float, time_us: int) -> None:
         """Send an actor to a position, replacing its current motion; it stands after its arrival.
@@ -167,6 +200,7 @@ class Actors:
             self._ways[number] = _Stand(here)
         else:
             self._ways[number] = _Walk(here, time_us, (x, y), speed, self._strides[number])
+        self._told(number)
 
     def place(self, number: int, position: Vector, yaw: float) -> None:
         """Let an actor stand somewhere, replacing its current motion.
@@ -177,6 +211,17 @@ class Actors:
             yaw: rad.
         """
         self._ways[number] = _Stand(ActorState(position, yaw, STANDING))
+        self._told(number)
+
+
+def actors_of(actors: Sequence[SdfActor]) -> Actors:
+    """Return the actors of a world, with the strides of their skins.
+
+    Raises:
+        ValueError: a skin is unknown.
+    """
+    skins = people.skins([actor.skin for actor in actors])
+    return Actors(actors, [people.read(skin).stride for skin in skins])
 
 
 def _first_way(actor: SdfActor, time_us: int, stride: float) -> _Way:

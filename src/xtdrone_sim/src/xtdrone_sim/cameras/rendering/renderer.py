@@ -25,6 +25,7 @@ __all__ = ["BACKENDS", "Light", "Picture", "Renderer", "RendererError"]
 _TILE = (1024, 768)  # pixels; largest picture that the EGL plugin draws in one call
 _OUT_OF_SIGHT = (0.0, 0.0, -1e7)
 _MASK = (1 << 24) - 1  # bits of a label with the body; the upper ones contain the link
+_SKY = 1.0 - 2e-7  # of the depth buffer, where nothing is: TinyRenderer's is off by the rounding of its numbers
 _INDEX_LIMIT = 120_000  # maximum number of corners in a pybullet mesh
 
 
@@ -272,7 +273,7 @@ class Renderer:
         rows, columns = slice(corner[0], corner[0] + size[0]), slice(corner[1], corner[1] + size[1])
         colours = np.asarray(rgb, np.uint8).reshape(*size, 4)[:, :, :3]
         buffer = np.asarray(depth).reshape(size)
-        nothing = buffer >= 1.0
+        nothing = buffer >= _SKY
         if picture.depth is not None:
             near, far = limits
             metres = np.where(nothing, np.inf, near * far / (far - buffer * (far - near)))

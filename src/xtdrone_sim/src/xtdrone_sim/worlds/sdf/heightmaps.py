@@ -27,6 +27,7 @@ _FORMAT = b"1"  # of the cached files; a new version invalidates them
 _MOST_PIXELS = 64_000_000
 _TILE = 32  # cells along a side of a tile
 _WHOLE = "terrain.obj"
+_FOLDER = "heightmaps"  # in the cache
 
 Array = NDArray[np.float64]
 
@@ -52,12 +53,15 @@ def read_heightmap(path: Path, size: Vector, pos: Vector = (0.0, 0.0, 0.0), text
         raise SdfError(f"{path}: {error.strerror or error}") from error
     key = hashlib.sha256(_FORMAT + repr((size, pos, texture)).encode() + data).hexdigest()[:24]
     try:
-        folder = cached_folder(
-            "heightmaps", key, lambda folder: _write(_heights(data, path), size, pos, texture, folder)
-        )
+        folder = cached_folder(_FOLDER, key, lambda folder: _write(_heights(data, path), size, pos, texture, folder))
     except OSError as error:
         raise SdfError(f"{path}: its terrain cannot be written: {error.strerror or error}") from error
     return _files(folder)
+
+
+def is_terrain(path: Path) -> bool:
+    """Return whether a mesh file is a terrain or a tile of one, as ``read_heightmap`` returns them."""
+    return path.parent.parent.name == _FOLDER
 
 
 @lru_cache(maxsize=64)

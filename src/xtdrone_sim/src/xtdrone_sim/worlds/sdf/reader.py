@@ -189,7 +189,8 @@ def _light(element: Element, light: Light) -> Light:
         if sun.attributes.get("type") == "directional":
             suns.append(sun)
         else:
-            sun.warn_ignored(f"of type {sun.attributes.get('type')!r} is not supported and ignored")
+            kind = sun.attributes.get("type", "")
+            sun.warn_ignored(f"of type {kind!r} is not supported and ignored; the renderer has a directional one")
     for sun in suns[1:]:
         sun.warn_ignored("beside the first directional one is not supported and ignored")
     return _sun(suns[0], light) if suns else light
@@ -200,8 +201,10 @@ def _with(light: Light, field: str, value: Any) -> Light:
 
 
 def _sun(sun: Element, light: Light) -> Light:
-    sun.warn_unknown(("direction", "diffuse"), ("pose", "specular", "attenuation", "cast_shadows", "spot", "intensity"))
-    direction, diffuse = sun.one("direction"), sun.one("diffuse")
+    sun.warn_unknown(("direction", "diffuse", "cast_shadows"), ("pose", "specular", "attenuation", "spot", "intensity"))
+    direction, diffuse, casts = sun.one("direction"), sun.one("diffuse"), sun.one("cast_shadows")
+    if casts is not None and not casts.boolean():
+        light = replace(light, shadows=False)
     if direction is not None:
         x, y, z = direction.numbers((3,))
         if z >= 0.0:

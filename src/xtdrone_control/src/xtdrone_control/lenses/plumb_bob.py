@@ -11,23 +11,19 @@ With x, y the coordinates of a viewing ray at z = 1 and r^2 = x^2 + y^2, the len
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
-from math import ceil
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .pinhole import Pinhole
-
-MOST_GROWTH = 3.0
-"""Width and height of the picture that a lens needs, in those of its own, at most."""
+from xtdrone_control.pinhole import Pinhole
 
 _TURNS = 100
 _CLOSE = 1e-3  # pixels
 
 
 @dataclass(frozen=True)
-class Lens:
+class PlumbBob:
     """A camera whose picture is distorted.
 
     Attributes:
@@ -35,8 +31,11 @@ class Lens:
         coefficients: k1, k2, p1, p2, k3.
     """
 
+    model: ClassVar[str] = "plumb_bob"
+    names: ClassVar[tuple[str, ...]] = ("k1", "k2", "p1", "p2", "k3")
+
     pinhole: Pinhole
-    coefficients: tuple[float, float, float, float, float]
+    coefficients: tuple[float, ...]
 
     def distort(self, rays: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return where rays (n, 2), x and y at z = 1, are shown, (n, 2) at z = 1."""
@@ -67,41 +66,11 @@ class Lens:
             raise ValueError(f"distortion: [{text}] is not allowed, coefficients with a ray for each pixel")
         return rays
 
+    def rays(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the rays that the lens shows in pixels (n, 2), (n, 3) in the optical frame with z = 1.
 
-@dataclass(frozen=True)
-class Drawing:
-    """How a lens's picture is made from that of a pinhole.
-
-    Attributes:
-        pinhole: the pinhole, with the focal length of the lens's camera, which sees all that the lens shows.
-        columns, rows: of the lens's pixels in the pinhole's picture, (height, width) float32; the centre of the upper
-            left pixel is (0, 0), as in OpenCV.
-    """
-
-    pinhole: Pinhole
-    columns: NDArray[np.float32]
-    rows: NDArray[np.float32]
-
-
-@lru_cache(maxsize=32)
-def drawing_of(lens: Lens) -> Drawing:
-    """Return how to draw a lens's pictures.
-
-    Raises:
-        ValueError: the lens shows no ray in some pixel, or needs a picture greater than ``MOST_GROWTH`` of its own.
-    """
-    own = lens.pinhole
-    columns, rows = np.meshgrid(np.arange(own.width) + 0.5, np.arange(own.height) + 0.5)
-    rays = lens.undistort(own.rays(np.column_stack([columns.ravel(), rows.ravel()]))[:, :2])
-    across, down = np.abs(rays).max(axis=0)
-    width, height = 2 * ceil(across * own.fx + 1.0), 2 * ceil(down * own.fy + 1.0)
-    if width > MOST_GROWTH * own.width + 4 or height > MOST_GROWTH * own.height + 4:
-        text = ", ".join(f"{value:g}" for value in lens.coefficients)
-        raise ValueError(
-            f"distortion: [{text}] is not allowed, it needs a view of {width}x{height} pixels, at most "
-            f"{MOST_GROWTH:g} times {own.width}x{own.height}"
-        )
-    pinhole = Pinhole(width, height, own.fx, own.fy, 0.5 * width, 0.5 * height)
-    places = rays * (own.fx, own.fy) + (pinhole.cx - 0.5, pinhole.cy - 0.5)
-    maps = places.astype(np.float32).reshape(own.height, own.width, 2)
-    return Drawing(pinhole, np.ascontiguousarray(maps[..., 0]), np.ascontiguousarray(maps[..., 1]))
+        Raises:
+            ValueError: as ``undistort``.
+        """
+        rays = self.undistort(self.pinhole.rays(pixels)[:, :2])
+        return np.column_stack([rays, np.ones(len(rays))])

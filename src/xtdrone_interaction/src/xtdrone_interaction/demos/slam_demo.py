@@ -1,0 +1,165 @@
+"""``./xtdrone demo slam``: one vehicle flies round a building without GPS, by its lidar alone.
+
+Exit status: 0 for a flight that came home, 1 if the script or the launch has failed or it landed elsewhere, 2 for a
+value that is not allowed, 128 + n when stopped by signal n.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from xtdrone_control.settings import Settings, setting
+from xtdrone_interaction import options
+from xtdrone_interaction.console import PatientConsole, run_reported
+from xtdrone_interaction.launching.flown_script import fly_script
+from xtdrone_interaction.launching.supervised_launch import DemoError, Launch, master_port, run_launch, watching
+from xtdrone_interaction.metrics.formation import write_report
+from xtdrone_interaction.metrics.slam import slam_report
+from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
+from xtdrone_interaction.options import MachineSettings, OptionError, seed_setting, speed_setting
+from xtdrone_interaction.recording.model import RecordError
+from xtdrone_interaction.report.report_tables import odometry_table, print_table
+
+TYPE = "iris_slam"
+SCRIPT = options.repository() / "src" / "xtdrone_control" / "examples" / "slam.py"
+_WORLD = "city"
+_RESULTS = ("flight.bag", "report.json", "path.png", "drift.png")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlamSettings(Settings):
+    """Settings of the flight.
+
+    Attributes:
+        script: the file that flies.
+        way: its arguments: points east, north of the start.
+        world: name, or absolute path of a file.
+        out: folder of the results.
+        master_port: TCP port of the flight's own ROS master.
+        instance: number of the simulation on this machine.
+    """
+
+    script: Path
+    way: tuple[str, ...] = ()
+    world: str
+    height: float = setting(3.0, low=1.0, high=50.0, unit="m", text="height of the flight above the start")
+    speed: float = speed_setting()
+    seed: int = seed_setting()
+    out: Path
+    master_port: int
+    instance: int
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.description = (
+        "Fly one vehicle without GPS: its lidar says where it is, on a way round a building, home and down. Leaves "
+        "runs/<time>/ with flight.bag, report.json, and pictures of the way with its map and of the drift."
+    )
+    parser.add_argument("--script", type=Path, default=SCRIPT, metavar="FILE.py", help="script that flies iris_slam_0")
+    parser.add_argument(
+        "--way", nargs="+", default=[], metavar="X,Y", help="points of the way, m east and north of the start"
+    )
+    SlamSettings.add_arguments(parser, ("height", "speed", "seed"))
+    parser.add_argument("--world", default=_WORLD, metavar="WORLD", help="world, by name or file (default: city)")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
+    MachineSettings.add_arguments(parser, ("master_port",))
+    options.add_instance(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fly and return the exit status."""
+    return run_reported(lambda: _fly(_settings(arguments), PatientConsole()))
+
+
+def _settings(arguments: argparse.Namespace) -> SlamSettings:
+    """Return the settings, after all checks that need no ROS.
+
+    Raises:
+        OptionError: a value is not allowed.
+    """
+    script: Path = arguments.script
+    if script.suffix != ".py" or not script.is_file():
+        raise OptionError(f"script: {str(script)!r} is not allowed, an existing .py file")
+    for point in arguments.way:
+        _check_point(point)
+    machine = MachineSettings.from_arguments(arguments)
+    return SlamSettings.from_arguments(
+        arguments,
+        script=script.resolve(),
+        way=tuple(arguments.way),
+        world=options.world(arguments.world),
+        out=options.results_folder(arguments.out, recorded=True),
+        master_port=master_port(machine.master_port, use_running=False),
+        instance=options.take_instance(f"{TYPE}:1", machine.instance),
+    )
+
+
+def _check_point(text: str) -> None:
+    try:
+        east, north = (float(part) for part in text.split(","))
+    except ValueError:
+        east = north = float("nan")
+    if not (abs(east) <= 1e4 and abs(north) <= 1e4):
+        raise OptionError(f"way: {text!r} is not allowed, two numbers of m with a comma, as 20,-5")
+
+
+def _fly(settings: SlamSettings, console: Console) -> int:
+    launch = Launch(
+        "slam.launch",
+        {
+            "type": TYPE,
+            "world": settings.world,
+            "speed": settings.speed,
+            "seed": settings.seed,
+            "bag": settings.out / "flight.bag",
+            **({"instance": settings.instance} if settings.instance else {}),
+        },
+        settings.out,
+        settings.master_port,
+        headless=True,
+        instance=settings.instance,
+    )
+    command: list[Path | str] = [settings.script, f"{TYPE}_0", str(settings.height), *settings.way]
+
+    def go() -> int:
+        ended_nodes = EndedNodes(launch.log)
+        with watching(launch, console, ended_nodes, {}) as watch:
+            status = fly_script(command, launch, watch)
+        if status:
+            raise DemoError(f"{settings.script.name} has ended with status {status}")
+        return 0
+
+    status = run_launch(launch, console, go)
+    flown = {"world": settings.world, "seed": settings.seed, "height": settings.height, "way": list(settings.way)}
+    return status or report_again(settings.out / "flight.bag", console, flown)
+
+
+def report_again(bag: Path, console: Console, settings: dict[str, Any] | None = None) -> int:
+    """Write report and pictures beside a bag, print the figures, and return the exit status.
+
+    Raises:
+        DemoError: the bag is not the record of such a flight.
+    """
+    from xtdrone_interaction.pictures.odometry import save_pictures  # matplotlib takes a while to import
+
+    try:
+        report, shown = slam_report(bag)
+    except RecordError as error:
+        raise DemoError(str(error)) from error
+    report["settings"] = settings or {}
+    write_report(report, bag.parent / "report.json")
+    save_pictures(shown, bag.parent)
+    print_table(odometry_table(report["odometry"]), console)
+    console.print(f"landed {report['home_miss']:.2f} m from the start", highlight=False)
+    for name in _RESULTS:
+        if (bag.parent / name).exists():
+            console.print(f"  {bag.parent / name}", highlight=False, soft_wrap=True)
+    for text in report["shortcomings"]:
+        console.print(f"[red]{text}[/red]", highlight=False, soft_wrap=True)
+    return 1 if report["shortcomings"] else 0

@@ -1,0 +1,139 @@
+"""Whether odometry may be trusted: the faults of a scan, and what follows from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+from xtdrone_control.settings import Settings, setting
+
+
+class Fault(Enum):
+    """A reason not to trust odometry; the value says it in words."""
+
+    SILENT = "no scans arrive"
+    FROZEN = "scans do not change"
+    BLIND = "too few points are seen"
+    UNMATCHED = "too few points fit the map"
+    DEGENERATE = "the surroundings do not tell the position"
+    RESIDUAL = "the scan does not fit the map"
+    DIVERGED = "the position contradicts the autopilot's motion"
+    LATE = "scans are dropped, as registration takes too long"
+
+
+class State(Enum):
+    """State of the odometry."""
+
+    WAITING = "waiting for the first scan"
+    GOOD = "good"
+    LOST = "lost"
+
+
+@dataclass(frozen=True)
+class HealthLimits(Settings):
+    """Private parameters of the supervision."""
+
+    silence: float = setting(0.35, low=0.05, high=10.0, unit="s", text="time without a scan that is a fault")
+    frozen: int = setting(2, low=1, high=100, text="identical scans in succession that are a fault")
+    least_share: float = setting(0.5, low=0.0, high=1.0, text="least share of points with a correspondence in the map")
+    least_information: float = setting(
+        0.01, low=0.0, high=1.0, text="least information on the least known direction, over that on the best known one"
+    )
+    most_residual: float = setting(3.0, above=0.0, high=100.0, text="greatest root mean square of normalised residuals")
+    most_jump: float = setting(
+        0.5, above=0.0, high=100.0, unit="m", text="greatest distance of a scan's position from the predicted one"
+    )
+    most_turn: float = setting(
+        0.15, above=0.0, high=3.2, unit="rad", text="greatest angle of a scan's attitude from the predicted one"
+    )
+    patience: int = setting(2, low=1, high=100, text="bad scans in succession after which odometry is lost")
+    recovery: int = setting(10, low=1, high=1000, text="good scans in succession after which odometry is good again")
+
+
+@dataclass(frozen=True)
+class ScanFigures:
+    """What is known of one scan.
+
+    Attributes:
+        count: points used.
+        share, residual, weakest, jump (m), turn (rad): see ``Registration``.
+        same: identical scans in succession, 0 for a new one.
+        least_points: that a registration needs.
+        is_first: no map yet.
+    """
+
+    count: int
+    share: float
+    residual: float
+    weakest: float
+    jump: float
+    turn: float
+    same: int
+    least_points: int
+    is_first: bool = False
+
+
+def fault_of(figures: ScanFigures, limits: HealthLimits) -> Fault | None:
+    """Return the first fault of a scan, None for a good one."""
+    if figures.same >= limits.frozen:
+        return Fault.FROZEN
+    if figures.count < figures.least_points:
+        return Fault.BLIND
+    if figures.is_first:
+        return None
+    checks = (
+        (figures.share < limits.least_share, Fault.UNMATCHED),
+        (figures.weakest < limits.least_information, Fault.DEGENERATE),
+        (figures.residual > limits.most_residual, Fault.RESIDUAL),
+        (figures.jump > limits.most_jump or figures.turn > limits.most_turn, Fault.DIVERGED),
+    )
+    return next((fault for is_bad, fault in checks if is_bad), None)
+
+
+@dataclass
+class Health:
+    """State of the odometry over time.
+
+    A bad scan is never passed on. After ``patience`` of them, or silence, odometry is lost, and needs ``recovery`` good
+    scans to be good again.
+
+    Attributes:
+        limits: of the supervision.
+        state: of the odometry.
+        fault: of the last scan, or the reason for which odometry is lost.
+    """
+
+    limits: HealthLimits
+    state: State = State.WAITING
+    fault: Fault | None = None
+    _bad: int = field(default=0, repr=False)
+    _good: int = field(default=0, repr=False)
+    _last: float | None = field(default=None, repr=False)  # s, time of the last scan
+
+    def on_scan(self, now: float, fault: Fault | None) -> bool:
+        """Record a scan and return whether its pose may be passed on.
+
+        Args:
+            now: time, s.
+            fault: of the scan.
+        """
+        self._last = now
+        if fault is not None:
+            self._good, self._bad, self.fault = 0, self._bad + 1, fault
+            if self._bad >= self.limits.patience or self.state is State.WAITING:
+                self.state = State.LOST
+            return False
+        self._bad, self._good = 0, self._good + 1
+        if self.state is State.LOST and self._good < self.limits.recovery:
+            return False
+        self.state, self.fault = State.GOOD, None
+        return True
+
+    def on_time(self, now: float) -> None:
+        """Look whether scans have ceased.
+
+        Args:
+            now: time, s.
+        """
+        if self._last is not None and now - self._last > self.limits.silence and self.fault is not Fault.SILENT:
+            self.state, self.fault, self._good = State.LOST, Fault.SILENT, 0

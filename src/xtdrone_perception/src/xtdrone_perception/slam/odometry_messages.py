@@ -1,0 +1,126 @@
+"""Poses, clouds and states of odometry as ROS messages, whose quaternions are (x, y, z, w)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Transform, TransformStamped, Vector3
+from nav_msgs.msg import Odometry, Path
+from numpy.typing import NDArray
+from rospy import Time
+from sensor_msgs.msg import PointCloud2, PointField
+from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
+
+from xtdrone_control.frames import to_xyzw
+
+from .lidar_odometry import Registration
+from .odometry_health import Health, State
+from .poses import quaternion_of
+
+_LEVELS = {State.WAITING: DiagnosticStatus.WARN, State.GOOD: DiagnosticStatus.OK, State.LOST: DiagnosticStatus.ERROR}
+_UNKNOWN_TURNS = 1e-2  # rad^2/s^2 and m^2/s^2, variances of the velocity
+
+Array = NDArray[np.float64]
+
+
+class Frames(NamedTuple):
+    """Names of the frames of REP 105."""
+
+    map: str
+    odom: str
+    body: str
+
+
+def pose_message(pose: Array) -> Pose:
+    """Return a pose (4, 4) as a message."""
+    return Pose(Point(*pose[:3, 3].tolist()), Quaternion(*to_xyzw(quaternion_of(pose).tolist())))
+
+
+def stamped(pose: Array, stamp: Time, frame: str) -> PoseStamped:
+    """Return a pose with time and frame."""
+    return PoseStamped(Header(stamp=stamp, frame_id=frame), pose_message(pose))
+
+
+def distance(first: PoseStamped, second: PoseStamped) -> float:
+    """Return the distance between two poses, m."""
+    a, b = first.pose.position, second.pose.position
+    return float(np.hypot(np.hypot(a.x - b.x, a.y - b.y), a.z - b.z))
+
+
+def odometry(pose: Array, velocity: Array, covariance: Array, stamp: Time, frames: Frames) -> Odometry:
+    """Return an odometry message.
+
+    Args:
+        pose: (4, 4) body in odom.
+        velocity: (3,) m/s, body.
+        covariance: (6, 6) of the pose.
+        stamp: time of the pose.
+        frames: names.
+    """
+    message = Odometry(header=Header(stamp=stamp, frame_id=frames.odom), child_frame_id=frames.body)
+    message.pose.pose = pose_message(pose)
+    message.pose.covariance = covariance.ravel().tolist()
+    message.twist.twist.linear = Vector3(*velocity.tolist())
+    message.twist.covariance = (_UNKNOWN_TURNS * np.eye(6)).ravel().tolist()
+    return message
+
+
+def path(poses: Iterable[PoseStamped], stamp: Time, frame: str) -> Path:
+    """Return a path."""
+    return Path(Header(stamp=stamp, frame_id=frame), list(poses))
+
+
+def transform(pose: Array, stamp: Time, parent: str, child: str) -> TFMessage:
+    """Return a pose (4, 4) of ``child`` in ``parent`` for tf."""
+    found = pose_message(pose)
+    p = found.position
+    entry = TransformStamped(
+        Header(stamp=stamp, frame_id=parent), child, Transform(Vector3(p.x, p.y, p.z), found.orientation)
+    )
+    return TFMessage([entry])
+
+
+def identity(parent: str, child: str) -> TFMessage:
+    """Return the transform of two frames that are the same."""
+    return transform(np.eye(4), Time(), parent, child)
+
+
+def cloud(points: Array, stamp: Time, frame: str) -> PointCloud2:
+    """Return points (n, 3) m as a cloud of float32."""
+    data = np.ascontiguousarray(points, "<f4")
+    fields = [PointField(axis, 4 * k, PointField.FLOAT32, 1) for k, axis in enumerate("xyz")]
+    message = PointCloud2(height=1, width=len(data), fields=fields, point_step=12, is_dense=True)
+    message.header.stamp, message.header.frame_id = stamp, frame
+    message.row_step, message.data = data.nbytes, data.tobytes()
+    return message
+
+
+def diagnostics(name: str, health: Health, figures: Registration | None, dropped: int, stamp: Time) -> DiagnosticArray:
+    """Return the state of a vehicle's odometry.
+
+    Args:
+        name: of the vehicle.
+        health: of the odometry.
+        figures: of the last scan, None before the first.
+        dropped: scans that were not registered for want of time.
+        stamp: now.
+    """
+    text = health.fault.value if health.fault is not None else health.state.value
+    level = _LEVELS[health.state]
+    if health.state is State.GOOD and health.fault is not None:
+        level = DiagnosticStatus.WARN
+    values = [KeyValue("state", health.state.name.lower()), KeyValue("dropped", str(dropped))]
+    if figures is not None:
+        values += [
+            KeyValue("points", str(figures.count)),
+            KeyValue("share", f"{figures.share:.3f}"),
+            KeyValue("residual", f"{figures.residual:.3f}"),
+            KeyValue("weakest", f"{figures.weakest:.4f}"),
+            KeyValue("jump", f"{figures.jump:.3f}"),
+        ]
+    status = DiagnosticStatus(level, f"{name}: lidar_odometry", text, name, values)
+    return DiagnosticArray(Header(stamp=stamp), [status])

@@ -1,0 +1,111 @@
+"""From drawn pictures to those of a camera: through its lens, and with the noise of its sensor."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import rospy
+from numpy.typing import NDArray
+
+from xtdrone_control.lenses import Lens, drawing_of
+from xtdrone_control.pinhole import Pinhole
+from xtdrone_sim.cameras.cameras import Camera
+
+Colours = NDArray[np.uint8]  # (height, width, 3) RGB
+
+
+class Exposure:
+    """The colour pictures of one exposure, each developed once."""
+
+    def __init__(self, camera: Camera, stamp: rospy.Time, pictures: Sequence[bytes]) -> None:
+        """Develop nothing yet.
+
+        Args:
+            camera: the camera.
+            stamp: time of the exposure.
+            pictures: of each of its views, see ``camera_worker.DrawingProcess.draw``.
+        """
+        self._camera = camera
+        self._stamp = stamp
+        self._pictures = pictures
+        self._made: dict[tuple[int, bool], Colours] = {}
+
+    def raw(self, eye: int) -> Colours:
+        """Return the picture of the left or only camera, 0, or of the right one, 1."""
+        return self._picture(eye, rectified=False)
+
+    def rectified(self, eye: int) -> Colours:
+        """Return the same as the pinhole shows it; without a lens the same picture."""
+        return self._picture(eye, rectified=self._camera.mount.lens is not None)
+
+    def _picture(self, eye: int, *, rectified: bool) -> Colours:
+        key = (eye, rectified)
+        if key not in self._made:
+            mount = self._camera.mount
+            noise = noise_of(self._camera, self._stamp, 1 + eye + 2 * rectified)
+            self._made[key] = grainy(self._seen(eye, rectified), mount.image_noise, noise)
+        return self._made[key]
+
+    def _seen(self, eye: int, rectified: bool) -> Colours:
+        """Return a picture without noise."""
+        mount = self._camera.mount
+        if mount.lens is None or (rectified and mount.has_depth):
+            return pixels_of(mount.pinhole, self._pictures[eye])
+        drawing = drawing_of(mount.lens)
+        first = eye * len(drawing.faces) + mount.has_depth
+        faces = self._pictures[first : first + len(drawing.faces)]
+        sheet = np.concatenate([pixels_of(drawing.pinhole, face) for face in faces])
+        return without_lens(mount.lens, sheet) if rectified else through_lens(mount.lens, sheet)
+
+
+def pixels_of(pinhole: Pinhole, picture: bytes) -> Colours:
+    """Return the colours of a drawn picture, (height, width, 3)."""
+    size = pinhole.width * pinhole.height
+    return np.frombuffer(picture, np.uint8, 3 * size).reshape(pinhole.height, pinhole.width, 3)
+
+
+def through_lens(lens: Lens, sheet: Colours) -> Colours:
+    """Return what a lens shows of the pictures drawn for it, between pixels linear; black where it shows nothing.
+
+    Args:
+        lens: the lens.
+        sheet: the pictures of ``drawing_of(lens)`` below each other.
+    """
+    drawing = drawing_of(lens)
+    return np.asarray(opencv().remap(sheet, drawing.columns, drawing.rows, opencv().INTER_LINEAR))
+
+
+def without_lens(lens: Lens, sheet: Colours) -> Colours:
+    """Return what the lens's pinhole shows of the same; black where the lens does not look."""
+    columns, rows = drawing_of(lens).plain
+    return np.asarray(opencv().remap(sheet, columns, rows, opencv().INTER_LINEAR))
+
+
+def grainy(picture: Colours, deviation: float, rng: np.random.Generator) -> Colours:
+    """Return a picture with normal noise in each channel, of a standard deviation in parts of 255, cut to 0 to 255."""
+    if deviation == 0.0:
+        return picture
+    noise = np.float32(255.0 * deviation) * rng.standard_normal(picture.shape, np.float32)
+    return np.clip(np.rint(picture + noise), 0.0, 255.0).astype(np.uint8)
+
+
+def noise_of(camera: Camera, stamp: rospy.Time, *stream: int) -> np.random.Generator:
+    """Return the generator of one exposure's noise: the same for its time, whatever was taken before.
+
+    Args:
+        camera: the camera.
+        stamp: time of the exposure.
+        stream: none for depths; 1 for the left or only colour picture, 2 for the right one, 3 and 4 for rectified ones.
+    """
+    name = zlib.crc32(camera.topics.encode())
+    return np.random.default_rng((camera.mount.seed, name, stamp.to_nsec(), *stream))
+
+
+def opencv() -> Any:
+    """Return OpenCV, which cameras without compressed topics or lenses do not load."""
+    import cv2
+
+    return cv2

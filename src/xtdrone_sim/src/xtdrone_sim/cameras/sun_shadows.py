@@ -1,0 +1,80 @@
+"""What the sun reaches of a picture: rays from what each pixel shows towards the sun.
+
+The renderers' own shadows cover a small part of a world. These are those of rays (``rays.scene``): models, vehicles and
+people cast them, at any distance up to ``_REACH``. A pixel in shadow keeps the skylight only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_control.fleet import Vehicle
+from xtdrone_control.pinhole import Pinhole
+from xtdrone_sim.rays.scene import RayScene
+from xtdrone_sim.vehicles.triangles import rotation_matrix
+from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.worlds.scene_at import SceneAt
+from xtdrone_sim.worlds.sdf import Light, SdfModel, SdfWorld
+
+_REACH = 300.0  # m from the camera to what is shown, and from there to what casts a shadow
+_OFF = 0.03  # m from a surface at which its ray begins
+_COARSE = 1.5e-5  # 1/m: error of a depth over its square, of EGL's depth buffer of 16 bits from 2 m on, twice
+
+
+class SunShadows:
+    """The shadows of a world."""
+
+    def __init__(self, world: SdfWorld, fleet: Sequence[Vehicle]) -> None:
+        """Build the scene for rays.
+
+        Raises:
+            SceneError: too many triangles.
+        """
+        self._rays = RayScene(world.models, fleet, world.actors)
+        self._towards = -np.asarray(world.light.direction, float)
+
+    def change(self, added: Sequence[SdfModel], deleted: Sequence[str]) -> None:
+        """Change the models; see ``RayScene.change``."""
+        self._rays.change(added, deleted)
+
+    def reached(self, scene: SceneAt, pinhole: Pinhole, camera: Pose, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Return which pixels show something that the sun reaches, (height, width); the sky is always reached.
+
+        Args:
+            scene: poses of all that moves.
+            pinhole: projection.
+            camera: pose of the optical frame in the world.
+            depth: along the optical axis, (height, width), m; infinite for the sky.
+        """
+        rows, columns = np.nonzero(depth < _REACH)
+        far = depth[rows, columns].astype(float)
+        off = _OFF + _COARSE * far * far  # towards the eye, too: what is seen faces it
+        seen = pinhole.rays(np.column_stack([columns + 0.5, rows + 0.5])) * (far - off)[:, None]
+        points = seen @ rotation_matrix(camera).T + camera.position
+        unit = self._towards / np.linalg.norm(self._towards)
+        origins = points + off[:, None] * unit
+        hits = self._rays.cast(origins, np.tile(unit, (len(origins), 1)), _REACH, scene=scene)
+        reached = np.ones(depth.shape, bool)
+        reached[rows, columns] = np.isinf(hits.ranges)
+        return reached
+
+
+def darkened(rgb: NDArray[np.uint8], reached: NDArray[np.bool_], light: Light) -> NDArray[np.uint8]:
+    """Return a picture in which pixels that the sun does not reach have the skylight only.
+
+    Args:
+        rgb: picture with sun and sky everywhere, (height, width, 3).
+        reached: see ``SunShadows.reached``.
+        light: sun and sky.
+    """
+    sky = np.minimum(1.0, light.ambient)
+    share = sky / np.maximum(np.minimum(1.0, np.add(light.ambient, light.diffuse)), 1e-9)
+    table = np.round(np.arange(256)[:, None] * share).astype(np.uint8)
+    out = rgb.copy()
+    shadow = ~reached
+    for channel in range(3):
+        out[shadow, channel] = table[rgb[shadow, channel], channel]
+    return out

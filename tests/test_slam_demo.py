@@ -1,0 +1,86 @@
+"""``./xtdrone demo slam``: flights without GPS by lidar alone, whole and with a lidar that fails in flight."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import START_LIMIT, WALL_LIMIT
+
+from xtdrone_interaction import cli
+
+pytest.importorskip("rospy")
+
+PILOT = Path(__file__).with_name("slam_fault_pilot.py")
+
+
+def fly(out: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run the demo in a short flight."""
+    variables = {k: v for k, v in os.environ.items() if k not in ("ROS_MASTER_URI", "DISPLAY", "ROS_LOG_DIR")}
+    return subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "xtdrone_interaction",
+            "demo",
+            "slam",
+            "--speed",
+            "unlimited",
+            "--out",
+            str(out),
+            *arguments,
+        ],
+        env={**variables, **environment},
+        capture_output=True,
+        text=True,
+        timeout=START_LIMIT + 2 * WALL_LIMIT,
+        check=False,
+    )
+
+
+def test_it_flies_and_comes_home_by_lidar_alone(tmp_path: Path) -> None:
+    flown = fly(tmp_path / "run", "--world", "city:seed=2", "--seed", "3", "--height", "2", "--way", "12,0", "12,6")
+    assert flown.returncode == 0, flown.stdout + flown.stderr
+    report = json.loads((tmp_path / "run" / "report.json").read_text())
+    assert report["home_miss"] < 0.3
+    first, aligned = report["odometry"]
+    assert first["way"] > 25.0
+    assert first["ate"] < 0.2
+    assert aligned["ate"] < 0.05
+    assert first["drift"] < 0.5
+    assert (tmp_path / "run" / "path.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    "fault",
+    ["frozen 0 scans do not change", "off 0 no scans arrive", "dropouts 0.999 too few points are seen"],
+    ids=("frozen", "silent", "blind"),
+)
+def test_a_lidar_that_fails_is_named_and_the_vehicle_lands(fault: str, tmp_path: Path) -> None:
+    flown = fly(tmp_path / "run", "--script", str(PILOT), SLAM_FAULT=fault)
+    kind, _, text = fault.split(" ", 2)
+    assert f"{kind}: {text}; landed" in flown.stdout, flown.stdout + flown.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--way", "3"], "way: '3' is not allowed, two numbers of m with a comma, as 20,-5"),
+        (["--way", "3,nan"], "way: '3,nan' is not allowed"),
+        (["--script", "nowhere.py"], "script: 'nowhere.py' is not allowed, an existing .py file"),
+        (["--height", "0"], "'0' is not allowed, 1 to 50 m"),
+    ],
+)
+def test_values_that_are_not_allowed_are_named(
+    options: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        status = cli.main(["demo", "slam", *options])
+    except SystemExit as ended:  # of argparse
+        status = int(str(ended.code))
+    assert status == 2
+    assert words in capsys.readouterr().err
