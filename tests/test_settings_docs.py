@@ -51,8 +51,8 @@ from xtdrone_sim.topics.robot_tf import TfSettings
 from xtdrone_sim.uwb.uwb_node import UwbSettings
 from xtdrone_sim.vehicles.imu_mounts import ImuMount
 from xtdrone_sim.vehicles.lidar_mounts import LidarMount
-from xtdrone_sim.video.video_node import VideoSettings
 from xtdrone_sim.vehicles.uwb_mounts import UwbMount
+from xtdrone_sim.video.video_node import VideoSettings
 from xtdrone_sim.worlds.generated.city import CitySettings
 from xtdrone_sim.worlds.generated.countryside import CountrysideSettings
 from xtdrone_sim.worlds.generated.forest import ForestSettings
