@@ -33,6 +33,8 @@ from xtdrone_planning.mapping.sensor_watch import WatchSettings
 from xtdrone_planning.mapping.voxel_grid import MapSettings
 from xtdrone_planning.replanning.planner_node import TimingSettings
 from xtdrone_planning.replanning.situation import PlannerSettings
+from xtdrone_planning.safety.settings import SafetySettings
+from xtdrone_planning.swarm.settings import AgreementSettings
 from xtdrone_planning.trajectories.local_trajectory import TrajectorySettings
 from xtdrone_sim.air.body_drag import BodyDragSettings
 from xtdrone_sim.air.downwash import DownwashSettings
@@ -105,11 +107,13 @@ CLASSES: dict[str, type[Settings]] = {
         TrackingOptions,
         FollowSettings,
         MissionSettings,
+        SafetySettings,
         NetworkOptions,
         DirectorSettings,
         CrossingSettings,
         PlannerSettings,
         TrajectorySettings,
+        AgreementSettings,
         SensorChoice,
         LidarMapping,
         DepthMapping,

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from xtdrone_control.network import channel as kernels
 from xtdrone_coordination.follower import RATE, Follower
 from xtdrone_coordination.laws.topology import veteran_topology
 from xtdrone_coordination.network import Network, NetworkOptions, make_network
-from xtdrone_coordination.network import channel as kernels
 from xtdrone_coordination.patterns import Patterns, with_leader
 from xtdrone_coordination.swarm import SwarmState
 

@@ -5,6 +5,7 @@ One process serves one vehicle (``0``) or several (``0-5``, ``1,3``, ``all``: al
 Topics are listed in ``xtdrone_planning.replanning.planner_node``.
 
 Parameters:
+    ~swarm (false): agree with the other vehicles on trajectories, by ``radio.py``.
     ~sensor (lidar or depth), and those of the planner, the map, the sensors and the trajectories, see docs/settings.md.
     /xtdrone/fleet (as ``iris_3d_lidar:6``): the fleet; without it ids are not checked against a count.
 """
@@ -17,7 +18,7 @@ from collections.abc import Sequence
 import rospy
 
 from xtdrone_control import lockstep
-from xtdrone_control.program import run_program, served_vehicles
+from xtdrone_control.program import fleet_of, run_program, served_vehicles
 from xtdrone_planning.replanning.planner_node import RATE, PlannerNode
 
 USAGE = "planner.py TYPE ID   (ID: 0, 0-5, 1,3,5 or all)"
@@ -27,7 +28,8 @@ def main(arguments: Sequence[str]) -> None:
     """Run the node for the vehicles in the arguments until shutdown."""
     kind, ids, name = served_vehicles(arguments, rospy.get_param("/xtdrone/fleet", None))
     lockstep.init_node(f"{name}_planner", rate=RATE)
-    node = PlannerNode([f"{kind}_{index}" for index in ids])
+    fleet = fleet_of(rospy.get_param("/xtdrone/fleet", None)) or ()
+    node = PlannerNode([f"{kind}_{index}" for index in ids], [vehicle.name for vehicle in fleet])
     try:
         lockstep.start()
         lockstep.spin(node.step)

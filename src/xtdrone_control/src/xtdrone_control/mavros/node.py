@@ -14,6 +14,8 @@ Private parameters, besides those of ``mavros/launch/px4_config.yaml``:
 - ``~wait_for_vehicle`` (false): wait until ``~vehicle`` has joined the simulation.
 - ``~fcu_url``, with ``~target_system_id`` and ``~target_component_id`` (or ``~tgt_system`` and ``~tgt_component``, the
   names in MAVROS's launch files): serve a single vehicle as real MAVROS does; topics are in the node's own namespace.
+- ``/xtdrone/setpoint_namespace``: local setpoints are read below ``/iris_0/safety``, if it is ``safety``, and not below
+  ``/iris_0/mavros``: another node, the safety filter, passes them on.
 - ``~lockstep`` (true): set to false to run on ROS time, like real MAVROS, even if the simulator runs in lockstep.
 - ``~system_id``, ``~component_id``: MAVLink ids of the node itself (1, 240).
 """
@@ -218,9 +220,10 @@ class MavrosNode:
         if shared.get("gcs_url", ""):
             rospy.logwarn("mavros: gcs_url is not supported; ground stations use a separate port of the autopilot")
         alone = bool(shared.get("fcu_url", "") or shared.get("vehicle", ""))
+        setpoints = setpoint_namespace(rospy.get_param("/xtdrone/setpoint_namespace", ""))
         self._swarm = None if alone else Swarm(self._ros, len(vehicles))
         self._uas = [
-            Uas(vehicle.name, vehicle.prefix, link, own, self._ros, (*PLUGINS, *self._swarm_member(index)))
+            Uas(vehicle.name, vehicle.prefix, link, own, self._ros, (*PLUGINS, *self._swarm_member(index)), setpoints)
             for index, (vehicle, link, own) in enumerate(zip(vehicles, self._links, params, strict=True))
         ]
         self._starting = {uas.name for uas in self._uas}
@@ -408,6 +411,17 @@ def system_state() -> tuple[Registrations, Registrations]:
     except (rosgraph.MasterException, xmlrpc.client.Error, HTTPException) as error:
         raise OSError(str(error)) from error
     return dict(publishers), dict(subscribers)
+
+
+def setpoint_namespace(value: object) -> str:
+    """Return the parameter ``/xtdrone/setpoint_namespace`` after a check.
+
+    Raises:
+        ValueError: it is not empty and no name.
+    """
+    if isinstance(value, str) and (not value or rosgraph.names.is_legal_base_name(value)):
+        return value
+    raise ValueError(f"/xtdrone/setpoint_namespace: {value!r} is not allowed, a name such as safety, or empty")
 
 
 def _params(vehicle: Connection, settings: Mapping[str, Any]) -> Params:

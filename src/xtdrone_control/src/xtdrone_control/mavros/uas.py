@@ -116,8 +116,15 @@ class Uas:
         params: Params,
         ros: Ros,
         plugins: Iterable[PluginKind],
+        setpoint_namespace: str = "",
     ) -> None:
         """Create the plugins.
+
+        Args:
+            name, prefix, link, params, ros: see above.
+            plugins: their factories.
+            setpoint_namespace: local setpoints are those below ``/<name>/<setpoint_namespace>``, where another node
+                passes them on; empty: below ``prefix``.
 
         Raises:
             ParamError: a setting has the wrong type.
@@ -140,6 +147,7 @@ class Uas:
         self.now_ns = 0
         self._time_was_reset = False
         self._throttle = Throttle()
+        self._setpoint_prefix = f"/{name}/{setpoint_namespace}" if setpoint_namespace else prefix
         self._topics: list[Topic] = []
         self._timers: list[_Timer] = []
         self._connections_seen = -1  # Ros.connection_changes at the latest refresh by the timer
@@ -194,6 +202,10 @@ class Uas:
                 self._refuse(name, message, error)
 
         self.ros.subscriber(self._path(name), kind, accept)
+
+    def subscribe_setpoint(self, name: str, kind: type, callback: Callable[[Any], None]) -> None:
+        """Subscribe to a local setpoint, see ``setpoint_namespace``; otherwise as ``subscribe``."""
+        self.subscribe(f"{self._setpoint_prefix}/{name}", kind, callback)
 
     def service(self, name: str, kind: type, handler: Callable[[Any], Any]) -> None:
         """Offer ``<prefix>/<name>``; a value that does not fit into MAVLink is rejected with a warning."""

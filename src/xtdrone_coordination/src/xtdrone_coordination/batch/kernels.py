@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.network.channel import sample
 from xtdrone_coordination.kernel import kernel
 from xtdrone_coordination.laws import avoidance, consensus
-from xtdrone_coordination.network.channel import sample
 from xtdrone_coordination.swarm import NEVER
 
 from .neighbourhood import fill_grid, find_near, relative

@@ -1,6 +1,7 @@
 """The radio network between the vehicles: :class:`Network` and its settings, :class:`NetworkOptions`."""
 
+from xtdrone_control.network.options import MESSAGE_BITS, NetworkOptions
+
 from .network import KnownSwarm, Near, Network, Samples, make_network
-from .options import MESSAGE_BITS, NetworkOptions
 
 __all__ = ["MESSAGE_BITS", "KnownSwarm", "Near", "Network", "NetworkOptions", "Samples", "make_network"]

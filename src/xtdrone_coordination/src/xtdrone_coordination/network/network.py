@@ -30,13 +30,13 @@ from typing import Literal, NamedTuple, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xtdrone_coordination.follower import RATE
+from xtdrone_control.network import channel
+from xtdrone_control.network.options import RATE, NetworkOptions, transition_probabilities
 from xtdrone_coordination.laws.consensus import Vector
 from xtdrone_coordination.laws.topology import check_adjacency
 from xtdrone_coordination.swarm import SwarmState, as_vector
 
-from . import channel, vicinity
-from .options import NetworkOptions, transition_probabilities
+from . import vicinity
 
 _State = tuple[Vector | None, Vector | None, int]
 _FEW = 12  # vehicles: up to this number, single look-ups are as fast as one of all

@@ -9,9 +9,8 @@ import math
 
 import numpy as np
 
+from xtdrone_control.network.channel import NEVER, sample, within
 from xtdrone_coordination.kernel import kernel
-
-from .channel import NEVER, sample, within
 
 
 @kernel

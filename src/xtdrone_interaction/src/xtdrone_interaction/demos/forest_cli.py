@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "and map.png."
     )
     settings = ForestDemoSettings.add_arguments
-    settings(parser, ("sensor", "speed_limit", "acceleration_limit", "density", "seed"))
+    settings(parser, ("n", "sensor", "delay", "loss", "speed_limit", "acceleration_limit", "density", "seed"))
     parser.add_argument(
         "--world", metavar="WORLD", help="another world, by name or file (default: a forest of the seed)"
     )

@@ -6,11 +6,12 @@ import contextlib
 import json
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 
 from xtdrone_control.fleet import parse_fleet
@@ -28,6 +29,7 @@ from xtdrone_interaction.report.terminal import print_crossing, print_paths
 
 _TYPES = {"lidar": "iris_3d_lidar", "depth": "iris_depth_camera"}
 _HEIGHT = 2.0  # m
+_APART = 4.0  # m between the lines of several UAVs
 _START_LIMIT = 180.0  # s of wall time until the first progress message; kernels may have to be compiled
 _TIMINGS = "planning_times.json"
 _SETTINGS = "forest.json"  # in the results folder, for a report that is made again
@@ -65,6 +67,11 @@ class ForestDemoSettings(Settings):
     """
 
     sensor: str = setting("lidar", choices=tuple(_TYPES), text="what the UAV sees by")
+    n: int = setting(1, low=1, high=12, metavar="N", text="UAVs; several exchange sides, in pairs towards each other")
+    delay: float = setting(
+        0.0, low=0.0, high=2.0, unit="s", metavar="S", text="delay of the radio between several UAVs"
+    )
+    loss: float = setting(0.0, low=0.0, high=0.5, metavar="PART", text="probability that a message by radio is lost")
     speed_limit: float = setting(4.5, low=0.2, high=15.0, unit="m/s", metavar="M/S", text="greatest speed")
     acceleration_limit: float = setting(
         3.0, low=0.3, high=8.0, unit="m/s²", metavar="M/S2", text="greatest acceleration"
@@ -94,12 +101,31 @@ class ForestDemoSettings(Settings):
     @property
     def fleet(self) -> str:
         """The vehicles, as /xtdrone/fleet has them."""
-        return f"{_TYPES[self.sensor]}:1"
+        return f"{_TYPES[self.sensor]}:{self.n}"
 
     @property
     def generated_world(self) -> str:
         """The forest of the seed: bare trunks on 40 x 40 m between start and goal."""
         return f"forest:seed={self.seed},density={self.density:g},length=73,width=40,trunks=true"
+
+    def routes(self) -> tuple[list[tuple[float, ...]], list[tuple[float, ...]]]:
+        """Return starts (x, y) and goals (x, y, z), m in map.
+
+        Several UAVs stand in pairs on lines from start to goal, beside each other; of a pair each flies to the other's
+        place.
+        """
+        if self.n == 1:
+            return [self.start], [self.goal]
+        start, goal = np.array([*self.start, self.goal[2]]), np.array(self.goal)
+        along = (goal - start)[:2] / max(float(np.linalg.norm((goal - start)[:2])), 1e-9)
+        starts, goals = [], []
+        pairs = (self.n + 1) // 2
+        for k in range(self.n):
+            aside = (k // 2 - 0.5 * (pairs - 1)) * _APART * np.array([-along[1], along[0], 0.0])
+            here, there = (start, goal) if k % 2 == 0 else (goal, start)
+            starts.append(tuple(map(float, (here + aside)[:2])))
+            goals.append(tuple(map(float, there + aside)))
+        return starts, goals
 
     def stored(self) -> dict[str, Any]:
         """Return the settings stored in the report."""
@@ -125,14 +151,15 @@ def run_forest(settings: ForestDemoSettings, console: Console) -> int:
 
 def flight(settings: ForestDemoSettings) -> Flight:
     """Return the launch file with its arguments."""
-    start, goal = settings.start, settings.goal
+    starts, goals = settings.routes()
     return Flight(
         file="forest.launch",
         arguments={
             "vehicles": settings.fleet,
             "sensor": settings.sensor,
-            "poses": f"[[{','.join(f'{value:g}' for value in start)}]]",
-            "goals": f"[[{','.join(f'{value:g}' for value in goal)}]]",
+            "poses": _listed(starts),
+            "goals": _listed(goals),
+            **({"delay": settings.delay, "loss": settings.loss} if settings.n > 1 else {}),
             "world": settings.world,
             "speed_limit": settings.speed_limit,
             "acceleration_limit": settings.acceleration_limit,
@@ -155,6 +182,10 @@ def flight(settings: ForestDemoSettings) -> Flight:
         last_events=("finished",),
         show_event=show_event,
     )
+
+
+def _listed(places: Sequence[Sequence[float]]) -> str:
+    return f"[{','.join('[' + ','.join(f'{value:g}' for value in place) + ']' for place in places)}]"
 
 
 def show_event(event: dict[str, Any], display: Display) -> None:

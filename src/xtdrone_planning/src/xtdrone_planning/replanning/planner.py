@@ -148,13 +148,16 @@ class Planner:
         if length_of(self.path.points) < _LEAST_WAY and not self.path.is_whole:
             self.searched = "the way ahead has not been seen"
             return False
-        found = plan_along(self.grid, self.path.points, start, now.time, self.limits)
+        found = self._trajectory_along(self.path.points, start, now.time)
         if found is None:
             self.searched = "no trajectory within the limits"
             return False
         self.searched = "" if self.path.outcome == REACHED else "the search was cut short"
         self._fly(found)
         return True
+
+    def _trajectory_along(self, corners: Array, start: State, time: float) -> UniformSpline | None:
+        return plan_along(self.grid, corners, start, time, self.limits)
 
     def brake(self, time: float) -> None:
         """Stop on the present path."""

@@ -51,6 +51,9 @@ from xtdrone_planning.mapping.voxel_grid import MapSettings
 from xtdrone_planning.replanning.planner import Planner
 from xtdrone_planning.replanning.situation import Command, GoalError, PlannerSettings, Situation
 from xtdrone_planning.replanning.stopwatch import Stopwatch, write_summaries
+from xtdrone_planning.swarm.settings import AgreementSettings
+from xtdrone_planning.swarm.swarm_planner import SwarmPlanner
+from xtdrone_planning.swarm.swarm_topics import SwarmTopics
 from xtdrone_planning.trajectories.local_trajectory import TrajectorySettings
 from xtdrone_planning.trajectories.trajectory_messages import path_message, spline_message
 
@@ -80,6 +83,7 @@ class NodeSettings:
         limits: of trajectories.
         planner: of the planner.
         report: at the end.
+        swarm: how it agrees with others, None: others are not regarded.
     """
 
     sensor: SensorChoice
@@ -90,6 +94,7 @@ class NodeSettings:
     limits: TrajectorySettings
     planner: PlannerSettings
     report: TimingSettings
+    swarm: AgreementSettings | None = None
 
 
 def read_settings() -> NodeSettings:
@@ -107,17 +112,19 @@ def read_settings() -> NodeSettings:
         TrajectorySettings.from_parameters(rospy.get_param),
         PlannerSettings.from_parameters(rospy.get_param),
         TimingSettings.from_parameters(rospy.get_param),
+        AgreementSettings.from_parameters(rospy.get_param) if rospy.get_param("~swarm", False) else None,
     )
 
 
 class VehiclePlanner:
     """Topics of one vehicle around its planner."""
 
-    def __init__(self, name: str, settings: NodeSettings, *, rviz_goal: bool) -> None:
+    def __init__(self, name: str, fleet: Sequence[str], settings: NodeSettings, *, rviz_goal: bool) -> None:
         """Declare the topics.
 
         Args:
             name: of the vehicle.
+            fleet: names of all vehicles.
             settings: see ``NodeSettings``.
             rviz_goal: whether /move_base_simple/goal is this vehicle's.
         """
@@ -127,14 +134,27 @@ class VehiclePlanner:
         self._map = LocalMap(settings.grid, 2.0 * settings.limits.radius)
         self.stopwatch = Stopwatch()
         timed = self.stopwatch.measuring
-        self.planner = Planner(self._map.grid, settings.planner, settings.limits, lambda: timed("plan"))
+        self._swarm: SwarmTopics | None = None
+        if settings.swarm is None:
+            self.planner = Planner(self._map.grid, settings.planner, settings.limits, lambda: timed("plan"))
+        else:
+            self.planner = planner = SwarmPlanner(
+                self._map.grid,
+                settings.planner,
+                settings.limits,
+                settings.swarm,
+                fleet.index(name),
+                lambda: timed("plan"),
+            )
+            self._swarm = SwarmTopics(name, fleet, planner, FRAME)
         base = f"/{name}/mavros"
         self._feed = MapFeed(
             name, self._map, self._watch, settings.sensor.sensor, settings.lidar, settings.depth, lambda: timed("map")
         )
         self._services = MavrosServices(name, in_lockstep=lockstep.is_active())
         self._setpoint = lockstep.Publisher(f"{base}/setpoint_raw/local", PositionTarget)
-        self._trajectory = lockstep.Publisher(f"/{name}/planner/trajectory", SplineTrajectory, latch=True)
+        if self._swarm is None:
+            self._trajectory = lockstep.Publisher(f"/{name}/planner/trajectory", SplineTrajectory, latch=True)
         self._path = lockstep.Publisher(f"/{name}/planner/path", Path)
         self._state = lockstep.Publisher(f"/{name}/planner/state", String, latch=True)
         self._occupied = lockstep.Publisher(f"/{name}/map/occupied", PointCloud2)
@@ -156,6 +176,8 @@ class VehiclePlanner:
         self.planner.restart()
         self._map.restart()
         self._watch.restart()
+        if self._swarm is not None:
+            self._swarm.restart()
         self._forget()
 
     def _forget(self) -> None:
@@ -261,11 +283,16 @@ class VehiclePlanner:
 
     def _publish_trajectory(self, stamp: rospy.Time) -> None:
         planner = self.planner
+        if self._swarm is not None:
+            self._swarm.publish(stamp)
         if planner.trajectory is None or planner.number == self._published_number:
             return
         self._published_number = planner.number
         radius = self._settings.limits.radius
-        self._trajectory.publish(spline_message(planner.trajectory, self.name, planner.number, radius, stamp, FRAME))
+        if self._swarm is None:
+            self._trajectory.publish(
+                spline_message(planner.trajectory, self.name, planner.number, radius, stamp, FRAME)
+            )
         if self._path.get_num_connections():
             self._path.publish(path_message(planner.trajectory, stamp, FRAME))
 
@@ -314,7 +341,7 @@ class VehiclePlanner:
 class PlannerNode:
     """The planners of one or several vehicles in one process."""
 
-    def __init__(self, names: Sequence[str]) -> None:
+    def __init__(self, names: Sequence[str], fleet: Sequence[str] = ()) -> None:
         """Declare the topics; rviz's goals are the first vehicle's.
 
         Raises:
@@ -322,7 +349,9 @@ class PlannerNode:
         """
         settings = read_settings()
         self._timings = settings.report.timings
-        self._planners = [VehiclePlanner(name, settings, rviz_goal=n == 0) for n, name in enumerate(names)]
+        self._planners = [
+            VehiclePlanner(name, fleet or names, settings, rviz_goal=n == 0) for n, name in enumerate(names)
+        ]
 
     def step(self) -> None:
         """Advance every planner by a turn."""

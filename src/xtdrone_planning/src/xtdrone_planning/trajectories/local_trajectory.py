@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from xtdrone_control.settings import Settings, setting
 from xtdrone_planning.mapping.voxel_grid import VoxelGrid
 from xtdrone_planning.trajectories.clearance_check import first_conflict
-from xtdrone_planning.trajectories.spline_cost import optimise
+from xtdrone_planning.trajectories.moving_vehicles import NOBODY, MovingVehicles
+from xtdrone_planning.trajectories.spline_cost import SAMPLES, optimise
 from xtdrone_planning.trajectories.time_law import TimeLaw, length_of, points_along
 from xtdrone_planning.trajectories.uniform_spline import UniformSpline, first_points
 
@@ -58,7 +59,12 @@ class State(NamedTuple):
 
 
 def plan_along(
-    grid: VoxelGrid, corners: Array, state: State, time: float, settings: TrajectorySettings
+    grid: VoxelGrid,
+    corners: Array,
+    state: State,
+    time: float,
+    settings: TrajectorySettings,
+    others: MovingVehicles = NOBODY,
 ) -> UniformSpline | None:
     """Return a trajectory along a path, or None if no attempt has held all limits.
 
@@ -68,6 +74,7 @@ def plan_along(
         state: at the start.
         time: of the start, s of ROS time.
         settings: limits.
+        others: vehicles to keep clear of.
     """
     length = length_of(corners)
     if len(corners) < 2 or length < _TOLERANCE:
@@ -80,8 +87,10 @@ def plan_along(
         interval = max(law.duration / (segments - 2), 0.05)
         reference = points_along(corners, law.way((np.arange(segments + 3) - 1.0) * interval))
         for weight in _WEIGHTS:
-            spline = _attempt(grid, reference, interval, state, time, weight, settings)
-            if spline is not None and is_flyable(grid, spline, time, settings):
+            spline = _attempt(grid, reference, interval, state, time, weight, settings, others)
+            if spline is None or not is_flyable(grid, spline, time, settings):
+                continue
+            if math.isinf(others.conflict_time(spline, time)):
                 return spline
     return None
 
@@ -119,6 +128,7 @@ def _attempt(
     time: float,
     weight: float,
     settings: TrajectorySettings,
+    others: MovingVehicles,
 ) -> UniformSpline | None:
     """Optimise, and slow down until the limits hold; None if they do not."""
     points = reference.copy()
@@ -128,9 +138,11 @@ def _attempt(
     most_acceleration = max(settings.acceleration, float(np.linalg.norm(state.acceleration))) + _TOLERANCE
     for _ in range(_STRETCHES):
         points[:3] = first_points(state.position, state.velocity, state.acceleration, interval)
+        samples = time + np.arange((len(points) - 3) * SAMPLES) * (interval / SAMPLES)
         optimise(
             points, interval, reference, grid.distance, grid.corner, grid.resolution, comfort, weight,
-            0.97 * settings.speed, 0.92 * settings.acceleration, _ITERATIONS,
+            0.97 * settings.speed, 0.92 * settings.acceleration, others.places(samples),
+            others.apart, _ITERATIONS,
         )  # fmt: skip
         spline = UniformSpline(time, interval, points)
         excess = max(

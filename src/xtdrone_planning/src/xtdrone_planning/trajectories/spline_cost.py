@@ -18,13 +18,18 @@ FIXED = 3
 """Control points at either end that are given by the states there."""
 
 _JERK, _LIMIT, _NEAR_PATH = 0.02, 4.0, 0.15  # weights
-_SAMPLES = 3  # of a segment, at which its distance to obstacles is regarded
+SAMPLES = 3
+"""Of a segment, at which its distance to obstacles and others is regarded."""
 _MEMORY = 6
+_SAME_PLACE = 1e-6  # m: the direction from another is undefined
 _ARMIJO = 1e-4
 
 
 @kernel
-def cost(points, interval, reference, distance, corner, resolution, clearance, weight, speed, acceleration, gradient):
+def cost(
+    points, interval, reference, distance, corner, resolution, clearance, weight, speed, acceleration, moving, apart,
+    gradient,
+):  # fmt: skip
     """Return the cost of a spline, and its derivatives.
 
     Args:
@@ -35,6 +40,8 @@ def cost(points, interval, reference, distance, corner, resolution, clearance, w
         clearance: distance to obstacles below which it costs, m.
         weight: of that cost.
         speed, acceleration: limits, m/s and m/s^2.
+        moving: ((n - 3) * SAMPLES, m, 3) places of m others at the times of the samples, m.
+        apart: (m,) distance from each of them below which it costs, m.
         gradient: (n, 3), the result.
     """
     n = len(points)
@@ -50,7 +57,9 @@ def cost(points, interval, reference, distance, corner, resolution, clearance, w
             gradient[k + 1, c] += 3.0 * slope
             gradient[k + 2, c] -= 3.0 * slope
             gradient[k + 3, c] += slope
-        total += _collision(points, k, interval, distance, corner, resolution, clearance, weight, gradient)
+        total += _collision(
+            points, k, interval, distance, corner, resolution, clearance, weight, moving, apart, gradient
+        )
     total += _limits(points, interval, speed, acceleration, gradient)
     for k in range(n):
         for c in range(3):
@@ -61,12 +70,12 @@ def cost(points, interval, reference, distance, corner, resolution, clearance, w
 
 
 @kernel
-def _collision(points, k, interval, distance, corner, resolution, clearance, weight, gradient):
-    """Return the cost of segment ``k`` near obstacles, and add its derivatives."""
+def _collision(points, k, interval, distance, corner, resolution, clearance, weight, moving, apart, gradient):
+    """Return the cost of segment ``k`` near obstacles and others, and add its derivatives."""
     total = 0.0
-    scale = interval / _SAMPLES * weight
-    for sample in range(_SAMPLES):
-        u = sample / _SAMPLES
+    scale = interval / SAMPLES * weight
+    for sample in range(SAMPLES):
+        u = sample / SAMPLES
         b0, b1 = (1 - u) ** 3 / 6, (3 * u**3 - 6 * u**2 + 4) / 6
         b2, b3 = (-3 * u**3 + 3 * u**2 + 3 * u + 1) / 6, u**3 / 6
         x = b0 * points[k, 0] + b1 * points[k + 1, 0] + b2 * points[k + 2, 0] + b3 * points[k + 3, 0]
@@ -74,14 +83,26 @@ def _collision(points, k, interval, distance, corner, resolution, clearance, wei
         z = b0 * points[k, 2] + b1 * points[k + 1, 2] + b2 * points[k + 2, 2] + b3 * points[k + 3, 2]
         away, gx, gy, gz = distance_at(distance, corner, resolution, x, y, z)
         lack = clearance - away
-        if lack <= 0.0:
-            continue
-        total += scale * lack * lack
-        slope = -2.0 * scale * lack
-        for m, b in ((0, b0), (1, b1), (2, b2), (3, b3)):
-            gradient[k + m, 0] += slope * b * gx
-            gradient[k + m, 1] += slope * b * gy
-            gradient[k + m, 2] += slope * b * gz
+        if lack > 0.0:
+            total += scale * lack * lack
+            slope = -2.0 * scale * lack
+            for m, b in ((0, b0), (1, b1), (2, b2), (3, b3)):
+                gradient[k + m, 0] += slope * b * gx
+                gradient[k + m, 1] += slope * b * gy
+                gradient[k + m, 2] += slope * b * gz
+        for j in range(len(apart)):
+            other = moving[SAMPLES * k + sample, j]
+            ox, oy, oz = x - other[0], y - other[1], z - other[2]
+            off = math.sqrt(ox * ox + oy * oy + oz * oz)
+            lack = apart[j] - off
+            if lack <= 0.0 or off < _SAME_PLACE:
+                continue
+            total += scale * lack * lack
+            slope = -2.0 * scale * lack / off
+            for m, b in ((0, b0), (1, b1), (2, b2), (3, b3)):
+                gradient[k + m, 0] += slope * b * ox
+                gradient[k + m, 1] += slope * b * oy
+                gradient[k + m, 2] += slope * b * oz
     return total
 
 
@@ -115,16 +136,18 @@ def _limits(points, interval, speed, acceleration, gradient):
 
 @kernel
 def optimise(
-    points, interval, reference, distance, corner, resolution, clearance, weight, speed, acceleration, iterations
-):
+    points, interval, reference, distance, corner, resolution, clearance, weight, speed, acceleration, moving, apart,
+    iterations,
+):  # fmt: skip
     """Minimise the cost over the control points that are not fixed, in place; see ``cost``. Return the cost."""
     free = points[FIXED:-FIXED].size
     old_steps, old_slopes = np.zeros((_MEMORY, free)), np.zeros((_MEMORY, free))
     shares, curvatures = np.zeros(_MEMORY), np.zeros(_MEMORY)
     gradient, trial = np.zeros_like(points), points.copy()
     value = cost(
-        points, interval, reference, distance, corner, resolution, clearance, weight, speed, acceleration, gradient
-    )
+        points, interval, reference, distance, corner, resolution, clearance, weight, speed, acceleration, moving,
+        apart, gradient,
+    )  # fmt: skip
     slope = gradient[FIXED:-FIXED].copy().reshape(-1)
     kept = 0
     for _ in range(iterations):
@@ -138,7 +161,7 @@ def optimise(
             trial[FIXED:-FIXED] = points[FIXED:-FIXED] + (size * step).reshape(-1, 3)
             new = cost(
                 trial, interval, reference, distance, corner, resolution, clearance, weight, speed, acceleration,
-                gradient,
+                moving, apart, gradient,
             )  # fmt: skip
             if new <= value + _ARMIJO * size * fall:
                 accepted = True

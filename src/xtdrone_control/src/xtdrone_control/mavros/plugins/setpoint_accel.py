@@ -25,7 +25,7 @@ class SetpointAccelPlugin(Plugin):
         super().__init__(uas)
         force = uas.params.get("setpoint_accel/send_force", False)
         self._mask = ONLY_ACCELERATION | FORCE if force else ONLY_ACCELERATION
-        uas.subscribe(_TOPIC, Vector3Stamped, self._accel)
+        uas.subscribe_setpoint(_TOPIC, Vector3Stamped, self._accel)
 
     def _accel(self, message: Vector3Stamped) -> None:
         if not self.uas.finite(_TOPIC, vector_fields("vector", message.vector)):

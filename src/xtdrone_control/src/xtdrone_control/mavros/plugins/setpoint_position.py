@@ -55,7 +55,7 @@ class SetpointPositionPlugin(Plugin):
         if uas.params.get("setpoint_position/tf/listen", False):
             self._listener = TfListener(uas, self.name, "target_position", self._transform)
             return
-        uas.subscribe("setpoint_position/local", PoseStamped, self._local)
+        uas.subscribe_setpoint("setpoint_position/local", PoseStamped, self._local)
         uas.subscribe("setpoint_position/global", GeoPoseStamped, self._global)
         uas.subscribe(_GOAL, GeoPoseStamped, self._store_goal)
         uas.timer(_CHECK_PERIOD, self._check_goal)

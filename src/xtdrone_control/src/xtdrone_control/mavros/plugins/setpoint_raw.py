@@ -73,7 +73,7 @@ class SetpointRawPlugin(Plugin):
             "ATTITUDE_TARGET": Feed(self._on_target_attitude, self._target_attitude),
         }
         self._frame_was_unset = False
-        uas.subscribe(_LOCAL, PositionTarget, self._local)
+        uas.subscribe_setpoint(_LOCAL, PositionTarget, self._local)
         uas.subscribe("setpoint_raw/global", GlobalPositionTarget, self._global)
         uas.subscribe("setpoint_raw/attitude", AttitudeTarget, self._attitude)
 

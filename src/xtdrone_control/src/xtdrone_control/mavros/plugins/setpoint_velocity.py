@@ -21,8 +21,8 @@ class SetpointVelocityPlugin(Plugin):
         """Subscribe."""
         super().__init__(uas)
         self._frame = MavFrame(uas, self.name)
-        uas.subscribe("setpoint_velocity/cmd_vel", TwistStamped, self._stamped)
-        uas.subscribe("setpoint_velocity/cmd_vel_unstamped", Twist, self._unstamped)
+        uas.subscribe_setpoint("setpoint_velocity/cmd_vel", TwistStamped, self._stamped)
+        uas.subscribe_setpoint("setpoint_velocity/cmd_vel_unstamped", Twist, self._unstamped)
 
     def _stamped(self, twist: TwistStamped) -> None:
         self._send("setpoint_velocity/cmd_vel", twist.twist, self.uas.boot_ms(twist.header))

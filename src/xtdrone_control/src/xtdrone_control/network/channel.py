@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_coordination.kernel import kernel
+from xtdrone_control.kernel import kernel
 
 LOSS, JITTER, PHASE = np.uint64(0x6C6F7373), np.uint64(0x6A697474), np.uint64(0x70686173)
 """Streams of random draws, one per purpose."""
@@ -94,7 +94,7 @@ def within(position, i, j, square):
 
 
 @kernel
-def out_since(air, turn, sender, receiver):
+def out_since(seed, fail, recover, turn, sender, receiver):
     """Return the first turn of the link's present outage as of ``turn``, ``turn + 1`` if there is none.
 
     The state of the Gilbert-Elliott channel is a function of the draws alone (coupling from the past): a draw below
@@ -103,10 +103,10 @@ def out_since(air, turn, sender, receiver):
     """
     k = turn
     while True:
-        u = draw(air.seed, LOSS, k, sender, receiver)
-        if u < air.fail:
+        u = draw(seed, LOSS, k, sender, receiver)
+        if u < fail:
             return k
-        if u >= 1.0 - air.recover:
+        if u >= 1.0 - recover:
             return turn + 1
         k -= 1
 
@@ -134,7 +134,7 @@ def newest(air, i, j):
             k -= 1
             continue
         if air.fail >= 0.0:
-            out = out_since(air, k, j, i)
+            out = out_since(air.seed, air.fail, air.recover, k, j, i)
             if out <= k:
                 k = out - 1
                 continue

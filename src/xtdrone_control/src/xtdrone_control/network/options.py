@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass
 
 from xtdrone_control.settings import SettingError, Settings, setting
-from xtdrone_coordination.follower import RATE
+
+RATE = 30  # turns per second, Hz: of the followers and their samples
 
 MESSAGE_BITS = 320  # LOCAL_POSITION_NED in a MAVLink 2 frame: 28 bytes, and a header and checksum of 12
 

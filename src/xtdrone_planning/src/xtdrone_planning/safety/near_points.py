@@ -1,0 +1,72 @@
+"""The points of a cloud that matter to a vehicle: in each direction the nearest."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from xtdrone_control.rotation_kernels import rotate
+from xtdrone_planning.kernel import kernel
+
+_AZIMUTHS, _HEIGHTS = 32, 16
+SECTORS = _AZIMUTHS * _HEIGHTS
+_OWN_BODY = 0.3  # m; nearer points are of the vehicle itself
+
+
+@kernel
+def placed(points, mount, mount_attitude, position, attitude, reach):
+    """Return the points within reach of the vehicle, in the local frame (ENU), shape (K, 3), m.
+
+    Args:
+        points: in the sensor's frame, shape (N, 3), m; not finite: no return.
+        mount: of the sensor in the body frame (FLU), shape (3,), m.
+        mount_attitude: sensor to FLU, (w, x, y, z).
+        position: of the vehicle when they were measured, ENU, shape (3,), m.
+        attitude: FLU to ENU, (w, x, y, z).
+        reach: m.
+    """
+    kept = np.empty((len(points), 3))
+    count = 0
+    for k in range(len(points)):
+        x, y, z = rotate(mount_attitude, float(points[k, 0]), float(points[k, 1]), float(points[k, 2]))
+        x, y, z = x + mount[0], y + mount[1], z + mount[2]
+        square = x * x + y * y + z * z
+        if _OWN_BODY * _OWN_BODY < square <= reach * reach:  # False for NaN
+            x, y, z = rotate(attitude, x, y, z)
+            kept[count, 0], kept[count, 1], kept[count, 2] = x + position[0], y + position[1], z + position[2]
+            count += 1
+    return kept[:count].copy()
+
+
+@kernel
+def nearest_by_sector(points, position, reach, near):
+    """Store the nearest point of each sector of directions round a position; return their number.
+
+    Sectors are equally wide in azimuth and equally high in the sine of the elevation.
+
+    Args:
+        points: shape (N, 3), m.
+        position: shape (3,), m.
+        reach: m.
+        near: shape (SECTORS, 3); written.
+    """
+    least = np.full(SECTORS, reach * reach)
+    best = np.full(SECTORS, -1)
+    for k in range(len(points)):
+        x, y, z = points[k, 0] - position[0], points[k, 1] - position[1], points[k, 2] - position[2]
+        square = x * x + y * y + z * z
+        if square >= reach * reach or square == 0.0:
+            continue
+        column = min(int((math.atan2(y, x) / (2.0 * math.pi) + 0.5) * _AZIMUTHS), _AZIMUTHS - 1)
+        row = min(int((z / math.sqrt(square) * 0.5 + 0.5) * _HEIGHTS), _HEIGHTS - 1)
+        sector = column * _HEIGHTS + row
+        if square < least[sector]:
+            least[sector] = square
+            best[sector] = k
+    count = 0
+    for sector in range(SECTORS):
+        if best[sector] >= 0:
+            near[count] = points[best[sector]]
+            count += 1
+    return count

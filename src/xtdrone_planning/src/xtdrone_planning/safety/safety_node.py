@@ -1,0 +1,348 @@
+"""The safety filter as the last node before MAVROS.
+
+With the parameter ``/xtdrone/setpoint_namespace`` (``safety``) the MAVROS layer subscribes to setpoints below
+``/T/safety`` in place of ``/T/mavros``. Nodes publish as ever; the filter takes what they publish and passes it on. A
+real MAVROS gets the same by a remap of each topic. For each vehicle ``T``:
+
+=======================================  ================================  ============================================
+topic                                    type                              meaning
+=======================================  ================================  ============================================
+/T/mavros/setpoint_raw/local             mavros_msgs/PositionTarget        in; as are the next four
+/T/mavros/setpoint_position/local        geometry_msgs/PoseStamped
+/T/mavros/setpoint_velocity/cmd_vel      geometry_msgs/TwistStamped        and cmd_vel_unstamped (Twist)
+/T/mavros/setpoint_accel/accel           geometry_msgs/Vector3Stamped
+/T/safety/...                            as above                          out: setpoints that are allowed, unchanged
+/T/safety/setpoint_raw/local             mavros_msgs/PositionTarget        out: all corrected ones, as velocities
+/T/safety/intervention                   xtdrone_msgs/SafetyIntervention   out: every correction, and its end
+/T/mavros/local_position/pose            geometry_msgs/PoseStamped         in: of this vehicle, and of all others with
+/T/mavros/local_position/velocity_local  geometry_msgs/TwistStamped        this, or /xtdrone/swarm for all at once
+/T/mavros/extended_state                 mavros_msgs/ExtendedState         in: a vehicle on the ground is not filtered
+/T/CLOUD                                 sensor_msgs/PointCloud2           in: obstacles, if ``~cloud`` names it
+/diagnostics                             diagnostic_msgs/DiagnosticArray   out: once a second
+=======================================  ================================  ============================================
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import deque
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped, Vector3, Vector3Stamped
+from mavros_msgs.msg import ExtendedState, PositionTarget
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Float64MultiArray
+from xtdrone_msgs.msg import SafetyIntervention
+
+from xtdrone_control import lockstep, rotation
+from xtdrone_control.program import ArgumentError, needed_fleet, run_program
+from xtdrone_planning.mapping.range_images import ScanError, points_of
+from xtdrone_planning.safety.near_points import placed
+from xtdrone_planning.safety.setpoints import (
+    Gains,
+    Meaning,
+    Motion,
+    fill_target,
+    meaning_of_acceleration,
+    meaning_of_pose,
+    meaning_of_target,
+    meaning_of_twist,
+)
+from xtdrone_planning.safety.settings import SafetySettings
+from xtdrone_planning.safety.swarm_positions import SwarmPositions
+from xtdrone_planning.safety.velocity_filter import VelocityFilter, Verdict
+
+RATE = 30  # Hz
+USAGE = "safety_filter.py [VEHICLE ...]   (as iris_0; default: all of /xtdrone/fleet)"
+NAMESPACE = "safety"
+
+_TARGET = "setpoint_raw/local"
+_HOLD = 0.5  # s for which a setpoint stays in force without another; then the autopilot's own timeout counts
+_REPORT_PERIOD = 1.0  # s
+_PATH_LENGTH = 100  # poses kept, to place clouds by the pose at their time
+_MAP_FRAMES = ("map", "/map")
+_NO_POINTS = np.empty((0, 3))
+
+
+class _Pose(NamedTuple):
+    """A pose of the vehicle: time (s), position (m ENU), attitude FLU to ENU (w, x, y, z)."""
+
+    time: float
+    position: tuple[float, float, float]
+    attitude: tuple[float, float, float, float]
+
+
+class GuardedVehicle:
+    """Setpoints of one vehicle on their way through the filter."""
+
+    def __init__(self, names: Sequence[str], index: int, swarm: SwarmPositions, settings: SafetySettings) -> None:
+        """Declare the topics.
+
+        Args:
+            names: of all vehicles.
+            index: of this one.
+            swarm: where all vehicles are.
+            settings: of the filter.
+        """
+        self.name = name = names[index]
+        self._names, self._index, self._swarm, self._settings = names, index, swarm, settings
+        self._others = [i for i in range(len(names)) if i != index]
+        self._filter = VelocityFilter(settings, 1.0 / RATE)
+        self._gains = Gains(settings.kp, settings.lag, settings.max_speed)
+        self._mount = np.array(settings.mount[:3]), rotation.from_euler(*settings.mount[3:])
+        self._target, self._intervention = PositionTarget(), SafetyIntervention()
+        self._outputs = {}
+        for topic, kind, meaning in (
+            (_TARGET, PositionTarget, self._of_target),
+            ("setpoint_position/local", PoseStamped, self._of_pose),
+            ("setpoint_velocity/cmd_vel", TwistStamped, lambda message: meaning_of_twist(message.twist)),
+            ("setpoint_velocity/cmd_vel_unstamped", Twist, meaning_of_twist),
+            ("setpoint_accel/accel", Vector3Stamped, self._of_acceleration),
+        ):
+            self._outputs[topic] = lockstep.Publisher(f"/{name}/{NAMESPACE}/{topic}", kind)
+            lockstep.Subscriber(f"/{name}/mavros/{topic}", kind, partial(self._on_setpoint, topic, meaning))
+        self._report = lockstep.Publisher(f"/{name}/{NAMESPACE}/intervention", SafetyIntervention)
+        lockstep.Subscriber(f"/{name}/mavros/local_position/pose", PoseStamped, self._on_pose)
+        lockstep.Subscriber(f"/{name}/mavros/extended_state", ExtendedState, self._on_state)
+        if settings.cloud:
+            lockstep.Subscriber(f"/{name}/{settings.cloud}", PointCloud2, self._on_cloud)
+        self._forget()
+
+    def restart(self) -> None:
+        """Begin again, as simulated time was set back."""
+        self._filter.restart()
+        self._forget()
+
+    def _forget(self) -> None:
+        self._path: deque[_Pose] = deque(maxlen=_PATH_LENGTH)
+        self._setpoint: tuple[str, Callable[[Any], Meaning | None], Any] | None = None
+        self._came, self._fresh = -np.inf, False
+        self._grounded = False
+        self._points, self._points_time = _NO_POINTS, -np.inf
+        self._verdict: Verdict | None = None
+        self._corrections = self._unchecked = 0
+
+    # messages
+
+    def _on_setpoint(self, topic: str, meaning: Callable[[Any], Meaning | None], message: Any) -> None:
+        self._setpoint, self._fresh = (topic, meaning, message), True
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        p, q = message.pose.position, message.pose.orientation
+        pose = _Pose(message.header.stamp.to_sec(), (p.x, p.y, p.z), (q.w, q.x, q.y, q.z))
+        if np.all(np.isfinite((*pose.position, *pose.attitude))):
+            self._path.append(pose)
+
+    def _on_state(self, message: ExtendedState) -> None:
+        self._grounded = message.landed_state == ExtendedState.LANDED_STATE_ON_GROUND
+
+    def _on_cloud(self, message: PointCloud2) -> None:
+        try:
+            records = points_of(message)
+        except ScanError as error:
+            rospy.logwarn_throttle_identical(5.0, f"{self.name}: {self._settings.cloud}: {error}; ignored")
+            return
+        points = np.stack([records[axis] for axis in "xyz"], axis=1).astype(np.float64)
+        stamp = message.header.stamp.to_sec()
+        if message.header.frame_id in _MAP_FRAMES:
+            self._points, self._points_time = points, stamp
+        elif self._path:
+            pose = min(self._path, key=lambda pose: abs(pose.time - stamp))
+            place = placed(points, *self._mount, np.array(pose.position), pose.attitude, self._settings.range)
+            self._points, self._points_time = place, stamp
+
+    def _of_target(self, message: PositionTarget) -> Meaning | None:
+        return meaning_of_target(message, self._motion(), self._gains)
+
+    def _of_pose(self, message: PoseStamped) -> Meaning | None:
+        return meaning_of_pose(message.pose, self._motion(), self._gains)
+
+    def _of_acceleration(self, message: Vector3Stamped) -> Meaning | None:
+        return meaning_of_acceleration(message.vector, self._motion(), self._gains)
+
+    def _motion(self) -> Motion:
+        pose, velocity = self._path[-1], self._swarm.velocities[self._index]
+        return Motion(pose.position, tuple(velocity.tolist()), rotation.yaw_of(pose.attitude))
+
+    # turns
+
+    def step(self, stamp: rospy.Time) -> None:
+        """Pass the setpoint on, corrected if necessary; call it at 30 Hz."""
+        now, fresh, self._fresh = stamp.to_sec(), self._fresh, False
+        if fresh:
+            self._came = now
+        if self._setpoint is None or now - self._came > _HOLD:
+            self._setpoint = None
+            return
+        topic, of, message = self._setpoint
+        meaning = None if self._grounded or not self._path else of(message)
+        self._unchecked += fresh and meaning is None and not self._grounded
+        before = self._verdict is not None and self._verdict.corrected
+        self._verdict = verdict = None if meaning is None else self._check(meaning, now)
+        if meaning is None or verdict is None or not verdict.corrected:
+            if fresh or before:
+                self._outputs[topic].publish(message)
+            if before:
+                self._publish_intervention(stamp, meaning, verdict)
+            return
+        self._corrections += 1
+        fill_target(self._target, verdict.velocity.tolist(), meaning)
+        self._target.header.stamp = stamp
+        self._outputs[_TARGET].publish(self._target)
+        self._publish_intervention(stamp, meaning, verdict)
+
+    def _check(self, meaning: Meaning, now: float) -> Verdict:
+        places = self._swarm.at(now, self._settings.timeout)
+        return self._filter.check(
+            np.array(meaning.velocity),
+            np.array(self._path[-1].position),
+            places[self._others],
+            self._swarm.velocities[self._others],
+            self._points,
+        )
+
+    def _publish_intervention(self, stamp: rospy.Time, meaning: Meaning | None, verdict: Verdict | None) -> None:
+        report = self._intervention
+        report.header.stamp = stamp
+        report.corrected = verdict is not None and verdict.corrected
+        report.wanted = Vector3(*(meaning.velocity if meaning else (0.0, 0.0, 0.0)))
+        report.commanded = Vector3(*(verdict.velocity.tolist() if verdict else (0.0, 0.0, 0.0)))
+        report.cause = self._cause(verdict)
+        report.nearest, report.excess = (verdict.nearest, verdict.excess) if verdict else (np.inf, 0.0)
+        self._report.publish(report)
+
+    def _cause(self, verdict: Verdict | None) -> str:
+        if verdict is None or not verdict.corrected:
+            return ""
+        return self._names[self._others[verdict.cause]] if verdict.cause >= 0 else "obstacle"
+
+    def status(self, now: float) -> DiagnosticStatus:
+        """Return the state of this vehicle's filter for /diagnostics."""
+        level, summary = self._summary(now)
+        nearest = self._verdict.nearest if self._verdict else np.inf
+        values = (
+            ("Corrected setpoints", str(self._corrections)),
+            ("Unchecked setpoints", str(self._unchecked)),
+            ("Nearest (m)", f"{nearest:.2f}"),
+            ("Obstacle points", str(len(self._points))),
+        )
+        return DiagnosticStatus(
+            level, f"{self.name}: safety filter", summary, self.name, [KeyValue(key, value) for key, value in values]
+        )
+
+    def _summary(self, now: float) -> tuple[int, str]:
+        timeout, verdict = self._settings.timeout, self._verdict
+        if not self._path or now - self._path[-1].time > timeout:
+            return DiagnosticStatus.ERROR, "no position of this vehicle: setpoints are not checked"
+        if self._setpoint is None:
+            return DiagnosticStatus.OK, "no setpoints"
+        if verdict is not None and verdict.excess > 0.0:
+            return DiagnosticStatus.ERROR, f"too near to {self._cause(verdict)}, {verdict.nearest:.1f} m"
+        old = [self._names[i] for i in self._swarm.old(now, timeout) if i != self._index]
+        if old:
+            return DiagnosticStatus.WARN, f"no recent position of {', '.join(old)}"
+        if self._settings.cloud and now - self._points_time > timeout:
+            return DiagnosticStatus.WARN, f"no recent cloud on {self._settings.cloud}"
+        if verdict is not None and verdict.corrected:
+            return (
+                DiagnosticStatus.WARN,
+                f"setpoint corrected because of {self._cause(verdict)}, {verdict.nearest:.1f} m",
+            )
+        return DiagnosticStatus.OK, "on the ground" if self._grounded else "setpoints pass unchanged"
+
+
+class SafetyNode:
+    """The filters of the vehicles that this process serves."""
+
+    def __init__(self, fleet: Sequence[str], served: Sequence[str], settings: SafetySettings, swarm_topic: str) -> None:
+        """Declare the topics.
+
+        Args:
+            fleet: names of all vehicles.
+            served: names of those whose setpoints pass here.
+            settings: of the filters.
+            swarm_topic: topic with the states of all vehicles; empty: each vehicle's own topics.
+        """
+        self._fleet, self._topic = fleet, swarm_topic
+        self._swarm = SwarmPositions(len(fleet))
+        self._vehicles = [GuardedVehicle(fleet, fleet.index(name), self._swarm, settings) for name in served]
+        self._diagnostics = lockstep.Publisher("/diagnostics", DiagnosticArray)
+        self._reported = -np.inf
+        if swarm_topic:
+            lockstep.Subscriber(swarm_topic, Float64MultiArray, self._on_swarm)
+        else:
+            for i, name in enumerate(fleet):
+                base = f"/{name}/mavros/local_position"
+                lockstep.Subscriber(f"{base}/pose", PoseStamped, partial(self._on_position, i))
+                lockstep.Subscriber(f"{base}/velocity_local", TwistStamped, partial(self._on_velocity, i))
+        lockstep.add_reset_hook(self._restart)
+
+    def step(self) -> None:
+        """Pass the setpoints of all vehicles on; call it at 30 Hz."""
+        stamp = rospy.Time.now()
+        for vehicle in self._vehicles:
+            vehicle.step(stamp)
+        if stamp.to_sec() - self._reported >= _REPORT_PERIOD:
+            self._reported = stamp.to_sec()
+            message = DiagnosticArray(status=[vehicle.status(self._reported) for vehicle in self._vehicles])
+            message.header.stamp = stamp
+            self._diagnostics.publish(message)
+
+    def _restart(self) -> None:
+        self._swarm.restart()
+        self._reported = -np.inf
+        for vehicle in self._vehicles:
+            vehicle.restart()
+
+    def _on_swarm(self, message: Float64MultiArray) -> None:
+        try:
+            self._swarm.on_all(message.data, rospy.Time.now().to_sec())
+        except ValueError as error:
+            rospy.logwarn_throttle_identical(10.0, f"{self._topic}: {error}; ignored")
+
+    def _on_position(self, index: int, message: PoseStamped) -> None:
+        p = message.pose.position
+        self._swarm.on_position(index, (p.x, p.y, p.z), rospy.Time.now().to_sec())
+
+    def _on_velocity(self, index: int, message: TwistStamped) -> None:
+        v = message.twist.linear
+        self._swarm.on_velocity(index, (v.x, v.y, v.z))
+
+
+def served_names(arguments: Sequence[str], fleet: Sequence[str]) -> list[str]:
+    """Return the vehicles that a command line names, all of the fleet if it names none.
+
+    Raises:
+        ArgumentError: a vehicle is not in the fleet.
+    """
+    for name in arguments:
+        if name not in fleet:
+            allowed = f"{fleet[0]} to {fleet[-1]}" if len(fleet) > 1 else fleet[0]
+            raise ArgumentError(f"vehicle: {name!r} is not allowed, {allowed} (/xtdrone/fleet)")
+    return list(dict.fromkeys(arguments)) or list(fleet)
+
+
+def run_safety_filter() -> int:
+    """Run the program with ``sys.argv``; return the exit status."""
+
+    def main(arguments: Sequence[str]) -> None:
+        fleet = [vehicle.name for vehicle in needed_fleet(rospy.get_param("/xtdrone/fleet", None))]
+        served = served_names(arguments, fleet)
+        name = "safety_filter" if len(served) == len(fleet) else f"{served[0]}_safety_filter"
+        lockstep.init_node(name, rate=RATE)
+        try:
+            settings = SafetySettings.from_parameters(rospy.get_param)
+        except ValueError as error:
+            raise ArgumentError(str(error)) from error
+        swarm_topic = str(rospy.get_param("~swarm_topic", rospy.get_param("/xtdrone/swarm_topic", "")))
+        with lockstep.registering_together():
+            node = SafetyNode(fleet, served, settings, swarm_topic)
+        lockstep.start()
+        lockstep.spin(node.step)
+
+    return run_program(main, sys.argv, USAGE)

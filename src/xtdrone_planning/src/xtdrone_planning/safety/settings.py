@@ -1,0 +1,45 @@
+"""Settings of the safety filter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from xtdrone_control.settings import Settings, setting
+
+
+@dataclass(frozen=True)
+class SafetySettings(Settings):
+    """Distances, limits and sources of the safety filter.
+
+    The defaults of ``lag`` and ``deceleration`` are those of a vehicle with PX4's default gains, whose horizontal
+    velocity follows its setpoint with a time constant of 0.55 s, one tick of the filter and one of the simulator later.
+    """
+
+    distance: float = setting(
+        1.5, low=0.3, high=20.0, unit="m", text="least distance between the centres of two vehicles"
+    )
+    obstacle_distance: float = setting(
+        1.0, low=0.2, high=20.0, unit="m", text="least distance from the vehicle's centre to a point of an obstacle"
+    )
+    deceleration: float = setting(
+        1.5, low=0.2, high=10.0, unit="m/s^2", text="deceleration that every vehicle is capable of"
+    )
+    lag: float = setting(
+        1.0, low=0.1, high=5.0, unit="s", text="time for which a vehicle flies on before it begins to brake"
+    )
+    max_speed: float = setting(5.0, low=0.2, high=20.0, unit="m/s", text="highest speed of a corrected setpoint")
+    kp: float = setting(
+        0.95, low=0.05, high=5.0, unit="1/s", text="speed per position error that a position setpoint means (MPC_XY_P)"
+    )
+    range: float = setting(20.0, low=1.0, high=200.0, unit="m", text="distance beyond which nothing is looked at")
+    timeout: float = setting(
+        0.5, low=0.05, high=10.0, unit="s", text="age from which a position or a cloud is reported as old"
+    )
+    cloud: str = setting(
+        "",
+        text="topic of a PointCloud2 with obstacles below the vehicle's name, as ``velodyne_points``; empty: none",
+    )
+    mount: tuple[float, float, float, float, float, float] = setting(
+        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), low=-10.0, high=10.0,
+        text="pose of the cloud's frame in the body frame (FLU): x, y, z, roll, pitch, yaw, m and rad",
+    )  # fmt: skip

@@ -1,0 +1,164 @@
+"""The planner of a vehicle among others, which agree on their trajectories by radio.
+
+A new trajectory is first proposed: it begins some time from now on the one that is flown. If within this time nothing
+is heard that conflicts with it, it is flown, otherwise dropped, and the vehicle stays on the one that it has decided
+on, which ends at rest and was clear of all others. The check during a delay is that of K. Kondo et al., Robust MADER:
+decentralized and asynchronous multiagent trajectory planner robust to communication delay, ICRA 2023, after
+J. Tordesillas, J. How, MADER, IEEE Transactions on Robotics 38, 2022. Of two proposals that conflict, the one that was
+made first counts; its vehicle may ignore the other, as that hears of the first within its own time of checking.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_planning.mapping.voxel_grid import VoxelGrid
+from xtdrone_planning.replanning.planner import Planner
+from xtdrone_planning.replanning.situation import Command, PlannerSettings, Situation
+from xtdrone_planning.swarm.known_trajectories import Known, Proposal
+from xtdrone_planning.swarm.settings import AgreementSettings
+from xtdrone_planning.trajectories.local_trajectory import State, TrajectorySettings, conflict_time, plan_along
+from xtdrone_planning.trajectories.moving_vehicles import MovingVehicles
+from xtdrone_planning.trajectories.uniform_spline import UniformSpline
+
+Array = NDArray[np.float64]
+
+_SAME_PLACE = 0.05  # m
+_BRAKING = 1.0  # s before an obstacle on the trajectory that is flown, in which the vehicle brakes rather than waits
+
+
+class SwarmPlanner(Planner):
+    """Plans for one vehicle among others.
+
+    Attributes:
+        rank: number of the vehicle in the fleet.
+        proposal: the trajectory that is open to objections, None without one.
+        dropped: number of proposals that were dropped.
+    """
+
+    def __init__(
+        self,
+        grid: VoxelGrid,
+        settings: PlannerSettings,
+        limits: TrajectorySettings,
+        swarm: AgreementSettings,
+        rank: int,
+        timed: Callable[[], AbstractContextManager[None]] = nullcontext,
+    ) -> None:
+        """Start waiting.
+
+        Args:
+            grid, settings, limits, timed: see ``Planner``.
+            swarm: how vehicles agree.
+            rank: see above.
+        """
+        self.swarm, self.rank = swarm, rank
+        self._known: dict[int, Known] = {}
+        super().__init__(grid, settings, limits, timed)
+
+    def restart(self) -> None:
+        """Forget everything."""
+        super().restart()
+        self._known.clear()
+        self.proposal: Proposal | None = None
+        self.dropped = 0
+        self._made = 0
+        self._pause_until = -math.inf
+
+    def on_decided(self, rank: int, number: int, spline: UniformSpline, radius: float) -> None:
+        """Hear of the trajectory that another vehicle flies."""
+        self._of(rank, radius).on_decided(number, spline)
+
+    def on_proposal(self, proposal: Proposal, radius: float) -> None:
+        """Hear of the trajectory that another vehicle wants to fly."""
+        self._of(proposal.rank, radius).on_proposal(proposal)
+
+    def step(self, now: Situation) -> Command | None:
+        """Decide on the proposal if it is time, then advance by a turn."""
+        for known in self._known.values():
+            known.forget(now.time)
+        self._judge(now.time)
+        command = super().step(now)
+        if self.trajectory is None:
+            self.proposal = None
+        return command
+
+    def plan(self, now: Situation, start: State) -> bool:
+        """Propose a trajectory, unless one is proposed; return whether one is.
+
+        Only from the trajectory that is flown: from elsewhere, as after a gust, nothing can be proposed.
+        """
+        trajectory = self.trajectory
+        if self.proposal is not None or now.time < self._pause_until:
+            return self.conflict(now) > now.time + self.swarm.check + _BRAKING
+        if trajectory is None or np.linalg.norm(trajectory.at(now.time)[0] - start.position) > _SAME_PLACE:
+            self.searched = "the vehicle was off its trajectory"
+            return False
+        begin = now.time + self.swarm.check
+        return super().plan(replace(now, time=begin), State(*trajectory.at(begin)))
+
+    def hold(self, position: Array, time: float) -> None:
+        """Hover at a position at once; others hear of it."""
+        self._abandon()
+        super().hold(position, time)
+
+    def brake(self, time: float) -> None:
+        """Stop on the present path at once; others hear of it."""
+        self._abandon()
+        super().brake(time)
+
+    def _trajectory_along(self, corners: Array, start: State, time: float) -> UniformSpline | None:
+        return plan_along(self.grid, corners, start, time, self.limits, self._others(None))
+
+    def _fly(self, trajectory: UniformSpline) -> None:
+        """Propose what begins later; what begins at once is flown."""
+        self._made += 1
+        if self._planning_ahead(trajectory):
+            self.proposal = Proposal(self._made, trajectory, trajectory.start - self.swarm.check, self.rank)
+            return
+        self.trajectory, self.number = trajectory, self._made
+
+    def _planning_ahead(self, trajectory: UniformSpline) -> bool:
+        return self.trajectory is not None and trajectory.start > self._turn_time
+
+    def _judge(self, now: float) -> None:
+        self._turn_time = now
+        proposal = self.proposal
+        if proposal is None:
+            return
+        if not math.isinf(self._others(proposal).conflict_time(proposal.spline, min(now, proposal.spline.start))):
+            self.proposal = None
+            self.dropped += 1
+            self._pause_until = now + self.swarm.pause * (1 + self.rank % 3) / 3.0
+        elif not math.isinf(conflict_time(self.grid, proposal.spline, now, self.limits, unknown=False)):
+            self.proposal = None
+        elif now >= proposal.spline.start:
+            self.trajectory, self.number = proposal.spline, proposal.number
+            self.proposal = None
+            self._pause_until = now + self.swarm.pause
+
+    def _others(self, against: Proposal | None) -> MovingVehicles:
+        """Return what others may fly, without proposals that have to give way to ``against``."""
+        splines: list[UniformSpline] = []
+        distances: list[float] = []
+        for rank in sorted(self._known):
+            known = self._known[rank]
+            found = known.trajectories() if against is None else [
+                *([] if known.decided is None else [known.decided]),
+                *(known.proposals[n].spline for n in sorted(known.proposals) if known.proposals[n].precedes(against)),
+            ]  # fmt: skip
+            splines += found
+            distances += [self.limits.radius + known.radius + self.swarm.separation] * len(found)
+        return MovingVehicles(splines, distances)
+
+    def _of(self, rank: int, radius: float) -> Known:
+        return self._known.setdefault(rank, Known(radius))
+
+    def _abandon(self) -> None:
+        self.proposal = None

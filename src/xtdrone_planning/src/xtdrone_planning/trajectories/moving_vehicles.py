@@ -1,0 +1,65 @@
+"""Other vehicles on their trajectories, as obstacles that move."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_planning.trajectories.separation import first_approach, places_at
+from xtdrone_planning.trajectories.uniform_spline import UniformSpline
+
+Array = NDArray[np.float64]
+
+_COMFORT = 0.5  # m beyond the least distance, in which nearness costs
+_LEAST_POINTS = 4
+
+
+class MovingVehicles:
+    """Trajectories of others, with the distance to be kept from each."""
+
+    def __init__(self, trajectories: Sequence[UniformSpline] = (), distances: Sequence[float] = ()) -> None:
+        """Store the trajectories and the least distances, m, between the vehicles' middles."""
+        self._trajectories = tuple(trajectories)
+        self._distances = np.array(distances, dtype=np.float64)
+        most = max((len(spline.points) for spline in self._trajectories), default=_LEAST_POINTS)
+        self._points = np.zeros((len(self._trajectories), most, 3))
+        for row, spline in zip(self._points, self._trajectories, strict=True):
+            row[: len(spline.points)] = spline.points
+        self._counts = np.array([len(spline.points) for spline in self._trajectories], dtype=np.int64)
+        self._intervals = np.array([spline.interval for spline in self._trajectories], dtype=np.float64)
+        self._starts = np.array([spline.start for spline in self._trajectories], dtype=np.float64)
+
+    @property
+    def apart(self) -> Array:
+        """Distances (m,) below which nearness costs, m."""
+        return self._distances + _COMFORT
+
+    def places(self, times: Array) -> Array:
+        """Return where the others are at ROS times (n,), s: (n, m, 3), m."""
+        found = np.empty((len(self._trajectories), len(times), 3))
+        for places, spline in zip(found, self._trajectories, strict=True):
+            places_at(spline.points, spline.interval, spline.start, times, places)
+        return np.ascontiguousarray(found.transpose(1, 0, 2))
+
+    def conflict_time(self, spline: UniformSpline, begin: float) -> float:
+        """Return the ROS time, s, from ``begin`` on at which a trajectory is too near to another; inf: never."""
+        end = max((other.end for other in (spline, *self._trajectories)), default=begin)
+        return float(
+            first_approach(
+                spline.points,
+                spline.interval,
+                spline.start,
+                self._points,
+                self._intervals,
+                self._starts,
+                self._counts,
+                self._distances,
+                begin,
+                max(begin, end),
+            )
+        )
+
+
+NOBODY = MovingVehicles()

@@ -1,0 +1,70 @@
+"""Kernels on trajectories of two vehicles: where they are at the same time, and how near."""
+
+from __future__ import annotations
+
+import math
+
+from xtdrone_planning.kernel import kernel
+from xtdrone_planning.trajectories.spline_kernels import spline_at
+
+_LEAST_STEP, _MOST_STEP = 0.02, 0.5  # s
+
+
+@kernel
+def first_approach(points, interval, start, others, intervals, starts, counts, distance, begin, end):
+    """Return the time at which a trajectory comes nearer to another one than a distance; infinite if it does not.
+
+    Trajectories that are nearer at ``begin`` may part, not approach further. The step is such that no approach of more
+    than a tenth of the distance is missed: the distance shrinks at most at the sum of both speeds.
+
+    Args:
+        points: (n, 3) control points of the trajectory, m.
+        interval: s between its knots.
+        start: its time, s.
+        others: (m, k, 3) control points of the others, filled up to the greatest number k.
+        intervals, starts: (m,) of the others, s.
+        counts: (m,) numbers of their control points.
+        distance: (m,) m.
+        begin, end: of the check, s; at ``end`` all must be at rest.
+    """
+    found = math.inf
+    for j in range(len(others)):
+        spline = others[j, : counts[j]]
+        allowed = distance[j]
+        time = begin
+        while time < found:
+            own, speed = _state(points, interval, time - start)
+            other, others_speed = _state(spline, intervals[j], time - starts[j])
+            x, y, z = own[0] - other[0], own[1] - other[1], own[2] - other[2]
+            away = math.sqrt(x * x + y * y + z * z)
+            if away < allowed - 1e-6:
+                if time > begin:
+                    found = time
+                    break
+                allowed = away - 0.02
+            elif time > begin:
+                allowed = min(distance[j], max(allowed, away - 0.02))
+            if time >= end:
+                break
+            step = max(0.1 * distance[j], away - distance[j]) / max(speed + others_speed, 0.1)
+            time = min(time + min(max(step, _LEAST_STEP), _MOST_STEP), end)
+    return found
+
+
+@kernel
+def _state(points, interval, since):
+    """Return the position at a time after the start, s, and a bound of the speed on the segment there."""
+    last = interval * (len(points) - 3)
+    state = spline_at(points, interval, min(max(since, 0.0), last))
+    if since < 0.0 or since > last:
+        return state[0], 0.0
+    speed = math.sqrt(state[1, 0] ** 2 + state[1, 1] ** 2 + state[1, 2] ** 2)
+    return state[0], speed + 0.5
+
+
+@kernel
+def places_at(points, interval, start, times, places):
+    """Store the positions of a trajectory at times (n,), s, in (n, 3)."""
+    last = interval * (len(points) - 3)
+    for k in range(len(times)):
+        places[k] = spline_at(points, interval, min(max(times[k] - start, 0.0), last))[0]

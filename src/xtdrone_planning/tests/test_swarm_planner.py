@@ -1,0 +1,134 @@
+"""Several planners that agree by radio, without a simulator: separation, precedence, delays and losses."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+
+import numpy as np
+import pytest
+from toy_flight import LIMITS, PERIOD, ToyFlight
+
+from xtdrone_control.network.message_radio import MessageRadio
+from xtdrone_control.network.options import NetworkOptions
+from xtdrone_planning.swarm.known_trajectories import FORGET, Known, Proposal
+from xtdrone_planning.swarm.settings import AgreementSettings
+from xtdrone_planning.swarm.swarm_planner import SwarmPlanner
+from xtdrone_planning.trajectories.moving_vehicles import MovingVehicles
+from xtdrone_planning.trajectories.uniform_spline import UniformSpline, resting
+
+RADIUS = LIMITS.radius
+LENGTH = 16.0
+
+
+class Group:
+    """Vehicles in pairs, each of which wants to be where the other is."""
+
+    def __init__(self, count: int, options: NetworkOptions, check: float, seed: int = 0) -> None:
+        self.radio = MessageRadio(count, options, seed)
+        self.flights = []
+        for rank in range(count):
+            place = np.array([LENGTH * (rank % 2), 2.5 * (rank // 2), 2.0])
+            flight = ToyFlight(np.zeros((0, 3)), position=place)
+            flight.planner = SwarmPlanner(
+                flight.map.grid, flight.settings, flight.limits, AgreementSettings(check=check), rank
+            )
+            self.flights.append(flight)
+        self.goals = [np.array([LENGTH - flight.position[0], *flight.position[1:]]) for flight in self.flights]
+        self.least = math.inf
+
+    def run(self, seconds: float) -> float:
+        """Fly until all have arrived; return the time, s."""
+        arrivals: list[tuple] = []
+        order = itertools.count()
+        for turn in range(round(seconds / PERIOD)):
+            now = turn * PERIOD
+            if turn == 4:
+                for flight, goal in zip(self.flights, self.goals, strict=True):
+                    flight.planner.set_goal(goal)
+            while arrivals and arrivals[0][0] <= now:
+                *_, receiver, message = heapq.heappop(arrivals)
+                hear(self.flights[receiver].planner, message)
+            for rank, flight in enumerate(self.flights):
+                flight.step()
+                for message in said(rank, flight.planner) if turn % 2 == 0 else ():
+                    for time, receiver in self.radio.send(now, rank, 8000, np.zeros((len(self.flights), 3))):
+                        heapq.heappush(arrivals, (time + 1e-3, next(order), receiver, message))
+            places = np.array([flight.position for flight in self.flights])
+            self.least = min([self.least, *(math.dist(a, b) for a, b in itertools.combinations(places, 2))])
+            if turn > 20 and all(flight.planner.state.name == "hovering at the goal" for flight in self.flights):
+                return now
+        return math.inf
+
+
+def said(rank, planner):
+    decided = [] if planner.trajectory is None else [(rank, planner.number, planner.trajectory)]
+    return decided + ([] if planner.proposal is None else [planner.proposal])
+
+
+def hear(planner, message):
+    if isinstance(message, Proposal):
+        planner.on_proposal(message, RADIUS)
+    else:
+        planner.on_decided(*message, RADIUS)
+
+
+@pytest.mark.parametrize(("delay", "loss", "check"), [(0.0, 0.0, 0.2), (0.3, 0.1, 0.8)])
+def test_vehicles_exchange_sides_and_keep_their_distance(delay, loss, check):
+    group = Group(4, NetworkOptions(delay=delay, loss=loss), check, seed=2)
+    assert group.run(40.0) < 40.0
+    assert group.least > 2.0 * RADIUS + AgreementSettings().separation - 0.1
+
+
+def test_without_hearing_each_other_they_would_meet():
+    group = Group(2, NetworkOptions(loss=1.0), 0.2)
+    group.run(40.0)
+    assert group.least < 2.0 * RADIUS
+
+
+def line(start, end, begin, duration=4.0):
+    points = np.linspace(start, end, 11)
+    return UniformSpline(begin, duration / 10.0, np.vstack([points[:1], points[:1], points, points[-1:], points[-1:]]))
+
+
+def test_the_time_of_an_approach_is_that_of_a_fine_search():
+    own = line((0.0, 0.0, 2.0), (10.0, 0.0, 2.0), 5.0)
+    for begin in (3.0, 5.0, 6.0, 9.0):
+        other = line((5.0, -5.0, 2.0), (5.0, 5.0, 2.0), begin)
+        times = np.arange(5.0, 16.0, 0.005)
+        near = np.linalg.norm(own.positions(times) - other.positions(times), axis=1) < 1.5
+        expected = times[near][0] if near.any() else math.inf
+        found = MovingVehicles([other], [1.5]).conflict_time(own, 5.0)
+        assert found == pytest.approx(expected, abs=0.1)
+
+
+def test_who_is_too_near_at_first_may_part_and_not_come_nearer():
+    other = MovingVehicles([resting(np.array([0.0, 1.0, 2.0]), 0.0)], [1.5])
+    assert other.conflict_time(line((0.0, 0.0, 2.0), (0.0, -5.0, 2.0), 0.0), 0.0) == math.inf
+    assert other.conflict_time(line((0.0, 0.0, 2.0), (0.0, 5.0, 2.0), 0.0), 0.0) < 2.0
+
+
+def proposal(number, made, rank, start=10.0):
+    return Proposal(number, resting(np.zeros(3), start), made, rank)
+
+
+def test_the_earlier_proposal_counts_then_the_lower_rank():
+    assert proposal(1, 2.0, 5).precedes(proposal(9, 2.1, 0))
+    assert proposal(1, 2.0, 0).precedes(proposal(9, 2.0, 1))
+    assert not proposal(1, 2.0, 1).precedes(proposal(1, 2.0, 1))
+
+
+def test_what_was_overtaken_on_its_way_is_ignored():
+    known = Known(RADIUS)
+    for number in (3, 4, 5):
+        known.on_proposal(proposal(number, 1.0, 0))
+    known.on_decided(4, resting(np.ones(3), 0.0))
+    known.on_decided(2, resting(np.zeros(3), 0.0))
+    known.on_proposal(proposal(3, 1.0, 0))
+    assert known.number == 4
+    assert list(known.proposals) == [5]
+    assert len(known.trajectories()) == 2
+    known.forget(10.0 + FORGET + 0.01)
+    assert known.trajectories()[0].points[0, 0] == 1.0
+    assert len(known.trajectories()) == 1
