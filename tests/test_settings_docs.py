@@ -33,8 +33,10 @@ from xtdrone_sim.robots.robot_model import BodySettings, PlatformSettings
 from xtdrone_sim.runtime.full_simulation import FullSettings
 from xtdrone_sim.runtime.simulator_node import NodeSettings
 from xtdrone_sim.topics.robot_tf import TfSettings
+from xtdrone_sim.uwb.uwb_node import UwbSettings
 from xtdrone_sim.vehicles.imu_mounts import ImuMount
 from xtdrone_sim.vehicles.lidar_mounts import LidarMount
+from xtdrone_sim.vehicles.uwb_mounts import UwbMount
 from xtdrone_sim.worlds.generated.city import CitySettings
 from xtdrone_sim.worlds.generated.countryside import CountrysideSettings
 from xtdrone_sim.worlds.generated.forest import ForestSettings
@@ -54,6 +56,8 @@ CLASSES: dict[str, type[Settings]] = {
         CameraSettings,
         LidarSettings,
         LidarMount,
+        UwbSettings,
+        UwbMount,
         ImuMount,
         DrydenSettings,
         RegionSettings,

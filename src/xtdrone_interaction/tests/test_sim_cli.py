@@ -121,7 +121,7 @@ def test_ctrl_c_during_a_step_is_reported_and_the_step_continues(monkeypatch, ca
         ("freeze", ["iris_0/camera", "off"], ("/iris_0/camera/freeze", (True,))),
         ("freeze", ["iris_0/camera", "ok"], ("/iris_0/camera/freeze", (False,))),
         ("freeze", ["iris_0/camera", "biased"], "failure: 'biased' is not allowed for a camera, off or ok"),
-        ("", ["iris_0/scan", "off"], "no lidar or camera 'iris_0/scan' runs"),
+        ("", ["iris_0/scan", "off"], "no lidar, camera or UWB sensor 'iris_0/scan' runs"),
     ],
 )
 def test_sensors_fail_by_the_service_that_they_offer(offered, words, wanted, monkeypatch, capsys):

@@ -24,3 +24,11 @@ def to_euler(q: Array) -> tuple[Array, Array, Array]:
     roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
     return roll, pitch, yaw_of(q)
+
+
+def rotate_inverse(q: Array, vectors: Array) -> Array:
+    """Return local vectors (..., 3) in the body frame of unit quaternions (..., 4)."""
+    w, axis = q[..., :1], -q[..., 1:]
+    twice = 2.0 * np.cross(axis, vectors)
+    turned: Array = vectors + w * twice + np.cross(axis, twice)
+    return turned

@@ -305,7 +305,7 @@ def _remove(master: str, arguments: argparse.Namespace) -> str:
 
 
 def _fail(master: str, arguments: argparse.Namespace) -> str:
-    """Let a lidar fail by its service, or a camera, which can only stop."""
+    """Let a lidar or a UWB sensor fail by its service, or a camera, which can only stop."""
     sensor = f"/{arguments.sensor.strip('/')}"
     if find_service(master, f"{sensor}/failure"):
         from xtdrone_msgs.srv import SetLidarFailure, SetLidarFailureRequest
@@ -313,7 +313,9 @@ def _fail(master: str, arguments: argparse.Namespace) -> str:
         request = SetLidarFailureRequest(arguments.failure, arguments.value)
         return _accepted(call(master, f"{sensor}/failure", SetLidarFailure, request))
     if not find_service(master, f"{sensor}/freeze"):
-        raise SimError(f"sensor: no lidar or camera {sensor[1:80]!r} runs; VEHICLE/NAME, as iris_0/scan, is needed")
+        raise SimError(
+            f"sensor: no lidar, camera or UWB sensor {sensor[1:80]!r} runs; VEHICLE/NAME, as iris_0/scan, is needed"
+        )
     if arguments.failure not in ("off", "ok"):
         raise SimError(f"failure: {arguments.failure!r} is not allowed for a camera, off or ok")
     from std_srvs.srv import SetBool, SetBoolRequest
@@ -456,7 +458,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_pose(join, "where it stands (default: its place on the spawn grid)")
     leave = add("remove", _remove, "take a vehicle out of the simulation, flying or not")
     leave.add_argument("vehicle", metavar="VEHICLE", help="its name, as iris_9")
-    fail = add("fail", _fail, "let a lidar or camera fail, or repair it")
+    fail = add("fail", _fail, "let a lidar, camera or UWB sensor fail, or repair it")
     fail.add_argument("sensor", metavar="VEHICLE/NAME", help="as iris_2d_lidar_0/scan")
     fail.add_argument("failure", choices=("off", "frozen", "biased", "dropouts", "ok"),
                       help="a camera can be off")  # fmt: skip

@@ -41,10 +41,9 @@ from xtdrone_sim.lidars.lidars import Failure, Lidar, lidars_of
 from xtdrone_sim.lidars.measuring import Motion, Scan, begin_us, cast_scan, end_us, measured
 from xtdrone_sim.lidars.patterns import read_pattern
 from xtdrone_sim.lidars.scene_history import SceneHistory
-from xtdrone_sim.rays.scene import RayScene
+from xtdrone_sim.topics.live_rays import LiveRays
 from xtdrone_sim.topics.scene_messages import scene_of
 from xtdrone_sim.vehicles.lidar_mounts import LEAST_RATE, MOST_RATE, ROSETTE, LidarMount
-from xtdrone_sim.worlds.sdf import load_world_file, read_world, world_file
 
 USAGE = "lidars.py"
 TURNS = 50.0  # Hz, rate of /xtdrone/scene
@@ -135,14 +134,10 @@ class LidarNode:
             for k, lidar in enumerate(self._lidars)
         ]
         self._history = SceneHistory(round(1e6 * max(lidar.mount.duration for lidar in self._lidars)))
-        self._world = "empty"
-        self._fleet: Sequence[Vehicle] = ()
-        self._rays: RayScene | None = None
-        self._is_hopeless = False  # the world cannot be used
-        self._models: SceneModels | None = None
+        self._rays = LiveRays(_NAME)
         self._deferred = Deferred(min(_MOST_WORKERS, len(os.sched_getaffinity(0))), wait=lockstep.is_active())
         lockstep.Subscriber("/xtdrone/scene", SceneState, self._take_scene)
-        lockstep.Subscriber("/xtdrone/models", SceneModels, self._take_models)
+        lockstep.Subscriber("/xtdrone/models", SceneModels, self._rays.change)
         lockstep.add_reset_hook(self._restart)
 
     def begin(self, world: str, fleet: Sequence[Vehicle]) -> None:
@@ -152,36 +147,10 @@ class LidarNode:
             world: name or file.
             fleet: all vehicles, which rays meet.
         """
-        self._world, self._fleet = world, fleet
+        self._rays.begin(world, fleet)
 
     def _take_scene(self, message: SceneState) -> None:
         self._history.add(message.header.stamp.to_nsec() // 1000, scene_of(message))
-
-    def _take_models(self, message: SceneModels) -> None:
-        self._models = message
-        if self._rays is not None:
-            self._change(self._rays, message)
-
-    def _change(self, rays: RayScene, message: SceneModels) -> None:
-        """Cast at other models from now on; one that cannot be read is left out."""
-        try:
-            rays.change(read_world(message.sdf, world_file(self._world)).models, message.deleted)
-        except ValueError as error:
-            rospy.logwarn(f"lidars: a model is not seen by rays: {error}")
-
-    def _scene(self) -> RayScene | None:
-        """Return the scene of the rays, which is built for the first scan; None if that is not possible."""
-        if self._rays is None and not self._is_hopeless:
-            try:
-                world = load_world_file(self._world)
-                self._rays = RayScene(world.models, self._fleet, world.actors)
-            except ValueError as error:
-                self._is_hopeless = True
-                rospy.logerr(f"lidars: no scans, as rays cannot be cast in the world {self._world}: {error}")
-                return None
-            if self._models is not None:
-                self._change(self._rays, self._models)
-        return self._rays
 
     def _fail(self, k: int, request: SetLidarFailureRequest) -> SetLidarFailureResponse:
         topic = self._lidars[k].topic
@@ -190,9 +159,8 @@ class LidarNode:
         except ValueError as error:
             return SetLidarFailureResponse(False, f"{topic}: {error}")
         self._states[k].failure = failure
-        text = f"{topic}: {failure.kind}" + (f" {failure.value:g}" if failure.kind in ("biased", "dropouts") else "")
-        rospy.loginfo(text)
-        return SetLidarFailureResponse(True, text)
+        rospy.loginfo(f"{topic}: {failure}")
+        return SetLidarFailureResponse(True, f"{topic}: {failure}")
 
     def _restart(self) -> None:
         """Discard the state from before a reset of simulated time, except failures."""
@@ -228,7 +196,7 @@ class LidarNode:
         return range(first, state.next)
 
     def _begin(self, k: int, lidar: Lidar, number: int, now_us: int) -> None:
-        rays = self._scene()
+        rays = self._rays.scene()
         if rays is None:
             return
         begin, end = begin_us(lidar.mount, number), end_us(lidar.mount, number)

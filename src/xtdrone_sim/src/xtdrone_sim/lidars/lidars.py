@@ -44,7 +44,7 @@ class Lidar:
 
 @dataclass(frozen=True)
 class Failure:
-    """How a lidar fails.
+    """How a lidar or a UWB sensor fails.
 
     Attributes:
         kind: of ``FAILURES``.
@@ -53,6 +53,10 @@ class Failure:
 
     kind: str = "ok"
     value: float = 0.0
+
+    def __str__(self) -> str:
+        """Return kind and value, if it counts."""
+        return f"{self.kind} {self.value:g}" if self.kind in ("biased", "dropouts") else self.kind
 
     @classmethod
     def checked(cls, kind: str, value: float) -> Failure:

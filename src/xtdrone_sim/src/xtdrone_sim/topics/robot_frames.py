@@ -1,12 +1,14 @@
-"""TF frames of a vehicle: ``VEHICLE/LINK`` for every link of its URDF, and the frames of its cameras and lidars."""
+"""TF frames of a vehicle: ``VEHICLE/LINK`` for every link of its URDF, and the frames of its sensors."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from xtdrone_sim.vehicles.imu_mounts import ImuMount
 from xtdrone_sim.vehicles.poses import OPTICAL_FRAME, compose, from_axis_angle
 from xtdrone_sim.vehicles.urdf import FIXED
+from xtdrone_sim.vehicles.uwb_mounts import UwbMount
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
 from xtdrone_sim.vehicles.visual import Pose
 
@@ -53,9 +55,10 @@ class RobotFrames:
                 if frame not in links:
                     optical = compose(pose, OPTICAL_FRAME)
                     self.fixed.append(Frame(f"{name}/{camera.link}", f"{name}/{frame}", optical))
-        for imu in model.imus:
-            if imu.frame not in links:
-                self.fixed.append(Frame(self.body, f"{name}/{imu.frame}", imu.pose))
+        body_sensors: tuple[ImuMount | UwbMount, ...] = (*model.imus, *model.uwb)
+        for sensor in body_sensors:
+            if sensor.frame not in links:
+                self.fixed.append(Frame(self.body, f"{name}/{sensor.frame}", sensor.pose))
         for lidar in model.lidars:
             if lidar.frame not in links:
                 self.fixed.append(Frame(f"{name}/{lidar.link}", f"{name}/{lidar.frame}", lidar.pose))

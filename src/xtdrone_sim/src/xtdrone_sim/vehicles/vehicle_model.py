@@ -6,6 +6,7 @@ package's ``config/vehicles``. The YAML defines its dynamics, the URDF its shape
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from dataclasses import fields as dataclass_fields
 from pathlib import Path
@@ -28,6 +29,7 @@ from xtdrone_sim.vehicles.mounts import (
     read_landing_gear,
 )
 from xtdrone_sim.vehicles.urdf import Description, Joint, Link, UrdfError, read_urdf
+from xtdrone_sim.vehicles.uwb_mounts import UwbMount, read_uwb
 from xtdrone_sim.vehicles.visual import Box, Collision, Visual
 
 MODEL = np.dtype(
@@ -138,6 +140,7 @@ class VehicleModel:
         cameras: mounted cameras.
         lidars: mounted lidars.
         imus: further IMUs.
+        uwb: sensors of ranges to other vehicles.
         gimbal: mounted gimbal; None without one.
         landing_gear: joints, at 0 on the ground and at their upper limits in flight.
     """
@@ -153,6 +156,7 @@ class VehicleModel:
     landing_gear: tuple[Joint, ...] = ()
     lidars: tuple[LidarMount, ...] = ()
     imus: tuple[ImuMount, ...] = ()
+    uwb: tuple[UwbMount, ...] = ()
 
     @property
     def rotor_layout(self) -> RotorLayout:
@@ -184,6 +188,8 @@ def load_vehicle(name: str) -> VehicleModel:
         cameras = read_cameras(description.get("cameras"), urdf)
         lidars = read_lidars(description.get("lidars"), urdf, find("vehicles", name).parent)
         imus = read_imus(description.get("imus"))
+        uwb = read_uwb(description.get("uwb"))
+        _check_topics({"lidars": lidars, "imus": imus, "uwb": uwb})
         gimbal = read_gimbal(description.get("gimbal"), urdf)
         gear = read_landing_gear(description.get("landing_gear"), urdf)
     except (KeyError, TypeError) as error:
@@ -193,8 +199,21 @@ def load_vehicle(name: str) -> VehicleModel:
     parameters = {str(key): float(value) for key, value in description.get("parameters", {}).items()}
     battery = _battery(description.get("battery", {}))
     return VehicleModel(
-        Path(name).stem, record, parameters, battery, urdf, assumed, cameras, gimbal, gear, lidars, imus
+        Path(name).stem, record, parameters, battery, urdf, assumed, cameras, gimbal, gear, lidars, imus, uwb
     )
+
+
+def _check_topics(sensors: Mapping[str, Sequence[LidarMount | ImuMount | UwbMount]]) -> None:
+    """Check that no two lists of sensors have a name, and so a topic, in common.
+
+    Raises:
+        MountError: they have.
+    """
+    first: dict[str, str] = {}
+    for kind, mounts in sensors.items():
+        for mount in mounts:
+            if first.setdefault(mount.name, kind) != kind:
+                raise MountError(f"{kind}: name {mount.name!r} is not allowed, an entry of {first[mount.name]} has it")
 
 
 def _description(description: dict[str, Any], folder: Path) -> Description:

@@ -1,0 +1,67 @@
+"""The scene of a node's rays, which follows the models that are added and deleted in the running simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import rospy
+from xtdrone_msgs.msg import SceneModels
+
+from xtdrone_control.fleet import Vehicle
+from xtdrone_sim.rays.scene import RayScene
+from xtdrone_sim.worlds.sdf import load_world_file, read_world, world_file
+
+
+class LiveRays:
+    """A scene for rays, built when it is first needed."""
+
+    def __init__(self, node: str) -> None:
+        """Begin with the empty world.
+
+        Args:
+            node: name in the log.
+        """
+        self._node = node
+        self._world = "empty"
+        self._fleet: Sequence[Vehicle] = ()
+        self._rays: RayScene | None = None
+        self._is_hopeless = False  # the world cannot be used
+        self._models: SceneModels | None = None
+
+    def begin(self, world: str, fleet: Sequence[Vehicle]) -> None:
+        """Set what stands and what flies.
+
+        Args:
+            world: name or file.
+            fleet: all vehicles, which rays meet.
+        """
+        self._world, self._fleet = world, fleet
+
+    def change(self, message: SceneModels) -> None:
+        """Follow models added and deleted since the start; called with each message of /xtdrone/models."""
+        self._models = message
+        if self._rays is not None:
+            self._change(self._rays, message)
+
+    def _change(self, rays: RayScene, message: SceneModels) -> None:
+        """Cast at other models from now on; one that cannot be read is left out."""
+        try:
+            rays.change(read_world(message.sdf, world_file(self._world)).models, message.deleted)
+        except ValueError as error:
+            rospy.logwarn(f"{self._node}: a model is not seen by rays: {error}")
+
+    def scene(self) -> RayScene | None:
+        """Return the scene; None if rays cannot be cast in this world, which is logged once."""
+        if self._rays is None and not self._is_hopeless:
+            try:
+                world = load_world_file(self._world)
+                self._rays = RayScene(world.models, self._fleet, world.actors)
+            except ValueError as error:
+                self._is_hopeless = True
+                rospy.logerr(
+                    f"{self._node}: nothing is measured, as rays cannot be cast in the world {self._world}: {error}"
+                )
+                return None
+            if self._models is not None:
+                self._change(self._rays, self._models)
+        return self._rays
