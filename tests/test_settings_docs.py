@@ -10,15 +10,20 @@ import pytest
 from xtdrone_control.communication.commands import CommandSettings
 from xtdrone_control.settings import Settings
 from xtdrone_coordination.network import NetworkOptions
-from xtdrone_coordination.ros import HostedCommunication
+from xtdrone_coordination.ros import HostedCommunication, NeighbourSettings
 from xtdrone_coordination.search.settings import MissionSettings
 from xtdrone_interaction.formation.director import DirectorSettings
+from xtdrone_interaction.landing.director import LandingSettings
 from xtdrone_interaction.rviz.markers_node import MarkerSettings
 from xtdrone_perception.detection.detector import DetectorSettings
 from xtdrone_perception.detection.yolo_node import DetectionOptions, GroundOptions
 from xtdrone_perception.following.following import FollowSettings
 from xtdrone_perception.following.human_tracking_node import TrackingOptions
 from xtdrone_perception.gimbal_node import GimbalOptions
+from xtdrone_perception.localisation.relative_filter import FilterSettings
+from xtdrone_perception.localisation.relative_node import RelativeOptions
+from xtdrone_perception.tags.apriltag_node import AprilTagOptions
+from xtdrone_perception.tags.tag_detector import TagDetectorSettings
 from xtdrone_perception.tracking.geolocation import Noise, Person
 from xtdrone_perception.tracking.tracker import TrackerSettings
 from xtdrone_sim.air.body_drag import BodyDragSettings
@@ -86,6 +91,12 @@ CLASSES: dict[str, type[Settings]] = {
         FollowSettings,
         MissionSettings,
         NetworkOptions,
+        AprilTagOptions,
+        TagDetectorSettings,
+        RelativeOptions,
+        FilterSettings,
+        NeighbourSettings,
+        LandingSettings,
         DirectorSettings,
         MarkerSettings,
     )

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 
+from rich.console import Console
+
 from xtdrone_interaction.console import PatientConsole, run_reported
-from xtdrone_interaction.demos import formation_demo, search_demo
+from xtdrone_interaction.demos import formation_demo, landing_cli, search_demo
 from xtdrone_interaction.demos.search_prepare import is_search
 
 
@@ -18,5 +21,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Make the report and return the exit status."""
-    demo = search_demo if is_search(arguments.file.parent) else formation_demo
-    return run_reported(lambda: demo.report_again(arguments.file, PatientConsole()))
+    report_again: Callable[[Path, Console], int] = formation_demo.report_again
+    if is_search(arguments.file.parent):
+        report_again = search_demo.report_again
+    elif landing_cli.is_landing(arguments.file):
+        report_again = landing_cli.report_again
+    return run_reported(lambda: report_again(arguments.file, PatientConsole()))
