@@ -112,7 +112,7 @@ def test_an_unknown_jump_leads_to_a_new_start() -> None:
     rng = np.random.default_rng(5)
     trial = Trial(still, bearing=0.05)
     one = RelativeFilter(FilterSettings())
-    for place in (START, (*START, 6.0, 5.0, 0.0)):
+    for place in (START, np.add(START, (6.0, 5.0, 0.0))):
         for _ in range(120):
             one.predict(DT, np.zeros(3))
             trial.measure(one, place, rng)
