@@ -10,10 +10,11 @@ import pytest
 from xtdrone_control.communication.commands import CommandSettings
 from xtdrone_control.settings import Settings
 from xtdrone_coordination.network import NetworkOptions
-from xtdrone_coordination.ros import HostedCommunication
+from xtdrone_coordination.ros import HostedCommunication, NeighbourSettings
 from xtdrone_coordination.search.settings import MissionSettings
 from xtdrone_interaction.crossing.mission import CrossingSettings
 from xtdrone_interaction.formation.director import DirectorSettings
+from xtdrone_interaction.landing.director import LandingSettings
 from xtdrone_interaction.rviz.markers_node import MarkerSettings
 from xtdrone_perception.detection.detector import DetectorSettings
 from xtdrone_perception.detection.yolo_node import DetectionOptions, GroundOptions
@@ -25,6 +26,10 @@ from xtdrone_perception.slam.lidar_odometry_node import LidarOdometryOptions
 from xtdrone_perception.slam.loops.loop_closure import LoopOptions
 from xtdrone_perception.slam.loops.loop_closure_node import LoopNodeOptions
 from xtdrone_perception.slam.odometry_health import HealthLimits
+from xtdrone_perception.localisation.relative_filter import FilterSettings
+from xtdrone_perception.localisation.relative_node import RelativeOptions
+from xtdrone_perception.tags.apriltag_node import AprilTagOptions
+from xtdrone_perception.tags.tag_detector import TagDetectorSettings
 from xtdrone_perception.tracking.geolocation import Noise, Person
 from xtdrone_perception.tracking.tracker import TrackerSettings
 from xtdrone_planning.mapping.map_feed import SensorChoice
@@ -109,6 +114,12 @@ CLASSES: dict[str, type[Settings]] = {
         MissionSettings,
         SafetySettings,
         NetworkOptions,
+        AprilTagOptions,
+        TagDetectorSettings,
+        RelativeOptions,
+        FilterSettings,
+        NeighbourSettings,
+        LandingSettings,
         DirectorSettings,
         CrossingSettings,
         PlannerSettings,

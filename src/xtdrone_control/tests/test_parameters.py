@@ -104,7 +104,7 @@ def test_hash_is_px4s_crc():
 
 def test_those_without_an_effect_are_stored_and_listed_like_the_others():
     p = Parameters()
-    assert len(NAMES) == 851
+    assert len(NAMES) == 856
     p.set("CAL_MAG0_XOFF", 0.25, FLOAT)
     p.set("EKF2_AID_MASK", 24, INT32)
     assert (p.get("CAL_MAG0_XOFF"), p.get("EKF2_AID_MASK")) == (0.25, 24)

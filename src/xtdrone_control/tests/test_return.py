@@ -139,7 +139,7 @@ def see(flight, north, east):
 
 
 def test_a_target_is_approached_and_landed_on():
-    flight = flying()
+    flight = flying(LTEST_MODE=1)
     see(flight, 2.0, 1.0)
     assert flight.commander.request(modes.AUTO_PRECLAND) == 0
     assert (flight.setpoint["task"], flight.goal()) == (TASK_GOTO, [2, 1, -10])

@@ -27,7 +27,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import rospy
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped, Vector3
@@ -72,6 +72,7 @@ def subscribe_swarm(
     *,
     velocities: bool = False,
     on_leader_pose: Callable[[PoseStamped], None] | None = None,
+    estimates_of: int | None = None,
 ) -> None:
     """Subscribe to the positions of all vehicles of a type.
 
@@ -83,6 +84,7 @@ def subscribe_swarm(
         swarm: receives them.
         velocities: whether to subscribe to velocities too.
         on_leader_pose: called with vehicle 0's whole pose.
+        estimates_of: vehicle whose own estimates of the others are received instead, as of relative localisation.
     """
 
     def on_pose(index: int, message: PoseStamped) -> None:
@@ -102,6 +104,8 @@ def subscribe_swarm(
         swarm.hear_states(message.data)
 
     topic = str(rospy.get_param("/xtdrone/swarm_topic", ""))
+    if estimates_of is not None:
+        topic = f"/xtdrone/{kind}_{estimates_of}/swarm"
     if topic:
         lockstep.Subscriber(topic, Float64MultiArray, on_swarm)
         if on_leader_pose is not None:
@@ -153,12 +157,13 @@ def together(followers: Sequence[Follower]) -> OneByOne | FollowerBatch:
 class FollowerNode:
     """Subscriptions and publications of the followers of one process."""
 
-    def __init__(self, kind: str, followers: Sequence[Follower]) -> None:
+    def __init__(self, kind: str, followers: Sequence[Follower], *, estimated: bool = False) -> None:
         """Declare the topics.
 
         Args:
             kind: vehicle type, as ``iris``.
-            followers: at least one, all with the same options and the same ``swarm``.
+            followers: at least one, all with the same options and the same ``swarm``; with ``estimated`` one.
+            estimated: whether the positions are the follower's own estimates.
         """
         self.followers = followers
         self._all = together(followers)
@@ -174,7 +179,9 @@ class FollowerNode:
         self._avoidances = {}
         lockstep.Subscriber(PATTERN_TOPIC, Float32MultiArray, self._on_pattern)
         lockstep.Subscriber(TOPOLOGY_TOPIC, Int32MultiArray, self._on_topology)
-        subscribe_swarm(kind, self.swarm, velocities=options.mode == "accel" or followers[0].uses_velocities)
+        velocities = options.mode == "accel" or followers[0].uses_velocities
+        own = followers[0].id if estimated else None
+        subscribe_swarm(kind, self.swarm, velocities=velocities, estimates_of=own)
         for follower in followers:
             base = f"/xtdrone/{kind}_{follower.id}"
             self._commands[follower.id] = lockstep.Publisher(f"{base}/cmd_{options.mode}_enu", Twist)
@@ -289,6 +296,25 @@ class HostedCommunication(CommandSettings):
         return [MultirotorCommunication(f"{kind}_{i}", in_lockstep=lockstep.is_active(), **commands) for i in ids]
 
 
+@dataclass(frozen=True)
+class NeighbourSettings(Settings):
+    """Source of the positions of a follower node."""
+
+    neighbours: Literal["truth", "estimated"] = setting(
+        "truth",
+        choices=("truth", "estimated"),
+        text="positions of the others: those that all vehicles report in the frame they share; or this vehicle's own "
+        "estimates on /xtdrone/T/swarm, as of relative_localisation.py",
+    )
+
+
+def follower_nodes(kind: str, followers: Sequence[Follower], *, estimated: bool) -> list[FollowerNode]:
+    """Return the nodes of the followers: one for all, or with estimates, of which each has its own, one each."""
+    if not estimated:
+        return [FollowerNode(kind, followers)]
+    return [FollowerNode(kind, [follower], estimated=True) for follower in followers]
+
+
 def run_follower(cls: type[Follower] = Follower, *, mode_argument: bool = False) -> int:
     """Run a follower program with ``sys.argv``; return the exit status.
 
@@ -310,18 +336,20 @@ def run_follower(cls: type[Follower] = Follower, *, mode_argument: bool = False)
         settings = options(FollowerOptions, given)
         communication = options(HostedCommunication, {})
         chosen = class_parameter(cls, Follower)
-        swarm = make_swarm(count, len(ids))
+        estimated = options(NeighbourSettings, {}).neighbours == "estimated"
+        swarm = None if estimated else make_swarm(count, len(ids))
         followers = [chosen(i, count, swarm=swarm, options=settings, warn=rospy.logwarn) for i in ids]
         for follower in followers:
             follower.info = rospy.loginfo
         with lockstep.registering_together():
-            node = FollowerNode(kind, followers)
+            nodes = follower_nodes(kind, followers, estimated=estimated)
             hosted = communication.open(kind, ids)
 
         def step() -> None:
             for vehicle in hosted:
                 vehicle.step()
-            node.step()
+            for node in nodes:
+                node.step()
 
         try:
             lockstep.start()

@@ -354,6 +354,7 @@ SETPOINT = np.dtype(
         # TASK_GOTO, TASK_LAND: auto_setpoint; speeds: navigator and mission
         ("goal_position", "f8", 3),  # m, local
         ("goal_yaw", "f8"),  # rad; NaN keeps the heading
+        ("goal_velocity", "f8", 2),  # m/s, local; of a goal that moves, which flight_tasks/moving_goal.py carries along
         ("cruise_speed", "f8"),  # m/s horizontal; NaN: MPC_XY_CRUISE
         ("climb_speed", "f8"),  # m/s upwards; NaN: MPC_Z_V_AUTO_UP (takeoff: MPC_TKO_SPEED)
         ("descend_speed", "f8"),  # m/s downwards; NaN: MPC_Z_V_AUTO_DN
@@ -493,6 +494,7 @@ CONTROL = np.dtype(
         ("way_start", "f8", 3),  # m, local: the leg in use, which may lead back to the commanded one
         ("way_goal", "f8", 3),
         ("way_onward", "f8", 3),
+        ("goal_velocity", "f8", 2),  # m/s, local: of the frame in which path.velocity and the legs are
         ("leg_state", "i4"),
         # flight_tasks: STICKS and ALTITUDE
         ("stick_acceleration", "f8", 2),  # m/s^2, local, jerk-limited; low-passed stick for ALTITUDE and MANUAL

@@ -17,6 +17,7 @@ from xtdrone_interaction.console import PatientConsole, run_reported
 from xtdrone_interaction.demos.formation_demo import DemoSettings, run_demo, waived_criteria
 from xtdrone_interaction.launching.supervised_launch import master_port
 from xtdrone_interaction.options import DEFAULT_FOLLOWER, MachineSettings, OptionError
+from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
 _Base = TypeVar("_Base")
 
@@ -38,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="follower program of xtdrone_coordination, or FILE.py[:CLASS] with your own follower class "
         "(default: %(default)s)")  # fmt: skip
     add("--leader", metavar="FILE.py:CLASS", help="your own leader class (default: the shipped one)")
-    DemoSettings.add_arguments(parser, ("control", "avoidance", "clearance", "waive", "headless", "logs"))
+    DemoSettings.add_arguments(parser, ("control", "avoidance", "neighbours", "clearance", "waive", "headless", "logs"))
     options.add_world(parser)
     add("--no-film", dest="film", action="store_false", help="no film of the flight, flight.mp4, after its end")
     add("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
@@ -70,6 +71,10 @@ def demo_settings(arguments: argparse.Namespace) -> DemoSettings:
     )
     config = options.repository() / "src" / "xtdrone_sim" / "config"
     options.one_of_files("vehicle type", settings.type, config / "vehicles")
+    if settings.neighbours == "estimated" and not load_vehicle(settings.type).uwb:
+        raise OptionError(
+            f"neighbours: 'estimated' needs a type with a UWB sensor, as iris_uwb_bearing, not {settings.type!r}"
+        )
     fleet = f"{settings.type}:{settings.n}"
     with_poses(parse_fleet(fleet), settings.poses)
     options.swarm_patterns(settings.n, settings.patterns, settings.pattern_file or None)

@@ -75,6 +75,12 @@ class DemoSettings(Settings):
         choices=("own", "python", "cpp"),
         text="where the avoidance is computed: in every follower, or in one node for all (Python, C++)",
     )
+    neighbours: str = setting(
+        "truth",
+        choices=("truth", "estimated"),
+        text="positions of the others that followers use: as these report them, or by relative localisation, for types "
+        "with a UWB sensor",
+    )
     clearance: float = clearance_setting()
     world: str = setting("empty", metavar="WORLD", text="name of the world")
     seed: int = seed_setting()
@@ -133,6 +139,8 @@ def flight(settings: DemoSettings) -> Flight:
     }
     if settings.poses:
         arguments["poses"] = settings.poses
+    if settings.neighbours != "truth":
+        arguments["neighbours"] = settings.neighbours
     if settings.simulator != "full":
         arguments |= {"simulator": settings.simulator, "model": settings.model}
     if settings.instance:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 
+from rich.console import Console
+
 from xtdrone_interaction.console import PatientConsole, run_reported
-from xtdrone_interaction.demos import forest_demo, formation_demo, search_demo
+from xtdrone_interaction.demos import forest_demo, formation_demo, landing_cli, search_demo, slam_demo
 from xtdrone_interaction.demos.search_prepare import is_search
 
 
@@ -18,6 +21,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Make the report and return the exit status."""
-    folder = arguments.file.parent
-    demo = search_demo if is_search(folder) else forest_demo if forest_demo.is_forest(folder) else formation_demo
-    return run_reported(lambda: demo.report_again(arguments.file, PatientConsole()))
+    return run_reported(lambda: _maker(arguments.file)(arguments.file, PatientConsole()))
+
+
+def _maker(bag: Path) -> Callable[[Path, Console], int]:
+    """Return the function that makes the report of this kind of flight."""
+    if is_search(bag.parent):
+        return search_demo.report_again
+    if forest_demo.is_forest(bag.parent):
+        return forest_demo.report_again
+    if landing_cli.is_landing(bag):
+        return landing_cli.report_again
+    if slam_demo.is_slam(bag.parent):
+        return slam_demo.report_again
+    return formation_demo.report_again

@@ -7,6 +7,7 @@ value that is not allowed, 128 + n when stopped by signal n.
 from __future__ import annotations
 
 import argparse
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -138,6 +139,14 @@ def _fly(settings: SlamSettings, console: Console) -> int:
     status = run_launch(launch, console, go)
     flown = {"world": settings.world, "seed": settings.seed, "height": settings.height, "way": list(settings.way)}
     return status or report_again(settings.out / "flight.bag", console, flown)
+
+
+def is_slam(folder: Path) -> bool:
+    """Return whether the report in a results folder is that of a flight by odometry."""
+    try:
+        return "odometry" in json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError, TypeError):
+        return False
 
 
 def report_again(bag: Path, console: Console, settings: dict[str, Any] | None = None) -> int:

@@ -7,9 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from xtdrone_control.bounded_file import ContentError
 from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import SettingError, Settings, setting
+from xtdrone_control.tag_boards import TagBoard, boards_of
 from xtdrone_sim.descriptions import ModelError, available, read_description
+from xtdrone_sim.robots import tag_visuals
 from xtdrone_sim.robots.kinematics import Ackermann, AckermannLimits, Differential, DifferentialLimits, Drive
 from xtdrone_sim.robots.rolling import Footprint, Ground
 from xtdrone_sim.vehicles.urdf import Inertial
@@ -53,6 +56,27 @@ class PlatformSettings(Settings):
     width: float = setting(1.4, low=0.1, high=50.0, unit="m", text="along its y")
     height: float = setting(0.5, low=0.1, high=20.0, unit="m", text="of its top above the ground")
     colour: tuple[float, float, float] = setting((0.85, 0.85, 0.8), low=0.0, high=1.0, text="red, green, blue")
+    tags: str = setting(
+        "",
+        text="AprilTags on a white top instead of colour and cross: landing, or a YAML file, see docs/tags.md",
+    )
+
+    @property
+    def board(self) -> TagBoard | None:
+        """The tags on its top; None without.
+
+        Raises:
+            SettingError: ``tags`` is unknown, is more than one board, or does not fit.
+        """
+        if not self.tags:
+            return None
+        try:
+            boards = boards_of(self.tags)
+        except (OSError, ContentError) as error:
+            raise SettingError("platform tags", self.tags, f"a readable file: {error}") from error
+        if len(boards) != 1:
+            raise SettingError("platform tags", self.tags, "one board or tag")
+        return boards[0]
 
 
 @dataclass(frozen=True)
@@ -98,13 +122,8 @@ class RobotModel:
         if deck is not None:
             plate = Box((deck.length, deck.width, _PLATE))
             top = Pose((body.ahead, 0.0, deck.height - 0.5 * _PLATE))
-            visuals.append(Visual(plate, top, (*deck.colour, 1.0)))
             collisions.append(Collision(plate, top))
-            side = 0.35 * min(deck.length, deck.width)
-            visuals += [
-                Visual(Box(size), Pose((body.ahead, 0.0, deck.height + 0.001)), _MARK)
-                for size in ((side, 0.15 * side, 0.004), (0.15 * side, side, 0.004))
-            ]
+            visuals += _deck(deck, body.ahead)
             post = deck.height - _PLATE - body.height
             if post > 0.0:
                 visuals.append(Visual(Cylinder(0.06, post), Pose((body.ahead, 0.0, body.height + 0.5 * post)), _TYRE))
@@ -146,6 +165,22 @@ class RobotModel:
         ]
 
 
+def _deck(deck: PlatformSettings, ahead: float) -> list[Visual]:
+    """Return the plate of a platform with its cross, or with its tags."""
+    board = deck.board
+    if board is not None:
+        return tag_visuals.plate(board, deck.length, deck.width, _PLATE, Pose((ahead, 0.0, deck.height)))
+    plate = Box((deck.length, deck.width, _PLATE))
+    side = 0.35 * min(deck.length, deck.width)
+    return [
+        Visual(plate, Pose((ahead, 0.0, deck.height - 0.5 * _PLATE)), (*deck.colour, 1.0)),
+        *(
+            Visual(Box(size), Pose((ahead, 0.0, deck.height + 0.001)), _MARK)
+            for size in ((side, 0.15 * side, 0.004), (0.15 * side, side, 0.004))
+        ),
+    ]
+
+
 def robot_types() -> list[str]:
     """Return the names of the package's robots."""
     return available("robots")
@@ -185,5 +220,7 @@ def _checked(given: Mapping[str, object]) -> RobotModel:
     platform = None if deck is None else PlatformSettings.from_mapping(deck, "platform")
     if platform is not None and platform.height < body.height + _PLATE:
         raise SettingError("platform height", platform.height, f"at least body and plate, {body.height + _PLATE:g} m")
+    if platform is not None:
+        _deck(platform, body.ahead)  # its tags are known and fit
     assert isinstance(limits, DifferentialLimits | AckermannLimits)
     return RobotModel(limits, body, platform)

@@ -12,6 +12,7 @@ from xtdrone_control.autopilot.vehicle_view import Vector, VehicleView
 
 NAN = math.nan
 UNSET: Vector = (NAN, NAN, NAN)
+STILL = (0.0, 0.0)  # m/s, velocity of a goal
 INFO, CRITICAL = 6, 2  # MAV_SEVERITY
 
 # MPC_YAW_MODE
@@ -94,6 +95,7 @@ class Course:
         self._heading_free = False
         setpoint = self.view.setpoint
         setpoint["goal_position"] = position
+        setpoint["goal_velocity"] = STILL
         setpoint["goal_yaw"] = yaw
         setpoint["onward_position"] = onward
         setpoint["goal_radius"] = radius
@@ -113,6 +115,7 @@ class Course:
         self.taking_off = self._heading_free = False
         setpoint = self.view.setpoint
         setpoint["goal_position"] = self.goal
+        setpoint["goal_velocity"] = STILL
         setpoint["goal_yaw"] = NAN
         setpoint["onward_position"] = UNSET
         self.view.start_task(TASK_LAND)
@@ -121,10 +124,11 @@ class Course:
         """Brake and hold the position reached."""
         self.fly_to(self.stopping_place())
 
-    def shift(self, north: float, east: float) -> None:
-        """Move the present goal horizontally to ``north``, ``east`` (m, local)."""
+    def shift(self, north: float, east: float, velocity: tuple[float, float] = STILL) -> None:
+        """Move the present goal horizontally to ``north``, ``east`` (m, local), where it has a velocity (m/s)."""
         self.goal = (north, east, self.goal[2])
         self.view.setpoint["goal_position"] = self.goal
+        self.view.setpoint["goal_velocity"] = velocity
 
     def look(self, yaw: float) -> None:
         """Set the heading ``yaw`` (rad) for the flight to the present goal."""

@@ -13,6 +13,7 @@ import math
 from xtdrone_control.autopilot.flight_tasks.auto_tasks import descend_task, goto_task, land_task
 from xtdrone_control.autopilot.flight_tasks.follow_task import follow_task, start_following
 from xtdrone_control.autopilot.flight_tasks.manual_tasks import altitude_task, sticks_task
+from xtdrone_control.autopilot.flight_tasks.moving_goal import add_goal_velocity, move_with_goal
 from xtdrone_control.autopilot.flight_tasks.orbit_task import orbit_task
 from xtdrone_control.autopilot.flight_tasks.smoothing import reset_smoothing
 from xtdrone_control.autopilot.state import (
@@ -88,6 +89,7 @@ def _start_task(c, s, e):
     start_following(c.followed)
     for i in range(2):
         c.stick_acceleration[i] = 0.0
+        c.goal_velocity[i] = 0.0
     for i in range(3):
         c.leg_start[i] = e.position[i]
         c.leg_goal[i] = _NAN
@@ -107,9 +109,13 @@ def generate_setpoint(c, s, e, p, dt):
     if s.task == TASK_TRAJECTORY:
         trajectory_task(c, s, e)
     elif s.task == TASK_GOTO:
+        move_with_goal(c, s, dt)
         goto_task(c, s, e, p, dt)
+        add_goal_velocity(c)
     elif s.task == TASK_LAND:
+        move_with_goal(c, s, dt)
         land_task(c, s, e, p, dt)
+        add_goal_velocity(c)
     elif s.task == TASK_ORBIT:
         orbit_task(c, s, e, p, dt)
     elif s.task == TASK_FOLLOW:

@@ -322,10 +322,15 @@ class Navigator:
 
     # precision landing
 
-    def set_landing_target(self, position: Vector) -> None:
-        """Store the position of the landing target, m, local NED; ignore it unless finite."""
+    def set_landing_target(self, position: Vector, time_us: int = 0) -> None:
+        """Store the position of the landing target; ignore it unless finite.
+
+        Args:
+            position: m, local NED.
+            time_us: simulated time of the observation, microseconds; one not within the last second counts as now.
+        """
         if all(map(math.isfinite, position)):
-            self.precision_landing.see(position)
+            self.precision_landing.see(position, time_us)
 
     def set_landing_target_angles(self, x: float, y: float, distance: float) -> None:
         """Store the position of a landing target observed at the given angles.

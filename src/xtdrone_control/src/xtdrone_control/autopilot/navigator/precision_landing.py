@@ -1,6 +1,8 @@
 """Precision landing on a detected target, modelled on PX4 v1.14's precland: approach, descent, search and fallback.
 
-The target position arrives in LANDING_TARGET messages; the PLD_* parameters set tolerances and timeouts.
+The target position arrives in LANDING_TARGET messages; the PLD_* parameters set tolerances and timeouts. With
+LTEST_MODE 0 the target's velocity is estimated, and the vehicle approaches and descends in the target's frame; PX4
+v1.14 uses that estimate only for targets given by angles and flies to the position alone.
 """
 
 from __future__ import annotations
@@ -9,11 +11,13 @@ import enum
 import math
 from dataclasses import dataclass
 
-from xtdrone_control.autopilot.flight_tasks.auto_setpoint import CRITICAL, INFO, NAN, Course
+from xtdrone_control.autopilot.estimator.landing_target_estimator import MOVING, LandingTargetEstimator, TargetMotion
+from xtdrone_control.autopilot.flight_tasks.auto_setpoint import CRITICAL, INFO, NAN, STILL, Course
 from xtdrone_control.autopilot.vehicle_view import Vector
 
 OPPORTUNISTIC, REQUIRED = 1, 2  # mode of a landing item's param2 and of RTL_PLD_MD
 _CONFIRMATION_US = 1_000_000  # time above the target before the descent
+_OLDEST_US = 1_000_000  # of an observation with a time of its own
 
 
 class _State(enum.Enum):
@@ -31,7 +35,7 @@ class LandingTarget:
 
     Attributes:
         position: m, local NED.
-        time_us: simulated time, microseconds.
+        time_us: simulated time of its reception, microseconds.
     """
 
     position: Vector
@@ -50,6 +54,7 @@ class PrecisionLanding:
         """Prepare an inactive precision landing on ``course``."""
         self._course = course
         self._get = course.parameters.get
+        self._estimator = LandingTargetEstimator(self._get)
         self.target: LandingTarget | None = None
         self.active = False
         self._mode = REQUIRED
@@ -60,9 +65,17 @@ class PrecisionLanding:
         self._since_us = 0
         self._over_us: int | None = None
 
-    def see(self, position: Vector) -> None:
-        """Store an observation of the target at ``position`` (m, local NED)."""
-        self.target = LandingTarget(position, self._course.view.time_us)
+    def see(self, position: Vector, time_us: int = 0) -> None:
+        """Store an observation of the target.
+
+        Args:
+            position: m, local NED.
+            time_us: simulated time of the observation, microseconds; one not within the last second counts as now.
+        """
+        now = self._course.view.time_us
+        self.target = LandingTarget(position, now)
+        made = time_us if 0 <= now - time_us <= _OLDEST_US else now
+        self._estimator.see(position, position[2] - self._course.view.position[2], made)
 
     def start(self, position: Vector, mode: int = REQUIRED) -> None:
         """Start a precision landing.
@@ -99,11 +112,19 @@ class PrecisionLanding:
             step()
 
     @property
-    def _seen(self) -> LandingTarget | None:
-        """The target if its last observation is no older than PLD_BTOUT."""
-        target = self.target
-        fresh = target is not None and self._course.view.time_us - target.time_us <= self._get("PLD_BTOUT") * 1e6
-        return target if fresh else None
+    def _seen(self) -> TargetMotion | None:
+        """The target now if its last observation is no older than PLD_BTOUT."""
+        now, target = self._course.view.time_us, self.target
+        if target is None:
+            return None
+        motion: TargetMotion | None = TargetMotion(target.position, STILL, target.time_us)
+        if self._get("LTEST_MODE") == MOVING:
+            motion = self._estimator.at(now)
+        fresh = motion is not None and now - motion.time_us <= self._get("PLD_BTOUT") * 1e6
+        return motion if fresh else None
+
+    def _follow(self, target: TargetMotion) -> None:
+        self._course.shift(*target.position[:2], target.velocity)
 
     def _enter(self, state: _State) -> None:
         self._state = state
@@ -121,13 +142,14 @@ class PrecisionLanding:
         assert target is not None
         self._enter(_State.APPROACH)
         self._course.fly_to((target.position[0], target.position[1], self._course.view.position[2]))
+        self._follow(target)
 
     def _update_approach(self) -> None:
         target = self._seen
         if target is None:
             self._lose()
             return
-        self._course.shift(*target.position[:2])
+        self._follow(target)
         if not self._over(target):
             self._over_us = None
             return
@@ -136,8 +158,9 @@ class PrecisionLanding:
         if now - self._over_us >= _CONFIRMATION_US:
             self._enter(_State.DESCEND)
             self._course.land(target.position)
+            self._follow(target)
 
-    def _over(self, target: LandingTarget) -> bool:
+    def _over(self, target: TargetMotion) -> bool:
         return self._course.distance_to(target.position) < self._get("PLD_HACC_RAD")
 
     def _update_descent(self) -> None:
@@ -146,7 +169,7 @@ class PrecisionLanding:
         if target is not None and target.position[2] - self._course.view.position[2] < self._get("PLD_FAPPR_ALT"):
             self._enter(_State.FINAL)
         elif target is not None:
-            self._course.shift(*target.position[:2])
+            self._follow(target)
         elif height < self._get("PLD_FAPPR_ALT"):
             self._enter(_State.FINAL)
         else:

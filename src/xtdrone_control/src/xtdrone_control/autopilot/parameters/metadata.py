@@ -67,6 +67,7 @@ _GROUPS = {
     "MPC": "Position control",
     "NAV": "Mission",
     "PD": "Payload",
+    "LTEST": "Landing target estimator",
     "PLD": "Precision landing",
     "PWM": "Outputs",
     "RTL": "Return",

@@ -88,6 +88,7 @@ CHOICES: dict[str, dict[int, str]] = {
         )
     },
     **{f"RC{number}_REV": {-1: "reversed", 1: "normal"} for number in range(1, 19)},
+    "LTEST_MODE": {0: "moving", 1: "stationary"},
     "RTL_PLD_MD": {0: "no precision landing", 1: "if a target is visible", 2: "search for the target"},
     "RTL_TYPE": {
         0: "home or a rally point",

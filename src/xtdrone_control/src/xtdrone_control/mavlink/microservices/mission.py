@@ -421,6 +421,6 @@ class MissionService(Service):
         if m.position_valid and m.frame != _LOCAL_NED:
             self.vehicle.commander.say(CRITICAL, f"landing target: coordinate frame {m.frame} unsupported")
         elif m.position_valid:
-            self._navigator.set_landing_target((m.x, m.y, m.z))
+            self._navigator.set_landing_target((m.x, m.y, m.z), m.time_usec)
         else:
             self._navigator.set_landing_target_angles(m.angle_x, m.angle_y, m.distance)

@@ -31,6 +31,12 @@ def write_world(world: SdfWorld) -> str:
     return "\n".join(lines)
 
 
+def write_model(model: SdfModel) -> str:
+    """Write a model as SDF 1.7, as the file model.sdf of a folder with its name."""
+    lines = ["<?xml version='1.0'?>", "<sdf version='1.7'>", *_indented(_write_model(model), 2), "</sdf>", ""]
+    return "\n".join(lines)
+
+
 def _indented(lines: Iterable[str], by: int) -> list[str]:
     return [" " * by + line for line in lines]
 

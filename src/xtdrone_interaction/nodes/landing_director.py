@@ -1,0 +1,43 @@
+#!/usr/bin/env python3
+"""Land a UAV on a ground robot that drives: ``landing_director.py iris_landing_camera_0``.
+
+Topics: see ``xtdrone_interaction.landing.director``; parameters: ``LandingSettings`` there, see docs/settings.md.
+
+Exit status: 0 after a landing on the tags, 1 after another one, 2 for values that are not allowed.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import rospy
+
+from xtdrone_control.drone.connection import connect
+from xtdrone_control.program import ArgumentError, run_program
+from xtdrone_control.under_roslaunch import end_launch
+from xtdrone_interaction.formation.director import open_events
+from xtdrone_interaction.landing.director import LandingDirector, LandingSettings, direct
+
+USAGE = "landing_director.py VEHICLE   (as iris_landing_camera_0)"
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Land, end the launch, and exit."""
+    if len(arguments) != 1:
+        raise ArgumentError(f"arguments: {list(arguments)} are not allowed, one vehicle")
+    with connect(arguments[0], node="landing_director") as drone:
+        settings = LandingSettings.from_parameters(rospy.get_param)
+        events = open_events(settings.out)
+        try:
+            status = direct(LandingDirector(arguments[0], settings, events), drone)
+        finally:
+            if events is not None:
+                events.close()
+    if status:
+        sys.exit(status)
+    end_launch()
+
+
+if __name__ == "__main__":
+    sys.exit(run_program(main, sys.argv, USAGE))

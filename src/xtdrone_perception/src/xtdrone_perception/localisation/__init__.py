@@ -1,0 +1,1 @@
+"""Relative localisation: where the other vehicles are, from ranges, bearings and odometry."""

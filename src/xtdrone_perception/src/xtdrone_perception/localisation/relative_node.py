@@ -1,0 +1,218 @@
+"""Relative localisation node: each vehicle's estimate of where the others are.
+
+For each vehicle ``T`` that the node serves, and every other vehicle ``S`` of its type:
+
+===========================================  ===========================  ============================================
+topic                                        type                         meaning
+===========================================  ===========================  ============================================
+/T/uwb                                       xtdrone_msgs/RelativeRanges  in: ranges, and bearings, measured by T
+/S/mavros/local_position/velocity_local      geometry_msgs/TwistStamped   in: broadcast odometry: velocity
+/S/mavros/local_position/pose                geometry_msgs/PoseStamped    in: broadcast attitude and height; of T itself
+                                                                          also where it believes to be
+/xtdrone/T/swarm                             std_msgs/Float64MultiArray   out: N x 6 as /xtdrone/swarm: the own row as T
+                                                                          reports it, the others estimated, or NaN
+/xtdrone/T/neighbours/S                      nav_msgs/Odometry            out, while subscribed: position relative to
+                                                                          T with covariance
+===========================================  ===========================  ============================================
+
+All axes are those of map. Followers use ``/xtdrone/T/swarm`` with ``~neighbours: estimated``. No position of a
+neighbour in map is used.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import rospy
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from nav_msgs.msg import Odometry
+from numpy.typing import NDArray
+from std_msgs.msg import Float64MultiArray
+from xtdrone_msgs.msg import RelativeRanges
+
+from xtdrone_control import lockstep
+from xtdrone_control.camera_pose import rotation_matrix
+from xtdrone_control.settings import Settings, setting
+from xtdrone_perception.localisation.relative_filter import FilterSettings, RelativeFilter
+
+RATE = 30.0  # Hz, of followers
+_STALE = 1.0  # s without odometry after which a neighbour is forgotten
+_FIELDS = 6  # of a vehicle in a swarm topic
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RelativeOptions(Settings):
+    """Private parameters of the node, for all its vehicles."""
+
+    sensor: str = setting("uwb", text="name of the range sensor's topic below the vehicle's namespace")
+    antenna: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.08), low=-10.0, high=10.0, unit="m", text="antenna of every vehicle relative to base_link, FLU"
+    )
+
+
+@dataclass
+class _Broadcast:
+    """What a vehicle tells of itself.
+
+    Attributes:
+        attitude: rotation from base_link to map, (3, 3); None before the first pose.
+        place: m, map; used of the own vehicle, of others the height only.
+        velocity: m/s, axes of map.
+        heard: time of the last velocity, s; negative before the first.
+    """
+
+    attitude: Array | None
+    place: Array
+    velocity: Array
+    heard: float = -math.inf
+
+
+class Estimates:
+    """One vehicle's filters and topics."""
+
+    def __init__(
+        self,
+        index: int,
+        names: Sequence[str],
+        fleet: Sequence[_Broadcast],
+        options: RelativeOptions,
+        how: FilterSettings,
+    ) -> None:
+        """Declare the topics.
+
+        Args:
+            index: of the vehicle.
+            names: of all vehicles.
+            fleet: broadcasts of all vehicles, shared.
+            options: of the node.
+            how: of the filters.
+        """
+        self._index, self._fleet = index, fleet
+        self._options = options
+        self._numbers = {name: i for i, name in enumerate(names) if i != index}
+        self.filters = {i: RelativeFilter(how) for i in self._numbers.values()}
+        name = names[index]
+        self._swarm = lockstep.Publisher(f"/xtdrone/{name}/swarm", Float64MultiArray)
+        self._details = {i: lockstep.Publisher(f"/xtdrone/{name}/neighbours/{other}", Odometry)
+                         for other, i in self._numbers.items()}  # fmt: skip
+        lockstep.Subscriber(f"/{name}/{options.sensor}", RelativeRanges, self._on_ranges)
+
+    def restart(self) -> None:
+        """Forget all neighbours."""
+        for one in self.filters.values():
+            one.restart()
+
+    def _on_ranges(self, message: RelativeRanges) -> None:
+        own = self._fleet[self._index]
+        age = rospy.get_time() - message.header.stamp.to_sec()
+        if own.attitude is None or not 0.0 <= age < _STALE:
+            return
+        for entry in message.ranges:
+            number = self._numbers.get(entry.vehicle)
+            if number is None:
+                continue
+            other, one = self._fleet[number], self.filters[number]
+            if other.attitude is None:
+                continue
+            lever = (other.attitude - own.attitude) @ np.array(self._options.antenna)
+            lever = lever - (other.velocity - own.velocity) * age  # where it was when it was measured
+            one.add_range(entry.range, entry.range_std, lever)
+            if entry.has_bearing:
+                one.add_bearing(entry.azimuth, entry.elevation, entry.bearing_std, own.attitude, lever, entry.range)
+
+    def step(self, dt: float, now: float) -> None:
+        """Move the estimates on by ``dt`` s and publish them."""
+        own = self._fleet[self._index]
+        for number, one in self.filters.items():
+            other = self._fleet[number]
+            if now - min(own.heard, other.heard) > _STALE:
+                one.restart()
+                continue
+            one.predict(dt, other.velocity - own.velocity)
+            one.add_height(float(other.place[2] - own.place[2]))
+        self._publish(own)
+
+    def _publish(self, own: _Broadcast) -> None:
+        rows = np.full((len(self._fleet), _FIELDS), np.nan)
+        if own.attitude is not None:
+            rows[self._index] = *own.place, *own.velocity
+            for number, one in self.filters.items():
+                if one.known:
+                    rows[number] = *(own.place + one.position), *self._fleet[number].velocity
+        self._swarm.publish(Float64MultiArray(data=rows.ravel().tolist()))
+        for number, publisher in self._details.items():
+            if self.filters[number].known and publisher.get_num_connections():
+                publisher.publish(self._odometry(number))
+
+    def _odometry(self, number: int) -> Odometry:
+        one, message = self.filters[number], Odometry()
+        message.header.stamp, message.header.frame_id = rospy.Time.now(), "map"
+        place, twist = message.pose.pose.position, message.twist.twist.linear
+        place.x, place.y, place.z = one.position.tolist()
+        message.pose.pose.orientation.w = 1.0
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3] = one.covariance
+        message.pose.covariance = covariance.ravel().tolist()
+        velocity = self._fleet[number].velocity - self._fleet[self._index].velocity
+        twist.x, twist.y, twist.z = velocity.tolist()
+        return message
+
+
+class RelativeLocalisationNode:
+    """Estimates of one or several vehicles in one process."""
+
+    def __init__(
+        self, kind: str, ids: Sequence[int], count: int, options: RelativeOptions, how: FilterSettings
+    ) -> None:
+        """Declare the topics.
+
+        Args:
+            kind: vehicle type, as ``iris_uwb``.
+            ids: vehicles whose estimates are computed here.
+            count: number of vehicles.
+            options: of the node.
+            how: of the filters.
+        """
+        names = [f"{kind}_{i}" for i in range(count)]
+        self._fleet = [_Broadcast(None, np.full(3, np.nan), np.zeros(3)) for _ in names]
+        for i, name in enumerate(names):
+            base = f"/{name}/mavros/local_position"
+            lockstep.Subscriber(f"{base}/pose", PoseStamped, partial(self._on_pose, i))
+            lockstep.Subscriber(f"{base}/velocity_local", TwistStamped, partial(self._on_velocity, i))
+        self._estimates = [Estimates(i, names, self._fleet, options, how) for i in ids]
+        self._time: float | None = None
+        lockstep.add_reset_hook(self._restart)
+
+    def _restart(self) -> None:
+        self._time = None
+        for broadcast in self._fleet:
+            broadcast.attitude, broadcast.heard = None, -math.inf
+        for estimates in self._estimates:
+            estimates.restart()
+
+    def _on_pose(self, index: int, message: PoseStamped) -> None:
+        p, q = message.pose.position, message.pose.orientation
+        turn = np.array([q.w, q.x, q.y, q.z])
+        place = np.array([p.x, p.y, p.z])
+        if np.isfinite(place).all() and abs(turn @ turn - 1.0) < 0.01:
+            self._fleet[index].attitude, self._fleet[index].place = rotation_matrix(turn.tolist()), place
+
+    def _on_velocity(self, index: int, message: TwistStamped) -> None:
+        v = message.twist.linear
+        velocity = np.array([v.x, v.y, v.z])
+        if np.isfinite(velocity).all():
+            self._fleet[index].velocity, self._fleet[index].heard = velocity, rospy.get_time()
+
+    def step(self) -> None:
+        """Move all estimates on and publish them; call it at 30 Hz."""
+        now = rospy.get_time()
+        dt = 0.0 if self._time is None else max(now - self._time, 0.0)
+        self._time = now
+        for estimates in self._estimates:
+            estimates.step(dt, now)

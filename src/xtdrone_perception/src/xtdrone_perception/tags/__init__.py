@@ -1,0 +1,1 @@
+"""AprilTags: detection, pose, and the landing target that they mark."""

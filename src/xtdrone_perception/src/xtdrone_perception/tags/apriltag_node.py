@@ -1,0 +1,274 @@
+"""AprilTag node: pictures of one or several vehicles in, poses of tags and the landing target out.
+
+For each vehicle ``T`` (as ``iris_downward_camera_0``):
+
+=====================================  =====================================  ==========================================
+topic                                  type                                   meaning
+=====================================  =====================================  ==========================================
+/T/camera/image_raw, camera_info       sensor_msgs/Image, CameraInfo          in: rgb8, bgr8 or mono8
+/T/mavros/local_position/pose          geometry_msgs/PoseStamped              in: the vehicle's pose at the exposure
+/T/tag_detections                      apriltag_ros/AprilTagDetectionArray    out: one per picture, in the optical frame
+/tf                                    tf2_msgs/TFMessage                     out: optical frame -> tag or bundle
+/T/mavros/landing_target/pose          geometry_msgs/PoseStamped              out: the board ``~target`` in map, with
+                                                                              the exposure's stamp
+=====================================  =====================================  ==========================================
+
+The results of a picture are published ``~latency`` of simulated time after it came. A picture that comes meanwhile
+waits; of several the newest.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import rospy
+from apriltag_ros.msg import AprilTagDetection, AprilTagDetectionArray
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Transform, TransformStamped, Vector3
+from numpy.typing import NDArray
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
+
+from xtdrone_control import lockstep
+from xtdrone_control.bounded_file import ContentError
+from xtdrone_control.camera_pose import CameraPose
+from xtdrone_control.frames import to_xyzw
+from xtdrone_control.lockstep.deferred import Deferred
+from xtdrone_control.program import ArgumentError
+from xtdrone_control.settings import SettingError, Settings, setting
+from xtdrone_control.tag_boards import TagBoard, boards_of
+from xtdrone_perception.tags.mounted_camera import in_map, optical_frame, quaternion, up_in
+from xtdrone_perception.tags.tag_detector import SeenTag, TagDetector, TagDetectorSettings
+from xtdrone_perception.tags.tag_poses import BoardPose, Optics, board_pose
+from xtdrone_perception.tracking.pose_history import PoseHistory
+
+RATE = 50.0  # Hz
+_CHANNELS = {"rgb8": 3, "bgr8": 3, "mono8": 1}
+_WARNING_PERIOD = 10.0  # s
+
+
+@dataclass(frozen=True)
+class AprilTagOptions(Settings):
+    """Private parameters of the node, for all its vehicles."""
+
+    tags: str = setting("landing", text="boards to look for: landing, or a YAML file in the format of apriltag_ros")
+    target: str = setting("landing", text="name of the board that is the landing target; empty: none")
+    camera: str = setting("camera", text="name of the camera's topics below the vehicle's namespace")
+    camera_offset: tuple[float, float, float] = setting(
+        (0.0, 0.0, -0.05), low=-10.0, high=10.0, unit="m", text="camera position relative to base_link, FLU"
+    )
+    camera_rpy: tuple[float, float, float] = setting(
+        (0.0, 0.5 * math.pi, 0.0),
+        low=-7.0,
+        high=7.0,
+        unit="rad",
+        text="camera orientation in base_link; pitch pi/2 looks down",
+    )
+    pixel_centre: float = setting(
+        0.5,
+        low=0.0,
+        high=0.5,
+        unit="px",
+        text="place of the upper left pixel's centre in the camera's calibration: 0.5 of simulated cameras, 0 of those "
+        "that OpenCV has calibrated",
+    )
+    level: bool = setting(True, text="boards lie level, which decides where a picture leaves two poses possible")
+    max_error: float = setting(
+        2.0, above=0.0, high=100.0, unit="px", text="greatest reprojection error of a pose that is published"
+    )
+    latency: float = setting(0.04, low=0.0, high=10.0, unit="s", text="simulated time from a picture to its results")
+
+
+class Picture(NamedTuple):
+    """A picture to be searched."""
+
+    header: Header
+    grey: NDArray[np.uint8]
+
+
+def read_boards(options: AprilTagOptions) -> tuple[TagBoard, ...]:
+    """Return the boards that the node looks for.
+
+    Raises:
+        ArgumentError: the file is unusable, or has no board ``target``.
+    """
+    try:
+        boards = boards_of(options.tags)
+    except (OSError, ContentError, SettingError) as error:
+        raise ArgumentError(f"parameter ~tags: {error}") from error
+    names = [board.name for board in boards]
+    if options.target and options.target not in names:
+        raise ArgumentError(f"parameter ~target: {options.target!r} is not allowed, empty or one of {', '.join(names)}")
+    return boards
+
+
+class VehicleTags:
+    """Topics of one vehicle."""
+
+    def __init__(self, name: str, options: AprilTagOptions, boards: Sequence[TagBoard], tf: lockstep.Publisher) -> None:
+        """Declare the topics.
+
+        Args:
+            name: of the vehicle.
+            options: of the node.
+            boards: to look for.
+            tf: publisher of /tf.
+        """
+        self.name = name
+        self._options, self._boards, self._tf = options, boards, tf
+        self._poses = PoseHistory()
+        self._restart()
+        self._detections = lockstep.Publisher(f"/{name}/tag_detections", AprilTagDetectionArray)
+        self._target = lockstep.Publisher(f"/{name}/mavros/landing_target/pose", PoseStamped)
+        lockstep.Subscriber(f"/{name}/mavros/local_position/pose", PoseStamped, self._on_pose)
+        lockstep.Subscriber(f"/{name}/{options.camera}/camera_info", CameraInfo, self._on_info)
+        lockstep.Subscriber(f"/{name}/{options.camera}/image_raw", Image, self._on_image, queue_size=2, buff_size=2**24)
+        lockstep.add_reset_hook(self._restart)
+
+    def _restart(self) -> None:
+        self._poses.clear()
+        self._optics: Optics | None = None
+        self._waiting: Picture | None = None
+        self._working = False
+
+    # messages
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        p, q = message.pose.position, message.pose.orientation
+        entry = np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
+        if np.isfinite(entry).all() and abs(entry[3:] @ entry[3:] - 1.0) < 0.01:
+            self._poses.add(message.header.stamp.to_nsec(), entry)
+
+    def _on_info(self, message: CameraInfo) -> None:
+        try:
+            self._optics = Optics(np.array(message.K, float).reshape(3, 3), np.array(message.D, float))
+        except ValueError as error:
+            rospy.logwarn_throttle(_WARNING_PERIOD, f"{self.name}: ignored {error}")
+
+    def _on_image(self, message: Image) -> None:
+        try:
+            self._waiting = Picture(message.header, grey_of(message))
+        except ValueError as error:
+            rospy.logwarn_throttle(_WARNING_PERIOD, f"{self.name}: ignored a picture: {error}")
+
+    # steps
+
+    def take(self) -> Picture | None:
+        """Return the next picture to search, None if there is none or one is being searched."""
+        if self._working or self._waiting is None:
+            return None
+        picture, self._waiting = self._waiting, None
+        self._working = True
+        return picture
+
+    def finish(self, picture: Picture, seen: Sequence[SeenTag]) -> None:
+        """Publish the results of a picture."""
+        self._working = False
+        header = picture.header
+        camera = self._camera_at(header.stamp.to_nsec())
+        found = [] if self._optics is None else self._located(seen, self._optics, camera)
+        self._detections.publish(AprilTagDetectionArray(header, [_detection(header, *entry) for entry in found]))
+        if found:
+            self._tf.publish(TFMessage([_transform(header, *entry) for entry in found]))
+        for board, pose in found:
+            if board.name == self._options.target and camera is not None:
+                turn, place = in_map(camera, pose.rotation, pose.position)
+                message = PoseStamped(Header(stamp=header.stamp, frame_id="map"), _pose(turn, place))
+                self._target.publish(message)
+
+    def _located(
+        self, seen: Sequence[SeenTag], optics: Optics, camera: CameraPose | None
+    ) -> list[tuple[TagBoard, BoardPose]]:
+        shift = self._options.pixel_centre - 0.5
+        moved = [SeenTag(tag.id, tag.corners + shift) for tag in seen]
+        normal = up_in(camera) if camera is not None and self._options.level else None
+        poses = [(board, board_pose(board, moved, optics, normal)) for board in self._boards]
+        return [(board, pose) for board, pose in poses if pose is not None and pose.error <= self._options.max_error]
+
+    def _camera_at(self, time_ns: int) -> CameraPose | None:
+        """Return the pose of the optical frame at a time, None if unknown."""
+        entry = self._poses.at(time_ns)
+        if entry is None:
+            rospy.logwarn_throttle(_WARNING_PERIOD, f"{self.name}: no pose at the exposure: no landing target")
+            return None
+        px, py, pz, qx, qy, qz, qw = entry.tolist()
+        return optical_frame((px, py, pz), (qw, qx, qy, qz), self._options.camera_offset, self._options.camera_rpy)
+
+
+class AprilTagNode:
+    """Tag detection for one or several vehicles in one process."""
+
+    def __init__(self, kind: str, ids: Sequence[int], options: AprilTagOptions, settings: TagDetectorSettings) -> None:
+        """Declare the topics.
+
+        Args:
+            kind: vehicle type, as ``iris_downward_camera``.
+            ids: numbers of the vehicles.
+            options: shared by the vehicles.
+            settings: of the detector.
+
+        Raises:
+            ArgumentError: the boards are unusable.
+        """
+        boards = read_boards(options)
+        self._detector = TagDetector(settings)
+        self._latency_us = round(options.latency * 1e6)
+        self._work = Deferred(1, wait=lockstep.is_active())
+        tf = lockstep.Publisher("/tf", TFMessage)
+        self._vehicles = [VehicleTags(f"{kind}_{index}", options, boards, tf) for index in ids]
+        lockstep.add_reset_hook(self._work.clear)
+
+    def step(self) -> None:
+        """Publish the results that are due and start searching waiting pictures; call it at 50 Hz."""
+        now_us = rospy.Time.now().to_nsec() // 1000
+        for (vehicle, picture), seen in self._work.ready(now_us):
+            vehicle.finish(picture, seen)
+        for vehicle in self._vehicles:
+            picture = vehicle.take()
+            if picture is not None:
+                self._work.put((vehicle, picture), now_us + self._latency_us, self._detector.detect, picture.grey)
+
+    def close(self) -> None:
+        """Stop the worker."""
+        self._work.close()
+
+
+def grey_of(message: Image) -> NDArray[np.uint8]:
+    """Return the grey values of a picture, (height, width).
+
+    Raises:
+        ValueError: unknown encoding, or a size that does not match the data.
+    """
+    channels = _CHANNELS.get(message.encoding)
+    if channels is None:
+        raise ValueError(f"encoding: {message.encoding!r} is not allowed, {', '.join(_CHANNELS)}")
+    width, height, step = message.width, message.height, message.step
+    if not width or not height or step < channels * width or len(message.data) != step * height:
+        raise ValueError(f"{width} x {height} px in rows of {step} bytes, but {len(message.data)} bytes")
+    rows = np.frombuffer(message.data, np.uint8).reshape(height, step)[:, : channels * width]
+    if channels == 1:
+        return np.ascontiguousarray(rows)
+    code = cv2.COLOR_RGB2GRAY if message.encoding == "rgb8" else cv2.COLOR_BGR2GRAY
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(rows).reshape(height, width, 3), code))
+
+
+def _pose(turn: NDArray[np.float64], place: NDArray[np.float64]) -> Pose:
+    return Pose(Point(*place.tolist()), Quaternion(*to_xyzw(quaternion(turn))))
+
+
+def _detection(header: Header, board: TagBoard, pose: BoardPose) -> AprilTagDetection:
+    message = AprilTagDetection(id=[tag.id for tag in board.tags], size=[tag.size for tag in board.tags])
+    message.pose.header = header
+    message.pose.pose.pose = _pose(pose.rotation, pose.position)
+    message.pose.pose.covariance = pose.covariance.ravel().tolist()
+    return message
+
+
+def _transform(header: Header, board: TagBoard, pose: BoardPose) -> TransformStamped:
+    turn = Quaternion(*to_xyzw(quaternion(pose.rotation)))
+    return TransformStamped(header, board.name, Transform(Vector3(*pose.position.tolist()), turn))

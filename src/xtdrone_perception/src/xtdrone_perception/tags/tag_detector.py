@@ -1,0 +1,76 @@
+"""Detection of AprilTags of the family 36h11 in grey pictures, by OpenCV's aruco module.
+
+Corners are refined to parts of a pixel. OpenCV's dictionary has the patterns of the family turned by 180 degrees; the
+order of the corners is that of the pictures of the family's authors, so that poses agree with apriltag_ros.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_control.settings import Settings, setting
+
+
+@dataclass(frozen=True)
+class TagDetectorSettings(Settings):
+    """Settings of the detection."""
+
+    least_edge: float = setting(
+        12.0, low=8.0, high=1000.0, unit="px", text="edge of the smallest tag that is searched for"
+    )
+    corrected_bits: int = setting(
+        2, low=0, high=5, text="largest number of wrong bits of a tag; more are found, and more that are none"
+    )
+
+
+class SeenTag(NamedTuple):
+    """A tag in a picture.
+
+    Attributes:
+        id: number in the family.
+        corners: upper left, upper right, lower right, lower left as printed, (4, 2) pixels; the centre of the picture's
+            upper left pixel is (0.5, 0.5).
+    """
+
+    id: int
+    corners: NDArray[np.float64]
+
+
+class TagDetector:
+    """Finds the tags in pictures; one thread at a time."""
+
+    _LEAST_RATE = 1e-3  # of OpenCV's perimeter by the picture's greater side
+
+    def __init__(self, settings: TagDetectorSettings) -> None:
+        """Prepare the dictionary."""
+        self._settings = settings
+        family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+        self._parameters = parameters = cv2.aruco.DetectorParameters()
+        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+        parameters.relativeCornerRefinmentWinSize = 0.4
+        parameters.cornerRefinementMinAccuracy = 0.01
+        parameters.cornerRefinementMaxIterations = 50
+        parameters.errorCorrectionRate = settings.corrected_bits / max(1, family.maxCorrectionBits)
+        self._detector = cv2.aruco.ArucoDetector(family, parameters)
+
+    def detect(self, grey: NDArray[np.uint8]) -> list[SeenTag]:
+        """Return the tags of a picture, (height, width), by number; of several with one number the largest."""
+        rate = 4.0 * self._settings.least_edge / max(grey.shape)
+        self._parameters.minMarkerPerimeterRate = max(rate, self._LEAST_RATE)
+        self._detector.setDetectorParameters(self._parameters)
+        found, ids, _ = self._detector.detectMarkers(grey)
+        best: dict[int, SeenTag] = {}
+        for number, corners in zip([] if ids is None else ids.ravel().tolist(), found, strict=True):
+            tag = SeenTag(number, np.roll(corners.reshape(4, 2).astype(float), 2, axis=0) + 0.5)
+            if number not in best or _area(tag) > _area(best[number]):
+                best[number] = tag
+        return [best[number] for number in sorted(best)]
+
+
+def _area(tag: SeenTag) -> float:
+    return abs(float(cv2.contourArea(tag.corners.astype(np.float32))))
