@@ -21,13 +21,13 @@ from xtdrone_perception.detection.yolo_node import DetectionOptions, GroundOptio
 from xtdrone_perception.following.following import FollowSettings
 from xtdrone_perception.following.human_tracking_node import TrackingOptions
 from xtdrone_perception.gimbal_node import GimbalOptions
+from xtdrone_perception.localisation.relative_filter import FilterSettings
+from xtdrone_perception.localisation.relative_node import RelativeOptions
 from xtdrone_perception.slam.lidar_odometry import RegistrationOptions
 from xtdrone_perception.slam.lidar_odometry_node import LidarOdometryOptions
 from xtdrone_perception.slam.loops.loop_closure import LoopOptions
 from xtdrone_perception.slam.loops.loop_closure_node import LoopNodeOptions
 from xtdrone_perception.slam.odometry_health import HealthLimits
-from xtdrone_perception.localisation.relative_filter import FilterSettings
-from xtdrone_perception.localisation.relative_node import RelativeOptions
 from xtdrone_perception.tags.apriltag_node import AprilTagOptions
 from xtdrone_perception.tags.tag_detector import TagDetectorSettings
 from xtdrone_perception.tracking.geolocation import Noise, Person
