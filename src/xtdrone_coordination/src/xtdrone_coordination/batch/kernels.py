@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_coordination.kernel import kernel
+from xtdrone_coordination.known_swarm_state import NEVER
 from xtdrone_coordination.laws import avoidance, consensus
-from xtdrone_coordination.network.channel import sample
-from xtdrone_coordination.swarm import NEVER
+from xtdrone_coordination.network.losses_and_delays import sample
 
 from .neighbourhood import fill_grid, find_near, relative
 

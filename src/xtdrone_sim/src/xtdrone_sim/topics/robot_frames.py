@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from xtdrone_sim.vehicles.poses import OPTICAL_FRAME, compose, from_axis_angle
+from xtdrone_sim.vehicles.pose_arithmetic import OPTICAL_FRAME, compose, from_axis_angle
 from xtdrone_sim.vehicles.urdf import FIXED
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
 from xtdrone_sim.vehicles.visual import Pose
