@@ -33,6 +33,6 @@ class FeedForwardFollower(ArrayFollower):
 
 
 if __name__ == "__main__":
-    from xtdrone_coordination.follower_nodes import run_follower
+    from xtdrone_coordination.ros import run_follower
 
     sys.exit(run_follower(FeedForwardFollower))

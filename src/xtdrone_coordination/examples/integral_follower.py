@@ -34,6 +34,6 @@ class IntegralFollower(Follower):
 
 
 if __name__ == "__main__":
-    from xtdrone_coordination.follower_nodes import run_follower
+    from xtdrone_coordination.ros import run_follower
 
     sys.exit(run_follower(IntegralFollower))

@@ -8,7 +8,7 @@ A follower of your own overrides the methods to be changed and inherits the rest
             return x, y, 0.5 * z
 
     if __name__ == "__main__":
-        sys.exit(run_follower(MyFollower))      # xtdrone_coordination.follower_nodes
+        sys.exit(run_follower(MyFollower))      # xtdrone_coordination.ros
 
 This module does not depend on ROS: a node passes received messages to the ``on_...`` methods and publishes the result
 of :meth:`Follower.update`; a simulator in one process does the same without a master.
