@@ -20,7 +20,7 @@ from typing import Any
 
 import numba
 
-from benchmarks.runner import Row
+from benchmarks.measurement_runner import Row
 
 REFERENCE = {"integer_ms": 50.0, "floating_ms": 47.7, "python_ms": 49.6}
 """CPU ms of the three loops on the reference machine, a virtual core of an AMD EPYC server with AVX-512."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from benchmarks.measurement_runner import TYPE, Bench, Event, Row, find
 from benchmarks.process_use import CpuSample, memory, overlap, process_tree
-from benchmarks.runner import TYPE, Bench, Event, Row, find
 
 
 def stack_arguments(bench: Bench, known: Row, folder: Path) -> dict[str, Any]:

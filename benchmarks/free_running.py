@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+from benchmarks.measurement_runner import TYPE, Bench, BenchError, Case, Event, Row, find, fly, fresh_folder
 from benchmarks.nodes.speed_search import Trial, best, next_speed
-from benchmarks.runner import TYPE, Bench, BenchError, Case, Event, Row, find, fly, fresh_folder
 
 _FLIGHTS = 4  # maximum of free-running flights: far too high a speed aborts a flight
 _ROUNDS = 20  # of the patterns, so that a flight is longer than its measurement

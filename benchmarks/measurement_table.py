@@ -1,8 +1,8 @@
 """The table of all measurements of ``./xtdrone bench``: command, default numbers, limits, and columns.
 
 A measurement's command gets a case (a number of vehicles, a picture size, ...) and returns a row of figures: a
-:class:`~benchmarks.runner.Program`, a :class:`~benchmarks.runner.Flight`, or a function. A new measurement is one more
-entry of :data:`MEASUREMENTS`.
+:class:`~benchmarks.measurement_runner.Program`, a :class:`~benchmarks.measurement_runner.Flight`, or a function. A new
+measurement is one more entry of :data:`MEASUREMENTS`; its goal is an entry of ``goals.GOALS``.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import statistics
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from benchmarks.fields import DRAWING_PROGRAMS, Field, flight_time, frame_cpu, goal, input_size, median, share, spread
 from benchmarks.flights import (
     formation_arguments,
     formation_figures,
@@ -21,8 +20,19 @@ from benchmarks.flights import (
     stack_figures,
 )
 from benchmarks.free_running import measure_free
-from benchmarks.runner import Bench, Case, Flight, Program, Row
-from benchmarks.search import SEARCHERS, search_arguments, search_figures
+from benchmarks.goals import goal_of
+from benchmarks.measurement_runner import Bench, Case, Flight, Program, Row
+from benchmarks.search_speed import SEARCHERS, search_arguments, search_figures
+from benchmarks.table_columns import (
+    DRAWING_PROGRAMS,
+    Field,
+    flight_time,
+    frame_cpu,
+    input_size,
+    median,
+    share,
+    spread,
+)
 from xtdrone_control.fleet import MAX_VEHICLES
 
 _MESSAGES = ("PositionTarget", "PoseStamped", "Imu", "Odometry", "TFMessage", "ModelStates")
@@ -211,10 +221,6 @@ _PROCESSES: tuple[Field, ...] = (
 )
 
 
-def _goal(keys: Sequence[str], goals: dict[tuple[object, ...], float], form: str = "{:g} x") -> Field:
-    return "to\nreach", goal(goals, keys, form)
-
-
 _TABLE = (
     Measurement(
         name="core",
@@ -224,7 +230,7 @@ _TABLE = (
         limits=(1, MAX_VEHICLES),
         fields=(
             _SPEED,
-            _goal(["vehicles"], {(9,): 30.0, (100,): 6.0}),
+            goal_of("core"),
             ("vehicle-steps/s", median("vehicle_steps_per_second", ".0f")),
             ("us/vehicle-step", median("microseconds_per_vehicle_step", ".2f")),
         ),
@@ -237,7 +243,7 @@ _TABLE = (
         limits=(2, 10_000),
         fields=(
             _SPEED,
-            _goal(["vehicles"], {(9,): 1000.0, (1000,): 1.0}),
+            goal_of("simplified"),
             ("us/vehicle-turn", median("microseconds_per_vehicle_turn", ".2f")),
         ),
     ),
@@ -247,7 +253,7 @@ _TABLE = (
         command=Program("drawing", _CORE_SECONDS),
         numbers=(9, 100, 1000),
         limits=(2, 10_000),
-        fields=(("pictures/s", spread("pictures_per_second")), _goal(["vehicles"], {(100,): 15.0}, "{:g}")),
+        fields=(("pictures/s", spread("pictures_per_second")), goal_of("drawing")),
         summary=lambda row: f"{row['pictures_per_second']:.1f} pictures a second",
     ),
     Measurement(
@@ -260,7 +266,7 @@ _TABLE = (
             ("runs/s", spread("runs_per_second")),
             ("with one\nworker", spread("one_worker")),
             ("speed-up", spread("speed_up", " x")),
-            _goal(["workers"], {(2,): 1.7}),
+            goal_of("sweep"),
         ),
         summary=lambda row: f"{row['runs_per_second']:.1f} runs a second, {row['speed_up']:.2f} x those of one worker",
         cases=_workers,
@@ -309,7 +315,7 @@ _TABLE = (
         fields=(
             ("million\nrays/s", spread("million_rays_per_second")),
             _SPEED,
-            _goal(["lidars", "kind"], {(6, "spinning"): 1.0}),
+            goal_of("rays"),
         ),
         summary=lambda row: f"{row['million_rays_per_second']:.2f} million rays a second",
         cases=_lidars,
@@ -341,7 +347,7 @@ _TABLE = (
         limits=(1, 20_000),
         fields=(
             ("reading\nMB/s", spread("megabytes_per_second")),
-            _goal(["megabytes"], {(1000,): 100.0}, "{:g}"),
+            goal_of("analyse"),
             ("CPU\ns", spread("cpu_seconds")),
             ("messages", median("messages", ".0f")),
             ("memory\nMB", median("memory_bytes", ".0f", 1e-6)),
@@ -411,7 +417,7 @@ _TABLE = (
         limits=(1, MAX_VEHICLES),
         fields=(
             _SPEED,
-            _goal(["vehicles"], {(9,): 10.0}),
+            goal_of("stack"),
             ("messages/s", median("messages_per_second", ".0f")),
             _OVERLAP,
             *_PROCESSES,
@@ -425,10 +431,7 @@ _TABLE = (
         limits=(2, MAX_VEHICLES),
         fields=(
             _SPEED,
-            _goal(
-                ["vehicles", "mode"],
-                {(9, "per_uav"): 3.0, (30, "per_uav"): 1.0, (9, "merged"): 9.0, (30, "merged"): 3.0},
-            ),
+            goal_of("formation"),
             ("flight\ns", flight_time),
             _OVERLAP,
             *_PROCESSES,
@@ -445,7 +448,7 @@ _TABLE = (
         limits=(1, 10),
         fields=(
             _SPEED,
-            _goal(["camera_rate"], {(2,): 1.0}),
+            goal_of("search"),
             *((name, share(name)) for name in ("cameras", "yolo", "simulator", "mavros", "others")),
         ),
         cases=_rates,
@@ -463,7 +466,7 @@ _TABLE = (
             ("in lockstep", spread("exact_real_time_factor", " x")),
             ("free-running", spread("free_real_time_factor", " x")),
             ("share", spread("exact_share")),
-            _goal(["vehicles"], {(9,): 0.7}, "{:.2f}"),
+            goal_of("free"),
         ),
         summary=_free_summary,
     ),

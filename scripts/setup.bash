@@ -247,7 +247,7 @@ are_kernels_prepared() {
 prepare_kernels() {
   say "kernels: compiling those that changed"
   # shellcheck disable=SC2016
-  if logged kernels bash -c 'source "$1/scripts/env.bash" && exec python -m xtdrone_swarm.prepare' _ "$root"; then
+  if logged kernels bash -c 'source "$1/scripts/env.bash" && exec python -m xtdrone_swarm.compile_kernels' _ "$root"; then
     write_stamp "$state_dir/prepared" "$(digest '*.py')"
     hand_over "$root/src"
   else

@@ -14,8 +14,8 @@ from functools import partial
 from pathlib import Path
 
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.mavlink.server import MavlinkServer
-from xtdrone_sim.autopilots.backend import BuiltinAutopilot
+from xtdrone_control.mavlink.mavlink_server import MavlinkServer
+from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot
 from xtdrone_sim.runtime.requests.pacing import Pacer
 from xtdrone_sim.simulation import Simulation
 

@@ -12,10 +12,10 @@ from client_world import CLIENT_LIMIT, Core
 
 from xtdrone_control.autopilot import modes
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.mavlink.server import MavlinkServer
+from xtdrone_control.mavlink.mavlink_server import MavlinkServer
 from xtdrone_interaction.gcs import GroundStation, Peer
-from xtdrone_interaction.gcs.commands.main import main
-from xtdrone_interaction.gcs.exchanges import logs, parameters, protocol
+from xtdrone_interaction.gcs.commands.gcs_cli import main
+from xtdrone_interaction.gcs.exchanges import exchange, logs, parameters
 from xtdrone_interaction.gcs.exchanges import plans as plan_exchanges
 from xtdrone_interaction.gcs.vehicle_state import VehicleState
 from xtdrone_sim.simulation import Simulation
@@ -100,7 +100,7 @@ def flown(watched: bool) -> tuple[np.ndarray, int]:
     server = MavlinkServer(fleet, simulation.autopilot, simulation.commanders)
     peers = [Peer.of(vehicle) for vehicle in fleet] if watched else []
     jobs = (
-        protocol.request_state,
+        exchange.request_state,
         parameters.fetch_all,
         lambda beat: plan_exchanges.download_plan(beat.system),
         logs.fetch_list,

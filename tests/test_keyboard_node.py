@@ -41,11 +41,11 @@ _ESCAPES = re.compile(r"\x1b(?:\[[0-9;?]*[a-zA-Z]|[()][0-9A-B]|[=>78])")
 
 BROKEN = """
 import sys
-from xtdrone_interaction.keyboard import node
+from xtdrone_interaction.keyboard import keyboard_node
 def press(self, key):
     raise RuntimeError("a fault of the keyboard's own")
-node.Pilot.press = press
-sys.exit(node.main())
+keyboard_node.Pilot.press = press
+sys.exit(keyboard_node.main())
 """
 
 

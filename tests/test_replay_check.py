@@ -15,7 +15,7 @@ from conftest import WALL_LIMIT, wait_for_ports
 
 pytest.importorskip("rospy")
 
-from validation.replay import check as replay_check
+from validation.replay import replay_check
 from validation.replay.digests import compare, read_digests
 
 LIMIT = 1200.0  # s of wall time; a starved machine takes twenty times as long as a quiet one
@@ -25,7 +25,7 @@ import argparse
 import sys
 from dataclasses import replace
 from rich.console import Console
-from validation.replay import check as replay_check
+from validation.replay import replay_check
 from xtdrone_interaction.launching.scripted_launch import StopRequest
 
 parser = argparse.ArgumentParser()

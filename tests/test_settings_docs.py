@@ -9,9 +9,9 @@ import pytest
 
 from xtdrone_control.communication.commands import CommandSettings
 from xtdrone_control.settings import Settings
+from xtdrone_coordination.follower_nodes import HostedCommunication, NeighbourSettings
 from xtdrone_coordination.network import NetworkOptions
-from xtdrone_coordination.ros import HostedCommunication, NeighbourSettings
-from xtdrone_coordination.search.settings import MissionSettings
+from xtdrone_coordination.search.search_settings import MissionSettings
 from xtdrone_interaction.crossing.mission import CrossingSettings
 from xtdrone_interaction.formation.director import DirectorSettings
 from xtdrone_interaction.landing.director import LandingSettings
@@ -63,7 +63,7 @@ from xtdrone_sim.worlds.generated.countryside import CountrysideSettings
 from xtdrone_sim.worlds.generated.forest import ForestSettings
 from xtdrone_sim.worlds.generated.indoor import IndoorSettings
 from xtdrone_sim.worlds.generated.maze import MazeSettings
-from xtdrone_swarm.simplified.node import SimplifiedSettings
+from xtdrone_swarm.simplified.simplified_node import SimplifiedSettings
 
 PAGE = Path(__file__).parents[1] / "docs" / "settings.md"
 CLASSES: dict[str, type[Settings]] = {

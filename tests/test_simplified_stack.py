@@ -28,7 +28,7 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Empty, Trigger
 
-from xtdrone_swarm.simplified.node import main, read_settings
+from xtdrone_swarm.simplified.simplified_node import main, read_settings
 from xtdrone_swarm.swarm import Swarm
 
 FLIGHT_LIMIT = 300.0  # s of wall time

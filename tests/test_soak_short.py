@@ -16,7 +16,7 @@ from conftest import poll
 
 pytest.importorskip("rospy")
 
-from validation.soak import script
+from validation.soak import soak_script
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_interaction.options import OptionError, check_vehicle_ports
 
@@ -80,7 +80,7 @@ def test_a_short_soak_is_good(soaked: tuple[Path, int, str]) -> None:
     assert report["good"]
     assert report["failures"] == []
     counts = report["counts"]
-    events = [event for episode in script.generate_short(SEED, COUNT) for event in episode.events]
+    events = [event for episode in soak_script.generate_short(SEED, COUNT) for event in episode.events]
     for action in {event.action for event in events}:
         assert counts["actions"][action] == sum(event.action == action for event in events), action
     assert counts["latest_event"] < 5.0  # only what runs freely overshoots, s
@@ -106,7 +106,7 @@ def test_its_samples_have_figures_of_every_process(soaked: tuple[Path, int, str]
     times = [float(row["soak_time"]) for row in rows]
     assert times == sorted(times)
     resting = [row for row in rows if row["resting"] == "1"]
-    assert len(resting) == len(list(script.generate_short(SEED, COUNT)))
+    assert len(resting) == len(list(soak_script.generate_short(SEED, COUNT)))
     for row in resting:
         assert int(row["simulator_rss"]) > int(row["rosout_pss"]) > 1 << 20
         assert row["participants"] == "1"  # the MAVROS layer: the others have left

@@ -31,7 +31,7 @@ from xtdrone_msgs.srv import SetSpeed
 
 from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.mavros.programs import mavcmd, mavparam, mavsafety, mavsys, mavwp, parameter_formats
-from xtdrone_control.mavros.programs.client import ProgramError, execute
+from xtdrone_control.mavros.programs.shared_arguments_and_calls import ProgramError, execute
 from xtdrone_control.plans import waypoint_file
 from xtdrone_control.plans.waypoint_file import Row
 

@@ -22,7 +22,7 @@ from std_msgs.msg import Float32MultiArray, Int32MultiArray, String
 
 from xtdrone_coordination.patterns import Patterns, with_leader
 from xtdrone_swarm.view import palette
-from xtdrone_swarm.view.ros import MODEL_STATES, Flight, pattern_name, pose_topic
+from xtdrone_swarm.view.view_of_ros_flight import MODEL_STATES, Flight, pattern_name, pose_topic
 
 NAMES = ("iris_0", "iris_1", "iris_2")
 FPS = 10.0

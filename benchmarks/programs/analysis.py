@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from benchmarks.programs.program import Column, Row, run
+from benchmarks.programs.program_frame import Column, Row, run
 
 _VEHICLES = 9
 _STEP_NS = 20_000_000  # 50 Hz

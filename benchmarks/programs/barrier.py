@@ -28,7 +28,7 @@ import rosgraph
 import roslib.packages
 
 from benchmarks.process_use import CpuSample
-from benchmarks.programs.program import Column, Row, run
+from benchmarks.programs.program_frame import Column, Row, run
 from xtdrone_control.fleet import MAX_VEHICLES
 from xtdrone_control.lockstep.protocol import BASE_STEP_US
 from xtdrone_control.lockstep.server import LockstepServer

@@ -24,7 +24,7 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import Float64MultiArray, String
 from tf2_msgs.msg import TFMessage
 
-from benchmarks.programs.program import Column, Row, run
+from benchmarks.programs.program_frame import Column, Row, run
 from xtdrone_control.ros_codec import compile_class
 
 _BATCH = 200

@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-from benchmarks.programs.program import Column, Row, run
+from benchmarks.programs.program_frame import Column, Row, run
 from xtdrone_control.autopilot import modes
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_sim.simulation import Simulation

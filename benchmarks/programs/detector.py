@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.programs.program import Column, Row, run
+from benchmarks.programs.program_frame import Column, Row, run
 from xtdrone_perception.detection.detector import STRIDE, Detector, DetectorError, load_settings, settings_file
 
 PICTURE = (640, 360)  # px, as the typhoon's camera has it

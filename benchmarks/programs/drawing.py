@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.programs.program import Column, Row, run
-from xtdrone_swarm.view.scene import Frame, SwarmView
+from benchmarks.programs.program_frame import Column, Row, run
+from xtdrone_swarm.view.swarm_picture import Frame, SwarmView
 
 SIZE = (640, 480)  # pixels
 _PERIOD = 1.0 / 15.0  # s of simulated time between two frames

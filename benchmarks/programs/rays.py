@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.programs.program import Column, Row, run
+from benchmarks.programs.program_frame import Column, Row, run
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import check_range

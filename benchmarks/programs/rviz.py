@@ -22,9 +22,9 @@ from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Vector3
 from std_msgs.msg import Float32MultiArray, Header, Int32MultiArray
 
 from benchmarks.process_use import CpuSample
-from benchmarks.programs.program import Column, Row, run
+from benchmarks.programs.program_frame import Column, Row, run
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_interaction.formation.geometry import PATTERN_TOPIC, TOPOLOGY_TOPIC
+from xtdrone_interaction.formation.distances import PATTERN_TOPIC, TOPOLOGY_TOPIC
 from xtdrone_interaction.rviz.bag import Timed
 from xtdrone_interaction.rviz.film_options import film_settings
 from xtdrone_interaction.rviz.playback import play

@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-from benchmarks.programs.program import Column, Row, run
+from benchmarks.programs.program_frame import Column, Row, run
 from xtdrone_swarm.swarm import Swarm
 
 PATTERNS = ("cube", "triangle")

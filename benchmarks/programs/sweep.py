@@ -13,9 +13,9 @@ from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any
 
-from benchmarks.programs.program import Column, Row, run
+from benchmarks.programs.program_frame import Column, Row, run
 from xtdrone_interaction.sweep.execute import Executor, local_client
-from xtdrone_interaction.sweep.run import fly_batch
+from xtdrone_interaction.sweep.one_run import fly_batch
 
 _COMMON = {
     "engine": "simplified",

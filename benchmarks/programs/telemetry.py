@@ -24,16 +24,16 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
-from benchmarks.programs.program import Column, Row, run
+from benchmarks.programs.program_frame import Column, Row, run
 from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot, RotorLayout
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.mavlink.mavlink_server import MavlinkServer
 from xtdrone_control.mavlink.port import LOOPBACK
-from xtdrone_control.mavlink.server import MavlinkServer
 from xtdrone_control.mavlink.wire.codec import decoder
-from xtdrone_control.mavros.link.connection import FcuUrl, Link
+from xtdrone_control.mavros.link.autopilot_links import FcuUrl, Link
 
 _SPAN = 2_000_000  # us of simulated time between two heartbeats of the clients
 _ARM = 0.2  # m, rotor arms along x and y

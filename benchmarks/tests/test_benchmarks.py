@@ -21,13 +21,22 @@ import pytest
 import yaml
 from rich.console import Console
 
-from benchmarks import baseline, calibration, flights, free_running, process_use, report, runner, search
-from benchmarks import command as bench
+from benchmarks import bench_cli as bench
+from benchmarks import (
+    calibration,
+    compare_with_commit,
+    flights,
+    free_running,
+    measurement_runner,
+    printed_tables,
+    process_use,
+    search_speed,
+)
 from benchmarks.measurement_table import MEASUREMENTS
 from benchmarks.nodes import bus_statistics, search_probe, speed_search
 from benchmarks.programs import barrier
 from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_interaction import cli, machine, options
+from xtdrone_interaction import cli, machine_facts, options
 from xtdrone_interaction.launching import scripted_launch
 
 sys.path.append(str(options.repository() / "src" / "xtdrone_interaction" / "tests"))
@@ -267,7 +276,7 @@ def test_formation_figures() -> None:
 
 
 def test_missing_event_is_reported() -> None:
-    with pytest.raises(runner.BenchError, match="no 'done' among start, phase, armed"):
+    with pytest.raises(measurement_runner.BenchError, match="no 'done' among start, phase, armed"):
         flights.formation_figures(FORMATION[:3], 1000.0)
 
 
@@ -353,7 +362,7 @@ def test_search_is_measured_while_all_search(monkeypatch: pytest.MonkeyPatch) ->
     assert status == 0
     assert [event["event"] for event in events] == ["start", *["progress"] * 4, "window", "done"]
     assert [event.get("phase") for event in events[1:3]] == ["searching", "second look"]
-    assert search.search_figures(events) == {
+    assert search_speed.search_figures(events) == {
         "real_time_factor": 2.5,
         "window": {"simulated": 10.0, "elapsed": 4.0},
         "pictures_per_simulated_second": 0.4,
@@ -391,8 +400,8 @@ def test_shares_of_the_cpu_time() -> None:
         "record": 1.0,
         "search_mission": 1.0,
     }
-    assert search.shares(cpu) == {"cameras": 0.5, "yolo": 0.0, "simulator": 0.25, "mavros": 0.0, "others": 0.25}
-    assert sum(search.shares({}).values()) == 0.0
+    assert search_speed.shares(cpu) == {"cameras": 0.5, "yolo": 0.0, "simulator": 0.25, "mavros": 0.0, "others": 0.25}
+    assert sum(search_speed.shares({}).values()) == 0.0
 
 
 def test_table_of_the_search() -> None:
@@ -414,7 +423,7 @@ def test_table_of_the_search() -> None:
     flat = " ".join(text.split())
     assert "search, 2 Hz: the detector passed over 3 of the pictures" in flat
     assert "search, 5 Hz: failed: search: returning" in flat
-    assert report.short_result("search", row) == "1.25 x real time"
+    assert printed_tables.short_result("search", row) == "1.25 x real time"
 
 
 # ---- barrier
@@ -607,7 +616,7 @@ def test_trial_that_broke_the_flight_off_is_one() -> None:
     ]
     trials = free_running.new_trials(events)
     assert [(trial.speed, trial.good, trial.broken) for trial in trials] == [(2.0, True, False), (4.0, False, True)]
-    with pytest.raises(runner.BenchError, match="before a speed was tried"):
+    with pytest.raises(measurement_runner.BenchError, match="before a speed was tried"):
         free_running.new_trials(events[:1])
 
 
@@ -626,13 +635,13 @@ def test_comparison_continues_after_an_aborted_flight(tmp_path: Path, monkeypatc
         while (speed := speed_search.next_speed(plan["exact"]["real_time_factor"], trials)) is not None:
             on_event(_event("trying", 1.0, 1.0, speed=speed), 1)
             if speed > 4.0:
-                raise runner.BenchError("the flight has ended: failed")
+                raise measurement_runner.BenchError("the flight has ended: failed")
             trials.append(speed_search.Trial(speed, speed, TURNS))
             on_event(_event("trial", 1.0, 1.0, **dataclasses.asdict(trials[-1])), 1)
 
     monkeypatch.setattr(free_running, "fly", fly)
     with scripted_launch.StopRequest() as stop:
-        shared = runner.Bench(tmp_path, stop, lambda text: None, bench.QUICK)
+        shared = measurement_runner.Bench(tmp_path, stop, lambda text: None, bench.QUICK)
         (case,) = MEASUREMENTS["free"].cases("free", 9, ())
         row = MEASUREMENTS["free"].command(shared, case)
     assert [len(plan.get("trials", ())) for plan in flights] == [0, 0, 2]
@@ -696,7 +705,7 @@ CALIBRATION = {"integer_ms": 100.0, "floating_ms": 95.4, "python_ms": 99.2, "spe
 
 def _printed(results: dict[str, Any]) -> str:
     console = Console(file=io.StringIO(), width=80)
-    report.print_results(results, console)
+    printed_tables.print_results(results, console)
     assert isinstance(console.file, io.StringIO)
     return console.file.getvalue()
 
@@ -765,8 +774,8 @@ def test_tables_of_barrier_and_comparison() -> None:
     flat = " ".join(text.split())
     assert "barrier, 9 python: failed: barrier: ended with status 1" in flat
     assert "free, 30: free-running, nodes kept up at no speed that was tried" in flat
-    assert report.short_result("barrier", results["barrier"][0]) == "80 us per tick"
-    assert report.short_result("free", free) == "3.00 x real time, free-running 4.00 x"
+    assert printed_tables.short_result("barrier", results["barrier"][0]) == "80 us per tick"
+    assert printed_tables.short_result("free", free) == "3.00 x real time, free-running 4.00 x"
 
 
 def test_table_of_the_detector() -> None:
@@ -780,7 +789,7 @@ def test_table_of_the_detector() -> None:
     assert ["640 x 384", "22.00"] in lines
     assert ["320", "failed"] in lines
     assert "detector, 320 px wide: failed" in " ".join(text.split())
-    assert report.short_result("detector", row) == "21.5 ms a picture"
+    assert printed_tables.short_result("detector", row) == "21.5 ms a picture"
 
 
 def test_table_of_the_renderer() -> None:
@@ -817,7 +826,7 @@ def test_table_of_the_analysis() -> None:
     text = _printed({"machine": {"load_before": [0.1, 0.1, 0.1]}, "analyse": [row]})
     lines = [[cell.strip() for cell in line.strip("│").split("│")] for line in text.splitlines() if "│" in line]
     assert ["1000 MB", "250.00", "100", "4.50", "5000000", "600", "12.3"] in lines
-    assert report.short_result("analyse", row) == "250 MB/s, 600 MB of memory"
+    assert printed_tables.short_result("analyse", row) == "250 MB/s, 600 MB of memory"
 
 
 def test_table_of_the_telemetry() -> None:
@@ -832,7 +841,7 @@ def test_table_of_the_telemetry() -> None:
     text = _printed({"machine": {"load_before": [0.1, 0.1, 0.1]}, "telemetry": [row]})
     lines = [[cell.strip() for cell in line.strip("│").split("│")] for line in text.splitlines() if "│" in line]
     assert ["9", "6000", "8000", "125000", "0.05", "4000", "3000"] in lines
-    assert report.short_result("telemetry", row) == "8000 ns a datagram"
+    assert printed_tables.short_result("telemetry", row) == "8000 ns a datagram"
 
 
 def test_tables_of_drawing_and_sweep() -> None:
@@ -855,8 +864,8 @@ def test_tables_of_drawing_and_sweep() -> None:
     assert ["4", *["failed"] * 4] in lines
     flat = " ".join(text.split())
     assert "sweep, 4 workers: failed: sweep: ended with status 1" in flat
-    assert report.short_result("sweep", sweep) == "38.0 runs a second, 1.90 x those of one worker"
-    assert report.short_result("drawing", drawing) == "45.2 pictures a second"
+    assert printed_tables.short_result("sweep", sweep) == "38.0 runs a second, 1.90 x those of one worker"
+    assert printed_tables.short_result("drawing", drawing) == "45.2 pictures a second"
 
 
 def test_drawing_and_sweep_pass_the_options_to_their_benchmarks(
@@ -864,13 +873,13 @@ def test_drawing_and_sweep_pass_the_options_to_their_benchmarks(
 ) -> None:
     asked = []
 
-    def run(shared: runner.Bench, part: str, name: str, module: str, arguments: list[str]) -> Any:
+    def run(shared: measurement_runner.Bench, part: str, name: str, module: str, arguments: list[str]) -> Any:
         asked.append((part, name, module, arguments))
         return [{"pictures_per_second": 1.0}] if part == "drawing" else [{"workers": 4, "speed_up": 3.0}]
 
-    monkeypatch.setattr(runner, "run_program", run)
+    monkeypatch.setattr(measurement_runner, "run_program", run)
     with scripted_launch.StopRequest() as stop:
-        shared = runner.Bench(tmp_path, stop, lambda text: None, bench.QUICK)
+        shared = measurement_runner.Bench(tmp_path, stop, lambda text: None, bench.QUICK)
         (drawing, sweep) = (
             case.known | MEASUREMENTS[part].command(shared, case)
             for part, number in (("drawing", 30), ("sweep", 4))
@@ -891,7 +900,7 @@ def test_idle_machine_has_no_note() -> None:
 
 
 def test_machine_facts(tmp_path: Path) -> None:
-    facts = machine.machine_facts(tmp_path)
+    facts = machine_facts.machine_facts(tmp_path)
     assert facts["cores"] >= 1
     assert facts["memory_bytes"] > 2**28
     assert facts["kernel"]
@@ -902,9 +911,9 @@ def test_machine_facts(tmp_path: Path) -> None:
 
 
 def test_results_are_written_and_one_failure_leaves_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def measure(shared: runner.Bench, case: runner.Case) -> dict[str, Any]:
+    def measure(shared: measurement_runner.Bench, case: measurement_runner.Case) -> dict[str, Any]:
         if case.known["vehicles"] == 9:
-            raise runner.BenchError("core: ended with status 1")
+            raise measurement_runner.BenchError("core: ended with status 1")
         return _core_row(case.known["vehicles"], 50.0)
 
     core = dataclasses.replace(MEASUREMENTS["core"], command=measure)
@@ -970,7 +979,7 @@ def commits(tmp_path: Path) -> Path:
 def _compare(commits: Path, monkeypatch: pytest.MonkeyPatch, parts: str) -> tuple[int, dict[str, Any]]:
     """Compare with the first commit; return exit status and results."""
     monkeypatch.setattr(options, "check_vehicle_ports", lambda fleet: None)  # another simulation may be running
-    monkeypatch.setattr(bench, "resolve", lambda name: baseline.resolve(name, commits))
+    monkeypatch.setattr(bench, "resolve", lambda name: compare_with_commit.resolve(name, commits))
     monkeypatch.setattr(bench, "calibrate", lambda: CALIBRATION)
     file = commits.with_name("b.json")
     arguments = ["--only", parts, "--vehicles", "9", "--repeat", "2", "--json", str(file), "--baseline", "HEAD"]
@@ -1091,9 +1100,9 @@ def _bench_with_fake_roslaunch(
     file = folder / "b.json"
     program = textwrap.dedent(f"""
         import sys
-        from benchmarks import command
+        from benchmarks import bench_cli
         from xtdrone_interaction import cli, options
-        command.calibrate = lambda: {CALIBRATION}
+        bench_cli.calibrate = lambda: {CALIBRATION}
         options.check_vehicle_ports = lambda fleet: None
         sys.exit(cli.main(["bench", *{arguments!r}, "--json", {str(file)!r}]))
     """)

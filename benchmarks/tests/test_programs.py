@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.programs import analysis, codecs, detector, drawing, program, rays, simplified
+from benchmarks.programs import analysis, codecs, detector, drawing, program_frame, rays, simplified
 from xtdrone_interaction.options import repository
 from xtdrone_interaction.recording.bag import read_bag
 
@@ -86,7 +86,7 @@ class _OutOfFuelError(Exception):
     """A measurement failed."""
 
 
-def _cases(arguments: argparse.Namespace) -> Iterator[program.Row]:
+def _cases(arguments: argparse.Namespace) -> Iterator[program_frame.Row]:
     if arguments.count < 0:
         raise ValueError("count: at least 0")
     for number in range(arguments.count):
@@ -103,9 +103,9 @@ def test_a_program_prints_a_table_and_writes_its_rows(
     monkeypatch.setattr(sys, "argv", ["program", "--count", str(count), "--json", str(file)])
     parser = argparse.ArgumentParser()
     parser.add_argument("--count", type=int)
-    columns = (program.Column("number", "{number}"), program.Column("half", "{half:.1f}x"))
+    columns = (program_frame.Column("number", "{number}"), program_frame.Column("half", "{half:.1f}x"))
     try:
-        ended = program.run(parser, _cases, columns, (_OutOfFuelError,))
+        ended = program_frame.run(parser, _cases, columns, (_OutOfFuelError,))
     except SystemExit as error:
         ended = error.code
     said = capsys.readouterr()

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from validation.compare_px4.metrics import SHARE
 from validation.compare_px4.reference import Event, Flight
+from validation.compare_px4.response_figures import SHARE
 from xtdrone_control.autopilot import modes
 
 LIMIT = 0.2  # s
@@ -95,7 +95,7 @@ def label(event: Event) -> str:
 
 
 def compare(reference: Flight, ours: Flight, flight: str) -> list[Match]:
-    """Return the compared events of ``flight`` (a name of ``script.FLIGHTS``), in the reference's order."""
+    """Return the compared events of ``flight`` (a name of ``flown_scripts.FLIGHTS``), in the reference's order."""
     found = []
     for phase in _PHASES[flight]:
         found += _compare_phase(flight, _of(reference, phase), _of(ours, phase))

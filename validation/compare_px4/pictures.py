@@ -96,7 +96,7 @@ _PICTURES = {
 
 
 def save(reference: Flight, ours: Flight, flight: str, folder: Path) -> Path:
-    """Draw ``flight`` (a name of ``script.FLIGHTS``) into ``folder`` and return the picture's path."""
+    """Draw ``flight`` (a name of ``flown_scripts.FLIGHTS``) into ``folder`` and return the picture's path."""
     picture = _PICTURES[flight]
     parts = []
     for recording in (reference, ours):

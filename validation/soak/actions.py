@@ -16,17 +16,17 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from validation.soak.samples import figures
+from validation.soak.resource_samples import figures
 from validation.soak.stack import Node, Nodes, Stack
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import FRAME_MISSION, PlanItem
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.geodesy import geo
+from xtdrone_control.geodesy import projection
 from xtdrone_control.plans.qgc_plan import FRAME_RELATIVE, Plan
 from xtdrone_interaction.gcs import GcsError, GroundStation, Peer
 from xtdrone_interaction.gcs.exchanges import flight, parameters
+from xtdrone_interaction.gcs.exchanges.exchange import Exchange, Heartbeat
 from xtdrone_interaction.gcs.exchanges.plans import cancel_transfers, upload_plan
-from xtdrone_interaction.gcs.exchanges.protocol import Exchange, Heartbeat
 
 _HOME = (47.397742, 8.545594)  # degrees, of the map's origin, PX4's default in simulation
 _PATIENCE = 300.0  # s of wall time without a response from a vehicle, on a busy machine
@@ -337,7 +337,7 @@ def mission(content: dict[str, Any]) -> Plan:
     height = content["height"]
 
     def item(command: int, place: Sequence[float], up: float) -> PlanItem:
-        latitude, longitude = geo.reproject(place[1], place[0], *_HOME)
+        latitude, longitude = projection.reproject(place[1], place[0], *_HOME)
         return PlanItem(command, FRAME_RELATIVE, (0.0, 0.0, 0.0, unknown), latitude, longitude, up)
 
     places = content["places"]

@@ -1,140 +1,23 @@
-"""Results of a soak: verdicts, report.json, a figure, and a table for the terminal."""
+"""Results of a soak: report.json, a figure, and a table for the terminal."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-from validation.soak.fit import Growth, Pace, Stretch, growth, pace
-from validation.soak.samples import PROCESSES
+from validation.soak.resource_samples import PROCESSES
+from validation.soak.verdict import MIB, UNITS, Outcome, Verdict
 
-MIB = 1 << 20
-ALLOWANCES = {"rss": 2.0, "anonymous": 2.0, "descriptors": 0.5, "threads": 0.25, "sockets": 0.5}
-"""Growth that is allowed, per simulated hour: MiB of memory, counts of the rest."""
-ROS_ALLOWANCES = {"rss": 6.0, "anonymous": 6.0, "descriptors": 2.0, "threads": 1.0, "sockets": 2.0}
-"""The same of ROS's own master and log collector, which keep something of every node that ever was."""
-PARTICIPANTS_ALLOWANCE = 0.1
-"""Growth of the number of lockstep participants that is allowed, per simulated hour."""
-PACE_ALLOWANCE = 0.2
-"""Fraction by which an episode's real-time factor may fall, or its processor time grow, from first to last quarter."""
-LOAD_ALLOWANCE = 0.2
-"""Maximum increase of the cores used by other programs at which real-time factors are compared."""
-LEAST_FLIGHTS = 0.9
-"""Required fraction of the requested takeoffs."""
-WARM_UP = 0.1
-"""Fraction of the soak, at most WARM_UP_HOURS, that is not judged: memory is still being filled for the first time."""
-WARM_UP_HOURS = 0.5
 _TOP_WARNINGS = 40
 _QUOTED = 50  # maximum number of tracebacks and the like in the report
 _SHOWN = 8  # of each on the terminal
-_UNITS = {"rss": "MiB", "anonymous": "MiB"}
-_OWN = ("simulator", "mavros")
-
-
-@dataclass
-class Outcome:
-    """Findings of the runner.
-
-    Attributes:
-        settings: of the soak, with the facts of the machine.
-        end: reason of an early end; empty after a complete run.
-        rows: the samples.
-        stretches: of the episodes.
-        hours: simulated time, h.
-        wall: wall time, s.
-        counts: further figures of the report by name.
-        tracebacks: of processes that were not killed.
-        wrong: failures of nodes.
-        damaged: descriptions of the files that cannot be read to their end.
-        unread: number of files that were not judged.
-        judge_growth: whether growth and pace are judged; a short soak is insufficient.
-    """
-
-    settings: Mapping[str, Any]
-    end: str
-    rows: Sequence[Mapping[str, Any]]
-    stretches: Sequence[Stretch]
-    hours: float
-    wall: float
-    counts: Mapping[str, Any]
-    tracebacks: Sequence[str]
-    wrong: Sequence[str]
-    damaged: Sequence[str]
-    unread: int
-    judge_growth: bool = True
-
-
-@dataclass
-class Verdict:
-    """Verdicts on a soak.
-
-    Attributes:
-        growths: by process and figure, as ``simulator rss``.
-        paces: by kind of episode.
-        failures: one sentence each; empty for a good soak.
-    """
-
-    growths: dict[str, Growth] = field(default_factory=dict)
-    paces: dict[str, Pace] = field(default_factory=dict)
-    failures: list[str] = field(default_factory=list)
-
-
-def judge(outcome: Outcome) -> Verdict:
-    """Judge a soak."""
-    verdict = Verdict()
-    if outcome.judge_growth:
-        verdict.growths = growths(outcome.rows, outcome.hours)
-        kinds = dict.fromkeys(stretch.kind for stretch in outcome.stretches)
-        for kind in kinds:
-            own = [stretch for stretch in outcome.stretches if stretch.kind == kind]
-            verdict.paces[kind] = pace(own, outcome.hours * 3600.0, PACE_ALLOWANCE, LOAD_ALLOWANCE)
-    fail = verdict.failures.append
-    for name, found in verdict.growths.items():
-        if found.verdict == "growing":
-            fail(f"{name} grows by {found.slope:.2f} an hour, {found.allowance:g} are allowed")
-    for kind, compared in verdict.paces.items():
-        if compared.verdict == "slower":
-            fail(
-                f"{kind} became slower: {compared.first:.2f} to {compared.last:.2f} x real time, "
-                f"{compared.cpu_first:.4f} to {compared.cpu_last:.4f} processor seconds a simulated second"
-            )
-    verdict.failures += [f"traceback: {text.splitlines()[0]} {text.splitlines()[-1]}" for text in outcome.tracebacks]
-    verdict.failures += [f"node: {text}" for text in outcome.wrong]
-    verdict.failures += [f"file: {text}" for text in outcome.damaged]
-    expected, flights = outcome.counts["expected"], outcome.counts["flights"]
-    if flights < LEAST_FLIGHTS * expected:
-        fail(f"only {flights} of {expected} vehicles took off when commanded")
-    if outcome.unread:
-        fail(f"{outcome.unread} files were not read to their end in time")
-    if outcome.end:
-        fail(outcome.end)
-    return verdict
-
-
-def growths(rows: Sequence[Mapping[str, Any]], hours: float) -> dict[str, Growth]:
-    """Return the growth of the figures of each process, from the samples between episodes."""
-    resting = [row for row in rows if row["resting"]]
-    warm_up = min(WARM_UP * hours, WARM_UP_HOURS)
-    found = {}
-    series = {
-        f"{process} {figure}": limit
-        for process in PROCESSES
-        for figure, limit in (ALLOWANCES if process in _OWN else ROS_ALLOWANCES).items()
-    }
-    for name, limit in {**series, "lockstep participants": PARTICIPANTS_ALLOWANCE}.items():
-        column = "participants" if name.startswith("lockstep") else name.replace(" ", "_")
-        scale = MIB if name.split()[-1] in _UNITS else 1
-        kept = [row for row in resting if row.get(column) not in (None, "")]
-        times = [row["soak_time"] / 3600.0 for row in kept]
-        found[name] = growth(times, [row[column] / scale for row in kept], limit, warm_up)
-    return found
 
 
 def write(outcome: Outcome, verdict: Verdict, folder: Path) -> None:
@@ -233,7 +116,7 @@ def show(outcome: Outcome, verdict: Verdict, folder: Path, console: Console) -> 
     if verdict.growths:
         growth_table = Table("per simulated hour", "slope", "99 % within", "allowed", "verdict")
         for name, found in verdict.growths.items():
-            unit = _UNITS.get(name.split()[-1], "")
+            unit = UNITS.get(name.split()[-1], "")
             judged = found.verdict != "not judged"
             slope = f"{found.slope:+.3f} {unit}" if judged else "-"
             within = f"{found.low:+.3f} .. {found.high:+.3f}" if judged else "-"

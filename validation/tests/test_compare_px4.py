@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from validation.compare_px4 import events, metrics, pictures, reference, script
-from validation.compare_px4.command import report
+from validation.compare_px4 import events, flown_scripts, pictures, reference, response_figures
+from validation.compare_px4.compare_px4_cli import report
 from validation.compare_px4.reference import Event, Flight, Track
 from xtdrone_control.fleet import Vehicle
 from xtdrone_interaction import cli
@@ -16,7 +16,7 @@ from xtdrone_interaction import cli
 
 def test_first_order_step_has_its_known_figures():
     time = np.arange(0.0, 10.0, 0.001)
-    step = metrics.step_response(time, 2.0 + 3.0 * (1.0 - np.exp(-time)), 2.0, 5.0)
+    step = response_figures.step_response(time, 2.0 + 3.0 * (1.0 - np.exp(-time)), 2.0, 5.0)
     assert step.t90 == pytest.approx(math.log(10.0), abs=0.002)
     assert step.t90 - step.t10 == pytest.approx(math.log(9.0), abs=0.002)
     assert step.settle == pytest.approx(math.log(20.0), abs=0.002)
@@ -27,31 +27,31 @@ def test_second_order_step_has_its_known_overshoot():
     time, damping = np.arange(0.0, 20.0, 0.001), 0.5
     damped = math.sqrt(1.0 - damping**2)
     value = 1.0 - np.exp(-damping * time) * np.cos(damped * time - math.asin(damping)) / damped
-    step = metrics.step_response(time, -value, 0.0, -1.0)
+    step = response_figures.step_response(time, -value, 0.0, -1.0)
     assert step.overshoot == pytest.approx(100.0 * math.exp(-math.pi * damping / damped), abs=0.1)
 
 
 def test_step_that_is_not_reached_counts_as_outside():
     time = np.arange(0.0, 5.0, 0.01)
-    step = metrics.step_response(time, 0.5 * np.ones_like(time), 0.0, 1.0)
+    step = response_figures.step_response(time, 0.5 * np.ones_like(time), 0.0, 1.0)
     assert math.isnan(step.t90)
     assert math.isnan(step.settle)
-    assert not metrics.Figure("f", "n", "s", 1.0, step.t90, 0.15).within
+    assert not response_figures.Figure("f", "n", "s", 1.0, step.t90, 0.15).within
 
 
 def test_recordings_hold_the_figures_that_are_known_of_them():
     flight = reference.load()
-    found = {figure.name: figure.reference for figure in metrics.figures(flight, flight, "position_step")}
+    found = {figure.name: figure.reference for figure in response_figures.figures(flight, flight, "position_step")}
     assert found["90 % reached"] == pytest.approx(1.94, abs=0.04)
     assert found["overshoot"] == pytest.approx(7.8, abs=0.3)
     assert found["settled within 5 %"] == pytest.approx(4.36, abs=0.08)
     assert sum(path.stat().st_size for path in reference.folder().iterdir()) < 1_000_000
 
 
-@pytest.mark.parametrize("flight", script.FLIGHTS)
+@pytest.mark.parametrize("flight", flown_scripts.FLIGHTS)
 def test_recording_is_within_its_own_allowances(flight, tmp_path):
     recorded = reference.load()
-    assert all(figure.within for figure in metrics.figures(recorded, recorded, flight))
+    assert all(figure.within for figure in response_figures.figures(recorded, recorded, flight))
     assert all(match.within for match in events.compare(recorded, recorded, flight))
     assert pictures.save(recorded, recorded, flight, tmp_path).stat().st_size > 10_000
 
@@ -87,12 +87,12 @@ def test_changes_in_a_heartbeat_may_be_one_second_older():
 
 
 def test_required_flights_come_first():
-    assert script.needed(("yaw_step",)) == ("takeoff", "yaw_step")
-    assert script.needed(("rtl",)) == ("mission", "rtl")
+    assert flown_scripts.needed(("yaw_step",)) == ("takeoff", "yaw_step")
+    assert flown_scripts.needed(("rtl",)) == ("mission", "rtl")
 
 
 def test_report_counts_values_outside():
-    text = report("iris", [metrics.Figure("yaw step", "90 % reached", "s", 1.0, 2.0, 0.15)], [])
+    text = report("iris", [response_figures.Figure("yaw step", "90 % reached", "s", 1.0, 2.0, 0.15)], [])
     assert "1 outside" in text
     assert "OUTSIDE" in text
 
@@ -118,19 +118,19 @@ def flown():
     """Our autopilot in the recorded one's flights, on its plant."""
     with pytest.MonkeyPatch.context() as monkeypatch:
         elsewhere(monkeypatch)
-        return script.fly("px4_reference", script.FLIGHTS, 0, lambda _name: None)
+        return flown_scripts.fly("px4_reference", flown_scripts.FLIGHTS, 0, lambda _name: None)
 
 
-@pytest.mark.parametrize("flight", script.FLIGHTS)
+@pytest.mark.parametrize("flight", flown_scripts.FLIGHTS)
 def test_our_autopilot_flies_as_the_recorded_px4(flown, flight):
     recorded = reference.load()
-    outside = [f for f in metrics.figures(recorded, flown, flight) if not f.within]
+    outside = [f for f in response_figures.figures(recorded, flown, flight) if not f.within]
     assert not outside
     assert not [match for match in events.compare(recorded, flown, flight) if not match.within]
 
 
 def test_flights_are_the_same_to_the_last_bit(monkeypatch):
     elsewhere(monkeypatch)
-    first, second = (script.fly("px4_reference", ("takeoff",), 3, lambda _name: None) for _ in range(2))
+    first, second = (flown_scripts.fly("px4_reference", ("takeoff",), 3, lambda _name: None) for _ in range(2))
     np.testing.assert_array_equal(first.track.rows, second.track.rows)
     assert first.events == second.events

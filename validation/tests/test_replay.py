@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from validation.replay import check as replay_check
+from validation.replay import replay_check as replay_check
 from validation.replay.digests import DigestError, compare, read_digests
 from xtdrone_interaction import cli
 from xtdrone_interaction.options import OptionError

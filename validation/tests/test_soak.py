@@ -15,14 +15,15 @@ import pytest
 from bags import Bag
 from rich.console import Console
 
-from validation.soak import report, script
+from validation.soak import report, soak_script
 from validation.soak.actions import Actions, mission
-from validation.soak.fit import Stretch, growth, pace
-from validation.soak.judge import Finding, Judge, judge_bag, judge_log
-from validation.soak.samples import COLUMNS, PROCESSES, SampleFile, figures, open_files
+from validation.soak.file_checks import Finding, Judge, judge_bag, judge_log
+from validation.soak.growth_and_pace import Stretch, growth, pace
+from validation.soak.resource_samples import COLUMNS, PROCESSES, SampleFile, figures, open_files
 from validation.soak.textlogs import TextLogs, kind_of
-from xtdrone_control.autopilot.logger.messages import message_format
-from xtdrone_control.autopilot.logger.ulog import UlogWriter, data_template
+from validation.soak.verdict import Outcome, judge
+from xtdrone_control.autopilot.logger.message_definitions import message_format
+from xtdrone_control.autopilot.logger.ulog_format import UlogWriter, data_template
 from xtdrone_interaction import cli
 
 HOURS = 8.0
@@ -32,14 +33,14 @@ HOURS = 8.0
 
 
 def test_the_same_seed_writes_the_same_script_and_another_seed_another_one():
-    first, again, other = (list(script.generate(seed, 9, 1.0)) for seed in (1, 1, 2))
+    first, again, other = (list(soak_script.generate(seed, 9, 1.0)) for seed in (1, 1, 2))
     assert first == again
     assert first != other
 
 
 @pytest.mark.parametrize("count", [2, 9, 30])
 def test_a_script_fills_its_hours_in_order_and_within_its_episodes(count):
-    episodes = list(script.generate(3, count, HOURS))
+    episodes = list(soak_script.generate(3, count, HOURS))
     length = sum(episode.length for episode in episodes)
     assert HOURS * 3600 <= length < HOURS * 3600 + 900
     assert [episode.number for episode in episodes] == list(range(1, len(episodes) + 1))
@@ -48,20 +49,20 @@ def test_a_script_fills_its_hours_in_order_and_within_its_episodes(count):
         assert times == sorted(times)
         assert times[0] >= 0.0
         assert episode.events[-1].action == "end_all"
-        assert times[-1] == pytest.approx(episode.length - script.REST, abs=0.01)
-    assert {episode.kind for episode in episodes[: len(script.KINDS)]} == set(script.KINDS)
+        assert times[-1] == pytest.approx(episode.length - soak_script.REST, abs=0.01)
+    assert {episode.kind for episode in episodes[: len(soak_script.KINDS)]} == set(soak_script.KINDS)
 
 
 def test_the_kinds_of_episodes_get_their_shares_of_the_time():
     spent = Counter()
-    for episode in script.generate(5, 9, 40.0):
+    for episode in soak_script.generate(5, 9, 40.0):
         spent[episode.kind] += episode.length
-    for kind, share in script.SHARES.items():
+    for kind, share in soak_script.SHARES.items():
         assert spent[kind] / spent.total() == pytest.approx(share, abs=0.03), kind
 
 
 def test_each_node_has_a_name_of_its_own_and_is_ended_after_its_start():
-    for episode in script.generate(7, 9, HOURS):
+    for episode in soak_script.generate(7, 9, HOURS):
         begun = [e.arguments["node"] for e in episode.events if e.action in ("start", "record", "echo", "client")]
         assert len(set(begun)) == len(begun)
         seen: set[str] = set()
@@ -75,7 +76,7 @@ def test_each_node_has_a_name_of_its_own_and_is_ended_after_its_start():
 def test_the_short_script_has_every_kind_of_event():
     actions = {name for name, _ in inspect.getmembers(Actions, inspect.isfunction) if not name.startswith("_")}
     for seed in range(5):
-        events = [event for episode in script.generate_short(seed, 3) for event in episode.events]
+        events = [event for episode in soak_script.generate_short(seed, 3) for event in episode.events]
         assert {event.action for event in events} == actions - {"do", "settle"}
         assert {event.arguments["signal"] for event in events if event.action == "end"} == {"INT", "TERM", "KILL"}
         assert {event.arguments["what"] for event in events if event.action == "client"} == {"params", "logs", "status"}
@@ -308,7 +309,7 @@ def rows(leak: float = 0.0) -> list[dict[str, object]]:
     return made
 
 
-def outcome(**changes: object) -> report.Outcome:
+def outcome(**changes: object) -> Outcome:
     phases = {"mission": {"episodes": 40, "share": 1.0, "rtf": 10.0, "cpu": 0.06, "wall": 400.0}}
     counts = {
         "phases": phases, "files": {"ulog whole": 3}, "flights": 9, "expected": 9, "forced": 0, "lost": 0,
@@ -318,7 +319,7 @@ def outcome(**changes: object) -> report.Outcome:
         "settings": {"n": 9, "seed": 1}, "end": "", "rows": rows(), "stretches": stretches(), "hours": 8.0,
         "wall": 3600.0, "counts": counts, "tracebacks": [], "wrong": [], "damaged": [], "unread": 0,
     }  # fmt: skip
-    return report.Outcome(**{**values, **changes})  # type: ignore[arg-type]
+    return Outcome(**{**values, **changes})  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -337,14 +338,14 @@ def outcome(**changes: object) -> report.Outcome:
 )
 def test_the_verdict_names_each_failure(changes, word):
     soaked = outcome(**changes)
-    verdict = report.judge(soaked)
+    verdict = judge(soaked)
     assert bool(verdict.failures) == bool(word)
     assert word in "\n".join(verdict.failures)
 
 
 def test_the_report_is_written_with_its_figure(tmp_path: Path):
     soaked = outcome(hours=math.inf)
-    report.write(soaked, report.judge(outcome()), tmp_path)
+    report.write(soaked, judge(outcome()), tmp_path)
     written = json.loads((tmp_path / "report.json").read_text())
     assert written["good"] is True
     assert written["simulated_hours"] is None  # JSON has no infinity
@@ -354,7 +355,7 @@ def test_the_report_is_written_with_its_figure(tmp_path: Path):
 
 def test_a_short_soak_is_not_judged_by_its_growth(capsys, tmp_path: Path):
     soaked = outcome(rows=rows(leak=50.0), judge_growth=False)
-    verdict = report.judge(soaked)
+    verdict = judge(soaked)
     assert verdict.failures == []
     report.show(soaked, verdict, tmp_path, Console())
     assert "not judged" in capsys.readouterr().out

@@ -3,7 +3,7 @@
 
 import sys
 
-from xtdrone_control.mavros.node import main
+from xtdrone_control.mavros.mavros_node import main
 
 if __name__ == "__main__":
     sys.exit(main())

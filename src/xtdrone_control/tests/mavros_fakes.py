@@ -10,8 +10,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.mavros.lib.params import Params
-from xtdrone_control.mavros.link.connection import FcuUrl, Link
+from xtdrone_control.mavros.lib.plugin_settings import Params
+from xtdrone_control.mavros.link.autopilot_links import FcuUrl, Link
 from xtdrone_control.mavros.plugin import Plugin
 from xtdrone_control.mavros.uas import Uas
 

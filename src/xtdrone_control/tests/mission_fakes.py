@@ -10,7 +10,7 @@ from autopilot_fakes import ORIGIN, Flight
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import PlanItem
-from xtdrone_control.geodesy import geo
+from xtdrone_control.geodesy import projection
 
 NAN = math.nan
 
@@ -20,7 +20,7 @@ def at(
 ) -> PlanItem:
     """Return an item at a place in m from the origin, ``height`` m over home; params as far as given, yaw NaN."""
     given = (*params, *(0.0, 0.0, 0.0, NAN)[len(params) :])
-    latitude, longitude = geo.reproject(north, east, ORIGIN[0], ORIGIN[1])
+    latitude, longitude = projection.reproject(north, east, ORIGIN[0], ORIGIN[1])
     return PlanItem(command, 6, (given[0], given[1], given[2], given[3]), latitude, longitude, height, **more)
 
 

@@ -8,12 +8,12 @@ from autopilot_fakes import FIRST_ID, FakeAutopilot
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.commander.commander import Commander
-from xtdrone_control.autopilot.logger.stream import LogStream
+from xtdrone_control.autopilot.logger.mavlink_log_pieces import LogStream
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.mavlink.receiver import Receiver
 from xtdrone_control.mavlink.streams.rare_telemetry import VehicleTelemetry
-from xtdrone_control.mavlink.streams.streams import GCS_RATES, Streams
+from xtdrone_control.mavlink.streams.stream_schedule import GCS_RATES, Streams
 from xtdrone_control.mavlink.wire.codec import decoder, split
 from xtdrone_control.mavlink.wire.dialect import MESSAGES
 

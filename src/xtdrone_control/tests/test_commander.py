@@ -22,7 +22,7 @@ from xtdrone_control.autopilot.state import (
     TASK_STICKS,
     TASK_TRAJECTORY,
 )
-from xtdrone_control.mavlink.commands.setpoints import local_target
+from xtdrone_control.mavlink.commands.setpoint_conversion import local_target
 
 _NAN3 = (math.nan,) * 3
 

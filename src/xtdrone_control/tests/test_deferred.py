@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from xtdrone_control.lockstep.deferred import Deferred, Done
+from xtdrone_control.lockstep.deferred_work import Deferred, Done
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import pytest
 from xtdrone_control.autopilot.estimator import ekf
 from xtdrone_control.autopilot.parameters.parameters import PARAMS, Parameters
 from xtdrone_control.autopilot.state import ESTIMATOR, N_STATES, SENSORS
-from xtdrone_control.geodesy import geo
+from xtdrone_control.geodesy import projection
 from xtdrone_control.rotation_kernels import from_euler, integrate, rotate_inverse
 
 DT = 0.004
@@ -84,7 +84,7 @@ class Flight:
         s["baro_alt"] = DATUM[2] - position[2] + 12.0 + 0.1 * self.rng.standard_normal()
         s["gps_fresh"] = self.gps and self.k % 25 == 0
         noisy = position + self.gps_offset + 0.05 * self.rng.standard_normal(3)
-        s["gps_lat"], s["gps_lon"] = geo.reproject(noisy[0], noisy[1], DATUM[0], DATUM[1])
+        s["gps_lat"], s["gps_lon"] = projection.reproject(noisy[0], noisy[1], DATUM[0], DATUM[1])
         s["gps_alt"] = DATUM[2] - noisy[2]
         s["gps_vel"] = velocity + 0.05 * self.rng.standard_normal(3)
         s["gps_satellites"] = 12
@@ -179,7 +179,7 @@ def test_alignment_finds_the_attitude_at_rest(yaw):
 
 
 def test_projection_round_trip_and_scale():
-    lat, lon = geo.reproject(1000.0, -2000.0, DATUM[0], DATUM[1])
-    np.testing.assert_allclose(geo.project(lat, lon, DATUM[0], DATUM[1]), (1000.0, -2000.0), atol=1e-6)
-    north, _ = geo.project(DATUM[0] + 1.0 / 60.0, DATUM[1], DATUM[0], DATUM[1])
+    lat, lon = projection.reproject(1000.0, -2000.0, DATUM[0], DATUM[1])
+    np.testing.assert_allclose(projection.project(lat, lon, DATUM[0], DATUM[1]), (1000.0, -2000.0), atol=1e-6)
+    north, _ = projection.project(DATUM[0] + 1.0 / 60.0, DATUM[1], DATUM[0], DATUM[1])
     assert north == pytest.approx(1853.0, rel=2e-3)  # a minute of arc on the sphere of PX4's radius

@@ -6,7 +6,7 @@ import pytest
 from service_fakes import SYSTEM, Served
 
 from xtdrone_control.autopilot.events.events import CRITICAL, INFO, event, event_id
-from xtdrone_control.mavlink.wire.packing import Format
+from xtdrone_control.mavlink.wire.frame_packing import Format
 
 _FIRST = 0xFFFF - 10 + 1
 _REQUEST = Format("REQUEST_EVENT")

@@ -6,29 +6,31 @@ import math
 
 import pytest
 
-from xtdrone_control.geodesy import geo
+from xtdrone_control.geodesy import projection
 
 _ORIGIN = (47.397742, 8.545594)
 
 
 @pytest.mark.parametrize(("north", "east"), [(0.0, 0.0), (1e-3, -2e-3), (5.0, 7.0), (-3000.0, 20.0), (2e5, -3e5)])
 def test_there_and_back(north, east):
-    place = geo.reproject(north, east, *_ORIGIN)
-    assert geo.project(*place, *_ORIGIN) == pytest.approx((north, east), abs=1e-6)
+    place = projection.reproject(north, east, *_ORIGIN)
+    assert projection.project(*place, *_ORIGIN) == pytest.approx((north, east), abs=1e-6)
 
 
 def test_a_degree_of_latitude():
-    north, east = geo.project(48.397742, 8.545594, *_ORIGIN)
-    assert north == pytest.approx(geo.EARTH_RADIUS * math.pi / 180)
+    north, east = projection.project(48.397742, 8.545594, *_ORIGIN)
+    assert north == pytest.approx(projection.EARTH_RADIUS * math.pi / 180)
     assert east == pytest.approx(0.0, abs=1e-6)
 
 
 def test_east_shrinks_with_latitude():
-    _, east = geo.project(_ORIGIN[0], _ORIGIN[1] + 1e-4, *_ORIGIN)
-    assert east == pytest.approx(geo.EARTH_RADIUS * math.radians(1e-4) * math.cos(math.radians(_ORIGIN[0])), rel=1e-6)
+    _, east = projection.project(_ORIGIN[0], _ORIGIN[1] + 1e-4, *_ORIGIN)
+    assert east == pytest.approx(
+        projection.EARTH_RADIUS * math.radians(1e-4) * math.cos(math.radians(_ORIGIN[0])), rel=1e-6
+    )
 
 
 def test_across_the_date_line():
-    north, east = geo.project(10.0, -179.9, 10.0, 179.9)
-    assert east == pytest.approx(geo.EARTH_RADIUS * math.radians(0.2) * math.cos(math.radians(10.0)), rel=1e-5)
+    north, east = projection.project(10.0, -179.9, 10.0, 179.9)
+    assert east == pytest.approx(projection.EARTH_RADIUS * math.radians(0.2) * math.cos(math.radians(10.0)), rel=1e-5)
     assert abs(north) < 10.0

@@ -55,7 +55,7 @@ def test_no_import_of_a_package_with_kernels_is_missed():
 def test_every_kernel_of_the_autopilot_counts():
     folder = Path(kernel.__file__).parent
     found = {path.name for path in kernel.sources([folder])}
-    assert {"ekf.py", "rotation.py", "geo.py", "state.py", "parameters.py"} <= found
+    assert {"ekf.py", "rotation.py", "projection.py", "state.py", "parameters.py"} <= found
     assert "commander.py" not in found
 
 

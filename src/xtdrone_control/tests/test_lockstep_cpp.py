@@ -21,7 +21,7 @@ import pytest
 from test_lockstep_nodes import PATIENCE, ROSMASTER, Graph, due_times, heavy, run, wait_until
 
 from xtdrone_control import lockstep
-from xtdrone_control.lockstep import local
+from xtdrone_control.lockstep import unix_sockets
 from xtdrone_control.lockstep.protocol import Digest
 from xtdrone_control.lockstep.server import LockstepServer
 
@@ -303,7 +303,7 @@ def test_second_node_of_a_name_is_rejected_and_the_first_continues(graph: MixedG
 
 
 def test_other_protocol_version_is_rejected_with_the_reason(graph: MixedGraph, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("xtdrone_control.lockstep.server.frames.VERSION", 99)
+    monkeypatch.setattr("xtdrone_control.lockstep.server.frame_checks.VERSION", 99)
     server = LockstepServer()
     graph.set_param("/lockstep/uri", server.uri)
     process = graph.start_cpp("participant", "a", "50", "0")
@@ -552,7 +552,7 @@ def test_reset_voids_pending_messages_unless_latched(graph: MixedGraph, server: 
 
 
 def test_unreachable_machine_is_detected_within_seconds(graph: MixedGraph, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(local, "listen", lambda *_: None)  # TCP, as between machines
+    monkeypatch.setattr(unix_sockets, "listen", lambda *_: None)  # TCP, as between machines
     server = LockstepServer()
     graph.set_param("/lockstep/uri", server.uri)
     graph.start_cpp("participant", "a", "50", "0", "a")

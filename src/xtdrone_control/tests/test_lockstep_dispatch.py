@@ -12,7 +12,7 @@ pytest.importorskip("rospy", reason="needs rospy")
 from rospy.impl.statistics import SubscriberStatisticsLogger
 from std_msgs.msg import String
 
-from xtdrone_control.lockstep.client.node import Node
+from xtdrone_control.lockstep.client.node_state import Node
 from xtdrone_control.lockstep.transport.subscriber import BufferingSubscriber
 
 

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from test_lockstep_server import PATIENCE, STEP, FakeParticipant, Log, Running, joined, poll_until
 from xtdrone_native import lockstep_io
 
-from xtdrone_control.lockstep import local, protocol
+from xtdrone_control.lockstep import protocol, unix_sockets
 from xtdrone_control.lockstep.protocol import Kind
 from xtdrone_control.lockstep.server import LockstepServer
 
@@ -50,7 +50,7 @@ class Neighbour(FakeParticipant):
         if kind == Kind.JOIN:
             host, port = self.sock.getpeername()
             self.sock.close()
-            sock = local.connect(local.SERVER, host, port, PATIENCE)
+            sock = unix_sockets.connect(unix_sockets.SERVER, host, port, PATIENCE)
             assert sock is not None
             self.sock = sock
         super().send_object(kind, content)
@@ -122,7 +122,7 @@ def test_neighbours_and_participants_over_tcp_take_the_same_turns(server):
 def test_other_users_are_neither_accepted_nor_trusted(server, monkeypatch):
     host, port = server.uri.removeprefix("tcp://").split(":")
     monkeypatch.setattr(os, "geteuid", lambda: 12345)
-    assert local.connect(local.SERVER, host, int(port), PATIENCE) is None
+    assert unix_sockets.connect(unix_sockets.SERVER, host, int(port), PATIENCE) is None
     with socket.socket(socket.AF_UNIX) as stranger:
         stranger.settimeout(PATIENCE)
         stranger.connect(f"\0xtdrone-server/{host}:{port}")
@@ -133,9 +133,9 @@ def test_other_users_are_neither_accepted_nor_trusted(server, monkeypatch):
 
 def test_without_the_socket_or_on_another_machine_there_is_no_connection(server):
     port = int(server.uri.rpartition(":")[2])
-    assert local.connect(local.TOPICS, "127.0.0.1", port, PATIENCE) is None
-    assert local.connect(local.SERVER, "192.0.2.1", port, PATIENCE) is None
-    assert local.connect(local.SERVER, "no host", port, PATIENCE) is None
+    assert unix_sockets.connect(unix_sockets.TOPICS, "127.0.0.1", port, PATIENCE) is None
+    assert unix_sockets.connect(unix_sockets.SERVER, "192.0.2.1", port, PATIENCE) is None
+    assert unix_sockets.connect(unix_sockets.SERVER, "no host", port, PATIENCE) is None
 
 
 @pytest.mark.parametrize("size", [1, 7, 29, 1000])
@@ -230,8 +230,8 @@ def test_participants_in_time_need_no_idle_call_unless_they_need_time(server, pa
 
 STOPPED = """
 import os, signal, sys
-from xtdrone_control.lockstep import local, protocol
-sock = local.connect(local.SERVER, "127.0.0.1", int(sys.argv[1]), 60.0)
+from xtdrone_control.lockstep import unix_sockets, protocol
+sock = unix_sockets.connect(unix_sockets.SERVER, "127.0.0.1", int(sys.argv[1]), 60.0)
 content = {"version": protocol.VERSION, "name": "/stopped", "rate": 250.0}
 sock.sendall(protocol.pack_object(protocol.Kind.JOIN, content))
 os.kill(os.getpid(), signal.SIGSTOP)
@@ -423,11 +423,11 @@ def test_topic_connections_carry_the_number_of_the_subscriber(accepted):
         "\0xtdrone-subscriber/x/-1",
         "\0y/1",
     ):
-        stranger = local.connect(local.TOPICS, "127.0.0.1", port, PATIENCE, address)
+        stranger = unix_sockets.connect(unix_sockets.TOPICS, "127.0.0.1", port, PATIENCE, address)
         assert stranger is not None
         with stranger:
             assert stranger.recv(1) == b"", "it is closed"
-    subscriber = local.connect(local.TOPICS, "127.0.0.1", port, PATIENCE, "\0xtdrone-subscriber/x/65535")
+    subscriber = unix_sockets.connect(unix_sockets.TOPICS, "127.0.0.1", port, PATIENCE, "\0xtdrone-subscriber/x/65535")
     assert subscriber is not None
     with subscriber:
         assert arrived.acquire(timeout=PATIENCE)

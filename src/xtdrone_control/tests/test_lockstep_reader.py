@@ -16,7 +16,7 @@ import pytest
 pytest.importorskip("rospy", reason="needs rospy")
 
 from xtdrone_control.lockstep.transport.inbox import Feed, Inbox
-from xtdrone_control.lockstep.transport.reader import Reader
+from xtdrone_control.lockstep.transport.topic_reader import Reader
 
 
 def framed(*messages: bytes) -> bytes:

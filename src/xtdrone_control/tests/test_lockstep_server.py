@@ -26,10 +26,10 @@ from hypothesis import strategies as st
 
 from xtdrone_control.lockstep import protocol
 from xtdrone_control.lockstep.protocol import FrameReader, Kind, ProtocolError, Schedule
-from xtdrone_control.lockstep.server import LockstepServer, connections, frames, participant
+from xtdrone_control.lockstep.server import LockstepServer, client_sockets, frame_checks, participant
 from xtdrone_control.lockstep.server.barrier import STOPPED
-from xtdrone_control.lockstep.server.frames import Declaration
-from xtdrone_control.lockstep.server.matching import TopicTable
+from xtdrone_control.lockstep.server.frame_checks import Declaration
+from xtdrone_control.lockstep.server.missing_connections import TopicTable
 
 STEP = protocol.BASE_STEP_US
 PATIENCE = 120.0  # s of wall time; only a broken run takes so long
@@ -173,9 +173,9 @@ def test_invalid_length_raises(data):
 
 
 def test_reader_checks_the_header_before_the_payload_arrives():
-    reader = FrameReader(frames.BEFORE_JOIN)
-    reader.feed(struct.pack("<IB", frames.LONGEST_RESERVE + 1, Kind.RESERVE))
-    with pytest.raises(ProtocolError, match=f"allowed are 1 to {frames.LONGEST_RESERVE}"):
+    reader = FrameReader(frame_checks.BEFORE_JOIN)
+    reader.feed(struct.pack("<IB", frame_checks.LONGEST_RESERVE + 1, Kind.RESERVE))
+    with pytest.raises(ProtocolError, match=f"allowed are 1 to {frame_checks.LONGEST_RESERVE}"):
         list(reader.frames())
 
 
@@ -208,33 +208,39 @@ def test_text_of_a_peer_becomes_one_printable_line(text, shown):
 @pytest.mark.parametrize(
     ("read", "content", "text"),
     [
-        (frames.join, {"rate": 10**400}, "/a: rate 1000"),
-        (frames.join, {"rate": True}, "/a: rate True: must be above 0"),
-        (frames.join, {"udp_ports": [math.inf]}, "JOIN: UDP port inf: must be an integer from 1 to 65535"),
-        (frames.join, {"pid": 10**400}, "JOIN: pid 1000"),
-        (frames.join, {"name": "/a\n[WARN]"}, r"name '/a\\n\[WARN\]': must be a resolved ROS name"),
-        (frames.join, {"name": "/" + "a" * 256}, "of at most 256 characters"),
-        (frames.join, {"publications": [["/x\x1b", "T"]]}, r"JOIN: publications: topic '/x\\x1b': must be a"),
-        (frames.join, {"publications": [["/x", "T\n"]]}, r"JOIN: publications: type 'T\\n': must be a ROS type"),
-        (frames.join, {"subscriptions": {"/x": "T"}}, "JOIN: subscriptions an object of 1: must be a list"),
-        (frames.peers, {"made": [[1, "/x", "/b", 1000, "abc"]]}, "PEER: count 'abc': must be an integer"),
-        (frames.peers, {"made": [[1, "/x", "/b", 1000, -5]]}, "PEER: count -5: must be an integer from 0 to"),
-        (frames.peers, {"made": [[1, [], "/b", 1000, 0]]}, "PEER: topic a list of 0: must be a resolved ROS name"),
-        (frames.peers, {"lost": [[]]}, "PEER: number a list of 0: must be an integer"),
-        (frames.digest, {"time_us": math.inf, "topics": {}}, "DIGEST: time_us inf: must be an integer"),
-        (frames.digest, {"time_us": 0, "topics": {"/x": [1, 2, 1 << 32]}}, "DIGEST: number 4294967296: must be"),
-        (frames.leave, {"reason": 5}, "LEAVE: reason 5, failed False: must be a string and a boolean"),
+        (frame_checks.join, {"rate": 10**400}, "/a: rate 1000"),
+        (frame_checks.join, {"rate": True}, "/a: rate True: must be above 0"),
+        (frame_checks.join, {"udp_ports": [math.inf]}, "JOIN: UDP port inf: must be an integer from 1 to 65535"),
+        (frame_checks.join, {"pid": 10**400}, "JOIN: pid 1000"),
+        (frame_checks.join, {"name": "/a\n[WARN]"}, r"name '/a\\n\[WARN\]': must be a resolved ROS name"),
+        (frame_checks.join, {"name": "/" + "a" * 256}, "of at most 256 characters"),
+        (frame_checks.join, {"publications": [["/x\x1b", "T"]]}, r"JOIN: publications: topic '/x\\x1b': must be a"),
+        (frame_checks.join, {"publications": [["/x", "T\n"]]}, r"JOIN: publications: type 'T\\n': must be a ROS type"),
+        (frame_checks.join, {"subscriptions": {"/x": "T"}}, "JOIN: subscriptions an object of 1: must be a list"),
+        (frame_checks.peers, {"made": [[1, "/x", "/b", 1000, "abc"]]}, "PEER: count 'abc': must be an integer"),
+        (frame_checks.peers, {"made": [[1, "/x", "/b", 1000, -5]]}, "PEER: count -5: must be an integer from 0 to"),
+        (
+            frame_checks.peers,
+            {"made": [[1, [], "/b", 1000, 0]]},
+            "PEER: topic a list of 0: must be a resolved ROS name",
+        ),
+        (frame_checks.peers, {"lost": [[]]}, "PEER: number a list of 0: must be an integer"),
+        (frame_checks.digest, {"time_us": math.inf, "topics": {}}, "DIGEST: time_us inf: must be an integer"),
+        (frame_checks.digest, {"time_us": 0, "topics": {"/x": [1, 2, 1 << 32]}}, "DIGEST: number 4294967296: must be"),
+        (frame_checks.leave, {"reason": 5}, "LEAVE: reason 5, failed False: must be a string and a boolean"),
     ],
 )
 def test_error_names_the_invalid_field(read, content, text):
-    whole = {"version": protocol.VERSION, "name": "/a", "rate": 30, **content} if read is frames.join else content
+    whole = {"version": protocol.VERSION, "name": "/a", "rate": 30, **content} if read is frame_checks.join else content
     with pytest.raises(ProtocolError, match=text):
         read(protocol.pack_object(Kind.JOIN, whole)[5:])
 
 
 def test_invalid_name_of_a_foreign_subscriber_is_accepted():
     content = {"made": [[1, "/x", "a stranger\n", 1000, 0]], "lost": []}
-    assert frames.peers(protocol.pack_object(Kind.PEER, content)[5:]).made == [frames.Made(1, "/x", "", 1000, 0)]
+    assert frame_checks.peers(protocol.pack_object(Kind.PEER, content)[5:]).made == [
+        frame_checks.Made(1, "/x", "", 1000, 0)
+    ]
 
 
 def test_invalid_payloads_raise():
@@ -468,8 +474,8 @@ def test_only_small_reserve_and_join_frames_are_accepted_before_joining(server, 
 
 
 def test_reservation_expires_unless_its_process_lives(server, monkeypatch, log):
-    monkeypatch.setattr(connections, "RESERVATION_LIMIT", 0.0)
-    monkeypatch.setattr(connections, "CHECK_PERIOD", 0.0)
+    monkeypatch.setattr(client_sockets, "RESERVATION_LIMIT", 0.0)
+    monkeypatch.setattr(client_sockets, "CHECK_PERIOD", 0.0)
     process = subprocess.Popen(["sleep", "60"])
     stranger, starting = Reserving(server, "/a"), Reserving(server, "/b", **own(process.pid))
     poll_until(server, stranger.is_closed)
@@ -487,20 +493,20 @@ def test_reservation_expires_unless_its_process_lives(server, monkeypatch, log):
 
 
 def test_newcomers_are_closed_after_a_time_limit_or_for_newer_ones(server, monkeypatch):
-    monkeypatch.setattr(connections, "MOST_NEWCOMERS", 5)
+    monkeypatch.setattr(client_sockets, "MOST_NEWCOMERS", 5)
     strangers = [Stranger(server) for _ in range(8)]
     poll_until(server, lambda: sum(one.is_closed() for one in strangers) >= 3)
     assert [one.is_closed() for one in strangers] == [True] * 3 + [False] * 5
     a = FakeParticipant(server, "/a")
     joined(server, a)
-    monkeypatch.setattr(connections, "GREETING_LIMIT", 0.0)
-    monkeypatch.setattr(connections, "CHECK_PERIOD", 0.0)
+    monkeypatch.setattr(client_sockets, "GREETING_LIMIT", 0.0)
+    monkeypatch.setattr(client_sockets, "CHECK_PERIOD", 0.0)
     poll_until(server, lambda: all(one.is_closed() for one in strangers))
     assert list(server.participants) == ["/a"]
 
 
 def test_connections_per_address_are_limited(server, monkeypatch):
-    monkeypatch.setattr(connections, "MOST_PER_ADDRESS", 2)
+    monkeypatch.setattr(client_sockets, "MOST_PER_ADDRESS", 2)
     a, b = FakeParticipant(server, "/a"), FakeParticipant(server, "/b")
     joined(server, a, b)
     c = FakeParticipant(server, "/c")
@@ -513,11 +519,11 @@ def test_connections_per_address_are_limited(server, monkeypatch):
 
 
 def test_incomplete_frames_are_limited_in_total_and_the_longest_is_closed(server, monkeypatch):
-    monkeypatch.setattr(connections, "MOST_UNFINISHED", 300_000)
+    monkeypatch.setattr(client_sockets, "MOST_UNFINISHED", 300_000)
     sizes = (120_000, 150_000, 100_000)
     strangers = [Stranger(server) for _ in sizes]
     for stranger, size in zip(strangers, sizes, strict=True):
-        stranger.sock.sendall(struct.pack("<IB", frames.LONGEST_JOIN, Kind.JOIN) + bytes(size))
+        stranger.sock.sendall(struct.pack("<IB", frame_checks.LONGEST_JOIN, Kind.JOIN) + bytes(size))
     poll_until(server, lambda: any(one.is_closed() for one in strangers))
     assert [one.is_closed() for one in strangers].count(True) == 1
     assert not strangers[2].is_closed(), "the shortest"
@@ -527,19 +533,19 @@ def test_participants_are_served_before_newcomers(server, monkeypatch):
     """Newcomers get a limited part of a poll; frames of participants come first."""
     a = FakeParticipant(server, "/a")
     joined(server, a)
-    monkeypatch.setattr(connections, "GREETING_BUDGET", 0.0)
+    monkeypatch.setattr(client_sockets, "GREETING_BUDGET", 0.0)
     crowd = [FakeParticipant(server, f"/n{i}", publications=[["/x", "T"]]) for i in range(20)]
     with Running(server, 0):
         a.done(a.tick())
     assert list(server.participants) == ["/a"]
-    monkeypatch.setattr(connections, "GREETING_BUDGET", 5.0)
+    monkeypatch.setattr(client_sockets, "GREETING_BUDGET", 5.0)
     joined(server, *crowd)
 
 
 def test_many_frames_of_one_participant_are_handled_in_parts(server):
     a, b = FakeParticipant(server, "/a"), FakeParticipant(server, "/b")
     joined(server, a, b)
-    count = 3 * connections.FRAMES_PER_POLL
+    count = 3 * client_sockets.FRAMES_PER_POLL
     alive = protocol.NEEDS_TIME_FRAME * (count - 1) + protocol.ALIVE_FRAME
     a.sock.sendall(alive)
     poll_until(server, lambda: server.needs_time)
@@ -555,7 +561,7 @@ def test_many_frames_of_one_participant_are_handled_in_parts(server):
 
 
 def test_unread_data_of_a_participant_is_limited(server, monkeypatch, log):
-    monkeypatch.setattr(connections, "MOST_UNSENT", 1 << 16)
+    monkeypatch.setattr(client_sockets, "MOST_UNSENT", 1 << 16)
     a = FakeParticipant(server, "/a", rate=250.0)
     b = FakeParticipant(server, "/b", rate=250.0)
     joined(server, a, b)

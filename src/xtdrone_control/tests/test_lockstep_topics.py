@@ -19,12 +19,12 @@ from rospy.impl.tcpros_pubsub import TCPROSSub
 from std_msgs.msg import Header, String
 
 from xtdrone_control.lockstep.client import topics
-from xtdrone_control.lockstep.client.node import Node
+from xtdrone_control.lockstep.client.node_state import Node
 from xtdrone_control.lockstep.transport import outlets
 from xtdrone_control.lockstep.transport.outlets import Outlet
 from xtdrone_control.lockstep.transport.publisher import CountingPublisher
-from xtdrone_control.lockstep.transport.reader import Reader
 from xtdrone_control.lockstep.transport.subscriber import BufferingSubscriber
+from xtdrone_control.lockstep.transport.topic_reader import Reader
 
 URI = "http://publisher:1"
 

@@ -14,8 +14,8 @@ from pymavlink import mavftp, mavutil
 from pymavlink.dialects.v20 import common as mavlink
 from test_mavlink_server import Client, World, heartbeat, named
 
-from xtdrone_control.autopilot.logger.folder import LogFolder
-from xtdrone_control.mavlink.microservices import log
+from xtdrone_control.autopilot.logger.log_folder import LogFolder
+from xtdrone_control.mavlink.microservices import log_download
 
 _SYSTEM = FIRST_ID + 1
 _CHUNK = 90
@@ -64,7 +64,7 @@ class Logged(World):
         for _ in range(200):
             for offset, count in ask:
                 self.send(mavlink.MAVLink_log_request_data_message(_SYSTEM, 1, number, offset, count))
-                for m in self.hear("LOG_DATA", 0.1 + 1.2 * count / (_CHUNK * log.BURST * 100)):
+                for m in self.hear("LOG_DATA", 0.1 + 1.2 * count / (_CHUNK * log_download.BURST * 100)):
                     assert m.id == number
                     found[m.ofs] = bytes(m.data[: m.count])
             missing = [at for at in range(0, size, _CHUNK) if at not in found]
@@ -125,7 +125,7 @@ def test_pace_is_simulated_times(world):
     world.log_list()
     world.send(mavlink.MAVLink_log_request_data_message(_SYSTEM, 1, 1, 0, _SIZES[1]))
     first = len(world.hear("LOG_DATA", 0.1))
-    assert first == pytest.approx(10 * log.BURST, abs=log.BURST)
+    assert first == pytest.approx(10 * log_download.BURST, abs=log_download.BURST)
     world.send(mavlink.MAVLink_log_request_end_message(_SYSTEM, 1))
     assert not world.hear("LOG_DATA", 0.1)
     assert world.server.next_due_us > world.autopilot.time_us

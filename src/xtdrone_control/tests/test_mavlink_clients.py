@@ -22,7 +22,7 @@ from xtdrone_control.mavlink.rate_limit import CLIENT_CREDIT, MAX_CLIENT_CREDIT,
 from xtdrone_control.mavlink.receiver import Receiver
 from xtdrone_control.mavlink.wire.codec import decoder, split
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
-from xtdrone_control.mavlink.wire.packing import Format, as_version_1
+from xtdrone_control.mavlink.wire.frame_packing import Format, as_version_1
 
 _SYSTEM = FIRST_ID + 1
 _REQUEST_POSITION = mavlink.MAVLink_command_long_message(_SYSTEM, 1, 512, 0, 32, 0, 0, 0, 0, 0, 0)
@@ -96,7 +96,7 @@ def test_replies_go_to_the_sender_and_texts_to_all(world, clients):
 
 def test_a_silent_client_is_dropped_and_may_reconnect(world, clients, monkeypatch):
     wall = [0.0]
-    monkeypatch.setattr("xtdrone_control.mavlink.link.time.monotonic", lambda: wall[0])
+    monkeypatch.setattr("xtdrone_control.mavlink.client_link.time.monotonic", lambda: wall[0])
     for client in clients:
         world.ask(heartbeat(6), client=client)
     port = world.server.ports[1]
@@ -156,7 +156,7 @@ def test_clients_of_all_ports_share_one_room():
 def test_all_ports_recover_while_time_is_paused(monkeypatch):
     """Stations that have left every other port's room full keep a newcomer out for 5 s of wall time at most."""
     wall = [0.0]
-    monkeypatch.setattr("xtdrone_control.mavlink.link.time.monotonic", lambda: wall[0])
+    monkeypatch.setattr("xtdrone_control.mavlink.client_link.time.monotonic", lambda: wall[0])
     world = World(3)
     stations = [port for port in world.server.ports if port.by_wall]
     for number in range(1000, 1000 + CLIENTS + 3 * VEHICLE_CLIENTS):
@@ -169,7 +169,7 @@ def test_all_ports_recover_while_time_is_paused(monkeypatch):
 
 def test_stations_may_connect_and_disconnect_while_time_is_paused(world, monkeypatch):
     wall = [0.0]
-    monkeypatch.setattr("xtdrone_control.mavlink.link.time.monotonic", lambda: wall[0])
+    monkeypatch.setattr("xtdrone_control.mavlink.client_link.time.monotonic", lambda: wall[0])
     port = world.server.ports[1]
     now_us = world.autopilot.time_us
     for number in range(1000, 1000 + 10 * MAX_CLIENTS):
@@ -389,7 +389,7 @@ class TestParticipants:
     def test_other_clients_are_served_in_a_long_tick(self, world, flooder, acted, monkeypatch):
         self.exhaust(world, flooder)
         wall = time.monotonic() + 1.0
-        monkeypatch.setattr("xtdrone_control.mavlink.server.time.monotonic", lambda: wall)
+        monkeypatch.setattr("xtdrone_control.mavlink.mavlink_server.time.monotonic", lambda: wall)
         acted.clear()
         world.server.keep_alive()
         world.server.receive()

@@ -13,11 +13,11 @@ from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_control.autopilot.modes import PX4_MODES
 from xtdrone_control.mavlink.wire import codec
 from xtdrone_control.mavros.lib import px4_modes
-from xtdrone_control.mavros.lib.params import ParamError, Params
-from xtdrone_control.mavros.link import connection
-from xtdrone_control.mavros.link.connection import FcuUrl, Link, LinkError, Receiver, parse_fcu_url
-from xtdrone_control.mavros.link.streams import DEFAULT_RATE_US, OFF_US, Streams
-from xtdrone_control.mavros.link.transactions import Commands
+from xtdrone_control.mavros.lib.plugin_settings import ParamError, Params
+from xtdrone_control.mavros.link import autopilot_links
+from xtdrone_control.mavros.link.autopilot_links import FcuUrl, Link, LinkError, Receiver, parse_fcu_url
+from xtdrone_control.mavros.link.command_acks import Commands
+from xtdrone_control.mavros.link.stream_requests import DEFAULT_RATE_US, OFF_US, Streams
 
 HANDLED = [
     "ALTITUDE",
@@ -340,7 +340,7 @@ class TestLink:
             fcu.close()
 
     def test_receiver_thread_reads_at_once_while_an_answer_is_awaited(self, monkeypatch):
-        monkeypatch.setattr(connection, "_GLANCE_PERIOD", 1000.0)
+        monkeypatch.setattr(autopilot_links, "_GLANCE_PERIOD", 1000.0)
         link = Link("iris_0", FcuUrl("127.0.0.1", free_udp_port(), "127.0.0.1", 9))
         receiver = Receiver([link])
         receiver.start()

@@ -16,7 +16,7 @@ from xtdrone_control.autopilot.estimator.vibration import update_vibration
 from xtdrone_control.autopilot.state import TASK_GOTO
 from xtdrone_control.fleet import GCS_REMOTE_PORT
 from xtdrone_control.mavlink.streams.rare_telemetry import SILENT
-from xtdrone_control.mavlink.streams.streams import GCS_RATES, ONBOARD_RATES
+from xtdrone_control.mavlink.streams.stream_schedule import GCS_RATES, ONBOARD_RATES
 from xtdrone_control.mavlink.wire.codec import decoder, message_name, split
 
 _SYSTEM = FIRST_ID + 1
@@ -129,7 +129,9 @@ def latest(client):
 
 def test_the_default_streams_have_px4s_rates(world, station, monkeypatch):
     now = time.monotonic()
-    monkeypatch.setattr("xtdrone_control.mavlink.link.time.monotonic", lambda: now)  # heartbeats come by wall time too
+    monkeypatch.setattr(
+        "xtdrone_control.mavlink.client_link.time.monotonic", lambda: now
+    )  # heartbeats come by wall time too
     world.run(1.0)
     for client in (world.client, station):
         world.ask(heartbeat(6), client=client)

@@ -18,8 +18,8 @@ from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.parameters.parameters import NAMES, Parameters
 from xtdrone_control.autopilot.state import TASK_ATTITUDE, TASK_RATES, TASK_TRAJECTORY
 from xtdrone_control.fleet import GCS_REMOTE_PORT, Vehicle
+from xtdrone_control.mavlink.mavlink_server import MavlinkServer
 from xtdrone_control.mavlink.port import LinkError
-from xtdrone_control.mavlink.server import MavlinkServer
 from xtdrone_control.mavlink.wire.dialect import MESSAGES
 
 _SYSTEM = FIRST_ID + 1
@@ -330,7 +330,7 @@ def test_links_have_intervals_of_their_own(world):
 def test_a_further_ground_station_is_forgotten_when_it_is_silent_by_both_clocks(world, monkeypatch):
     station = Client(0, world.fleet[0].gcs_local_port)
     wall = [0.0]
-    monkeypatch.setattr("xtdrone_control.mavlink.link.time.monotonic", lambda: wall[0])
+    monkeypatch.setattr("xtdrone_control.mavlink.client_link.time.monotonic", lambda: wall[0])
     world.ask(heartbeat(6), client=station)
     world.run(5.5, 100_000)
     station.receive()
@@ -348,7 +348,7 @@ def test_a_further_ground_station_is_forgotten_when_it_is_silent_by_both_clocks(
 @pytest.mark.parametrize("wall_s", [0.0, 100.0])
 def test_a_further_client_of_the_offboard_link_is_forgotten_by_simulated_time_alone(world, monkeypatch, wall_s):
     wall = [0.0]
-    monkeypatch.setattr("xtdrone_control.mavlink.link.time.monotonic", lambda: wall[0])
+    monkeypatch.setattr("xtdrone_control.mavlink.client_link.time.monotonic", lambda: wall[0])
     client = Client(0, world.fleet[0].offboard_local_port)
     world.ask(heartbeat(), client=client)
     wall[0] = wall_s

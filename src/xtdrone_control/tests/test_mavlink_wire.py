@@ -18,11 +18,11 @@ from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_native import mavlink_wire
 
 from xtdrone_control import rotation
-from xtdrone_control.geodesy import geo
+from xtdrone_control.geodesy import projection
 from xtdrone_control.mavlink.streams.rare_telemetry import VehicleTelemetry
 from xtdrone_control.mavlink.wire import codec
 from xtdrone_control.mavlink.wire.dialect import MESSAGES
-from xtdrone_control.mavlink.wire.packing import Format, PackingError
+from xtdrone_control.mavlink.wire.frame_packing import Format, PackingError
 
 NAMES = sorted(kind.msgname for kind in mavlink.mavlink_map.values() if MESSAGES[kind.id] is kind)
 FLOATS = st.one_of(
@@ -185,7 +185,7 @@ def _attitude(e, _s, _c, _t, now):
 
 def _global_position_int(e, _s, _c, t, now):
     position = e["position"].tolist()
-    lat, lon = geo.reproject(position[0], position[1], float(e["origin"]["lat"]), float(e["origin"]["lon"]))
+    lat, lon = projection.reproject(position[0], position[1], float(e["origin"]["lat"]), float(e["origin"]["lon"]))
     heights = float(e["origin"]["alt"]) - position[2], _over_home(position, t)
     heading = math.degrees(rotation.yaw_of(e["q"].tolist())) % 360.0
     return (

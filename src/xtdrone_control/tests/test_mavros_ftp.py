@@ -31,7 +31,7 @@ from mavros_pair import Pair
 from pymavlink.dialects.v20 import common as mavlink
 from std_srvs.srv import EmptyRequest, TriggerRequest
 
-from xtdrone_control.autopilot.logger.folder import LogFolder
+from xtdrone_control.autopilot.logger.log_folder import LogFolder
 from xtdrone_control.mavros.extras.log_transfer import LogTransferPlugin
 from xtdrone_control.mavros.link import ftp_client
 from xtdrone_control.mavros.plugins.ftp import FtpPlugin

@@ -7,9 +7,9 @@ import socket
 import pytest
 
 from xtdrone_control.mavlink.port import LinkError, Port
-from xtdrone_control.mavros.link import connection
-from xtdrone_control.mavros.link.connection import FcuUrl, bind_host_for
-from xtdrone_control.mavros.node import connections
+from xtdrone_control.mavros.link import autopilot_links
+from xtdrone_control.mavros.link.autopilot_links import FcuUrl, bind_host_for
+from xtdrone_control.mavros.mavros_node import connections
 
 
 @pytest.fixture
@@ -22,7 +22,7 @@ def resolver(monkeypatch: pytest.MonkeyPatch) -> None:
             raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
         return known[name]
 
-    monkeypatch.setattr(connection.socket, "gethostbyname", look_up)
+    monkeypatch.setattr(autopilot_links.socket, "gethostbyname", look_up)
 
 
 @pytest.mark.usefixtures("resolver")
@@ -32,23 +32,27 @@ class TestBindHost:
         assert bind_host_for("localhost") == "127.0.0.1"
 
     def test_a_host_name_without_an_address_is_reported(self):
-        with pytest.raises(connection.LinkError, match=r"fcu_host: 'nowhere' has no IPv4 address: Name or service"):
+        with pytest.raises(
+            autopilot_links.LinkError, match=r"fcu_host: 'nowhere' has no IPv4 address: Name or service"
+        ):
             bind_host_for("nowhere")
 
     def test_an_unreachable_host_is_reported_with_its_address(self):
         # A plain socket may not broadcast; this address represents every unreachable one.
         with pytest.raises(
-            connection.LinkError, match=r"fcu_host: 'elsewhere' \(255\.255\.255\.255\) cannot be reached"
+            autopilot_links.LinkError, match=r"fcu_host: 'elsewhere' \(255\.255\.255\.255\) cannot be reached"
         ):
             bind_host_for("elsewhere")
 
     def test_an_address_of_another_machine_cannot_be_bound(self):
-        with pytest.raises(connection.LinkError, match=r"bind_host: '192\.0\.2\.1' cannot be bound"):
+        with pytest.raises(autopilot_links.LinkError, match=r"bind_host: '192\.0\.2\.1' cannot be bound"):
             bind_host_for("127.0.0.1", "192.0.2.1")
 
 
 def test_the_fleets_links_lead_to_the_autopilots_machine(monkeypatch):
-    monkeypatch.setattr("xtdrone_control.mavros.node.bind_host_for", lambda fcu_host, bind_host: bind_host or "0.0.0.0")
+    monkeypatch.setattr(
+        "xtdrone_control.mavros.mavros_node.bind_host_for", lambda fcu_host, bind_host: bind_host or "0.0.0.0"
+    )
     first, second = connections({"fcu_host": "sim.example"}, "iris:2", "/mavros")
     assert first.url == FcuUrl("0.0.0.0", 24540, "sim.example", 34580)
     assert second.url == FcuUrl("0.0.0.0", 24541, "sim.example", 34581)
@@ -70,7 +74,7 @@ def test_the_fleets_links_may_have_ports_of_their_own():
 
 
 def test_a_fleet_has_no_ports_beyond_the_highest():
-    with pytest.raises(connection.LinkError, match="fleet_url: vehicle 1 would get port 65536, at most 65535"):
+    with pytest.raises(autopilot_links.LinkError, match="fleet_url: vehicle 1 would get port 65536, at most 65535"):
         connections({"fleet_url": "udp://:65535@:14580"}, "iris:2", "/mavros")
 
 

@@ -7,8 +7,8 @@ from mavros_fakes import Bench
 
 from xtdrone_control.fleet import FleetError
 from xtdrone_control.mavros.left_out import LeftOut
-from xtdrone_control.mavros.lib.params import ParamError, Params
-from xtdrone_control.mavros.node import connections
+from xtdrone_control.mavros.lib.plugin_settings import ParamError, Params
+from xtdrone_control.mavros.mavros_node import connections
 from xtdrone_control.mavros.plugin_lists import PluginLists
 from xtdrone_control.mavros.plugins import PLUGINS
 from xtdrone_control.mavros.unsubscribed_topics import Watch

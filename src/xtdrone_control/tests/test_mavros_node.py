@@ -20,7 +20,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_control import frames
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
-from xtdrone_control.mavros.node import system_state
+from xtdrone_control.mavros.mavros_node import system_state
 
 HERE = Path(__file__).parent
 NODE = HERE.parent / "nodes" / "mavros_node.py"

@@ -22,8 +22,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from sensor_msgs.msg import NavSatFix
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.lib.params import ParamError
-from xtdrone_control.mavros.lib.throttle import Throttle
+from xtdrone_control.mavros.lib.log_throttle import Throttle
+from xtdrone_control.mavros.lib.plugin_settings import ParamError
 from xtdrone_control.mavros.plugins import PLUGINS
 
 NAN = float("nan")

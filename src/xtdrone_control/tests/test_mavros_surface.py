@@ -15,7 +15,7 @@ import yaml
 from mavros_fakes import Bench
 
 from xtdrone_control.mavros.left_out import LEFT_OUT, explain
-from xtdrone_control.mavros.lib.params import Params
+from xtdrone_control.mavros.lib.plugin_settings import Params
 from xtdrone_control.mavros.plugin_lists import PluginLists
 from xtdrone_control.mavros.plugins import PLUGINS
 

@@ -10,7 +10,7 @@ from test_mavlink_server import Client, heartbeat
 
 from xtdrone_control.autopilot import modes
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.mavlink.server import MavlinkServer
+from xtdrone_control.mavlink.mavlink_server import MavlinkServer
 
 _SYSTEM = FIRST_ID + 1
 

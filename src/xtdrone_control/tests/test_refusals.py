@@ -15,7 +15,7 @@ from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.commander.failsafe import Action, Cause
 from xtdrone_control.autopilot.events import events
 from xtdrone_control.autopilot.events.events import Event, event
-from xtdrone_control.mavlink.wire.packing import Format
+from xtdrone_control.mavlink.wire.frame_packing import Format
 from xtdrone_control.mavros.lib.refusals import Refusals
 from xtdrone_control.mavros.plugins import PLUGINS
 

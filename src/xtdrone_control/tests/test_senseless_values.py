@@ -19,7 +19,7 @@ from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.autopilot.state import TASK_GOTO
-from xtdrone_control.geodesy import geo
+from xtdrone_control.geodesy import projection
 from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.mavlink.wire.codec import message_name
 
@@ -126,10 +126,10 @@ def test_a_channel_whose_calibration_is_turned_round(pulse, value):
 def test_projections_at_the_ends_of_the_globe():
     rng = np.random.default_rng(4)
     for latitude, longitude in zip(rng.uniform(-90, 90, 3000), rng.uniform(-180, 180, 3000), strict=True):
-        opposite = geo.project(180.0 - latitude, longitude + 180.0, latitude, longitude)
+        opposite = projection.project(180.0 - latitude, longitude + 180.0, latitude, longitude)
         assert math.hypot(*opposite) == pytest.approx(0.0, abs=1.0)
-        pole = geo.project(90.0, longitude, latitude, longitude)
-        assert geo.reproject(*pole, latitude, longitude)[0] == pytest.approx(90.0, abs=1e-5)
+        pole = projection.project(90.0, longitude, latitude, longitude)
+        assert projection.reproject(*pole, latitude, longitude)[0] == pytest.approx(90.0, abs=1e-5)
 
 
 def test_no_speed_makes_no_time():

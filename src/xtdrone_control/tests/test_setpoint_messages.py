@@ -16,8 +16,8 @@ from service_fakes import SYSTEM, Served
 from xtdrone_control.autopilot.commander.offboard_setpoint import SetpointError
 from xtdrone_control.autopilot.state import TASK_ATTITUDE, TASK_RATES, TASK_TRAJECTORY
 from xtdrone_control.autopilot.vehicle_view import VehicleView
-from xtdrone_control.mavlink.commands import setpoints
-from xtdrone_control.mavlink.wire import codec, packing
+from xtdrone_control.mavlink.commands import setpoint_conversion
+from xtdrone_control.mavlink.wire import codec, frame_packing
 
 _NAN = math.nan
 _ORIGIN_ALTITUDE = 488.0
@@ -92,10 +92,12 @@ def test_local_masks(values, mask):
     is_set = [not all(map(math.isnan, part)) for part in wanted]
     forced = is_set[2] and mask & 512
     if forced or not any(is_set):
-        with pytest.raises(setpoints.RefusedSetpointError, match="force not supported" if forced else "invalid"):
-            setpoints.local_target(commander, local(values, mask))
+        with pytest.raises(
+            setpoint_conversion.RefusedSetpointError, match="force not supported" if forced else "invalid"
+        ):
+            setpoint_conversion.local_target(commander, local(values, mask))
         return
-    setpoints.local_target(commander, local(values, mask))
+    setpoint_conversion.local_target(commander, local(values, mask))
     ((_, *parts, yaw, yaw_rate),) = commander.taken
     assert same(parts, wanted)
     assert math.isnan(yaw) == bool(mask & 1024)
@@ -108,8 +110,8 @@ def test_body_frame(values, mask, roll, pitch, yaw):
     velocity = None if mask & 0b000111000 else matrix(0.0, 0.0, yaw) @ values[3:6]
     acceleration = None if mask & 0b111000000 else matrix(roll, pitch, yaw) @ values[6:9]
     try:
-        setpoints.local_target(commander, local(values, mask, frame=8))
-    except setpoints.RefusedSetpointError:
+        setpoint_conversion.local_target(commander, local(values, mask, frame=8))
+    except setpoint_conversion.RefusedSetpointError:
         assert velocity is None or np.isnan(velocity).all() or mask & 512
         return
     ((_, *parts, found_yaw, _),) = commander.taken
@@ -123,7 +125,7 @@ def test_body_frame(values, mask, roll, pitch, yaw):
 
 def test_offset_frame_counts_from_the_vehicle():
     commander = Recorder(quaternion(0.0, 0.0, math.pi / 2))
-    setpoints.local_target(commander, local((1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0), 0, frame=9))
+    setpoint_conversion.local_target(commander, local((1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0), 0, frame=9))
     ((_, position, velocity, acceleration, yaw, _),) = commander.taken
     assert same(position, (8.0, 21.0, -27.0))
     assert same(velocity, (-5.0, 4.0, 6.0))
@@ -133,8 +135,8 @@ def test_offset_frame_counts_from_the_vehicle():
 
 @pytest.mark.parametrize("frame", [0, 2, 4, 7, 10, 12, 20, 255])
 def test_frames_that_px4_rejects(frame):
-    with pytest.raises(setpoints.RefusedSetpointError, match=f"coordinate frame {frame} unsupported"):
-        setpoints.local_target(Recorder(), local([0.0] * 9, 0, frame))
+    with pytest.raises(setpoint_conversion.RefusedSetpointError, match=f"coordinate frame {frame} unsupported"):
+        setpoint_conversion.local_target(Recorder(), local([0.0] * 9, 0, frame))
 
 
 def place(mask, frame=5, lat=47.3977420, lon=8.5455940, alt=500.0, **extra):
@@ -147,7 +149,7 @@ def place(mask, frame=5, lat=47.3977420, lon=8.5455940, alt=500.0, **extra):
 @pytest.mark.parametrize(("frame", "z"), [(5, _ORIGIN_ALTITUDE - 500.0), (6, _ORIGIN_ALTITUDE - 900.0)])
 def test_global_altitudes(frame, z):
     commander = Recorder()
-    setpoints.global_target(commander, place(0b111111000, frame))
+    setpoint_conversion.global_target(commander, place(0b111111000, frame))
     ((_, position, velocity, *_),) = commander.taken
     assert same(position, (0.0, 0.0, z))
     assert all(map(math.isnan, velocity))
@@ -155,7 +157,7 @@ def test_global_altitudes(frame, z):
 
 def test_a_global_position_is_applied_completely_or_not_at_all():
     commander = Recorder()
-    setpoints.global_target(commander, place(0b111000001, frame=99))
+    setpoint_conversion.global_target(commander, place(0b111000001, frame=99))
     ((_, position, velocity, *_),) = commander.taken
     assert all(map(math.isnan, position)), "its frame does not matter then"
     assert velocity == (0.0, 0.0, 0.0)
@@ -173,18 +175,18 @@ def test_a_global_position_is_applied_completely_or_not_at_all():
 )
 def test_global_targets_that_are_rejected(message, aloud, text):
     with pytest.raises(SetpointError, match=text) as caught:
-        setpoints.global_target(Recorder(), message)
-    assert isinstance(caught.value, setpoints.RefusedSetpointError) == aloud
+        setpoint_conversion.global_target(Recorder(), message)
+    assert isinstance(caught.value, setpoint_conversion.RefusedSetpointError) == aloud
 
 
 def test_altitude_over_home_needs_one():
     with pytest.raises(SetpointError, match="home"):
-        setpoints.global_target(Recorder(home=False), place(0b111111000, frame=6))
+        setpoint_conversion.global_target(Recorder(home=False), place(0b111111000, frame=6))
 
 
 def attitude(mask, q=(1.0, 0.0, 0.0, 0.0), rates=(0.1, 0.2, 0.3), thrust=0.5, body=(0.0, 0.0, 0.0)):
     """SET_ATTITUDE_TARGET as it is decoded, with the field that pymavlink's class does not have."""
-    frame = packing.Format("SET_ATTITUDE_TARGET")
+    frame = frame_packing.Format("SET_ATTITUDE_TARGET")
     payload = frame.payload((0, *q, *rates, thrust, SYSTEM, 1, mask, *body))
     return codec.decoder("SET_ATTITUDE_TARGET")(frame.frame(payload, 0, 255, 190))
 
@@ -193,7 +195,7 @@ def attitude(mask, q=(1.0, 0.0, 0.0, 0.0), rates=(0.1, 0.2, 0.3), thrust=0.5, bo
 def test_attitude_masks(mask, rates, thrust, body):
     commander = Recorder()
     message = attitude(mask, rates=rates, thrust=thrust, body=body)
-    setpoints.attitude_target(commander, message)
+    setpoint_conversion.attitude_target(commander, message)
     collective = 0.0 if mask & 64 else thrust
     yaw_rate = _NAN if mask & 4 else rates[2]
     if not mask & 128:
@@ -271,7 +273,7 @@ def test_attitudes_and_rates_reach_the_records(flying):
     setpoint = flying.autopilot.setpoint[0]
 
     def target(mask, q=(1.0, 0.0, 0.0, 0.0), thrust=0.5, body=(0.0, 0.0, 0.0)):
-        frame = packing.Format("SET_ATTITUDE_TARGET")
+        frame = frame_packing.Format("SET_ATTITUDE_TARGET")
         payload = frame.payload((0, *q, 0.1, 0.2, 0.3, thrust, SYSTEM, 1, mask, *body))
         flying.ask(frame.frame(payload, 0, 255, 190))
 

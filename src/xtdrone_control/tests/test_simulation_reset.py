@@ -14,7 +14,7 @@ from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.communication.commands import MultirotorCore
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.lockstep.transport.inbox import Inbox
-from xtdrone_control.mavlink import link as link_module
+from xtdrone_control.mavlink import client_link as link_module
 from xtdrone_control.mavros.plugins import PLUGINS
 
 GCS_REMOTE_PORT = 14550
@@ -47,7 +47,7 @@ def clock(monkeypatch):
 
     clock = Clock()
     monkeypatch.setattr(link_module, "time", clock)
-    monkeypatch.setattr("xtdrone_control.mavlink.server.time", clock)
+    monkeypatch.setattr("xtdrone_control.mavlink.mavlink_server.time", clock)
     return clock
 
 

@@ -9,7 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 from test_mavlink_server import Client, World, heartbeat
 
-from xtdrone_control.autopilot.logger.folder import LogFolder
+from xtdrone_control.autopilot.logger.log_folder import LogFolder
 from xtdrone_control.autopilot.parameters.parameters import NAMES
 from xtdrone_control.fleet import GCS_REMOTE_PORT
 
@@ -34,8 +34,8 @@ def clock(monkeypatch):
             return self.now
 
     clock = Clock()
-    monkeypatch.setattr("xtdrone_control.mavlink.link.time", clock)
-    monkeypatch.setattr("xtdrone_control.mavlink.server.time", clock)
+    monkeypatch.setattr("xtdrone_control.mavlink.client_link.time", clock)
+    monkeypatch.setattr("xtdrone_control.mavlink.mavlink_server.time", clock)
     return clock
 
 

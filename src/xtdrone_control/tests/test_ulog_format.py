@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyulog import ULog
 
-from xtdrone_control.autopilot.logger import ulog
-from xtdrone_control.autopilot.logger.messages import message_format
-from xtdrone_control.autopilot.logger.ulog import Field, Format, UlogError, UlogWriter
+from xtdrone_control.autopilot.logger import ulog_format
+from xtdrone_control.autopilot.logger.message_definitions import message_format
+from xtdrone_control.autopilot.logger.ulog_format import Field, Format, UlogError, UlogWriter
 
-_BASIC = sorted(set(ulog.TYPES) - {"char"})
+_BASIC = sorted(set(ulog_format.TYPES) - {"char"})
 _POINT = Format.parse("point", "uint64_t timestamp;float x;uint8_t kind;uint8_t[3] _padding0")
 
 
@@ -78,10 +78,10 @@ def test_any_topic_survives(data):
     if layout.name == inner.name:
         return
     made, sink = writer(layout)
-    dtype = ulog.data_dtype(layout)
+    dtype = ulog_format.data_dtype(layout)
     count = data.draw(st.integers(1, 4))
     messages = np.empty(count, dtype)
-    messages[...] = ulog.data_template(layout, 0)
+    messages[...] = ulog_format.data_template(layout, 0)
     size = layout.dtype.itemsize
     for i in range(count):
         raw = bytearray(data.draw(st.binary(min_size=size, max_size=size)))
@@ -112,15 +112,15 @@ def test_everything_else_survives(capsys):
     made.add_multi_info("boot", "second", continued=True)
     made.add_parameter("MPC_XY_P", 0.5)
     made.add_parameter("SDLOG_MODE", 1)
-    made.add_default_parameter("MPC_XY_P", 0.95, ulog.SYSTEM_DEFAULT)
-    made.add_default_parameter("SDLOG_MODE", 0, ulog.SYSTEM_DEFAULT | ulog.SETUP_DEFAULT)
+    made.add_default_parameter("MPC_XY_P", 0.95, ulog_format.SYSTEM_DEFAULT)
+    made.add_default_parameter("SDLOG_MODE", 0, ulog_format.SYSTEM_DEFAULT | ulog_format.SETUP_DEFAULT)
     made.add_format(_POINT)
     made.subscribe(7, _POINT, 2)
     made.add_data(7, _POINT, {"timestamp": 5_000_100, "x": math.nan, "kind": 3})
-    made.add_messages(ulog.logged_string(3, 5_000_200, "über alles"))
+    made.add_messages(ulog_format.logged_string(3, 5_000_200, "über alles"))
     made.add_parameter("MPC_XY_P", 0.75)
-    made.add_messages(ulog.sync())
-    made.add_messages(ulog.dropout(12))
+    made.add_messages(ulog_format.sync())
+    made.add_messages(ulog_format.dropout(12))
     made.flush()
     assert made.written == len(sink.getvalue())
     log = read(sink.getvalue(), capsys)
@@ -159,7 +159,7 @@ def test_a_file_cut_anywhere_in_its_data_is_readable(capsys):
         made.add_data(0, _POINT, {"timestamp": i + 1, "x": i})
     made.flush()
     whole = sink.getvalue()
-    size = ulog.data_dtype(_POINT).itemsize
+    size = ulog_format.data_dtype(_POINT).itemsize
     for end in range(definitions + size, len(whole) + 1):
         (point,) = read(whole[:end], capsys).data_list
         assert point.data["timestamp"].tolist() == list(range(1, (end - definitions) // size + 1))
@@ -184,19 +184,19 @@ def test_errors_name_the_element():
         (lambda: made.subscribe(0, _POINT), "message id 0 is taken by point"),
         (lambda: made.add_data(1, _POINT, {}), "message id 1"),
         (lambda: made.add_data(0, _POINT, {"y": 1}), "unknown field y"),
-        (lambda: ulog.data_dtype(timeless), "timeless"),
-        (lambda: ulog.data_dtype(huge), "huge"),
-        (lambda: ulog.info("int8_t", "key", 128), "info key"),
-        (lambda: ulog.info("char", "a key", "x"), "'a key'"),
-        (lambda: ulog.info("float[2]", "key", 1.0), "float"),
-        (lambda: ulog.info("char", "key", "x" * 70000), "info key"),
-        (lambda: ulog.parameter("P", 1 << 31), "parameter P"),
-        (lambda: ulog.parameter("P" * 250, 1), "at most 255"),
-        (lambda: ulog.default_parameter("P", 1, 4), "kind 4"),
-        (lambda: ulog.subscription(1 << 16, "point"), "65536"),
-        (lambda: ulog.subscription(1, "point", 256), "256"),
-        (lambda: ulog.logged_string(8, 0, "text"), "level 8"),
-        (lambda: ulog.dropout(70000), "70000"),
+        (lambda: ulog_format.data_dtype(timeless), "timeless"),
+        (lambda: ulog_format.data_dtype(huge), "huge"),
+        (lambda: ulog_format.info("int8_t", "key", 128), "info key"),
+        (lambda: ulog_format.info("char", "a key", "x"), "'a key'"),
+        (lambda: ulog_format.info("float[2]", "key", 1.0), "float"),
+        (lambda: ulog_format.info("char", "key", "x" * 70000), "info key"),
+        (lambda: ulog_format.parameter("P", 1 << 31), "parameter P"),
+        (lambda: ulog_format.parameter("P" * 250, 1), "at most 255"),
+        (lambda: ulog_format.default_parameter("P", 1, 4), "kind 4"),
+        (lambda: ulog_format.subscription(1 << 16, "point"), "65536"),
+        (lambda: ulog_format.subscription(1, "point", 256), "256"),
+        (lambda: ulog_format.logged_string(8, 0, "text"), "level 8"),
+        (lambda: ulog_format.dropout(70000), "70000"),
     )
     for call, text in cases:
         with pytest.raises(UlogError) as error:

@@ -16,7 +16,7 @@ from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.autopilot.state import VISION_BODY, VISION_FRD, VISION_NED
 from xtdrone_control.fleet import Vehicle as FleetVehicle
 from xtdrone_control.mavlink.commands.vision_service import VisionService
-from xtdrone_control.mavlink.service import Vehicle
+from xtdrone_control.mavlink.service_base import Vehicle
 
 NAN = math.nan
 UNKNOWN = [NAN] + [0.0] * 20

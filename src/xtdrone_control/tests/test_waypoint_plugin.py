@@ -17,10 +17,10 @@ from mavros_msgs.srv import (
 
 from xtdrone_control.autopilot import modes
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.mavlink.server import MavlinkServer
-from xtdrone_control.mavros.lib.params import Params
+from xtdrone_control.mavlink.mavlink_server import MavlinkServer
+from xtdrone_control.mavros.lib.plugin_settings import Params
 from xtdrone_control.mavros.link import plan_transfers
-from xtdrone_control.mavros.link.connection import FcuUrl, Link, Receiver
+from xtdrone_control.mavros.link.autopilot_links import FcuUrl, Link, Receiver
 from xtdrone_control.mavros.plugins.waypoint import GeofencePlugin, RallypointPlugin, WaypointPlugin
 from xtdrone_control.mavros.uas import Uas
 

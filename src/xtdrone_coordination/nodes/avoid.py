@@ -10,7 +10,7 @@ Parameters:
 
 import sys
 
-from xtdrone_coordination.ros import run_avoidance
+from xtdrone_coordination.follower_nodes import run_avoidance
 
 if __name__ == "__main__":
     sys.exit(run_avoidance())

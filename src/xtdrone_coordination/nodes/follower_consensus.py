@@ -6,7 +6,7 @@ Ids and parameters as in ``follower.py``.
 
 import sys
 
-from xtdrone_coordination.ros import run_follower
+from xtdrone_coordination.follower_nodes import run_follower
 
 if __name__ == "__main__":
     sys.exit(run_follower(mode_argument=True))

@@ -13,7 +13,7 @@ Parameters:
 
 import sys
 
-from xtdrone_coordination.ros_leader import run_leader
+from xtdrone_coordination.leader_node import run_leader
 
 if __name__ == "__main__":
     sys.exit(run_leader())

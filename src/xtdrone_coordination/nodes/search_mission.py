@@ -11,15 +11,15 @@ Parameters (all of them, with their ranges, are in ``config/search.yaml``):
     ~class (human): detector class to search for; empty: any.
     ~camera: {width, height, horizontal_fov} of the cameras.
     ~datum: {latitude, longitude, altitude} of the map frame's origin.
-    ~on_find, ~follow_time, ...: see ``xtdrone_coordination.search.settings.MissionSettings``.
+    ~on_find, ~follow_time, ...: see ``xtdrone_coordination.search.search_settings.MissionSettings``.
 
-Topics: see ``xtdrone_coordination.ros_search``.
+Topics: see ``xtdrone_coordination.search_node``.
 """
 
 import sys
 
 from xtdrone_control.program import run_program
-from xtdrone_coordination.ros_search import run
+from xtdrone_coordination.search_node import run
 
 if __name__ == "__main__":
     sys.exit(run_program(run, sys.argv, "search_mission.py   (see its parameters in config/search.yaml)"))

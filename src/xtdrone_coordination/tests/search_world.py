@@ -18,11 +18,11 @@ from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_coordination.search import actions as control
 from xtdrone_coordination.search.coverage_map import shows
-from xtdrone_coordination.search.mission import SearchMission
+from xtdrone_coordination.search.mission_control import SearchMission
 from xtdrone_coordination.search.people.candidates import Sighting
 from xtdrone_coordination.search.planning.plans import DatumSettings, SearchOptions, mission_items, plan_search
-from xtdrone_coordination.search.settings import MissionSettings
-from xtdrone_coordination.search.vehicle import State
+from xtdrone_coordination.search.search_settings import MissionSettings
+from xtdrone_coordination.search.searching_vehicle import State
 
 CAMERA = Pinhole.of_view(640, 360, 2.0)
 DATUM = DatumSettings()

@@ -13,13 +13,13 @@ pytest.importorskip("rospy")
 from geometry_msgs.msg import Vector3
 from std_msgs.msg import Float32MultiArray, Float64MultiArray, Int32MultiArray, String
 
-from xtdrone_coordination import ros
+from xtdrone_coordination import follower_nodes
 from xtdrone_coordination.follower import Follower, FollowerOptions
+from xtdrone_coordination.follower_nodes import PATTERN_TOPIC, TOPOLOGY_TOPIC, FollowerNode
+from xtdrone_coordination.known_swarm_state import ArraySwarm, SwarmState
 from xtdrone_coordination.leader import Leader
+from xtdrone_coordination.leader_node import LeaderNode
 from xtdrone_coordination.patterns import Patterns
-from xtdrone_coordination.ros import PATTERN_TOPIC, TOPOLOGY_TOPIC, FollowerNode
-from xtdrone_coordination.ros_leader import LeaderNode
-from xtdrone_coordination.swarm import ArraySwarm, SwarmState
 
 
 class Graph:
@@ -70,8 +70,8 @@ def graph(monkeypatch: pytest.MonkeyPatch) -> Graph:
         ("Subscriber", graph.subscriber),
         ("add_reset_hook", graph.hooks.append),
     ):
-        monkeypatch.setattr(ros.lockstep, name, value, raising=False)
-    monkeypatch.setattr(ros.rospy, "get_param", lambda name, default: default)
+        monkeypatch.setattr(follower_nodes.lockstep, name, value, raising=False)
+    monkeypatch.setattr(follower_nodes.rospy, "get_param", lambda name, default: default)
     return graph
 
 
@@ -107,10 +107,10 @@ def test_an_empty_pattern_is_invalid(graph: Graph) -> None:
     assert follower.weights == {0: 1.0}
 
 
-@pytest.mark.parametrize("count", [3, ros.MANY + 1])
+@pytest.mark.parametrize("count", [3, follower_nodes.MANY + 1])
 def test_an_avoidance_node_that_dies_is_replaced_until_it_speaks_again(graph: Graph, count: int) -> None:
     """A second of turns, one by one and computed together."""
-    swarm = ros.make_swarm(count, count - 1)
+    swarm = follower_nodes.make_swarm(count, count - 1)
     warnings: list[str] = []
     options = FollowerOptions(avoid="topic")
     followers = [Follower(i, count, swarm=swarm, options=options, warn=warnings.append) for i in range(1, count)]
@@ -143,8 +143,14 @@ def test_an_avoidance_node_that_dies_is_replaced_until_it_speaks_again(graph: Gr
 
 
 def test_followers_of_a_process_in_a_batch_publish_the_same(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ros.rospy, "get_param", lambda name, default: "/swarm" if "swarm" in name else default)
-    assert [type(ros.make_swarm(40, n)) for n in (1, ros.MANY - 1, ros.MANY)] == [SwarmState, SwarmState, ArraySwarm]
+    monkeypatch.setattr(
+        follower_nodes.rospy, "get_param", lambda name, default: "/swarm" if "swarm" in name else default
+    )
+    assert [type(follower_nodes.make_swarm(40, n)) for n in (1, follower_nodes.MANY - 1, follower_nodes.MANY)] == [
+        SwarmState,
+        SwarmState,
+        ArraySwarm,
+    ]
     rng = np.random.default_rng(1)
     places = [Float64MultiArray(data=rng.normal(size=(40, 6)).ravel()) for _ in range(3)]
     offsets = Patterns(40).offsets("cube")
@@ -193,7 +199,7 @@ def test_the_leader_withdraws_its_latched_messages(graph: Graph) -> None:
 
 def test_a_follower_without_neighbours_is_reported(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
-    monkeypatch.setattr(ros.rospy, "logwarn", said.append)
+    monkeypatch.setattr(follower_nodes.rospy, "logwarn", said.append)
     node = FollowerNode("iris", [Follower(1, 3)])
     for _ in range(3):
         graph.topology(0, 0, 0, 0, 0, 0, 1, 1, 0)

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from xtdrone_control.network import channel as kernels
 from xtdrone_coordination.follower import RATE, Follower
+from xtdrone_coordination.known_swarm_state import SwarmState
 from xtdrone_coordination.laws.topology import veteran_topology
 from xtdrone_coordination.network import Network, NetworkOptions, make_network
 from xtdrone_coordination.patterns import Patterns, with_leader
-from xtdrone_coordination.swarm import SwarmState
 
 QUICK = settings(derandomize=True, max_examples=30, deadline=None)
 FEW = settings(derandomize=True, max_examples=12, deadline=None)

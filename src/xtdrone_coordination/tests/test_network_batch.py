@@ -12,10 +12,10 @@ import pytest
 from xtdrone_coordination.array_follower import ArrayFollower, OwnRows, PeerRows
 from xtdrone_coordination.batch import FollowerBatch
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions, StarFollower
+from xtdrone_coordination.known_swarm_state import ArraySwarm
 from xtdrone_coordination.laws.topology import veteran_topology
 from xtdrone_coordination.network import Network, NetworkOptions
 from xtdrone_coordination.patterns import Patterns, with_leader
-from xtdrone_coordination.swarm import ArraySwarm
 
 COUNT = 30
 

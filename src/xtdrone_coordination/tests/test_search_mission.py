@@ -12,8 +12,8 @@ from search_world import Thing, World, decoy, person
 
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_coordination.search.people.candidates import Candidate, Sighting
-from xtdrone_coordination.search.settings import MissionSettings
-from xtdrone_coordination.search.vehicle import State
+from xtdrone_coordination.search.search_settings import MissionSettings
+from xtdrone_coordination.search.searching_vehicle import State
 
 MODES = ("hold", "return", "continue")
 

@@ -25,7 +25,7 @@ from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.program import ArgumentError
 from xtdrone_coordination.search import actions as control
 from xtdrone_coordination.search.planning.region import region_data
-from xtdrone_coordination.search.settings import MissionSettings
+from xtdrone_coordination.search.search_settings import MissionSettings
 
 try:
     import rospy
@@ -36,7 +36,7 @@ try:
     from std_msgs.msg import Int32
     from xtdrone_msgs.msg import ObjectOnGround, ObjectsOnGround
 
-    from xtdrone_coordination import ros_search
+    from xtdrone_coordination import search_node
 except ImportError:
     rospy = None
 
@@ -94,14 +94,14 @@ class Topics:
         self._items.pop(name, None)
 
     def _push(self, name: str, request: Any) -> None:
-        self._pushed[name] = tuple(ros_search.to_item(waypoint) for waypoint in request.waypoints)
+        self._pushed[name] = tuple(search_node.to_item(waypoint) for waypoint in request.waypoints)
 
     def _set_current(self, name: str, request: Any) -> Any:
         return control.PushMission(name, self._pushed[name], request.wp_seq)
 
     def _on_pose(self, name: str, pose: Any) -> None:
         p, q = pose.position, pose.orientation
-        self._act(control.GoTo(name, (p.x, p.y, p.z), ros_search.yaw_of(q.x, q.y, q.z, q.w)))
+        self._act(control.GoTo(name, (p.x, p.y, p.z), search_node.yaw_of(q.x, q.y, q.z, q.w)))
 
     def _on_follow(self, name: str, message: Any) -> None:
         self._act(control.Follow(name, message.data))
@@ -116,14 +116,14 @@ class Topics:
         self._out[name, "state"].publish(State(mode=mode, armed=armed, connected=connected))
 
     def on_pose(self, name: str, position: Any, yaw: float, _: float) -> None:
-        self._out[name, "pose"].publish(PoseStamped(pose=ros_search._pose(control.GoTo(name, position, yaw))))
+        self._out[name, "pose"].publish(PoseStamped(pose=search_node._pose(control.GoTo(name, position, yaw))))
 
     def on_item(self, name: str, current: int) -> None:
         with self._lock:
             known = self._items.get(name)
             self._items[name] = current
         if known != current:
-            waypoints = [ros_search.to_waypoint(item) for item in self._world.bodies[name].items]
+            waypoints = [search_node.to_waypoint(item) for item in self._world.bodies[name].items]
             self._out[name, "waypoints"].publish(WaypointList(current_seq=current, waypoints=waypoints))
 
     def on_picture(self, name: str, time: float, position: Any, rotation: Any, sightings: Any, _: float) -> None:
@@ -247,10 +247,10 @@ def test_a_missing_region_file_is_reported(master: xmlrpc.client.ServerProxy, tm
 
 def test_invalid_parameters_are_reported() -> None:
     for read, name, value, what in (
-        (ros_search.settings_of, "~on_find", "wait", "~on_find: 'wait' is not allowed, hold, return or continue"),
-        (ros_search.camera_of, "~camera", {"horizontal_fov": 9.0}, "~camera: horizontal_fov: 9.0 is not allowed"),
-        (ros_search.camera_of, "~camera", "wide", "~camera: 'wide' is not allowed, a mapping"),
-        (ros_search.datum_of, "~datum", {"latitude": 95.0}, "~datum: latitude: 95.0 is not allowed"),
+        (search_node.settings_of, "~on_find", "wait", "~on_find: 'wait' is not allowed, hold, return or continue"),
+        (search_node.camera_of, "~camera", {"horizontal_fov": 9.0}, "~camera: horizontal_fov: 9.0 is not allowed"),
+        (search_node.camera_of, "~camera", "wide", "~camera: 'wide' is not allowed, a mapping"),
+        (search_node.datum_of, "~datum", {"latitude": 95.0}, "~datum: latitude: 95.0 is not allowed"),
     ):
         with pytest.raises(ArgumentError) as raised:
             read(lambda asked, default, name=name, value=value: value if asked == name else default)

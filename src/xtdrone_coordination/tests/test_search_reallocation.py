@@ -16,7 +16,7 @@ from xtdrone_coordination.search.people.candidates import Candidate, Evidence, n
 from xtdrone_coordination.search.planning.coverage_path import Waypoint, length
 from xtdrone_coordination.search.planning.plans import DatumSettings
 from xtdrone_coordination.search.planning.region import make_region
-from xtdrone_coordination.search.vehicle import AssignedMission
+from xtdrone_coordination.search.searching_vehicle import AssignedMission
 
 REST = [
     Waypoint(0.0, 0.0, 0.0),

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import rospy
 
-from xtdrone_control.drone.connection import connect
+from xtdrone_control.drone.script_node import connect
 from xtdrone_control.program import ArgumentError, run_program
 from xtdrone_control.under_roslaunch import end_launch
 from xtdrone_interaction.formation.director import open_events

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Steer vehicles by keys: ``multirotor_keyboard_control.py iris 9 vel`` (type, number, vel or accel).
 
-The keys are XTDrone's and stand on the screen; topics are listed in ``xtdrone_interaction.keyboard.node``. A mixed
-fleet is given as ``iris:3,typhoon_h480:2``. Any terminal will do, also over ssh.
+The keys are XTDrone's and stand on the screen; topics are listed in ``xtdrone_interaction.keyboard.keyboard_node``. A
+mixed fleet is given as ``iris:3,typhoon_h480:2``. Any terminal will do, also over ssh.
 
 Parameters:
     ~patterns: the leader's YAML file with more patterns, for the digits.
@@ -16,6 +16,6 @@ if __name__ == "__main__":
     # The imports take a second and some of them swallow a KeyboardInterrupt.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
-    from xtdrone_interaction.keyboard.node import main
+    from xtdrone_interaction.keyboard.keyboard_node import main
 
     sys.exit(main())

@@ -7,7 +7,7 @@ from collections import deque
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.mavlink.wire.codec import decoder
-from xtdrone_interaction.gcs.exchanges.protocol import Heartbeat
+from xtdrone_interaction.gcs.exchanges.exchange import Heartbeat
 
 PX4, ARDUPILOT = mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 COPTER, ROVER, PLANE = mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_FIXED_WING

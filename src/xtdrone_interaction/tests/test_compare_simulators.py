@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from xtdrone_interaction.recording.formation import FormationRecord
-from xtdrone_interaction.recording.model import Change, RecordError
 from xtdrone_interaction.recording.positions import FleetTrack
+from xtdrone_interaction.recording.recorded_flight import Change, RecordError
 from xtdrone_interaction.report.compare_simulators import (
     FULL,
     as_data,

@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from xtdrone_interaction.formation.mission import CLEARANCE, COMMAND_LIMIT, FleetState, FormationMission, MissionError
+from xtdrone_interaction.formation.formation_mission import (
+    CLEARANCE,
+    COMMAND_LIMIT,
+    FleetState,
+    FormationMission,
+    MissionError,
+)
 from xtdrone_interaction.options import swarm_patterns
 
 STEP = 1.0 / 30.0

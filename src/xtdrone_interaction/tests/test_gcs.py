@@ -15,7 +15,7 @@ from xtdrone_control.plans import qgc_plan
 from xtdrone_control.plans.qgc_plan import Plan
 from xtdrone_interaction.gcs import GcsError, Peer, peers_of, station, upload_plans
 from xtdrone_interaction.gcs.commands import display
-from xtdrone_interaction.gcs.commands.main import main
+from xtdrone_interaction.gcs.commands.gcs_cli import main
 from xtdrone_interaction.gcs.exchanges import plans as plan_exchanges
 
 NAN = float("nan")

@@ -10,10 +10,10 @@ from gcs_script import ARDUPILOT, COPTER, PLANE, PX4, ROVER, ack, beat, talk, to
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_interaction.gcs import GcsError, Peer, station
-from xtdrone_interaction.gcs.commands.main import main
+from xtdrone_interaction.gcs.commands.gcs_cli import main
 from xtdrone_interaction.gcs.exchanges import flight
+from xtdrone_interaction.gcs.exchanges.exchange import RefusalError
 from xtdrone_interaction.gcs.exchanges.flight import Target
-from xtdrone_interaction.gcs.exchanges.protocol import RefusalError
 
 PATIENCE = 120.0  # s; only a broken run takes so long
 ORIGIN = mavlink.MAVLink_gps_global_origin_message(473977420, 85455940, 488_000, 0)

@@ -9,13 +9,13 @@ from gcs_field import FIRST, Field, LossyLine
 from gcs_script import beat, talk, told
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.autopilot.logger.folder import LogFolder
+from xtdrone_control.autopilot.logger.log_folder import LogFolder
 from xtdrone_interaction.gcs import GcsError, Peer, station
 from xtdrone_interaction.gcs.commands import logs as log_commands
-from xtdrone_interaction.gcs.commands.main import main
+from xtdrone_interaction.gcs.commands.gcs_cli import main
 from xtdrone_interaction.gcs.exchanges import logs
+from xtdrone_interaction.gcs.exchanges.exchange import RefusalError
 from xtdrone_interaction.gcs.exchanges.logs import Log
-from xtdrone_interaction.gcs.exchanges.protocol import RefusalError
 
 PATIENCE = 120.0  # s; only a broken run takes so long
 SIZES = {"2020-01-01/00_00_05.ulg": 90 * 300 + 17, "2020-01-01/00_10_00.ulg": 1000, "2020-01-02/00_00_00.ulg": 90}

@@ -15,9 +15,9 @@ from xtdrone_control import parameter_file
 from xtdrone_control.autopilot.parameters.parameters import NAMES
 from xtdrone_control.parameter_file import LIMITS, REAL32, ParameterFile
 from xtdrone_interaction.gcs import GcsError, Peer, station
-from xtdrone_interaction.gcs.commands.main import main
+from xtdrone_interaction.gcs.commands.gcs_cli import main
 from xtdrone_interaction.gcs.exchanges import parameters
-from xtdrone_interaction.gcs.exchanges.protocol import RefusalError
+from xtdrone_interaction.gcs.exchanges.exchange import RefusalError
 
 PATIENCE = 120.0  # s; only a broken run takes so long
 INT32 = 6

@@ -21,11 +21,11 @@ from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_interaction.gcs import GcsError, Peer, discovery
 from xtdrone_interaction.gcs.commands import status as status_command
 from xtdrone_interaction.gcs.commands.display import Screen
-from xtdrone_interaction.gcs.commands.main import main
-from xtdrone_interaction.gcs.connections import open_connection, split_stream
-from xtdrone_interaction.gcs.exchanges import protocol
-from xtdrone_interaction.gcs.peers import choose_systems, numbered, parse_address
+from xtdrone_interaction.gcs.commands.gcs_cli import main
+from xtdrone_interaction.gcs.exchanges import exchange
 from xtdrone_interaction.gcs.station import GroundStation
+from xtdrone_interaction.gcs.udp_tcp_serial import open_connection, split_stream
+from xtdrone_interaction.gcs.vehicle_addresses import choose_systems, numbered, parse_address
 from xtdrone_interaction.gcs.vehicle_state import VehicleState
 
 PATIENCE = 120.0  # s; only a broken run takes so long
@@ -84,7 +84,7 @@ def test_a_silent_vehicle_is_reported_beside_the_others(field, capsys):
 def test_status_over_a_line_that_loses_a_third(field, lossy):
     peers = [Peer(name, 0, "127.0.0.1", port) for name, port in lossy.ports.items()]
     with GroundStation(peers) as ground:
-        results = ground.run(dict.fromkeys(peers, protocol.request_state), timeout=0.05, patience=PATIENCE)
+        results = ground.run(dict.fromkeys(peers, exchange.request_state), timeout=0.05, patience=PATIENCE)
         assert set(results.values()) == {None}
         assert [state.system for state in ground.states()] == [v.system_id for v in field.vehicles]
 
@@ -95,15 +95,15 @@ def test_a_station_in_a_separate_thread_reports_changes_and_sends_heartbeats(fie
     before = [commander.health._gcs_us for commander in field.commanders]
     station_ = GroundStation(peers, heartbeat=True, on_change=lambda state: state.mode and heard.set())
     station_.start()
-    futures = [station_.submit(peer, protocol.request_state, patience=PATIENCE) for peer in peers]
+    futures = [station_.submit(peer, exchange.request_state, patience=PATIENCE) for peer in peers]
     assert [future.result(PATIENCE) for future in futures] == [None] * len(peers)
-    assert set(station_.run(dict.fromkeys(peers, protocol.request_state), patience=PATIENCE).values()) == {None}
+    assert set(station_.run(dict.fromkeys(peers, exchange.request_state), patience=PATIENCE).values()) == {None}
     assert heard.wait(PATIENCE)
     station_.close()
     assert before == [None] * len(peers)
     assert all(commander.health._gcs_us is not None for commander in field.commanders)
     with pytest.raises(GcsError, match="the station is closed"):
-        station_.submit(peers[0], protocol.request_state)
+        station_.submit(peers[0], exchange.request_state)
 
 
 def test_queued_jobs_can_be_cancelled_and_running_ones_end_with_the_station(field):
@@ -118,9 +118,9 @@ def test_queued_jobs_can_be_cancelled_and_running_ones_end_with_the_station(fiel
     with GroundStation(field.peers()) as ground:
         first, second = ground.peers[:2]
         running = ground.submit(first, endless, patience=PATIENCE)
-        waiting = ground.submit(first, protocol.request_state)
+        waiting = ground.submit(first, exchange.request_state)
         flawed = ground.submit(second, broken)
-        fine = ground.submit(second, protocol.request_state, patience=PATIENCE)
+        fine = ground.submit(second, exchange.request_state, patience=PATIENCE)
         ground.poll(0.0)
         assert waiting.cancel()
         while not fine.done():
@@ -137,11 +137,11 @@ def test_a_failing_watcher_is_logged_and_the_station_continues(field, caplog):
     peers = field.peers()
     with GroundStation(peers, on_change=fail) as ground:
         ground.start()
-        futures = [ground.submit(peer, protocol.request_state, patience=PATIENCE) for peer in peers]
+        futures = [ground.submit(peer, exchange.request_state, patience=PATIENCE) for peer in peers]
         assert [future.result(PATIENCE) for future in futures] == [None] * len(peers)
     assert "typhoon_h480_0: on_change of the ground station has failed" in caplog.text
     with GroundStation(peers, on_change=fail) as ground, pytest.raises(ZeroDivisionError):  # the caller's own thread
-        ground.run({peers[0]: protocol.request_state}, patience=PATIENCE)
+        ground.run({peers[0]: exchange.request_state}, patience=PATIENCE)
 
 
 class Cable:
@@ -194,8 +194,8 @@ def test_a_serial_line_that_is_pulled_in_the_end(field, capsys):
             assert str(GroundStation([peer]).errors["radio"]).startswith(
                 f"radio: {cable.device} at 57600 baud cannot be"
             )
-            ground.run({peer: protocol.request_state}, patience=PATIENCE)
-            future = ground.submit(peer, protocol.request_state)
+            ground.run({peer: exchange.request_state}, patience=PATIENCE)
+            future = ground.submit(peer, exchange.request_state)
             cable.pull()
             while not future.done():
                 ground.poll(1.0)
@@ -230,7 +230,7 @@ def test_several_vehicles_over_one_line(field):
         peers = discovery.listen(("udpin", "127.0.0.1", port), 2.0)
         assert [peer.system for peer in peers] == [3, 7]
         with GroundStation(peers) as ground:
-            greeted = ground.run({peer: protocol.await_heartbeat(peer.system) for peer in peers}, patience=PATIENCE)
+            greeted = ground.run({peer: exchange.await_heartbeat(peer.system) for peer in peers}, patience=PATIENCE)
             assert [beat.system for beat in greeted.values()] == [3, 7]
             states = ground.states()
     finally:
@@ -243,7 +243,7 @@ def test_a_tcp_line_that_ends(field):
     with socket.create_server(("127.0.0.1", 0)) as server:
         peer = Peer("a", 1, "127.0.0.1", server.getsockname()[1], "tcp")
         with GroundStation([peer]) as ground:
-            future = ground.submit(peer, protocol.request_state)
+            future = ground.submit(peer, exchange.request_state)
             connection, _ = server.accept()
             ground.poll(0.0)
             connection.close()

@@ -13,8 +13,8 @@ from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.program import ArgumentError
 from xtdrone_coordination.patterns import Patterns
 from xtdrone_interaction.keyboard.arguments import parse_arguments
+from xtdrone_interaction.keyboard.key_bindings import Command, Message, Pilot, Setpoint, Target, digits
 from xtdrone_interaction.keyboard.key_decoder import PAGE_DOWN, PAGE_UP, QUIT, KeyDecoder
-from xtdrone_interaction.keyboard.pilot import Command, Message, Pilot, Setpoint, Target, digits
 from xtdrone_interaction.keyboard.screen import ScreenContent, VehicleStatus, frame, help_lines, layout, sentence
 
 STEERING = {"w": 0, "x": 0, "a": 1, "d": 1, "i": 2, ",": 2, "j": 3, "l": 3}

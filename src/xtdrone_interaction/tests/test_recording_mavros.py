@@ -15,7 +15,7 @@ from rosbags.typesys import get_types_from_msg
 from xtdrone_interaction import cli
 from xtdrone_interaction.pictures.recording import pictures
 from xtdrone_interaction.recording.bag import read_bag
-from xtdrone_interaction.recording.model import Recording
+from xtdrone_interaction.recording.recorded_flight import Recording
 
 SUMS = {  # of MAVROS master and common_msgs, as rosmsg md5 prints them
     "mavros_msgs/msg/State": "65cd0a9fff993b062b91e354554ec7e9",

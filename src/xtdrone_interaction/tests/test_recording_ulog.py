@@ -9,10 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from xtdrone_control.autopilot.logger.messages import message_format
-from xtdrone_control.autopilot.logger.ulog import UlogWriter, data_template, logged_string
+from xtdrone_control.autopilot.logger.message_definitions import message_format
+from xtdrone_control.autopilot.logger.ulog_format import UlogWriter, data_template, logged_string
 from xtdrone_interaction import cli
-from xtdrone_interaction.metrics.tracking import spectrum, tracking, trackings
+from xtdrone_interaction.metrics.spectrum import (
+    spectrum,
+)
+from xtdrone_interaction.metrics.tracking import tracking, trackings
 from xtdrone_interaction.metrics.vehicle import summarise_log
 from xtdrone_interaction.recording.open import log_recording
 from xtdrone_interaction.recording.series import Series

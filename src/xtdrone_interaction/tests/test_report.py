@@ -15,15 +15,21 @@ from matplotlib import image
 from rich.console import Console
 from synthetic import GRID, PATTERNS, RATE, WINDOW, make_bag
 
-from xtdrone_interaction.formation.criteria import CRITERIA
-from xtdrone_interaction.formation.geometry import ESTIMATE, SETTLED_ERROR, TRUTH, least_distances, offsets_from_message
+from xtdrone_interaction.formation.distances import (
+    ESTIMATE,
+    SETTLED_ERROR,
+    TRUTH,
+    least_distances,
+    offsets_from_message,
+)
+from xtdrone_interaction.formation.flight_criteria import CRITERIA
 from xtdrone_interaction.metrics import formation as reports
 from xtdrone_interaction.pictures.drawing import NamedFigure, save_figures
 from xtdrone_interaction.pictures.formation import figures
 from xtdrone_interaction.recording.formation import FormationRecord, read_formation
-from xtdrone_interaction.recording.model import Change, RecordError
 from xtdrone_interaction.recording.positions import FleetTrack, regular_times
-from xtdrone_interaction.report.terminal import print_formation
+from xtdrone_interaction.recording.recorded_flight import Change, RecordError
+from xtdrone_interaction.report.printed_results import print_formation
 
 
 def test_record_holds_the_flight(flight_bag: Path) -> None:

@@ -13,9 +13,9 @@ from shapely.geometry import box
 
 from xtdrone_interaction.metrics.search import make_report
 from xtdrone_interaction.pictures.search_views import Views
-from xtdrone_interaction.recording.model import RecordError
+from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.recording.search import CUT_SHORT, SearchRecord, Sight, read_search
-from xtdrone_interaction.report.terminal import print_search
+from xtdrone_interaction.report.printed_results import print_search
 
 FINISHED: dict[str, Any] = {
     "event": "finished", "time": 100.0, "outcome": "found", "vehicle": "typhoon_h480_0", "position": [10.0, 0.0],

@@ -21,8 +21,8 @@ from xtdrone_interaction.demos.formation_demo import DemoSettings
 from xtdrone_interaction.launching import supervised_launch
 from xtdrone_interaction.pictures.formation_film import frames as frames_of
 from xtdrone_interaction.recording.formation import FormationRecord
-from xtdrone_interaction.recording.model import Change
 from xtdrone_interaction.recording.positions import FleetTrack
+from xtdrone_interaction.recording.recorded_flight import Change
 
 DEMO = ["demo", "simplified"]
 PATIENCE = 120.0  # s; bounds a broken test

@@ -16,7 +16,7 @@ from xtdrone_interaction.metrics.formation import make_report, write_report
 from xtdrone_interaction.pictures.drawing import save_figures
 from xtdrone_interaction.pictures.formation import figures
 from xtdrone_interaction.recording.formation import FormationRecord, read_formation, save_formation
-from xtdrone_interaction.recording.model import RecordError
+from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.compare_simulators import compare, with_assignments_of
 from xtdrone_swarm import Swarm
 from xtdrone_swarm.full_vehicles import CoreVehicles

@@ -16,10 +16,10 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-from xtdrone_interaction.sweep.main import main
+from xtdrone_interaction.sweep.one_run import fly_batch
 from xtdrone_interaction.sweep.plan import Plan
-from xtdrone_interaction.sweep.run import fly_batch
 from xtdrone_interaction.sweep.study import read_study
+from xtdrone_interaction.sweep.sweep_cli import main
 
 PATIENCE = 120.0  # s; bounds a broken test
 MINE = """

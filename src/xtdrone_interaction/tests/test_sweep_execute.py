@@ -20,8 +20,8 @@ from distributed import Client, as_completed
 from xtdrone_interaction import options
 from xtdrone_interaction.sweep import execute
 from xtdrone_interaction.sweep.execute import Executor, SchedulerLostError, SweepError, local_client, remote_client
+from xtdrone_interaction.sweep.one_run import fly_batch
 from xtdrone_interaction.sweep.plan import Plan
-from xtdrone_interaction.sweep.run import fly_batch
 from xtdrone_interaction.sweep.study import make_study
 
 SHORT = {"n": 3, "pattern": "triangle", "limit": 4.0, "hold": 0.5}

@@ -13,7 +13,7 @@ from matplotlib import pyplot as plt
 
 from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.sweep.picture import Results, draw, read_results, save_picture
-from xtdrone_interaction.sweep.store import Store
+from xtdrone_interaction.sweep.result_store import Store
 
 
 @pytest.fixture(autouse=True)

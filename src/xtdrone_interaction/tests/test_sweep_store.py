@@ -17,8 +17,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from xtdrone_interaction.options import OptionError
-from xtdrone_interaction.sweep import store as stores
-from xtdrone_interaction.sweep.store import METADATA, Store
+from xtdrone_interaction.sweep import result_store as stores
+from xtdrone_interaction.sweep.result_store import METADATA, Store
 
 COLUMNS = {"key": str, "seed": int, "n": int, "error": str, "settled": bool, "time": float}
 HEADER = {"study": {"name": "s", "parameters": {"n": [4]}, "constants": {}}}
@@ -80,7 +80,7 @@ def test_committed_rows_are_found_again(tmp_path: Path) -> None:
 WRITER = """
 import sys
 from pathlib import Path
-from xtdrone_interaction.sweep import store as stores
+from xtdrone_interaction.sweep import result_store as stores
 stores.FLUSH = 0.0
 with stores.Store(Path(sys.argv[1]), {"key": str, "error": str}, {}) as store:
     store.begin()

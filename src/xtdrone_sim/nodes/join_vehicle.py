@@ -15,7 +15,7 @@ from __future__ import annotations
 import sys
 
 from xtdrone_control.program import run_program
-from xtdrone_sim.runtime.requests.joining import main
+from xtdrone_sim.runtime.requests.join_vehicle import main
 
 if __name__ == "__main__":
     sys.exit(run_program(main, sys.argv, "join_vehicle.py"))

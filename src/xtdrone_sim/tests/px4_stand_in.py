@@ -23,7 +23,7 @@ from xtdrone_control.autopilot.autopilot import Autopilot
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.mavlink.server import MavlinkServer
+from xtdrone_control.mavlink.mavlink_server import MavlinkServer
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
 WALL_LIMIT = 120.0  # s; only a broken run takes so long

@@ -19,7 +19,7 @@ from xtdrone_sim.air.dryden import intensities
 from xtdrone_sim.air.ground_effect import thrust_ratio
 from xtdrone_sim.air.wind import DENSITY, add_wind
 from xtdrone_sim.effects import EffectError, load_effects
-from xtdrone_sim.physics.plant import PLANT, rotor_wrench
+from xtdrone_sim.physics.vehicle_dynamics import PLANT, rotor_wrench
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.vehicles.vehicle_model import MODEL, load_vehicle
 

@@ -19,7 +19,7 @@ print("after")
 
 OTHERS = """
 import ctypes, os, sys
-from xtdrone_sim.physics.bullet import without_lines
+from xtdrone_sim.physics.quiet_pybullet import without_lines
 c = ctypes.CDLL(None)
 c.puts(b"first")
 with without_lines([b"argv"]):
@@ -48,5 +48,5 @@ def test_other_output_is_kept() -> None:
 
 @pytest.mark.parametrize("closed", ["1>&-", "2>&-", "1>&- 2>&-"])
 def test_a_process_without_a_terminal_can_do_it_too(closed: str) -> None:
-    command = f"exec '{sys.executable}' -c 'from xtdrone_sim.physics.bullet import connect; connect()' {closed}"
+    command = f"exec '{sys.executable}' -c 'from xtdrone_sim.physics.quiet_pybullet import connect; connect()' {closed}"
     assert subprocess.run(["bash", "-c", command], check=False, timeout=120).returncode == 0

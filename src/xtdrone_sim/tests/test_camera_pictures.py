@@ -20,8 +20,8 @@ from xtdrone_sim.cameras.colours import through_lens
 from xtdrone_sim.cameras.drawn_scene import View
 from xtdrone_sim.cameras.outputs import camera_info, messages, topics_of
 from xtdrone_sim.cameras.rendering import Renderer
-from xtdrone_sim.vehicles.mounts import CameraMount, MountError, read_cameras
-from xtdrone_sim.vehicles.poses import OPTICAL_FRAME, compose, conjugate
+from xtdrone_sim.vehicles.camera_and_gimbal_mounts import CameraMount, MountError, read_cameras
+from xtdrone_sim.vehicles.pose_arithmetic import OPTICAL_FRAME, compose, conjugate
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.vehicles.visual import Pose, Sphere, Visual
 

@@ -12,7 +12,10 @@ from numba import njit
 from xtdrone_control.autopilot import modes
 from xtdrone_control.fleet import StartPose, parse_fleet
 from xtdrone_sim.effects import EffectError, Effects, load_effects
-from xtdrone_sim.physics.world import World, load_world
+from xtdrone_sim.physics.world import World
+from xtdrone_sim.physics.world_values import (
+    load_world,
+)
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 

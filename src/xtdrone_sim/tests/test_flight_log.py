@@ -16,9 +16,9 @@ import pytest
 from pyulog import ULog
 
 from xtdrone_control.autopilot import modes
-from xtdrone_control.autopilot.logger import topics
+from xtdrone_control.autopilot.logger import sampled_topics
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_sim.autopilots.backend import BuiltinAutopilot
+from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot
 from xtdrone_sim.simulation import Simulation
 
 ARMED_US, LANDING_US = 2_000_000, 12_000_000
@@ -146,7 +146,7 @@ def test_the_initial_view_exists(log):
 def test_times_rise_at_px4s_rates(log):
     for data in log.data_list:
         assert (np.diff(data.data["timestamp"].astype(np.int64)) > 0).all(), data.name
-    for topic in topics.TOPICS:
+    for topic in sampled_topics.TOPICS:
         steps = np.diff(log.get_dataset(topic.name).data["timestamp"].astype(np.int64))
         assert (steps[1:] == (topic.period_us or 4000)).mean() > 0.95, topic.name
         assert steps.max() <= 1.5 * (topic.period_us or 4000), topic.name
@@ -302,7 +302,7 @@ import os, signal, sys
 from functools import partial
 from pathlib import Path
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_sim.autopilots.backend import BuiltinAutopilot
+from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot
 from xtdrone_sim.simulation import Simulation
 simulation = Simulation(parse_fleet("iris:1"), autopilots=partial(BuiltinAutopilot, logs=Path(sys.argv[1])))
 simulation.run_until(3_900_000)

@@ -21,7 +21,7 @@ from xtdrone_control.autopilot.parameters.parameters import INT32, NAMES, descri
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.mavlink.receiver import Receiver
 from xtdrone_control.mavlink.streams.rare_telemetry import VehicleTelemetry
-from xtdrone_control.mavlink.streams.streams import GCS_RATES, Streams
+from xtdrone_control.mavlink.streams.stream_schedule import GCS_RATES, Streams
 from xtdrone_sim.simulation import Simulation
 
 CALM, TROUBLED = 0, (1, 2)

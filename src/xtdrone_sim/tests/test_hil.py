@@ -16,7 +16,7 @@ import pytest
 from px4_stand_in import ACCEL, BARO, GYRO, MAG, WALL_LIMIT, StandIn
 
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.geodesy.geo import project
+from xtdrone_control.geodesy.projection import project
 from xtdrone_control.mavlink.streams.telemetry import EPOCH_US
 from xtdrone_sim.autopilots import hil as hil_module
 from xtdrone_sim.autopilots.hil import Hil

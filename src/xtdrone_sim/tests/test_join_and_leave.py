@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from xtdrone_control.autopilot import modes
-from xtdrone_control.autopilot.logger.folder import LogFolder
+from xtdrone_control.autopilot.logger.log_folder import LogFolder
 from xtdrone_control.fleet import FleetError, StartPose, parse_fleet
-from xtdrone_sim.autopilots.backend import BuiltinAutopilot
+from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.effects import load_effects
-from xtdrone_sim.physics.plant import ABSENT, ASLEEP, TOUCHING
-from xtdrone_sim.physics.starts import StartError
+from xtdrone_sim.physics.start_collisions import StartError
+from xtdrone_sim.physics.vehicle_dynamics import ABSENT, ASLEEP, TOUCHING
 from xtdrone_sim.simulation import Simulation
 
 Script = dict[int, Callable[[Simulation], object]]

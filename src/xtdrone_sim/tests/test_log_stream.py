@@ -13,12 +13,12 @@ from pymavlink.dialects.v20 import common as mavlink
 from pyulog import ULog
 
 from xtdrone_control.autopilot import modes
-from xtdrone_control.autopilot.logger import stream
-from xtdrone_control.autopilot.logger.topics import TOPICS
+from xtdrone_control.autopilot.logger import mavlink_log_pieces
+from xtdrone_control.autopilot.logger.sampled_topics import TOPICS
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_control.mavlink.mavlink_server import MavlinkServer
 from xtdrone_control.mavlink.microservices import log_stream
-from xtdrone_control.mavlink.server import MavlinkServer
-from xtdrone_sim.autopilots.backend import BuiltinAutopilot
+from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot
 from xtdrone_sim.simulation import Simulation
 
 START, STOP = mavlink.MAV_CMD_LOGGING_START, mavlink.MAV_CMD_LOGGING_STOP
@@ -101,7 +101,7 @@ class Client:
         data = bytes(m.data[: m.length])
         self.sizes.append(len(data))
         if m.sequence > expected:
-            if m.first_message_offset == stream.NO_MESSAGE:
+            if m.first_message_offset == mavlink_log_pieces.NO_MESSAGE:
                 return
             self.lost += m.sequence - expected
             del self.log[self.whole() :]
@@ -293,7 +293,7 @@ def test_the_rate_is_bounded(world):
         world.run(0.1)
         counts.append(len(client.unacked) - before)
     assert max(counts) <= 0.1e6 / log_stream.PERIOD_US * log_stream.BURST
-    assert set(client.sizes[max(client.acked) + 1 :]) == {stream.PIECE_SIZE}
+    assert set(client.sizes[max(client.acked) + 1 :]) == {mavlink_log_pieces.PIECE_SIZE}
 
 
 def test_answers(world):
@@ -356,7 +356,7 @@ def test_pieces_name_where_messages_begin_and_the_oldest_are_dropped():
     def message(size):
         return (size - 3).to_bytes(2, "little") + b"D" + bytes(size - 3)
 
-    log = stream.LogStream()
+    log = mavlink_log_pieces.LogStream()
     log.write(bytes(16) + message(100) + message(300))
     log.finish_definitions()
     assert [(p.sequence, p.first_message, len(p.data)) for p in log.definitions] == [(0, 0, 249), (1, 255, 167)]
@@ -366,8 +366,8 @@ def test_pieces_name_where_messages_begin_and_the_oldest_are_dropped():
     assert log.data[-1].first_message == 2
     for _ in range(70_000):
         log.write(message(249))
-    assert len(log.data) == stream.CAPACITY
-    assert (log.data[-1].sequence - log.data[0].sequence) % 65_536 == stream.CAPACITY - 1
+    assert len(log.data) == mavlink_log_pieces.CAPACITY
+    assert (log.data[-1].sequence - log.data[0].sequence) % 65_536 == mavlink_log_pieces.CAPACITY - 1
     log.close()
     log.write(message(249))
     assert not log.data

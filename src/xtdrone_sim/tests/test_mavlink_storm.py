@@ -16,8 +16,8 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.fleet import Vehicle
+from xtdrone_control.mavlink.mavlink_server import MavlinkServer
 from xtdrone_control.mavlink.port import MAX_CLIENTS
-from xtdrone_control.mavlink.server import MavlinkServer
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
 from xtdrone_sim.simulation import Simulation
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_sim.physics import plant
-from xtdrone_sim.physics.plant import PLANT
+from xtdrone_sim.physics import vehicle_dynamics
+from xtdrone_sim.physics.vehicle_dynamics import PLANT
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
 GRAVITY = 9.80665
@@ -31,7 +31,7 @@ def body(**fields):
 def fly(state, models, steps, actuators=None, armed=0):
     commands = np.zeros((1, 8)) if actuators is None else actuators
     for _ in range(steps):
-        plant.step_all(state, models, commands, np.array([armed], np.int32), GRAVITY, DT)
+        vehicle_dynamics.step_all(state, models, commands, np.array([armed], np.int32), GRAVITY, DT)
 
 
 def test_free_fall_is_exact(iris):
@@ -57,7 +57,7 @@ def test_rotor_lag_is_first_order(iris):
     m = iris[0]
     steps = 3
     for _ in range(steps):
-        plant.advance_rotors(state[0], m, np.full(8, 0.5), 1, DT)
+        vehicle_dynamics.advance_rotors(state[0], m, np.full(8, 0.5), 1, DT)
     expected = 600.0 * (1.0 - math.exp(-steps * DT / m["time_constant_up"]))
     np.testing.assert_allclose(state["rotor_speed"][0, :4], expected, rtol=1e-12)
 
@@ -70,7 +70,7 @@ def test_torque_free_spin_keeps_angular_momentum_and_energy(iris):
 
     def momentum():
         v = state[0]
-        return np.array(plant.rotate(v["q"], *(inertia * v["rates"])))
+        return np.array(vehicle_dynamics.rotate(v["q"], *(inertia * v["rates"])))
 
     before, energy = momentum(), float(inertia @ state["rates"][0] ** 2)
     fly(state, models, 500)
@@ -82,7 +82,7 @@ def test_yaw_torque_follows_rotor_directions(iris):
     state = body()
     state["rotor_speed"][0, :2] = 700.0  # counter-clockwise pair faster: the body turns clockwise
     state["rotor_speed"][0, 2:4] = 600.0
-    plant.rotor_wrench(state[0], iris[0])
+    vehicle_dynamics.rotor_wrench(state[0], iris[0])
     m = iris[0]
     expected = -m["moment_constant"] * m["thrust_constant"] * 2 * (700.0**2 - 600.0**2)
     assert state["torque"][0, 2] == pytest.approx(expected)
@@ -91,11 +91,11 @@ def test_yaw_torque_follows_rotor_directions(iris):
 def test_rotor_drag_brakes_and_leans_against_the_wind(iris):
     state = body(velocity=(3.0, 0.0, 0.0))
     state["rotor_speed"][0, :4] = 600.0
-    plant.rotor_wrench(state[0], iris[0])
+    vehicle_dynamics.rotor_wrench(state[0], iris[0])
     assert state["force"][0, 0] == pytest.approx(-4 * 1.75e-4 * 600.0 * 3.0)
     still = body(velocity=(3.0, 0.0, 0.0), wind=(3.0, 0.0, 0.0))
     still["rotor_speed"][0, :4] = 600.0
-    plant.rotor_wrench(still[0], iris[0])
+    vehicle_dynamics.rotor_wrench(still[0], iris[0])
     assert still["force"][0, 0] == pytest.approx(0.0)
 
 

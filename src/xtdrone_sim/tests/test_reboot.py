@@ -16,8 +16,8 @@ from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.mavlink.server import MavlinkServer
-from xtdrone_sim.autopilots.backend import BuiltinAutopilot
+from xtdrone_control.mavlink.mavlink_server import MavlinkServer
+from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot
 from xtdrone_sim.simulation import Simulation
 
 REBOOT = 246

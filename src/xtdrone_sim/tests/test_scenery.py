@@ -11,11 +11,11 @@ import pytest
 
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.package_files import MODELS
-from xtdrone_sim.vehicles.poses import compose
+from xtdrone_sim.vehicles.pose_arithmetic import compose
 from xtdrone_sim.vehicles.visual import Box, Mesh, Pose
 from xtdrone_sim.worlds.scenery import Ground, is_free, outdoor
 from xtdrone_sim.worlds.scenery import __main__ as program
-from xtdrone_sim.worlds.scenery.objects import HIGHEST
+from xtdrone_sim.worlds.scenery.scenery_objects import HIGHEST
 from xtdrone_sim.worlds.sdf import SdfWorld, load_world_file, read_world, write_world
 from xtdrone_sim.worlds.sdf.geometry import box_of
 

@@ -8,11 +8,11 @@ from functools import partial
 import pytest
 
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.speed import LEAST_SPEED
-from xtdrone_sim.autopilots.backend import BuiltinAutopilot
+from xtdrone_control.simulation_speed import LEAST_SPEED
+from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot
 from xtdrone_sim.runtime import full_simulation
+from xtdrone_sim.runtime.requests.control_services import target_speed
 from xtdrone_sim.runtime.requests.pacing import Pacer
-from xtdrone_sim.runtime.requests.services import target_speed
 from xtdrone_sim.simulation import Simulation
 
 STEP = 0.004  # s

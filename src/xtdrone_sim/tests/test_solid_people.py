@@ -8,7 +8,7 @@ import pytest
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.physics.solid_people import RADIUS
-from xtdrone_sim.physics.starts import StartError
+from xtdrone_sim.physics.start_collisions import StartError
 from xtdrone_sim.robots.robot_model import load_robot
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.vehicles.visual import Pose

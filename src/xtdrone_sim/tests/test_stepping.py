@@ -11,9 +11,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xtdrone_sim.runtime.requests.control import PATIENCE, Control, ControlError, Reset, StepAnswer, StepRequest
 from xtdrone_sim.runtime.requests.mailbox import ClosedError, Mailbox
 from xtdrone_sim.runtime.requests.pacing import Pacer
+from xtdrone_sim.runtime.requests.simulation_control import (
+    PATIENCE,
+    Control,
+    ControlError,
+    Reset,
+    StepAnswer,
+    StepRequest,
+)
 from xtdrone_sim.runtime.requests.stepping import Goal, StepError, Stepper
 
 TICK_US = 20_000

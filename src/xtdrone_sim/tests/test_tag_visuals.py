@@ -13,7 +13,7 @@ from xtdrone_sim.package_files import MODELS as PACKAGE_MODELS
 from xtdrone_sim.robots.tag_visuals import BLACK, cells_of, model, plate
 from xtdrone_sim.vehicles.visual import Pose
 from xtdrone_sim.worlds.sdf import read_world
-from xtdrone_sim.worlds.sdf.writer import write_model
+from xtdrone_sim.worlds.sdf.world_writer import write_model
 
 # The first codes of the family, row by row with white as 1 (tag36h11.c of the AprilTag library, University of Michigan)
 CODES = (0xD5D628584, 0xD97F18B49, 0xDD280910E, 0xE479E9C98)

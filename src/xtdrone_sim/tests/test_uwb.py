@@ -15,7 +15,7 @@ from xtdrone_sim.topics.robot_frames import RobotFrames
 from xtdrone_sim.uwb.antennas import Antenna, antennas_of, neighbours_of
 from xtdrone_sim.uwb.line_of_sight import Moment, Sights
 from xtdrone_sim.uwb.ranging import Neighbours, measured, seen_from
-from xtdrone_sim.vehicles.mounts import MountError
+from xtdrone_sim.vehicles.camera_and_gimbal_mounts import MountError
 from xtdrone_sim.vehicles.uwb_mounts import UwbMount, read_uwb
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.vehicles.visual import Box, Pose, Visual

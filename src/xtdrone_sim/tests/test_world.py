@@ -7,8 +7,11 @@ import pytest
 
 from xtdrone_control.fleet import StartPose
 from xtdrone_sim.descriptions import ModelError
-from xtdrone_sim.physics.plant import ASLEEP, FREE, TOUCHING
-from xtdrone_sim.physics.world import World, load_world
+from xtdrone_sim.physics.vehicle_dynamics import ASLEEP, FREE, TOUCHING
+from xtdrone_sim.physics.world import World
+from xtdrone_sim.physics.world_values import (
+    load_world,
+)
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
 DT = 0.004

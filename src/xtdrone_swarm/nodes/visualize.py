@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The picture of a running flight: ``visualize.py iris 9`` (type, number of vehicles); see ``view/ros.py``.
+"""The picture of a running flight: ``visualize.py iris 9`` (type, number of vehicles); see ``view.view_of_ros_flight``.
 
 A live window outside the lockstep: scroll zooms, drag turns, h shows the keys. With ``~film`` a film instead, as a
 participant of the lockstep, until the node ends.
@@ -17,6 +17,6 @@ if __name__ == "__main__":
     # The imports take seconds, and some of them suppress a KeyboardInterrupt.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
-    from xtdrone_swarm.view.ros import main
+    from xtdrone_swarm.view.view_of_ros_flight import main
 
     sys.exit(main())

@@ -13,8 +13,8 @@ from xtdrone_control.communication.setpoint import IGNORE_POSITION
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_swarm import Model
 from xtdrone_swarm.full_vehicles import CoreVehicles
-from xtdrone_swarm.simplified.model import load_model
 from xtdrone_swarm.simplified.simplified_vehicles import SimplifiedVehicles, spawn_places
+from xtdrone_swarm.simplified.vehicle_parameters import load_model
 from xtdrone_swarm.swarm_vehicles import ACCELERATION, HOLD, POSITION, VELOCITY
 
 HIGH = [[0.0, 0.0, 100.0]]

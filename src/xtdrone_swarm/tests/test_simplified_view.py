@@ -31,10 +31,10 @@ from xtdrone_swarm.view import (
     film,
     palette,
 )
-from xtdrone_swarm.view import flight as flight_module
+from xtdrone_swarm.view import view_of_swarm as flight_module
 from xtdrone_swarm.view.camera import FollowingBox
-from xtdrone_swarm.view.flight import _flying, _Player, _recorded
 from xtdrone_swarm.view.room import grid_step
+from xtdrone_swarm.view.view_of_swarm import _flying, _Player, _recorded
 
 UP = np.array([0.0, 0.0, 20.0])  # m
 EAST = np.array([1.0, 0.0, 0.0])

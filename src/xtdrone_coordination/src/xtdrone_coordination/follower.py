@@ -25,11 +25,11 @@ from typing import Literal
 from numpy.typing import ArrayLike
 
 from xtdrone_control.settings import SettingError, Settings, setting
+from xtdrone_coordination.known_swarm_state import SwarmState, as_vector
 from xtdrone_coordination.laws import avoidance
 from xtdrone_coordination.laws.consensus import Peer, Vector, acceleration_law, clip, critical_damping, velocity_law
 from xtdrone_coordination.laws.topology import check_adjacency, weights_of_row
 from xtdrone_coordination.patterns.offsets import slots_of_all
-from xtdrone_coordination.swarm import SwarmState, as_vector
 
 RATE = 30  # Hz
 STOPPED = "its own position has stopped: standing still"

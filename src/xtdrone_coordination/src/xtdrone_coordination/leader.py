@@ -19,12 +19,12 @@ from numpy.typing import ArrayLike, NDArray
 from xtdrone_control.communication.commands import OWN_COMMANDS, PX4_MODES
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.follower import RATE
+from xtdrone_coordination.known_swarm_state import SwarmState, number_list
 from xtdrone_coordination.laws import avoidance
 from xtdrone_coordination.laws.assignment import Assignment, assign
 from xtdrone_coordination.laws.consensus import Vector
 from xtdrone_coordination.laws.topology import check_adjacency, unreachable, veteran_topology, without_neighbours
 from xtdrone_coordination.patterns import Offsets, PatternError, Patterns, least_separation, with_leader
-from xtdrone_coordination.swarm import SwarmState, number_list
 
 NO_PATTERN = "waiting"  # XTDrone's keyboard sends it for the digit 0
 _MOST_WEIGHT = 2**31 - 1

@@ -26,10 +26,10 @@ from xtdrone_control.fleet import (
     parse_fleet,
 )
 from xtdrone_control.settings import Settings, setting
-from xtdrone_control.speed import LEAST_SPEED
+from xtdrone_control.simulation_speed import LEAST_SPEED
 from xtdrone_coordination.patterns import Patterns, absolute_name
-from xtdrone_interaction.formation.criteria import CRITERIA, parse_criteria
-from xtdrone_interaction.formation.geometry import ORIGIN
+from xtdrone_interaction.formation.distances import ORIGIN
+from xtdrone_interaction.formation.flight_criteria import CRITERIA, parse_criteria
 
 DEFAULT_FOLLOWER = "follower_consensus.py"
 MAX_SWARM = 10_000  # vehicles in one process; the topology is a matrix of N x N

@@ -20,9 +20,12 @@ from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
 from xtdrone_control.autopilot.autopilot import step_vehicle as control
 from xtdrone_control.autopilot.state import N_STATES
 from xtdrone_sim.kernel import kernel, kernel_for_threads
-from xtdrone_sim.physics.contacts import CHECK_STEPS, sort_contacts
-from xtdrone_sim.physics.plant import ASLEEP, TOUCHING
-from xtdrone_sim.physics.plant import step_vehicle as move
+from xtdrone_sim.physics.contact_states import (
+    sort_contacts,
+)
+from xtdrone_sim.physics.free_or_bullet import CHECK_STEPS
+from xtdrone_sim.physics.vehicle_dynamics import ASLEEP, TOUCHING
+from xtdrone_sim.physics.vehicle_dynamics import step_vehicle as move
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.sensors.sensor_models import FLOW_EVERY, STEPS, Sensors, sample_vehicle
 

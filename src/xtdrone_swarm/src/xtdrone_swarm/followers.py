@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from xtdrone_coordination.batch import FollowerBatch
 from xtdrone_coordination.follower import Follower
+from xtdrone_coordination.known_swarm_state import ArraySwarm, SwarmState
 from xtdrone_coordination.network import Network
-from xtdrone_coordination.swarm import ArraySwarm, SwarmState
 from xtdrone_swarm.swarm_vehicles import Array, Mask
 
 

@@ -24,7 +24,7 @@ from xtdrone_control.communication.commands import HOVER_SPEED, OWN_COMMANDS, Mu
 from xtdrone_control.communication.setpoint import FRAME_LOCAL_NED, Setpoint
 from xtdrone_control.fleet import MAX_VEHICLES, FleetError, parse_fleet
 from xtdrone_control.lockstep.protocol import Schedule
-from xtdrone_control.mavlink.commands.setpoints import local_target
+from xtdrone_control.mavlink.commands.setpoint_conversion import local_target
 from xtdrone_control.rotation_arrays import yaw_of
 from xtdrone_coordination.patterns import origin_columns
 from xtdrone_sim.simulation import Simulation

@@ -33,8 +33,8 @@ from xtdrone_coordination.network import NetworkOptions, make_network
 from xtdrone_coordination.patterns import Patterns
 from xtdrone_swarm.flight_record import Choice, Record
 from xtdrone_swarm.followers import FollowerGroup
-from xtdrone_swarm.simplified.model import Model
 from xtdrone_swarm.simplified.simplified_vehicles import SimplifiedVehicles, spawn_places
+from xtdrone_swarm.simplified.vehicle_parameters import Model
 from xtdrone_swarm.swarm_vehicles import ACCELERATION, VELOCITY, Array, Vehicles
 
 MOST_VEHICLES = 10_000  # in one swarm; the topology is a matrix of N x N
@@ -356,7 +356,7 @@ class Swarm:
         Raises:
             FilmError: the film cannot be written, or the flight is not recorded; a ValueError.
         """
-        from xtdrone_swarm.view.flight import film_swarm  # imports Matplotlib only for drawing
+        from xtdrone_swarm.view.view_of_swarm import film_swarm  # imports Matplotlib only for drawing
 
         return film_swarm(
             self,
@@ -391,7 +391,7 @@ class Swarm:
             WindowError: no display is available.
             ValueError: speed or seconds are not above 0.
         """
-        from xtdrone_swarm.view.flight import watch_swarm  # imports Matplotlib only for drawing
+        from xtdrone_swarm.view.view_of_swarm import watch_swarm  # imports Matplotlib only for drawing
 
         watch_swarm(self, speed=speed, seconds=seconds, each_turn=each_turn, **options)
 

@@ -36,7 +36,7 @@ from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation_kernels import rotate
 
-from .logger.folder import LogFolder
+from .logger.log_folder import LogFolder
 from .state import (
     CONTROL,
     ESTIMATOR,

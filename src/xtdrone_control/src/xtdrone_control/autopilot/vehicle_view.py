@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xtdrone_control import rotation
-from xtdrone_control.geodesy import geo
+from xtdrone_control.geodesy import projection
 
 from .state import SETPOINT, MotorTest
 
@@ -146,13 +146,13 @@ class VehicleView:
     def to_local(self, latitude: float, longitude: float, altitude: float) -> Vector:
         """Return the local position (m, NED) of a global one in degrees and m AMSL."""
         origin_lat, origin_lon, origin_alt = self.origin
-        north, east = geo.project(latitude, longitude, origin_lat, origin_lon)
+        north, east = projection.project(latitude, longitude, origin_lat, origin_lon)
         return north, east, origin_alt - altitude
 
     def to_global(self, position: Vector) -> Vector:
         """Return (latitude, longitude, altitude), in degrees and m AMSL, of a local position (m, NED)."""
         origin_lat, origin_lon, origin_alt = self.origin
-        latitude, longitude = geo.reproject(position[0], position[1], origin_lat, origin_lon)
+        latitude, longitude = projection.reproject(position[0], position[1], origin_lat, origin_lon)
         return latitude, longitude, origin_alt - position[2]
 
     @property

@@ -38,7 +38,7 @@ from .drones import Drone, DroneGroup
 from .verbs import DroneError, GroupError, RejectedError, TimedOutError
 
 if TYPE_CHECKING:
-    from .connection import connect, connect_all
+    from .script_node import connect, connect_all
 
 __all__ = [
     "Drone",
@@ -56,6 +56,6 @@ def __getattr__(name: str) -> Any:
     """Import the ROS node's side, and rospy with it, at first use."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from . import connection
+    from . import script_node
 
-    return getattr(connection, name)
+    return getattr(script_node, name)

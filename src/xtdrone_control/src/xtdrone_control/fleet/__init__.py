@@ -3,9 +3,9 @@
 A fleet is described as ``"iris:9"`` or ``"iris:3,typhoon_h480:2"``, or by a fleet file.
 """
 
-from .listing import fleet_text, parse_fleet, place_ids, read_fleet_file, split_name, vehicle_named
-from .poses import spawn_grid, start_pose, start_poses, with_poses
-from .spawns import SPAWNED, spawned_fleet, unused_ports
+from .fleet_as_text import fleet_text, parse_fleet, place_ids, read_fleet_file, split_name, vehicle_named
+from .spawned_by_launch import SPAWNED, spawned_fleet, unused_ports
+from .start_places import spawn_grid, start_pose, start_poses, with_poses
 from .vehicle import (
     COMMAND_TOPICS,
     GCS_REMOTE_PORT,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from xtdrone_control.geodesy import geo
+from xtdrone_control.geodesy import projection
 
 
 @dataclass(frozen=True)
@@ -17,9 +17,9 @@ class Datum:
 
     def place(self, x: float, y: float) -> tuple[float, float]:
         """Return (latitude, longitude), degrees, of a point ``x``, ``y`` in the local frame, m ENU."""
-        return geo.reproject(y, x, self.latitude, self.longitude)
+        return projection.reproject(y, x, self.latitude, self.longitude)
 
     def local(self, latitude: float, longitude: float) -> tuple[float, float]:
         """Return (east, north), m, of a latitude and longitude in degrees."""
-        north, east = geo.project(latitude, longitude, self.latitude, self.longitude)
+        north, east = projection.project(latitude, longitude, self.latitude, self.longitude)
         return east, north

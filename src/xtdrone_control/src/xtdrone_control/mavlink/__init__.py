@@ -1,5 +1,5 @@
 """The autopilot's MAVLink: UDP links of every vehicle, telemetry streams, commands, setpoints, parameters.
 
-``server`` owns the links; ``receiver`` routes received messages to the ``services``; ``streams`` schedules
-``telemetry``.
+``mavlink_server`` owns the links; ``receiver`` routes received messages to the services of ``list_of_services``;
+``streams`` schedules telemetry.
 """

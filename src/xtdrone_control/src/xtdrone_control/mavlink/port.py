@@ -23,10 +23,10 @@ from xtdrone_native.mavlink_wire import INTERRUPTED, Outbox, receive
 
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.mavlink.streams.rare_telemetry import silent
-from xtdrone_control.mavlink.streams.streams import Payloads
+from xtdrone_control.mavlink.streams.stream_schedule import Payloads
 from xtdrone_control.mavlink.streams.telemetry import Telemetry
 
-from .link import Address, Link
+from .client_link import Address, Link
 
 LOOPBACK = "127.0.0.1"
 MAX_CLIENTS = 16  # on one port

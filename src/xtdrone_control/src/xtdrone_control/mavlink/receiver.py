@@ -13,12 +13,12 @@ from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.mavlink.streams.rare_telemetry import silent
 from xtdrone_control.mavlink.wire.codec import decoder, frame_error, version
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
-from xtdrone_control.mavlink.wire.packing import COMPONENT_ID
+from xtdrone_control.mavlink.wire.frame_packing import COMPONENT_ID
 
-from .link import Address, Link
+from .client_link import Address, Link
+from .list_of_services import all_services
 from .port import Port
-from .service import Handler, Service, Vehicle
-from .services import all_services
+from .service_base import Handler, Service, Vehicle
 
 if TYPE_CHECKING:
     from xtdrone_control.autopilot.autopilot import Autopilot

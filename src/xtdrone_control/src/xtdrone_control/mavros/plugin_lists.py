@@ -12,7 +12,7 @@ import fnmatch
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from xtdrone_control.mavros.lib.params import ParamError, Params
+from xtdrone_control.mavros.lib.plugin_settings import ParamError, Params
 
 _DENY = ("plugin_denylist", "plugin_blacklist")
 _ALLOW = ("plugin_allowlist", "plugin_whitelist")

@@ -14,14 +14,14 @@ from xtdrone_control.geodesy.geoid import undulation
 from xtdrone_control.mavlink.wire.codec import Decoder, FrameError, decoder, message_name
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
 from xtdrone_control.mavros.feeds import Feed, Ros, Topic
-from xtdrone_control.mavros.lib.params import Params
+from xtdrone_control.mavros.lib.log_throttle import Throttle
+from xtdrone_control.mavros.lib.plugin_settings import Params
 from xtdrone_control.mavros.lib.refusals import Refusals
-from xtdrone_control.mavros.lib.throttle import Throttle
-from xtdrone_control.mavros.link.connection import RAW, Link
-from xtdrone_control.mavros.link.packing import FLOAT32_MAX, FLOAT32_RANGE, FieldError, source
+from xtdrone_control.mavros.link.autopilot_links import RAW, Link
+from xtdrone_control.mavros.link.command_acks import Commands
 from xtdrone_control.mavros.link.plan_transfers import PlanTransfers
-from xtdrone_control.mavros.link.streams import Streams
-from xtdrone_control.mavros.link.transactions import Commands
+from xtdrone_control.mavros.link.ros_values_to_mavlink import FLOAT32_MAX, FLOAT32_RANGE, FieldError, source
+from xtdrone_control.mavros.link.stream_requests import Streams
 from xtdrone_control.mavros.plugin_lists import PluginLists
 
 log = logging.getLogger("rosout.mavros")

@@ -18,11 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from xtdrone_coordination.array_follower import ArrayFollower, OwnRows, PeerRows, as_rows
 from xtdrone_coordination.follower import STOPPED, Follower, FollowerOptions, StarFollower
+from xtdrone_coordination.known_swarm_state import NEVER, ArraySwarm
 from xtdrone_coordination.laws.consensus import Vector
 from xtdrone_coordination.laws.topology import check_adjacency, weights_of_row
 from xtdrone_coordination.network import Near, Network
 from xtdrone_coordination.patterns.offsets import slots_of_all
-from xtdrone_coordination.swarm import NEVER, ArraySwarm
 
 from . import kernels
 from .neighbourhood import UNUSABLE, make_grid

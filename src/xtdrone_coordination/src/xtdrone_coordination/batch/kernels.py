@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from xtdrone_control.network.channel import sample
 from xtdrone_coordination.kernel import kernel
+from xtdrone_coordination.known_swarm_state import NEVER
 from xtdrone_coordination.laws import avoidance, consensus
-from xtdrone_coordination.swarm import NEVER
 
 from .neighbourhood import fill_grid, find_near, relative
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_coordination.kernel import kernel
-from xtdrone_coordination.swarm import NEVER
+from xtdrone_coordination.known_swarm_state import NEVER
 
 _FEW = 24  # vehicles: up to this number, comparing all pairs is as fast
 _CROWD = 48  # near vehicles: from this number on, comparing all is faster than sorting

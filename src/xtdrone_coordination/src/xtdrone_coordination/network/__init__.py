@@ -2,6 +2,6 @@
 
 from xtdrone_control.network.options import MESSAGE_BITS, NetworkOptions
 
-from .network import KnownSwarm, Near, Network, Samples, make_network
+from .radio_network import KnownSwarm, Near, Network, Samples, make_network
 
 __all__ = ["MESSAGE_BITS", "KnownSwarm", "Near", "Network", "NetworkOptions", "Samples", "make_network"]

@@ -8,9 +8,9 @@ from .coverage_map import CoverageMap
 from .losses.reallocation import Reallocation
 from .people.candidates import Candidate
 from .reports import Find, outcome_report, possible_report
+from .searching_vehicle import BUSY, DONE, State, Vehicle
 from .states.base import MissionControl
 from .states.following import FollowingPerson
-from .vehicle import BUSY, DONE, State, Vehicle
 
 
 class Conclusion:

@@ -30,7 +30,7 @@ from typing import Any
 from .coverage_map import CoverageMap
 from .people.candidates import Candidate
 from .planning.coverage_path import Point
-from .vehicle import State, Vehicle
+from .searching_vehicle import State, Vehicle
 
 Event = dict[str, Any]
 

@@ -27,9 +27,7 @@ from rosbags.convert import ConverterError
 from rosbags.convert.converter import convert as rosbags_convert
 from rosbags.rosbag1 import Writer
 
-from xtdrone_interaction.bags.decode import Decoded, Layout, List, MessageError, Rows, Text, Texts
-from xtdrone_interaction.bags.ros1bag import BagError, Batch, Connection
-from xtdrone_interaction.bags.sources import (
+from xtdrone_interaction.bags.bag_kinds import (
     Layouts,
     Losses,
     Source,
@@ -38,6 +36,8 @@ from xtdrone_interaction.bags.sources import (
     open_source,
     whole_messages,
 )
+from xtdrone_interaction.bags.decode import Decoded, Layout, List, MessageError, Rows, Text, Texts
+from xtdrone_interaction.bags.ros1bag import BagError, Batch, Connection
 from xtdrone_interaction.options import OptionError
 
 FORMATS = {

@@ -16,7 +16,7 @@ from rich.console import Console
 
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.settings import Settings, setting
-from xtdrone_interaction.formation.geometry import EVENTS_TOPIC, PROGRESS_TOPIC
+from xtdrone_interaction.formation.distances import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, escape, run_flight
 from xtdrone_interaction.metrics.clearance import solids_of
 from xtdrone_interaction.metrics.crossing import make_report
@@ -24,8 +24,8 @@ from xtdrone_interaction.metrics.formation import write_report
 from xtdrone_interaction.monitoring.progress_display import Display
 from xtdrone_interaction.options import seed_setting, speed_setting
 from xtdrone_interaction.recording.crossing import read_crossing
-from xtdrone_interaction.recording.model import RecordError
-from xtdrone_interaction.report.terminal import print_crossing, print_paths
+from xtdrone_interaction.recording.recorded_flight import RecordError
+from xtdrone_interaction.report.printed_results import print_crossing, print_paths
 
 _TYPES = {"lidar": "iris_3d_lidar", "depth": "iris_depth_camera"}
 _HEIGHT = 2.0  # m

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.leader import Leader
-from xtdrone_interaction.formation.geometry import EVENTS_TOPIC, PROGRESS_TOPIC
+from xtdrone_interaction.formation.distances import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, escape, run_flight
 from xtdrone_interaction.metrics.formation import make_report, write_report
 from xtdrone_interaction.monitoring.ended_nodes import EndedNode, EndedNodes
@@ -30,8 +30,8 @@ from xtdrone_interaction.options import (
     waive_setting,
 )
 from xtdrone_interaction.recording.formation import read_formation
-from xtdrone_interaction.recording.model import RecordError
-from xtdrone_interaction.report.terminal import print_formation, print_paths
+from xtdrone_interaction.recording.recorded_flight import RecordError
+from xtdrone_interaction.report.printed_results import print_formation, print_paths
 
 POSES_TEXT = "start pose of each vehicle instead of the grid: a YAML list of [x, y, z, roll, pitch, yaw], m and rad ENU"
 _START_LIMIT = 60.0  # s until the first progress message, plus _START_LIMIT_VEHICLE per vehicle

@@ -94,7 +94,7 @@ def _settings(arguments: argparse.Namespace) -> HelloSettings:
 
 
 def _fly(settings: HelloSettings, console: Console) -> int:
-    from xtdrone_control.drone.connection import NODE  # rospy is slow to import
+    from xtdrone_control.drone.script_node import NODE  # rospy is slow to import
 
     launch = Launch(
         "multi_vehicle.launch",

@@ -20,13 +20,13 @@ from rich.console import Console
 from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction import options
 from xtdrone_interaction.console import PatientConsole, run_reported
-from xtdrone_interaction.formation.geometry import EVENTS_TOPIC, PROGRESS_TOPIC
+from xtdrone_interaction.formation.distances import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, escape, master_port, run_flight
 from xtdrone_interaction.metrics.formation import write_report
 from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
 from xtdrone_interaction.monitoring.progress_display import Display
 from xtdrone_interaction.options import MachineSettings, seed_setting, speed_setting
-from xtdrone_interaction.recording.model import RecordError
+from xtdrone_interaction.recording.recorded_flight import RecordError
 
 TYPE, ROBOT = "iris_landing_camera", "ugv_0"
 _SPAWN = (0.0, 3.0)  # m, of the UAV

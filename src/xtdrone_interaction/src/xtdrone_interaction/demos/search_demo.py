@@ -19,9 +19,9 @@ from xtdrone_interaction.metrics.search import make_report
 from xtdrone_interaction.monitoring.ended_nodes import EndedNode, EndedNodes
 from xtdrone_interaction.monitoring.progress_display import Display
 from xtdrone_interaction.options import OptionError
-from xtdrone_interaction.recording.model import RecordError
+from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.recording.search import EVENTS_TOPIC, PROGRESS_TOPIC, read_search
-from xtdrone_interaction.report.terminal import print_search
+from xtdrone_interaction.report.printed_results import print_search
 
 _START_LIMIT = 90.0  # s of wall time until the first progress message, plus _START_LIMIT_VEHICLE per vehicle
 _START_LIMIT_VEHICLE = 5.0

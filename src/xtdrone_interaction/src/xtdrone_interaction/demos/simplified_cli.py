@@ -22,7 +22,7 @@ from xtdrone_interaction.demos.simplified_demo import (
     run_in_process,
     run_on_ros,
 )
-from xtdrone_interaction.formation.geometry import ORIGIN
+from xtdrone_interaction.formation.distances import ORIGIN
 from xtdrone_interaction.launching.supervised_launch import master_port
 from xtdrone_interaction.options import DEFAULT_FOLLOWER, MachineSettings, OptionError
 from xtdrone_interaction.recording.formation import FormationRecord, read_formation
@@ -93,7 +93,7 @@ def swarm_settings(arguments: argparse.Namespace) -> tuple[SwarmSettings, FilmSe
     Raises:
         ValueError: a value is not allowed.
     """
-    from xtdrone_swarm.simplified.model import load_model
+    from xtdrone_swarm.simplified.vehicle_parameters import load_model
     from xtdrone_swarm.view import can_open
 
     leader = options.leader_class(arguments.leader)

@@ -35,7 +35,7 @@ from xtdrone_interaction.options import (
     waive_setting,
 )
 from xtdrone_interaction.recording.formation import FormationRecord, read_formation, save_formation
-from xtdrone_interaction.recording.model import RecordError
+from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.compare_simulators import (
     as_data,
     compare,
@@ -43,7 +43,7 @@ from xtdrone_interaction.report.compare_simulators import (
     save_pictures,
     with_assignments_of,
 )
-from xtdrone_interaction.report.terminal import print_formation
+from xtdrone_interaction.report.printed_results import print_formation
 
 if TYPE_CHECKING:
     from xtdrone_coordination.network import NetworkOptions
@@ -285,7 +285,7 @@ def _show(swarm: Swarm, turns: Iterator[None], speed: float, display: Display) -
         display: prints the note.
     """
     from xtdrone_swarm.view import WindowError  # imports Matplotlib
-    from xtdrone_swarm.view.flight import play
+    from xtdrone_swarm.view.view_of_swarm import play
 
     try:
         play(swarm, lambda: next(turns, _END) is not _END, speed=speed or math.inf)

@@ -23,7 +23,7 @@ from xtdrone_interaction.metrics.formation import write_report
 from xtdrone_interaction.metrics.slam import slam_report
 from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
 from xtdrone_interaction.options import MachineSettings, OptionError, seed_setting, speed_setting
-from xtdrone_interaction.recording.model import RecordError
+from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.report_tables import odometry_table, print_table
 
 TYPE = "iris_slam"

@@ -13,11 +13,17 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from xtdrone_coordination.leader import CommandError
-from xtdrone_interaction.formation.geometry import ORIGIN, Array
-from xtdrone_interaction.formation.mission import CLEARANCE, SETTLE_LIMIT, FleetState, FormationMission, MissionError
+from xtdrone_interaction.formation.distances import ORIGIN, Array
+from xtdrone_interaction.formation.formation_mission import (
+    CLEARANCE,
+    SETTLE_LIMIT,
+    FleetState,
+    FormationMission,
+    MissionError,
+)
 from xtdrone_interaction.recording.formation import FormationRecord
-from xtdrone_interaction.recording.model import Change
 from xtdrone_interaction.recording.positions import FleetTrack
+from xtdrone_interaction.recording.recorded_flight import Change
 
 if TYPE_CHECKING:
     from xtdrone_swarm import Swarm

@@ -3,7 +3,7 @@
 ``GroundStation`` runs the exchanges of ``exchanges`` with vehicles; ``commands`` is the command line.
 """
 
-from .peers import GcsError, Peer, peers_of
 from .station import GroundStation, upload_plans
+from .vehicle_addresses import GcsError, Peer, peers_of
 
 __all__ = ["GcsError", "GroundStation", "Peer", "peers_of", "upload_plans"]

@@ -17,10 +17,10 @@ from xtdrone_control.mavlink.wire.codec import FrameError, split
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
 from xtdrone_interaction import sim_cli
 
-from .connections import open_connection
-from .exchanges import protocol
-from .peers import ANY, LOOPBACK, GcsError, Peer, numbered
+from .exchanges import exchange
 from .station import TIMEOUT, GroundStation
+from .udp_tcp_serial import open_connection
+from .vehicle_addresses import ANY, LOOPBACK, GcsError, Peer, numbered
 
 _LIMIT = 3.0  # s for vehicles to answer
 _RUNS = (Path("runs"), sim_cli.RUNS)
@@ -71,7 +71,7 @@ def find(host: str = LOOPBACK, limit: float = _LIMIT, instance: int = 0) -> list
         raise GcsError(f"{host}: no such machine: {getattr(error, 'strerror', None) or error}") from error
     peers = [numbered(number, host=address, instance=instance) for number in range(MAX_VEHICLES)]
     with GroundStation(peers) as station:
-        futures = {peer: station.submit(peer, protocol.await_heartbeat(), patience=limit) for peer in station.peers}
+        futures = {peer: station.submit(peer, exchange.await_heartbeat(), patience=limit) for peer in station.peers}
         end = time.monotonic() + limit
         while time.monotonic() < end:
             station.poll(TIMEOUT)
@@ -94,21 +94,21 @@ def listen(address: tuple[str, str, int], limit: float = _LIMIT, wanted: Collect
     """
     connection = open_connection(*address)
     heartbeat = MESSAGE_ID["HEARTBEAT"]
-    mav = mavlink.MAVLink(None, srcSystem=protocol.SYSTEM, srcComponent=protocol.COMPONENT)
+    mav = mavlink.MAVLink(None, srcSystem=exchange.SYSTEM, srcComponent=exchange.COMPONENT)
     found: set[int] = set()
     try:
         with selectors.DefaultSelector() as selector:
             selector.register(connection, selectors.EVENT_READ)
             end = time.monotonic() + limit
             while (now := time.monotonic()) < end and not (wanted and found.issuperset(wanted)):
-                for message in protocol.probe():
+                for message in exchange.probe():
                     connection.send(message.pack(mav), ANY)
                 if not selector.select(min(TIMEOUT, end - now)):
                     continue
                 for chunk in connection.receive():
                     with contextlib.suppress(FrameError):
                         for number, system, component, _ in split(chunk):
-                            if (number, component) == (heartbeat, protocol.AUTOPILOT):
+                            if (number, component) == (heartbeat, exchange.AUTOPILOT):
                                 found.add(system)
     finally:
         connection.close()

@@ -25,12 +25,12 @@ from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_control.mavlink.wire.codec import FrameError, split
 from xtdrone_control.plans.qgc_plan import Plan
 
-from .connections import Connection, open_connection
-from .contact import AbortMessages, Contact, Job, QueuedExchange
-from .exchanges import protocol
+from .exchanges import exchange
+from .exchanges.exchange import Progress
 from .exchanges.plans import cancel_transfers, check_capacity, upload_plan
-from .exchanges.protocol import Progress
-from .peers import ANY, LOOPBACK, GcsError, Peer, peers_of
+from .udp_tcp_serial import Connection, open_connection
+from .vehicle_addresses import ANY, LOOPBACK, GcsError, Peer, peers_of
+from .vehicle_contact import AbortMessages, Contact, Job, QueuedExchange
 from .vehicle_state import VehicleState
 
 TIMEOUT = 0.3
@@ -78,7 +78,7 @@ class GroundStation:
         self.errors: dict[str, GcsError] = {}
         self._sends_heartbeat = heartbeat
         self._on_change = on_change
-        self._mav = mavlink.MAVLink(None, srcSystem=protocol.SYSTEM, srcComponent=protocol.COMPONENT)
+        self._mav = mavlink.MAVLink(None, srcSystem=exchange.SYSTEM, srcComponent=exchange.COMPONENT)
         self._selector = selectors.DefaultSelector()
         self._connections: dict[tuple[str, str, int], Connection] = {}
         self._contacts: dict[Peer, Contact] = {}
@@ -247,7 +247,7 @@ class GroundStation:
         for chunk in chunks:
             try:
                 for number, system, component, frame in split(chunk):
-                    if component == protocol.AUTOPILOT:
+                    if component == exchange.AUTOPILOT:
                         self._dispatch(connection, number, system, frame, now)
             except FrameError:  # noise; exchanges repeat their requests
                 continue
@@ -365,5 +365,5 @@ def upload_plans(
 def progress_of(name: str, watch: Watcher | None) -> Progress:
     """Return the callback for the progress of the vehicle ``name``."""
     if watch is None:
-        return protocol.ignore_progress
+        return exchange.ignore_progress
     return lambda what, done, total: watch(name, what, done, total)

@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from .pilot import AXES, NO_PATTERN, Target
+from .key_bindings import AXES, NO_PATTERN, Target
 
 SILENT = 3.0  # s without a message before a vehicle is shown as silent
 _JOINED = "\xa0"  # non-breaking space

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from xtdrone_interaction.bags.ros1bag import BagError
-from xtdrone_interaction.formation.geometry import EVENTS_TOPIC, TRUTH_TOPIC, odometry_topic
+from xtdrone_interaction.formation.distances import EVENTS_TOPIC, TRUTH_TOPIC, odometry_topic
 from xtdrone_interaction.metrics.formation import versions
 from xtdrone_interaction.recording.bag import read_bag
-from xtdrone_interaction.recording.model import LOG_TOPIC, RecordError, Recording
+from xtdrone_interaction.recording.recorded_flight import LOG_TOPIC, RecordError, Recording
 from xtdrone_interaction.recording.series import Array
 
 LIMIT = 0.15  # m, of the touchdown's error on a robot at up to 1 m/s

@@ -25,10 +25,10 @@ from xtdrone_interaction.formation.flight_events import read_events
 from xtdrone_interaction.launching.message_feed import Feed, answers
 from xtdrone_interaction.launching.process_tree import ProcessTree
 from xtdrone_interaction.monitoring.ended_nodes import EndedNode, EndedNodes
-from xtdrone_interaction.monitoring.hints import advice, error_lines
+from xtdrone_interaction.monitoring.error_remedies import advice, error_lines
 from xtdrone_interaction.monitoring.missing_nodes import not_joined
 from xtdrone_interaction.monitoring.progress_display import Display, LineDisplay, LiveDisplay
-from xtdrone_interaction.monitoring.startup import Startup
+from xtdrone_interaction.monitoring.startup_progress import Startup
 from xtdrone_interaction.options import OptionError, check_master_port, free_port, repository
 from xtdrone_interaction.sim_cli import MASTER_FILE, announce
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_sim.vehicles.poses import compose
+from xtdrone_sim.vehicles.pose_arithmetic import compose
 from xtdrone_sim.vehicles.visual import Box, Cylinder, Mesh, Pose, Sphere
 from xtdrone_sim.worlds.sdf import SdfModel
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from xtdrone_interaction.formation.geometry import least_distances
+from xtdrone_interaction.formation.distances import least_distances
 from xtdrone_interaction.metrics.clearance import Solid, least_distances_to
 from xtdrone_interaction.metrics.formation import versions
 from xtdrone_interaction.recording.crossing import CrossingRecord

@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 
 from xtdrone_coordination.laws.assignment import assign
-from xtdrone_interaction.formation.criteria import CRITERIA
-from xtdrone_interaction.formation.geometry import SETTLED_ERROR, Array, close_pairs, formation_error, relative
+from xtdrone_interaction.formation.distances import SETTLED_ERROR, Array, close_pairs, formation_error, relative
+from xtdrone_interaction.formation.flight_criteria import CRITERIA
 from xtdrone_interaction.recording.formation import FormationRecord
-from xtdrone_interaction.recording.model import RecordError
 from xtdrone_interaction.recording.positions import FleetTrack
+from xtdrone_interaction.recording.recorded_flight import RecordError
 
 STEADY_SPAN = 2.0  # s; the steady error is taken over the window's last part
 STEADY_LIMIT = 0.10  # m

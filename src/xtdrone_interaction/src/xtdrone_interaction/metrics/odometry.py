@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from xtdrone_interaction.recording.model import Recording
+from xtdrone_interaction.recording.recorded_flight import Recording
 from xtdrone_interaction.recording.series import Array, Series
 
 ALIGNMENTS = ("first", "umeyama", "none")

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from xtdrone_interaction.formation.geometry import least_distances
+from xtdrone_interaction.formation.distances import least_distances
 from xtdrone_interaction.metrics import odometry
 from xtdrone_interaction.metrics.formation import make_report
 from xtdrone_interaction.metrics.tracking import trackings
 from xtdrone_interaction.recording.formation import FormationRecord
-from xtdrone_interaction.recording.model import RecordError, Recording, VehicleRecord
+from xtdrone_interaction.recording.recorded_flight import RecordError, Recording, VehicleRecord
 from xtdrone_interaction.recording.series import Series, spans
 from xtdrone_interaction.recording.ulog import FlightLog
 

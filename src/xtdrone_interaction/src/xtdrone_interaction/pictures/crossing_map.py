@@ -17,7 +17,7 @@ from matplotlib.patches import Circle, Polygon
 
 from xtdrone_interaction.metrics.clearance import Solid
 from xtdrone_interaction.recording.crossing import CrossingRecord
-from xtdrone_sim.vehicles.poses import rotate
+from xtdrone_sim.vehicles.pose_arithmetic import rotate
 from xtdrone_sim.vehicles.visual import Box, Cylinder
 
 _DPI = 130

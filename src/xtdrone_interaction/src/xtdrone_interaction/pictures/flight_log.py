@@ -10,7 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from xtdrone_interaction.metrics.tracking import SetpointPair, body_rates, pairs, spectrogram, spectrum
+from xtdrone_interaction.metrics.spectrum import (
+    spectrogram,
+    spectrum,
+)
+from xtdrone_interaction.metrics.tracking import SetpointPair, body_rates, pairs
 from xtdrone_interaction.pictures.drawing import (
     NamedFigure,
     colours_of,

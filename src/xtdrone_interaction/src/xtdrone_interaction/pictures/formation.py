@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from xtdrone_interaction.formation.geometry import ORIGIN, SETTLED_ERROR, formation_error
+from xtdrone_interaction.formation.distances import ORIGIN, SETTLED_ERROR, formation_error
 from xtdrone_interaction.metrics.formation import DISTANCE_LIMIT, flight_part
 from xtdrone_interaction.pictures.drawing import LEADER_COLOUR, MOST_NAMED, NamedFigure, fleet_colours, plain_numbers
 from xtdrone_interaction.recording.formation import FormationRecord, PatternWindow

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from xtdrone_interaction.metrics.odometry import Trajectory, aligned, common, pairs
 from xtdrone_interaction.metrics.slam import ShownFlight
 from xtdrone_interaction.pictures.drawing import NamedFigure, panels
-from xtdrone_interaction.recording.model import Recording
+from xtdrone_interaction.recording.recorded_flight import Recording
 from xtdrone_interaction.recording.series import Array
 
 _LEAST_POSES = 3

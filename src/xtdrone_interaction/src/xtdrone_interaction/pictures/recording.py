@@ -12,7 +12,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from xtdrone_interaction.metrics.formation import DISTANCE_LIMIT
-from xtdrone_interaction.metrics.tracking import spectrum
+from xtdrone_interaction.metrics.spectrum import (
+    spectrum,
+)
 from xtdrone_interaction.metrics.vehicle import least_distance_series
 from xtdrone_interaction.pictures import formation, odometry
 from xtdrone_interaction.pictures.drawing import (
@@ -28,7 +30,7 @@ from xtdrone_interaction.pictures.drawing import (
     shades,
 )
 from xtdrone_interaction.recording.formation import FormationRecord
-from xtdrone_interaction.recording.model import Recording, VehicleRecord
+from xtdrone_interaction.recording.recorded_flight import Recording, VehicleRecord
 from xtdrone_interaction.recording.series import Array, Series, armed_span, spans
 
 _RESPONSES = 4  # vehicles whose setpoints are drawn with their responses

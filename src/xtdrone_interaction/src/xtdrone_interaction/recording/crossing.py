@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from xtdrone_interaction.bags.ros1bag import BagError
-from xtdrone_interaction.formation.geometry import EVENTS_TOPIC, TRUTH, TRUTH_TOPIC, odometry_topic
+from xtdrone_interaction.formation.distances import EVENTS_TOPIC, TRUTH, TRUTH_TOPIC, odometry_topic
 from xtdrone_interaction.recording.bag import read_bag
-from xtdrone_interaction.recording.model import LOG_TOPIC, RecordError
 from xtdrone_interaction.recording.positions import fleet_track
+from xtdrone_interaction.recording.recorded_flight import LOG_TOPIC, RecordError
 from xtdrone_interaction.recording.series import Array
 
 

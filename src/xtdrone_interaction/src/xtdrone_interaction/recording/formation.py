@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_interaction.bags.ros1bag import BagError
-from xtdrone_interaction.formation.flight_events import parse_event
-from xtdrone_interaction.formation.geometry import (
+from xtdrone_interaction.formation.distances import (
     ESTIMATE,
     EVENTS_TOPIC,
     PATTERN_TOPIC,
@@ -27,9 +26,10 @@ from xtdrone_interaction.formation.geometry import (
     TRUTH_TOPIC,
     Array,
 )
+from xtdrone_interaction.formation.flight_events import parse_event
 from xtdrone_interaction.recording.bag import read_bag
-from xtdrone_interaction.recording.model import LOG_TOPIC, Change, RecordError, Recording, VehicleRecord
 from xtdrone_interaction.recording.positions import FleetTrack, fleet_track
+from xtdrone_interaction.recording.recorded_flight import LOG_TOPIC, Change, RecordError, Recording, VehicleRecord
 from xtdrone_interaction.recording.series import Series
 
 SEARCH_START = "started"

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from scipy.ndimage import median_filter
 
-from xtdrone_interaction.formation.geometry import least_distances
+from xtdrone_interaction.formation.distances import least_distances
 from xtdrone_interaction.recording.series import Array, Series
 
 _BASE_STEP = 0.004  # s; every period of the simulator is a multiple of it
@@ -25,7 +25,7 @@ _FARTHEST = 1e7  # m, a quarter of the way around the earth; anything beyond is 
 _APART = 5.0  # m between origins; within the error of GPS
 
 FleetSeries = Mapping[str, dict[str, Series]]
-"""Series by vehicle and quantity, as in :attr:`~xtdrone_interaction.recording.model.VehicleRecord.series`."""
+"""Series by vehicle and quantity, as in :attr:`~xtdrone_interaction.recording.recorded_flight.VehicleRecord.series`."""
 
 
 @dataclass(frozen=True)

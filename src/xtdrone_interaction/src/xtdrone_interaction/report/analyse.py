@@ -21,11 +21,11 @@ from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.pictures import flight_log
 from xtdrone_interaction.pictures import recording as recording_pictures
 from xtdrone_interaction.recording.formation import formation_of
-from xtdrone_interaction.recording.model import RecordError, Recording
 from xtdrone_interaction.recording.open import open_recording
+from xtdrone_interaction.recording.recorded_flight import RecordError, Recording
 from xtdrone_interaction.recording.ulog import FlightLog, LogError
 from xtdrone_interaction.report import report_tables
-from xtdrone_interaction.report.page import ReportPage, output_folder, write_page
+from xtdrone_interaction.report.html_page import ReportPage, output_folder, write_page
 
 
 def analyse(files: Sequence[Path], folder: Path, console: Console, part: int | None = None) -> None:

@@ -31,9 +31,9 @@ from xtdrone_interaction.metrics.tracking import SetpointPair, pairs
 from xtdrone_interaction.metrics.vehicle import least_distance_series
 from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.pictures.drawing import NamedFigure, line, name_lines, panels, shades
-from xtdrone_interaction.recording.model import RecordError
+from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.recording.ulog import LogError
-from xtdrone_interaction.report.page import ReportPage, output_folder, write_page
+from xtdrone_interaction.report.html_page import ReportPage, output_folder, write_page
 from xtdrone_interaction.report.report_tables import ReportTable, number
 
 _MOST_VEHICLES = 9  # with a picture each

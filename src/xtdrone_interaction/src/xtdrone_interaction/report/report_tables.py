@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from xtdrone_interaction.recording.model import Recording
+    from xtdrone_interaction.recording.recorded_flight import Recording
     from xtdrone_interaction.recording.ulog import FlightLog
 
 _PRINTED_ROWS = 40  # on the terminal

@@ -13,8 +13,8 @@ import roslib.message
 
 from xtdrone_control.fleet import FleetError, Vehicle, parse_fleet
 from xtdrone_control.ros_codec import compile_class
+from xtdrone_interaction.bags.bag_kinds import large_batches
 from xtdrone_interaction.bags.ros1bag import BagError, BagFile
-from xtdrone_interaction.bags.sources import large_batches
 
 _POSE = re.compile(r"/(?P<type>\w+)_(?P<index>\d+)/mavros/local_position/pose")
 

@@ -22,7 +22,7 @@ from xtdrone_control import lockstep
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.program import check_no_arguments, needed_fleet
 from xtdrone_control.settings import Settings, setting
-from xtdrone_interaction.formation.geometry import PATTERN_TOPIC, TOPOLOGY_TOPIC, TRUTH_TOPIC, offsets_from_message
+from xtdrone_interaction.formation.distances import PATTERN_TOPIC, TOPOLOGY_TOPIC, TRUTH_TOPIC, offsets_from_message
 from xtdrone_interaction.rviz.markers import TRAIL, SwarmMarkers, ground_view
 from xtdrone_interaction.rviz.views import FOR_MARKERS
 from xtdrone_interaction.rviz.world_markers import WorldMarkers

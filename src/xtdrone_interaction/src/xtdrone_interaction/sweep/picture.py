@@ -24,8 +24,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from xtdrone_interaction.options import OptionError
-from xtdrone_interaction.sweep.run import FIGURES
-from xtdrone_interaction.sweep.store import METADATA
+from xtdrone_interaction.sweep.one_run import FIGURES
+from xtdrone_interaction.sweep.result_store import METADATA
 
 DPI = 150
 _MOST_POOLED = 5  # values listed of a parameter

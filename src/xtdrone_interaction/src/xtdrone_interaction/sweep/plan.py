@@ -14,8 +14,8 @@ import numpy as np
 
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction.options import OptionError, swarm_patterns
+from xtdrone_interaction.sweep.one_run import check_options
 from xtdrone_interaction.sweep.parameters import DEFAULTS, Value
-from xtdrone_interaction.sweep.run import check_options
 from xtdrone_interaction.sweep.study import AIRBORNE, Axis, Study
 
 _KEY_LENGTH = 20  # hexadecimal digits: 80 bits

@@ -38,7 +38,7 @@ from sensor_msgs.msg import Imu, PointCloud2
 from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import lockstep
-from xtdrone_control.lockstep.deferred import Deferred
+from xtdrone_control.lockstep.deferred_work import Deferred
 from xtdrone_control.settings import Settings, setting
 from xtdrone_perception.tracking.pose_history import PoseHistory
 

@@ -38,7 +38,7 @@ from xtdrone_control import lockstep
 from xtdrone_control.bounded_file import ContentError
 from xtdrone_control.camera_pose import CameraPose
 from xtdrone_control.frames import to_xyzw
-from xtdrone_control.lockstep.deferred import Deferred
+from xtdrone_control.lockstep.deferred_work import Deferred
 from xtdrone_control.program import ArgumentError
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_control.tag_boards import TagBoard, boards_of

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.kernel import kernel
-from xtdrone_sim.physics.plant import ABSENT
+from xtdrone_sim.physics.vehicle_dynamics import ABSENT
 
 from .wind import add_wind
 

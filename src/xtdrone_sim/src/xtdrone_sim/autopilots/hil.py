@@ -31,7 +31,10 @@ from xtdrone_control.fleet import Vehicle
 from xtdrone_control.geodesy.datum import Datum
 from xtdrone_sim.autopilots.hil_link import HilLink, Log
 from xtdrone_sim.autopilots.hil_messages import Frames
-from xtdrone_sim.physics.world import World, WorldModel
+from xtdrone_sim.physics.world import World
+from xtdrone_sim.physics.world_values import (
+    WorldModel,
+)
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
 
 DISARMED_LIMIT = 1.0

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.geodesy import geo
+from xtdrone_control.geodesy import projection
 from xtdrone_control.mavlink.streams.telemetry import EPOCH_US
 from xtdrone_control.mavlink.wire.codec import MESSAGE_ID, Decoder, FrameError, decoder, message_name
-from xtdrone_control.mavlink.wire.packing import Format
+from xtdrone_control.mavlink.wire.frame_packing import Format
 from xtdrone_sim.kernel import kernel
 from xtdrone_sim.physics.world import World
 
@@ -85,7 +85,7 @@ _HIL_STATE_QUATERNION = np.dtype(
 )
 _KINDS = ((_HIL_SENSOR, "HIL_SENSOR"), (_HIL_GPS, "HIL_GPS"), (_HIL_STATE_QUATERNION, "HIL_STATE_QUATERNION"))
 
-_reproject = kernel(geo.reproject)
+_reproject = kernel(projection.reproject)
 
 
 @kernel

@@ -30,7 +30,7 @@ from std_srvs.srv import SetBool, SetBoolResponse
 from xtdrone_msgs.msg import SceneModels, SceneState
 
 from xtdrone_control import lockstep
-from xtdrone_control.lockstep.deferred import Deferred
+from xtdrone_control.lockstep.deferred_work import Deferred
 from xtdrone_control.program import ArgumentError, check_no_arguments, fleet_of
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.cameras.camera_worker import Changes, DrawingProcess, Drawn

@@ -11,7 +11,7 @@ from xtdrone_control.fleet import Vehicle
 from xtdrone_control.lenses import drawing_of
 from xtdrone_control.settings import check_range
 from xtdrone_sim.cameras.drawn_scene import View
-from xtdrone_sim.vehicles.poses import compose
+from xtdrone_sim.vehicles.pose_arithmetic import compose
 from xtdrone_sim.vehicles.vehicle_model import CameraMount, load_vehicle
 from xtdrone_sim.vehicles.visual import Pose
 

@@ -9,7 +9,7 @@ from xtdrone_control.fleet import Vehicle
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_sim.cameras.rendering import Picture, Renderer
 from xtdrone_sim.cameras.sun_shadows import SunShadows, darkened
-from xtdrone_sim.vehicles.poses import OPTICAL_FRAME, compose
+from xtdrone_sim.vehicles.pose_arithmetic import OPTICAL_FRAME, compose
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.vehicles.visual import Box, Mesh, Pose, Visual
 from xtdrone_sim.worlds import people

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from xtdrone_control.rotation import Vector
-from xtdrone_sim.vehicles.poses import compose, conjugate, inverse, rotate
+from xtdrone_sim.vehicles.pose_arithmetic import compose, conjugate, inverse, rotate
 from xtdrone_sim.vehicles.visual import Pose
 
 

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from xtdrone_control.frames import to_xyzw
 from xtdrone_sim.kernel import kernel
-from xtdrone_sim.physics.bullet import BulletClient, pybullet
-from xtdrone_sim.physics.plant import ABSENT, FREE, TOUCHING
-from xtdrone_sim.vehicles.poses import compose
+from xtdrone_sim.physics.quiet_pybullet import BulletClient, pybullet
+from xtdrone_sim.physics.vehicle_dynamics import ABSENT, FREE, TOUCHING
+from xtdrone_sim.vehicles.pose_arithmetic import compose
 from xtdrone_sim.vehicles.visual import Box, Cylinder, Geometry, Mesh, Pose, Sphere
 from xtdrone_sim.worlds.sdf.geometry import box_of
-from xtdrone_sim.worlds.sdf.types import SdfModel
+from xtdrone_sim.worlds.sdf.world_records import SdfModel
 
 _CELL = 8.0  # m, least side of a column
 _MOST_CELLS = 512  # along each axis

@@ -9,13 +9,13 @@ import math
 from collections.abc import Callable, Sequence
 
 from xtdrone_control.rotation import Vector, from_euler
-from xtdrone_sim.physics.starts import StartError
+from xtdrone_sim.physics.start_collisions import StartError
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.vehicles.visual import Collision, Cylinder, Pose
 from xtdrone_sim.worlds import people
 from xtdrone_sim.worlds.actors import FASTEST, Actors, ActorState
 from xtdrone_sim.worlds.sdf import SdfActor, SdfLink, SdfModel
-from xtdrone_sim.worlds.sdf.types import Inertial
+from xtdrone_sim.worlds.sdf.world_records import Inertial
 
 RADIUS = 0.25
 """m: about half the breadth of shoulders."""

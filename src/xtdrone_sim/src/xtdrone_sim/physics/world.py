@@ -1,45 +1,48 @@
 """The physical world: free flight integrated by a kernel, contacts by Bullet, in one ``step``.
 
-A vehicle far from the ground, from obstacles and from all other vehicles is integrated by ``plant.integrate_free``;
-near them Bullet integrates it under the same wrench. A vehicle at rest with its motors off sleeps. Gravity is off in
-Bullet: weight is part of the wrench, so parked bodies stay in place. Models that can move are in ``bodies``.
+A vehicle far from the ground, from obstacles and from all other vehicles is integrated by
+``vehicle_dynamics.integrate_free``; near them Bullet integrates it under the same wrench. A vehicle at rest with
+its motors off sleeps. Gravity is off in Bullet: weight is part of the wrench, so parked bodies stay in place. Models
+that can move are in ``movable_bodies``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.fleet import StartPose
 from xtdrone_control.frames import to_xyzw
-from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.rotation import Quaternion, Vector
 from xtdrone_sim.effects import Effects, drive_rotors, integrate_all
-from xtdrone_sim.physics import plant as dynamics
+from xtdrone_sim.physics import vehicle_dynamics as dynamics
 from xtdrone_sim.physics import wrenches
-from xtdrone_sim.physics.bodies import Bodies, Drive
-from xtdrone_sim.physics.bullet import connect, pybullet
-from xtdrone_sim.physics.contacts import (
+from xtdrone_sim.physics.contact_points import GROUND, Contact
+from xtdrone_sim.physics.contact_states import (
+    sort_contacts,
+)
+from xtdrone_sim.physics.free_or_bullet import (
     CHECK_STEPS,
     FAR,
     NEAR,
-    REST_SPEED,
-    let_sleep,
     mark_near,
-    sort_contacts,
     stay_free,
 )
+from xtdrone_sim.physics.movable_bodies import Bodies, Drive
 from xtdrone_sim.physics.obstacles import Obstacles
-from xtdrone_sim.physics.plant import ABSENT, ASLEEP, PLANT, TOUCHING
-from xtdrone_sim.physics.starts import body_pose, check_starts
+from xtdrone_sim.physics.quiet_pybullet import connect, pybullet
+from xtdrone_sim.physics.sleeping import (
+    REST_SPEED,
+    let_sleep,
+)
+from xtdrone_sim.physics.start_collisions import body_pose, check_starts
+from xtdrone_sim.physics.vehicle_dynamics import ABSENT, ASLEEP, PLANT, TOUCHING
+from xtdrone_sim.physics.world_values import WorldModel
 from xtdrone_sim.vehicles.vehicle_model import MODEL, VehicleModel
 from xtdrone_sim.vehicles.visual import Pose
-from xtdrone_sim.worlds import catalogue
-from xtdrone_sim.worlds.sdf import SdfActor, SdfModel
+from xtdrone_sim.worlds.sdf import SdfModel
 
 _NO_BODY = -1  # of an absent place
 
@@ -49,74 +52,6 @@ def _absent() -> np.void:
     record = np.zeros(1, PLANT)[0]
     record["q"][0], record["contact"] = 1.0, ABSENT
     return record  # type: ignore[no-any-return]
-
-
-GROUND = -1
-"""The ground, as the other body of a contact."""
-
-
-class Contact(NamedTuple):
-    """A contact point of a vehicle.
-
-    Attributes:
-        other: what it touches: numbered as in ``World.collisions``, or ``GROUND``.
-        position: (3,) m, world.
-        normal: (3,) unit vector into the vehicle, world.
-        force: (3,) on the vehicle, friction included, N, world.
-        depth: penetration, m.
-    """
-
-    other: int
-    position: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    force: NDArray[np.float64]
-    depth: float
-
-
-@dataclass(frozen=True)
-class WorldModel:
-    """The content of a world description.
-
-    Attributes:
-        datum: WGS84 position of the map frame's origin.
-        gravity: m/s^2.
-        magnetic_field: gauss, ENU.
-        declination: degrees east.
-        wind: m/s, ENU.
-        friction, restitution: of the ground and of the models.
-        models: models.
-        actors: moving people.
-    """
-
-    datum: Datum
-    gravity: float
-    magnetic_field: NDArray[np.float64]
-    declination: float
-    wind: NDArray[np.float64]
-    friction: float
-    restitution: float
-    models: tuple[SdfModel, ...] = ()
-    actors: tuple[SdfActor, ...] = ()
-
-
-def load_world(name: str) -> WorldModel:
-    """Return the world ``name``; see ``catalogue.load_world``.
-
-    Raises:
-        ModelError: the world is unknown, a field is missing, or a value is not allowed.
-    """
-    world = catalogue.load_world(name)
-    return WorldModel(
-        world.datum,
-        world.gravity,
-        np.array(world.magnetic_field),
-        world.declination,
-        np.array(world.wind),
-        world.friction,
-        world.restitution,
-        world.models,
-        world.actors,
-    )
 
 
 class World:
@@ -221,7 +156,7 @@ class World:
         return int(body)
 
     def check_starts(self, names: Sequence[str], which: Sequence[int] | None = None) -> None:
-        """Check that the vehicles' places are free; see ``starts.check_starts``.
+        """Check that the vehicles' places are free; see ``start_collisions.check_starts``.
 
         Raises:
             StartError: a vehicle would start below the ground, in an obstacle or in another vehicle.

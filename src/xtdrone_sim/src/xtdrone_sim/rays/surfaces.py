@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_sim.rays.tree import BOX, CYLINDER, SPHERE, SURFACE, TRIANGLE
-from xtdrone_sim.vehicles.poses import compose
+from xtdrone_sim.vehicles.pose_arithmetic import compose
 from xtdrone_sim.vehicles.triangles import rotation_matrix, triangles_of
 from xtdrone_sim.vehicles.visual import Box, Collision, Cylinder, Geometry, Mesh, Pose, Sphere, Visual
-from xtdrone_sim.worlds.sdf.types import SdfModel
+from xtdrone_sim.worlds.sdf.world_records import SdfModel
 
 _OPAQUE = 0.5  # least opacity of a visual that rays see
 

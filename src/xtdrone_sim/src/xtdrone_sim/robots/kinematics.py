@@ -28,7 +28,7 @@ from xtdrone_sim.robots.rolling import (
     places,
     stand_on,
 )
-from xtdrone_sim.vehicles.poses import conjugate
+from xtdrone_sim.vehicles.pose_arithmetic import conjugate
 from xtdrone_sim.vehicles.visual import Pose
 
 _NEVER = -1

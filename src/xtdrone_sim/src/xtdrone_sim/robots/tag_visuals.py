@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from xtdrone_control.settings import SettingError
 from xtdrone_control.tag_boards import Tag, TagBoard
-from xtdrone_sim.vehicles.poses import compose
+from xtdrone_sim.vehicles.pose_arithmetic import compose
 from xtdrone_sim.vehicles.visual import Box, Collision, Pose, Visual
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
 

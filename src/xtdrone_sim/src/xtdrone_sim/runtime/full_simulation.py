@@ -15,27 +15,27 @@ from gazebo_msgs.msg import ModelStates
 
 from xtdrone_control.fleet import MAX_VEHICLES, StartPose, Vehicle, check_instance, fleet_text, parse_fleet, with_poses
 from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_control.mavlink.server import MavlinkServer
+from xtdrone_control.mavlink.mavlink_server import MavlinkServer
 from xtdrone_control.settings import setting
-from xtdrone_sim.autopilots.backend import AutopilotFactory, BuiltinAutopilot
+from xtdrone_sim.autopilots.builtin_autopilot import AutopilotFactory, BuiltinAutopilot
 from xtdrone_sim.autopilots.datagrams import Datagrams
 from xtdrone_sim.autopilots.hil import Hil
 from xtdrone_sim.effects import Effect, load_effects
+from xtdrone_sim.gazebo.model_services import GazeboServices
 from xtdrone_sim.gazebo.models import Models
-from xtdrone_sim.gazebo.publishing import ModelTopics
-from xtdrone_sim.gazebo.services import GazeboServices
-from xtdrone_sim.physics.plant import ABSENT
+from xtdrone_sim.gazebo.scene_topics import ModelTopics
+from xtdrone_sim.physics.vehicle_dynamics import ABSENT
 from xtdrone_sim.robots.listing import Robot, parse_robots
 from xtdrone_sim.robots.robot_topics import RobotTopics
-from xtdrone_sim.runtime.backend import HEAD_START, Idle, index_of
-from xtdrone_sim.runtime.launched import launched_world, read_launched
+from xtdrone_sim.runtime.launched_vehicles import launched_world, read_launched
 from xtdrone_sim.runtime.requests.mailbox import Mailbox
+from xtdrone_sim.runtime.simulator_interface import HEAD_START, Idle, index_of
 from xtdrone_sim.runtime.simulator_node import NodeSettings, close_all, log, run_node
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.topics.contact_topics import ContactTopics
-from xtdrone_sim.topics.gazebo_messages import ModelStatesMessage
 from xtdrone_sim.topics.imu_topics import ImuTopics
 from xtdrone_sim.topics.link_topics import LinkTopics
+from xtdrone_sim.topics.model_states import ModelStatesMessage
 from xtdrone_sim.worlds.actor_topics import ActorTopics
 from xtdrone_sim.worlds.catalogue import find_world
 
@@ -47,7 +47,7 @@ class FullSettings(NodeSettings):
     Attributes:
         fleet: vehicles (``~fleet`` or ``/xtdrone/fleet``), on the ports of instance ``/xtdrone/instance``, at the start
             poses of the fleet or of ``~poses`` (a YAML list of [x, y, z, roll, pitch, yaw], m and rad ENU); with
-            ``~spawned`` those that XTDrone's launch files spawn, see ``launched.read_launched``.
+            ``~spawned`` those that XTDrone's launch files spawn, see ``launched_vehicles.read_launched``.
         effects: forces and torques added to the vehicles in this order (``~effects``: a list, or its YAML as text; each
             entry ``FILE.py:NAME``, ``module:NAME`` or ``{FILE.py:NAME: {ARGUMENT: VALUE, ...}}``).
         robots: ground robots (``~robots``, see ``listing.parse_robots``).

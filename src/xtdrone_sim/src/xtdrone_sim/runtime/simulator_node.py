@@ -24,15 +24,15 @@ from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.log_output import survive_full_disk
 from xtdrone_control.settings import Settings, setting
 from xtdrone_control.under_roslaunch import announce, end_launch
-from xtdrone_sim.runtime.backend import SimulatorBackend
 from xtdrone_sim.runtime.digests import DigestFile
-from xtdrone_sim.runtime.requests.control import Control, Reset
+from xtdrone_sim.runtime.end_by_signal import Stop
+from xtdrone_sim.runtime.other_simulator import obstacle, ready_words, stale_uri
+from xtdrone_sim.runtime.requests.control_services import Services
 from xtdrone_sim.runtime.requests.mailbox import Mailbox
 from xtdrone_sim.runtime.requests.pacing import Pacer
-from xtdrone_sim.runtime.requests.services import Services
+from xtdrone_sim.runtime.requests.simulation_control import Control, Reset
 from xtdrone_sim.runtime.requests.vehicle_services import VehicleServices
-from xtdrone_sim.runtime.startup import obstacle, ready_words, stale_uri
-from xtdrone_sim.runtime.stopping import Stop
+from xtdrone_sim.runtime.simulator_interface import SimulatorBackend
 from xtdrone_sim.sensors.ground_truth import GroundTruth
 
 _CHUNK_US = 20_000  # longest simulated time between two polls of sockets and pace

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.rotation import from_euler
-from xtdrone_sim.physics.plant import ABSENT
+from xtdrone_sim.physics.vehicle_dynamics import ABSENT
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.vehicles.gimbal import Gimbals
 from xtdrone_sim.vehicles.landing_gear import LandingGears

@@ -16,14 +16,14 @@ from collections.abc import Mapping
 import numpy as np
 
 from xtdrone_control.autopilot.autopilot import Autopilot
-from xtdrone_control.geodesy import geo
+from xtdrone_control.geodesy import projection
 from xtdrone_control.rotation_kernels import multiply, rotate, rotate_inverse
 from xtdrone_sim.kernel import kernel
-from xtdrone_sim.physics.plant import ABSENT
+from xtdrone_sim.physics.vehicle_dynamics import ABSENT
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.rays.casting import distance_along
-from xtdrone_sim.sensors.below import Below
 from xtdrone_sim.sensors.failure_injection import Failing
+from xtdrone_sim.sensors.models_below import Below
 from xtdrone_sim.sensors.others import Others
 
 STEPS = 250  # IMU samples per block of one second
@@ -57,7 +57,7 @@ _T0 = 288.15  # K
 _LAPSE = 0.0065  # K/m
 _EXPONENT = 5.25588
 
-_reproject = kernel(geo.reproject)
+_reproject = kernel(projection.reproject)
 
 
 @kernel

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from xtdrone_sim.vehicles.imu_mounts import ImuMount
-from xtdrone_sim.vehicles.poses import OPTICAL_FRAME, compose, from_axis_angle
+from xtdrone_sim.vehicles.pose_arithmetic import OPTICAL_FRAME, compose, from_axis_angle
 from xtdrone_sim.vehicles.urdf import FIXED
 from xtdrone_sim.vehicles.uwb_mounts import UwbMount
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel

@@ -39,7 +39,7 @@ from xtdrone_sim.uwb.antennas import Antenna, antennas_of, neighbours_of
 from xtdrone_sim.uwb.line_of_sight import Moment, Sights
 from xtdrone_sim.uwb.ranging import Neighbours, measured, seen_from
 from xtdrone_sim.uwb.uwb_messages import ranges_message
-from xtdrone_sim.vehicles.poses import compose
+from xtdrone_sim.vehicles.pose_arithmetic import compose
 from xtdrone_sim.vehicles.uwb_mounts import LEAST_RATE, MOST_RATE, SIGHT_IGNORED
 from xtdrone_sim.vehicles.visual import Pose
 from xtdrone_sim.worlds.scene_at import SceneAt

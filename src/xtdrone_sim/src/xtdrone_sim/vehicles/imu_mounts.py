@@ -9,7 +9,7 @@ from typing import Any
 
 from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import Settings, setting
-from xtdrone_sim.vehicles.mounts import MountError, check_sensor_name
+from xtdrone_sim.vehicles.camera_and_gimbal_mounts import MountError, check_sensor_name
 from xtdrone_sim.vehicles.visual import Pose
 
 MOST_RATE = 250.0

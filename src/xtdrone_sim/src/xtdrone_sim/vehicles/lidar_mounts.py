@@ -10,7 +10,7 @@ from typing import Any
 
 from xtdrone_control.rotation import Vector, from_euler
 from xtdrone_control.settings import SettingError, Settings, setting
-from xtdrone_sim.vehicles.mounts import MountError, check_sensor_name
+from xtdrone_sim.vehicles.camera_and_gimbal_mounts import MountError, check_sensor_name
 from xtdrone_sim.vehicles.urdf import Description
 from xtdrone_sim.vehicles.visual import Pose
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from xtdrone_swarm.simplified.kernel import kernel
-from xtdrone_swarm.simplified.pilot import OFFBOARD, fly, limit_length
+from xtdrone_swarm.simplified.simplified_autopilot import OFFBOARD, fly, limit_length
 from xtdrone_swarm.swarm_vehicles import ACCELERATION, HOLD, POSITION
 
 VEHICLE = np.dtype(
@@ -16,7 +16,7 @@ VEHICLE = np.dtype(
         ("velocity", "f8", 3),  # m/s
         ("yaw", "f8"),  # rad from east, counter-clockwise, -pi..pi
         ("armed", "i8"),
-        ("mode", "i8"),  # of pilot.py
+        ("mode", "i8"),  # of simplified_autopilot.py
         ("phase", "i8"),  # of the mode
         ("phase_steps", "i8"),  # since the phase began
         ("rest_steps", "i8"),  # on the ground, armed and without a climb command

@@ -1,4 +1,4 @@
-"""Simplified vehicles behind the interface ``swarm_vehicles.Vehicles``; see also model.py and pilot.py."""
+"""Simplified vehicles behind the interface ``swarm_vehicles.Vehicles``; see also simplified_autopilot."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from xtdrone_control.autopilot.modes import PX4_MODES
 from xtdrone_control.communication.commands import HOVER_SPEED, HOVER_YAW_RATE, OWN_COMMANDS
 from xtdrone_control.rotation import wrap_pi
 from xtdrone_coordination.patterns import PITCH, origin_columns
-from xtdrone_swarm.simplified import pilot
+from xtdrone_swarm.simplified import simplified_autopilot
 from xtdrone_swarm.simplified.kinematics import VEHICLE, advance, capture, set_at, set_many
-from xtdrone_swarm.simplified.model import Model, load_model
+from xtdrone_swarm.simplified.vehicle_parameters import Model, load_model
 from xtdrone_swarm.swarm_vehicles import ACCELERATION, HOLD, POSITION, VELOCITY, Array, Mask
 
 STEP_US = 4000
@@ -50,7 +50,7 @@ class SimplifiedVehicles:
         Args:
             count: number of vehicles, at least 1.
             kind: vehicle type, a name in ``config/vehicles``.
-            model: see ``model.load_model``.
+            model: see ``vehicle_parameters.load_model``.
             places: initial positions, shape (count, 3), m ENU, z at least 0; None: the spawn grid (pattern ``origin``).
             headings: initial yaw, shape (count,), rad from east, counter-clockwise; None: all look east.
             airborne: start armed, in OFFBOARD and holding position, instead of disarmed.
@@ -91,7 +91,7 @@ class SimplifiedVehicles:
         vehicles[:] = np.zeros(1, VEHICLE)[0]
         vehicles["position"] = vehicles["place"] = vehicles["home"] = vehicles["setpoint"] = self._places
         vehicles["yaw"] = self._headings
-        vehicles["mode"] = pilot.OFFBOARD if self._airborne else pilot.LOITER
+        vehicles["mode"] = simplified_autopilot.OFFBOARD if self._airborne else simplified_autopilot.LOITER
         vehicles["armed"] = vehicles["flown"] = self._airborne
         vehicles["kind"] = HOLD
         vehicles["sp_yaw"] = math.nan
@@ -118,7 +118,7 @@ class SimplifiedVehicles:
         where = self._places[index] if place is None else np.array(place, float)
         v["position"] = v["place"] = v["home"] = v["setpoint"] = where
         v["yaw"] = self._headings[index] if heading is None else wrap_pi(heading)
-        v["mode"] = pilot.OFFBOARD if airborne else pilot.LOITER
+        v["mode"] = simplified_autopilot.OFFBOARD if airborne else simplified_autopilot.LOITER
         v["armed"] = v["flown"] = airborne
         v["kind"] = HOLD
         v["sp_yaw"] = math.nan
@@ -131,7 +131,7 @@ class SimplifiedVehicles:
     def _look(self) -> None:
         """Update modes and arming states, which change rarely."""
         self._armed = [bool(armed) for armed in self._vehicles["armed"].tolist()]
-        self._mode = [pilot.MODE_NAMES[mode] for mode in self._vehicles["mode"].tolist()]
+        self._mode = [simplified_autopilot.MODE_NAMES[mode] for mode in self._vehicles["mode"].tolist()]
         self.armed: Sequence[bool] = self._armed
         self.mode: Sequence[str] = self._mode
 
@@ -156,7 +156,7 @@ class SimplifiedVehicles:
             return ""
         refusal = self._carry_out(index, text)
         vehicle = self._each[index]
-        self._armed[index], self._mode[index] = bool(vehicle.armed), pilot.MODE_NAMES[vehicle.mode]
+        self._armed[index], self._mode[index] = bool(vehicle.armed), simplified_autopilot.MODE_NAMES[vehicle.mode]
         return f"{self.names[index]}: {refusal}" if refusal else ""
 
     def _holds(self, index: int, text: str) -> bool:
@@ -173,29 +173,30 @@ class SimplifiedVehicles:
         if text == "DISARM":
             if vehicle.armed and vehicle.position[2] > 0.0:
                 return "disarming denied: it flies"
-            pilot.disarm(vehicle)
+            simplified_autopilot.disarm(vehicle)
             return ""
         if text not in PX4_MODES:
             return f"{text!r} is no command ({', '.join(OWN_COMMANDS)}) and no PX4 mode ({', '.join(PX4_MODES)})"
-        if text not in pilot.MODE_NAMES:
-            return f"mode {text} is not flown by the simplified pilot; there are: {', '.join(pilot.MODE_NAMES)}"
-        self._enter(vehicle, pilot.MODE_NAMES.index(text))
+        if text not in simplified_autopilot.MODE_NAMES:
+            flown = ", ".join(simplified_autopilot.MODE_NAMES)
+            return f"mode {text} is not flown by the simplified pilot; there are: {flown}"
+        self._enter(vehicle, simplified_autopilot.MODE_NAMES.index(text))
         return ""
 
     def _arm(self, vehicle: np.record) -> str:
         if vehicle.armed:
             return ""
-        if vehicle.mode in pilot.NO_ARMING:
-            return f"arming denied in mode {pilot.MODE_NAMES[vehicle.mode]}"
-        pilot.arm(vehicle)
+        if vehicle.mode in simplified_autopilot.NO_ARMING:
+            return f"arming denied in mode {simplified_autopilot.MODE_NAMES[vehicle.mode]}"
+        simplified_autopilot.arm(vehicle)
         return ""
 
     def _enter(self, vehicle: np.record, mode: int) -> None:
-        pilot.enter(vehicle, mode)
+        simplified_autopilot.enter(vehicle, mode)
         vehicle.hovering = 0  # the mode moves the vehicle: a later HOVER must capture a new position
-        if mode in (pilot.LOITER, pilot.POSCTL):
-            pilot.brake(vehicle, self._record[0])
-        if mode == pilot.OFFBOARD and vehicle.kind == HOLD:
+        if mode in (simplified_autopilot.LOITER, simplified_autopilot.POSCTL):
+            simplified_autopilot.brake(vehicle, self._record[0])
+        if mode == simplified_autopilot.OFFBOARD and vehicle.kind == HOLD:
             vehicle.setpoint[:] = vehicle.position
 
     # setpoints

@@ -1,7 +1,7 @@
 """Pictures of a swarm: off-screen, as a film or in a window. Matplotlib is needed only here."""
 
 from xtdrone_swarm.view.film import FilmError, FilmWriter, check_film, film
-from xtdrone_swarm.view.scene import Frame, SwarmView, palette
+from xtdrone_swarm.view.swarm_picture import Frame, SwarmView, palette
 from xtdrone_swarm.view.window import Window, WindowError, can_open
 
 __all__ = [

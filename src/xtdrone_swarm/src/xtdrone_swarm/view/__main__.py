@@ -7,6 +7,6 @@ if __name__ == "__main__":
     # The imports take seconds, and some of them suppress a KeyboardInterrupt.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
-    from xtdrone_swarm.view.ros import main
+    from xtdrone_swarm.view.view_of_ros_flight import main
 
     sys.exit(main())

@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from scipy.spatial import cKDTree
 
-from xtdrone_swarm.view.scene import Frame, SwarmView
+from xtdrone_swarm.view.swarm_picture import Frame, SwarmView
 
 FPS = 25.0
 FPS_RANGE = (0.1, 120.0)

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any
 
-from xtdrone_swarm.view.scene import Frame, SwarmView
+from xtdrone_swarm.view.swarm_picture import Frame, SwarmView
 
 PERIOD = 1.0 / 30.0  # s, minimum wall time between two pictures
 ZOOM_STEP = 1.15  # per notch of the wheel

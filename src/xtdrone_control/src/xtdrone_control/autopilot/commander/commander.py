@@ -33,7 +33,7 @@ from xtdrone_control.fleet import Vehicle
 
 if TYPE_CHECKING:
     from xtdrone_control.autopilot.autopilot import Autopilot
-    from xtdrone_control.autopilot.logger.stream import LogStream
+    from xtdrone_control.autopilot.logger.mavlink_log_pieces import LogStream
 
 __all__ = ["CRITICAL", "INFO", "WARNING", "ArmReason", "Commander", "Result"]
 

@@ -13,7 +13,7 @@ from xtdrone_control.autopilot.events.announcements import CRITICAL, INFO, Annou
 from xtdrone_control.autopilot.modes import Mode
 from xtdrone_control.autopilot.navigator.navigator import Home, Navigator
 from xtdrone_control.autopilot.vehicle_view import Vector, VehicleView
-from xtdrone_control.geodesy import geo
+from xtdrone_control.geodesy import projection
 
 
 class Result(enum.IntEnum):
@@ -116,7 +116,7 @@ class FlightCommands(ABC):
                 return Result.TEMPORARILY_REJECTED
             self._set_home_here()
             return Result.ACCEPTED
-        if not geo.is_place(*location):
+        if not projection.is_place(*location):
             return Result.DENIED
         if not self.view.global_valid:
             return Result.TEMPORARILY_REJECTED
@@ -139,7 +139,7 @@ class FlightCommands(ABC):
         """
         here = self.view.to_global(self.view.position)
         target = tuple(h if math.isnan(p) else p for p, h in zip(location, here, strict=True))
-        if not geo.is_place(*target) or math.isinf(yaw) or math.isinf(speed):
+        if not projection.is_place(*target) or math.isinf(yaw) or math.isinf(speed):
             return Result.DENIED
         able = self.armed and not self.view.landed and self.view.has_origin
         if not able or self.request(modes.AUTO_LOITER) is not Result.ACCEPTED:

@@ -9,7 +9,7 @@ from xtdrone_control.autopilot.state import (
     TAKEOFF_READY,
     TAKEOFF_SPOOLUP,
 )
-from xtdrone_control.geodesy.geo import GRAVITY
+from xtdrone_control.geodesy.projection import GRAVITY
 from xtdrone_control.kernel import kernel
 
 

@@ -17,11 +17,11 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.estimator.aiding.control import fuse_sources, update_imu_time
-from xtdrone_control.autopilot.estimator.aiding.status import update_status
+from xtdrone_control.autopilot.estimator.aiding.fresh_samples import fuse_sources, update_imu_time
+from xtdrone_control.autopilot.estimator.aiding.validity_and_status_flags import update_status
 from xtdrone_control.autopilot.estimator.fusion import BA, BG, BM, POS, THETA, VEL, YAW_UNKNOWN_STD, set_yaw_variance
 from xtdrone_control.autopilot.state import N_STATES
-from xtdrone_control.geodesy.geo import GRAVITY
+from xtdrone_control.geodesy.projection import GRAVITY
 from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation_kernels import assign_unit, constrain, exponential, from_euler, multiply, rotate
 

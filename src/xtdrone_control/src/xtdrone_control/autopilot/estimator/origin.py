@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from xtdrone_control.autopilot.state import HEIGHT_RANGE, HEIGHT_VISION
-from xtdrone_control.geodesy import geo
+from xtdrone_control.geodesy import projection
 
 _LOWEST, _HIGHEST = -12_000.0, 100_000.0  # m AMSL: a deep-sea trench, the edge of space
 
@@ -35,8 +35,8 @@ def move_origin(e: Any, latitude: float, longitude: float, altitude: float) -> N
     origin = e["origin"]
     if origin["set"] and e["position_valid"]:
         x, y, _ = e["position"].tolist()
-        vehicle = geo.reproject(x, y, float(origin["lat"]), float(origin["lon"]))
-        north, east = geo.project(*vehicle, latitude, longitude)
+        vehicle = projection.reproject(x, y, float(origin["lat"]), float(origin["lon"]))
+        north, east = projection.project(*vehicle, latitude, longitude)
         _shift(e, north - x, east - y, altitude - float(origin["alt"]))
     origin["lat"], origin["lon"], origin["alt"] = latitude, longitude, altitude
     origin["set"] = 1

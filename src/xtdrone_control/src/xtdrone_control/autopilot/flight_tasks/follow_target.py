@@ -16,7 +16,7 @@ from xtdrone_control.autopilot.flight_tasks.auto_setpoint import Course
 from xtdrone_control.autopilot.flight_tasks.follow_task import OVER_GROUND, OVER_TARGET
 from xtdrone_control.autopilot.state import TASK_FOLLOW
 from xtdrone_control.autopilot.vehicle_view import Vector
-from xtdrone_control.geodesy import geo
+from xtdrone_control.geodesy import projection
 
 _NEVER_US = -(1 << 60)
 _LOST_US = 3_000_000  # without reports, after which the target is assumed to stand still
@@ -145,7 +145,7 @@ class FollowTarget:
             ValueError: position or velocity out of range.
         """
         latitude, longitude, altitude = place
-        if not geo.is_place(*place) or not _LOWEST <= altitude <= _HIGHEST:
+        if not projection.is_place(*place) or not _LOWEST <= altitude <= _HIGHEST:
             position = f"latitude {latitude:.7f}, longitude {longitude:.7f}, altitude {altitude:g} m"
             raise ValueError(f"target: {position} is not a valid position")
         if any(abs(part) > _FASTEST for part in velocity):

@@ -1,9 +1,9 @@
 """PX4's logger: one ULog file per vehicle and flight, for a whole fleet at the cost of a few copies per step.
 
 Each step copies the records of all vehicles unchanged. Once per simulated second the copies are converted to messages,
-topic by topic for all vehicles together (``topics``), and appended to the vehicles' files. A file therefore lags by at
-most one second and holds complete messages only, so that it stays readable after a crash. Timestamps increase within
-each topic; the messages of different topics are interleaved in blocks of one second.
+topic by topic for all vehicles together (``sampled_topics``), and appended to the vehicles' files. A file therefore
+lags by at most one second and holds complete messages only, so that it stays readable after a crash. Timestamps
+increase within each topic; the messages of different topics are interleaved in blocks of one second.
 
 SDLOG_MODE selects when to log: -1 never, 0 while armed, 1 from boot until disarming and then while armed, 2 from boot
 until shutdown, 4 from the first arming until shutdown. A log ends one second after disarming.
@@ -26,13 +26,13 @@ from numpy.typing import NDArray
 from xtdrone_control.autopilot.parameters.parameters import NAMES as PARAMETER_NAMES
 from xtdrone_control.autopilot.parameters.parameters import Parameters, describe
 
-from . import status, ulog
-from .folder import LogFolder, log_name
-from .messages import message_format
-from .status import StatusTopics
-from .stream import LogStream
-from .topics import EPOCH_US, TOPICS, Samples, Topic
-from .ulog import Format, UlogWriter
+from . import topics_on_change, ulog_format
+from .log_folder import LogFolder, log_name
+from .mavlink_log_pieces import LogStream
+from .message_definitions import message_format
+from .sampled_topics import EPOCH_US, TOPICS, Samples, Topic
+from .topics_on_change import StatusTopics
+from .ulog_format import Format, UlogWriter
 
 if TYPE_CHECKING:
     from xtdrone_control.autopilot.autopilot import Autopilot
@@ -79,7 +79,7 @@ class _SampledTopic:
     def __init__(self, topic: Topic, message_id: int) -> None:
         self.topic = topic
         self.format = message_format(topic.name)
-        self._template = ulog.data_template(self.format, message_id)
+        self._template = ulog_format.data_template(self.format, message_id)
         for name, value in topic.constants:
             self._template["record"][name] = value
         self._has_sample_time = "timestamp_sample" in (self.format.dtype.names or ())
@@ -114,9 +114,9 @@ def _write_parameter(writer: UlogWriter, parameters: Parameters, name: str) -> N
     system, setup = type(value)(describe(name).default), parameters.default(name)
     defaults: tuple[tuple[int, int | float], ...]
     if system == setup:
-        defaults = ((ulog.SYSTEM_DEFAULT | ulog.SETUP_DEFAULT, system),)
+        defaults = ((ulog_format.SYSTEM_DEFAULT | ulog_format.SETUP_DEFAULT, system),)
     else:
-        defaults = ((ulog.SYSTEM_DEFAULT, system), (ulog.SETUP_DEFAULT, setup))
+        defaults = ((ulog_format.SYSTEM_DEFAULT, system), (ulog_format.SETUP_DEFAULT, setup))
     for kinds, default in defaults:
         if default != value:
             writer.add_default_parameter(name, default, kinds)
@@ -241,7 +241,7 @@ class Logger:
         for sampled in self._sampled:
             schedules.setdefault((sampled.topic.period_us, sampled.topic.fresh), []).append(sampled)
         self._schedules = [(_Schedule(*key), topics) for key, topics in schedules.items()]
-        self._ids = {name: len(TOPICS) + i for i, name in enumerate(status.NAMES)}
+        self._ids = {name: len(TOPICS) + i for i, name in enumerate(topics_on_change.NAMES)}
         self._status = [StatusTopics(commander, self._ids) for commander in self._commanders] if self.folders else []
         self._logs: list[_FileLog | None] = [None] * count
         self._streams: dict[int, _StreamedLog] = {}
@@ -451,7 +451,7 @@ class Logger:
             return None
         self._end_stream(index)
         commander, now_us, stream = self._commanders[index], self._autopilot.time_us, LogStream()
-        log = _StreamedLog(stream, now_us, StatusTopics(commander, self._ids, status.MAVLINK))
+        log = _StreamedLog(stream, now_us, StatusTopics(commander, self._ids, topics_on_change.MAVLINK))
         self._write_definitions(log.writer, commander, 60 * int(commander.parameters.get("SDLOG_UTC_OFFSET")))
         log.writer.flush()
         stream.finish_definitions()
@@ -506,7 +506,7 @@ class Logger:
         for info in infos:
             writer.add_info(*info)
         formats: list[tuple[int, Format]] = [(i, sampled.format) for i, sampled in enumerate(self._sampled)]
-        formats += [(number, status.FORMATS[name]) for name, number in self._ids.items()]
+        formats += [(number, topics_on_change.FORMATS[name]) for name, number in self._ids.items()]
         for _, layout in formats:
             writer.add_format(layout)
         for name in PARAMETER_NAMES:
@@ -580,7 +580,7 @@ class Logger:
         writer, topics = log.writer, log.status
         now_us = self._autopilot.time_us
         for severity, time_us, text in log.texts:
-            writer.add_messages(ulog.logged_string(severity, time_us, text))
+            writer.add_messages(ulog_format.logged_string(severity, time_us, text))
         log.texts.clear()
         seconds = (now_us - log.reported_us) * 1e-6
         if seconds >= 1.0:

@@ -10,7 +10,7 @@ from xtdrone_control.autopilot.events.events import ERROR, WARNING
 from xtdrone_control.autopilot.flight_tasks.auto_setpoint import CRITICAL
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import Items, PlanItem
-from xtdrone_control.geodesy import geo
+from xtdrone_control.geodesy import projection
 
 _SUPPORTED = plan.POSITION_COMMANDS | {
     plan.RETURN,
@@ -92,7 +92,7 @@ class Problem:
 def _distance(a: PlanItem, location: tuple[float, float]) -> float:
     if not (math.isfinite(a.x) and math.isfinite(a.y)):
         return math.inf
-    return math.hypot(*geo.project(a.x, a.y, *location))
+    return math.hypot(*projection.project(a.x, a.y, *location))
 
 
 def _check_items(items: Items, now: Situation) -> Problem | None:

@@ -23,7 +23,7 @@ from xtdrone_control.autopilot.navigator.rtl import Return
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.autopilot.state import TASK_IDLE
 from xtdrone_control.autopilot.vehicle_view import Vector, VehicleView
-from xtdrone_control.geodesy import geo
+from xtdrone_control.geodesy import projection
 
 __all__ = ["Home", "Navigator"]
 
@@ -247,7 +247,7 @@ class Navigator:
 
     def _set_home(self, location: Vector | None) -> None:
         """Set the home position to (latitude, longitude, altitude), degrees and m AMSL, or to the vehicle's (None)."""
-        if location is not None and not geo.is_place(*location):
+        if location is not None and not projection.is_place(*location):
             return
         position = self._view.position if location is None else self._view.to_local(*location)
         where = self._view.to_global(position) if location is None else location

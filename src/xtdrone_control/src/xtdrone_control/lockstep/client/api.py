@@ -31,11 +31,11 @@ from ..transport import local_topics
 from ..transport.rospy_internals import handle_signal, set_time_us
 from ..transport.rospy_internals import registering_together as registering_together
 from . import joining
-from .client import Client
-from .connection import URI_PARAM
 from .host import Host
 from .joining import future_name
-from .node import Serve, this_node
+from .node_state import Serve, this_node
+from .participant_turns import Client
+from .server_link import URI_PARAM
 from .topics import Publisher as Publisher
 from .topics import Subscriber as Subscriber
 from .topics import UncountedPublisher as UncountedPublisher

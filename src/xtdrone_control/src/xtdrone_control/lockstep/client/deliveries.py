@@ -10,7 +10,7 @@ import rospy
 import rospy.core
 
 from ..transport.inbox import Inbox
-from .node import Node
+from .node_state import Node
 
 WAIT_LIMIT = 60.0
 """Wall seconds to wait for a counted message while its publisher's connection is open."""

@@ -10,7 +10,7 @@ from typing import Any
 from ..protocol import Digest
 from ..transport.outlets import Outlet
 from .deliveries import Deliveries
-from .node import Node
+from .node_state import Node
 
 
 class Host:

@@ -12,9 +12,9 @@ import rospy
 
 from ..protocol import ProtocolError
 from ..transport.rospy_internals import watch_param
-from .client import Client
-from .connection import CONNECT_LIMIT, URI_PARAM, RefusedError
-from .node import Node
+from .node_state import Node
+from .participant_turns import Client
+from .server_link import CONNECT_LIMIT, URI_PARAM, RefusedError
 
 NAME_LIMIT = 3.0
 """Wall seconds for a participant with the node's name to end."""

@@ -19,7 +19,7 @@ from ..protocol import Digest
 from ..transport.outlets import Outlet
 from ..transport.publisher import acquire_publisher
 from ..transport.subscriber import acquire_subscriber
-from .node import this_node
+from .node_state import this_node
 
 
 class _Arrivals(rospy.SubscribeListener):

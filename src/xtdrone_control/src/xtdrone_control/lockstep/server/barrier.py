@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterable, Mapping
 
 from ..protocol import Barrier, Kind, pack_barrier, pack_object
 from .channels import Channels
-from .connection import Connection
-from .connections import Connections, Log
-from .datagrams import DatagramCounts
+from .client_process import Connection
+from .client_sockets import Connections, Log
+from .datagram_counts import DatagramCounts
 from .participant import Participant
 
 Idle = Callable[[float], None]

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from typing import Any, Protocol
 
 from ..protocol import ProtocolError
-from .connections import Log
-from .frames import MOST_CHANNELS, Declaration, Made, Peers
-from .matching import MissingConnections, TopicTable
+from .client_sockets import Log
+from .frame_checks import MOST_CHANNELS, Declaration, Made, Peers
+from .missing_connections import MissingConnections, TopicTable
 from .participant import Channel, Outgoing, Pair, Participant
 
 

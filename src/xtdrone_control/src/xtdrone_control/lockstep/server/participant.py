@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from ..protocol import Schedule
-from .connection import Connection
+from .client_process import Connection
 
 Pair = tuple[str, str, str]
 """Topic, publisher's name, subscriber's name."""

@@ -14,7 +14,7 @@ from typing import Any
 
 import rospy.core
 
-from .. import local
+from .. import unix_sockets
 from .rospy_internals import accept_topic_connection, topic_server_address
 
 LOCAL_HOST = "127.0.0.1"
@@ -34,7 +34,7 @@ _numbers = itertools.count()
 def serve() -> None:
     """Accept topic connections beside the node's TCP port, in a thread, until the node is shut down."""
     host, port = topic_server_address()
-    listener = local.listen(local.TOPICS, host, port)
+    listener = unix_sockets.listen(unix_sockets.TOPICS, host, port)
     if listener is None:
         return
     rospy.core.add_shutdown_hook(lambda _: listener.shutdown(socket.SHUT_RDWR))
@@ -59,7 +59,7 @@ def connect(connection: Any, host: str, port: int, publisher: str) -> bool:
     """
     number = 1 + next(_numbers) % HIGHEST_PORT
     own = f"\0xtdrone-subscriber/{_token}-{os.getpid()}/{number}"  # the process may have been forked from another
-    sock = local.connect(local.TOPICS, host, port, HANDSHAKE_LIMIT, own)
+    sock = unix_sockets.connect(unix_sockets.TOPICS, host, port, HANDSHAKE_LIMIT, own)
     if sock is None:
         return False
     connection.endpoint_id, connection.dest_address = publisher, (host, port)
@@ -83,9 +83,9 @@ def _accept(listener: socket.socket) -> None:
         except OSError:  # the node is shutting down
             listener.close()
             return
-        sock = local.LocalSocket(accepted.detach())
+        sock = unix_sockets.LocalSocket(accepted.detach())
         number = _number(address)
-        if number is None or not local.has_same_owner(sock):
+        if number is None or not unix_sockets.has_same_owner(sock):
             sock.close()
             continue
         sock.settimeout(HANDSHAKE_LIMIT)

@@ -15,8 +15,8 @@ from xtdrone_control.ros_codec import compile_class
 
 from . import local_topics
 from .inbox import FOREIGN_QUEUE, Feed, Inbox
-from .reader import Reader
 from .rospy_internals import SubscriberImpl, add_subscriber_impl
+from .topic_reader import Reader
 
 
 class BufferingSubscriber(SubscriberImpl):

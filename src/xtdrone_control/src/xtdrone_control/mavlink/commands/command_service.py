@@ -12,16 +12,16 @@ from typing import Any, ClassVar
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.commander.commander import Result
-from xtdrone_control.mavlink.commands.commands import (
+from xtdrone_control.mavlink.client_link import Link
+from xtdrone_control.mavlink.commands.command_execution import (
     Command,
     CommandError,
     CommandHandler,
     from_command_int,
     from_command_long,
 )
-from xtdrone_control.mavlink.link import Link
-from xtdrone_control.mavlink.service import Service, Vehicle
-from xtdrone_control.mavlink.wire.packing import COMPONENT_ID
+from xtdrone_control.mavlink.service_base import Service, Vehicle
+from xtdrone_control.mavlink.wire.frame_packing import COMPONENT_ID
 
 _FOR_ALL_SYSTEMS = (mavlink.MAV_CMD_REQUEST_PROTOCOL_VERSION, mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES)
 

@@ -15,7 +15,7 @@ from xtdrone_control.autopilot.state import (
 )
 
 if TYPE_CHECKING:
-    from xtdrone_control.mavlink.service import Vehicle
+    from xtdrone_control.mavlink.service_base import Vehicle
 
 _SENSOR = frozenset({FAILURE_OK, FAILURE_OFF, FAILURE_STUCK, FAILURE_GARBAGE, FAILURE_WRONG, FAILURE_SLOW})
 _SWITCH = frozenset({FAILURE_OK, FAILURE_OFF})

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from xtdrone_control.mavlink.link import Link
-from xtdrone_control.mavlink.service import Service
+from xtdrone_control.mavlink.client_link import Link
+from xtdrone_control.mavlink.service_base import Service
 
 
 class FollowService(Service):

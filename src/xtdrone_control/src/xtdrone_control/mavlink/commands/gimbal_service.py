@@ -1,4 +1,4 @@
-"""Messages of gimbal protocol v2; its commands are in ``commands``, its streams in ``streams.rare_telemetry``."""
+"""Messages of gimbal protocol v2; commands are in ``command_execution``, streams in ``streams.rare_telemetry``."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
 from xtdrone_control.autopilot.navigator.gimbal import GimbalManager
-from xtdrone_control.mavlink.link import Link
-from xtdrone_control.mavlink.service import Service, Vehicle
+from xtdrone_control.mavlink.client_link import Link
+from xtdrone_control.mavlink.service_base import Service, Vehicle
 from xtdrone_control.mavlink.streams.rare_telemetry import GIMBAL_CAPABILITIES, GIMBAL_DEVICE, GIMBAL_RANGE
 
 _DEVICES = (0, GIMBAL_DEVICE)  # 0: all

@@ -8,10 +8,10 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.commander.commander import WARNING
 from xtdrone_control.autopilot.estimator.origin import move_origin
+from xtdrone_control.mavlink.client_link import Link
+from xtdrone_control.mavlink.commands.command_execution import Command
 from xtdrone_control.mavlink.commands.command_service import CommandService
-from xtdrone_control.mavlink.commands.commands import Command
-from xtdrone_control.mavlink.link import Link
-from xtdrone_control.mavlink.service import Service, Vehicle
+from xtdrone_control.mavlink.service_base import Service, Vehicle
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
 
 
@@ -21,7 +21,7 @@ class HomeService(Service):
     MESSAGES: ClassVar[dict[str, str]] = {"SET_GPS_GLOBAL_ORIGIN": "_set_origin", "SET_HOME_POSITION": "_set_home"}
 
     def __init__(self, vehicle: Vehicle, commands: CommandService) -> None:
-        """Register the service with ``vehicle``; ``commands`` sends the resulting origin."""
+        """Register the service with ``vehicle``; ``command_execution`` sends the resulting origin."""
         super().__init__(vehicle)
         self._commands = commands
         self._estimator = vehicle.autopilot.estimator[vehicle.index]

@@ -6,8 +6,8 @@ from typing import Any, ClassVar
 
 from xtdrone_control.autopilot.commander.manual_control import CHANNELS
 from xtdrone_control.autopilot.commander.offboard_setpoint import SetpointError
-from xtdrone_control.mavlink.link import Link
-from xtdrone_control.mavlink.service import Service
+from xtdrone_control.mavlink.client_link import Link
+from xtdrone_control.mavlink.service_base import Service
 
 _RANGE = 1000.0
 _UNUSED = 0x7FFF  # INT16_MAX: axis not used

@@ -9,9 +9,9 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.commander.commander import CRITICAL, Commander
 from xtdrone_control.autopilot.commander.offboard_setpoint import SetpointError
-from xtdrone_control.mavlink.commands import setpoints
-from xtdrone_control.mavlink.link import Link
-from xtdrone_control.mavlink.service import Service, Vehicle
+from xtdrone_control.mavlink.client_link import Link
+from xtdrone_control.mavlink.commands import setpoint_conversion
+from xtdrone_control.mavlink.service_base import Service, Vehicle
 
 _TEXT_INTERVAL_US = 1_000_000
 
@@ -35,13 +35,13 @@ class SetpointService(Service):
         self._next_text_us = 0
 
     def _local_target(self, link: Link, m: Any) -> None:
-        self._queue(link, setpoints.local_target, m)
+        self._queue(link, setpoint_conversion.local_target, m)
 
     def _global_target(self, link: Link, m: Any) -> None:
-        self._queue(link, setpoints.global_target, m)
+        self._queue(link, setpoint_conversion.global_target, m)
 
     def _attitude_target(self, link: Link, m: Any) -> None:
-        self._queue(link, setpoints.attitude_target, m)
+        self._queue(link, setpoint_conversion.attitude_target, m)
 
     def _queue(self, link: Link, apply: Callable[[Commander, Any], None], m: Any) -> None:
         self.vehicle.call_or_queue(lambda: self._apply_setpoint(link, apply, m))
@@ -53,7 +53,7 @@ class SetpointService(Service):
                 text = "setpoint cannot be flown: an axis has no finite value; the vehicle stops and waits"
                 link.warn("setpoint that cannot be flown", text, self.vehicle.now_us)
         except SetpointError as error:
-            if isinstance(error, setpoints.RefusedSetpointError):
+            if isinstance(error, setpoint_conversion.RefusedSetpointError):
                 self._send_text(str(error))
             link.warn("setpoint", f"setpoint rejected: {error}", self.vehicle.now_us)
 

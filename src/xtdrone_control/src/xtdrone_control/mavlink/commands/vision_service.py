@@ -16,8 +16,8 @@ from typing import Any, ClassVar
 from xtdrone_control import frames
 from xtdrone_control.autopilot.commander.commander import CRITICAL
 from xtdrone_control.autopilot.state import VISION_BODY, VISION_FRD, VISION_NED
-from xtdrone_control.mavlink.link import Link
-from xtdrone_control.mavlink.service import Service, Vehicle
+from xtdrone_control.mavlink.client_link import Link
+from xtdrone_control.mavlink.service_base import Service, Vehicle
 
 _NAN = math.nan
 _UNKNOWN = (_NAN, _NAN, _NAN)

@@ -11,9 +11,9 @@ from typing import Any, ClassVar
 
 from xtdrone_control.autopilot.events.event_catalogue import MAX_ARGUMENTS
 from xtdrone_control.autopilot.events.events import Event
-from xtdrone_control.mavlink.link import Link
-from xtdrone_control.mavlink.service import Service, Vehicle
-from xtdrone_control.mavlink.wire.packing import Format
+from xtdrone_control.mavlink.client_link import Link
+from xtdrone_control.mavlink.service_base import Service, Vehicle
+from xtdrone_control.mavlink.wire.frame_packing import Format
 
 _EVENT, _CURRENT, _ERROR = (Format(name) for name in ("EVENT", "CURRENT_EVENT_SEQUENCE", "RESPONSE_EVENT_ERROR"))
 _FIRST_SEQUENCE = 0xFFFF - 10

@@ -20,9 +20,9 @@ from typing import Any, BinaryIO, ClassVar
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.autopilot.logger.folder import LogEntry, LogFolder
-from xtdrone_control.mavlink.link import Link
-from xtdrone_control.mavlink.service import NEVER_US, Service, Vehicle
+from xtdrone_control.autopilot.logger.log_folder import LogEntry, LogFolder
+from xtdrone_control.mavlink.client_link import Link
+from xtdrone_control.mavlink.service_base import NEVER_US, Service, Vehicle
 
 _HEADER = struct.Struct("<HBBBBBBI")  # sequence, session, opcode, size, requested opcode, burst complete, -, offset
 _LARGEST = 239  # bytes of data in a message

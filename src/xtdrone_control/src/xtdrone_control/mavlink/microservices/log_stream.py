@@ -13,10 +13,10 @@ from typing import Any, ClassVar
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.commander.commander import CRITICAL, Result
-from xtdrone_control.autopilot.logger.stream import PIECE_SIZE, LogStream, Piece
-from xtdrone_control.mavlink.link import Link
-from xtdrone_control.mavlink.service import NEVER_US, Service, Vehicle
-from xtdrone_control.mavlink.wire.packing import Format
+from xtdrone_control.autopilot.logger.mavlink_log_pieces import PIECE_SIZE, LogStream, Piece
+from xtdrone_control.mavlink.client_link import Link
+from xtdrone_control.mavlink.service_base import NEVER_US, Service, Vehicle
+from xtdrone_control.mavlink.wire.frame_packing import Format
 
 BURST = 8  # messages a period: 199 kB of a log in a simulated second, four times as much as it grows
 PERIOD_US = 10_000

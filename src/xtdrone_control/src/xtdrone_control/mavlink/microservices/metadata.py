@@ -10,10 +10,10 @@ import zlib
 from functools import cached_property
 
 from xtdrone_control.autopilot.parameters import metadata
-from xtdrone_control.mavlink.link import Link
-from xtdrone_control.mavlink.service import Service, Vehicle
+from xtdrone_control.mavlink.client_link import Link
+from xtdrone_control.mavlink.service_base import Service, Vehicle
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
-from xtdrone_control.mavlink.wire.packing import Format
+from xtdrone_control.mavlink.wire.frame_packing import Format
 
 _METADATA, _INFORMATION = Format("COMPONENT_METADATA"), Format("COMPONENT_INFORMATION")
 _FOLDER = "/etc/extras"

@@ -16,9 +16,9 @@ from xtdrone_control.autopilot.commander.commander import CRITICAL, INFO
 from xtdrone_control.autopilot.events.events import ERROR, WARNING
 from xtdrone_control.autopilot.navigator import geofence, plan
 from xtdrone_control.autopilot.navigator.plan import PlanItem
-from xtdrone_control.mavlink.link import Link
+from xtdrone_control.mavlink.client_link import Link
 from xtdrone_control.mavlink.microservices import mission_items
-from xtdrone_control.mavlink.service import NEVER_US, Service, Vehicle
+from xtdrone_control.mavlink.service_base import NEVER_US, Service, Vehicle
 
 _RETRY_US = 250_000  # until an item is requested again
 _TIMEOUT_US = 5_000_000  # silence of the partner that ends a transfer

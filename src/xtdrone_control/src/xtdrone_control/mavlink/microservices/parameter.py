@@ -17,9 +17,9 @@ from typing import Any, ClassVar
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.parameters.parameters import FLOAT, INDEX, INT32, NAMES, ParameterError, describe
-from xtdrone_control.mavlink.link import Link
-from xtdrone_control.mavlink.service import NEVER_US, Service, Vehicle
-from xtdrone_control.mavlink.wire.packing import Format
+from xtdrone_control.mavlink.client_link import Link
+from xtdrone_control.mavlink.service_base import NEVER_US, Service, Vehicle
+from xtdrone_control.mavlink.wire.frame_packing import Format
 
 _HASH_NAME = "_HASH_CHECK"
 _HASH_TYPE = 5  # MAV_PARAM_TYPE_UINT32

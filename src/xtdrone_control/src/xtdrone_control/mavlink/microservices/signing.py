@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from xtdrone_control.autopilot.commander.commander import WARNING
-from xtdrone_control.mavlink.link import Link
-from xtdrone_control.mavlink.service import Service, Vehicle
+from xtdrone_control.mavlink.client_link import Link
+from xtdrone_control.mavlink.service_base import Service, Vehicle
 
 
 class SigningService(Service):

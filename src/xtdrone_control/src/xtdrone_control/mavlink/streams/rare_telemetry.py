@@ -17,7 +17,7 @@ from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.commander.manual_control import CHANNELS
 from xtdrone_control.autopilot.navigator import gimbal
 from xtdrone_control.autopilot.state import TASK_GOTO, TASK_LAND
-from xtdrone_control.geodesy import geo
+from xtdrone_control.geodesy import projection
 from xtdrone_control.mavlink.streams.telemetry import EPOCH_US, Content, Telemetry, Values
 
 if TYPE_CHECKING:
@@ -318,7 +318,7 @@ class VehicleTelemetry(Telemetry):
     def _global_position(self, position: list[float]) -> tuple[int, int, float]:
         """Return latitude and longitude in 1e-7 degrees, and altitude in m AMSL, of a local position."""
         e = self._estimator
-        lat, lon = geo.reproject(position[0], position[1], float(e["origin"]["lat"]), float(e["origin"]["lon"]))
+        lat, lon = projection.reproject(position[0], position[1], float(e["origin"]["lat"]), float(e["origin"]["lon"]))
         return round(lat * 1e7), round(lon * 1e7), float(e["origin"]["alt"]) - position[2]
 
     def position_target_global_int(self) -> Values | None:

@@ -15,7 +15,7 @@ from xtdrone_native import mavlink_wire
 
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.state import ORIGIN
-from xtdrone_control.geodesy.geo import EARTH_RADIUS, GRAVITY
+from xtdrone_control.geodesy.projection import EARTH_RADIUS, GRAVITY
 
 if TYPE_CHECKING:
     from xtdrone_control.autopilot.autopilot import Autopilot

@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_native import mavlink_wire
 
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
-from xtdrone_control.mavlink.wire.packing import compiled
+from xtdrone_control.mavlink.wire.frame_packing import compiled
 
 Frame = tuple[int, int, int, bytes]
 """Message id, system id, component id and bytes of a frame."""

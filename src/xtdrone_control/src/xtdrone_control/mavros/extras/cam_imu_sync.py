@@ -8,7 +8,7 @@ from typing import Any
 from mavros_msgs.msg import CamIMUStamp
 
 from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.relay import wrapped
+from xtdrone_control.mavros.relayed_messages import wrapped
 from xtdrone_control.mavros.uas import Uas
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 from mavros_msgs.msg import DebugValue
 
-from xtdrone_control.mavros.link.packing import FieldError
-from xtdrone_control.mavros.relay import In, Out, Relay, text
+from xtdrone_control.mavros.link.ros_values_to_mavlink import FieldError
+from xtdrone_control.mavros.relayed_messages import In, Out, Relay, text
 from xtdrone_control.mavros.uas import Uas
 
 _NONE = -1  # index or array_id for messages without one

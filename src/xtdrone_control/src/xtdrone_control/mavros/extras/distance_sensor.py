@@ -14,10 +14,10 @@ from sensor_msgs.msg import Range
 from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.lib.params import Params
-from xtdrone_control.mavros.link.packing import FLOAT32_MAX, whole
+from xtdrone_control.mavros.lib.plugin_settings import Params
+from xtdrone_control.mavros.link.ros_values_to_mavlink import FLOAT32_MAX, whole
 from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.relay import In
+from xtdrone_control.mavros.relayed_messages import In
 from xtdrone_control.mavros.uas import Uas
 
 _CENTIMETRES = 100.0  # per metre

@@ -10,9 +10,9 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformS
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.link.packing import whole
+from xtdrone_control.mavros.link.ros_values_to_mavlink import whole
 from xtdrone_control.mavros.plugin import Plugin
-from xtdrone_control.mavros.relay import In, limited
+from xtdrone_control.mavros.relayed_messages import In, limited
 from xtdrone_control.mavros.uas import Uas
 
 _GPS_EPOCH = 315_964_800 - 18  # s of Unix time at the start of GPS time, with the leap seconds since then

@@ -7,8 +7,8 @@ from typing import Any
 from mavros_msgs.msg import RTCM, RTKBaseline
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.mavros.link.packing import FieldError
-from xtdrone_control.mavros.relay import Out, Relay
+from xtdrone_control.mavros.link.ros_values_to_mavlink import FieldError
+from xtdrone_control.mavros.relayed_messages import Out, Relay
 from xtdrone_control.mavros.uas import Uas
 
 _FRAGMENT = 180  # bytes of a GPS_RTCM_DATA

@@ -14,7 +14,7 @@ from tf2_msgs.msg import TFMessage
 from xtdrone_control import frames
 from xtdrone_control.mavros.lib.mav_frames import mav_frame
 from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.relay import In
+from xtdrone_control.mavros.relayed_messages import In
 from xtdrone_control.mavros.uas import Uas
 
 _PREFIX = "LANDING_TARGET_TYPE_"

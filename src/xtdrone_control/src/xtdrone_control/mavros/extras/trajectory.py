@@ -11,7 +11,7 @@ from nav_msgs.msg import Path
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.lib.setpoints import set_xyz, vector_fields, xyz
+from xtdrone_control.mavros.lib.setpoint_messages import set_xyz, vector_fields, xyz
 from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.uas import Uas
 

@@ -9,7 +9,7 @@ from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped, Vector3S
 
 from xtdrone_control import frames
 from xtdrone_control.mavros.plugin import Plugin
-from xtdrone_control.mavros.relay import In
+from xtdrone_control.mavros.relayed_messages import In
 from xtdrone_control.mavros.uas import Uas
 
 _NO_COVARIANCE = [0.0] * 36

@@ -19,7 +19,7 @@ from mavros_msgs.msg import Waypoint
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.mavlink.wire.codec import decoder
-from xtdrone_control.mavros.link.packing import pack, whole
+from xtdrone_control.mavros.link.ros_values_to_mavlink import pack, whole
 
 LIMIT = 1.0  # s, timeout of an answer, MAVROS's WP_TIMEOUT
 RETRIES = 3

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.mavros.lib.params import ParamError, Params
+from xtdrone_control.mavros.lib.plugin_settings import ParamError, Params
 from xtdrone_control.mavros.lib.px4_modes import mode_name
 from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.plugin_lists import PluginLists

@@ -14,7 +14,7 @@ from std_msgs.msg import Float64, UInt32
 from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.link.packing import whole
+from xtdrone_control.mavros.link.ros_values_to_mavlink import whole
 from xtdrone_control.mavros.plugin import Feed, Plugin, Topic
 from xtdrone_control.mavros.uas import Uas
 

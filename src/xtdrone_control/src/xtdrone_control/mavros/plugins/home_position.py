@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from std_srvs.srv import Trigger, TriggerResponse
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.link.packing import whole
+from xtdrone_control.mavros.link.ros_values_to_mavlink import whole
 from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.uas import Uas
 

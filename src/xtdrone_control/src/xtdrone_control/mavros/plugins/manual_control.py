@@ -7,7 +7,7 @@ from typing import Any
 from mavros_msgs.msg import ManualControl
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.mavros.link.packing import whole
+from xtdrone_control.mavros.link.ros_values_to_mavlink import whole
 from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.uas import Uas
 

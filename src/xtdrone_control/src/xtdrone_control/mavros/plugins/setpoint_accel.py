@@ -5,7 +5,7 @@ from __future__ import annotations
 from geometry_msgs.msg import Vector3Stamped
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.mavros.lib.setpoints import FORCE, ONLY_ACCELERATION, position_target, vector_fields, xyz
+from xtdrone_control.mavros.lib.setpoint_messages import FORCE, ONLY_ACCELERATION, position_target, vector_fields, xyz
 from xtdrone_control.mavros.plugin import Plugin
 from xtdrone_control.mavros.uas import Uas
 

@@ -8,7 +8,7 @@ from typing import Any
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from mavros_msgs.msg import Thrust
 
-from xtdrone_control.mavros.lib.setpoints import (
+from xtdrone_control.mavros.lib.setpoint_messages import (
     ONLY_ATTITUDE_THRUST,
     ONLY_RATES_THRUST,
     attitude_target,

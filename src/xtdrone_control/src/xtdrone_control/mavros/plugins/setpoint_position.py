@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
 from xtdrone_control.mavros.lib.mav_frames import MavFrame
-from xtdrone_control.mavros.lib.setpoints import (
+from xtdrone_control.mavros.lib.setpoint_messages import (
     ONLY_GLOBAL_POSITION_YAW,
     ONLY_POSITION_YAW,
     global_target,

@@ -9,7 +9,7 @@ from typing import Any
 from mavros_msgs.msg import AttitudeTarget, GlobalPositionTarget, PositionTarget
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.lib.setpoints import (
+from xtdrone_control.mavros.lib.setpoint_messages import (
     attitude_target,
     certainly_finite,
     global_target,

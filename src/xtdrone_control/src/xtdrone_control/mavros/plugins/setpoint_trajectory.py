@@ -12,7 +12,7 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectory
 
 from xtdrone_control import frames
 from xtdrone_control.mavros.lib.mav_frames import MavFrame
-from xtdrone_control.mavros.lib.setpoints import position_target, set_xyz, vector_fields, xyz
+from xtdrone_control.mavros.lib.setpoint_messages import position_target, set_xyz, vector_fields, xyz
 from xtdrone_control.mavros.plugin import Plugin
 from xtdrone_control.mavros.uas import Uas
 

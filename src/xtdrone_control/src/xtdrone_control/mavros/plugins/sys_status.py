@@ -25,7 +25,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from sensor_msgs.msg import BatteryState
 
 from xtdrone_control.mavlink.wire.codec import decoder, version
-from xtdrone_control.mavros.lib.params import ParamError
+from xtdrone_control.mavros.lib.plugin_settings import ParamError
 from xtdrone_control.mavros.lib.px4_modes import ModeError, mode_name, mode_number
 from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.uas import Uas

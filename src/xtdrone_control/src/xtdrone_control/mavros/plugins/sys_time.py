@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from rospy import Time
 from sensor_msgs.msg import TimeReference
 
-from xtdrone_control.mavros.lib.params import ParamError
+from xtdrone_control.mavros.lib.plugin_settings import ParamError
 from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.uas import Uas
 

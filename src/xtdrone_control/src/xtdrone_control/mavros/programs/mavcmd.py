@@ -15,8 +15,8 @@ from mavros_msgs.srv import (
 )
 from sensor_msgs.msg import NavSatFix
 
-from .client import Mavros, ProgramError, Subscription, new_parser
-from .client import main as run_program
+from .shared_arguments_and_calls import Mavros, ProgramError, Subscription, new_parser
+from .shared_arguments_and_calls import main as run_program
 
 _FIX_LIMIT = 10.0  # s, as MAVROS's
 _PARAMS = tuple(f"param{i}" for i in range(1, 8))

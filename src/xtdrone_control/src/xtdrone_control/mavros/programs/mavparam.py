@@ -12,9 +12,9 @@ from mavros_msgs.srv import ParamGet, ParamPull, ParamPush, ParamSet
 from xtdrone_control.parameter_file import as_float32
 
 from . import parameter_formats
-from .client import STANDARD, Mavros, ProgramError, new_parser, read_file, write_file
-from .client import main as run_program
 from .parameter_formats import MAVPROXY, MISSION_PLANNER, QGC, FormatError, Number
+from .shared_arguments_and_calls import STANDARD, Mavros, ProgramError, new_parser, read_file, write_file
+from .shared_arguments_and_calls import main as run_program
 
 _OPTIONS = (
     ("-mp", "--mission-planner", MISSION_PLANNER, "Mission Planner's"),

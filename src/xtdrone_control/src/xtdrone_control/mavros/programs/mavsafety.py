@@ -9,8 +9,8 @@ import rospy
 from geometry_msgs.msg import Point32, PolygonStamped
 from mavros_msgs.srv import CommandBool, CommandLong
 
-from .client import Mavros, ProgramError, new_parser
-from .client import main as run_program
+from .shared_arguments_and_calls import Mavros, ProgramError, new_parser
+from .shared_arguments_and_calls import main as run_program
 
 _ARM_DISARM, _FORCE = 400, 21196.0  # MAV_CMD_COMPONENT_ARM_DISARM, and its param2 that forces it in flight
 _SUBSCRIBER_LIMIT = 3.0  # s of wall time, as MAVROS's

@@ -7,8 +7,8 @@ import argparse
 from mavros_msgs.msg import State
 from mavros_msgs.srv import MessageInterval, SetMode, StreamRate, StreamRateRequest
 
-from .client import Mavros, ProgramError, new_parser
-from .client import main as run_program
+from .shared_arguments_and_calls import Mavros, ProgramError, new_parser
+from .shared_arguments_and_calls import main as run_program
 
 _MODE_LIMIT = 5.0  # s, as MAVROS's
 _STREAMS = {

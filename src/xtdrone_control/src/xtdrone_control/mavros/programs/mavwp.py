@@ -13,8 +13,8 @@ from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.plans import waypoint_file
 from xtdrone_control.plans.waypoint_file import Row, WaypointFileError
 
-from .client import Mavros, ProgramError, Subscription, new_parser, read_file, write_file
-from .client import main as run_program
+from .shared_arguments_and_calls import Mavros, ProgramError, Subscription, new_parser, read_file, write_file
+from .shared_arguments_and_calls import main as run_program
 
 _TOPIC = "mission/waypoints"
 _LIMIT = 30.0  # s, timeout of a list on the topic, as MAVROS's

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from ..reports import rounded_xy
+from ..searching_vehicle import State, Vehicle
 from ..states.base import MissionControl
 from ..states.following import FollowingPerson
-from ..vehicle import State, Vehicle
 from .reallocation import Reallocation
 
 

@@ -8,8 +8,8 @@ from itertools import pairwise
 
 from ..actions import MISSION, PushMission
 from ..planning.coverage_path import Point, Waypoint, length
+from ..searching_vehicle import State, Vehicle
 from ..states.base import MissionControl
-from ..vehicle import State, Vehicle
 
 _MIN_PART = 10.0  # m; a shorter part is not worth the flight to it
 

@@ -10,8 +10,8 @@ import shapely
 from shapely.geometry import Polygon
 
 from ..reports import rounded_xy
-from ..settings import MissionSettings
-from ..vehicle import Vehicle
+from ..search_settings import MissionSettings
+from ..searching_vehicle import Vehicle
 from .candidates import Candidate, Sighting, nearest
 
 _WALKING_SPEED = 1.5  # m/s that a person may move while unseen

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ..searching_vehicle import OFFBOARD_STATES, Vehicle
 from ..states.base import MissionControl
-from ..vehicle import OFFBOARD_STATES, Vehicle
 from .candidates import Candidate
 
 

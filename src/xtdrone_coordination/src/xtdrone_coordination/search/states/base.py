@@ -7,8 +7,8 @@ from typing import ClassVar, Protocol
 
 from ..actions import Action, SetMode
 from ..people.candidates import Candidate
-from ..settings import MissionSettings
-from ..vehicle import SecondLook, Vehicle
+from ..search_settings import MissionSettings
+from ..searching_vehicle import SecondLook, Vehicle
 
 _MODE_GRACE = 2.5  # s; mavros/state follows the 1 Hz heartbeat
 RETRY_PERIOD = 2.0  # s between attempts to reach a mode or to arm

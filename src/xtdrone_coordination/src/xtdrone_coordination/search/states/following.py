@@ -5,7 +5,7 @@ from __future__ import annotations
 from ..actions import Follow
 from ..people.candidates import Candidate
 from ..reports import rounded_xy
-from ..vehicle import Following, SecondLook, State, Vehicle
+from ..searching_vehicle import Following, SecondLook, State, Vehicle
 from .base import MissionControl
 from .offboard import OffboardState
 from .rejoining import Rejoining

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ..actions import GoTo, Position
-from ..vehicle import Vehicle
+from ..searching_vehicle import Vehicle
 from .base import VehicleState
 from .searching import FALLEN
 

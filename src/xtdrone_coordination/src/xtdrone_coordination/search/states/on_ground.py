@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..actions import MISSION, Arm, SetReturnHeight
-from ..vehicle import State, Vehicle
+from ..searching_vehicle import State, Vehicle
 from .base import RETRY_PERIOD, VehicleState, because
 
 _CLIMBED = 0.8  # part of the takeoff height from which on a vehicle searches

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..actions import MISSION, PointCamera
-from ..vehicle import LookStage, SecondLook, State, Vehicle
+from ..searching_vehicle import LookStage, SecondLook, State, Vehicle
 from .base import PART_SEARCHED
 from .offboard import OffboardState
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..actions import LAND, LOITER, RTL
-from ..vehicle import State, Vehicle
+from ..searching_vehicle import State, Vehicle
 from .base import VehicleState
 
 

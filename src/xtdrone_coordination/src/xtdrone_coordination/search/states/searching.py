@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ..actions import LAND, RTL
-from ..vehicle import Vehicle
+from ..searching_vehicle import Vehicle
 from .base import PART_SEARCHED, VehicleState
 
 FALLEN = 0.3  # part of the lowest planned height below which a vehicle has fallen

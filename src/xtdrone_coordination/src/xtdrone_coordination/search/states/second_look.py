@@ -13,7 +13,7 @@ from ..actions import OFFBOARD, PointCamera
 from ..coverage_map import shows
 from ..people.candidates import EXTRAPOLATION, Candidate
 from ..reports import rounded_xy
-from ..vehicle import LookStage, SecondLook, State, Vehicle
+from ..searching_vehicle import LookStage, SecondLook, State, Vehicle
 from .base import MissionControl
 from .offboard import OffboardState
 

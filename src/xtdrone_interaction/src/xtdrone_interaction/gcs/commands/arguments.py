@@ -12,9 +12,9 @@ from xtdrone_control.fleet import MAX_INSTANCE, FleetError, parse_fleet
 from xtdrone_control.settings import Settings, setting
 
 from .. import discovery, station
-from ..contact import AbortMessages, Job
-from ..peers import LOOPBACK, GcsError, Peer, choose_systems, numbered, numbers_of, parse_address
 from ..station import no_abort_messages
+from ..vehicle_addresses import LOOPBACK, GcsError, Peer, choose_systems, numbered, numbers_of, parse_address
+from ..vehicle_contact import AbortMessages, Job
 
 T = TypeVar("T")
 Runner = Callable[[argparse.Namespace], int]

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from ..peers import GcsError, Peer
+from ..vehicle_addresses import GcsError, Peer
 
 _REDRAW = 0.05  # s between two updates of the progress
 

@@ -11,9 +11,9 @@ from functools import partial
 from xtdrone_control.settings import SettingError, Settings, check_range, setting
 
 from ..exchanges import flight
+from ..exchanges.exchange import Exchange, Heartbeat
 from ..exchanges.flight import Target
-from ..exchanges.protocol import Exchange, Heartbeat
-from ..peers import Peer
+from ..vehicle_addresses import Peer
 from .arguments import Adder, UsageError, run, select_vehicles
 from .display import Display
 

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from ..exchanges import logs
+from ..exchanges.exchange import Exchange, Heartbeat, Progress, RefusalError
 from ..exchanges.logs import Log
-from ..exchanges.protocol import Exchange, Heartbeat, Progress, RefusalError
-from ..peers import GcsError
 from ..station import progress_of
+from ..vehicle_addresses import GcsError
 from .arguments import Adder, UsageError, run, select_vehicles
 from .display import Display, print_errors
 

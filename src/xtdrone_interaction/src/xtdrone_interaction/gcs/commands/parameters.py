@@ -13,9 +13,9 @@ from typing import Any
 from xtdrone_control.parameter_file import SUFFIX, ParameterFile, ParameterFileError, Value, read, shown, write
 
 from ..exchanges import parameters
-from ..exchanges.protocol import Exchange, Heartbeat
-from ..peers import GcsError, Peer
+from ..exchanges.exchange import Exchange, Heartbeat
 from ..station import progress_of
+from ..vehicle_addresses import GcsError, Peer
 from .arguments import Adder, UsageError, run, select_vehicles
 from .display import Display, print_errors
 

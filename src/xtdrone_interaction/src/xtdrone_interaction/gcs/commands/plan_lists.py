@@ -14,10 +14,10 @@ from xtdrone_control.plans import qgc_plan
 from xtdrone_control.plans.qgc_plan import Plan, PlanError
 
 from ..exchanges import plans as plan_exchanges
+from ..exchanges.exchange import Exchange, Heartbeat
 from ..exchanges.plans import KINDS
-from ..exchanges.protocol import Exchange, Heartbeat
-from ..peers import GcsError, Peer
 from ..station import progress_of
+from ..vehicle_addresses import GcsError, Peer
 from .arguments import Adder, Runner, UsageError, run, select_vehicles
 from .display import Display
 from .plans import assign, find_files, owners, read_plans

@@ -12,14 +12,14 @@ from pathlib import Path
 
 from xtdrone_control.autopilot.navigator import feasibility, geofence, plan
 from xtdrone_control.autopilot.navigator.feasibility import Situation
-from xtdrone_control.geodesy import geo
+from xtdrone_control.geodesy import projection
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.plans.qgc_plan import Plan, PlanError
 
 from ..exchanges import plans as plan_exchanges
-from ..exchanges.protocol import Exchange, Heartbeat
-from ..peers import GcsError, Peer
+from ..exchanges.exchange import Exchange, Heartbeat
 from ..station import progress_of
+from ..vehicle_addresses import GcsError, Peer
 from .arguments import Adder, UsageError, run, select_named, select_vehicles
 from .display import Display
 
@@ -125,7 +125,7 @@ def problems(content: Plan) -> tuple[list[str], bool]:
     said: list[str] = []
 
     def to_plane(latitude: float, longitude: float) -> tuple[float, float]:
-        return geo.project(latitude, longitude, home[0], home[1])
+        return projection.project(latitude, longitude, home[0], home[1])
 
     fence = geofence.build(content.fence, to_plane)
     now = Situation(
@@ -145,7 +145,7 @@ def path_length(content: Plan) -> float:
     places = [item for item in content.mission if item.has_position]
     length = 0.0
     for a, b in pairwise(places):
-        length += math.hypot(*geo.project(b.x, b.y, a.x, a.y), b.z - a.z if a.relative == b.relative else 0.0)
+        length += math.hypot(*projection.project(b.x, b.y, a.x, a.y), b.z - a.z if a.relative == b.relative else 0.0)
     return length
 
 

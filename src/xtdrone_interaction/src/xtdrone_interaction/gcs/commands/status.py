@@ -13,9 +13,9 @@ from typing import Any
 
 from xtdrone_control.settings import Settings, setting
 
-from ..exchanges.protocol import request_state
-from ..peers import GcsError
+from ..exchanges.exchange import request_state
 from ..station import GroundStation
+from ..vehicle_addresses import GcsError
 from ..vehicle_state import VehicleState
 from .arguments import Adder, add_settings, select_vehicles
 from .display import Screen, print_errors, redraws

@@ -1,1 +1,1 @@
-"""Exchanges of a ground station with one vehicle, as generators without sockets or clocks; see ``protocol``."""
+"""Exchanges of a ground station with one vehicle, as generators without sockets or clocks; see ``exchange``."""

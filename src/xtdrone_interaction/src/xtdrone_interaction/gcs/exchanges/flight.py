@@ -14,11 +14,11 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.geodesy import geo
+from xtdrone_control.geodesy import projection
 
 from ..vehicle_state import modes_of
+from .exchange import AUTOPILOT, Exchange, Heartbeat, RefusalError, fetch_message
 from .parameters import fetch as fetch_parameters
-from .protocol import AUTOPILOT, Exchange, Heartbeat, RefusalError, fetch_message
 
 _FORCE = 21196.0
 _CHANGE_MODE = 1.0  # MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
@@ -270,7 +270,7 @@ def _global_position(heartbeat: Heartbeat, target: Target) -> Exchange[tuple[flo
         if origin is None:
             raise RefusalError("goto: the vehicle's local frame has no place on the globe", True)
         east, north, up = target.local
-        place = geo.reproject(north, east, origin.latitude * 1e-7, origin.longitude * 1e-7)
+        place = projection.reproject(north, east, origin.latitude * 1e-7, origin.longitude * 1e-7)
         return *place, origin.altitude * 1e-3 + up
     if target.place is None:
         raise ValueError("target: neither a local place nor one on the globe")

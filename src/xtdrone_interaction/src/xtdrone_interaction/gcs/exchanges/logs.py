@@ -13,7 +13,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from .protocol import AUTOPILOT, Exchange, Heartbeat, Progress, RefusalError, Unanswered, ignore_progress
+from .exchange import AUTOPILOT, Exchange, Heartbeat, Progress, RefusalError, Unanswered, ignore_progress
 
 _ALL = 0xFFFF
 _CHUNK = 90  # bytes of LOG_DATA

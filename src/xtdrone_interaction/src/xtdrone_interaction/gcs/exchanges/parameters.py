@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.parameter_file import LIMITS, REAL32, ParameterFile, Value, as_float32, checked, shown
 
-from .protocol import AUTOPILOT, Exchange, Heartbeat, Progress, RefusalError, fetch_message, ignore_progress
+from .exchange import AUTOPILOT, Exchange, Heartbeat, Progress, RefusalError, fetch_message, ignore_progress
 
 IDENTITY = ("MAV_SYS_ID", "MAV_COMP_ID", "SYSID_THISMAV", "MAV_SYSID")
 """Parameters that identify a vehicle; they are never copied to another one."""

@@ -22,7 +22,7 @@ from xtdrone_control.autopilot.navigator.plan import FRAME_MISSION, Items, PlanI
 from xtdrone_control.mavlink.microservices import mission_items
 from xtdrone_control.plans.qgc_plan import FRAME_GLOBAL, Plan, Position
 
-from .protocol import (
+from .exchange import (
     AUTOPILOT,
     Exchange,
     Progress,

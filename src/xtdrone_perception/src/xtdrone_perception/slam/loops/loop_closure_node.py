@@ -28,7 +28,7 @@ from sensor_msgs.msg import PointCloud2
 from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import lockstep
-from xtdrone_control.lockstep.deferred import Deferred
+from xtdrone_control.lockstep.deferred_work import Deferred
 from xtdrone_control.settings import Settings, setting
 from xtdrone_perception.slam import odometry_messages as messages
 from xtdrone_perception.slam.poses import pose_of

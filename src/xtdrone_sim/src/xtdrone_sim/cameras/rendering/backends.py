@@ -17,7 +17,7 @@ from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import SymbolTableSection
 
 from xtdrone_control.settings import check_choice
-from xtdrone_sim.physics.bullet import BulletClient, connect, pybullet, without_lines
+from xtdrone_sim.physics.quiet_pybullet import BulletClient, connect, pybullet, without_lines
 
 BACKENDS = ("auto", "egl", "tiny")
 

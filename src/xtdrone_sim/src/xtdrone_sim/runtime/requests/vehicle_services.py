@@ -26,9 +26,9 @@ from xtdrone_msgs.srv import (
 
 from xtdrone_control.fleet import StartPose, start_pose
 from xtdrone_control.lockstep.protocol import printable
-from xtdrone_sim.runtime.backend import SimulatorBackend
-from xtdrone_sim.runtime.requests.control import Change, Control, ControlError
 from xtdrone_sim.runtime.requests.mailbox import ClosedError, Mailbox
+from xtdrone_sim.runtime.requests.simulation_control import Change, Control, ControlError
+from xtdrone_sim.runtime.simulator_interface import SimulatorBackend
 
 
 class VehicleServices:

@@ -9,8 +9,8 @@ import numpy as np
 
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.vehicles.visual import Box, Colour, Pose, Visual
-from xtdrone_sim.worlds.scenery import assets, objects
-from xtdrone_sim.worlds.scenery.ground import Rectangle
+from xtdrone_sim.worlds.scenery import assets, scenery_objects
+from xtdrone_sim.worlds.scenery.free_ground import Rectangle
 from xtdrone_sim.worlds.scenery.materials import Kit
 from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld
 
@@ -106,7 +106,7 @@ def _along_streets(kit: Kit, x0: float, y0: float, settings: CitySettings, squar
     region = (x0, y0, x0 + step * settings.columns - settings.street, y0 + step * settings.rows - settings.street)
     places = Places(kit.rng, region)
     models: list[SdfModel] = []
-    makers = (("car", objects.car, settings.cars), ("tree", objects.leafy_tree, settings.trees))
+    makers = (("car", scenery_objects.car, settings.cars), ("tree", scenery_objects.leafy_tree, settings.trees))
     for kind, make, share in makers:
         for _ in range(round(share * count)):
             thing = make(kit)
@@ -122,9 +122,9 @@ def _along_streets(kit: Kit, x0: float, y0: float, settings: CitySettings, squar
     return models
 
 
-def _slender(kit: Kit) -> objects.Thing:
+def _slender(kit: Kit) -> scenery_objects.Thing:
     """Return a lamp or post that fits on the pavement beside a building."""
-    return objects.pole(kit) if kit.rng.uniform() < 0.5 else objects.sign(kit)
+    return scenery_objects.pole(kit) if kit.rng.uniform() < 0.5 else scenery_objects.sign(kit)
 
 
 def _at_kerb(x: float, y: float, side: float, along: float, which: int, away: float) -> tuple[float, float, float]:

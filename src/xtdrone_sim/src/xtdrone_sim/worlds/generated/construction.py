@@ -11,8 +11,8 @@ import numpy as np
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.vehicles.visual import Box, Collision, Colour, Mesh, Pose, Visual
 from xtdrone_sim.worlds.scenery import assets
-from xtdrone_sim.worlds.scenery.ground import Rectangle
-from xtdrone_sim.worlds.scenery.objects import Thing
+from xtdrone_sim.worlds.scenery.free_ground import Rectangle
+from xtdrone_sim.worlds.scenery.scenery_objects import Thing
 from xtdrone_sim.worlds.sdf import Light, SdfLink, SdfModel, SdfWorld, load_world_file
 
 START: Rectangle = (-3.0, -3.0, 18.0, 13.0)

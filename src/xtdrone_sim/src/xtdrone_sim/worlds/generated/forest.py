@@ -9,9 +9,9 @@ import numpy as np
 
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.vehicles.visual import Cylinder, Pose, Visual
-from xtdrone_sim.worlds.scenery import objects
+from xtdrone_sim.worlds.scenery import scenery_objects
 from xtdrone_sim.worlds.scenery.materials import Kit
-from xtdrone_sim.worlds.scenery.objects import Thing
+from xtdrone_sim.worlds.scenery.scenery_objects import Thing
 from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld
 
 from .construction import START, ground, placed, solid, world
@@ -95,5 +95,5 @@ def _tree(kit: Kit, number: int, x: float, y: float, settings: ForestSettings) -
         radius, height = kit.uniform(0.12, 0.3), kit.uniform(4.0, _HIGHEST)
         trunk = Visual(Cylinder(radius, height), Pose((x, y, round(0.5 * height, 4))), kit.brown())
         return solid(f"tree_{number}", [trunk])
-    thing: Thing = objects.conifer(kit) if kit.rng.uniform() < 0.5 else objects.leafy_tree(kit)
+    thing: Thing = scenery_objects.conifer(kit) if kit.rng.uniform() < 0.5 else scenery_objects.leafy_tree(kit)
     return placed(f"tree_{number}", thing, x, y, kit.uniform(-math.pi, math.pi))

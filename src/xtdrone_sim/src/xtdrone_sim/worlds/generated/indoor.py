@@ -15,7 +15,7 @@ import numpy as np
 
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_sim.vehicles.visual import Colour, Cylinder, Pose, Visual
-from xtdrone_sim.worlds.scenery.ground import Rectangle
+from xtdrone_sim.worlds.scenery.free_ground import Rectangle
 from xtdrone_sim.worlds.scenery.materials import Kit
 from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld
 

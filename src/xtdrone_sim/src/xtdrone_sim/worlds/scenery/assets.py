@@ -13,8 +13,8 @@ import numpy as np
 from PIL import Image
 
 from xtdrone_sim.package_files import MODELS
-from xtdrone_sim.worlds.scenery import meshes, textures
-from xtdrone_sim.worlds.scenery.meshes import Triangles
+from xtdrone_sim.worlds.scenery import scenery_meshes, textures
+from xtdrone_sim.worlds.scenery.scenery_meshes import Triangles
 from xtdrone_sim.worlds.scenery.textures import Picture
 
 FOLDER = MODELS / "scenery"
@@ -51,48 +51,48 @@ _CARS: dict[str, tuple[list[tuple[float, float]], list[tuple[float, float]], flo
 def _car_body(name: str) -> Triangles:
     body, cabin, width = _CARS[name]
     (_, _), (_, _), (front, top), (rear, _) = cabin
-    return meshes.join(
-        meshes.prism(body, width),
-        meshes.cuboid((rear + 0.05, -0.42 * width, top - 0.02), (front - 0.05, 0.42 * width, top + 0.06)),
+    return scenery_meshes.join(
+        scenery_meshes.prism(body, width),
+        scenery_meshes.cuboid((rear + 0.05, -0.42 * width, top - 0.02), (front - 0.05, 0.42 * width, top + 0.06)),
     )
 
 
 def _car_glass(name: str) -> Triangles:
     _, cabin, width = _CARS[name]
-    return meshes.prism(cabin, 0.88 * width)
+    return scenery_meshes.prism(cabin, 0.88 * width)
 
 
 def _car_wheels(name: str) -> Triangles:
     body, _, width = _CARS[name]
     base = 0.62 * body[1][0]
-    wheel = meshes.revolved([(0.33, -0.12), (0.33, 0.12)], 10)
+    wheel = scenery_meshes.revolved([(0.33, -0.12), (0.33, 0.12)], 10)
     turned = Triangles(wheel.corners[:, :, [0, 2, 1]] * np.array([1.0, -1.0, 1.0]), wheel.texture)
     places = [(x, y, 0.33) for x in (-base, base) for y in (-0.44 * width, 0.44 * width)]
-    return meshes.join(*(meshes.moved(turned, place) for place in places))
+    return scenery_meshes.join(*(scenery_meshes.moved(turned, place) for place in places))
 
 
 def _gable(_rng: np.random.Generator) -> Triangles:
-    return meshes.mapped(meshes.prism([(-0.5, 0.0), (0.5, 0.0), (0.0, 1.0)], 1.0).corners, 0.5)
+    return scenery_meshes.mapped(scenery_meshes.prism([(-0.5, 0.0), (0.5, 0.0), (0.0, 1.0)], 1.0).corners, 0.5)
 
 
 def _hip(_rng: np.random.Generator) -> Triangles:
     points = [(-0.5, -0.5, 0), (0.5, -0.5, 0), (0.5, 0.5, 0), (-0.5, 0.5, 0), (0, -0.25, 1), (0, 0.25, 1)]
-    return meshes.polyhedron(points, [(3, 2, 1, 0), (0, 1, 4), (1, 2, 5, 4), (2, 3, 5), (3, 0, 4, 5)], 0.5)
+    return scenery_meshes.polyhedron(points, [(3, 2, 1, 0), (0, 1, 4), (1, 2, 5, 4), (2, 3, 5), (3, 0, 4, 5)], 0.5)
 
 
 _MESHES: dict[str, tuple[Callable[[np.random.Generator], Triangles], int]] = {
-    "crown": (lambda rng: meshes.crown(int(rng.integers(3, 6)), rng), 6),
-    "conifer": (lambda rng: meshes.conifer(int(rng.integers(3, 6)), rng), 4),
-    "bush": (lambda rng: meshes.ball(2, 0.2, rng), 4),
-    "rock": (lambda rng: meshes.ball(1, 0.28, rng), 4),
-    "blob": (meshes.blob, 6),
-    "path": (lambda rng: meshes.strip(24, 1.6, rng), 4),
-    "road": (lambda rng: meshes.strip(32, 0.0, rng), 1),
-    "ground": (lambda _: meshes.grid(4, 4), 1),
+    "crown": (lambda rng: scenery_meshes.crown(int(rng.integers(3, 6)), rng), 6),
+    "conifer": (lambda rng: scenery_meshes.conifer(int(rng.integers(3, 6)), rng), 4),
+    "bush": (lambda rng: scenery_meshes.ball(2, 0.2, rng), 4),
+    "rock": (lambda rng: scenery_meshes.ball(1, 0.28, rng), 4),
+    "blob": (scenery_meshes.blob, 6),
+    "path": (lambda rng: scenery_meshes.strip(24, 1.6, rng), 4),
+    "road": (lambda rng: scenery_meshes.strip(32, 0.0, rng), 1),
+    "ground": (lambda _: scenery_meshes.grid(4, 4), 1),
     "gable": (_gable, 1),
     "hip": (_hip, 1),
-    "cone": (lambda _: meshes.revolved([(1.0, 0.0), (0.0, 1.0)], 14), 1),
-    "triangle": (lambda _: meshes.prism([(-0.5, 0.0), (0.5, 0.0), (0.0, 0.866)], 1.0), 1),
+    "cone": (lambda _: scenery_meshes.revolved([(1.0, 0.0), (0.0, 1.0)], 14), 1),
+    "triangle": (lambda _: scenery_meshes.prism([(-0.5, 0.0), (0.5, 0.0), (0.0, 0.866)], 1.0), 1),
     **{f"car_{name}_body": (lambda _, name=name: _car_body(name), 1) for name in _CARS},  # type: ignore[misc]
     **{f"car_{name}_glass": (lambda _, name=name: _car_glass(name), 1) for name in _CARS},  # type: ignore[misc]
     **{f"car_{name}_wheels": (lambda _, name=name: _car_wheels(name), 1) for name in _CARS},  # type: ignore[misc]
@@ -135,7 +135,7 @@ def write_all() -> None:
             picture.save(texture(name, number), quality=82, optimize=True)
     for name, (make, count) in _MESHES.items():
         for number in range(count):
-            meshes.write_obj(make(_random(name, number)), mesh(name, number))
+            scenery_meshes.write_obj(make(_random(name, number)), mesh(name, number))
 
 
 if __name__ == "__main__":

@@ -12,10 +12,10 @@ import numpy as np
 from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import Settings, check_range, setting
 from xtdrone_sim.vehicles.visual import Mesh, Pose, Visual
-from xtdrone_sim.worlds.scenery import assets, objects
-from xtdrone_sim.worlds.scenery.ground import Ground, Rectangle
+from xtdrone_sim.worlds.scenery import assets, scenery_objects
+from xtdrone_sim.worlds.scenery.free_ground import Ground, Rectangle
 from xtdrone_sim.worlds.scenery.materials import SPLITS, Kit
-from xtdrone_sim.worlds.scenery.objects import Thing
+from xtdrone_sim.worlds.scenery.scenery_objects import Thing
 from xtdrone_sim.worlds.sdf import (
     Light,
     SdfActor,
@@ -118,13 +118,13 @@ class _Scene:
         """Add everything except people."""
         self._ground(self._kit(1))
         self._roadside(self._kit(2))
-        self._scatter(3, "house", {"house": objects.house})
-        self._scatter(4, "tree", {"tree": objects.leafy_tree, "spruce": objects.conifer}, margin=True)
-        self._scatter(5, "yard", objects.YARD)
-        self._scatter(6, "lookalike", objects.LOOKALIKE)
-        self._scatter(7, "street", objects.STREET)
-        self._scatter(8, "car", {"parked_car": objects.car})
-        self._scatter(9, "bush", {"bush": objects.bush}, margin=True)
+        self._scatter(3, "house", {"house": scenery_objects.house})
+        self._scatter(4, "tree", {"tree": scenery_objects.leafy_tree, "spruce": scenery_objects.conifer}, margin=True)
+        self._scatter(5, "yard", scenery_objects.YARD)
+        self._scatter(6, "lookalike", scenery_objects.LOOKALIKE)
+        self._scatter(7, "street", scenery_objects.STREET)
+        self._scatter(8, "car", {"parked_car": scenery_objects.car})
+        self._scatter(9, "bush", {"bush": scenery_objects.bush}, margin=True)
 
     def light(self) -> Light:
         """Return random sunlight and sky."""
@@ -212,12 +212,14 @@ class _Scene:
         for _ in range(cars):
             side = 1.0 if kit.rng.uniform() < 0.5 else -1.0
             y = round(self._road - 1.5 * side, 3)
-            self._try(kit, "car", objects.car(kit), lambda y=y: (kit.uniform(x0, x1), y), 0.0 if side > 0 else 3.1416)
+            self._try(
+                kit, "car", scenery_objects.car(kit), lambda y=y: (kit.uniform(x0, x1), y), 0.0 if side > 0 else 3.1416
+            )
         step = 3.0
         for x in np.arange(x0 - _MARGIN, x1 + _MARGIN, step):
             self._circles.append((float(x), self._road, 3.6))
 
-    def _scatter(self, purpose: int, kind: str, makers: dict[str, objects.Maker], margin: bool = False) -> None:
+    def _scatter(self, purpose: int, kind: str, makers: dict[str, scenery_objects.Maker], margin: bool = False) -> None:
         kit = self._kit(purpose)
         x0, y0, x1, y1 = self._options.region
         area = (x1 - x0) * (y1 - y0)
@@ -352,5 +354,5 @@ def _waypoint(time: float, place: tuple[float, float], heading: float) -> Waypoi
 
 
 def is_free(world: SdfWorld, x: float, y: float, radius: float) -> bool:
-    """Return whether only ground is within ``radius`` m of (x, y), m ENU, at any height; see ``ground.Ground``."""
+    """Return whether only ground is within ``radius`` m of (x, y), m ENU, at any height; see ``free_ground.Ground``."""
     return Ground(world).is_free(x, y, radius)

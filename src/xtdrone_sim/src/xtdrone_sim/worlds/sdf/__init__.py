@@ -1,6 +1,7 @@
 """Worlds in SDF files: the subset of Gazebo Classic's format in docs/worlds.md."""
 
-from xtdrone_sim.worlds.sdf.types import (
+from xtdrone_sim.worlds.sdf.world_files import load_world_file, read_model, read_world, world_file, world_names
+from xtdrone_sim.worlds.sdf.world_records import (
     Light,
     SdfActor,
     SdfError,
@@ -10,8 +11,7 @@ from xtdrone_sim.worlds.sdf.types import (
     Trajectory,
     Waypoint,
 )
-from xtdrone_sim.worlds.sdf.worlds import load_world_file, read_model, read_world, world_file, world_names
-from xtdrone_sim.worlds.sdf.writer import write_world
+from xtdrone_sim.worlds.sdf.world_writer import write_world
 
 __all__ = [
     "Light",

@@ -11,13 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.bounded_file import read_text
-from xtdrone_sim.vehicles.poses import compose, rotate
+from xtdrone_sim.vehicles.pose_arithmetic import compose, rotate
 from xtdrone_sim.vehicles.visual import Box, Collision, Cylinder, Geometry, Mesh, Pose, Sphere, Visual
-from xtdrone_sim.worlds.sdf.elements import Element, ForbiddenError, read_pose, resolve, uri_of, write_pose
 from xtdrone_sim.worlds.sdf.heightmaps import read_heightmap
 from xtdrone_sim.worlds.sdf.materials import GREY, painted, write_material
-from xtdrone_sim.worlds.sdf.meshes import ENDINGS, LARGEST_MESH, MeshPart, check_wavefront, extruded, read_mesh
-from xtdrone_sim.worlds.sdf.types import SdfError
+from xtdrone_sim.worlds.sdf.mesh_files import ENDINGS, LARGEST_MESH, MeshPart, check_wavefront, extruded, read_mesh
+from xtdrone_sim.worlds.sdf.model_uris import (
+    ForbiddenError,
+    resolve,
+    uri_of,
+)
+from xtdrone_sim.worlds.sdf.world_records import SdfError
+from xtdrone_sim.worlds.sdf.xml_elements import Element
+from xtdrone_sim.worlds.sdf.xml_poses import (
+    read_pose,
+    write_pose,
+)
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,11 @@ from dataclasses import replace
 from xml.sax.saxutils import escape
 
 from xtdrone_sim.vehicles.visual import Colour, Visual
-from xtdrone_sim.worlds.sdf.elements import Element, resolve, uri_of
+from xtdrone_sim.worlds.sdf.model_uris import (
+    resolve,
+    uri_of,
+)
+from xtdrone_sim.worlds.sdf.xml_elements import Element
 
 TEXTURE = "xtdrone:texture"
 

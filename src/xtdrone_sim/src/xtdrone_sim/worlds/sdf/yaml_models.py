@@ -9,13 +9,16 @@ from typing import Any
 from xtdrone_control.rotation import Vector, from_euler
 from xtdrone_sim.vehicles.urdf import Inertial
 from xtdrone_sim.vehicles.visual import Box, Collision, Cylinder, Geometry, Mesh, Pose, Sphere, Visual
-from xtdrone_sim.worlds.sdf.bodies import MOST_SHAPES
-from xtdrone_sim.worlds.sdf.elements import Element, File, resolve
 from xtdrone_sim.worlds.sdf.geometry import box_of
 from xtdrone_sim.worlds.sdf.heightmaps import read_heightmap
 from xtdrone_sim.worlds.sdf.materials import GREY
-from xtdrone_sim.worlds.sdf.meshes import MeshPart, check_wavefront, read_mesh
-from xtdrone_sim.worlds.sdf.types import SdfError, SdfLink, SdfModel
+from xtdrone_sim.worlds.sdf.mesh_files import MeshPart, check_wavefront, read_mesh
+from xtdrone_sim.worlds.sdf.model_uris import (
+    resolve,
+)
+from xtdrone_sim.worlds.sdf.rigid_links import MOST_SHAPES
+from xtdrone_sim.worlds.sdf.world_records import SdfError, SdfLink, SdfModel
+from xtdrone_sim.worlds.sdf.xml_elements import Element, File
 
 SHAPES = ("box", "cylinder", "sphere", "mesh", "heightmap")
 MOST_MODELS = 10_000

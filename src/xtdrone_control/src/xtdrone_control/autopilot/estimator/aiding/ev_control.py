@@ -8,8 +8,14 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.estimator.aiding.common import AIDING_US, OFFSET_GAIN, is_recent, mark_located
-from xtdrone_control.autopilot.estimator.aiding.height_control import fuse_height
+from xtdrone_control.autopilot.estimator.aiding.height_control import (
+    OFFSET_GAIN,
+    fuse_height,
+)
+from xtdrone_control.autopilot.estimator.aiding.horizontal_aiding import (
+    mark_located,
+)
+from xtdrone_control.autopilot.estimator.aiding.source_timeouts import AIDING_US, VISION_STOP_US, is_recent
 from xtdrone_control.autopilot.estimator.fusion import (
     POS,
     VEL,
@@ -24,7 +30,6 @@ from xtdrone_control.autopilot.state import HEIGHT_VISION, VISION_BODY, VISION_F
 from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation_kernels import constrain, multiply, rotate, wrap_pi, yaw_of
 
-VISION_STOP_US = 400_000  # PX4: twice EV_MAX_INTERVAL
 # EKF2_EV_CTRL
 _EV_POSITION, _EV_HEIGHT, _EV_VELOCITY, _EV_YAW = 1, 2, 4, 8
 

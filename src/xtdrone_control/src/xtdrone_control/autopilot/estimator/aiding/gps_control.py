@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.estimator.aiding.common import RESET_US, is_recent, mark_located, other_horizontal_aiding
 from xtdrone_control.autopilot.estimator.aiding.height_control import fuse_height
+from xtdrone_control.autopilot.estimator.aiding.horizontal_aiding import (
+    mark_located,
+    other_horizontal_aiding,
+)
+from xtdrone_control.autopilot.estimator.aiding.source_timeouts import RESET_US, is_recent
 from xtdrone_control.autopilot.estimator.fusion import (
     POS,
     VEL,
@@ -15,7 +19,7 @@ from xtdrone_control.autopilot.estimator.fusion import (
     reset_vertical_velocity,
 )
 from xtdrone_control.autopilot.state import HEIGHT_GPS
-from xtdrone_control.geodesy import geo
+from xtdrone_control.geodesy import projection
 from xtdrone_control.kernel import kernel
 
 # EKF2_GPS_CHECK
@@ -24,8 +28,8 @@ _CHECK_SATELLITES, _CHECK_PDOP, _CHECK_EPH, _CHECK_EPV, _CHECK_SPEED = 1, 2, 4, 
 # EKF2_GPS_CTRL
 _GPS_POSITION, _GPS_ALTITUDE, _GPS_VELOCITY = 1, 2, 4
 
-_project = kernel(geo.project)
-_reproject = kernel(geo.reproject)
+_project = kernel(projection.project)
+_reproject = kernel(projection.reproject)
 
 
 @kernel

@@ -6,13 +6,15 @@ replaces it, keeping that offset, when the reference times out.
 
 from __future__ import annotations
 
-from xtdrone_control.autopilot.estimator.aiding.common import AIDING_US, HEIGHT_RESET_US, OFFSET_GAIN, is_recent
+from xtdrone_control.autopilot.estimator.aiding.source_timeouts import AIDING_US, HEIGHT_RESET_US, is_recent
 from xtdrone_control.autopilot.estimator.fusion import POS, fuse_state, reset_height
 from xtdrone_control.autopilot.state import HEIGHT_BARO
 from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation_kernels import constrain
 
 _BARO_START_US = 1_000_000  # time for which the barometer waits for the height reference
+
+OFFSET_GAIN = 0.02  # share of each innovation added to a source's offset
 
 
 @kernel

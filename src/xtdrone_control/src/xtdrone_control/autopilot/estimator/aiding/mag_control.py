@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.estimator.aiding.common import RESET_US, is_recent
+from xtdrone_control.autopilot.estimator.aiding.source_timeouts import RESET_US, is_recent
 from xtdrone_control.autopilot.estimator.fusion import (
     YAW_UNKNOWN_STD,
     fuse_heading,

@@ -1,0 +1,382 @@
+"""Execution of the MAV_CMDs in COMMAND_LONG and COMMAND_INT, and their results.
+
+The results are those of PX4 v1.14, including commands that get no acknowledgement because their module does not run in
+PX4's simulator (camera and gimbal drivers, for example). Commands that PX4 accepts but that are not implemented here
+are rejected as UNSUPPORTED; ``tests/test_command_acks.py`` lists them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control.autopilot.commander.commander import CRITICAL, Result
+from xtdrone_control.autopilot.events.announcements import INFO
+from xtdrone_control.autopilot.navigator.gimbal import GimbalManager
+from xtdrone_control.autopilot.navigator.plan import PlanItem
+from xtdrone_control.mavlink.client_link import Link
+from xtdrone_control.mavlink.commands import failure_injection
+from xtdrone_control.mavlink.service_base import Vehicle
+from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
+
+_NAN = math.nan
+_INT32_UNSET = 0x7FFFFFFF  # x and y left out of COMMAND_INT
+_NAN_AS_INT = 0x7FF80000  # x and y of a sender that has cast NaN to an integer
+_LEAST_UNSET, _MOST_UNSET = 2147483520.0, 2147483904.0  # floats next to INT32_UNSET
+_FORCE = 21196
+_CHANGE_MODE_FLAG = 1  # MAV_DO_REPOSITION_FLAGS
+_RELATIVE_FRAMES = (3, 6)  # MAV_FRAME_GLOBAL_RELATIVE_ALT(_INT)
+_LOCAL_FRAMES = (1, 4, 7, 8, 9, 12, 20, 21)
+_ROI = (
+    mavlink.MAV_CMD_NAV_ROI,
+    mavlink.MAV_CMD_DO_SET_ROI_LOCATION,
+    mavlink.MAV_CMD_DO_SET_ROI_WPNEXT_OFFSET,
+    mavlink.MAV_CMD_DO_SET_ROI_NONE,
+    mavlink.MAV_CMD_DO_SET_ROI,
+)
+_LARGEST_ID = 0xFFFF  # of messages, in GET_MESSAGE_INTERVAL
+
+# Handled by modules that do not run in PX4's simulator: no acknowledgement
+_SILENT = frozenset(
+    {
+        mavlink.MAV_CMD_NAV_DELAY,
+        mavlink.MAV_CMD_DO_DIGICAM_CONTROL,
+        mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST,
+        mavlink.MAV_CMD_DO_GRIPPER,
+        mavlink.MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL,
+        mavlink.MAV_CMD_DO_MOUNT_CONTROL_QUAT,
+        mavlink.MAV_CMD_PREFLIGHT_SET_SENSOR_OFFSETS,
+        mavlink.MAV_CMD_PREFLIGHT_UAVCAN,
+        mavlink.MAV_CMD_OBLIQUE_SURVEY,
+        mavlink.MAV_CMD_CONFIGURE_ACTUATOR,
+        mavlink.MAV_CMD_START_RX_PAIR,
+        mavlink.MAV_CMD_SET_CAMERA_MODE,
+        mavlink.MAV_CMD_SET_CAMERA_ZOOM,
+        mavlink.MAV_CMD_SET_CAMERA_FOCUS,
+        mavlink.MAV_CMD_DO_TRIGGER_CONTROL,
+        mavlink.MAV_CMD_CONTROL_HIGH_LATENCY,
+        mavlink.MAV_CMD_DO_VTOL_TRANSITION,
+        mavlink.MAV_CMD_PAYLOAD_PREPARE_DEPLOY,
+        mavlink.MAV_CMD_PAYLOAD_CONTROL_DEPLOY,
+        mavlink.MAV_CMD_DO_WINCH,
+    }
+)
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command with its parameters, in the form of COMMAND_LONG.
+
+    Attributes:
+        number: MAV_CMD.
+        params: param1..param7; NaN for those left out of COMMAND_INT.
+        frame: MAV_FRAME of the position in param5..7.
+    """
+
+    number: int
+    params: tuple[float, float, float, float, float, float, float]
+    frame: int = 0
+
+
+class CommandError(ValueError):
+    """A command with an invalid position: the floats of COMMAND_LONG and the integers of COMMAND_INT are mixed up."""
+
+
+def from_command_long(number: int, params: tuple[float, float, float, float, float, float, float]) -> Command:
+    """Return the command of a COMMAND_LONG.
+
+    Raises:
+        CommandError: param5 and param6 are COMMAND_INT's values for "left out".
+    """
+    if all(_LEAST_UNSET <= value <= _MOST_UNSET for value in params[4:6]):
+        raise CommandError(f"command {number}: param5 and param6 are {params[4]:.0f}; NaN leaves them out")
+    return Command(number, params)
+
+
+def from_command_int(number: int, frame: int, params: tuple[float, ...], x: int, y: int, z: float) -> Command:
+    """Return the command of a COMMAND_INT; x and y are in 1e-7 degrees, in local frames in metres.
+
+    Raises:
+        CommandError: x and y have the bits of a NaN.
+    """
+    if x == y == _NAN_AS_INT:
+        raise CommandError(f"command {number}: x and y have the bits of a NaN; {_INT32_UNSET} leaves them out")
+    scale = 1.0 if frame in _LOCAL_FRAMES else 1e-7
+    position = [_NAN if value == _INT32_UNSET else value * scale for value in (x, y)]
+    return Command(number, (params[0], params[1], params[2], params[3], position[0], position[1], z), frame)
+
+
+def _whole(value: float) -> int:
+    """Return ``value`` as an integer, -1 if it is not a whole number in 0..2^31-1."""
+    return int(value) if 0.0 <= value < 2147483648.0 and value == int(value) else -1
+
+
+def _rounded(value: float) -> int:
+    """Return ``value`` rounded to an integer, -1 if it is not finite."""
+    return math.floor(value + 0.5) if math.isfinite(value) else -1
+
+
+class CommandHandler:
+    """Executes the commands of one vehicle."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Handle the commands of ``vehicle``."""
+        self._vehicle = vehicle
+        self._commander = commander = vehicle.commander
+        self._handlers: dict[int, Callable[[Command, Link], Result | None]] = {
+            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda *_: commander.return_to_launch(),
+            mavlink.MAV_CMD_NAV_LAND: lambda *_: commander.land(),
+            mavlink.MAV_CMD_NAV_LAND_LOCAL: lambda *_: commander.precision_land(),  # PX4 uses this number
+            mavlink.MAV_CMD_NAV_TAKEOFF: self._takeoff,
+            mavlink.MAV_CMD_DO_SET_MODE: self._set_mode,
+            mavlink.MAV_CMD_DO_FLIGHTTERMINATION: lambda command, *_: commander.flight_termination(command.params[0]),
+            mavlink.MAV_CMD_DO_CHANGE_SPEED: self._change_speed,
+            mavlink.MAV_CMD_DO_SET_HOME: self._set_home,
+            mavlink.MAV_CMD_DO_CHANGE_ALTITUDE: self._change_altitude,
+            mavlink.MAV_CMD_DO_SET_ACTUATOR: self._set_actuators,
+            mavlink.MAV_CMD_DO_MOUNT_CONFIGURE: lambda command, _: self._with_gimbal(lambda gimbal: Result.ACCEPTED),
+            mavlink.MAV_CMD_DO_MOUNT_CONTROL: self._mount,
+            mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: self._point_gimbal,
+            mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE: self._configure_gimbal,
+            mavlink.MAV_CMD_DO_LAND_START: self._start_landing,
+            mavlink.MAV_CMD_DO_REPOSITION: self._reposition,
+            mavlink.MAV_CMD_DO_ORBIT: self._orbit,
+            **dict.fromkeys(_ROI, self._set_roi),
+            mavlink.MAV_CMD_MISSION_START: self._start_mission,
+            mavlink.MAV_CMD_DO_GO_AROUND: lambda *_: Result.ACCEPTED,  # PX4 accepts it for all types
+            mavlink.MAV_CMD_DO_AUTOTUNE_ENABLE: self._autotune,
+            mavlink.MAV_CMD_FIXED_MAG_CAL_YAW: self._calibrate_heading,
+            mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_disarm,
+            mavlink.MAV_CMD_PREFLIGHT_CALIBRATION: self._calibrate,
+            mavlink.MAV_CMD_PREFLIGHT_STORAGE: self._storage,
+            mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._reboot,
+            mavlink.MAV_CMD_ACTUATOR_TEST: self._test_actuator,
+            mavlink.MAV_CMD_RUN_PREARM_CHECKS: lambda *_: Result.ACCEPTED,  # they run continuously
+            mavlink.MAV_CMD_INJECT_FAILURE: self._inject_failure,
+            mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: self._get_interval,
+            mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
+            mavlink.MAV_CMD_REQUEST_MESSAGE: lambda command, link: self._send(link, _rounded(command.params[0])),
+            **{
+                number: self._sender_of(name)
+                for number, name in (
+                    (mavlink.MAV_CMD_GET_HOME_POSITION, "HOME_POSITION"),
+                    (mavlink.MAV_CMD_REQUEST_PROTOCOL_VERSION, "PROTOCOL_VERSION"),
+                    (mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, "AUTOPILOT_VERSION"),
+                    (mavlink.MAV_CMD_REQUEST_STORAGE_INFORMATION, "STORAGE_INFORMATION"),
+                    (mavlink.MAV_CMD_REQUEST_FLIGHT_INFORMATION, "FLIGHT_INFORMATION"),
+                )
+            },
+        }
+
+    def run(self, command: Command, link: Link) -> Result | None:
+        """Execute ``command`` received on ``link``; replies other than the acknowledgement are queued there.
+
+        Returns:
+            Result of the acknowledgement; None for no acknowledgement.
+        """
+        handler = self._handlers.get(command.number)
+        if handler is not None:
+            return handler(command, link)
+        of_service = self._vehicle.on_command.get(command.number)
+        if of_service is not None:
+            return of_service(command.params, link)
+        return None if command.number in _SILENT else Result.UNSUPPORTED
+
+    # flight
+
+    def _arm_disarm(self, command: Command, _link: Link) -> Result | None:
+        arm = _rounded(command.params[0])
+        if arm not in (0, 1):
+            self._commander.say(CRITICAL, f"Unsupported ARM_DISARM param: {command.params[0]:.3f}")
+            return None
+        return self._commander.arm_disarm(arm == 1, _rounded(command.params[1]) == _FORCE)
+
+    def _set_mode(self, command: Command, _link: Link) -> Result:
+        base, main, sub = (_whole(value) for value in command.params[:3])
+        if base < 0 or not 0 <= main <= 255 or not 0 <= sub <= 255:
+            return Result.DENIED
+        return self._commander.set_mode(base, main << 16 | sub << 24)
+
+    def _altitude(self, command: Command) -> float:
+        """Return param7 in m AMSL; NaN if it is relative to a home that is not set."""
+        altitude = command.params[6]
+        if command.frame not in _RELATIVE_FRAMES:
+            return altitude
+        home = self._commander.home
+        return _NAN if home is None else home.altitude + altitude
+
+    def _takeoff(self, command: Command, _link: Link) -> Result:
+        # without a position the altitude is ignored too: a COMMAND_LONG of zeros takes off at default values
+        given = any(command.params[4:7])
+        if not given:
+            return self._commander.takeoff(_NAN, _NAN)
+        return self._commander.takeoff(self._altitude(command), math.radians(command.params[3]))
+
+    def _change_speed(self, command: Command, _link: Link) -> Result:
+        speed = command.params[1]
+        return self._commander.change_speed(_whole(command.params[0]), 0.0 if math.isnan(speed) else speed)
+
+    def _change_altitude(self, command: Command, _link: Link) -> Result:
+        altitude, frame = command.params[0], _whole(command.params[1])
+        home = self._commander.home
+        if frame in _RELATIVE_FRAMES:
+            altitude += _NAN if home is None else home.altitude
+        return self._commander.change_altitude(altitude)
+
+    def _reposition(self, command: Command, _link: Link) -> Result:
+        if _whole(command.params[1]) != _CHANGE_MODE_FLAG:
+            return Result.UNSUPPORTED
+        position = (command.params[4], command.params[5], self._altitude(command))
+        return self._commander.reposition(position, command.params[3], command.params[0])
+
+    def _orbit(self, command: Command, _link: Link) -> Result:
+        radius, speed, yaw_behaviour = command.params[:3]
+        position = (command.params[4], command.params[5], self._altitude(command))
+        return self._commander.orbit(radius, speed, yaw_behaviour, position)
+
+    def _set_home(self, command: Command, _link: Link) -> Result:
+        if command.params[0] > 0.5:
+            return self._commander.set_home(None)
+        return self._commander.set_home((command.params[4], command.params[5], self._altitude(command)))
+
+    def _start_mission(self, command: Command, _link: Link) -> Result:
+        return self._commander.start_mission(command.params[0])  # PX4 ignores the last item, param2
+
+    def _start_landing(self, command: Command, link: Link) -> Result:
+        """Start the mission at its landing sequence; accepted also without one, as in PX4."""
+        landing = self._commander.navigator.mission.landing_item()
+        if landing is not None:
+            self._start_mission(replace(command, params=(float(landing[1]), *command.params[1:])), link)
+        return Result.ACCEPTED
+
+    def _set_roi(self, command: Command, _link: Link) -> Result:
+        number = mavlink.MAV_CMD_DO_SET_ROI if command.number == mavlink.MAV_CMD_NAV_ROI else command.number
+        p = command.params
+        self._commander.navigator.mission.set_roi(PlanItem(number, command.frame, p[:4], p[4], p[5], p[6]))
+        return Result.ACCEPTED
+
+    def _set_actuators(self, command: Command, _link: Link) -> Result:
+        self._commander.navigator.payload.execute(command.number, command.params)
+        return Result.ACCEPTED
+
+    # gimbal; without one there is no acknowledgement, as from PX4 without the gimbal driver
+
+    def _with_gimbal(self, act: Callable[[GimbalManager], Result]) -> Result | None:
+        payload = self._commander.navigator.payload
+        return None if payload.gimbal_attitude is None else act(payload.gimbal_manager)
+
+    def _mount(self, command: Command, _link: Link) -> Result | None:
+        params = [value if math.isfinite(value) else 0.0 for value in command.params]
+        return self._with_gimbal(lambda gimbal: Result.ACCEPTED if gimbal.mount(params) else Result.UNSUPPORTED)
+
+    def _point_gimbal(self, command: Command, link: Link) -> Result | None:
+        def act(gimbal: GimbalManager) -> Result:
+            if not gimbal.controlled_by(link.sender):
+                return Result.DENIED
+            gimbal.pitch_yaw(command.params)
+            return Result.ACCEPTED
+
+        return self._with_gimbal(act)
+
+    def _configure_gimbal(self, command: Command, link: Link) -> Result | None:
+        def act(gimbal: GimbalManager) -> Result:
+            gimbal.configure(link.sender, command.params)
+            return Result.ACCEPTED
+
+        return self._with_gimbal(act)
+
+    # before flight
+
+    def _calibrate(self, command: Command, _link: Link) -> Result:
+        """Accept calibrations without movement of the vehicle: gyroscope, barometer, and the end of a radio's.
+
+        The simulated sensors need no calibration, so these complete immediately. Calibrations for which the operator
+        turns the vehicle (magnetometer, accelerometer, level) are unsupported.
+        """
+        if self._commander.armed:
+            return Result.TEMPORARILY_REJECTED
+        wanted = [_rounded(value) for value in command.params]
+        sensor = {0: "gyro", 2: "baro"}.get(next((i for i, value in enumerate(wanted) if value), -1))
+        if sensor is not None and wanted.count(0) == len(wanted) - 1:
+            for text in (f"[cal] calibration started: 2 {sensor}", f"[cal] calibration done: {sensor}"):
+                self._commander.say(INFO, text)
+            return Result.ACCEPTED
+        return Result.UNSUPPORTED if any(wanted) else Result.ACCEPTED
+
+    def _calibrate_heading(self, _command: Command, _link: Link) -> Result:
+        """Accept a calibration of the magnetometer by a known heading; the simulated sensor needs none."""
+        return Result.TEMPORARILY_REJECTED if self._commander.armed else Result.ACCEPTED
+
+    def _autotune(self, _command: Command, _link: Link) -> Result:
+        """Set MC_AT_START, as PX4's receiver does; the autotune module, run only with MC_AT_EN, is not simulated."""
+        self._commander.parameters.set("MC_AT_START", 1.0)
+        return Result.IN_PROGRESS
+
+    def _storage(self, command: Command, _link: Link) -> Result:
+        if self._commander.armed:
+            return Result.TEMPORARILY_REJECTED
+        parameters = self._commander.parameters
+        action = _rounded(command.params[0])
+        if action == 0:
+            parameters.load()
+            return Result.ACCEPTED
+        if action in (2, 4):
+            parameters.reset()
+        elif action != 1:
+            return Result.DENIED
+        return Result.ACCEPTED if parameters.save() else Result.FAILED
+
+    def _reboot(self, command: Command, _link: Link) -> Result:
+        """Reboot the autopilot (1). Shutdown (2) is denied because the vehicle could not be started again."""
+        action = _rounded(command.params[0])
+        if action == 0:  # no action on the autopilot
+            return Result.ACCEPTED
+        if action == 1 and not self._commander.armed:
+            self._commander.rebooting = True
+            return Result.ACCEPTED
+        if action == 2 and not self._commander.armed:
+            self._commander.say(CRITICAL, "Shutdown denied: it ends with the simulator")
+        return Result.DENIED
+
+    def _test_actuator(self, command: Command, _link: Link) -> Result | None:
+        return self._commander.test_actuator(_rounded(command.params[4]), command.params[0], command.params[1])
+
+    def _inject_failure(self, command: Command, _link: Link) -> Result:
+        unit, kind, instance = (_rounded(value) for value in command.params[:3])
+        return failure_injection.inject(self._vehicle, unit, kind, instance)
+
+    # messages
+
+    def _sender_of(self, name: str) -> Callable[[Command, Link], Result]:
+        number = MESSAGE_ID[name]
+        return lambda _, link: self._send(link, number)
+
+    def _send(self, link: Link, number: int) -> Result:
+        """Send message ``number`` once; DENIED if it is unknown or has no values, as in PX4."""
+        reply = self._vehicle.on_request.get(number)
+        if reply is not None:
+            return Result.DENIED if reply(link) is False else Result.ACCEPTED
+        now_us = self._vehicle.now_us
+        link.telemetry.refresh(now_us)
+        sent = link.streams.send_once(number, link.send_payload, lambda text: link.warn("packing", text, now_us))
+        return Result.ACCEPTED if sent else Result.DENIED
+
+    def _get_interval(self, command: Command, link: Link) -> Result:
+        number = _rounded(command.params[0])
+        if not 0 <= number <= _LARGEST_ID:
+            return Result.DENIED
+        interval = link.streams.interval(number)
+        # 0: not available
+        link.send_message(mavlink.MAVLink_message_interval_message(number, 0 if interval is None else interval))
+        return Result.ACCEPTED
+
+    def _set_interval(self, command: Command, link: Link) -> Result:
+        number, interval = _rounded(command.params[0]), command.params[1]
+        if math.isnan(interval):
+            interval = 0.0  # the default rate
+        elif math.isinf(interval):
+            interval = -1.0  # off
+        return Result.ACCEPTED if link.streams.set_interval(number, interval, self._vehicle.now_us) else Result.FAILED

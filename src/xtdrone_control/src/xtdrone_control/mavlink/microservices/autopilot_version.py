@@ -1,0 +1,68 @@
+"""Messages on request about the autopilot: AUTOPILOT_VERSION, PROTOCOL_VERSION, flight and storage information."""
+
+from __future__ import annotations
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control.mavlink.client_link import Link
+from xtdrone_control.mavlink.service_base import Service, Vehicle
+from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
+from xtdrone_control.mavlink.wire.frame_packing import Format
+
+PX4_VERSION = 0x010E03FF  # release 1.14.3, the modelled version
+_MAVLINK_2, _MAVLINK_1 = 200, 100
+_NO_HASH = (0,) * 8
+_BOARD_VERSION = 1  # as PX4's SITL
+_STORAGE_NOT_SUPPORTED = 3  # STORAGE_STATUS: size unknown
+
+_PROTOCOL_VERSION = Format("PROTOCOL_VERSION")
+
+
+class VersionService(Service):
+    """Sends version, flight and storage information on request."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Register the service with ``vehicle``."""
+        super().__init__(vehicle)
+        vehicle.on_request.update(
+            {
+                MESSAGE_ID["AUTOPILOT_VERSION"]: self._autopilot_version,
+                MESSAGE_ID["PROTOCOL_VERSION"]: self._protocol_version,
+                MESSAGE_ID["FLIGHT_INFORMATION"]: self._flight_information,
+                MESSAGE_ID["STORAGE_INFORMATION"]: self._storage_information,
+            }
+        )
+
+    def _autopilot_version(self, link: Link) -> None:
+        system = self.vehicle.system_id
+        link.send_message(
+            mavlink.MAVLink_autopilot_version_message(
+                self.vehicle.capabilities,
+                PX4_VERSION,
+                PX4_VERSION,
+                0,
+                _BOARD_VERSION,
+                _NO_HASH,
+                _NO_HASH,
+                _NO_HASH,
+                0,
+                0,
+                system,
+                [*system.to_bytes(2, "big"), *[0] * 16],
+            )
+        )
+
+    def _protocol_version(self, link: Link) -> None:
+        values = (_MAVLINK_2, _MAVLINK_1, _MAVLINK_2, *_NO_HASH, *_NO_HASH)
+        link.send_values(_PROTOCOL_VERSION, values, self.vehicle.now_us)
+
+    def _flight_information(self, link: Link) -> None:
+        commander = self.vehicle.commander
+        now_ms, armed_us = self.vehicle.now_us // 1000, commander.armed_since_us
+        link.send_message(mavlink.MAVLink_flight_information_message(now_ms, armed_us, armed_us, commander.flights))
+
+    def _storage_information(self, link: Link) -> None:
+        now_ms = self.vehicle.now_us // 1000
+        link.send_message(
+            mavlink.MAVLink_storage_information_message(now_ms, 1, 1, _STORAGE_NOT_SUPPORTED, 0.0, 0.0, 0.0, 0.0, 0.0)
+        )

@@ -1,0 +1,304 @@
+"""Schedule of the telemetry messages on a link.
+
+Due times are multiples of a stream's interval, so that the telemetry of all vehicles falls on the same ticks and every
+run is the same. Default rates are those of PX4 v1.14's onboard and normal (ground station) modes, the latter with
+upstream XTDrone's streams at 50 Hz. GPS_GLOBAL_ORIGIN, which PX4 sends on change, is sent every 10 s for clients that
+connect later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from xtdrone_native import mavlink_wire
+
+from xtdrone_control.mavlink.streams.rare_telemetry import SILENT, silent, source
+from xtdrone_control.mavlink.streams.telemetry import Content, Telemetry, Values
+from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
+from xtdrone_control.mavlink.wire.frame_packing import Format
+
+_NEVER_US = 1 << 62
+_LEAST_INTERVAL_US = 4000  # the autopilot's step
+_LARGEST_INTERVAL_US = (1 << 31) - 1  # largest value of MESSAGE_INTERVAL
+_FALLBACK_RATE = 1.0  # Hz, default requested for a message that has none
+
+Source = Callable[[], Content | list[Values] | None]
+Payloads = dict[int, bytes | list[bytes] | None]
+Convert = Callable[[mavlink_wire.Format, bytes], None]
+
+ONBOARD_RATES: dict[str, float] = {
+    "HEARTBEAT": 1.0,
+    "TIMESYNC": 10.0,
+    "ALTITUDE": 10.0,
+    "ATTITUDE": 100.0,
+    "ATTITUDE_QUATERNION": 50.0,
+    "ATTITUDE_TARGET": 10.0,
+    "BATTERY_STATUS": 0.5,
+    "DISTANCE_SENSOR": 10.0,
+    "ESC_INFO": 10.0,
+    "ESC_STATUS": 10.0,
+    "ESTIMATOR_STATUS": 1.0,
+    "EXTENDED_SYS_STATE": 5.0,
+    "GLOBAL_POSITION_INT": 50.0,
+    "GPS_GLOBAL_ORIGIN": 0.1,
+    "GPS_RAW_INT": 5.0,
+    "HIGHRES_IMU": 50.0,
+    "HOME_POSITION": 0.5,
+    "LINK_NODE_STATUS": 1.0,
+    "LOCAL_POSITION_NED": 30.0,
+    "ODOMETRY": 30.0,
+    "OPEN_DRONE_ID_LOCATION": 1.0,
+    "OPEN_DRONE_ID_SYSTEM": 1.0,
+    "OPTICAL_FLOW_RAD": 10.0,
+    "PING": 1.0,
+    "POSITION_TARGET_GLOBAL_INT": 10.0,
+    "POSITION_TARGET_LOCAL_NED": 10.0,
+    "RC_CHANNELS": 20.0,
+    "SCALED_PRESSURE": 1.0,
+    "SERVO_OUTPUT_RAW": 10.0,
+    "SYSTEM_TIME": 1.0,
+    "SYS_STATUS": 5.0,
+    "TIME_ESTIMATE_TO_TARGET": 1.0,
+    "UTM_GLOBAL_POSITION": 1.0,
+    "VFR_HUD": 10.0,
+    "VIBRATION": 0.5,
+}
+
+# sent while a gimbal is fitted
+_GIMBAL_RATES = {"GIMBAL_DEVICE_ATTITUDE_STATUS": 1.0, "GIMBAL_MANAGER_STATUS": 0.5, "MOUNT_ORIENTATION": 10.0}
+
+_ORBIT_RATES = {"ORBIT_EXECUTION_STATUS": 5.0}  # sent in ORBIT
+
+GCS_RATES: dict[str, float] = {
+    "HEARTBEAT": 1.0,
+    "ALTITUDE": 1.0,
+    "ATTITUDE": 50.0,
+    "ATTITUDE_QUATERNION": 50.0,
+    "ATTITUDE_TARGET": 50.0,
+    "BATTERY_STATUS": 0.5,
+    "DISTANCE_SENSOR": 0.5,
+    "ESC_INFO": 1.0,
+    "ESC_STATUS": 1.0,
+    "ESTIMATOR_STATUS": 0.5,
+    "EXTENDED_SYS_STATE": 1.0,
+    "GLOBAL_POSITION_INT": 50.0,
+    "GPS_GLOBAL_ORIGIN": 0.1,
+    "GPS_RAW_INT": 1.0,
+    "HOME_POSITION": 0.5,
+    "LINK_NODE_STATUS": 1.0,
+    "LOCAL_POSITION_NED": 50.0,
+    "OPEN_DRONE_ID_LOCATION": 1.0,
+    "OPEN_DRONE_ID_SYSTEM": 1.0,
+    "OPTICAL_FLOW_RAD": 10.0,
+    "PING": 0.1,
+    "POSITION_TARGET_GLOBAL_INT": 1.0,
+    "POSITION_TARGET_LOCAL_NED": 50.0,
+    "RC_CHANNELS": 20.0,
+    "SCALED_PRESSURE": 1.0,
+    "SERVO_OUTPUT_RAW": 50.0,
+    "SYS_STATUS": 1.0,
+    "TIME_ESTIMATE_TO_TARGET": 1.0,
+    "UTM_GLOBAL_POSITION": 0.5,
+    "VFR_HUD": 4.0,
+    "VIBRATION": 0.1,
+}
+
+# available on request, without a default rate
+_OTHERS = (
+    "SCALED_IMU",
+    "MANUAL_CONTROL",
+    "ACTUATOR_CONTROL_TARGET",
+    "ACTUATOR_OUTPUT_STATUS",
+    "GIMBAL_MANAGER_INFORMATION",
+    *SILENT,
+    *_ORBIT_RATES,
+)
+FORMATS: dict[int, Format] = {
+    f.number: f
+    for f in (Format(name) for name in dict.fromkeys([*ONBOARD_RATES, *GCS_RATES, *_GIMBAL_RATES, *_OTHERS]))
+}
+LINK_MESSAGES = (
+    "PING",
+    "LINK_NODE_STATUS",
+    "HIGHRES_IMU",
+)  # specific to a link; all others to the vehicle
+HEARTBEAT = FORMATS[MESSAGE_ID["HEARTBEAT"]]
+_PAYLOAD_BYTES = 4000.0  # in a second: "mavlink start -r 4000" of PX4's payload link
+_FRAME_OVERHEAD = 12  # bytes of a MAVLink 2 frame without its payload
+
+
+def _scaled(rates: dict[str, float], limit: float) -> dict[str, float]:
+    """Return ``rates`` scaled by one factor to a load of at most ``limit`` bytes/s; HEARTBEAT keeps its rate."""
+    load = {name: rate * (FORMATS[MESSAGE_ID[name]].size + _FRAME_OVERHEAD) for name, rate in rates.items()}
+    beat = load["HEARTBEAT"]
+    factor = min((limit - beat) / (sum(load.values()) - beat), 1.0)
+    return {name: rate if name == "HEARTBEAT" else rate * factor for name, rate in rates.items()}
+
+
+PAYLOAD_RATES: dict[str, float] = _scaled(ONBOARD_RATES, _PAYLOAD_BYTES)
+ONBOARD_RATES |= _GIMBAL_RATES | _ORBIT_RATES  # not on the payload link, whose scale they would change
+GCS_RATES |= _GIMBAL_RATES | _ORBIT_RATES | {"GIMBAL_DEVICE_ATTITUDE_STATUS": 0.5}
+
+
+def _allowed(interval_us: float) -> int:
+    return round(min(max(interval_us, _LEAST_INTERVAL_US), _LARGEST_INTERVAL_US))
+
+
+class _Stream:
+    """One message of a link."""
+
+    __slots__ = ("format", "interval_us", "wire")
+
+    def __init__(self, message: Format, values: Source, shared: bool) -> None:
+        self.format = message
+        number = message.number if shared else -1  # shared: the same for every client
+        self.wire = mavlink_wire.Stream(message.name, message.wire, values, message.general_payload, number)
+        self.interval_us = _NEVER_US
+
+
+def _next_multiple(interval_us: int, now_us: int) -> int:
+    """Return the first multiple of ``interval_us`` after ``now_us``."""
+    return (now_us // interval_us + 1) * interval_us
+
+
+class Streams:
+    """The streams of one link of one vehicle.
+
+    Attributes:
+        active: whether all streams are sent, not only the heartbeat.
+    """
+
+    def __init__(
+        self,
+        telemetry: Telemetry,
+        rates: Mapping[str, float],
+        own: Mapping[str, Source] | None = None,
+        changed: Callable[[], None] = silent,
+    ) -> None:
+        """Schedule the heartbeat; the other streams begin with ``start``.
+
+        Args:
+            telemetry: source of the values.
+            rates: default rates, message name to Hz.
+            own: sources of the ``LINK_MESSAGES``; those without one are not sent.
+            changed: called when ``next_due_us`` has changed, except by ``send_due``.
+        """
+        self._defaults = rates
+        self._changed = changed
+        self.active = False
+        own = own or {}
+        self._streams = {
+            number: _Stream(f, own.get(f.name, silent) if f.name in LINK_MESSAGES else source(telemetry, f.name),
+                            f.name not in LINK_MESSAGES)
+            for number, f in FORMATS.items()
+        }  # fmt: skip
+        for name, rate in rates.items():
+            self._streams[MESSAGE_ID[name]].interval_us = round(1e6 / rate)
+        self._schedule = mavlink_wire.Schedule()
+        self._add_beat(_next_multiple(self._beat.interval_us, -1))
+
+    @property
+    def _beat(self) -> _Stream:
+        return self._streams[HEARTBEAT.number]
+
+    def _add_beat(self, due_us: int) -> None:
+        self._schedule.add(self._beat.interval_us, due_us, [self._beat.wire])
+
+    @property
+    def next_due_us(self) -> int:
+        """Simulated time of the next message, microseconds."""
+        return self._schedule.next_due_us
+
+    def start(self, now_us: int) -> None:
+        """Start all streams."""
+        if not self.active:
+            self.active = True
+            self._rebuild(now_us)
+
+    def stop(self) -> None:
+        """Stop all streams except the heartbeat."""
+        if self.active:
+            self.active = False
+            self._rebuild(0)
+
+    def interval(self, number: int) -> int | None:
+        """Return the interval of message ``number``, us; -1 if it is off, None if it is no stream."""
+        stream = self._streams.get(number)
+        if stream is None:
+            return None
+        return -1 if stream.interval_us == _NEVER_US else stream.interval_us
+
+    def set_interval(self, number: int, interval_us: float, now_us: int) -> bool:
+        """Set the interval of a message as MAV_CMD_SET_MESSAGE_INTERVAL does.
+
+        Args:
+            number: message id.
+            interval_us: microseconds, clamped to the possible range; negative: off; 0: the default.
+            now_us: simulated time, microseconds.
+
+        Returns:
+            False if the message is no stream, or the heartbeat, which cannot be changed.
+        """
+        stream = self._streams.get(number)
+        if stream is None or number == HEARTBEAT.number:
+            return False
+        if interval_us == 0:
+            interval_us = round(1e6 / self._defaults.get(stream.format.name, _FALLBACK_RATE))
+        stream.interval_us = _NEVER_US if interval_us < 0 else _allowed(interval_us)
+        self._rebuild(now_us)
+        return True
+
+    def _rebuild(self, now_us: int) -> None:
+        """Group the streams by interval, keeping overdue ones due."""
+        (_, beat_due_us), *others = self._schedule.due_times
+        known = dict(others)
+        groups: dict[int, list[mavlink_wire.Stream]] = {}
+        for stream in self._streams.values() if self.active else ():
+            if stream.interval_us != _NEVER_US and stream is not self._beat:
+                groups.setdefault(stream.interval_us, []).append(stream.wire)
+        self._schedule.clear()
+        self._add_beat(beat_due_us)
+        for interval in sorted(groups):
+            due_us = min(known.get(interval, _NEVER_US), _next_multiple(interval, now_us))
+            self._schedule.add(interval, due_us, groups[interval])
+        self._changed()
+
+    @property
+    def beat_due_us(self) -> int:
+        """Simulated time of the next heartbeat, microseconds."""
+        return self._schedule.first_due_us
+
+    def send_due(
+        self,
+        now_us: int,
+        shared: Payloads,
+        outbox: mavlink_wire.Outbox,
+        convert: Convert | None,
+        report: Callable[[str], None],
+    ) -> None:
+        """Queue the messages due by ``now_us`` and schedule the next ones. Missed messages are not sent later.
+
+        Args:
+            now_us: simulated time, microseconds.
+            shared: payloads packed at this time for other clients of the vehicle, by message id; extended here.
+            outbox: receives the messages as MAVLink 2 frames.
+            convert: receives format and payload of the messages instead, if not None.
+            report: receives the error text of a message that cannot be packed from the present estimate.
+        """
+        self._schedule.send_due(now_us, shared, outbox, convert, report)
+
+    def send_once(self, number: int, send: Callable[[Format, bytes], None], report: Callable[[str], None]) -> bool:
+        """Send message ``number`` with its present content, and return whether it has any.
+
+        Args:
+            number: message id.
+            send: receives the format and the payload of each message, mostly one.
+            report: as in ``send_due``.
+        """
+        stream = self._streams.get(number)
+        payloads = None if stream is None else stream.wire.payloads({}, report)
+        if stream is None or payloads is None:
+            return False
+        for payload in payloads if isinstance(payloads, list) else [payloads]:
+            send(stream.format, payload)
+        return True

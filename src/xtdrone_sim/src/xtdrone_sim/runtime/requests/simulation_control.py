@@ -1,0 +1,480 @@
+"""Control of the running simulation: speed, pause, step, reset. Independent of ROS; ``control_services`` advertises it.
+
+All methods are called in the simulator's own thread. Changes of speed and pause take effect immediately, even while the
+barrier waits for a participant. Steps, resets and changes are executed between ticks, and their callers wait for the
+answer. A participant must not wait for the end of its own tick: during its turn, its step requests are rejected, and
+its requests for resets and changes are answered immediately and executed after the tick.
+"""
+
+from __future__ import annotations
+
+import enum
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from xtdrone_sim.runtime.requests.mailbox import ClosedError
+from xtdrone_sim.runtime.requests.pacing import Pacer, SpeedMeter
+from xtdrone_sim.runtime.requests.stepping import Goal, Outcome, StepError, Stepper
+
+PATIENCE = 10.0
+"""Longest wait of a step or a reset for the end of the current tick, wall s."""
+
+_REPORTED = 0.5  # wall s of waiting for a participant after which the status names it
+_FIRST_WARNING = 5.0  # wall s of waiting after which the log names it
+_WARNING_PERIOD = 30.0  # wall s between two such warnings
+_ALIVE_LIMIT = 3.0  # wall s since the last keep-alive, sent every second, within which a process counts as alive
+
+
+class ControlError(RuntimeError):
+    """A request that was not carried out; the message gives the reason."""
+
+
+class Reset(enum.IntEnum):
+    """Scope of a reset: the world, or the world and simulated time."""
+
+    WORLD = 1
+    SIMULATION = 2
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of the simulated world, made between ticks.
+
+    Attributes:
+        what: its name in texts, as ``reset of iris_3``.
+        make: makes it and returns a description; raises ValueError or OSError if it is not allowed, after which
+            nothing has changed.
+    """
+
+    what: str
+    make: Callable[[], Any]
+
+
+class Participant(Protocol):
+    """The view of a lockstep participant that ``Control`` needs, see ``LockstepServer.participants``."""
+
+    waiting: bool
+    asked: float
+
+    @property
+    def heard(self) -> float:
+        """Monotonic wall time in seconds at which data was last received from it."""
+
+
+class Barrier(Protocol):
+    """The view of the lockstep server that ``Control`` needs."""
+
+    @property
+    def participants(self) -> Mapping[str, Participant]:
+        """Participants by node name."""
+
+    def missing(self, expected: int | Iterable[str] = 0) -> str:
+        """Return which participants are missing, as text; "" for none."""
+
+
+@dataclass(frozen=True)
+class StepRequest:
+    """A request for a step; one tick if all attributes are 0.
+
+    Attributes:
+        ticks: number of ticks, 0 if not given.
+        until_us: step to the first tick at or after this simulated time, microseconds; 0 if not given.
+        duration_us: step to the first tick at least this much simulated time ahead, microseconds; 0 if not given.
+    """
+
+    ticks: int = 0
+    until_us: int = 0
+    duration_us: int = 0
+
+    def goal(self, now_us: int) -> Goal:
+        """Return the goal of a step that begins now.
+
+        Raises:
+            StepError: more than one attribute is given, or the duration is negative.
+        """
+        if sum(1 for value in (self.ticks, self.until_us, self.duration_us) if value) > 1:
+            raise StepError("ticks, until, duration: only one of them can be given")
+        if self.duration_us < 0:
+            raise StepError(f"duration: {self.duration_us * 1e-6:g} s is not allowed, more than 0")
+        if self.until_us:
+            return Goal(until_us=self.until_us)
+        if self.duration_us:
+            return Goal(until_us=now_us + self.duration_us)
+        return Goal(ticks=self.ticks or 1)
+
+
+@dataclass(frozen=True)
+class StepAnswer:
+    """The response to a step request.
+
+    Attributes:
+        success: whether the goal was reached.
+        message: summary of the step, or the reason for its failure.
+        time_us: current simulated time, microseconds.
+        ticks: number of ticks made.
+    """
+
+    success: bool
+    message: str
+    time_us: int
+    ticks: int
+
+
+@dataclass(frozen=True)
+class Status:
+    """State of the simulation, see xtdrone_msgs/SimulationStatus; ``time_us`` in microseconds, ``waiting`` in s."""
+
+    time_us: int
+    tick: int
+    speed: float
+    measured_speed: float
+    paused: bool
+    stepping: bool
+    participants: tuple[str, ...]
+    waiting_for: tuple[str, ...]
+    waiting: float
+    reason: str
+
+
+@dataclass
+class _Asked:
+    """A request that is queued until the end of the tick.
+
+    Attributes:
+        request: the step, the reset or the change.
+        answer: future of the caller; None if the caller has been answered already.
+        until: monotonic wall time at which the request times out, s.
+    """
+
+    request: StepRequest | Reset | Change
+    answer: Future[Any] | None
+    until: float
+
+
+class Control:
+    """Controls whether and how fast simulated time advances.
+
+    Attributes:
+        pacer: the target speed.
+        ticks: number of ticks so far.
+        changed: the status has changed; the publisher of the status clears the flag.
+        held: participants (their number or names) required before time starts; None once it has started.
+    """
+
+    def __init__(
+        self,
+        pacer: Pacer,
+        barrier: Barrier,
+        now_us: Callable[[], int],
+        *,
+        paused: bool = False,
+        hang_limit: float = 0.0,
+        info: Callable[[str], None],
+        warn: Callable[[str], None],
+        wall: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Hold time until :meth:`start` is called.
+
+        Args:
+            pacer: pacer, set to the initial speed.
+            barrier: lockstep server.
+            now_us: returns the simulated time, microseconds.
+            paused: whether to start paused.
+            hang_limit: hang limit of the server, wall s; used in log texts.
+            info: logs completed requests.
+            warn: logs standstills.
+            wall: returns the monotonic wall time, s.
+        """
+        self.pacer = pacer
+        self.ticks = 0
+        self.changed = True
+        self.held: int | Sequence[str] | None = 0
+        self._barrier = barrier
+        self._now_us = now_us
+        self._hang_limit = hang_limit
+        self._info = info
+        self._warn = warn
+        self._wall = wall
+        self._stepper = Stepper(paused)
+        self._meter = SpeedMeter()
+        self._asked: deque[_Asked] = deque()
+        self._step_answer: Future[Any] | None = None
+        self._names: tuple[str, ...] = ()
+        self._next_warning = 0.0
+
+    # pace
+
+    @property
+    def paused(self) -> bool:
+        """Whether the simulation is paused; also true during a step."""
+        return self._stepper.paused
+
+    @property
+    def flowing(self) -> bool:
+        """Whether the next tick may begin and no request is queued before it."""
+        return self._stepper.moving and not self._asked
+
+    def start(self) -> None:
+        """Start simulated time."""
+        self.held = None
+        self.changed = True
+
+    def pause(self, caller: str) -> str:
+        """Pause after the current tick; return a description of the change."""
+        done = "it is paused already" if self.paused and self._stepper.goal is None else "paused"
+        self._end_steps(self._stepper.pause(), "it was paused")
+        return self._log_change(done, caller)
+
+    def resume(self, caller: str) -> str:
+        """Resume; return a description of the change."""
+        done = "resumed" if self.paused else "it is running already"
+        self._end_steps(self._stepper.resume(), "the simulation was resumed")
+        self.pacer.restart()
+        return self._log_change(done, caller)
+
+    def set_speed(self, speed: float, caller: str) -> str:
+        """Set the target real-time factor; return a description of the change.
+
+        Raises:
+            ValueError: the speed is not allowed.
+        """
+        self.pacer.set_speed(speed)
+        return self._log_change(f"speed {speed:g}" if speed else "speed unlimited", caller)
+
+    def _log_change(self, done: str, caller: str) -> str:
+        self.changed = True
+        text = f"{done} at {self._now_us() * 1e-6:.3f} s"
+        self._info(f"{text}, by {caller}")
+        return text
+
+    # between ticks
+
+    def ask_step(self, request: StepRequest, caller: str, answer: Future[Any]) -> None:
+        """Queue a step; ``answer`` receives a StepAnswer when it has ended or was rejected."""
+        if self.held is not None:
+            answer.set_result(self._refusal(f"time has not started: {self._barrier.missing(self.held)}"))
+        elif self._waited_for(caller):
+            answer.set_result(
+                self._refusal(
+                    f"{caller} takes part in the lockstep and its turn is not over: the step would wait for {caller} "
+                    "forever; call it from another node"
+                )
+            )
+        else:
+            self._asked.append(_Asked(request, answer, self._wall() + PATIENCE))
+
+    def ask_reset(self, kind: Reset, caller: str, answer: Future[Any]) -> None:
+        """Queue a reset; ``answer`` receives None when it is complete, or a ControlError."""
+        self._info(f"reset of the {kind.name.lower()} asked for by {caller}")
+        if self.held is not None:
+            answer.set_result(None)  # nothing has moved yet
+            return
+        if self._waited_for(caller):
+            answer.set_result(None)
+            self._asked.append(_Asked(kind, None, float("inf")))
+        else:
+            self._asked.append(_Asked(kind, answer, self._wall() + PATIENCE))
+
+    def ask_change(self, change: Change, caller: str, answer: Future[Any]) -> None:
+        """Queue a change; ``answer`` receives its description when it is made, or a ControlError.
+
+        A participant in its own turn is answered at once, and the change is made after the tick.
+        """
+        self._info(f"{change.what} asked for by {caller}")
+        if self.held is not None:
+            self._make(change, answer)
+        elif self._waited_for(caller):
+            answer.set_result(f"{change.what}: follows after this tick")
+            self._asked.append(_Asked(change, None, float("inf")))
+        else:
+            self._asked.append(_Asked(change, answer, self._wall() + PATIENCE))
+
+    def _make(self, change: Change, answer: Future[Any] | None) -> None:
+        try:
+            done = change.make()
+        except (ValueError, OSError) as error:
+            self._warn(f"no {change.what}: {error}")
+            if answer is not None:
+                answer.set_exception(ControlError(str(error)))
+            return
+        self.changed = True
+        self._info(f"{change.what} at {self._now_us() * 1e-6:.3f} s")
+        if answer is not None:
+            answer.set_result(done)
+
+    def between_ticks(self, reset: Callable[[Reset], None]) -> bool:
+        """Execute the queued requests.
+
+        Args:
+            reset: executes a reset.
+
+        Returns:
+            Whether the next tick may begin.
+
+        Raises:
+            Exception: raised by ``reset``; the callers that requested the reset receive a ControlError.
+        """
+        kinds = [asked.request for asked in self._asked if isinstance(asked.request, Reset)]
+        if kinds:
+            asking = [asked for asked in self._asked if isinstance(asked.request, Reset)]
+            self._asked = deque(asked for asked in self._asked if not isinstance(asked.request, Reset))
+            answers = [asked.answer for asked in asking if asked.answer is not None]
+            try:
+                self._reset(max(kinds), reset)
+            except Exception as error:
+                for answer in answers:
+                    answer.set_exception(ControlError(f"no reset: {type(error).__name__}: {error}"))
+                raise
+            for answer in answers:
+                answer.set_result(None)
+        while self._asked:
+            asked = self._asked.popleft()
+            if isinstance(asked.request, Change):
+                self._make(asked.request, asked.answer)
+                continue
+            assert isinstance(asked.request, StepRequest)
+            assert asked.answer is not None
+            self._begin_step(asked.request, asked.answer)
+        return self._stepper.moving
+
+    def _reset(self, kind: Reset, reset: Callable[[Reset], None]) -> None:
+        self._finish_step(self._stepper.interrupt("the simulation was reset"))
+        before = self._now_us()
+        reset(kind)
+        self.pacer.restart()
+        self._meter.restart()
+        self.changed = True
+        self._info(f"reset of the {kind.name.lower()} at {before * 1e-6:.3f} s")
+
+    def _begin_step(self, request: StepRequest, answer: Future[Any]) -> None:
+        now = self._now_us()
+        try:
+            self._stepper.begin(request.goal(now), now)
+        except StepError as error:
+            answer.set_result(self._refusal(str(error)))
+            return
+        self._step_answer = answer
+        self.pacer.restart()
+        self.changed = True
+
+    def ticked(self) -> None:
+        """Count a tick that has ended, and finish a step that has reached its goal."""
+        self.ticks += 1
+        self._finish_step(self._stepper.ticked(self._now_us()))
+
+    def _end_steps(self, outcome: Outcome | None, reason: str) -> None:
+        """End the current step with ``outcome``, and reject the queued ones for ``reason``."""
+        self._finish_step(outcome)
+        for asked in [asked for asked in self._asked if isinstance(asked.request, StepRequest)]:
+            self._asked.remove(asked)
+            if asked.answer is not None:
+                asked.answer.set_result(self._refusal(reason))
+
+    def _finish_step(self, outcome: Outcome | None) -> None:
+        if outcome is None or self._step_answer is None:
+            return
+        answer, self._step_answer = self._step_answer, None
+        now = self._now_us()
+        made = f"{outcome.ticks} tick{'' if outcome.ticks == 1 else 's'}, simulated time {now * 1e-6:.3f} s"
+        text = made if outcome.success else f"ended early, {outcome.reason}: {made}"
+        self.changed = True
+        answer.set_result(StepAnswer(outcome.success, text, now, outcome.ticks))
+
+    def _refusal(self, reason: str) -> StepAnswer:
+        return StepAnswer(False, f"no step: {reason}", self._now_us(), 0)
+
+    # supervision
+
+    def tend(self) -> None:
+        """Time out queued requests and log participants that hold up the world; called periodically."""
+        now = self._wall()
+        for asked in [asked for asked in self._asked if now >= asked.until]:
+            self._asked.remove(asked)
+            reason = f"the present tick has not ended within {PATIENCE:g} s: {self._standstill(now)}"
+            if asked.answer is None:
+                continue
+            if isinstance(asked.request, Reset):
+                asked.answer.set_exception(ControlError(f"no reset: {reason}"))
+            elif isinstance(asked.request, Change):
+                asked.answer.set_exception(ControlError(f"no {asked.request.what}: {reason}"))
+            else:
+                asked.answer.set_result(self._refusal(reason))
+        names = tuple(self._barrier.participants)
+        if names != self._names:
+            self._names = names
+            self.changed = True
+        self._report_waiting(now)
+
+    def close(self) -> None:
+        """Answer all pending requests with a ClosedError."""
+        waiting = [asked.answer for asked in self._asked] + [self._step_answer]
+        self._asked.clear()
+        self._step_answer = None
+        for answer in waiting:
+            if answer is not None:
+                answer.set_exception(ClosedError("the simulator shuts down"))
+
+    def status(self) -> Status:
+        """Return the current status."""
+        now = self._wall()
+        waiting = self._waiting(now, _REPORTED)
+        return Status(
+            time_us=self._now_us(),
+            tick=self.ticks,
+            speed=self.pacer.speed,
+            measured_speed=self._meter.factor(self._now_us(), now),
+            paused=self.paused,
+            stepping=self._stepper.goal is not None,
+            participants=tuple(self._barrier.participants),
+            waiting_for=tuple(waiting),
+            waiting=max(waiting.values(), default=0.0),
+            reason=self._standstill(now),
+        )
+
+    def _waited_for(self, name: str) -> bool:
+        participant = self._barrier.participants.get(name)
+        return participant is not None and participant.waiting
+
+    def _waiting(self, now: float, least: float) -> dict[str, float]:
+        """Return the participants that have held up the world for at least ``least`` wall s, with the wall s so far."""
+        return {
+            name: now - participant.asked
+            for name, participant in self._barrier.participants.items()
+            if participant.waiting and now - participant.asked >= least
+        }
+
+    def _standstill(self, now: float) -> str:
+        """Return why the world stands still; "" while it moves."""
+        if self.held is not None:
+            return f"time has not started: {self._barrier.missing(self.held)}"
+        waiting = self._waiting(now, _REPORTED)
+        if waiting:
+            return "waiting for " + ", ".join(f"{name} ({seconds:.1f} s)" for name, seconds in waiting.items())
+        missing = self._barrier.missing()
+        if missing:
+            return missing
+        return "paused" if not self._stepper.moving else ""
+
+    def _report_waiting(self, now: float) -> None:
+        """Log the participants that hold up the world, so that a breakpoint is not mistaken for a failure."""
+        waiting = self._waiting(now, _FIRST_WARNING)
+        if not waiting:
+            self._next_warning = 0.0
+            return
+        if now < self._next_warning:
+            return
+        self._next_warning = now + _WARNING_PERIOD
+        parts = []
+        for name, seconds in waiting.items():
+            silent = now - self._barrier.participants[name].heard
+            how = "it lives; is it at a breakpoint?" if silent < _ALIVE_LIMIT else self._silence(silent)
+            parts.append(f"{name} for {seconds:.0f} s ({how})")
+        self._warn(f"the world stands still, waiting for {', '.join(parts)}")
+
+    def _silence(self, silent: float) -> str:
+        end = f"dropped after {self._hang_limit:g} s" if self._hang_limit else "hang_limit is 0: never dropped"
+        return f"silent for {silent:.0f} s; {end}"

@@ -1,0 +1,81 @@
+"""Files named by model://, package://, file:// and paths: where they are searched, and what a request may name."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from xtdrone_sim.package_files import MODELS, PACKAGE
+from xtdrone_sim.worlds.sdf.world_records import SdfError
+from xtdrone_sim.worlds.sdf.xml_elements import Element
+
+_VARIABLES = ("XTDRONE_MODELS", "GAZEBO_MODEL_PATH")
+
+
+class ForbiddenError(SdfError):
+    """A file that a request must not name."""
+
+
+def model_folders(folder: Path) -> Iterator[Path]:
+    """Return the search path of models: the folder of the world, those of the environment, the package's."""
+    yield folder
+    yield folder / "models"
+    for variable in _VARIABLES:
+        for name in os.environ.get(variable, "").split(":"):
+            if name:
+                yield Path(name).expanduser()
+    yield MODELS
+
+
+def resolve(element: Element) -> Path:
+    """Return the existing file or folder for the URI in an element.
+
+    ``model://NAME/...`` is searched in ``model_folders``, ``package://NAME/...`` in a ROS package; ``file://PATH`` and
+    a plain path may be relative to the folder of the element's file.
+
+    Raises:
+        ForbiddenError: the element has come in a request and names a file outside models and ROS packages.
+        SdfError: the file or folder does not exist.
+    """
+    uri = element.string()
+    beside = element.file.path.parent
+    kind, _, rest = uri.rpartition("://")
+    if element.file.is_foreign and (kind not in {"model", "package"} or ".." in Path(rest).parts or rest[:1] == "/"):
+        text = f"{element.file.path}: line {element.line}: <{element.tag}>: {uri!r} is not allowed in a request"
+        raise ForbiddenError(f"{text}, model://NAME/... or package://NAME/... without '..'")
+    if kind == "model":
+        folders = list(model_folders(beside))
+        for folder in folders:
+            if (folder / rest).exists():
+                return (folder / rest).absolute()
+        raise element.error(f"{uri!r} is in none of {', '.join(dict.fromkeys(map(str, folders)))} (XTDRONE_MODELS)")
+    if kind == "package":
+        path = _package(element, uri, rest)
+    elif kind in {"", "file"}:
+        path = (beside / rest).absolute()
+    else:
+        raise element.error(f"{uri!r} is not allowed, model://, package://, file:// or a path")
+    if not path.exists():
+        raise element.error(f"{uri!r}: {path} does not exist")
+    return path
+
+
+def _package(element: Element, uri: str, rest: str) -> Path:
+    name, _, inner = rest.partition("/")
+    if name == "xtdrone_sim":
+        return PACKAGE / inner
+    import rospkg  # needed for other packages only
+
+    try:
+        return Path(rospkg.RosPack().get_path(name)) / inner
+    except rospkg.ResourceNotFound as error:
+        raise element.error(f"{uri!r}: no ROS package {name!r} is found") from error
+
+
+def uri_of(path: Path) -> str:
+    """Return a URI that ``resolve`` maps back to a file, independent of the current folder."""
+    path = path.absolute()
+    if path.is_relative_to(PACKAGE):
+        return f"package://xtdrone_sim/{path.relative_to(PACKAGE)}"
+    return f"file://{path}"

@@ -1,0 +1,214 @@
+"""Elements of SDF files: parsing with line numbers, and typed values, with errors that name file and line.
+
+expat parses the XML, because its events carry line numbers and prefixes as written and let entities be rejected before
+anything is expanded.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.parsers import expat
+
+from xtdrone_control.bounded_file import MB, MOST_DEPTH, MOST_VALUES
+from xtdrone_sim.worlds.sdf.world_records import SdfError
+
+_log = logging.getLogger("rosout.sdf")  # a child of ROS's logger: shown on screen and on /rosout in a ROS node
+LARGEST = 16 * MB  # maximum size of a file
+_BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
+
+
+@dataclass(eq=False)
+class Element:
+    """One element of a file.
+
+    Attributes:
+        tag: name with its prefix.
+        attributes: as written.
+        line: line of its start tag, from 1.
+        children: in document order.
+        text: character data, without that of children.
+        file: the file that contains the element.
+    """
+
+    tag: str
+    attributes: dict[str, str]
+    line: int
+    file: File
+    children: list[Element] = field(default_factory=list)
+    text: str = ""
+
+    def error(self, text: str) -> SdfError:
+        """Return an error that names file, line and element."""
+        return SdfError(f"{self.file.path}: line {self.line}: <{self.tag}>: {text}")
+
+    def all(self, tag: str) -> Iterator[Element]:
+        """Return the children with this tag."""
+        return (child for child in self.children if child.tag == tag)
+
+    def one(self, tag: str) -> Element | None:
+        """Return the only child with this tag, or None.
+
+        Raises:
+            SdfError: there is more than one.
+        """
+        found = list(self.all(tag))
+        if len(found) > 1:
+            raise found[1].error(f"stands here for the second time in <{self.tag}>, one is allowed")
+        return found[0] if found else None
+
+    def first(self, tag: str) -> Element | None:
+        """Return the first child with this tag, with a warning about others, as Gazebo reads them; None without one."""
+        found = list(self.all(tag))
+        for other in found[1:]:
+            other.warn_ignored(f"stands here for the second time in <{self.tag}> and is ignored")
+        return found[0] if found else None
+
+    def required(self, tag: str) -> Element:
+        """Return the only child with this tag.
+
+        Raises:
+            SdfError: the child is missing, or there is more than one.
+        """
+        found = self.one(tag)
+        if found is None:
+            raise self.error(f"needs a <{tag}>")
+        return found
+
+    def name(self) -> str:
+        """Return the attribute ``name``.
+
+        Raises:
+            SdfError: the attribute is missing or empty.
+        """
+        name = self.attributes.get("name", "").strip()
+        if not name:
+            raise self.error('needs an attribute name="..." that is not empty')
+        return name
+
+    def string(self) -> str:
+        """Return the text without surrounding white space.
+
+        Raises:
+            SdfError: the text is empty.
+        """
+        text = self.text.strip()
+        if not text:
+            raise self.error("is empty")
+        return text
+
+    def boolean(self) -> bool:
+        """Parse the text as a boolean: true, false, 1 or 0."""
+        text = self.text.strip().lower()
+        if text not in _BOOLEANS:
+            raise self.error(f"{self.text.strip()!r} is not allowed, true or false")
+        return _BOOLEANS[text]
+
+    def number(self, low: float = -math.inf, high: float = math.inf) -> float:
+        """Parse the text as a finite number within limits."""
+        return self.numbers((1,), low, high)[0]
+
+    def numbers(self, counts: Sequence[int], low: float = -math.inf, high: float = math.inf) -> tuple[float, ...]:
+        """Parse the text as finite numbers within limits; ``counts`` lists the allowed numbers of values."""
+        text = self.text.strip()
+        try:
+            values = tuple(float(word) for word in text.split())
+        except ValueError:
+            values = ()
+        if len(values) not in counts or not all(math.isfinite(value) and low <= value <= high for value in values):
+            many = " or ".join(str(count) for count in counts)
+            limits = "".join(
+                f", {word} {limit:g}" for word, limit in (("at least", low), ("at most", high)) if not math.isinf(limit)
+            )
+            raise self.error(f"{text!r} is not allowed, {many} finite number{'s' * (many != '1')}{limits}")
+        return values
+
+    def warn_unknown(self, known: Sequence[str], silent: Sequence[str] = ()) -> None:
+        """Warn of children that are neither supported (``known``) nor deliberately ignored (``silent``)."""
+        for child in self.children:
+            if child.tag not in known and child.tag not in silent:
+                child.warn_ignored()
+
+    def warn_ignored(self, why: str = "is not supported and ignored") -> None:
+        """Log a warning about this element, once per file and tag."""
+        self.file.note(logging.WARNING, self, why)
+
+    def info(self, text: str) -> None:
+        """Log a remark about this element, once per file and tag."""
+        self.file.note(logging.INFO, self, text)
+
+
+@dataclass(eq=False)
+class File:
+    """A file that is being read.
+
+    Attributes:
+        path: path of the file.
+        told: tags and texts already logged.
+        is_foreign: the content has come in a request: it may only name files of installed models and ROS packages.
+    """
+
+    path: Path
+    told: set[tuple[str, str]] = field(default_factory=set)
+    is_foreign: bool = False
+
+    def note(self, level: int, element: Element, text: str) -> None:
+        """Log ``text`` once per tag."""
+        if (element.tag, text) not in self.told:
+            self.told.add((element.tag, text))
+            _log.log(level, "%s: line %d: <%s> %s", self.path, element.line, element.tag, text)
+
+
+def parse(text: str | bytes, path: Path, is_foreign: bool = False) -> Element:
+    """Parse an XML text and return its root.
+
+    Args:
+        text: content of the file.
+        path: path of the file, for messages and relative paths.
+        is_foreign: see ``File``.
+
+    Raises:
+        SdfError: malformed XML, an entity, too many elements, or too deep nesting.
+    """
+    file = File(path, is_foreign=is_foreign)
+    parser = expat.ParserCreate()
+    parser.buffer_text = True
+    count = 0
+    stack: list[Element] = []
+    roots: list[Element] = []
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal count
+        count += 1
+        if count > MOST_VALUES or len(stack) >= MOST_DEPTH:
+            many = f"{MOST_VALUES} elements" if count > MOST_VALUES else f"{MOST_DEPTH} elements within each other"
+            raise SdfError(f"{path}: line {parser.CurrentLineNumber}: more than {many}")
+        element = Element(tag, attributes, parser.CurrentLineNumber, file)
+        (stack[-1].children if stack else roots).append(element)
+        stack.append(element)
+
+    def end(_tag: str) -> None:
+        stack.pop()
+
+    def characters(data: str) -> None:
+        stack[-1].text += data
+
+    def entity(name: str, *_: object) -> None:
+        raise SdfError(
+            f"{path}: line {parser.CurrentLineNumber}: <!ENTITY {name}> is not allowed: write out what it stands for"
+        )
+
+    parser.EntityDeclHandler = entity
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.CharacterDataHandler = characters
+    try:
+        parser.Parse(text, True)
+    except expat.ExpatError as error:
+        raise SdfError(f"{path}: line {error.lineno}: not an XML file: {expat.ErrorString(error.code)}") from error
+    except ValueError as error:  # an encoding that expat does not support
+        raise SdfError(f"{path}: not an XML file: {error}") from error
+    return roots[0]
