@@ -426,7 +426,7 @@ HOVER = np.dtype(  # hover_thrust
     align=True,
 )
 
-PATH = np.dtype(  # flight_tasks and estimator_resets: smoothed path, see ``trajectory``
+PATH = np.dtype(  # flight_tasks and estimator_resets: smoothed path, see ``jerk_limited_velocity``
     [
         ("acceleration", "f8", 3),  # m/s^2, local
         ("position", "f8", 3),  # m, local

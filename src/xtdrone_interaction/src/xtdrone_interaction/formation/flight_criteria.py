@@ -1,4 +1,4 @@
-"""Criteria of a good formation flight, and the choice of those that count."""
+"""Criteria of a good formation flight with their limits, and the choice of those that count."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ CRITERIA = {
     "distance": "vehicles keep their distance",
     "collision": "nothing collides",
 }
+STEADY_LIMIT = 0.10  # m, of the mean error at the end of a pattern
+DISTANCE_LIMIT = 0.5  # m between any two vehicles
+ASSIGNMENT_SLACK = 0.01  # share of the optimum; the leader's positions are a tick or two older than the recorded ones
 
 
 def parse_criteria(text: object) -> list[str]:

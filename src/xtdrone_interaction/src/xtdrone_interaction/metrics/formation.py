@@ -19,15 +19,12 @@ import numpy as np
 
 from xtdrone_coordination.laws.assignment import assign
 from xtdrone_interaction.formation.distances import SETTLED_ERROR, Array, close_pairs, formation_error, relative
-from xtdrone_interaction.formation.flight_criteria import CRITERIA
+from xtdrone_interaction.formation.flight_criteria import ASSIGNMENT_SLACK, CRITERIA, DISTANCE_LIMIT, STEADY_LIMIT
 from xtdrone_interaction.recording.formation import FormationRecord
 from xtdrone_interaction.recording.positions import FleetTrack
 from xtdrone_interaction.recording.recorded_flight import RecordError
 
 STEADY_SPAN = 2.0  # s; the steady error is taken over the window's last part
-STEADY_LIMIT = 0.10  # m
-DISTANCE_LIMIT = 0.5  # m between any two vehicles
-ASSIGNMENT_SLACK = 0.01  # share of the optimum; the leader's positions are a tick or two older than the recorded ones
 _SHORT_STEP = 0.5  # m; the overshoot of a follower whose slot is nearer than this does not count
 _PAIRS = 10  # listed of the pairs that came too close
 _PACKAGES = ("numpy", "scipy", "numba", "pybullet", "pymavlink", "rosbags", "matplotlib")

@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 _ITERATIONS = 20
 _ROTATION_STEP, _TRANSLATION_STEP = 1e-4, 1e-4  # rad and m: smaller steps end the iteration
 _CLEAR_CYCLE = 50  # scans between two looks for what is to be forgotten
-_CORRELATION = 100.0  # points that share a surface share its errors; found by comparison with true poses
+_CORRELATION = 100.0  # points that share a surface share its errors: an assumption, not calibrated
 
 
 @dataclass(frozen=True)

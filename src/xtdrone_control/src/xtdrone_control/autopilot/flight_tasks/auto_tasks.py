@@ -5,7 +5,12 @@ After PX4's FlightTaskAuto and FlightTaskDescend.
 
 from __future__ import annotations
 
-from xtdrone_control.autopilot.flight_tasks.legs import update_internal_leg, wanted_horizontal, wanted_velocity
+from xtdrone_control.autopilot.flight_tasks.jerk_limited_velocity import stopping_speed
+from xtdrone_control.autopilot.flight_tasks.lookahead_and_speed_on_legs import (
+    update_internal_leg,
+    wanted_horizontal,
+    wanted_velocity,
+)
 from xtdrone_control.autopilot.flight_tasks.smoothing import (
     keep_path_at_vehicle,
     or_default,
@@ -14,7 +19,6 @@ from xtdrone_control.autopilot.flight_tasks.smoothing import (
     update_braking,
     vertical_limits,
 )
-from xtdrone_control.autopilot.flight_tasks.trajectory import stopping_speed
 from xtdrone_control.autopilot.state import TAKEOFF_RAMPUP
 from xtdrone_control.kernel import kernel
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_control.autopilot.flight_tasks import trajectory
+from xtdrone_control.autopilot.flight_tasks import jerk_limited_velocity
 from xtdrone_control.autopilot.state import PATH
 
 DT = 0.02
@@ -19,9 +19,9 @@ def fly(wanted, accel=(3.0, 3.0, 3.0), jerk=4.0, seconds=8.0, start=(0.0, 0.0, 0
     path["velocity"] = start
     rows = []
     for _ in range(round(seconds / DT)):
-        trajectory.plan(path, wanted, (20.0, 20.0, 20.0), accel, jerk)
+        jerk_limited_velocity.plan(path, wanted, (20.0, 20.0, 20.0), accel, jerk)
         for axis in range(3):
-            trajectory.follow(path, axis, jerk, DT)
+            jerk_limited_velocity.follow(path, axis, jerk, DT)
         rows.append([path["acceleration"].copy(), path["velocity"].copy(), path["position"].copy()])
     return tuple(np.array(part) for part in zip(*rows, strict=True))
 
@@ -52,9 +52,9 @@ def test_axes_arrive_together():
 def test_velocity_is_limited():
     path = np.zeros(1, PATH)[0]
     for _ in range(400):
-        trajectory.plan(path, (50.0, 0.0, -50.0), (5.0, 5.0, 1.5), (3.0, 3.0, 3.0), 4.0)
+        jerk_limited_velocity.plan(path, (50.0, 0.0, -50.0), (5.0, 5.0, 1.5), (3.0, 3.0, 3.0), 4.0)
         for axis in range(3):
-            trajectory.follow(path, axis, 4.0, DT)
+            jerk_limited_velocity.follow(path, axis, 4.0, DT)
     np.testing.assert_allclose(path["velocity"], (5.0, 0.0, -1.5), atol=1e-6)
 
 
@@ -63,7 +63,7 @@ def test_velocity_is_limited():
 def test_stopping_speed_suffices_to_slow_down(distance, final):
     """v^2 - final^2 = 2 a d less what the rising deceleration costs: v 2 a / j on the way."""
     accel, jerk = 3.0, 4.0
-    speed = trajectory.stopping_speed(distance, accel, jerk, final)
+    speed = jerk_limited_velocity.stopping_speed(distance, accel, jerk, final)
     if speed > final:
         assert (speed**2 - final**2) / (2 * accel) + 2 * speed * accel / jerk == pytest.approx(distance)
     else:
@@ -71,6 +71,6 @@ def test_stopping_speed_suffices_to_slow_down(distance, final):
 
 
 def test_turning_speed_of_a_right_angle():
-    assert trajectory.turning_speed(0.5 * math.pi, 1.5, 2.0) == pytest.approx(math.sqrt(3.0))
-    assert trajectory.turning_speed(math.pi, 1.5, 2.0) > 50.0
-    assert trajectory.turning_speed(0.0, 1.5, 2.0) == 0.0
+    assert jerk_limited_velocity.turning_speed(0.5 * math.pi, 1.5, 2.0) == pytest.approx(math.sqrt(3.0))
+    assert jerk_limited_velocity.turning_speed(math.pi, 1.5, 2.0) > 50.0
+    assert jerk_limited_velocity.turning_speed(0.0, 1.5, 2.0) == 0.0
