@@ -145,7 +145,8 @@ int connectToAbstract(const std::string& name) {
   return -1;
 }
 
-/// Connect to the socket beside the TCP port of a simulator on this machine, see unix_sockets.py; return -1 if there is none.
+/// Connect to the socket beside the TCP port of a simulator on this machine, see unix_sockets.py; return -1 if there is
+/// none.
 int connectLocally(const std::string& host, const std::string& port) {
   addrinfo hints{};
   hints.ai_family = AF_INET;
