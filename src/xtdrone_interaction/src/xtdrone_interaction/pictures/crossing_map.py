@@ -42,6 +42,7 @@ def save_crossing_map(record: CrossingRecord, solids: Sequence[Solid], file: Pat
             axes.plot(goal[0], goal[1], "*", color=shade, markersize=11)
     axes.set_aspect("equal")
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x, east (m)", ylabel="y, north (m)")
+    axes.set_title("Paths over the ground (square: start, star: goal), and what stands at their height")
     axes.legend(loc="upper left", fontsize=8)
     figure.savefig(file, dpi=_DPI)
     plt.close(figure)
