@@ -11,6 +11,7 @@ from typing import Any
 from xtdrone_control.rotation import Vector, from_euler
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_sim.vehicles.camera_and_gimbal_mounts import MountError, check_sensor_name
+from xtdrone_sim.vehicles.sensor_lists import read_list
 from xtdrone_sim.vehicles.urdf import Description
 from xtdrone_sim.vehicles.visual import Pose
 
@@ -121,19 +122,10 @@ def read_lidars(lidars: Any, urdf: Description, folder: Path) -> tuple[LidarMoun
     Raises:
         MountError: missing, unknown or invalid field, unknown link, missing file, or duplicate name or frame.
     """
-    if not isinstance(lidars or [], list):
-        raise MountError(f"lidars: {lidars!r} is not allowed, a list")
-    mounts = tuple(_lidar(entry, f"lidars, number {i}", urdf, folder) for i, entry in enumerate(lidars or [], start=1))
-    for what, values in (("name", [m.name for m in mounts]), ("frame_id", [m.frame for m in mounts])):
-        for value in values:
-            if values.count(value) > 1:
-                raise MountError(f"lidars: {what} {value!r} is given {values.count(value)} times")
-    return mounts
+    return read_list(lidars, "lidars", lambda entry, where: _lidar(entry, where, urdf, folder))
 
 
-def _lidar(entry: Any, where: str, urdf: Description, folder: Path) -> LidarMount:
-    if not isinstance(entry, Mapping):
-        raise MountError(f"{where}: {entry!r} is not allowed, a mapping")
+def _lidar(entry: Mapping[str, Any], where: str, urdf: Description, folder: Path) -> LidarMount:
     if "name" not in entry:
         raise MountError(f"{where}: field 'name' is missing")
     where = f"{where} ({entry['name']})"

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import Settings, setting
-from xtdrone_sim.vehicles.camera_and_gimbal_mounts import MountError, check_sensor_name
+from xtdrone_sim.vehicles.camera_and_gimbal_mounts import check_sensor_name
+from xtdrone_sim.vehicles.sensor_lists import read_list, reader
 from xtdrone_sim.vehicles.visual import Pose
 
 LEAST_RATE, MOST_RATE = 0.1, 50.0  # Hz
@@ -73,20 +73,4 @@ def read_uwb(sensors: Any) -> tuple[UwbMount, ...]:
     Raises:
         MountError: an unknown or invalid field, or a name or frame given twice.
     """
-    if not isinstance(sensors or [], list):
-        raise MountError(f"uwb: {sensors!r} is not allowed, a list")
-    mounts = tuple(_sensor(entry, f"uwb, number {i}") for i, entry in enumerate(sensors or [], start=1))
-    for what, values in (("name", [m.name for m in mounts]), ("frame_id", [m.frame for m in mounts])):
-        for value in values:
-            if values.count(value) > 1:
-                raise MountError(f"uwb: {what} {value!r} is given {values.count(value)} times")
-    return mounts
-
-
-def _sensor(entry: Any, where: str) -> UwbMount:
-    if not isinstance(entry, Mapping):
-        raise MountError(f"{where}: {entry!r} is not allowed, a mapping")
-    try:
-        return UwbMount.from_mapping(entry, where)
-    except ValueError as error:
-        raise MountError(str(error)) from error
+    return read_list(sensors, "uwb", reader(UwbMount))
