@@ -6,7 +6,7 @@ Parameters:
     /xtdrone/fleet (as ``iris:9``): all vehicles; the first leads a formation.
     /xtdrone/world: name or file of the world; none: only the swarm is shown.
     ~view (default none): a view, as search, that sets the defaults of the following.
-    ~rate, ~trail, ~scale, ~spot: see ``xtdrone_interaction.rviz.node.MarkerSettings`` and docs/settings.md.
+    ~rate, ~trail, ~scale, ~spot: see ``xtdrone_interaction.rviz.markers_node.MarkerSettings`` and docs/settings.md.
 
 Topics:
     /VEHICLE/mavros/local_position/pose, /xtdrone/VEHICLE/avoid_vel, avoid_accel (in)
