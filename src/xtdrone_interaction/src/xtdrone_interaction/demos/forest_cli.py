@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.description = (
         "Fly a UAV through a forest that it does not know, by lidar or depth camera: it maps what it sees, plans a "
-        "smooth trajectory through it and plans anew as it sees more. Leaves runs/<time>/ with flight.bag, report.json "
+        "smooth trajectory through it and replans as it sees more. Leaves runs/<time>/ with flight.bag, report.json "
         "and map.png."
     )
     settings = ForestDemoSettings.add_arguments

@@ -144,7 +144,7 @@ class Following(FlightState):
         self._goal_number = goal_number
 
     def step(self, planner: _Planner, now: Situation) -> FlightState:
-        """Brake, plan anew, or arrive."""
+        """Brake, replan or arrive."""
         trajectory = planner.trajectory
         assert trajectory is not None
         if planner.goal is None:

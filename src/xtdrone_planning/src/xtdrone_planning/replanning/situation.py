@@ -40,7 +40,9 @@ class PlannerSettings(Settings):
         unit="s",
         text="setpoints are so much ahead of the trajectory: the lag of autopilot and vehicle",
     )
-    astray: float = setting(1.0, low=0.1, high=10.0, unit="m", text="farther off its trajectory the vehicle plans anew")
+    astray: float = setting(
+        1.0, low=0.1, high=10.0, unit="m", text="deviation from the trajectory beyond which the vehicle replans"
+    )
     yaw_rate: float = setting(1.5, low=0.1, high=6.0, unit="rad/s", text="greatest yaw rate")
     offboard: bool = setting(True, text="request OFFBOARD for a new goal; false: wait for the pilot to do so")
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from xtdrone_control.settings import Settings, setting
 from xtdrone_planning.mapping.voxel_grid import VoxelGrid
 from xtdrone_planning.trajectories.clearance_check import first_conflict
-from xtdrone_planning.trajectories.moving_vehicles import NOBODY, MovingVehicles
+from xtdrone_planning.trajectories.moving_vehicles import NO_VEHICLES, MovingVehicles
 from xtdrone_planning.trajectories.spline_cost import SAMPLES, optimise
 from xtdrone_planning.trajectories.time_law import TimeLaw, length_of, points_along
 from xtdrone_planning.trajectories.uniform_spline import UniformSpline, first_points
@@ -64,7 +64,7 @@ def plan_along(
     state: State,
     time: float,
     settings: TrajectorySettings,
-    others: MovingVehicles = NOBODY,
+    others: MovingVehicles = NO_VEHICLES,
 ) -> UniformSpline | None:
     """Return a trajectory along a path, or None if no attempt has held all limits.
 

@@ -62,4 +62,4 @@ class MovingVehicles:
         )
 
 
-NOBODY = MovingVehicles()
+NO_VEHICLES = MovingVehicles()
