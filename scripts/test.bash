@@ -6,6 +6,9 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.." || exit 1
 
 readonly MOST_WORKERS=8 # each may hold 2 GB
 
+# Tests read what programs print while these run; a pipe would hold it back in a buffer.
+export PYTHONUNBUFFERED=1
+
 worst=0
 
 # Prints the name of a check, runs it and keeps the worst status.
