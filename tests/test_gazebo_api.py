@@ -39,6 +39,13 @@ WORLD = f"""<?xml version="1.0"?>
     <model name="house"><static>1</static><pose>30 9 0 0 0 0</pose>
       <link name="link"><visual name="v"><geometry><mesh><uri>model://house/house.dae</uri></mesh></geometry></visual></link>
     </model>
+    <model name="door"><pose>0 30 1 0 0 0</pose>
+      <link name="frame">{MASS}{BODY}</link>
+      <link name="leaf"><pose>2 0 0 0 0 0</pose>{MASS}{BODY}</link>
+      <joint name="j" type="fixed"><parent>world</parent><child>frame</child></joint>
+      <joint name="hinge" type="revolute"><parent>frame</parent><child>leaf</child><pose>-1 0 0 0 0 0</pose>
+        <axis><xyz>0 0 1</xyz><limit><upper>0.8</upper></limit></axis></joint>
+    </model>
     <actor name="actor_0"><pose>5 5 0 0 0 0</pose></actor>
     <actor name="actor_1"><script><trajectory id="0" type="walking">
       <waypoint><time>0</time><pose>0 -9 0 0 0 0</pose></waypoint>
@@ -49,6 +56,7 @@ WORLD = f"""<?xml version="1.0"?>
   </world>
 </sdf>
 """
+MODELS = ["wall", "crate", "house", "door", "door::leaf"]
 BOX = f"<sdf version='1.6'><model name='any'><link name='link'>{MASS}{BODY}</link></model></sdf>"
 PILLAR = BOX.replace("<link", "<static>1</static><link")
 URDF = """<robot name="r"><link name="base"><inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0"
@@ -104,7 +112,8 @@ def put(stack: Stack, name: str, pose: Pose, frame: str = "", twist: Twist | Non
 
 def test_the_world_is_there_and_its_loose_crate_has_fallen(stack: Stack) -> None:
     states = stack.graph.hear("/gazebo/model_states", ModelStates)
-    names = ["ground_plane", "iris_0", "iris_1", "typhoon_h480_0", "wall", "crate", "house", "actor_0", "actor_1"]
+    fleet = ["iris_0", "iris_1", "typhoon_h480_0"]
+    names = ["ground_plane", *fleet, *MODELS, "actor_0", "actor_1"]
     assert states.last.name == names
     stack.wait(lambda: states.last.pose[5].position.z < 0.51, "the crate lies")
     assert place(state_of(stack, "crate").pose)[:2] == pytest.approx((-10.0, 5.0), abs=0.05)
@@ -282,6 +291,24 @@ BAD_SDF = {
 }
 
 
+def test_a_door_is_pushed_to_its_limit_and_deleted_with_its_frame(stack: Stack) -> None:
+    leaf = state_of(stack, "door::leaf")
+    assert place(leaf.pose) == pytest.approx((2.0, 30.0, 1.0), abs=1e-3)
+    refused = put(stack, "door::leaf", at(5.0, 5.0, 1.0))
+    assert "is held by its joint 'door::hinge'" in refused.status_message
+    push = Wrench(force=Vector3(0.0, 40.0, 0.0))
+    answer = call(stack, "apply_body_wrench", srv.ApplyBodyWrench, body_name="door::leaf", wrench=push,
+                  duration=genpy.Duration(3))  # fmt: skip
+    assert answer.success, answer.status_message
+    stack.pass_time(2.0)
+    angle = 2.0 * math.atan2(*(getattr(state_of(stack, "door::leaf").pose.orientation, axis) for axis in "zw"))
+    assert angle == pytest.approx(0.8, abs=0.01)
+    assert state_of(stack, "door").pose.orientation.w == 1.0
+    assert call(stack, "delete_model", srv.DeleteModel, model_name="door").success
+    gone = call(stack, "get_model_state", srv.GetModelState, model_name="door::leaf", relative_entity_name="")
+    assert not gone.success
+
+
 @pytest.mark.parametrize("number", range(len(BAD_SDF)))
 def test_bad_models_are_refused(stack: Stack, number: int) -> None:
     text, words = list(BAD_SDF.items())[number]
@@ -333,6 +360,6 @@ def test_people_are_deleted_and_a_reset_brings_back_the_world(stack: Stack) -> N
     models = stack.graph.hear("/xtdrone/models", SceneModels)
     stack.wait(lambda: models.last.deleted == ["wall", "actor_0"], "cameras are told")
     call(stack, "reset_world", Empty)
-    stack.wait(lambda: states.last.name[-5:] == ["wall", "crate", "house", "actor_0", "actor_1"], "the world is back")
+    stack.wait(lambda: states.last.name[-7:] == [*MODELS, "actor_0", "actor_1"], "the world is back")
     assert place(state_of(stack, "wall").pose) == (20.0, 0.0, 1.0)
     stack.wait(lambda: models.last.deleted == [], "cameras are told")

@@ -266,12 +266,14 @@ JOINT = "<joint name='j' type='{}'><parent>l</parent><child>k</child></joint>"
     [
         (f"<link name='l'>{BOX}</link>", ""),
         (f"<link name='l'>{BOX}</link><link name='k'/>" + JOINT.format("fixed"), ""),
-        ("<link name='l'/>", "nothing of it collides"),
+        ("<link name='l'/>", "nothing of 'l' collides"),
+        ("", "nothing of it collides"),
         (f"<link name='l'><kinematic>1</kinematic>{BOX}</link>", "its link 'l' is kinematic"),
         (f"<link name='l'>{BOX}</link><link name='k'/>", "its links l, k are not connected"),
-        (f"<link name='l'>{BOX}</link><link name='k'/>" + JOINT.format("revolute"), "its joint 'j' of type 'revolute'"),
+        (f"<link name='l'>{BOX}</link><link name='k'/>" + JOINT.format("screw"), "its joint 'j' of type 'screw'"),
+        (f"<link name='l'>{BOX}</link>" + JOINT.format("fixed"), "its joint 'j' does not connect two of its links"),
         (f"<link name='l'><inertial><mass>-1</mass></inertial>{BOX}</link>", "its link 'l' has no possible mass"),
-        ("<link name='l'>" + BOX * 17 + "</link>", "it has 17 collision shapes"),
+        ("<link name='l'>" + BOX * 17 + "</link>", "'l' has 17 collision shapes"),
     ],
 )
 def test_models_that_are_not_static_move_or_stand_with_a_warning(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from xtdrone_sim.vehicles.link_poses import Links
 from xtdrone_sim.vehicles.pose_arithmetic import compose, conjugate, inverse, rotate
 from xtdrone_sim.vehicles.visual import Pose
 from xtdrone_sim.worlds.actor_topics import ActorTopics
-from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
+from xtdrone_sim.worlds.sdf import SdfJoint, SdfLink, SdfModel
 
 Change = Callable[[], str]
 """A change that has been found possible; makes it and returns what it has done, in words."""
@@ -121,7 +121,7 @@ class Models:
         link = self._links.find(name)
         if link is not None:
             return self._vehicle_link(link)
-        base, _, part = name.partition("::")
+        base, part = self._split(name)
         actor = self.actor(base)
         if actor is not None and not part:
             return State(self._actors.pose(actor))
@@ -135,6 +135,13 @@ class Models:
             if one.name == part:
                 return part_of(state, one.pose)
         raise unknown(what, name, [f"{base}::{one.name}" for one in model.links])
+
+    def _split(self, name: str) -> tuple[str, str]:
+        """Return the names of model and link; a part beyond a joint is a model itself, as ``door::leaf``."""
+        if name in self._numbers:
+            return name, ""
+        base, _, part = name.rpartition("::")
+        return (base, part) if base else (name, "")
 
     def find_link(self, what: str, name: str) -> State:
         """Return the state of a link, as ``find``, but of the first link for the name of a model."""
@@ -200,7 +207,7 @@ class Models:
         """
         self.find("link_name", name)
         target = in_world(state, self.find("reference_frame", frame, frame=True))
-        base, _, part = name.partition("::")
+        base, part = self._split(name)
         vehicle, model = self.vehicle(base), self.model(base)
         if vehicle is not None:
             root = self._simulation.models[vehicle].urdf.root
@@ -239,12 +246,43 @@ class Models:
             return place_actor
         if number is None:
             raise unknown("model_name", name, self.present[1:])
+        parts = self._joined(number)
+        if len(parts) > 1 or self._joints_of({name}):
+            self._check_loose(name, parts)
 
         def place_model() -> str:
-            self._simulation.world.place_model(number, state.pose, state.velocity, state.spin, steps)
+            back = inverse(self._model_state(number).pose)
+            states = {part: part_of(state, compose(back, self._model_state(part).pose)) for part in parts}
+            for part, one in states.items():
+                self._simulation.world.place_model(part, one.pose, one.velocity, one.spin, steps)
             return words
 
         return place_model
+
+    def _joints_of(self, names: Collection[str]) -> list[SdfJoint]:
+        """Return the joints at models."""
+        joints = self._simulation.world.model.joints
+        return [joint for joint in joints if joint.parent in names or joint.child in names]
+
+    def _joined(self, number: int) -> list[int]:
+        """Return the numbers of a model and of those that joints connect with it."""
+        names = {self.names[number]}
+        if number < self.first_actor:
+            count = 0
+            while count < len(names):
+                count = len(names)
+                joints = self._joints_of(names)
+                names |= {end for joint in joints for end in (joint.parent, joint.child) if end in self._numbers}
+        return sorted(self._numbers[name] for name in names)
+
+    def _check_loose(self, name: str, parts: Sequence[int]) -> None:
+        """Refuse to put models elsewhere that a joint holds to what stands."""
+        for joint in self._joints_of({self.names[part] for part in parts}):
+            for end in (joint.parent, joint.child):
+                number = self._numbers.get(end)
+                body = None if number is None else self._simulation.world.bodies.by_number.get(number)
+                if body is None or not body.is_solid:
+                    raise RequestError(f"model_name: {name!r} is held by its joint {joint.name!r}; it can be pushed")
 
     def adding(self, name: str, model: SdfModel, pose: Pose, frame: str) -> Change:
         """Return the change that adds a model.
@@ -307,15 +345,17 @@ class Models:
         if number is None:
             raise unknown("model_name", name, self.present)
         actor = self.actor(name)
+        parts = self._joined(number) if actor is None else [number]
 
         def delete() -> str:
-            if actor is None:
-                self._simulation.world.remove_model(number)
-            else:
-                self._actors.remove(actor)
-            self.deleted.add(number)
-            self.added.pop(number, None)
-            del self._numbers[name]
+            for part in parts:
+                if actor is None:
+                    self._simulation.world.remove_model(part)
+                else:
+                    self._actors.remove(actor)
+                self.deleted.add(part)
+                self.added.pop(part, None)
+                del self._numbers[self.names[part]]
             return f"{name} is deleted"
 
         return delete
@@ -366,7 +406,7 @@ class Models:
     def _pushed(self, name: str) -> tuple[int, Sequence[float]]:
         """Return the target of a wrench, see ``Wrench``, and its centre of mass in the world."""
         self.find("body_name", name)
-        base, _, part = name.partition("::")
+        base, part = self._split(name)
         vehicle, world = self.vehicle(base), self._simulation.world
         if vehicle is not None:
             root = self._simulation.models[vehicle].urdf.root
@@ -381,7 +421,7 @@ class Models:
 
     def link(self, name: str) -> tuple[SdfModel, SdfLink] | None:
         """Return a link of a model with the model; None if there is none of this name."""
-        base, _, part = name.partition("::")
+        base, part = self._split(name)
         model = self.model(base)
         links = () if model is None else model.links
         found = next((one for one in links if part in (one.name, "")), None)

@@ -44,7 +44,7 @@ class Queries:
     def _get_model_state(self, request: Any) -> srv.GetModelStateResponse:
         name, frame = request.model_name, request.relative_entity_name
         try:
-            if "::" in name:
+            if "::" in name and self._models.model(name) is None:
                 raise RequestError(f"model_name: {name!r} is a link, get_link_state returns its state")
             state = self._models.find("model_name", name)
             seen = seen_from(state, self._models.find("relative_entity_name", frame, frame=True))

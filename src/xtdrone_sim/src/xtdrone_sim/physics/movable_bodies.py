@@ -9,6 +9,7 @@ so that it carries and pushes what touches it, and what stands stops it.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -122,6 +123,7 @@ class Body:
         model: its description.
         frame: principal axes at the centre of mass, in the model's frame; the model's frame of a body without mass.
         mass: kg; 0: it stands.
+        moments: principal moments of inertia (3,), kg m^2.
         weight: share of the mass that has weight.
         shapes: Bullet's bodies; one of a body with mass, none if nothing of it collides.
         box: lowest and highest corner (2, 3), m, in ``frame``.
@@ -137,6 +139,7 @@ class Body:
     model: SdfModel
     frame: Pose
     mass: float
+    moments: NDArray[np.float64]
     weight: float
     shapes: list[int]
     box: NDArray[np.float64]
@@ -168,6 +171,8 @@ class Bodies:
         by_number: by the model's number; see ``World.collisions``.
         awake: numbers of the bodies that Bullet moves.
         people: numbers of the bodies that are people.
+        tied: by number, all numbers of the bodies that joints connect with it: they wake and sleep together.
+        before_removal: is called with the number of a body that is to be taken out of Bullet.
     """
 
     def __init__(self, client: BulletClient, friction: float, restitution: float) -> None:
@@ -180,6 +185,8 @@ class Bodies:
         self.by_number: dict[int, Body] = {}
         self.awake: set[int] = set()
         self.people: set[int] = set()
+        self.tied: dict[int, frozenset[int]] = {}
+        self.before_removal: Callable[[int], None] = lambda _number: None
         self._client = client
         self._surface = {"lateralFriction": friction, "restitution": restitution}
 
@@ -230,7 +237,7 @@ class Bodies:
             settings |= {"activationState": pybullet.ACTIVATION_STATE_DISABLE_SLEEPING}
         for shape in shapes:
             self._client.changeDynamics(shape, -1, **settings)
-        body = self.by_number[number] = Body(model, frame, mass, weight, shapes, box, pose, drive=drive)
+        body = self.by_number[number] = Body(model, frame, mass, moments, weight, shapes, box, pose, drive=drive)
         if body.is_solid:
             self.awake.add(number)
         return body
@@ -238,6 +245,7 @@ class Bodies:
     def remove(self, number: int) -> None:
         """Remove a body, and wake those that may rest on it."""
         boxes, _ = self._bounds([number])
+        self.before_removal(number)
         body = self.by_number.pop(number)
         self.awake.discard(number)
         for shape in body.shapes:
@@ -261,7 +269,7 @@ class Bodies:
         self._reset(body, moving=not held)
         self.awake.discard(number)
         if body.is_solid and not held:
-            self.awake.add(number)
+            self.wake(number)
         self.wake_around(before)
 
     def _reset(self, body: Body, *, moving: bool) -> None:
@@ -274,9 +282,10 @@ class Bodies:
             self._client.resetBaseVelocity(body.shapes[0], velocity, body.spin if moving else still)
 
     def wake(self, number: int) -> None:
-        """Let Bullet move a body with mass again, at least until it is at rest."""
-        self.by_number[number].still_steps = 0
-        self.awake.add(number)
+        """Let Bullet move a body with mass, and those tied to it, again, at least until they are at rest."""
+        for tied in self.tied.get(number, (number,)):
+            self.by_number[tied].still_steps = 0
+            self.awake.add(tied)
 
     def check(
         self,
@@ -385,11 +394,19 @@ class Bodies:
             body.velocity = _at(velocity, body.spin, (-x, -y, -z))
             speed = max(*(abs(value) for value in velocity), *(abs(value) for value in spin))
             body.still_steps = body.still_steps + 1 if speed < REST_SPEED else 0
-            if body.still_steps >= REST_STEPS:
+            if body.still_steps >= REST_STEPS and number not in self.tied:
                 self._put_to_sleep(number, body)
+        for group in set(self.tied.values()):
+            self._rest_together(group)
         for body in self.by_number.values():
             if body.held:
                 self._reset(body, moving=False)
+
+    def _rest_together(self, group: frozenset[int]) -> None:
+        """Let bodies that joints connect sleep once all of them are at rest."""
+        if group <= self.awake and all(self.by_number[number].still_steps >= REST_STEPS for number in group):
+            for number in sorted(group):
+                self._put_to_sleep(number, self.by_number[number])
 
     def _drive(self, body: Body, drive: Drive, dt: float) -> None:
         """Give Bullet the velocity of a driven body for its next step."""
@@ -439,6 +456,7 @@ class Bodies:
 
     def _lose(self, number: int, body: Body) -> None:
         """Take a body out of Bullet that has left the world; it stays at its last place, without collisions."""
+        self.before_removal(number)
         self._client.removeBody(body.shapes[0])
         self.awake.discard(number)
         body.shapes, body.mass = [], 0.0

@@ -30,6 +30,7 @@ from xtdrone_sim.physics.free_or_bullet import (
     mark_near,
     stay_free,
 )
+from xtdrone_sim.physics.joints import Joint, swapped
 from xtdrone_sim.physics.movable_bodies import Bodies, Drive
 from xtdrone_sim.physics.obstacles import Obstacles
 from xtdrone_sim.physics.quiet_pybullet import connect, pybullet
@@ -132,6 +133,40 @@ class World:
         for number, model in enumerate(self.model.models):
             if not model.static:
                 self.add_model(number, model, model.pose)
+        self._join_models()
+
+    def _join_models(self) -> None:
+        numbers = {model.name: number for number, model in enumerate(self.model.models)}
+        bodies = self.bodies.by_number
+        self.joints: dict[str, Joint] = {}
+        for one in self.model.joints:
+            parent, child = (bodies.get(numbers.get(end, -1)) for end in (one.parent, one.child))
+            if child is not None:
+                self.joints[one.name] = Joint(self._bullet, one, parent, child)
+            elif parent is not None:
+                self.joints[one.name] = Joint(self._bullet, swapped(one), None, parent)
+        self._tie()
+        self.bodies.before_removal = self._disconnect
+
+    def _tie(self) -> None:
+        """Let the bodies that joints connect wake and sleep together."""
+        number_of = {id(body): number for number, body in self.bodies.by_number.items()}
+        group = {number: frozenset([number]) for number in number_of.values()}
+        for joint in self.joints.values():
+            ends = [number_of[id(body)] for body in (joint.parent, joint.child) if body is not None]
+            union = frozenset().union(*(group[end] for end in ends))
+            group |= dict.fromkeys(union, union)
+        joined = {number_of[id(joint.child)] for joint in self.joints.values()}
+        self.bodies.tied = {number: union for number, union in group.items() if union & joined}
+
+    def _disconnect(self, number: int) -> None:
+        """Remove the joints of a body."""
+        body = self.bodies.by_number[number]
+        gone = [name for name, joint in self.joints.items() if body is joint.parent or body is joint.child]
+        for name in gone:
+            self.joints.pop(name).remove()
+        if gone:
+            self._tie()
 
     def _create_body(self, v: np.void, m: np.void) -> int:
         """Return Bullet's body of a vehicle, at its present pose."""
@@ -472,6 +507,9 @@ class World:
             position = v["position"].tolist()
             apply_force(self._bodies[i], -1, (fx, fy, fz - weight), position, pybullet.WORLD_FRAME)
             apply_torque(self._bodies[i], -1, self._world_torque(v), pybullet.WORLD_FRAME)
+        if self.bodies.awake:
+            for joint in self.joints.values():
+                joint.push(dt)
         if self.bodies.by_number:
             self.bodies.push(gravity, dt)
         client.stepSimulation()

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from xtdrone_control.geodesy.datum import Datum
 from xtdrone_sim.worlds import catalogue
-from xtdrone_sim.worlds.sdf import SdfActor, SdfModel
+from xtdrone_sim.worlds.sdf import SdfActor, SdfJoint, SdfModel
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,7 @@ class WorldModel:
         friction, restitution: of the ground and of the models.
         models: models.
         actors: moving people.
+        joints: between the models.
     """
 
     datum: Datum
@@ -36,6 +37,7 @@ class WorldModel:
     restitution: float
     models: tuple[SdfModel, ...] = ()
     actors: tuple[SdfActor, ...] = ()
+    joints: tuple[SdfJoint, ...] = ()
 
 
 def load_world(name: str) -> WorldModel:
@@ -55,4 +57,5 @@ def load_world(name: str) -> WorldModel:
         world.restitution,
         world.models,
         world.actors,
+        world.joints,
     )

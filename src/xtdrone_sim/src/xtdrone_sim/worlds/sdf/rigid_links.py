@@ -1,4 +1,4 @@
-"""Mass of links, and which models can be rigid bodies."""
+"""Mass of links, and which models can move."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import numpy as np
 
 from xtdrone_sim.vehicles.urdf import Inertial
 from xtdrone_sim.worlds.sdf.geometry import has_heightmap
-from xtdrone_sim.worlds.sdf.world_records import DEFAULT_INERTIAL, SdfLink
+from xtdrone_sim.worlds.sdf.joints import MOVING, WORLD
+from xtdrone_sim.worlds.sdf.world_records import DEFAULT_INERTIAL, SdfLink, SdfModel
 from xtdrone_sim.worlds.sdf.xml_elements import Element
 from xtdrone_sim.worlds.sdf.xml_poses import (
     read_pose,
@@ -44,24 +45,56 @@ def read_inertial(link: Element) -> Inertial | None:
     return Inertial(kilograms, read_pose(element), (ixx, iyy, izz, ixy, ixz, iyz))
 
 
-def why_standing(model: Element, links: Sequence[SdfLink]) -> str:
-    """Return why a model that is not static cannot be a rigid body; "" if it can."""
+def why_standing(model: Element, parts: Sequence[SdfModel]) -> str:
+    """Return why a model that is not static cannot move; "" if it can.
+
+    Args:
+        model: its element.
+        parts: its rigid parts, see ``joints.divide``.
+    """
     for element in model.all("link"):
         if has_heightmap(element):
             return f"its link {element.name()!r} is terrain"
-    shapes = sum(len(link.collisions) for link in links)
-    if not shapes:
-        return "nothing of it collides, so that it would fall for ever"
-    if shapes > MOST_SHAPES:
-        return f"it has {shapes} collision shapes, a body at most {MOST_SHAPES}"
-    for element in model.all("link"):
         kinematic = element.one("kinematic")
         if kinematic is not None and kinematic.boolean():
             return f"its link {element.name()!r} is kinematic"
+    for part in parts:
+        reason = "" if part.static else _why_not_a_body(part.links)
+        if reason:
+            return reason
+    return ""
+
+
+def _why_not_a_body(links: Sequence[SdfLink]) -> str:
+    """Return why links cannot be one rigid body; "" if they can."""
+    shapes = sum(len(link.collisions) for link in links)
+    if not shapes:
+        return f"nothing of {' and '.join(repr(link.name) for link in links) or 'it'} collides: it would fall for ever"
+    if shapes > MOST_SHAPES:
+        return f"{links[0].name!r} has {shapes} collision shapes, a body at most {MOST_SHAPES}"
     for link in links:
         if link.inertial is not None and not is_possible(link.inertial):
             return f"its link {link.name!r} has no possible mass and inertia"
-    return _loose_links(model, [link.name for link in links])
+    return ""
+
+
+def why_loose(model: Element, links: Sequence[SdfLink]) -> str:
+    """Return why links and joints do not make one model; "" if they do."""
+    names = [link.name for link in links]
+    group = {name: name for name in (WORLD, *names)}
+    for joint in model.all("joint"):
+        name, kind = joint.attributes.get("name", ""), joint.attributes.get("type", "")
+        if kind not in (*MOVING, "fixed"):
+            return f"its joint {name!r} of type {kind!r} is not supported"
+        ends = [joint.one(tag) for tag in ("parent", "child")]
+        parent, child = ("" if end is None else end.text.strip() for end in ends)
+        if parent not in group or child not in group or child == WORLD:
+            return f"its joint {name!r} does not connect two of its links or one with the world"
+        old, new = group[child], group[parent]
+        group = {name: new if root == old else root for name, root in group.items()}
+    if len({group[name] for name in names}) > 1:
+        return f"its links {', '.join(names)} are not connected"
+    return ""
 
 
 def is_possible(inertial: Inertial) -> bool:
@@ -69,22 +102,3 @@ def is_possible(inertial: Inertial) -> bool:
     ixx, iyy, izz, ixy, ixz, iyz = inertial.inertia
     moments = np.linalg.eigvalsh([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
     return 0.0 < inertial.mass <= _MOST_MASS and bool(moments[0] > 0.0)
-
-
-def _loose_links(model: Element, names: Sequence[str]) -> str:
-    """Return why links are not one rigid body; "" if fixed joints connect all of them."""
-    group = {name: name for name in names}
-    for joint in model.all("joint"):
-        ends = [joint.one(tag) for tag in ("parent", "child")]
-        first, second = ("" if end is None else end.text.strip() for end in ends)
-        kind = joint.attributes.get("type", "")
-        if kind != "fixed":
-            return f"its joint {joint.attributes.get('name', '')!r} of type {kind!r} is not supported"
-        if first in group and second in group:
-            old, new = group[second], group[first]
-            group = {name: new if root == old else root for name, root in group.items()}
-        elif "world" in (first, second):
-            return "a joint fixes it to the world"
-    if len(set(group.values())) > 1:
-        return f"its links {', '.join(names)} are not connected"
-    return ""

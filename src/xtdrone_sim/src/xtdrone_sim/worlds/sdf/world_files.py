@@ -145,7 +145,7 @@ def _from_yaml(name: str) -> SdfWorld:
     world = _surroundings(description, name)
     if MODELS not in description:
         return world
-    return replace(world, models=read_models(description[MODELS], Path(name).absolute()))
+    return replace(world, models=read_models(description[MODELS], Path(name).absolute()), joints=())
 
 
 def _surroundings(description: Mapping[str, Any], name: str) -> SdfWorld:

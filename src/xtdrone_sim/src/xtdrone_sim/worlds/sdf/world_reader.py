@@ -11,14 +11,24 @@ from typing import Any
 
 from xtdrone_control.bounded_file import read_bytes
 from xtdrone_control.geodesy.datum import Datum
-from xtdrone_sim.vehicles.visual import Collision, Visual
+from xtdrone_sim.vehicles.visual import Collision, Pose, Visual
 from xtdrone_sim.worlds.sdf.geometry import is_plane, read_collisions, read_visuals
+from xtdrone_sim.worlds.sdf.joints import WORLD, divide, read_joint, read_joint_of_world
 from xtdrone_sim.worlds.sdf.model_uris import (
     model_folders,
     resolve,
 )
-from xtdrone_sim.worlds.sdf.rigid_links import read_inertial, why_standing
-from xtdrone_sim.worlds.sdf.world_records import Light, SdfActor, SdfLink, SdfModel, SdfWorld, Trajectory, Waypoint
+from xtdrone_sim.worlds.sdf.rigid_links import read_inertial, why_loose, why_standing
+from xtdrone_sim.worlds.sdf.world_records import (
+    Light,
+    SdfActor,
+    SdfJoint,
+    SdfLink,
+    SdfModel,
+    SdfWorld,
+    Trajectory,
+    Waypoint,
+)
 from xtdrone_sim.worlds.sdf.xml_elements import LARGEST, Element, parse
 from xtdrone_sim.worlds.sdf.xml_poses import (
     pose_of,
@@ -37,6 +47,9 @@ _LINK_SILENT = (
     "velocity_decay",
 )
 
+
+Jointed = tuple[SdfModel, tuple[SdfJoint, ...]]
+"""A model with all its links, and the joints between them in its frame."""
 
 Extended = Callable[[Element | None], SdfWorld]
 """Returns the world that another one extends, by the element that names it; None for the default world."""
@@ -75,7 +88,11 @@ def parse_model(text: str | bytes, path: Path) -> SdfModel:
     models = _models(worlds[0] if len(worlds) == 1 else root)
     if len(models) != 1 or len(worlds) > 1:
         raise root.error(f"has {len(models)} <model>, one is needed")
-    return models[0]
+    ((model, joints),) = models
+    if all(joint.kind == "fixed" for joint in joints):
+        return divide(model, joints)[0][0]
+    root.warn_ignored(f"{model.name!r} has joints that move, which only models of a world file can have: it stands")
+    return replace(model, static=True)
 
 
 def _root(text: str | bytes, path: Path, is_foreign: bool = False) -> Element:
@@ -91,7 +108,7 @@ def _root(text: str | bytes, path: Path, is_foreign: bool = False) -> Element:
 def _read_world(element: Element, extended: Extended) -> SdfWorld:
     element.warn_unknown(
         (
-            *("include", "model", "actor", "light", "scene", "gravity", "magnetic_field", "wind"),
+            *("include", "model", "joint", "actor", "light", "scene", "gravity", "magnetic_field", "wind"),
             *("spherical_coordinates", EXTENDS, DECLINATION, GROUND, "physics", "gui", "state"),
         ),
         ("atmosphere",),
@@ -103,10 +120,15 @@ def _read_world(element: Element, extended: Extended) -> SdfWorld:
             )
     world = replace(extended(element.one(EXTENDS)), name=element.name(), **_surroundings(element))
     world = replace(world, light=_light(element, world.light))
-    models = [*world.models, *_models(element)]
+    models, joints = [*world.models], [*world.joints]
+    for model in _models(element):
+        parts, moving = divide(*model)
+        models += parts
+        joints += moving
     actors = [*world.actors, *(_read_actor(actor) for actor in element.all("actor"))]
     _check_names(element, [model.name for model in models] + [actor.name for actor in actors])
-    return replace(world, models=tuple(models), actors=tuple(actors))
+    joints += [read_joint_of_world(joint, [model.name for model in models]) for joint in element.all("joint")]
+    return replace(world, models=tuple(models), actors=tuple(actors), joints=tuple(joints))
 
 
 def _check_names(element: Element, names: list[str]) -> None:
@@ -227,8 +249,8 @@ def _sun(sun: Element, light: Light) -> Light:
 # models
 
 
-def _models(element: Element) -> list[SdfModel]:
-    """Return the models in document order."""
+def _models(element: Element) -> list[Jointed]:
+    """Return the models with their joints in document order."""
     models = []
     for child in element.children:
         if child.tag == "model":
@@ -242,7 +264,7 @@ def _models(element: Element) -> list[SdfModel]:
     return models
 
 
-def _read_include(element: Element) -> SdfModel | None:
+def _read_include(element: Element) -> Jointed | None:
     element.warn_unknown(("uri", "name", "pose", "static"))
     uri = element.required("uri")
     name, static = element.one("name"), element.one("static")
@@ -254,12 +276,13 @@ def _read_include(element: Element) -> SdfModel | None:
     found = list(_root(_content(uri, path), path).all("model"))
     if len(found) != 1:
         raise uri.error(f"{path} has {len(found)} <model>, one is needed")
-    model = _read_model(found[0], None if static is None else static.boolean())
-    if model is None:
+    read = _read_model(found[0], None if static is None else static.boolean())
+    if read is None:
         return None
+    model, joints = read
     if element.one("pose") is not None:
         model = replace(model, pose=read_pose(element))
-    return model if name is None else replace(model, name=name.string())
+    return (model if name is None else replace(model, name=name.string())), joints
 
 
 def _model_file(uri: Element, path: Path) -> Path:
@@ -284,8 +307,8 @@ def _content(uri: Element, path: Path) -> bytes:
         raise uri.error(f"{path}: {error.strerror or error}") from error
 
 
-def _read_model(element: Element, static: bool | None = None) -> SdfModel | None:
-    """Read a <model>; None if it is only the ground, which always exists."""
+def _read_model(element: Element, static: bool | None = None) -> Jointed | None:
+    """Read a <model> with its joints, in its frame; None if it is only the ground, which always exists."""
     element.warn_unknown(("pose", "static", "link", "joint"), _MODEL_SILENT)
     name, said = element.name(), element.one("static")
     if static is None:
@@ -295,12 +318,19 @@ def _read_model(element: Element, static: bool | None = None) -> SdfModel | None
     is_built_in = name in _BUILT_IN
     if is_built_in and all(_is_plain_ground(link) for link in element.all("link")):
         return None
-    if not static:
-        reason = why_standing(element, links)
-        if reason:
-            element.warn_ignored(f"{name!r} is not static, but {reason}: it stands where it is")
-            static = True
-    return SdfModel(name, pose, static, links)
+    if static:
+        return SdfModel(name, pose, True, links), ()
+    model = SdfModel(name, pose, False, links)
+    joints: tuple[SdfJoint, ...] = ()
+    reason = why_loose(element, links)
+    if not reason:
+        frames = {WORLD: Pose(), **{link.name: link.pose for link in links}}
+        joints = tuple(read_joint(joint, frames) for joint in element.all("joint"))
+        reason = why_standing(element, divide(model, joints)[0])
+    if reason:
+        element.warn_ignored(f"{name!r} is not static, but {reason}: it stands where it is")
+        return replace(model, static=True), ()
+    return model, joints
 
 
 def _is_plain_ground(link: Element) -> bool:

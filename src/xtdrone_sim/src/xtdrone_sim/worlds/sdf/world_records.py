@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from xtdrone_control.geodesy.datum import Datum
@@ -76,6 +77,33 @@ class SdfModel:
 
 
 @dataclass(frozen=True)
+class SdfJoint:
+    """A joint between two models, or a model and the world.
+
+    Attributes:
+        name: unique in its model.
+        kind: "revolute", "continuous", "prismatic" or "ball".
+        parent, child: names of models; the parent may be "world".
+        anchor: place of the joint at the models' initial poses, m, world.
+        axis: unit vector of rotation or translation at the initial poses, world.
+        lower, upper: limits of the child's motion against the parent, rad or m, 0 at the initial poses.
+        damping: N m s/rad or N s/m.
+        friction: torque or force of Coulomb friction, N m or N.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    anchor: Vector = (0.0, 0.0, 0.0)
+    axis: Vector = (0.0, 0.0, 1.0)
+    lower: float = -math.inf
+    upper: float = math.inf
+    damping: float = 0.0
+    friction: float = 0.0
+
+
+@dataclass(frozen=True)
 class Waypoint:
     """Pose of an actor's point between the feet, in the world frame, at a time of its script, s."""
 
@@ -134,6 +162,7 @@ class SdfWorld:
         light: sun and sky.
         models: objects.
         actors: people.
+        joints: between the models.
     """
 
     name: str
@@ -147,3 +176,4 @@ class SdfWorld:
     light: Light = field(default_factory=Light)
     models: tuple[SdfModel, ...] = ()
     actors: tuple[SdfActor, ...] = ()
+    joints: tuple[SdfJoint, ...] = ()

@@ -9,6 +9,7 @@ from xml.sax.saxutils import escape, quoteattr
 from xtdrone_sim.vehicles.urdf import Inertial
 from xtdrone_sim.vehicles.visual import Pose
 from xtdrone_sim.worlds.sdf.geometry import write_collision, write_visual
+from xtdrone_sim.worlds.sdf.joints import write_joint
 from xtdrone_sim.worlds.sdf.rigid_links import INERTIA
 from xtdrone_sim.worlds.sdf.world_reader import DECLINATION, GROUND, SPEED
 from xtdrone_sim.worlds.sdf.world_records import SdfActor, SdfLink, SdfModel, SdfWorld, Trajectory
@@ -25,6 +26,7 @@ def write_world(world: SdfWorld) -> str:
         f"  <world name={quoteattr(world.name)}>",
         *_indented(_write_surroundings(world), 4),
         *_indented((line for model in world.models for line in _write_model(model)), 4),
+        *_indented((line for joint in world.joints for line in write_joint(joint)), 4),
         *_indented((line for actor in world.actors for line in _write_actor(actor)), 4),
         "  </world>",
         "</sdf>",

@@ -1,0 +1,181 @@
+"""Joints of models: reading, and the division of a model into the rigid parts that its joints connect.
+
+A hinge or slide makes two models of one: ``door`` with the links up to the joint, and ``door::leaf``, named after its
+first link, with those beyond it. Fixed joints hold links together in one part.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from xtdrone_control.rotation import Vector
+from xtdrone_sim.vehicles.pose_arithmetic import compose, inverse, rotate
+from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.worlds.sdf.world_records import SdfJoint, SdfLink, SdfModel
+from xtdrone_sim.worlds.sdf.xml_elements import Element
+from xtdrone_sim.worlds.sdf.xml_poses import read_pose, write_pose
+
+MOVING = ("revolute", "continuous", "prismatic", "ball")
+"""Types of joints that move; a continuous one is a revolute one without limits."""
+WORLD = "world"
+"""Parent of a joint that holds a link to the world."""
+
+_LIMIT_FREE = 1e16  # Gazebo's limit of a joint without one
+
+
+def read_joint(element: Element, frames: dict[str, Pose]) -> SdfJoint:
+    """Read a <joint> of a model.
+
+    Args:
+        element: of a type in ``MOVING`` or "fixed".
+        frames: pose of each link, and ``WORLD``, in the frame of the result.
+
+    Raises:
+        SdfError: an end is not in ``frames``, or a number is not allowed.
+    """
+    element.warn_unknown(("parent", "child", "pose", "axis"), ("physics", "sensor"))
+    kind = element.attributes.get("type", "")
+    parent, child = (_end(element, tag, frames) for tag in ("parent", "child"))
+    place = compose(frames[child], read_pose(element))
+    base = SdfJoint(element.name(), kind, parent, child, place.position)
+    if kind in ("fixed", "ball"):
+        return base
+    axis = element.required("axis")
+    axis.warn_unknown(("xyz", "limit", "dynamics", "use_parent_model_frame"), ("initial_position",))
+    turn = frames[WORLD].orientation if _uses_model_frame(axis) else place.orientation
+    return _with_limits(replace(base, axis=rotate(turn, _direction(axis))), axis)
+
+
+def _end(element: Element, tag: str, frames: dict[str, Pose]) -> str:
+    end = element.required(tag)
+    name = end.string().strip()
+    if name not in frames or (tag == "child" and name == WORLD):
+        raise end.error(f"{name!r} is not there to be joined; there are {', '.join(frames)}")
+    return name
+
+
+def _uses_model_frame(axis: Element) -> bool:
+    element = axis.one("use_parent_model_frame")
+    return element is not None and element.boolean()
+
+
+def _direction(axis: Element) -> Vector:
+    element = axis.one("xyz")
+    x, y, z = (0.0, 0.0, 1.0) if element is None else element.numbers((3,))
+    length = math.hypot(x, y, z)
+    if abs(length - 1.0) < 1e-12:
+        return (x, y, z)
+    if element is not None and not length > 1e-6:
+        raise element.error(f"{x:g} {y:g} {z:g} is not allowed as an axis, a vector that is not zero")
+    return (x / length, y / length, z / length)
+
+
+def _with_limits(joint: SdfJoint, axis: Element) -> SdfJoint:
+    limit, dynamics = axis.one("limit"), axis.one("dynamics")
+    if limit is not None:
+        limit.warn_unknown(("lower", "upper"), ("effort", "velocity", "stiffness", "dissipation"))
+        if joint.kind != "continuous":
+            joint = replace(joint, lower=_bound(limit, "lower", -math.inf), upper=_bound(limit, "upper", math.inf))
+        if joint.lower > joint.upper:
+            raise limit.error(f"lower {joint.lower:g} is not allowed above upper {joint.upper:g}")
+    if dynamics is not None:
+        dynamics.warn_unknown(("damping", "friction"), ("spring_reference", "spring_stiffness"))
+        damping, friction = (dynamics.one(tag) for tag in ("damping", "friction"))
+        joint = replace(
+            joint,
+            damping=0.0 if damping is None else damping.number(0.0),
+            friction=0.0 if friction is None else friction.number(0.0),
+        )
+    return joint
+
+
+def _bound(limit: Element, tag: str, missing: float) -> float:
+    element = limit.one(tag)
+    value = missing if element is None else element.number()
+    return value if abs(value) < _LIMIT_FREE else missing
+
+
+def divide(model: SdfModel, joints: Sequence[SdfJoint]) -> tuple[list[SdfModel], list[SdfJoint]]:
+    """Divide a model into its rigid parts.
+
+    Args:
+        model: with all links.
+        joints: between its links, fixed ones too, in the model's frame.
+
+    Returns:
+        The parts, each with its first link at its origin but the first part, and the joints between them that move,
+        in the world, with names as ``door::hinge``. A part that a fixed joint holds to the world is static.
+    """
+    if model.static or not joints:
+        return [model], []
+    group = {name: name for name in (WORLD, *(link.name for link in model.links))}
+    for joint in joints:
+        if joint.kind == "fixed":
+            old, new = group[joint.child], group[joint.parent]
+            group = {name: new if root == old else root for name, root in group.items()}
+    parts: list[SdfModel] = []
+    names: dict[str, str] = {}
+    for root in dict.fromkeys(group[link.name] for link in model.links):
+        links = [link for link in model.links if group[link.name] == root]
+        part = _part(model, links, is_first=not parts, static=root == group[WORLD])
+        parts.append(part)
+        names |= {link.name: part.name for link in links}
+    names[WORLD] = WORLD
+    moving = [
+        replace(
+            joint,
+            name=f"{model.name}::{joint.name}",
+            parent=names[joint.parent],
+            child=names[joint.child],
+            anchor=compose(model.pose, Pose(joint.anchor)).position,
+            axis=rotate(model.pose.orientation, joint.axis),
+        )
+        for joint in joints
+        if joint.kind != "fixed"
+    ]
+    return parts, moving
+
+
+def _part(model: SdfModel, links: Sequence[SdfLink], *, is_first: bool, static: bool) -> SdfModel:
+    if is_first:
+        return replace(model, links=tuple(links), static=static)
+    origin = links[0].pose
+    back = inverse(origin)
+    placed = [replace(link, pose=compose(back, link.pose)) for link in links[1:]]
+    first = replace(links[0], pose=Pose())
+    return SdfModel(f"{model.name}::{first.name}", compose(model.pose, origin), static, (first, *placed))
+
+
+def read_joint_of_world(element: Element, models: Sequence[str]) -> SdfJoint:
+    """Read a <joint> between models of a world, as ``write_joint`` writes it: its pose is in the world.
+
+    Raises:
+        SdfError: a type, an end or a number is not allowed.
+    """
+    if element.attributes.get("type", "") not in MOVING:
+        raise element.error(f"type {element.attributes.get('type', '')!r} is not allowed, {', '.join(MOVING)}")
+    return read_joint(element, {name: Pose() for name in (*models, WORLD)})
+
+
+def write_joint(joint: SdfJoint) -> list[str]:
+    """Write a joint between models as an element of the world."""
+    axis: list[str] = []
+    if joint.kind != "ball":
+        ends = (("lower", joint.lower), ("upper", joint.upper))
+        limits = [f"<{tag}>{value!r}</{tag}>" for tag, value in ends if math.isfinite(value)]
+        axis = [
+            "  <axis>",
+            f"    <xyz>{' '.join(map(repr, joint.axis))}</xyz>",
+            f"    <limit>{''.join(limits)}</limit>",
+            f"    <dynamics><damping>{joint.damping!r}</damping><friction>{joint.friction!r}</friction></dynamics>",
+            "  </axis>",
+        ]
+    return [
+        f'<joint name="{joint.name}" type="{joint.kind}">',
+        f"  <parent>{joint.parent}</parent><child>{joint.child}</child>",
+        f"  {write_pose(Pose(joint.anchor))}",
+        *axis,
+        "</joint>",
+    ]
