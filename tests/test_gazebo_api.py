@@ -358,7 +358,7 @@ def test_people_are_deleted_and_a_reset_brings_back_the_world(stack: Stack) -> N
     assert "drone_0" in states.last.name
     assert not call(stack, "get_model_state", srv.GetModelState, model_name="actor_0").success
     models = stack.graph.hear("/xtdrone/models", SceneModels)
-    stack.wait(lambda: models.last.deleted == ["wall", "actor_0"], "cameras are told")
+    stack.wait(lambda: models.last.deleted == ["wall", "door", "door::leaf", "actor_0"], "cameras are told")
     call(stack, "reset_world", Empty)
     stack.wait(lambda: states.last.name[-7:] == [*MODELS, "actor_0", "actor_1"], "the world is back")
     assert place(state_of(stack, "wall").pose) == (20.0, 0.0, 1.0)
