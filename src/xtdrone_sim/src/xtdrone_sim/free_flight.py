@@ -20,10 +20,10 @@ from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
 from xtdrone_control.autopilot.autopilot import step_vehicle as control
 from xtdrone_control.autopilot.state import N_STATES
 from xtdrone_sim.kernel import kernel, kernel_for_threads
-from xtdrone_sim.physics.contact_states import (
+from xtdrone_sim.physics.contacts.contact_states import (
     sort_contacts,
 )
-from xtdrone_sim.physics.free_or_bullet import CHECK_STEPS
+from xtdrone_sim.physics.contacts.free_or_bullet import CHECK_STEPS
 from xtdrone_sim.physics.vehicle_dynamics import ASLEEP, TOUCHING
 from xtdrone_sim.physics.vehicle_dynamics import step_vehicle as move
 from xtdrone_sim.physics.world import World

@@ -26,8 +26,8 @@ from xtdrone_interaction.formation.distances import PATTERN_TOPIC, TOPOLOGY_TOPI
 from xtdrone_interaction.rviz.markers import TRAIL, SwarmMarkers, ground_view
 from xtdrone_interaction.rviz.views import FOR_MARKERS
 from xtdrone_interaction.rviz.world_markers import WorldMarkers
+from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.vehicles.visual import Pose
 from xtdrone_sim.worlds.sdf import load_world_file, read_world
 
 NAME = "swarm_markers"

@@ -29,7 +29,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, Poi
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_sim.cameras.cameras import Camera
 from xtdrone_sim.cameras.colours import Exposure, noise_of, opencv
-from xtdrone_sim.vehicles.camera_and_gimbal_mounts import CameraMount
+from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import CameraMount
 
 COSTLY = frozenset(
     {

@@ -43,7 +43,7 @@ from xtdrone_sim.lidars.patterns import read_pattern
 from xtdrone_sim.lidars.scene_history import SceneHistory
 from xtdrone_sim.topics.live_rays import LiveRays
 from xtdrone_sim.topics.scene_messages import scene_of
-from xtdrone_sim.vehicles.lidar_mounts import LEAST_RATE, MOST_RATE, ROSETTE, LidarMount
+from xtdrone_sim.vehicles.mounts.lidar_mounts import LEAST_RATE, MOST_RATE, ROSETTE, LidarMount
 
 USAGE = "lidars.py"
 TURNS = 50.0  # Hz, rate of /xtdrone/scene

@@ -16,8 +16,8 @@ from xtdrone_control.settings import check_range
 from xtdrone_sim.cameras.rendering.backends import BACKENDS, Backend, RendererError
 from xtdrone_sim.cameras.rendering.depth_ranges import Extents
 from xtdrone_sim.physics.quiet_pybullet import pybullet
-from xtdrone_sim.vehicles.triangles import Triangles, joined, rotation_matrix, triangles_of, write_obj
-from xtdrone_sim.vehicles.visual import Colour, Geometry, Pose, Visual
+from xtdrone_sim.shapes.triangles import Triangles, joined, rotation_matrix, triangles_of, write_obj
+from xtdrone_sim.shapes.visual import Colour, Geometry, Pose, Visual
 from xtdrone_sim.worlds.sdf import Light
 
 __all__ = ["BACKENDS", "Light", "Picture", "Renderer", "RendererError"]

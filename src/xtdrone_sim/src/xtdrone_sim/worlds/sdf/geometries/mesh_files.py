@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from xtdrone_control.bounded_file import MB, load_json, read_bytes
 from xtdrone_sim.cached_files import cached_folder
-from xtdrone_sim.vehicles.visual import Colour
+from xtdrone_sim.shapes.visual import Colour
 from xtdrone_sim.worlds.sdf.world_records import SdfError
 
 LARGEST_MESH = 64 * MB

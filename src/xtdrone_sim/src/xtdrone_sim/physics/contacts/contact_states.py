@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from xtdrone_sim.kernel import kernel
-from xtdrone_sim.physics.free_or_bullet import mark_near
-from xtdrone_sim.physics.sleeping import let_sleep
+from xtdrone_sim.physics.contacts.free_or_bullet import mark_near
+from xtdrone_sim.physics.contacts.sleeping import let_sleep
 
 
 @kernel

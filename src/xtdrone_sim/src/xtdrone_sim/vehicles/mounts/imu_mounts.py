@@ -8,9 +8,9 @@ from typing import Any
 
 from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import Settings, setting
-from xtdrone_sim.vehicles.camera_and_gimbal_mounts import check_sensor_name
-from xtdrone_sim.vehicles.sensor_lists import read_list, reader
-from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.shapes.visual import Pose
+from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import check_sensor_name
+from xtdrone_sim.vehicles.mounts.sensor_lists import read_list, reader
 
 MOST_RATE = 250.0
 """Hz: one sample for each step of the simulation."""

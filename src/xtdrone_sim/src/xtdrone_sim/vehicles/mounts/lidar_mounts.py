@@ -10,10 +10,10 @@ from typing import Any
 
 from xtdrone_control.rotation import Vector, from_euler
 from xtdrone_control.settings import SettingError, Settings, setting
-from xtdrone_sim.vehicles.camera_and_gimbal_mounts import MountError, check_sensor_name
-from xtdrone_sim.vehicles.sensor_lists import read_list
+from xtdrone_sim.shapes.visual import Pose
+from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import MountError, check_sensor_name
+from xtdrone_sim.vehicles.mounts.sensor_lists import read_list
 from xtdrone_sim.vehicles.urdf import Description
-from xtdrone_sim.vehicles.visual import Pose
 
 KINDS = ("scan", "spinning", "pattern")
 ROSETTE = "rosette"

@@ -16,9 +16,9 @@ from xtdrone_control.frames import to_xyzw
 from xtdrone_sim.kernel import kernel
 from xtdrone_sim.physics.quiet_pybullet import BulletClient, pybullet
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT, FREE, TOUCHING
-from xtdrone_sim.vehicles.pose_arithmetic import compose
-from xtdrone_sim.vehicles.visual import Box, Cylinder, Geometry, Mesh, Pose, Sphere
-from xtdrone_sim.worlds.sdf.geometry import box_of
+from xtdrone_sim.shapes.pose_arithmetic import compose
+from xtdrone_sim.shapes.visual import Box, Cylinder, Geometry, Mesh, Pose, Sphere
+from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
 from xtdrone_sim.worlds.sdf.world_records import SdfModel
 
 _CELL = 8.0  # m, least side of a column

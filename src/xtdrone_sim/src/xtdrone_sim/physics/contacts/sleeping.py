@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from xtdrone_sim.kernel import kernel
-from xtdrone_sim.physics.free_or_bullet import NEAR
+from xtdrone_sim.physics.contacts.free_or_bullet import NEAR
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT, ASLEEP, TOUCHING
 
 REST_SPEED = 0.02  # m/s and rad/s below which a body with its motors off counts as at rest

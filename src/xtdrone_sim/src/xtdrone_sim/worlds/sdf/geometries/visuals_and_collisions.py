@@ -11,11 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.bounded_file import read_text
-from xtdrone_sim.vehicles.pose_arithmetic import compose, rotate
-from xtdrone_sim.vehicles.visual import Box, Collision, Cylinder, Geometry, Mesh, Pose, Sphere, Visual
-from xtdrone_sim.worlds.sdf.heightmaps import read_heightmap
-from xtdrone_sim.worlds.sdf.materials import GREY, painted, write_material
-from xtdrone_sim.worlds.sdf.mesh_files import ENDINGS, LARGEST_MESH, MeshPart, check_wavefront, extruded, read_mesh
+from xtdrone_sim.shapes.pose_arithmetic import compose, rotate
+from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Geometry, Mesh, Pose, Sphere, Visual
+from xtdrone_sim.worlds.sdf.geometries.heightmaps import read_heightmap
+from xtdrone_sim.worlds.sdf.geometries.materials import GREY, painted, write_material
+from xtdrone_sim.worlds.sdf.geometries.mesh_files import (
+    ENDINGS,
+    LARGEST_MESH,
+    MeshPart,
+    check_wavefront,
+    extruded,
+    read_mesh,
+)
 from xtdrone_sim.worlds.sdf.model_uris import (
     ForbiddenError,
     resolve,

@@ -12,9 +12,9 @@ from xtdrone_control.lenses import Equidistant, Lens, PlumbBob, drawing_of
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_control.rotation import Quaternion, Vector, from_euler, multiply
 from xtdrone_control.settings import check_choice, check_range
-from xtdrone_sim.vehicles.pose_arithmetic import compose
+from xtdrone_sim.shapes.pose_arithmetic import compose
+from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.vehicles.urdf import FIXED, Description, Joint, UrdfError
-from xtdrone_sim.vehicles.visual import Pose
 
 _CAMERA = {"name", "link", "width", "height", "hfov", "rate", "near", "far", "frame_id", "kind", "position", "rpy"}
 _PICTURE = {"image_noise", "seed", "distortion", "distortion_model", "exposure", "exposure_pictures"}

@@ -8,9 +8,9 @@ from typing import Any
 
 from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import Settings, setting
-from xtdrone_sim.vehicles.camera_and_gimbal_mounts import check_sensor_name
-from xtdrone_sim.vehicles.sensor_lists import read_list, reader
-from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.shapes.visual import Pose
+from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import check_sensor_name
+from xtdrone_sim.vehicles.mounts.sensor_lists import read_list, reader
 
 LEAST_RATE, MOST_RATE = 0.1, 50.0  # Hz
 SIGHT_NEEDED, SIGHT_BIASED, SIGHT_IGNORED = "needed", "biased", "ignored"

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Protocol, TypeVar
 
 from xtdrone_control.settings import Settings
-from xtdrone_sim.vehicles.camera_and_gimbal_mounts import MountError
+from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import MountError
 
 
 class _Mounted(Protocol):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from xml.sax.saxutils import escape
 
-from xtdrone_sim.vehicles.visual import Colour, Visual
+from xtdrone_sim.shapes.visual import Colour, Visual
 from xtdrone_sim.worlds.sdf.model_uris import (
     resolve,
     uri_of,

@@ -6,7 +6,7 @@ import math
 
 from xtdrone_control.camera_pose import LINK_FROM_OPTICAL
 from xtdrone_control.rotation import Quaternion, Vector, multiply
-from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.shapes.visual import Pose
 
 OPTICAL_FRAME = Pose(orientation=LINK_FROM_OPTICAL)
 """The optical frame of a camera in its link."""

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control import camera_pose
-from xtdrone_sim.vehicles.visual import Box, Cylinder, Geometry, Mesh, Pose, Sphere
+from xtdrone_sim.shapes.visual import Box, Cylinder, Geometry, Mesh, Pose, Sphere
 
 _AROUND = 24  # corners per circle
 _RINGS = 12  # from pole to pole of a sphere

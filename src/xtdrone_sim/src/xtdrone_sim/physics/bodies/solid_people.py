@@ -9,9 +9,9 @@ import math
 from collections.abc import Callable, Sequence
 
 from xtdrone_control.rotation import Vector, from_euler
-from xtdrone_sim.physics.start_collisions import StartError
+from xtdrone_sim.physics.contacts.start_collisions import StartError
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.vehicles.visual import Collision, Cylinder, Pose
+from xtdrone_sim.shapes.visual import Collision, Cylinder, Pose
 from xtdrone_sim.worlds import people
 from xtdrone_sim.worlds.actors import FASTEST, Actors, ActorState
 from xtdrone_sim.worlds.sdf import SdfActor, SdfLink, SdfModel

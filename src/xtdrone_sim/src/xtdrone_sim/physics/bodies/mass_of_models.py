@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.rotation import Quaternion
-from xtdrone_sim.vehicles.pose_arithmetic import compose, rotate
-from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.shapes.pose_arithmetic import compose, rotate
+from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.worlds.sdf.world_records import DEFAULT_INERTIAL, SdfModel
 
 Array = NDArray[np.float64]
