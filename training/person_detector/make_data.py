@@ -28,7 +28,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.camera_pose import camera_link_pose, mount_orientation, optical_pose
+from xtdrone_control.cameras.camera_pose import camera_link_pose, mount_orientation, optical_pose
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.cameras.rendering import Renderer
 from xtdrone_sim.shapes.pose_arithmetic import compose, rotate

@@ -13,8 +13,8 @@ pytest.importorskip("rospy")
 import rospy
 from numpy.typing import NDArray
 
-from xtdrone_control.lenses import Equidistant, PlumbBob, drawing_of
-from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.cameras import Equidistant, PlumbBob, drawing_of
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_sim.cameras.cameras import Camera
 from xtdrone_sim.cameras.colours import through_lens
 from xtdrone_sim.cameras.drawn_scene import View

@@ -14,7 +14,7 @@ pytest.importorskip("rospy")
 import rospy
 from sensor_msgs.msg import PointField
 
-from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.cameras.cameras import Camera, cameras_of
 from xtdrone_sim.cameras.drawn_scene import DrawnScene, View

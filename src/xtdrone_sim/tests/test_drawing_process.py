@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_sim.cameras.camera_worker import Changes, DrawingProcess, Drawn
 from xtdrone_sim.cameras.drawn_scene import View
 from xtdrone_sim.robots.robot_model import load_robot

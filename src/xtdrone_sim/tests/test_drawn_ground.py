@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.cameras.drawn_scene import DrawnScene, SceneAt, View, ground_level
 from xtdrone_sim.cameras.rendering import Renderer

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.pinhole import Pinhole
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.cameras.camera_worker import DrawingError, DrawingProcess, Drawn
 from xtdrone_sim.cameras.cameras import Exposures, cameras_of, turn_rate

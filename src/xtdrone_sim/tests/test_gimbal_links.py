@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from xtdrone_control.autopilot import modes
-from xtdrone_control.camera_pose import camera_link_pose, mount_orientation
+from xtdrone_control.cameras.camera_pose import camera_link_pose, mount_orientation
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.descriptions import ModelError

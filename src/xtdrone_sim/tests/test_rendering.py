@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_sim.cameras.rendering import Renderer, RendererError
 from xtdrone_sim.shapes.triangles import MeshError, read_obj, triangles_of
 from xtdrone_sim.shapes.visual import Box, Cylinder, Mesh, Pose, Sphere, Visual

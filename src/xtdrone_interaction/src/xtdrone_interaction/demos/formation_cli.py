@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from xtdrone_control.fleet import parse_fleet, with_poses
-from xtdrone_control.program import ArgumentError
+from xtdrone_control.programs.program import ArgumentError
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
 from xtdrone_coordination.user_classes import load_class

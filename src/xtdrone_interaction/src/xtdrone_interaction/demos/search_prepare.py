@@ -18,9 +18,9 @@ from shapely.geometry import Point, Polygon
 
 from xtdrone_control.autopilot.navigator import plan as mission
 from xtdrone_control.bounded_file import load_yaml, read_text
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.fleet import Vehicle, parse_fleet, spawn_grid
 from xtdrone_control.geodesy.datum import Datum
-from xtdrone_control.pinhole import Pinhole
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.search.planning.plans import SearchOptions, VehiclePlan, plan_search, write_plans

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
+from xtdrone_control.cameras import drawing_of
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.lenses import drawing_of
 from xtdrone_control.settings import check_range
 from xtdrone_sim.cameras.drawn_scene import View
 from xtdrone_sim.shapes.pose_arithmetic import compose

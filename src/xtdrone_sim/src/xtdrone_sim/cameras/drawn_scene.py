@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.pinhole import Pinhole
 from xtdrone_sim.cameras.rendering import Picture, Renderer
 from xtdrone_sim.cameras.sun_shadows import SunShadows, darkened
 from xtdrone_sim.shapes.pose_arithmetic import OPTICAL_FRAME, compose

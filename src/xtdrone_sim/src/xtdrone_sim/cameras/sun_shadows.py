@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.pinhole import Pinhole
 from xtdrone_sim.rays.scene import RayScene
 from xtdrone_sim.shapes.triangles import rotation_matrix
 from xtdrone_sim.shapes.visual import Pose

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control.camera_pose import LINK_FROM_OPTICAL
+from xtdrone_control.cameras.camera_pose import LINK_FROM_OPTICAL
 from xtdrone_control.rotation import Quaternion, Vector, multiply
 from xtdrone_sim.shapes.visual import Pose
 

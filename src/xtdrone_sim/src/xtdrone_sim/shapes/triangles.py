@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control import camera_pose
+from xtdrone_control.cameras import camera_pose
 from xtdrone_sim.shapes.visual import Box, Cylinder, Geometry, Mesh, Pose, Sphere
 
 _AROUND = 24  # corners per circle

@@ -29,7 +29,7 @@ from xtdrone_msgs.srv import SetLidarFailure, SetLidarFailureRequest, SetLidarFa
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.program import ArgumentError, check_no_arguments, fleet_of
+from xtdrone_control.programs.program import ArgumentError, check_no_arguments, fleet_of
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.early_parameters import private_parameters
 from xtdrone_sim.lidars.lidars import Failure

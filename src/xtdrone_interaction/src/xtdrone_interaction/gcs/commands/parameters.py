@@ -10,7 +10,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.parameter_file import SUFFIX, ParameterFile, ParameterFileError, Value, read, shown, write
+from xtdrone_control.autopilot.parameters.parameter_file import (
+    SUFFIX,
+    ParameterFile,
+    ParameterFileError,
+    Value,
+    read,
+    shown,
+    write,
+)
 
 from ..exchanges import parameters
 from ..exchanges.exchange import Exchange, Heartbeat

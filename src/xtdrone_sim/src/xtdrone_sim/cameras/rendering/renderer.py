@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.frames import to_xyzw
-from xtdrone_control.pinhole import Pinhole
 from xtdrone_control.settings import check_range
 from xtdrone_sim.cameras.rendering.backends import BACKENDS, Backend, RendererError
 from xtdrone_sim.cameras.rendering.depth_ranges import Extents

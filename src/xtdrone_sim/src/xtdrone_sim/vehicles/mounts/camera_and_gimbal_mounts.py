@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from xtdrone_control.lenses import Equidistant, Lens, PlumbBob, drawing_of
-from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.cameras import Equidistant, Lens, PlumbBob, drawing_of
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.rotation import Quaternion, Vector, from_euler, multiply
 from xtdrone_control.settings import check_choice, check_range
 from xtdrone_sim.shapes.pose_arithmetic import compose

@@ -13,9 +13,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.lenses.equidistant import Equidistant
-from xtdrone_control.lenses.plumb_bob import PlumbBob
-from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.cameras.equidistant import Equidistant
+from xtdrone_control.cameras.pinhole import Pinhole
+from xtdrone_control.cameras.plumb_bob import PlumbBob
 from xtdrone_control.rotation import Quaternion
 
 MOST_GROWTH = 3.0

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.estimator.aiding.height_control import fuse_height
 from xtdrone_control.autopilot.estimator.aiding.source_timeouts import HEIGHT_RESET_US, is_recent
+from xtdrone_control.autopilot.estimator.aiding.sources.height_control import fuse_height
 from xtdrone_control.autopilot.state import HEIGHT_RANGE
 from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation_kernels import constrain

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.flight_tasks.jerk_limited_velocity import stopping_speed, turning_speed
+from xtdrone_control.autopilot.flight_tasks.motion_planning.jerk_limited_velocity import stopping_speed, turning_speed
 from xtdrone_control.autopilot.state import TAKEOFF_RAMPUP
 from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation_kernels import constrain

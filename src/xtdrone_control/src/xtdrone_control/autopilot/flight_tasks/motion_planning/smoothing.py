@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.flight_tasks.jerk_limited_velocity import follow, plan
+from xtdrone_control.autopilot.flight_tasks.motion_planning.jerk_limited_velocity import follow, plan
 from xtdrone_control.geodesy.projection import GRAVITY
 from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation_kernels import constrain, wrap_pi

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.estimator.aiding.height_control import (
-    OFFSET_GAIN,
-    fuse_height,
-)
 from xtdrone_control.autopilot.estimator.aiding.horizontal_aiding import (
     mark_located,
 )
 from xtdrone_control.autopilot.estimator.aiding.source_timeouts import AIDING_US, VISION_STOP_US, is_recent
+from xtdrone_control.autopilot.estimator.aiding.sources.height_control import (
+    OFFSET_GAIN,
+    fuse_height,
+)
 from xtdrone_control.autopilot.estimator.fusion import (
     POS,
     VEL,

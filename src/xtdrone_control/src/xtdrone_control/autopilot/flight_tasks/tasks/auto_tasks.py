@@ -5,13 +5,13 @@ After PX4's FlightTaskAuto and FlightTaskDescend.
 
 from __future__ import annotations
 
-from xtdrone_control.autopilot.flight_tasks.jerk_limited_velocity import stopping_speed
-from xtdrone_control.autopilot.flight_tasks.lookahead_and_speed_on_legs import (
+from xtdrone_control.autopilot.flight_tasks.motion_planning.jerk_limited_velocity import stopping_speed
+from xtdrone_control.autopilot.flight_tasks.motion_planning.lookahead_and_speed_on_legs import (
     update_internal_leg,
     wanted_horizontal,
     wanted_velocity,
 )
-from xtdrone_control.autopilot.flight_tasks.smoothing import (
+from xtdrone_control.autopilot.flight_tasks.motion_planning.smoothing import (
     keep_path_at_vehicle,
     or_default,
     smooth,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.flight_tasks.smoothing import smooth_yaw
+from xtdrone_control.autopilot.flight_tasks.motion_planning.smoothing import smooth_yaw
 from xtdrone_control.autopilot.state import ORBIT_ALONG_CIRCLE, ORBIT_INITIAL_HEADING, ORBIT_UNCONTROLLED
 from xtdrone_control.kernel import kernel
 

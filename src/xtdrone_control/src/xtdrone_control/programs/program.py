@@ -10,8 +10,8 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from .fleet import MAX_VEHICLES, FleetError, Vehicle, parse_fleet
-from .settings import SettingError
+from xtdrone_control.fleet import MAX_VEHICLES, FleetError, Vehicle, parse_fleet
+from xtdrone_control.settings import SettingError
 
 MULTIROTORS = ("iris", "solo", "typhoon_h480")
 OTHER_VEHICLES = ("plane", "rover", "standard_vtol", "tiltrotor", "tailsitter")

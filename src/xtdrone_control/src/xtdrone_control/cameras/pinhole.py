@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .settings import check_range
+from xtdrone_control.settings import check_range
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.flight_tasks.auto_tasks import landing_speed
-from xtdrone_control.autopilot.flight_tasks.jerk_limited_velocity import follow, plan_axis
-from xtdrone_control.autopilot.flight_tasks.smoothing import reset_smoothing
+from xtdrone_control.autopilot.flight_tasks.motion_planning.jerk_limited_velocity import follow, plan_axis
+from xtdrone_control.autopilot.flight_tasks.motion_planning.smoothing import reset_smoothing
+from xtdrone_control.autopilot.flight_tasks.tasks.auto_tasks import landing_speed
 from xtdrone_control.autopilot.state import TAKEOFF_RAMPUP
 from xtdrone_control.geodesy.projection import GRAVITY
 from xtdrone_control.kernel import kernel

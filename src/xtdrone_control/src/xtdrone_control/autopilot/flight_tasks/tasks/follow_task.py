@@ -9,7 +9,11 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.flight_tasks.jerk_limited_velocity import follow, plan_axis, stopping_speed
+from xtdrone_control.autopilot.flight_tasks.motion_planning.jerk_limited_velocity import (
+    follow,
+    plan_axis,
+    stopping_speed,
+)
 from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation_kernels import wrap_pi
 

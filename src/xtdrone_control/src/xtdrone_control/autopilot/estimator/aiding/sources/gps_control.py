@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.estimator.aiding.height_control import fuse_height
 from xtdrone_control.autopilot.estimator.aiding.horizontal_aiding import (
     mark_located,
     other_horizontal_aiding,
 )
 from xtdrone_control.autopilot.estimator.aiding.source_timeouts import RESET_US, is_recent
+from xtdrone_control.autopilot.estimator.aiding.sources.height_control import fuse_height
 from xtdrone_control.autopilot.estimator.fusion import (
     POS,
     VEL,
