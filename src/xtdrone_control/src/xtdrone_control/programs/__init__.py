@@ -1,1 +1,1 @@
-"""Python programs and nodes: command lines and exit status, log, end with roslaunch, start from the zygote, user code."""
+"""Python programs and nodes: arguments and exit status, log, end with roslaunch, start by the zygote, user code."""

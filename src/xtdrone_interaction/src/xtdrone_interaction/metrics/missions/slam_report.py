@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from xtdrone_interaction.metrics.odometry import Trajectory, aligned, common, errors, pairs
+from xtdrone_interaction.metrics.missions.odometry_errors import Trajectory, aligned, common, errors, pairs
 from xtdrone_interaction.recording.bag import read_bag
 from xtdrone_interaction.recording.recorded_flight import RecordError, Recording
 from xtdrone_interaction.recording.series import Array

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_interaction.console import PatientConsole, run_reported
-from xtdrone_interaction.demos.search_demo import run_search
-from xtdrone_interaction.demos.search_prepare import SearchSettings
+from xtdrone_interaction.demos.search.search_demo import run_search
+from xtdrone_interaction.demos.search.search_prepare import SearchSettings
 from xtdrone_interaction.launching.supervised_launch import master_port
 from xtdrone_interaction.options import (
     MachineSettings,
@@ -77,5 +77,5 @@ def _path(wanted: Path | None, name: str) -> str:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Search and return the exit status; see :func:`~xtdrone_interaction.demos.search_demo.run_search`."""
+    """Search and return the exit status; see :func:`~xtdrone_interaction.demos.search.search_demo.run_search`."""
     return run_reported(lambda: run_search(settings_of(arguments), PatientConsole()))

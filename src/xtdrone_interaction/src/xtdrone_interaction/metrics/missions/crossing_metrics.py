@@ -10,8 +10,8 @@ import numpy as np
 
 from xtdrone_interaction.formation.distances import least_distances
 from xtdrone_interaction.metrics.clearance import Solid, least_distances_to
-from xtdrone_interaction.metrics.formation import versions
-from xtdrone_interaction.recording.crossing import CrossingRecord
+from xtdrone_interaction.metrics.missions.formation_metrics import versions
+from xtdrone_interaction.recording.crossing_record import CrossingRecord
 
 
 def make_report(

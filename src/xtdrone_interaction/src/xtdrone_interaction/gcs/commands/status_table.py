@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from xtdrone_control.settings import Settings, setting
+from xtdrone_interaction.gcs.commands.terminal_output import Screen, print_errors, redraws
 
 from ..exchanges.exchange import request_state
 from ..station import GroundStation
 from ..vehicle_addresses import GcsError
 from ..vehicle_state import VehicleState
 from .arguments import Adder, add_settings, select_vehicles
-from .display import Screen, print_errors, redraws
 
 _REDRAW = 0.25  # s between two updates on a terminal
 _REQUEST_PERIOD = 2.0  # s without telemetry before a state is requested: simulated time may stand still

@@ -22,7 +22,7 @@ from xtdrone_interaction import options
 from xtdrone_interaction.console import PatientConsole, run_reported
 from xtdrone_interaction.formation.distances import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, escape, master_port, run_flight
-from xtdrone_interaction.metrics.formation import write_report
+from xtdrone_interaction.metrics.missions.formation_metrics import write_report
 from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
 from xtdrone_interaction.monitoring.progress_display import Display
 from xtdrone_interaction.options import MachineSettings, seed_setting, speed_setting
@@ -167,7 +167,7 @@ def report_of(bag: Path, settings: dict[str, Any]) -> dict[str, Any]:
         DemoError: the bag is not the record of a landing.
     """
     from xtdrone_interaction.landing.figures import make_report, read_landing  # matplotlib takes a while to import
-    from xtdrone_interaction.pictures.landing import save_landing
+    from xtdrone_interaction.pictures.landing_picture import save_landing
 
     try:
         record = read_landing(bag, f"{TYPE}_0", ROBOT)

@@ -19,11 +19,11 @@ from rich.console import Console
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
-from xtdrone_interaction.demos.formation_demo import DemoSettings, show_event
-from xtdrone_interaction.demos.formation_demo import run_demo as run_ros_demo
+from xtdrone_interaction.demos.formation.formation_demo import DemoSettings, show_event
+from xtdrone_interaction.demos.formation.formation_demo import run_demo as run_ros_demo
 from xtdrone_interaction.formation.swarm_flight import FormationFlight, outcome_of
 from xtdrone_interaction.launching.supervised_launch import DemoError, Interrupted, escape, raise_on_signals
-from xtdrone_interaction.metrics.formation import make_report, write_report
+from xtdrone_interaction.metrics.missions.formation_metrics import make_report, write_report
 from xtdrone_interaction.monitoring.progress_display import Display, LineDisplay, LiveDisplay
 from xtdrone_interaction.options import (
     MAX_SWARM,
@@ -34,7 +34,7 @@ from xtdrone_interaction.options import (
     vehicles_setting,
     waive_setting,
 )
-from xtdrone_interaction.recording.formation import FormationRecord, read_formation, save_formation
+from xtdrone_interaction.recording.formation_record import FormationRecord, read_formation, save_formation
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.compare_simulators import (
     as_data,
@@ -300,7 +300,7 @@ def _conclude(
     record: FormationRecord, report: dict[str, Any], settings: SwarmSettings, film: FilmSettings, console: Console
 ) -> int:
     from xtdrone_interaction.pictures.drawing import save_figures  # matplotlib takes a while to import
-    from xtdrone_interaction.pictures.formation import figures
+    from xtdrone_interaction.pictures.formation_pictures import figures
 
     print_formation(report, console)
     file = settings.out / "report.json"

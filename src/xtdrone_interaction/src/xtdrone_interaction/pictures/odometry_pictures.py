@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 
-from xtdrone_interaction.metrics.odometry import Trajectory, aligned, common, pairs
-from xtdrone_interaction.metrics.slam import ShownFlight
+from xtdrone_interaction.metrics.missions.odometry_errors import Trajectory, aligned, common, pairs
+from xtdrone_interaction.metrics.missions.slam_report import ShownFlight
 from xtdrone_interaction.pictures.drawing import NamedFigure, panels
 from xtdrone_interaction.recording.recorded_flight import Recording
 from xtdrone_interaction.recording.series import Array

@@ -14,8 +14,8 @@ from xtdrone_coordination.network import NetworkOptions
 from xtdrone_coordination.user_classes import load_class, nothing_overridden
 from xtdrone_interaction import options
 from xtdrone_interaction.console import PatientConsole, run_reported
-from xtdrone_interaction.demos.formation_demo import DemoSettings, waived_criteria
-from xtdrone_interaction.demos.simplified_demo import (
+from xtdrone_interaction.demos.formation.formation_demo import DemoSettings, waived_criteria
+from xtdrone_interaction.demos.formation.simplified_demo import (
     MOST_COMPARED,
     FilmSettings,
     SwarmSettings,
@@ -25,7 +25,7 @@ from xtdrone_interaction.demos.simplified_demo import (
 from xtdrone_interaction.formation.distances import ORIGIN
 from xtdrone_interaction.launching.supervised_launch import master_port
 from xtdrone_interaction.options import DEFAULT_FOLLOWER, MachineSettings, OptionError
-from xtdrone_interaction.recording.formation import FormationRecord, read_formation
+from xtdrone_interaction.recording.formation_record import FormationRecord, read_formation
 from xtdrone_interaction.report.compare_simulators import check_comparable
 
 WINDOW_SPEED = 10.0  # default real-time factor with a window

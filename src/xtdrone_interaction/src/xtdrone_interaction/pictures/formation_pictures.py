@@ -16,9 +16,9 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from xtdrone_interaction.formation.distances import ORIGIN, SETTLED_ERROR, formation_error
-from xtdrone_interaction.metrics.formation import DISTANCE_LIMIT, flight_part
+from xtdrone_interaction.metrics.missions.formation_metrics import DISTANCE_LIMIT, flight_part
 from xtdrone_interaction.pictures.drawing import LEADER_COLOUR, MOST_NAMED, NamedFigure, fleet_colours, plain_numbers
-from xtdrone_interaction.recording.formation import FormationRecord, PatternWindow
+from xtdrone_interaction.recording.formation_record import FormationRecord, PatternWindow
 
 _LEAD_IN = 1.0  # s shown before the command
 _MAX_WAYS = 60  # vehicles drawn individually; of a larger fleet, an even selection

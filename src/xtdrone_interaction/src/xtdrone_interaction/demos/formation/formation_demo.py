@@ -17,7 +17,7 @@ from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.leader import Leader
 from xtdrone_interaction.formation.distances import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, escape, run_flight
-from xtdrone_interaction.metrics.formation import make_report, write_report
+from xtdrone_interaction.metrics.missions.formation_metrics import make_report, write_report
 from xtdrone_interaction.monitoring.ended_nodes import EndedNode, EndedNodes
 from xtdrone_interaction.monitoring.progress_display import Display
 from xtdrone_interaction.options import (
@@ -29,7 +29,7 @@ from xtdrone_interaction.options import (
     vehicles_setting,
     waive_setting,
 )
-from xtdrone_interaction.recording.formation import read_formation
+from xtdrone_interaction.recording.formation_record import read_formation
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.printed_results import print_formation, print_paths
 
@@ -230,7 +230,7 @@ def report_flight(
 
     Args:
         bag: the flight's record.
-        settings: see :func:`~xtdrone_interaction.metrics.formation.make_report`.
+        settings: see :func:`~xtdrone_interaction.metrics.missions.formation_metrics.make_report`.
         console: prints the table.
         ended_nodes: nodes that ended in flight, if known.
         kept: entries added to the report unchanged.
@@ -239,7 +239,7 @@ def report_flight(
         DemoError: the bag is not a flight record.
     """
     from xtdrone_interaction.pictures.drawing import save_figures  # matplotlib takes a while to import
-    from xtdrone_interaction.pictures.formation import figures
+    from xtdrone_interaction.pictures.formation_pictures import figures
 
     try:
         record = read_formation(bag)

@@ -11,12 +11,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from xtdrone_interaction.metrics.formation import DISTANCE_LIMIT
+from xtdrone_interaction.metrics.missions.formation_metrics import DISTANCE_LIMIT
 from xtdrone_interaction.metrics.spectrum import (
     spectrum,
 )
 from xtdrone_interaction.metrics.vehicle import least_distance_series
-from xtdrone_interaction.pictures import formation, odometry
+from xtdrone_interaction.pictures import formation_pictures, odometry_pictures
 from xtdrone_interaction.pictures.drawing import (
     NO_MODE,
     NamedFigure,
@@ -29,7 +29,7 @@ from xtdrone_interaction.pictures.drawing import (
     same_scale,
     shades,
 )
-from xtdrone_interaction.recording.formation import FormationRecord
+from xtdrone_interaction.recording.formation_record import FormationRecord
 from xtdrone_interaction.recording.recorded_flight import Recording, VehicleRecord
 from xtdrone_interaction.recording.series import Array, Series, armed_span, spans
 
@@ -51,12 +51,12 @@ def pictures(recording: Recording, record: FormationRecord | None) -> Iterator[N
     if known:
         yield NamedFigure("positions", "Positions", positions(recording, known, marks))
         yield NamedFigure("tracks", "Tracks from above", tracks(recording, known))
-    yield from odometry.pictures(recording)
+    yield from odometry_pictures.pictures(recording)
     placed = [vehicle for vehicle in recording.vehicles if vehicle.name in known]
     if any("velocity" in vehicle.series for vehicle in placed):
         yield NamedFigure("velocities", "Velocities", velocities(recording, placed, marks))
     if record is not None and record.windows:
-        yield from formation.figures(record)
+        yield from formation_pictures.figures(record)
     elif len(known) > 1 and (least := least_distance_series(known.values())) is not None:
         yield NamedFigure("distances", "Least distance between vehicles", distances(recording, least))
     if any(vehicle.modes or vehicle.armed for vehicle in recording.vehicles):

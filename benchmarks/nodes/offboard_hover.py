@@ -281,7 +281,7 @@ class OffboardClient:
 
 def main() -> int:
     """Run the node and return its exit status."""
-    lockstep.init_node("offboard_client", rate=RATE)
+    lockstep.init_node("offboard_hover", rate=RATE)
     try:
         fleet = parse_fleet(str(rospy.get_param("/xtdrone/fleet")))
         window, height = (_positive(name, default) for name, default in (("window", 20.0), ("height", 3.0)))
@@ -323,4 +323,4 @@ if __name__ == "__main__":
     except rospy.ROSInterruptException:
         sys.exit(1)
     except rospy.ROSInitException as error:
-        sys.exit(f"offboard_client: {error}")
+        sys.exit(f"offboard_hover: {error}")

@@ -19,8 +19,8 @@ from xtdrone_coordination.leader import Leader, LeaderOptions
 from xtdrone_coordination.network import NetworkOptions
 from xtdrone_coordination.patterns import Patterns, with_leader
 from xtdrone_interaction.formation.distances import Array, least_distances
-from xtdrone_interaction.metrics.formation import measure
-from xtdrone_interaction.recording.formation import FormationRecord
+from xtdrone_interaction.metrics.missions.formation_metrics import measure
+from xtdrone_interaction.recording.formation_record import FormationRecord
 from xtdrone_interaction.recording.positions import FleetTrack
 from xtdrone_interaction.recording.recorded_flight import Change
 from xtdrone_interaction.sweep.parameters import CLASS, DEFAULTS, Value, group_of

@@ -9,8 +9,10 @@ from pathlib import Path
 from rich.console import Console
 
 from xtdrone_interaction.console import PatientConsole, run_reported
-from xtdrone_interaction.demos import forest_demo, formation_demo, landing_cli, search_demo, slam_demo
-from xtdrone_interaction.demos.search_prepare import is_search
+from xtdrone_interaction.demos import forest_demo, landing_demo, slam_demo
+from xtdrone_interaction.demos.formation import formation_demo
+from xtdrone_interaction.demos.search import search_demo
+from xtdrone_interaction.demos.search.search_prepare import is_search
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,8 +32,8 @@ def _maker(bag: Path) -> Callable[[Path, Console], int]:
         return search_demo.report_again
     if forest_demo.is_forest(bag.parent):
         return forest_demo.report_again
-    if landing_cli.is_landing(bag):
-        return landing_cli.report_again
+    if landing_demo.is_landing(bag):
+        return landing_demo.report_again
     if slam_demo.is_slam(bag.parent):
         return slam_demo.report_again
     return formation_demo.report_again

@@ -14,7 +14,7 @@ from xtdrone_coordination.leader import Leader
 from xtdrone_coordination.user_classes import load_class
 from xtdrone_interaction import options
 from xtdrone_interaction.console import PatientConsole, run_reported
-from xtdrone_interaction.demos.formation_demo import DemoSettings, run_demo, waived_criteria
+from xtdrone_interaction.demos.formation.formation_demo import DemoSettings, run_demo, waived_criteria
 from xtdrone_interaction.launching.supervised_launch import master_port
 from xtdrone_interaction.options import DEFAULT_FOLLOWER, MachineSettings, OptionError
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle

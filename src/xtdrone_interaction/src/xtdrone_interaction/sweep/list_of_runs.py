@@ -14,7 +14,7 @@ import numpy as np
 
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction.options import OptionError, swarm_patterns
-from xtdrone_interaction.sweep.one_run import check_options
+from xtdrone_interaction.sweep.fly_one_run import check_options
 from xtdrone_interaction.sweep.parameters import DEFAULTS, Value
 from xtdrone_interaction.sweep.study import AIRBORNE, Axis, Study
 
