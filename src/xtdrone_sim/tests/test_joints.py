@@ -10,7 +10,7 @@ import pytest
 
 from xtdrone_control.fleet import StartPose
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.physics.world_values import WorldModel
+from xtdrone_sim.physics.world_environment import WorldModel
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.worlds.sdf import SdfWorld, read_world, write_world
 

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from xtdrone_control.frames import to_xyzw
 from xtdrone_control.rotation import Quaternion, Vector, multiply
-from xtdrone_sim.physics.movable_bodies import Body
+from xtdrone_sim.physics.bodies.movable_bodies import Body
 from xtdrone_sim.physics.quiet_pybullet import BulletClient, pybullet
-from xtdrone_sim.vehicles.pose_arithmetic import compose, conjugate, inverse, rotate
-from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.shapes.pose_arithmetic import compose, conjugate, inverse, rotate
+from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.worlds.sdf.world_records import SdfJoint
 
 _HALF = 0.25  # m from a hinge's anchor to the points of its axis
@@ -126,8 +126,7 @@ class Joint:
         if body is None:
             return np.zeros(3)
         arm = self._anchor(body, end) - np.array(body.pose.position)
-        speed: Array = np.array(body.velocity) + np.cross(body.spin, arm)
-        return speed
+        return np.array(body.velocity, float) + np.array(np.cross(body.spin, arm), float)
 
     def push(self, dt: float) -> None:
         """Add limits, damping and friction to the bodies' forces for the next step of ``dt``, s."""
