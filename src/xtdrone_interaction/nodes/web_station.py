@@ -1,0 +1,19 @@
+#!/usr/bin/env python3
+"""The station in a browser: a page on the running flight; see ``xtdrone_interaction.web.station_node`` and docs/web.md.
+
+Parameters:
+    ~host, ~port, ~token, ~view_only, ~rate: see ``StationSettings`` and docs/settings.md.
+    ~url (out): where the page is, if it needs no token.
+
+Topics:
+    /gazebo/model_states, /clock (in): while a page is open; further ones as its panels need them.
+    /xtdrone/operator_actions (std_msgs/String, out): what the pages' users do, as JSON; bags record it.
+"""
+
+import sys
+
+from xtdrone_control.program import run_program
+from xtdrone_interaction.web.station_node import main
+
+if __name__ == "__main__":
+    sys.exit(run_program(main, sys.argv, "web_station.py"))

@@ -1,0 +1,1 @@
+"""The browser station: a page on the running flight, and the server behind it."""

@@ -1,0 +1,1 @@
+"""Commands to vehicles, swarm and simulated time that the page gives."""

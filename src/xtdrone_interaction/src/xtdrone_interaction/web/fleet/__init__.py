@@ -1,0 +1,1 @@
+"""State of the fleet and its surroundings for the page."""

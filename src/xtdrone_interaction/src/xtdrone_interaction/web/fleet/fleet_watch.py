@@ -1,0 +1,116 @@
+"""Watch where the vehicles are, and send the fleet's frame to the pages."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import rospy
+from gazebo_msgs.msg import ModelStates
+from rosgraph_msgs.msg import Clock
+
+from xtdrone_control.fleet import FleetError, parse_fleet
+from xtdrone_interaction.web.context import StationContext
+from xtdrone_interaction.web.fleet.fleet_frame import CHANNEL, pack_fleet_frame
+from xtdrone_interaction.web.fleet.model_states_bytes import ModelRows, TruncatedError, read_model_states
+from xtdrone_interaction.web.fleet.roster import Roster
+from xtdrone_interaction.web.server.methods import Method, Params
+from xtdrone_interaction.web.server.session import Session
+
+_FLEET_PERIOD = 2.0  # s between two looks at the parameter of the fleet
+log = logging.getLogger("xtdrone.web")
+
+
+class FleetWatch:
+    """Subscribes to the simulator's true states while a page is open.
+
+    Attributes:
+        roster: the vehicles.
+        models: newest states; None before the first.
+    """
+
+    def __init__(self, context: StationContext, rate: float) -> None:
+        """Begin to watch.
+
+        Args:
+            context: of the station.
+            rate: of the frame, Hz of wall time.
+        """
+        self.roster = Roster()
+        self.models: ModelRows | None = None
+        self._context = context
+        self._packed: bytes | None = None
+        self._clock: bytes = b""
+        self._number = 0
+        self._told = -1
+        self._subscribers: list[Any] = []
+        context.every(1.0 / rate, self._send)
+        context.every(_FLEET_PERIOD, self._read_fleet)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the vehicles, in the order of the rows."""
+        return [vehicle.name for vehicle in self.roster.vehicles]
+
+    def methods(self) -> list[Method]:
+        """Return the methods of a page."""
+        return [Method("fleet.roster", self._describe)]
+
+    @property
+    def time(self) -> float:
+        """Simulated time, s."""
+        clock = Clock()
+        if self._clock:
+            clock.deserialize(self._clock)
+        return float(clock.clock.to_sec())
+
+    async def _read_fleet(self) -> None:
+        text = await self._context.blocking(rospy.get_param, "/xtdrone/fleet", None)
+        try:
+            self.roster.set_fleet(parse_fleet(str(text)) if text is not None else ())
+        except FleetError as error:
+            log.warning("parameter /xtdrone/fleet: %s; no vehicle is shown", error)
+
+    def _describe(self, _session: Session, _params: Params) -> dict[str, Any]:
+        return self.roster.describe(self.models)
+
+    def _listen(self, wanted: bool) -> None:
+        """Subscribe while a page is open: nobody pays for what nobody sees."""
+        if wanted and not self._subscribers:
+            self._subscribers = [
+                rospy.Subscriber(
+                    "/gazebo/model_states", rospy.AnyMsg, self._on_states, queue_size=1, buff_size=1 << 20
+                ),
+                rospy.Subscriber("/clock", rospy.AnyMsg, self._on_clock, queue_size=1),
+            ]
+        elif not wanted and self._subscribers:
+            for subscriber in self._subscribers:
+                subscriber.unregister()
+            self._subscribers = []
+
+    def _on_states(self, message: rospy.AnyMsg) -> None:
+        if message._connection_header.get("type") == ModelStates._type:
+            self._packed = message._buff
+
+    def _on_clock(self, message: rospy.AnyMsg) -> None:
+        self._clock = message._buff
+
+    def _send(self) -> None:
+        sessions = list(self._context.sessions.values())
+        self._listen(bool(sessions))
+        packed, self._packed = self._packed, None
+        if packed is None:
+            return
+        try:
+            self.models = read_model_states(packed, self.models)
+        except TruncatedError as error:
+            log.warning("/gazebo/model_states: %s; it is left out", error)
+            return
+        vehicles, movers = self.roster.split(self.models)
+        if self.roster.version != self._told:
+            self._told = self.roster.version
+            self._context.push_all("fleet.roster", self.roster.describe(self.models))
+        self._number += 1
+        frame = pack_fleet_frame(vehicles, movers, self.time, self.roster.version, self._number)
+        for session in sessions:
+            session.push_latest(CHANNEL, frame)

@@ -1,0 +1,1 @@
+"""Missions and searches on the map."""

@@ -1,0 +1,14 @@
+"""The station's rooms, each of which gives the methods that a page may call."""
+
+from __future__ import annotations
+
+from xtdrone_interaction.web.context import StationContext
+from xtdrone_interaction.web.fleet.fleet_watch import FleetWatch
+from xtdrone_interaction.web.server.methods import Method
+from xtdrone_interaction.web.station_settings import StationSettings
+
+
+def methods_of_rooms(context: StationContext, settings: StationSettings) -> list[Method]:
+    """Open all rooms and return their methods."""
+    fleet = FleetWatch(context, settings.rate)
+    return [*fleet.methods()]

@@ -1,0 +1,281 @@
+"""The station's HTTP and WebSocket server, on tornado.
+
+Over HTTP it serves the files of the page's folder and nothing else. All data of the flight go over ``/ws``, whose first
+message has to be the method ``hello`` with the token; before it nothing is sent and nothing is called.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import socket as sockets
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from tornado.httpserver import HTTPServer
+from tornado.ioloop import IOLoop
+from tornado.iostream import StreamClosedError
+from tornado.netutil import bind_sockets
+from tornado.web import Application, HTTPError, StaticFileHandler
+from tornado.websocket import WebSocketClosedError, WebSocketHandler
+
+from xtdrone_interaction.web.server.credentials import Credentials, is_loopback, is_own_host, is_own_origin
+from xtdrone_interaction.web.server.methods import CallError, Method, MethodTable, checked_params, invoke
+from xtdrone_interaction.web.server.session import Session
+
+MOST_MESSAGE = 1 << 20
+"""Bytes of a message from a page."""
+MOST_SESSIONS = 64
+MOST_CALLS = 32
+"""Calls of one page whose answers are outstanding."""
+_HELLO_LIMIT = 5.0  # s of wall time for a page's first message
+_PING_PERIOD = 10.0  # s
+_HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-cache",
+    "Content-Security-Policy": "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' blob: data:; "
+    "connect-src 'self' ws: wss:; worker-src 'self' blob:; frame-ancestors 'none'",
+}
+log = logging.getLogger("xtdrone.web")
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where the station listens, and who may connect."""
+
+    host: str
+    port: int
+    credentials: Credentials
+
+    def urls(self, port: int) -> dict[str, str]:
+        """Return the URLs to open, by role; the token is in the fragment, which browsers do not send."""
+        host = "127.0.0.1" if is_loopback(self.host) else _own_address(self.host)
+        tokens = {"operate": self.credentials.operate, "view": self.credentials.view}
+        if not tokens["operate"]:
+            return {"operate": f"http://{host}:{port}/"}
+        return {role: f"http://{host}:{port}/#token={token}" for role, token in tokens.items() if token}
+
+
+def _own_address(host: str) -> str:
+    """Return an address by which other machines reach this one."""
+    if host not in ("0.0.0.0", "::"):  # noqa: S104
+        return f"[{host}]" if ":" in host else host
+    with sockets.socket(sockets.AF_INET, sockets.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
+        probe.connect(("192.0.2.1", 9))  # sends nothing: the system chooses the address of the way out
+        return str(probe.getsockname()[0])
+    return sockets.gethostname()
+
+
+@dataclass
+class StationServer:
+    """The server.
+
+    Attributes:
+        address: where it listens.
+        page: folder of the page's files.
+        methods: of all rooms.
+        on_operate: called with session, method and parameters before a call of the role ``operate``.
+        welcome: what ``hello`` answers beside the role.
+        sessions: the connected pages, after their ``hello``, in order.
+    """
+
+    address: Address
+    page: Path
+    methods: Iterable[Method]
+    on_operate: Callable[[Session, str, Mapping[str, Any]], None] = lambda *_: None
+    on_connect: Callable[[Session], None] = lambda *_: None
+    welcome: Callable[[], dict[str, Any]] = dict
+    sessions: dict[int, Session] = field(default_factory=dict)
+
+    def start(self) -> int:
+        """Listen, in the event loop of this thread, and return the port.
+
+        Raises:
+            OSError: the address is in use, or not one of this machine.
+        """
+        self.table = MethodTable(self.methods)
+        self.loop = IOLoop.current()
+        self.connections = 0
+        self.open_sockets = 0
+        application = Application(
+            [
+                ("/ws", _PageSocket, {"server": self}),
+                ("/(.*)", _PageFile, {"path": str(self.page), "default_filename": "index.html", "server": self}),
+            ],
+            websocket_max_message_size=MOST_MESSAGE,
+            websocket_ping_interval=_PING_PERIOD,
+            websocket_ping_timeout=_PING_PERIOD,
+            log_function=lambda handler: None,
+        )
+        bound = bind_sockets(self.address.port, self.address.host)
+        self._http = HTTPServer(application, max_body_size=1 << 16, max_header_size=1 << 14, idle_connection_timeout=60)
+        self._http.add_sockets(bound)
+        return int(bound[0].getsockname()[1])
+
+    def stop(self) -> None:
+        """Disconnect all pages and stop listening."""
+        self._http.stop()
+        for session in list(self.sessions.values()):
+            session.close()
+
+    def push_all(self, event: str, data: Any) -> None:
+        """Send an event to all pages; in the event loop."""
+        for session in list(self.sessions.values()):
+            session.push(event, data)
+
+
+class _PageFile(StaticFileHandler):
+    """A file of the page's folder; tornado refuses paths that lead out of it."""
+
+    def initialize(self, path: str, default_filename: str | None = None, server: StationServer | None = None) -> None:
+        super().initialize(path, default_filename)
+        self._server = server
+
+    def set_default_headers(self) -> None:
+        self.clear_header("Server")
+        for name, value in _HEADERS.items():
+            self.set_header(name, value)
+
+    def prepare(self) -> None:
+        assert self._server is not None
+        if not is_own_host(self.request.host, self._server.address.host):
+            raise HTTPError(403)
+
+    def validate_absolute_path(self, root: str, absolute_path: str) -> str | None:
+        """Refuse symbolic links out of the folder, and hidden files, too."""
+        path = super().validate_absolute_path(root, absolute_path)
+        if path is not None and not Path(path).resolve().is_relative_to(Path(root).resolve()):
+            raise HTTPError(403)
+        if path is not None and any(part.startswith(".") for part in Path(path).relative_to(root).parts):
+            raise HTTPError(404)
+        return path
+
+    def write_error(self, status_code: int, **_: Any) -> None:
+        """Tell the status alone."""
+        self.finish(f"{status_code}\n")
+
+
+class _PageSocket(WebSocketHandler):
+    """A page's WebSocket: ``hello`` first, then calls."""
+
+    def initialize(self, server: StationServer) -> None:
+        self._server = server
+        self._session: Session | None = None
+        self._calls = 0
+        self._counted = False
+
+    def check_origin(self, origin: str) -> bool:
+        return is_own_origin(origin, self.request.host, self._server.address.host)
+
+    def prepare(self) -> None:
+        """Refuse hosts that are not this server's, also of programs, which send no origin."""
+        if not is_own_host(self.request.host, self._server.address.host):
+            raise HTTPError(403)
+        if self._server.open_sockets >= MOST_SESSIONS:
+            raise HTTPError(503)
+
+    def open(self, *_: str, **__: str) -> None:
+        self._server.open_sockets += 1
+        self._counted = True
+        self.set_nodelay(True)
+        self._hello_limit = self._server.loop.call_later(_HELLO_LIMIT, self._refuse, "no hello")
+
+    async def on_message(self, message: str | bytes) -> None:
+        """Answer a call; a page that has not said hello may say only that."""
+        if self._session is None:
+            self._greet(message)
+            return
+        session = self._session
+        number: Any = None
+        try:
+            request = _request(message)
+            number = request.get("id")
+            if self._calls >= MOST_CALLS:
+                raise CallError(f"calls: {self._calls} unanswered ones are not allowed, fewer than {MOST_CALLS}")
+            method = self._server.table.find(request.get("method"), session.role)
+            params = checked_params(request.get("params"))
+        except CallError as error:
+            session.answer({"id": number, "error": str(error)})
+            return
+        # as a task: the next message is read meanwhile
+        self._calls += 1
+        asyncio.ensure_future(self._call(session, number, method, params))  # noqa: RUF006
+
+    async def _call(self, session: Session, number: Any, method: Method, params: dict[str, Any]) -> None:
+        try:
+            if method.role == "operate":
+                self._server.on_operate(session, method.name, params)
+            session.answer({"id": number, "result": await invoke(method, session, params)})
+        except (ValueError, TimeoutError) as error:
+            session.answer({"id": number, "error": str(error) or type(error).__name__})
+        except Exception as error:  # a fault of ours harms this call alone
+            log.exception("method %s", method.name)
+            session.answer({"id": number, "error": f"{method.name}: {type(error).__name__}: {error}"})
+        finally:
+            self._calls -= 1
+
+    def _greet(self, message: str | bytes) -> None:
+        try:
+            request = _request(message)
+            params = checked_params(request.get("params"))
+        except CallError:
+            request, params = {}, {}
+        role = self._server.address.credentials.role(params.get("token", ""))
+        if request.get("method") != "hello" or role is None:
+            self._refuse("token")
+            return
+        self._server.loop.remove_timeout(self._hello_limit)
+        self._server.connections += 1
+        self._session = Session(self._server.connections, role, self, self._server.loop.add_callback)  # type: ignore[arg-type]
+        self._server.sessions[self._session.number] = self._session
+        self._session.answer({"id": request.get("id"), "result": {"role": role, **self._server.welcome()}})
+        self._server.on_connect(self._session)
+
+    def _refuse(self, reason: str) -> None:
+        if self._session is None:
+            super().close(4401, reason)
+
+    def on_close(self) -> None:
+        self._server.open_sockets -= self._counted
+        self._counted = False
+        self._server.loop.remove_timeout(self._hello_limit)
+        if self._session is not None:
+            self._server.sessions.pop(self._session.number, None)
+            self._session.close()
+
+    def send(self, data: str | bytes, done: Callable[[], None]) -> None:
+        """Send a message for the session."""
+        try:
+            future = self.write_message(data, binary=isinstance(data, bytes))
+        except (WebSocketClosedError, StreamClosedError):
+            done()
+            return
+
+        def finished(future: asyncio.Future[None]) -> None:
+            future.exception()  # a page that has gone
+            done()
+
+        future.add_done_callback(finished)  # type: ignore[arg-type]
+
+
+def _request(message: str | bytes) -> dict[str, Any]:
+    """Return the object of a text message.
+
+    Raises:
+        CallError: it is none.
+    """
+    if isinstance(message, bytes):
+        raise CallError("message: binary is not allowed, JSON text")
+    try:
+        request = json.loads(message)
+    except (ValueError, RecursionError) as error:
+        raise CallError(f"message: {message[:80]!r} is not allowed, JSON text: {error}") from error
+    if not isinstance(request, dict):
+        raise CallError(f"message: {message[:80]!r} is not allowed, an object with id, method and params")
+    return request

@@ -1,0 +1,109 @@
+"""The station as a ROS node: it takes no part in the lockstep, so that watching changes no bit of a flight."""
+
+from __future__ import annotations
+
+import errno
+import json
+import logging
+import signal
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import rosgraph
+import rospy
+from std_msgs.msg import String
+from tornado.ioloop import IOLoop
+
+from xtdrone_control import lockstep
+from xtdrone_control.program import check_no_arguments
+from xtdrone_interaction.web.context import StationContext
+from xtdrone_interaction.web.rooms import methods_of_rooms
+from xtdrone_interaction.web.server.credentials import Credentials, is_loopback
+from xtdrone_interaction.web.server.session import Session
+from xtdrone_interaction.web.server.station_server import Address, StationServer
+from xtdrone_interaction.web.station_settings import StationSettings
+
+NAME = "web_station"
+ACTIONS_TOPIC = "/xtdrone/operator_actions"
+URL_PARAMETER = "~url"
+PAGE = Path(__file__).resolve().parents[3] / "web_page"
+_PORTS_TRIED = 20
+_LONGEST_ACTION = 4096  # characters of an action's parameters on the topic
+
+
+class ActionTopic:
+    """Publishes what the pages' users do, as JSON with session, method and parameters."""
+
+    def __init__(self) -> None:
+        self._publisher = lockstep.UncountedPublisher(ACTIONS_TOPIC, String, queue_size=100)
+
+    def publish(self, session: Session, method: str, params: Mapping[str, Any]) -> None:
+        """Publish an action."""
+        text = json.dumps(params, sort_keys=True)
+        shown: Any = params if len(text) <= _LONGEST_ACTION else f"{text[:_LONGEST_ACTION]} ..."
+        content = {"time": rospy.get_time(), "page": session.number, "method": method, "params": shown}
+        self._publisher.publish(String(json.dumps(content, sort_keys=True)))
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the node until shutdown.
+
+    Raises:
+        ArgumentError: an argument was given.
+        SettingError: a parameter is not allowed.
+    """
+    check_no_arguments(arguments)
+    rospy.init_node(NAME, disable_signals=True)
+    settings = StationSettings.from_parameters(rospy.get_param)
+    loop = IOLoop.current()
+    context = StationContext(rosgraph.get_master_uri(), rospy.get_name())
+    actions = ActionTopic()
+    credentials = Credentials.for_host(settings.host, settings.token, settings.view_only)
+    server = StationServer(
+        Address(settings.host, settings.port, credentials),
+        PAGE,
+        methods_of_rooms(context, settings),
+        on_operate=actions.publish,
+        sessions=context.sessions,
+    )
+    port = _listen(server)
+    for role, url in server.address.urls(port).items():
+        print(f"station ({'operate' if role == 'operate' else 'watch only'}): {url}", flush=True)
+        if role == "operate" and not (settings.view_only or credentials.operate):
+            rospy.set_param(URL_PARAMETER, url)  # without a token: parameters are everybody's
+    if not is_loopback(settings.host):
+        rospy.logwarn("the station listens on %s: whoever has the token may fly the vehicles", settings.host)
+    rospy.on_shutdown(lambda: loop.add_callback(loop.stop))
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: loop.add_callback_from_signal(loop.stop))
+    try:
+        loop.start()
+    finally:
+        server.stop()
+        context.close()
+        threading.Thread(target=rospy.signal_shutdown, args=("the station ends",), daemon=True).start()
+
+
+def _listen(server: StationServer) -> int:
+    """Listen on the wished port, or on one of the next if it is in use; return it.
+
+    Raises:
+        SystemExit: none can be had.
+    """
+    wished = server.address.port
+    for port in range(wished, wished + (_PORTS_TRIED if wished else 1)):
+        server.address = replace(server.address, port=port)
+        try:
+            return server.start()
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise SystemExit(
+                    f"host: {server.address.host!r} is not allowed, an address of this machine: {error}"
+                ) from error
+    raise SystemExit(f"port: {wished} is not allowed, it and the {_PORTS_TRIED - 1} after it are in use")
+
+
+logging.getLogger("tornado").setLevel(logging.ERROR)

@@ -1,0 +1,5 @@
+// The panels, in the order of their tabs. A panel is {name, title, icon, place, mount(element, station) -> unmount};
+// place: 'stage' (beside the dock), 'bar' (always visible) or 'dock', the default.
+import { panel as vehicles } from './vehicles.js';
+
+export const panels = [vehicles];

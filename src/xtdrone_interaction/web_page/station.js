@@ -1,0 +1,180 @@
+// The page's connection to the station: calls, events and binary frames, and what all panels share.
+import { readFleetFrame } from './fleet.js';
+
+const FLEET = 1; // channel of the fleet's frames
+const FIRST_WAIT = 300; // ms between two attempts to connect; doubled up to the last
+const LAST_WAIT = 4000;
+const ANSWER_LIMIT = 60000; // ms
+
+/** Functions by name, which a panel adds and removes. */
+class Listeners {
+  #sets = new Map();
+  add(name, f) {
+    if (!this.#sets.has(name)) this.#sets.set(name, new Set());
+    this.#sets.get(name).add(f);
+    return () => this.#sets.get(name).delete(f);
+  }
+  call(name, ...values) {
+    for (const f of [...(this.#sets.get(name) ?? [])]) {
+      try { f(...values); } catch (error) { console.error(name, error); }
+    }
+  }
+}
+
+/** The selected vehicles: a set of names. */
+class Selection {
+  #names = new Set();
+  #listeners = new Listeners();
+  get names() { return [...this.#names]; }
+  get size() { return this.#names.size; }
+  has(name) { return this.#names.has(name); }
+  set(names) { this.#names = new Set(names); this.#listeners.call('change'); }
+  toggle(name) {
+    if (!this.#names.delete(name)) this.#names.add(name);
+    this.#listeners.call('change');
+  }
+  onChange(f) { return this.#listeners.add('change', f); }
+}
+
+export class Station {
+  role = 'view';
+  connected = false;
+  fleet = null; // the last frame
+  roster = { version: -1, vehicles: [], movers: [], places: {} };
+  status = { vehicles: {} }; // the last fleet.status, its vehicles by name
+  selection = new Selection();
+  #events = new Listeners();
+  #binary = new Listeners();
+  #socket = null;
+  #calls = new Map();
+  #next = 1;
+  #wait = FIRST_WAIT;
+  #token = new URLSearchParams(location.hash.slice(1)).get('token') ?? '';
+
+  constructor() {
+    this.on('fleet.roster', (roster) => { this.roster = roster; });
+    this.on('fleet.status', (status) => { this.status = status; });
+  }
+
+  /** Connects, and again whenever the connection breaks. */
+  start() {
+    const url = new URL('ws', location.href);
+    url.protocol = location.protocol === 'https:' ? 'wss:' : 'ws:';
+    url.hash = '';
+    const socket = this.#socket = new WebSocket(url);
+    socket.binaryType = 'arraybuffer';
+    socket.onopen = () => {
+      this.#request('hello', { token: this.#token }).then((welcome) => this.#greeted(welcome), () => {});
+    };
+    socket.onmessage = ({ data }) => this.#received(data);
+    socket.onclose = (event) => this.#closed(event);
+  }
+
+  /** Calls a method of the server; the promise is rejected with the server's reason. */
+  call(method, params = {}) {
+    if (!this.connected) return Promise.reject(new Error('the station is not connected'));
+    return this.#request(method, params);
+  }
+
+  /** Calls f with the data of each event of a name; returns a function that ends that. */
+  on(event, f) { return this.#events.add(event, f); }
+
+  /** Calls f with each binary frame (an ArrayBuffer with its first byte) of a channel. */
+  onBinary(channel, f) { return this.#binary.add(channel, f); }
+
+  /** Calls f now, if connected, and after each connection: for subscriptions, which end with a connection. */
+  onConnect(f) {
+    if (this.connected) f();
+    return this.#events.add('station.connect', f);
+  }
+
+  /** Tells panels of this page something, as if the server had. */
+  emit(event, data) { this.#events.call(event, data); }
+
+  #request(method, params) {
+    return new Promise((resolve, reject) => {
+      const id = this.#next++;
+      const limit = setTimeout(() => this.#settle(id, { error: `${method}: no answer within 60 s` }), ANSWER_LIMIT);
+      this.#calls.set(id, { resolve, reject, limit });
+      this.#socket.send(JSON.stringify({ id, method, params }));
+    });
+  }
+
+  #settle(id, answer) {
+    const call = this.#calls.get(id);
+    if (!call) return;
+    this.#calls.delete(id);
+    clearTimeout(call.limit);
+    if ('error' in answer) call.reject(new Error(answer.error));
+    else call.resolve(answer.result);
+  }
+
+  #received(data) {
+    if (typeof data !== 'string') {
+      const channel = new Uint8Array(data, 0, 1)[0];
+      if (channel === FLEET) this.fleet = readFleetFrame(data);
+      this.#binary.call(channel, data);
+      return;
+    }
+    const message = JSON.parse(data);
+    if ('event' in message) this.#events.call(message.event, message.data);
+    else this.#settle(message.id, message);
+  }
+
+  async #greeted(welcome) {
+    this.role = welcome.role;
+    this.connected = true;
+    this.#wait = FIRST_WAIT;
+    const roster = await this.call('fleet.roster');
+    this.emit('fleet.roster', roster);
+    this.emit('station.state', { connected: true, role: this.role });
+    this.emit('station.connect');
+  }
+
+  #closed({ code }) {
+    this.connected = false;
+    for (const id of [...this.#calls.keys()]) this.#settle(id, { error: 'the connection broke' });
+    const refused = code === 4401;
+    this.emit('station.state', { connected: false, refused });
+    if (refused) return; // another token needs another URL
+    setTimeout(() => this.start(), this.#wait);
+    this.#wait = Math.min(2 * this.#wait, LAST_WAIT);
+  }
+}
+
+// ---- what panels say to the user
+
+/** Shows a line for some seconds. */
+export function toast(text, kind = '') {
+  const element = document.createElement('div');
+  element.className = `toast ${kind}`;
+  element.textContent = text;
+  element.onclick = () => element.remove();
+  document.getElementById('toasts').append(element);
+  setTimeout(() => element.remove(), kind === 'bad' ? 12000 : 4000);
+}
+
+/** Asks before something that cannot be taken back; resolves to whether the user is sure. */
+export function confirmed(question, action) {
+  const dialog = document.getElementById('question');
+  dialog.replaceChildren();
+  const text = document.createElement('p');
+  text.textContent = question;
+  const row = document.createElement('div');
+  row.className = 'row';
+  const yes = document.createElement('button');
+  yes.className = 'danger sure';
+  yes.textContent = action;
+  const no = document.createElement('button');
+  no.textContent = 'Cancel';
+  row.append(yes, no);
+  dialog.append(text, row);
+  return new Promise((resolve) => {
+    yes.onclick = () => dialog.close('yes');
+    no.onclick = () => dialog.close('no');
+    dialog.onclose = () => resolve(dialog.returnValue === 'yes');
+    dialog.returnValue = 'no';
+    dialog.showModal();
+    no.focus();
+  });
+}
