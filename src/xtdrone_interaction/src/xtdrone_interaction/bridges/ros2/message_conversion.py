@@ -11,7 +11,10 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from rosbags.convert.converter import is_same_wireformat, migrate_bytes
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+_MISSING = {"tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms"}
+"""Standard types that rosbags does not have, with the definition that is the same in both distributions."""
 
 
 class ConversionError(ValueError):
@@ -35,7 +38,11 @@ class Converter(NamedTuple):
 @functools.cache
 def stores() -> tuple[Any, Any]:
     """Return the definitions of ROS 1 and of ROS 2."""
-    return get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
+    found = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
+    for store in found:
+        for name, text in _MISSING.items():
+            store.register(get_types_from_msg(text, name))
+    return found
 
 
 def ros2_name(type_: str) -> str:
