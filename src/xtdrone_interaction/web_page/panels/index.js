@@ -1,5 +1,8 @@
 // The panels, in the order of their tabs. A panel is {name, title, icon, place, mount(element, station) -> unmount};
 // place: 'stage' (beside the dock), 'bar' (always visible) or 'dock', the default.
+import { panel as scene } from './scene.js';
+import { panel as swarm } from './swarm.js';
+import { panel as time } from './time.js';
 import { panel as vehicles } from './vehicles.js';
 
-export const panels = [vehicles];
+export const panels = [time, scene, vehicles, swarm];
