@@ -8,8 +8,8 @@ import genmsg.msgs
 import genpy
 import numpy as np
 
-from xtdrone_interaction.topics.message_classes import class_of_field
 from xtdrone_interaction.topics.field_paths import INTEGERS
+from xtdrone_interaction.topics.message_classes import class_of_field
 
 _LETTERS = "abc xyz äß東"
 _LONGEST = 4  # elements of an array of any length

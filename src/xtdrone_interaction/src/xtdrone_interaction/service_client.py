@@ -28,9 +28,7 @@ class ServiceRefusal(ServiceError):
     """A service rejects a request; the message is its own."""
 
 
-def call_service(
-    address: tuple[str, int], name: str, kind: Any, request: Any, caller: str, limit: float | None
-) -> Any:
+def call_service(address: tuple[str, int], name: str, kind: Any, request: Any, caller: str, limit: float | None) -> Any:
     """Call a service and return its response.
 
     Args:

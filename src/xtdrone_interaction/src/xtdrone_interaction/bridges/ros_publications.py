@@ -80,9 +80,7 @@ class Publications:
                 if len(self._topics) >= MAX_TOPICS:
                     raise PublicationError(f"topic: {topic} is one too many, at most {MAX_TOPICS} at a time")
                 made = self._make(topic, kind, queue_size=_QUEUE, latch=latch)
-                present = self._topics[topic] = _Publication(
-                    type_ or known, latch, made, time.monotonic() + _PATIENCE
-                )
+                present = self._topics[topic] = _Publication(type_ or known, latch, made, time.monotonic() + _PATIENCE)
             present.owners.add(owner)
             return kind
 

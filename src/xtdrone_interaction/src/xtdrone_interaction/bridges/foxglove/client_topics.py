@@ -46,7 +46,9 @@ class ClientTopics:
         """Advertise a topic for a client's channel; what is not allowed is reported."""
         try:
             if encoding not in ENCODINGS:
-                raise PublicationError(f"topic: {topic}: encoding {encoding!r} is not allowed, {' or '.join(ENCODINGS)}")
+                raise PublicationError(
+                    f"topic: {topic}: encoding {encoding!r} is not allowed, {' or '.join(ENCODINGS)}"
+                )
             if not self._is_open(topic):
                 raise PublicationError(f"topic: {topic} is not offered by this bridge, see its parameter topics_glob")
             kind = self._publications.advertise((client, channel), topic, type_.replace("/msg/", "/"))

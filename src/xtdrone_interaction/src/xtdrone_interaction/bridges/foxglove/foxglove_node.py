@@ -37,7 +37,11 @@ class FoxgloveSettings(BridgeSettings):
 
     port: int = setting(8765, low=0, high=65535, text="TCP port; 0: any free one, which the log names")
     send_buffer_limit: int = setting(
-        1024, low=16, high=100_000, unit="messages", text="messages that wait for a slow client, then the oldest are dropped"
+        1024,
+        low=16,
+        high=100_000,
+        unit="messages",
+        text="messages that wait for a slow client, then the oldest are dropped",
     )
 
 

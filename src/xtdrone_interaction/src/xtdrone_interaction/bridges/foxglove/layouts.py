@@ -17,7 +17,14 @@ from xtdrone_interaction.rviz.markers_node import TOPIC as MARKERS_TOPIC
 _PLOTTED = 12  # vehicles with lines in a plot; more are not told apart
 _PICTURES = 6
 _COLOURS = ("#4e98e2", "#f5774d", "#f7df71", "#5cd6a9", "#a395e2", "#f5a8c9")
-_CAMERA_VIEW = {"perspective": True, "distance": 40, "phi": 60, "thetaOffset": 45, "targetOffset": [0, 0, 0], "fovy": 45}
+_CAMERA_VIEW = {
+    "perspective": True,
+    "distance": 40,
+    "phi": 60,
+    "thetaOffset": 45,
+    "targetOffset": [0, 0, 0],
+    "fovy": 45,
+}
 Panel = Mapping[str, Any]
 
 
@@ -67,7 +74,8 @@ def _formation(names: Sequence[str]) -> tuple[dict[str, Panel], _Half]:
         "3D!swarm": _scene(names, [MARKERS_TOPIC, "/tf", "/xtdrone/leader/pose"]),
         "Plot!height": _plot("height, m", [(n, f"{_pose(n)}.pose.position.z") for n in names]),
         "Plot!speed": _plot(
-            "velocity to the east, m/s", [(n, f"/{n}/mavros/local_position/velocity_local.twist.linear.x") for n in names]
+            "velocity to the east, m/s",
+            [(n, f"/{n}/mavros/local_position/velocity_local.twist.linear.x") for n in names],
         ),
         "Plot!avoidance": _plot("avoidance to the east, m/s", [(n, f"/xtdrone/{n}/avoid_vel.x") for n in names]),
         "Publish!leader": _publish("/xtdrone/leader/cmd", "std_msgs/String", {"data": "pyramid"}),
@@ -89,7 +97,9 @@ def _search(names: Sequence[str]) -> tuple[dict[str, Panel], _Half]:
         **_common(names),
     }
     texts = _Half("column", "RawMessages!progress", "RawMessages!event", 60)
-    below = _Half("row", _Half("row", texts, "RosOut!log", 40), _Half("row", "Plot!height", "StateTransitions!modes", 50), 50)
+    below = _Half(
+        "row", _Half("row", texts, "RosOut!log", 40), _Half("row", "Plot!height", "StateTransitions!modes", 50), 50
+    )
     above = _Half("row", "3D!search", _grid(list(pictures)), 45)
     return panels, _Half("column", above, below, 65)
 
@@ -99,7 +109,9 @@ VIEWS = {"formation": _formation, "search": _search}
 
 
 def _common(names: Sequence[str]) -> dict[str, Panel]:
-    modes = [{"value": f"/{n}/mavros/state.mode", "timestampMethod": "receiveTime", "label": n} for n in names[:_PLOTTED]]
+    modes = [
+        {"value": f"/{n}/mavros/state.mode", "timestampMethod": "receiveTime", "label": n} for n in names[:_PLOTTED]
+    ]
     return {
         "RosOut!log": {"searchTerms": [], "minLogLevel": 2, "topicToRender": "/rosout"},
         "StateTransitions!modes": {"paths": modes, "isSynced": True},
@@ -113,10 +125,18 @@ def _pose(name: str) -> str:
 def _scene(names: Sequence[str], topics: Sequence[str]) -> Panel:
     shown = [*topics, *map(_pose, names)]
     return {
-        "cameraState": {**_CAMERA_VIEW, "target": [0, 0, 0], "targetOrientation": [0, 0, 0, 1], "near": 0.5, "far": 5000},
+        "cameraState": {
+            **_CAMERA_VIEW,
+            "target": [0, 0, 0],
+            "targetOrientation": [0, 0, 0, 1],
+            "near": 0.5,
+            "far": 5000,
+        },
         "followMode": "follow-none",
         "followTf": "map",
-        "layers": {"grid": {"layerId": "foxglove.Grid", "visible": True, "frameId": "map", "size": 100, "divisions": 20}},
+        "layers": {
+            "grid": {"layerId": "foxglove.Grid", "visible": True, "frameId": "map", "size": 100, "divisions": 20}
+        },
         "topics": {topic: {"visible": True} for topic in shown},
         "transforms": {},
         "publish": {"type": "point", "poseTopic": "/move_base_simple/goal", "pointTopic": "/clicked_point"},

@@ -42,7 +42,9 @@ def configuration(interface: str) -> str:
         ValueError: not a name or address of an interface.
     """
     if not _INTERFACE.fullmatch(interface):
-        raise ValueError("a network interface such as lo or eth0, or empty for CYCLONEDDS_URI and cyclonedds's own choice")
+        raise ValueError(
+            "a network interface such as lo or eth0, or empty for CYCLONEDDS_URI and cyclonedds's own choice"
+        )
     local = interface in ("lo", "127.0.0.1")
     peers = '<Peers><Peer address="localhost"/></Peers>' if local else ""
     attribute = "address" if interface[0].isdigit() else "name"

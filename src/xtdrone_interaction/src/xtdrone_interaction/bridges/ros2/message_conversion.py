@@ -68,7 +68,9 @@ def converter(type_: str, md5sum: str) -> Converter:
         raise ConversionError(f"type: {type_} is not carried, only standard types that ROS 1 and ROS 2 both have")
     standard = ros1.generate_msgdef(name)[1]
     if md5sum != standard:
-        raise ConversionError(f"type: {type_} with md5 sum {md5sum} is not carried, that of ROS 1 Noetic has {standard}")
+        raise ConversionError(
+            f"type: {type_} with md5 sum {md5sum} is not carried, that of ROS 1 Noetic has {standard}"
+        )
     if is_same_wireformat(ros1, ros2, name, name):
         return Converter(name, _checked(name, ros2.ros1_to_cdr, name), _checked(name, ros2.cdr_to_ros1, name))
     return Converter(

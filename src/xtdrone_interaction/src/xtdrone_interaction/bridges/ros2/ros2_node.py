@@ -133,7 +133,9 @@ class Ros2Bridge:
         types = {
             topic.name: topic.type
             for topic in graph.topics.values()
-            if topic.type != UNKNOWN_TYPE and any(node != own for node in topic.publishers) and self._is_sent(topic.name)
+            if topic.type != UNKNOWN_TYPE
+            and any(node != own for node in topic.publishers)
+            and self._is_sent(topic.name)
         }
         for name in [name for name in self._sent if name not in types]:
             self._unlisten(self._sent.pop(name))

@@ -35,7 +35,10 @@ class ClientServices:
     """The services of one client."""
 
     def __init__(
-        self, serve: Callable[[str, Any, Callable[[Any], Any]], Any], send: Callable[[dict[str, Any]], None], limit: float
+        self,
+        serve: Callable[[str, Any, Callable[[Any], Any]], Any],
+        send: Callable[[dict[str, Any]], None],
+        limit: float,
     ) -> None:
         """Initialise without services.
 

@@ -169,9 +169,7 @@ class Rosapi:
     def _action_servers(self) -> list[str]:
         """Return the names of actions: those with a topic ``goal`` of a type ...ActionGoal."""
         types = self._types().items()
-        return [
-            name.removesuffix("/goal") for name, t in types if name.endswith("/goal") and t.endswith("ActionGoal")
-        ]
+        return [name.removesuffix("/goal") for name, t in types if name.endswith("/goal") and t.endswith("ActionGoal")]
 
     def _get_param(self, arguments: Fields) -> Fields:
         name = self._param(arguments)

@@ -80,7 +80,9 @@ class Session:
         self._closed = False
         self._level = "error"
         self._waiting_calls = 0
-        self.subscriptions = Subscriptions(bridge.raw, bridge.encoder, connection, lambda text: self.status("error", text))
+        self.subscriptions = Subscriptions(
+            bridge.raw, bridge.encoder, connection, lambda text: self.status("error", text)
+        )
         self._services = ClientServices(bridge.serve, self._send, bridge.call_limit)
         self._handlers: Mapping[str, Callable[[Operation], None]] = {
             "subscribe": self._subscribe,
