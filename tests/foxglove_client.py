@@ -5,6 +5,7 @@ Source: the specification in foxglove/ws-protocol (docs/spec.md), of which ``fox
 
 from __future__ import annotations
 
+import contextlib
 import json
 import struct
 import time
@@ -29,9 +30,10 @@ class FoxgloveClient:
     """
 
     def __init__(self, port: int) -> None:
-        self._socket = connect(
-            f"ws://127.0.0.1:{port}", subprotocols=[Subprotocol("foxglove.sdk.v1")], max_size=None, open_timeout=60
-        )
+        self._exit = contextlib.ExitStack()
+        protocols = [Subprotocol("foxglove.sdk.v1")]
+        connection = connect(f"ws://127.0.0.1:{port}", subprotocols=protocols, max_size=None, open_timeout=60)
+        self._socket = self._exit.enter_context(connection)
         self.channels: dict[str, Any] = {}
         self.services: dict[str, Any] = {}
         self.received: dict[int, list[bytes]] = {}
@@ -39,7 +41,7 @@ class FoxgloveClient:
         self.frames: list[Any] = []
 
     def close(self) -> None:
-        self._socket.close()
+        self._exit.close()
 
     def send(self, frame: Any) -> None:
         """Send an operation, or a frame as it is."""

@@ -28,14 +28,16 @@ from cyclonedds.topic import Topic
 from foxglove_client import FoxgloveClient
 from geometry_msgs.msg import PoseStamped
 from std_msgs.msg import Float64MultiArray, String
-from std_srvs.srv import SetBool
+from std_srvs.srv import Empty, EmptyRequest, SetBool
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from xtdrone_interaction.bridges.ros2.dds_participant import configuration
 from xtdrone_interaction.bridges.ros2.dds_types import structure
+from xtdrone_interaction.sim_cli import SimError, call
 
 POSE = "/iris_0/mavros/local_position/pose"
+SETPOINT = "/iris_0/mavros/setpoint_velocity/cmd_vel_unstamped"
 FOXGLOVE, ROSBRIDGE = 8765, 9090
 
 
@@ -140,7 +142,9 @@ def test_foxglove_publishes_and_calls_and_is_told_what_is_not_allowed(foxglove: 
     assert foxglove.wait(lambda: foxglove.last("response", callId=7))["data"]
     foxglove.wait(lambda: "/iris_0/mavros/cmd/arming" in foxglove.services)
     foxglove.call("/iris_0/mavros/cmd/arming", b"\x01\x02\x03", 8)
-    failure = foxglove.wait(lambda: foxglove.last("serviceCallFailure", callId=8) or foxglove.last("response", callId=8))
+    failure = foxglove.wait(
+        lambda: foxglove.last("serviceCallFailure", callId=8) or foxglove.last("response", callId=8)
+    )
     assert failure["op"] in ("serviceCallFailure", "response")
 
 
@@ -212,9 +216,9 @@ def test_what_a_client_must_not_send_is_answered_and_the_server_goes_on(stack: S
         '{"op": "subscribe", "topic": "/clock", "type": "std_msgs/Int8"}': "it has the type rosgraph_msgs/Clock",
         '{"op": "unsubscribe", "topic": "/tried/none"}': "/tried/none is not subscribed to",
         '{"op": "publish", "topic": "/tried/none", "msg": {}}': "the type of /tried/none is unknown",
-        '{"op": "publish", "topic": "/xtdrone/iris_0/cmd", "msg": {"data": 7}}': "data: 7 is not allowed, a text",
+        f'{{"op": "publish", "topic": "{SETPOINT}", "msg": {{"linear": 7}}}}': "linear: 7 is not allowed, an object",
         '{"op": "advertise", "topic": "/tried/none", "type": "nope/Nope"}': "'nope/Nope' is not installed",
-        '{"op": "advertise_service", "service": "/simulator/get_status", "type": "std_srvs/Empty"}': "offers it already",
+        '{"op": "advertise_service", "service": "/mavros/get_loggers", "type": "std_srvs/Empty"}': "offers it already",
     }
     with connect(f"ws://127.0.0.1:{ROSBRIDGE}") as socket:
         for frame, text in refused.items():
@@ -227,8 +231,8 @@ def test_what_a_client_must_not_send_is_answered_and_the_server_goes_on(stack: S
         for i in range(501):
             socket.send(json.dumps({"op": "subscribe", "topic": f"/tried/number_{i}"}))
         assert "one too many, at most 500" in _operation(socket, "status")["msg"]
-        with pytest.raises(ConnectionClosed):  # longer than max_message_size
-            socket.send("x" * 10_000_001)
+        socket.send("x" * 10_000_001)  # longer than max_message_size
+        with pytest.raises(ConnectionClosed):
             _operation(socket, "none")
     with pytest.raises(InvalidStatus):  # a page of another machine
         connect(f"ws://127.0.0.1:{ROSBRIDGE}", origin="http://example.org")  # type: ignore[arg-type]
@@ -325,7 +329,13 @@ def _digest(graph: Graph, folder: Path, watched: bool) -> bytes:
     bridges = ("foxglove:=true", "rosbridge:=true", "ros2:=true") if watched else ()
     try:
         launch = stack.launch(
-            "multi_vehicle.launch", "vehicles:=iris:2", "speed:=0", "until:=6", "paused:=true", f"digest:={file}", *bridges
+            "multi_vehicle.launch",
+            "vehicles:=iris:2",
+            "speed:=0",
+            "until:=6",
+            "paused:=true",
+            f"digest:={file}",
+            *bridges,
         )
         poll(lambda: rospy.has_param("/xtdrone/fleet"), "the parameters are there", START_LIMIT)
         if watched:
@@ -333,8 +343,6 @@ def _digest(graph: Graph, folder: Path, watched: bool) -> bytes:
             watcher = _Everything()
             watcher.start()
             poll(lambda: POSE in watcher.subscribed, "it watches the poses", START_LIMIT)
-        from xtdrone_interaction.sim_cli import SimError, call
-        from std_srvs.srv import Empty, EmptyRequest
 
         def resumed() -> bool:
             try:

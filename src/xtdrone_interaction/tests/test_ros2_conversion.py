@@ -1,4 +1,4 @@
-"""Messages for ROS 2: the CDR that the bridge writes, read by cyclonedds's own decoder, which shares no code with it."""
+"""Messages for ROS 2: the CDR that the bridge writes, read by the decoder of cyclonedds, sharing no code with it."""
 
 from __future__ import annotations
 
@@ -17,15 +17,42 @@ from xtdrone_interaction.bridges.ros2.dds_participant import configuration
 from xtdrone_interaction.bridges.ros2.message_conversion import ConversionError, converter
 from xtdrone_interaction.topics.message_classes import installed_class
 
-TYPES = """
-std_msgs/String std_msgs/Bool std_msgs/Empty std_msgs/Float64 std_msgs/Float64MultiArray std_msgs/Float32MultiArray
-std_msgs/Int32MultiArray std_msgs/Header std_msgs/ColorRGBA rosgraph_msgs/Clock geometry_msgs/PoseStamped
-geometry_msgs/TwistStamped geometry_msgs/Twist geometry_msgs/PoseWithCovarianceStamped geometry_msgs/Vector3
-geometry_msgs/TransformStamped nav_msgs/Odometry nav_msgs/Path nav_msgs/OccupancyGrid sensor_msgs/Imu
-sensor_msgs/MagneticField sensor_msgs/NavSatFix sensor_msgs/BatteryState sensor_msgs/Image sensor_msgs/CompressedImage
-sensor_msgs/CameraInfo sensor_msgs/LaserScan sensor_msgs/PointCloud2 sensor_msgs/Range sensor_msgs/JointState
-sensor_msgs/FluidPressure tf2_msgs/TFMessage diagnostic_msgs/DiagnosticArray trajectory_msgs/JointTrajectory
-""".split()
+TYPES = [
+    "std_msgs/String",
+    "std_msgs/Bool",
+    "std_msgs/Empty",
+    "std_msgs/Float64",
+    "std_msgs/Float64MultiArray",
+    "std_msgs/Float32MultiArray",
+    "std_msgs/Int32MultiArray",
+    "std_msgs/Header",
+    "std_msgs/ColorRGBA",
+    "rosgraph_msgs/Clock",
+    "geometry_msgs/PoseStamped",
+    "geometry_msgs/TwistStamped",
+    "geometry_msgs/Twist",
+    "geometry_msgs/PoseWithCovarianceStamped",
+    "geometry_msgs/Vector3",
+    "geometry_msgs/TransformStamped",
+    "nav_msgs/Odometry",
+    "nav_msgs/Path",
+    "nav_msgs/OccupancyGrid",
+    "sensor_msgs/Imu",
+    "sensor_msgs/MagneticField",
+    "sensor_msgs/NavSatFix",
+    "sensor_msgs/BatteryState",
+    "sensor_msgs/Image",
+    "sensor_msgs/CompressedImage",
+    "sensor_msgs/CameraInfo",
+    "sensor_msgs/LaserScan",
+    "sensor_msgs/PointCloud2",
+    "sensor_msgs/Range",
+    "sensor_msgs/JointState",
+    "sensor_msgs/FluidPressure",
+    "tf2_msgs/TFMessage",
+    "diagnostic_msgs/DiagnosticArray",
+    "trajectory_msgs/JointTrajectory",
+]
 
 
 def serialised(message: Any) -> bytes:
@@ -69,7 +96,7 @@ def test_an_independent_decoder_reads_what_the_bridge_writes_and_the_way_back_is
 
 
 def test_bytes_of_known_messages() -> None:
-    # By hand from the OMG's CDR: encapsulation (little endian, no options), length with the final zero, characters, zero.
+    # By hand from the OMG's CDR: encapsulation (little endian), length with the final zero, characters, zero.
     string = installed_class("std_msgs/String")
     made = converter("std_msgs/String", string._md5sum)
     assert made.to_cdr(serialised(string("hello"))) == b"\x00\x01\x00\x00\x06\x00\x00\x00hello\x00"

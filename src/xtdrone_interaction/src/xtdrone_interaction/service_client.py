@@ -24,7 +24,7 @@ class ServiceError(RuntimeError):
     """A service does not respond, or rejects a request; the message names the service."""
 
 
-class ServiceRefusal(ServiceError):
+class ServiceRefusedError(ServiceError):
     """A service rejects a request; the message is its own."""
 
 
@@ -40,7 +40,7 @@ def call_service(address: tuple[str, int], name: str, kind: Any, request: Any, c
         limit: timeout of the response, s; None for none.
 
     Raises:
-        ServiceError: it rejects the request (``ServiceRefusal``), or does not respond.
+        ServiceError: it rejects the request (``ServiceRefusedError``), or does not respond.
     """
     content = io.BytesIO()
     request.serialize(content)
@@ -105,7 +105,7 @@ def _response(sock: socket.socket, name: str) -> bytes:
         raise ServiceError(f"{name}: a response of {size} bytes is not accepted, at most {_MAX_RESPONSE}")
     data = _read(sock, size)
     if not done:
-        raise ServiceRefusal(_ERROR.sub("", data.decode("utf-8", "replace")))
+        raise ServiceRefusedError(_ERROR.sub("", data.decode("utf-8", "replace")))
     return data
 
 

@@ -24,7 +24,7 @@ from typing import Any
 from urllib.parse import urlparse
 
 from xtdrone_control.simulation_speed import LEAST_SPEED
-from xtdrone_interaction.service_client import ServiceError, ServiceRefusal, call_service
+from xtdrone_interaction.service_client import ServiceError, ServiceRefusedError, call_service
 
 DEFAULT_MASTER = "http://localhost:11311"
 RUNS = Path(__file__).resolve().parents[4] / "runs"
@@ -113,7 +113,7 @@ def call(master: str, name: str, kind: Any, request: Any, limit: float | None = 
         raise SimError(f"simulator: none on the ROS master {master} (service {name} is not there)")
     try:
         return call_service(address, name, kind, request, _CALLER, limit)
-    except ServiceRefusal as error:
+    except ServiceRefusedError as error:
         raise SimError(str(error)) from error
     except ServiceError as error:
         raise SimError(f"simulator: {error}") from error

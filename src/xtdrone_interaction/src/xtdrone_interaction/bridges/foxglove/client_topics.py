@@ -1,4 +1,4 @@
-"""Topics that Foxglove's clients publish: messages in ROS 1's serialisation or JSON, checked, then published in the graph."""
+"""Topics that Foxglove's clients publish, in ROS 1's serialisation or JSON: checked, then published in the graph."""
 
 from __future__ import annotations
 

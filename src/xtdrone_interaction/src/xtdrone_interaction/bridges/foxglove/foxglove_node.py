@@ -57,37 +57,46 @@ class Listener(ServerListener):
         self.watched: set[str] = set()
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
+        """Subscribe to the channel's topic."""
         self._topics.on_subscribe(channel.topic)
 
     def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
+        """End the subscription, unless other clients have one."""
         self._topics.on_unsubscribe(channel.topic)
 
     def on_client_advertise(self, client: Client, channel: ClientChannel) -> None:
+        """Advertise a client's topic."""
         arguments = (client.id, channel.id, channel.topic, channel.encoding, channel.schema_name)
         self._worker.submit(self._published.advertise, *arguments)
 
     def on_client_unadvertise(self, client: Client, client_channel_id: int) -> None:
+        """End a client's topic."""
         self._worker.submit(self._published.unadvertise, client.id, client_channel_id)
 
     def on_message_data(self, client: Client, client_channel_id: int, data: bytes) -> None:
+        """Publish a client's message."""
         self._worker.submit(self._published.publish, client.id, client_channel_id, data)
 
     def on_get_parameters(
         self, client: Client, param_names: list[str], request_id: str | None = None
     ) -> list[Parameter]:
+        """Return parameters; all without names."""
         return self._told("parameters", lambda: self._parameters.get(param_names))
 
     def on_set_parameters(
         self, client: Client, parameters: list[Parameter], request_id: str | None = None
     ) -> list[Parameter]:
+        """Set parameters and return their values after it."""
         names = [parameter.name for parameter in parameters]
         self._told("set parameters", lambda: self._parameters.set(parameters))
         return self._told("parameters", lambda: self._parameters.get(names)) if names else []
 
     def on_parameters_subscribe(self, param_names: list[str]) -> None:
+        """Begin to watch parameters."""
         self.watched |= set(param_names)
 
     def on_parameters_unsubscribe(self, param_names: list[str]) -> None:
+        """End watching parameters."""
         self.watched -= set(param_names)
 
     def _told(self, what: str, function: Callable[[], list[Parameter]]) -> list[Parameter]:

@@ -1,4 +1,4 @@
-"""Layouts of Foxglove and Lichtblick for this project's flights: the panels and what they show, as a JSON file to import.
+"""Layouts of Foxglove and Lichtblick for this project's flights: panels and what they show, as a JSON file to import.
 
 The format is that of Foxglove Studio 1.x, which both programs import: panels by name, and a tree of halves.
 """

@@ -38,8 +38,8 @@ class _Topic:
 class TopicChannels:
     """Keeps channels for the topics of the graph.
 
-    The SDK's threads tell of subscriptions by ``on_subscribe`` and ``on_unsubscribe``, which must not wait: subscribing to
-    the topic, which asks the ROS master, is the work of a thread of this object.
+    The SDK's threads tell of subscriptions by ``on_subscribe`` and ``on_unsubscribe``, which must not wait: a thread of
+    this object subscribes to the topic, which asks the ROS master.
     """
 
     def __init__(

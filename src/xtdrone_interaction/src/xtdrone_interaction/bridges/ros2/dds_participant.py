@@ -1,4 +1,4 @@
-"""The bridge's participant in a DDS domain: writers and readers of ROS 2's topics, their matches, what others publish."""
+"""The bridge's participant in a DDS domain: writers and readers of ROS 2's topics, and what others publish."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class Participant:
     def writer(self, topic: str, name: str) -> DataWriter[Any]:
         """Return a writer of a topic; ``name``: its type in ROS 2.
 
-        A reader that is too slow loses samples. Later readers that ask for it get the last sample, as of a latched topic.
+        A reader that is too slow loses samples. A later reader that asks for it gets the last, as of a latched topic.
         """
         kept = _LATCHED if topic in _MANY_LATCHED else 1
         qos = Qos(

@@ -83,14 +83,16 @@ def _type(description: Any) -> Any:
     if kind == Nodetype.NAME:
         return structure(detail)
     element, size = _type(detail[0]), detail[1]
-    return idl.array[element, size] if kind == Nodetype.ARRAY else idl.sequence[element]
+    array: Any = idl.array  # typed as classes that are not generic
+    sequence: Any = idl.sequence
+    return array[element, size] if kind == Nodetype.ARRAY else sequence[element]
 
 
 @functools.cache
 def carrier(name: str) -> type[Any]:
     """Return a structure whose samples carry their CDR as it is: ``carrier(name)(cdr)``, and ``sample.cdr``.
 
-    cyclonedds serialises by calling ``serialize`` and ``deserialize`` of a type, which these replace: the bytes come from
+    cyclonedds calls ``serialize`` and ``deserialize`` of a type, which these replace: the bytes come from
     ``message_conversion``, without a Python object for each field.
     """
     made = _made(name)

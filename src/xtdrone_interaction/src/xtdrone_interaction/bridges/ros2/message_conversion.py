@@ -1,7 +1,7 @@
 """Standard messages between ROS 1's serialisation and ROS 2's (CDR), by the definitions of both distributions.
 
-Definitions and conversion are those of rosbags: ROS 1 Noetic and ROS 2 Humble. Where the two definitions of a type have
-other fields, those of the same name, or of the same type in the same order, are copied, and the rest have their defaults.
+Definitions and conversion are those of rosbags: ROS 1 Noetic and ROS 2 Humble. Where the fields of a type differ, those
+of the same name, or of the same type in the same order, are copied, and the rest have their defaults.
 """
 
 from __future__ import annotations

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
+import functools
 import os
 import time
 from collections.abc import Sequence
@@ -145,7 +146,7 @@ class Ros2Bridge:
         for name, sent in self._sent.items():
             wanted = is_wanted(sent.writer)
             if wanted and sent.listener is None:
-                sent.listener = self._raw.listen(name, lambda raw, sent=sent: self._pass_on(sent, raw))
+                sent.listener = self._raw.listen(name, functools.partial(self._pass_on, sent))
             elif not wanted:
                 self._unlisten(sent)
 

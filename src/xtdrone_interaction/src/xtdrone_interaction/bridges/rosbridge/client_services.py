@@ -43,7 +43,7 @@ class ClientServices:
         """Initialise without services.
 
         Args:
-            serve: ``rospy.Service``, or another function of name, class and handler; its result has ``shutdown(reason)``.
+            serve: ``rospy.Service``, or another function of name, class and handler.
             send: sends an operation to the client.
             limit: time that the client has for an answer, s.
         """

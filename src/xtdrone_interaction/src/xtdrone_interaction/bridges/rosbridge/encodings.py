@@ -1,4 +1,4 @@
-"""How a message of a topic is sent to a client: as JSON, as JSON in a PNG picture, as CBOR, or as CBOR with ROS's bytes.
+"""How a topic's message is sent to a client: as JSON, as JSON in a PNG picture, as CBOR, or as CBOR with ROS's bytes.
 
 Sources: ROSBRIDGE_PROTOCOL.md, sections 3.1.2 and 4; RFC 8949 (CBOR) and RFC 8746 (its typed arrays).
 """

@@ -1,6 +1,7 @@
 """The operations of rosbridge's protocol, version 2, that a client sends: parsing and validation, without ROS.
 
-Source: ROSBRIDGE_PROTOCOL.md of RobotWebTools/rosbridge_suite, branch ros1. An operation is a JSON object in a text frame.
+Source: ROSBRIDGE_PROTOCOL.md of RobotWebTools/rosbridge_suite, branch ros1. An operation is a JSON object in a text
+frame.
 """
 
 from __future__ import annotations

@@ -33,17 +33,23 @@ class RosapiError(ValueError):
 class Parameters(Protocol):
     """The calls of the parameter server that are used, as in ``rosgraph.Master``."""
 
-    def getParam(self, key: str) -> Any: ...  # noqa: N802
+    def getParam(self, key: str) -> Any:  # noqa: N802
+        """Return a parameter."""
 
-    def setParam(self, key: str, value: Any) -> None: ...  # noqa: N802
+    def setParam(self, key: str, value: Any) -> None:  # noqa: N802
+        """Set a parameter."""
 
-    def hasParam(self, key: str) -> bool: ...  # noqa: N802
+    def hasParam(self, key: str) -> bool:  # noqa: N802
+        """Return whether a parameter is set."""
 
-    def deleteParam(self, key: str) -> None: ...  # noqa: N802
+    def deleteParam(self, key: str) -> None:  # noqa: N802
+        """Delete a parameter."""
 
-    def searchParam(self, key: str) -> str: ...  # noqa: N802
+    def searchParam(self, key: str) -> str:  # noqa: N802
+        """Return the full name of a parameter, searched upwards."""
 
-    def getParamNames(self) -> list[str]: ...  # noqa: N802
+    def getParamNames(self) -> list[str]:  # noqa: N802
+        """Return all names."""
 
 
 class Rosapi:

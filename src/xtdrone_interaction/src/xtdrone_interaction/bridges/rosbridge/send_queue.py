@@ -17,8 +17,8 @@ UNTHROTTLED = 100
 class SendQueue(Generic[T]):
     """Messages that wait until the client may have the next one; the oldest are dropped where they are too many.
 
-    A client that wants few messages (``throttle_rate``), or takes them slowly, thus always gets the newest. Messages are
-    added by one thread and taken by another.
+    A client that wants few messages (``throttle_rate``), or takes them slowly, thus always gets the newest. One thread
+    adds messages, another takes them.
     """
 
     def __init__(self, interval: float, length: int) -> None:

@@ -36,7 +36,7 @@ class WebSocketServer:
         Args:
             bridge: what the sessions share.
             max_message_size: bytes of a client's frame.
-            origins: of pages that may connect beside those of this machine, such as ``http://10.0.0.2:8000``; ``*`` for all.
+            origins: of pages that may connect beside those of this machine; ``*`` for all.
         """
         self.bridge = bridge
         self.origins = tuple(origins)
@@ -98,7 +98,7 @@ class _Handler(tornado.websocket.WebSocketHandler):
         self._session = Session(self._server.bridge, self)
 
     async def on_message(self, message: str | bytes) -> None:
-        # The next frame is read after this one: a client that sends too fast waits, and its operations keep their order.
+        # The next frame is read after this one: a client that sends too fast waits, and the order is kept.
         if self._session is not None:
             await self._loop.run_in_executor(self._server.workers, self._session.handle, message)
 
