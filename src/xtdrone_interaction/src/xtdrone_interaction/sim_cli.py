@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlparse
 
-from xtdrone_control.simulation_speed import LEAST_SPEED
+from xtdrone_control.lockstep.simulation_speed import LEAST_SPEED
 from xtdrone_interaction.service_client import ServiceError, ServiceRefusedError, call_service
 
 DEFAULT_MASTER = "http://localhost:11311"

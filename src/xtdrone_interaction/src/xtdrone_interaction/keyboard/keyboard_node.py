@@ -39,7 +39,7 @@ from rosgraph.roslogging import RosStreamHandler
 from std_msgs.msg import String
 
 from xtdrone_control import lockstep
-from xtdrone_control.program import ArgumentError, fleet_of, run_program
+from xtdrone_control.programs.program import ArgumentError, fleet_of, run_program
 from xtdrone_coordination.patterns import PatternError, Patterns
 
 from .arguments import USAGE, Request, parse_arguments
