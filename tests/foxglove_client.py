@@ -32,7 +32,9 @@ class FoxgloveClient:
     def __init__(self, port: int) -> None:
         self._exit = contextlib.ExitStack()
         protocols = [Subprotocol("foxglove.sdk.v1")]
-        connection = connect(f"ws://127.0.0.1:{port}", subprotocols=protocols, max_size=None, open_timeout=60)
+        connection = connect(
+            f"ws://127.0.0.1:{port}", subprotocols=protocols, max_size=None, open_timeout=60, ping_interval=None
+        )
         self._socket = self._exit.enter_context(connection)
         self.channels: dict[str, Any] = {}
         self.services: dict[str, Any] = {}

@@ -11,7 +11,7 @@ from typing import Any
 import foxglove
 import rosgraph
 import rospy
-from foxglove import ConnectionGraph, Parameter, StatusLevel
+from foxglove import Parameter, StatusLevel
 from foxglove.websocket import Capability, ChannelView, Client, ClientChannel, ServerListener
 
 from xtdrone_control.programs.program import check_no_arguments
@@ -22,7 +22,7 @@ from xtdrone_interaction.bridges.foxglove.client_topics import ENCODINGS, Client
 from xtdrone_interaction.bridges.foxglove.parameter_values import ParameterError, RosParameters
 from xtdrone_interaction.bridges.foxglove.service_offers import ServiceOffers
 from xtdrone_interaction.bridges.foxglove.topic_channels import TopicChannels
-from xtdrone_interaction.topics.discovery import UNKNOWN_TYPE, MasterError, TopicGraph
+from xtdrone_interaction.topics.discovery import UNKNOWN_TYPE, MasterError
 from xtdrone_interaction.topics.raw_subscriptions import RawSubscriptions
 
 NAME = "foxglove_bridge"
@@ -128,7 +128,9 @@ class FoxgloveBridge:
             lambda: rosgraph.Master(rospy.get_name()), settings.params_glob, settings.operate
         )
         self._listener = Listener(self._topics, published, self._parameters, self._warn)
-        capabilities = [Capability.Time, Capability.Parameters, Capability.ConnectionGraph]
+        # Not Capability.ConnectionGraph: foxglove-sdk 0.30.3 calls its listener under a lock that its
+        # publish_connection_graph waits for while it holds Python's: a client that subscribes then stops this process.
+        capabilities = [Capability.Time, Capability.Parameters]
         if settings.operate:
             capabilities += [Capability.Services, Capability.ClientPublish]
         self._server = foxglove.start_server(
@@ -175,7 +177,6 @@ class FoxgloveBridge:
         self._topics.update({t.name: t.type for t in topics if t.type != UNKNOWN_TYPE and t.publishers})
         if self._services is not None:
             self._services.update(graph.services)
-        self._server.publish_connection_graph(_connections(graph))
 
     def tell_parameters(self) -> None:
         """Tell clients the parameters that they watch, where they have changed."""
@@ -197,20 +198,8 @@ class FoxgloveBridge:
         self._server.stop()
 
 
-def _connections(graph: TopicGraph) -> ConnectionGraph:
-    connections = ConnectionGraph()
-    for topic in graph.topics.values():
-        if topic.publishers:
-            connections.set_published_topic(topic.name, list(topic.publishers))
-        if topic.subscribers:
-            connections.set_subscribed_topic(topic.name, list(topic.subscribers))
-    for service, nodes in graph.services.items():
-        connections.set_advertised_service(service, list(nodes))
-    return connections
-
-
 def _run(bridge: FoxgloveBridge) -> None:
-    """Tell clients time, graph and parameters until shutdown."""
+    """Tell clients time, topics, services and parameters until shutdown."""
     duties = (
         (_CLOCK_PERIOD, bridge.tell_time),
         (_GRAPH_PERIOD, bridge.update),
