@@ -13,6 +13,7 @@ from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction.bridges.bridge_graph import BridgeGraph
 from xtdrone_interaction.bridges.ros_publications import Publications
 from xtdrone_interaction.bridges.ros_services import Services
+from xtdrone_interaction.topics.discovery import read_topics
 
 _OLDEST = 1.0  # s, age of the graph that clients are told
 
@@ -60,7 +61,7 @@ def publications_of(graph: BridgeGraph) -> Publications:
     """Return the publishers of this process."""
 
     def subscribers(topic: str) -> int:
-        found = graph.read().topics.get(topic)
+        found = read_topics(rosgraph.get_master_uri()).topics.get(topic)  # not those of up to a second ago
         return 0 if found is None else len(found.subscribers)
 
     return Publications(rospy.Publisher, graph.topic_type, subscribers)

@@ -204,7 +204,7 @@ class Ros2Bridge:
             try:
                 message = decode(received.kind, received.converter.to_ros1(cdr))
                 self._publications.publish(topic, message)
-            except (ConversionError, MessageTypeError, PublicationError) as error:
+            except (ConversionError, MessageTypeError, PublicationError, MasterError) as error:
                 if str(error) != received.failed:
                     received.failed = str(error)
                     rospy.logwarn(f"{NAME}: {topic} is not carried from ROS 2: {error}")
