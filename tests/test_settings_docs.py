@@ -12,6 +12,9 @@ from xtdrone_control.settings import Settings
 from xtdrone_coordination.follower_nodes import HostedCommunication, NeighbourSettings
 from xtdrone_coordination.network import NetworkOptions
 from xtdrone_coordination.search.search_settings import MissionSettings
+from xtdrone_interaction.bridges.foxglove.foxglove_node import FoxgloveSettings
+from xtdrone_interaction.bridges.ros2.ros2_node import Ros2Settings
+from xtdrone_interaction.bridges.rosbridge.rosbridge_node import RosbridgeSettings
 from xtdrone_interaction.crossing.mission import CrossingSettings
 from xtdrone_interaction.formation.director import DirectorSettings
 from xtdrone_interaction.landing.director import LandingSettings
@@ -134,6 +137,9 @@ CLASSES: dict[str, type[Settings]] = {
         TimingSettings,
         MarkerSettings,
         StationSettings,
+        FoxgloveSettings,
+        RosbridgeSettings,
+        Ros2Settings,
     )
 }
 

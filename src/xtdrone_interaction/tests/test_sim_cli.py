@@ -9,7 +9,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 
-from xtdrone_interaction import cli, sim_cli
+from xtdrone_interaction import cli, service_client, sim_cli
 
 
 class _WebPage(BaseHTTPRequestHandler):
@@ -99,7 +99,7 @@ def test_the_exceeded_limit_is_reported(monkeypatch):
 
     with socket.create_server(("127.0.0.1", 0)) as silent:
         monkeypatch.setattr(sim_cli, "find_service", lambda master, name: silent.getsockname())
-        monkeypatch.setattr(sim_cli, "_MASTER_LIMIT", 0.125)
+        monkeypatch.setattr(service_client, "CONNECTION_LIMIT", 0.125)
         with pytest.raises(sim_cli.SimError, match=r"/simulator/pause has not answered within 0\.125 s"):
             sim_cli.call("http://127.0.0.1:1", "/simulator/pause", Trigger, TriggerRequest())
 

@@ -13,12 +13,8 @@ from __future__ import annotations
 
 import argparse
 import http.client
-import io
 import math
 import os
-import re
-import socket
-import struct
 import sys
 import xml.parsers.expat
 import xmlrpc.client
@@ -27,9 +23,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlparse
 
-import rosgraph.network
-
 from xtdrone_control.lockstep.simulation_speed import LEAST_SPEED
+from xtdrone_interaction.service_client import ServiceError, ServiceRefusedError, call_service
 
 DEFAULT_MASTER = "http://localhost:11311"
 RUNS = Path(__file__).resolve().parents[4] / "runs"
@@ -116,52 +111,12 @@ def call(master: str, name: str, kind: Any, request: Any, limit: float | None = 
         raise SimError(f"master: none answers at {master}: {error}") from error
     if address is None:
         raise SimError(f"simulator: none on the ROS master {master} (service {name} is not there)")
-    patience = _MASTER_LIMIT  # for the connection; the response has its own limit
     try:
-        with socket.create_connection(address, timeout=patience) as sock:
-            _greet(sock, name, kind)
-            patience = limit or 0.0
-            return _exchange(sock, kind, request, limit)
-    except TimeoutError as error:
-        raise SimError(f"simulator: {name} has not answered within {patience:g} s") from error
-    except OSError as error:
-        raise SimError(f"simulator: {name} at {address[0]}:{address[1]} does not answer: {error}") from error
-
-
-def _greet(sock: socket.socket, name: str, kind: Any) -> None:
-    """Exchange the connection headers of TCPROS."""
-    header = {"callerid": _CALLER, "service": name, "type": kind._type, "md5sum": kind._md5sum}
-    rosgraph.network.write_ros_handshake_header(sock, header)
-    try:
-        answer = rosgraph.network.read_ros_handshake_header(sock, io.BytesIO(), 1 << 16)
-    except rosgraph.network.ROSHandshakeException as error:
-        raise SimError(f"simulator: {name}: {error}") from error
-    if "error" in answer:
-        raise SimError(f"simulator: {name}: {answer['error']}")
-
-
-def _exchange(sock: socket.socket, kind: Any, request: Any, limit: float | None) -> Any:
-    """Send a request of TCPROS and return the response."""
-    content = io.BytesIO()
-    request.serialize(content)
-    data = content.getvalue()
-    sock.sendall(struct.pack("<I", len(data)) + data)
-    sock.settimeout(limit)
-    done, size = struct.unpack("<BI", _read(sock, 5))
-    data = _read(sock, size)
-    if not done:
-        raise SimError(re.sub(r"^service \[.*?\] responded with an error: ", "", data.decode("utf-8", "replace")))
-    return kind._response_class().deserialize(data)
-
-
-def _read(sock: socket.socket, size: int) -> bytes:
-    data = b""
-    while len(data) < size:
-        piece = sock.recv(size - len(data))
-        if not piece:
-            raise ConnectionError("it closed the connection")
-        data += piece
-    return data
+        return call_service(address, name, kind, request, _CALLER, limit)
+    except ServiceRefusedError as error:
+        raise SimError(str(error)) from error
+    except ServiceError as error:
+        raise SimError(f"simulator: {error}") from error
 
 
 # ---- which master

@@ -1,0 +1,63 @@
+"""The ROS graph as a bridge's clients see it: read from the master at most once in a while, filtered by patterns."""
+
+from __future__ import annotations
+
+import fnmatch
+import threading
+import time
+from collections.abc import Callable, Sequence
+
+from xtdrone_interaction.topics.discovery import UNKNOWN_TYPE, TopicGraph, read_topics
+
+
+class BridgeGraph:
+    """A cache of the ROS graph."""
+
+    def __init__(
+        self,
+        uri: str,
+        topics: Sequence[str],
+        oldest: float,
+        clock: Callable[[], float] = time.monotonic,
+        read: Callable[[str], TopicGraph] = read_topics,
+    ) -> None:
+        """Initialise.
+
+        Args:
+            uri: of the ROS master.
+            topics: shell patterns of the topics' names.
+            oldest: age from which the graph is read again, s.
+            clock: monotonic, s.
+            read: reads the graph of a master.
+        """
+        self._uri = uri
+        self._patterns = tuple(topics)
+        self._oldest = oldest
+        self._clock = clock
+        self._read = read
+        self._lock = threading.Lock()
+        self._graph = TopicGraph({}, {})
+        self._read_at = float("-inf")
+
+    def is_open(self, topic: str) -> bool:
+        """Return whether a pattern matches a topic's name."""
+        return any(fnmatch.fnmatchcase(topic, pattern) for pattern in self._patterns)
+
+    def read(self) -> TopicGraph:
+        """Return the graph.
+
+        Raises:
+            MasterError: the master does not answer.
+        """
+        with self._lock:
+            if self._clock() - self._read_at >= self._oldest:
+                graph = self._read(self._uri)
+                topics = {name: topic for name, topic in graph.topics.items() if self.is_open(name)}
+                self._graph = TopicGraph(topics, graph.services)
+                self._read_at = self._clock()
+            return self._graph
+
+    def topic_type(self, topic: str) -> str:
+        """Return the type of a topic, empty if it is unknown; raises as ``read``."""
+        found = self.read().topics.get(topic)
+        return "" if found is None or found.type == UNKNOWN_TYPE else found.type

@@ -1,0 +1,82 @@
+"""The parameters that the bridges share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import rosgraph
+import rospy
+
+from xtdrone_control.settings import Settings, setting
+from xtdrone_interaction.bridges.bridge_graph import BridgeGraph
+from xtdrone_interaction.bridges.ros_publications import Publications
+from xtdrone_interaction.bridges.ros_services import Services
+from xtdrone_interaction.topics.discovery import read_topics
+
+_OLDEST = 1.0  # s, age of the graph that clients are told
+
+
+def patterns(value: Any) -> tuple[str, ...]:
+    """Return shell patterns, given as a list or as one text with commas, also in rosbridge's form ``[/a/*, /b]``.
+
+    Raises:
+        ValueError: neither.
+    """
+    if isinstance(value, str):
+        value = value.strip().removeprefix("[").removesuffix("]").split(",")
+    if not isinstance(value, (list, tuple)) or not all(isinstance(part, str) for part in value):
+        raise ValueError("shell patterns with commas between, such as /iris_*/mavros/*,/tf")
+    return tuple(part.strip().strip("'\"") for part in value if part.strip())
+
+
+@dataclass(frozen=True)
+class BridgeSettings(Settings):
+    """Private parameters of every bridge."""
+
+    address: str = setting(
+        "127.0.0.1", text="listening address; 0.0.0.0 lets every machine of the network watch and command"
+    )
+    topics_glob: tuple[str, ...] = setting(("*",), parse=patterns, allowed="shell patterns", text="topics offered")
+    services_glob: tuple[str, ...] = setting(("*",), parse=patterns, allowed="shell patterns", text="services offered")
+    params_glob: tuple[str, ...] = setting(("*",), parse=patterns, allowed="shell patterns", text="parameters offered")
+    operate: bool = setting(True, text="whether clients may publish, call services and set parameters, or only watch")
+    call_timeout: float = setting(30.0, low=0.1, high=3600.0, unit="s", text="time that a service has for its response")
+
+
+def warn_of_network(settings: BridgeSettings, name: str) -> None:
+    """Log that other machines may connect."""
+    if settings.address not in ("127.0.0.1", "localhost", "::1"):
+        can = "watch and command" if settings.operate else "watch"
+        rospy.logwarn(f"{name}: every machine that reaches {settings.address} may {can} this simulation")
+
+
+def graph_of(settings: BridgeSettings) -> BridgeGraph:
+    """Return the graph of this process's ROS master."""
+    return BridgeGraph(rosgraph.get_master_uri(), settings.topics_glob, _OLDEST)
+
+
+def publications_of(graph: BridgeGraph) -> Publications:
+    """Return the publishers of this process."""
+
+    def subscribers(topic: str) -> int:
+        found = read_topics(rosgraph.get_master_uri()).topics.get(topic)  # not those of up to a second ago
+        return 0 if found is None else len(found.subscribers)
+
+    return Publications(rospy.Publisher, graph.topic_type, subscribers)
+
+
+def services_of(settings: BridgeSettings) -> Services:
+    """Return the services of this process's ROS master; each call has its own connection to it."""
+    return Services(lookup_service(), rospy.get_name(), settings.services_glob)
+
+
+def lookup_service() -> Callable[[str], str]:
+    """Return a function that asks the ROS master for the URI of a service; it may be called by any thread."""
+    name = rospy.get_name()
+
+    def lookup(service: str) -> str:
+        return str(rosgraph.Master(name).lookupService(service))
+
+    return lookup

@@ -1,0 +1,1 @@
+"""A live bridge to Foxglove and Lichtblick by foxglove-sdk: topics, parameters, services."""

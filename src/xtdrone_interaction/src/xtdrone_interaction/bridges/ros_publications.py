@@ -1,0 +1,122 @@
+"""Topics that the clients of a bridge publish: checked against the graph, shared by the clients, bounded in number."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
+from typing import Any
+
+from xtdrone_interaction.topics.message_classes import MessageTypeError, installed_class
+
+MAX_TOPICS = 200
+"""Topics that the clients of a bridge may publish at a time."""
+_PATIENCE = 1.0  # s from advertising until the subscribers have connected; a first message would miss them
+_LOOK = 0.005  # s
+_QUEUE = 100  # messages per connection that wait for a slow subscriber, then the oldest are dropped
+
+
+class PublicationError(ValueError):
+    """A topic that cannot be advertised or published."""
+
+
+@dataclass
+class _Publication:
+    """A topic that clients publish."""
+
+    type: str
+    latch: bool
+    publisher: Any
+    until: float  # monotonic time until which a message waits for the subscribers, s
+    owners: set[Hashable] = field(default_factory=set)
+
+
+class Publications:
+    """The publishers of a bridge. A topic's publisher ends with its last owner."""
+
+    def __init__(
+        self, publisher: Callable[..., Any], topic_type: Callable[[str], str], subscribers: Callable[[str], int]
+    ) -> None:
+        """Initialise without topics.
+
+        Args:
+            publisher: ``rospy.Publisher``.
+            topic_type: returns the type of a topic in the graph, empty if it is unknown.
+            subscribers: returns the number of nodes that subscribe to a topic.
+        """
+        self._make = publisher
+        self._topic_type = topic_type
+        self._subscribers = subscribers
+        self._lock = threading.Lock()
+        self._topics: dict[str, _Publication] = {}
+
+    def advertise(self, owner: Hashable, topic: str, type_: str, *, latch: bool = False) -> Any:
+        """Advertise a topic for an owner; return the class of its messages.
+
+        Args:
+            owner: for whom it is kept.
+            topic: its name.
+            type_: its type; empty for the type that it has in the graph.
+            latch: whether a later subscriber receives the last message.
+
+        Raises:
+            PublicationError: the topic has another type, the type is unknown, or there are too many topics.
+        """
+        if not topic.startswith("/") or any(c.isspace() for c in topic):
+            raise PublicationError(f"topic: {topic!r} is not allowed, an absolute name such as /xtdrone/leader/cmd")
+        with self._lock:
+            present = self._topics.get(topic)
+            known = present.type if present is not None else self._topic_type(topic)
+            if not (type_ or known):
+                raise PublicationError(f"topic: the type of {topic} is unknown, advertise it with one")
+            if type_ and known and type_ != known:
+                raise PublicationError(f"topic: {topic} of type {type_} is not allowed, it has the type {known}")
+            try:
+                kind = installed_class(type_ or known)
+            except MessageTypeError as error:
+                raise PublicationError(f"topic: {topic}: {error}") from error
+            if present is None:
+                if len(self._topics) >= MAX_TOPICS:
+                    raise PublicationError(f"topic: {topic} is one too many, at most {MAX_TOPICS} at a time")
+                made = self._make(topic, kind, queue_size=_QUEUE, latch=latch)
+                present = self._topics[topic] = _Publication(type_ or known, latch, made, time.monotonic() + _PATIENCE)
+            present.owners.add(owner)
+            return kind
+
+    def publish(self, topic: str, message: Any) -> None:
+        """Publish a message on an advertised topic; one just advertised waits for its subscribers, up to a second.
+
+        Raises:
+            PublicationError: it is not advertised, or the message cannot be serialised.
+        """
+        present = self._topics.get(topic)
+        if present is None:
+            raise PublicationError(f"topic: {topic} is not advertised")
+        if present.until:
+            self._wait_for_subscribers(topic, present)
+        try:
+            present.publisher.publish(message)
+        except Exception as error:  # rospy.ROSSerializationException, and what a field's value makes genpy raise
+            raise PublicationError(f"topic: {topic}: {error}") from error
+
+    def _wait_for_subscribers(self, topic: str, present: _Publication) -> None:
+        expected = self._subscribers(topic)
+        while present.publisher.get_num_connections() < expected and time.monotonic() < present.until:
+            time.sleep(_LOOK)
+        present.until = 0.0
+
+    def unadvertise(self, owner: Hashable, topic: str) -> None:
+        """End an owner's interest in a topic; one that it has not advertised is ignored."""
+        with self._lock:
+            present = self._topics.get(topic)
+            if present is None or owner not in present.owners:
+                return
+            present.owners.discard(owner)
+            if not present.owners:
+                self._topics.pop(topic).publisher.unregister()
+
+    def leave(self, owner: Hashable) -> None:
+        """End an owner's interest in all topics."""
+        for topic in [name for name, present in list(self._topics.items()) if owner in present.owners]:
+            self.unadvertise(owner, topic)

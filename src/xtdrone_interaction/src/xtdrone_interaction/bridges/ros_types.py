@@ -1,0 +1,33 @@
+"""Service types by their names, for the bridges; message types are in ``topics.message_classes``."""
+
+from __future__ import annotations
+
+import functools
+import re
+from typing import Any
+
+import roslib.message
+
+_NAME = re.compile(r"[A-Za-z]\w*/[A-Za-z]\w*")
+
+
+class ServiceTypeError(ValueError):
+    """A service type that is malformed or unknown."""
+
+
+@functools.lru_cache(maxsize=1024)
+def service_class(type_: str) -> Any:
+    """Return the generated class of a service type such as ``std_srvs/Trigger``.
+
+    Raises:
+        ServiceTypeError: malformed or unknown.
+    """
+    if not _NAME.fullmatch(type_):
+        raise ServiceTypeError(f"type: {type_!r} is not allowed, a name such as std_srvs/Trigger")
+    try:
+        found = roslib.message.get_service_class(type_)
+    except Exception:  # a package that fails on import: roslib lets its errors through
+        found = None
+    if found is None:
+        raise ServiceTypeError(f"type: {type_!r} is not installed; its package is to be built and sourced")
+    return found

@@ -1,0 +1,102 @@
+"""ROS node with a server of rosbridge's protocol; see ``nodes/rosbridge_websocket.py``."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import rosgraph
+import rospy
+
+from xtdrone_control.programs.program import check_no_arguments
+from xtdrone_control.settings import setting
+from xtdrone_interaction.bridges import bridge_settings
+from xtdrone_interaction.bridges.bridge_settings import BridgeSettings, patterns
+from xtdrone_interaction.bridges.rosbridge.rosapi import Rosapi
+from xtdrone_interaction.bridges.rosbridge.session import Bridge
+from xtdrone_interaction.bridges.rosbridge.subscriptions import Encoder
+from xtdrone_interaction.bridges.rosbridge.websocket_server import WebSocketServer
+from xtdrone_interaction.topics.raw_subscriptions import RawSubscriptions
+
+NAME = "rosbridge_websocket"
+_CALLS = 64  # service calls at a time, of all clients
+_LOOK = 0.2  # s between looks at whether the node is to end
+
+
+@dataclass(frozen=True)
+class RosbridgeSettings(BridgeSettings):
+    """Private parameters of the node, by the names of rosbridge_server where it has them."""
+
+    port: int = setting(9090, low=0, high=65535, text="TCP port; 0: any free one, which the log names")
+    max_message_size: int = setting(
+        10_000_000, low=1000, high=1_000_000_000, unit="bytes", text="longest frame of a client; a longer one ends it"
+    )
+    origins: tuple[str, ...] = setting(
+        (),
+        parse=patterns,
+        allowed="origins such as http://10.0.0.2:8000, null for pages opened as files, or *",
+        text="web pages that may connect beside those served by this machine",
+    )
+
+
+class _Parameters:
+    """The parameter server, with a connection for each call, so that any thread may call."""
+
+    def __getattr__(self, method: str) -> Callable[..., Any]:
+        return lambda *arguments: getattr(rosgraph.Master(rospy.get_name()), method)(*arguments)
+
+
+def _bridge(settings: RosbridgeSettings) -> Bridge:
+    graph = bridge_settings.graph_of(settings)
+    services = bridge_settings.services_of(settings)
+
+    def now() -> tuple[int, int]:
+        time = rospy.get_rostime()
+        return time.secs, time.nsecs
+
+    return Bridge(
+        graph=graph,
+        raw=RawSubscriptions(),
+        encoder=Encoder(),
+        publications=bridge_settings.publications_of(graph),
+        services=services,
+        rosapi=Rosapi(graph.read, services.type_of, _Parameters(), settings.params_glob, now, settings.operate),
+        serve=rospy.Service,
+        calls=ThreadPoolExecutor(_CALLS, "rosbridge call"),
+        call_limit=settings.call_timeout,
+        operate=settings.operate,
+    )
+
+
+async def _serve(settings: RosbridgeSettings) -> None:
+    bridge = _bridge(settings)
+    server = WebSocketServer(bridge, settings.max_message_size, settings.origins)
+    port = server.listen(settings.port, settings.address)
+    rospy.set_param("~actual_port", port)
+    rospy.loginfo(f"{NAME}: ws://{settings.address}:{port}")
+    while not rospy.is_shutdown():
+        await asyncio.sleep(_LOOK)
+    bridge.raw.close()
+    await server.close()
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the node until shutdown.
+
+    Raises:
+        ArgumentError: invalid arguments.
+        SettingError: a parameter is not allowed.
+        ROSInitException: the port cannot be opened.
+    """
+    check_no_arguments(arguments)
+    rospy.init_node(NAME)
+    settings = RosbridgeSettings.from_parameters(rospy.get_param)
+    bridge_settings.warn_of_network(settings, NAME)
+    try:
+        asyncio.run(_serve(settings))
+    except OSError as error:
+        text = f"{NAME}: port {settings.port} of {settings.address} cannot be opened: {error}"
+        raise rospy.ROSInitException(text) from error

@@ -1,0 +1,152 @@
+"""The WebSocket server of rosbridge's protocol: connections, their limits, and which pages may connect."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+from urllib.parse import urlparse
+
+import tornado.httpserver
+import tornado.netutil
+import tornado.web
+import tornado.websocket
+
+from xtdrone_interaction.bridges.rosbridge.session import Bridge, Session
+
+MAX_CLIENTS = 100
+_LOCAL = ("localhost", "127.0.0.1", "::1")
+_ROOM = 1_000_000  # bytes sent and not yet taken, above which messages wait
+_MOST_UNTAKEN = 32_000_000  # bytes; a client that leaves more has its connection closed
+_PING = 10.0  # s between pings; a client that answers none is closed
+_WORKERS = 16  # threads that carry out operations
+_TOO_MANY = 1013  # close code "try again later"
+_POLICY = 1008
+
+
+class WebSocketServer:
+    """Serves the sessions of clients on one port, in an asyncio loop."""
+
+    def __init__(self, bridge: Bridge, max_message_size: int, origins: Sequence[str]) -> None:
+        """Initialise; ``listen`` opens the port.
+
+        Args:
+            bridge: what the sessions share.
+            max_message_size: bytes of a client's frame.
+            origins: of pages that may connect beside those of this machine; ``*`` for all.
+        """
+        self.bridge = bridge
+        self.origins = tuple(origins)
+        self.clients: set[_Handler] = set()
+        self.thread = 0  # identifier of the loop's
+        self.workers = ThreadPoolExecutor(_WORKERS, "rosbridge")
+        application = tornado.web.Application(
+            [(r"/.*", _Handler, {"server": self})],
+            websocket_ping_interval=_PING,
+            websocket_max_message_size=max_message_size,
+        )
+        self._server = tornado.httpserver.HTTPServer(application)
+
+    def listen(self, port: int, address: str) -> int:
+        """Open the port, from the loop's thread; return its number.
+
+        Raises:
+            OSError: it cannot be opened.
+        """
+        self.thread = threading.get_ident()
+        sockets = tornado.netutil.bind_sockets(port, address, reuse_port=False)
+        self._server.add_sockets(sockets)
+        return int(sockets[0].getsockname()[1])
+
+    async def close(self) -> None:
+        """Close the port and all connections."""
+        self._server.stop()
+        for client in list(self.clients):
+            client.close(1001, "the server ends")
+        await self._server.close_all_connections()
+        self.workers.shutdown(wait=False, cancel_futures=True)
+
+    def allows(self, origin: str) -> bool:
+        """Return whether a page of this origin may connect; programs that are no browsers send none."""
+        return "*" in self.origins or origin in self.origins or urlparse(origin).hostname in _LOCAL
+
+
+class _Handler(tornado.websocket.WebSocketHandler):
+    """The connection to one client; a ``Connection`` of its session."""
+
+    def initialize(self, server: WebSocketServer) -> None:
+        self._server = server
+        self._untaken = 0
+        self._session: Session | None = None
+        self._loop = asyncio.get_running_loop()
+
+    def check_origin(self, origin: str) -> bool:
+        return self._server.allows(origin)
+
+    def select_subprotocol(self, subprotocols: list[str]) -> str | None:
+        return subprotocols[0] if subprotocols else None
+
+    def open(self, *_: str, **__: str) -> None:
+        if len(self._server.clients) >= MAX_CLIENTS:
+            self.close(_TOO_MANY, f"{MAX_CLIENTS} clients are connected, more are not allowed")
+            return
+        self.set_nodelay(True)
+        self._server.clients.add(self)
+        self._session = Session(self._server.bridge, self)
+
+    async def on_message(self, message: str | bytes) -> None:
+        # The next frame is read after this one: a client that sends too fast waits, and the order is kept.
+        if self._session is not None:
+            await self._loop.run_in_executor(self._server.workers, self._session.handle, message)
+
+    def on_close(self) -> None:
+        self._server.clients.discard(self)
+        session, self._session = self._session, None
+        if session is not None:
+            with contextlib.suppress(RuntimeError):  # the server has ended, and its threads
+                self._server.workers.submit(session.close)
+
+    # ---- the session's side
+
+    def send(self, frame: str | bytes) -> None:
+        """Send a frame; called by any thread."""
+        if threading.get_ident() == self._server.thread:
+            self._write(frame)  # so that has_room() counts it
+        else:
+            self.call_soon(lambda: self._write(frame))
+
+    def has_room(self) -> bool:
+        """Return whether the client has taken most of what was sent."""
+        return self._untaken < _ROOM
+
+    def call_soon(self, function: Callable[[], None]) -> None:
+        """Have the loop call a function; called by any thread."""
+        with contextlib.suppress(RuntimeError):  # the loop has ended
+            self._loop.call_soon_threadsafe(function)
+
+    def call_later(self, delay: float, function: Callable[[], None]) -> None:
+        """Have the loop call a function later."""
+        self._loop.call_later(delay, function)
+
+    def _write(self, frame: str | bytes) -> None:
+        size = len(frame)
+        if self._untaken + size > max(_MOST_UNTAKEN, size):
+            self.close(_POLICY, f"{self._untaken} bytes were not taken")
+            return
+        try:
+            written: Any = self.write_message(frame, binary=isinstance(frame, bytes))
+        except tornado.websocket.WebSocketClosedError:
+            return
+        self._untaken += size
+        asyncio.ensure_future(written).add_done_callback(lambda done: self._on_taken(done, size))
+
+    def _on_taken(self, done: asyncio.Future[None], size: int) -> None:
+        if not done.cancelled() and done.exception() is not None:
+            return  # the connection has gone
+        had_room = self.has_room()
+        self._untaken -= size
+        if not had_room and self.has_room() and self._session is not None:
+            self._session.subscriptions.send_waiting()

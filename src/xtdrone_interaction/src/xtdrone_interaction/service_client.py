@@ -1,0 +1,119 @@
+"""Calls of ROS services over TCPROS with time limits, which rospy's client lacks, and without rospy.
+
+Source of the protocol: wiki.ros.org, ROS/TCPROS and ROS/Connection Header.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import socket
+import struct
+from typing import Any
+
+import rosgraph.network
+
+CONNECTION_LIMIT = 3.0  # s for the connection and its headers
+_HEADER_SIZE = 1 << 16  # bytes of an answered header
+_PIECE = 1 << 20  # bytes received at a time
+_MAX_RESPONSE = 1 << 28  # bytes
+_ERROR = re.compile(r"^service \[.*?\] responded with an error: ")
+
+
+class ServiceError(RuntimeError):
+    """A service does not respond, or rejects a request; the message names the service."""
+
+
+class ServiceRefusedError(ServiceError):
+    """A service rejects a request; the message is its own."""
+
+
+def call_service(address: tuple[str, int], name: str, kind: Any, request: Any, caller: str, limit: float | None) -> Any:
+    """Call a service and return its response.
+
+    Args:
+        address: host and port of the service.
+        name: of the service.
+        kind: generated class of the service.
+        request: an object of ``kind._request_class``.
+        caller: name of the calling node.
+        limit: timeout of the response, s; None for none.
+
+    Raises:
+        ServiceError: it rejects the request (``ServiceRefusedError``), or does not respond.
+    """
+    content = io.BytesIO()
+    request.serialize(content)
+    data = call_with_bytes(address, name, (kind._type, kind._md5sum), content.getvalue(), caller, limit)
+    return kind._response_class().deserialize(data)
+
+
+def call_with_bytes(
+    address: tuple[str, int], name: str, kind: tuple[str, str], request: bytes, caller: str, limit: float | None
+) -> bytes:
+    """Call a service with a serialised request and return the serialised response.
+
+    Args:
+        kind: type and md5 sum of the service; the others as for ``call_service``.
+
+    Raises:
+        ServiceError: as for ``call_service``.
+    """
+    patience = CONNECTION_LIMIT
+    try:
+        with socket.create_connection(address, timeout=patience) as sock:
+            _greet(sock, name, {"callerid": caller, "service": name, "type": kind[0], "md5sum": kind[1]})
+            patience = limit or 0.0
+            sock.sendall(struct.pack("<I", len(request)) + request)
+            sock.settimeout(limit)
+            return _response(sock, name)
+    except TimeoutError as error:
+        raise ServiceError(f"{name} has not answered within {patience:g} s") from error
+    except OSError as error:
+        raise ServiceError(f"{name} at {address[0]}:{address[1]} does not answer: {error}") from error
+
+
+def probe(address: tuple[str, int], name: str, caller: str) -> dict[str, str]:
+    """Return the connection header of a service, with ``type`` and ``md5sum``, without calling it.
+
+    Raises:
+        ServiceError: it does not respond.
+    """
+    header = {"probe": "1", "md5sum": "*", "callerid": caller, "service": name}
+    try:
+        with socket.create_connection(address, timeout=CONNECTION_LIMIT) as sock:
+            return _greet(sock, name, header)
+    except OSError as error:
+        raise ServiceError(f"{name} at {address[0]}:{address[1]} does not answer: {error}") from error
+
+
+def _greet(sock: socket.socket, name: str, header: dict[str, str]) -> dict[str, str]:
+    """Exchange the connection headers; return that of the service."""
+    rosgraph.network.write_ros_handshake_header(sock, header)
+    try:
+        answer: dict[str, str] = rosgraph.network.read_ros_handshake_header(sock, io.BytesIO(), _HEADER_SIZE)
+    except rosgraph.network.ROSHandshakeException as error:
+        raise ServiceError(f"{name}: {error}") from error
+    if "error" in answer:
+        raise ServiceError(f"{name}: {answer['error']}")
+    return answer
+
+
+def _response(sock: socket.socket, name: str) -> bytes:
+    done, size = struct.unpack("<BI", _read(sock, 5))
+    if size > _MAX_RESPONSE:
+        raise ServiceError(f"{name}: a response of {size} bytes is not accepted, at most {_MAX_RESPONSE}")
+    data = _read(sock, size)
+    if not done:
+        raise ServiceRefusedError(_ERROR.sub("", data.decode("utf-8", "replace")))
+    return data
+
+
+def _read(sock: socket.socket, size: int) -> bytes:
+    data = bytearray()
+    while len(data) < size:
+        piece = sock.recv(min(size - len(data), _PIECE))
+        if not piece:
+            raise ConnectionError("it closed the connection")
+        data += piece
+    return bytes(data)

@@ -1,0 +1,158 @@
+"""Foxglove's bridge without a server: layouts, parameters, channels of the topics."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rospy")
+
+from foxglove import Context, Parameter
+
+from xtdrone_control.fleet import parse_fleet
+from xtdrone_interaction.bridges.foxglove.layouts import VIEWS, layout, to_text
+from xtdrone_interaction.bridges.foxglove.parameter_values import ParameterError, RosParameters, flat, to_parameter
+from xtdrone_interaction.bridges.foxglove.topic_channels import TopicChannels
+
+LAYOUTS = Path(__file__).parents[1] / "config" / "foxglove"
+FLEETS = {"formation": "iris:9", "search": "typhoon_h480:6"}
+
+
+def _windows(tree: Any) -> list[str]:
+    return [tree] if isinstance(tree, str) else [*_windows(tree["first"]), *_windows(tree["second"])]
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_the_layout_files_are_those_that_the_program_writes(view: str) -> None:
+    text = to_text(layout(view, parse_fleet(FLEETS[view])))
+    assert (LAYOUTS / f"{view}.json").read_text() == text
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("fleet", ["iris:1", "iris:2", "iris:7", "typhoon_h480:100"])
+def test_every_panel_has_its_window_once(view: str, fleet: str) -> None:
+    made = layout(view, parse_fleet(fleet))
+    assert sorted(_windows(made["layout"])) == sorted(made["configById"])
+    json.dumps(made, allow_nan=False)
+
+
+class _Master:
+    """A parameter server."""
+
+    def __init__(self, tree: dict[str, Any]) -> None:
+        self.tree = tree
+        self.calls: list[tuple[str, Any]] = []
+
+    def getParam(self, _: str) -> Any:  # noqa: N802
+        return self.tree
+
+    def setParam(self, name: str, value: Any) -> None:  # noqa: N802
+        self.calls.append((name, value))
+
+    def deleteParam(self, name: str) -> None:  # noqa: N802
+        self.calls.append((name, None))
+
+
+def test_parameters_have_full_names_and_values_of_the_protocol() -> None:
+    assert flat({"a": {"b": 1, "c": {}}, "d": "e"}) == {"/a/b": 1, "/a/c": {}, "/d": "e"}
+    values = [True, 7, 1.5, "text", [1, 2], [1.5, "a"], {"x": [1]}, b"ab"]
+    assert [to_parameter("/p", value).get_value() for value in values] == values
+    assert to_parameter("/p", math.nan).get_value() == "nan"
+
+
+def test_parameters_that_clients_may_set() -> None:
+    master = _Master({"open": {"a": 1}, "closed": 2})
+    parameters = RosParameters(lambda: master, ["/open/*"], operate=True)
+    assert [p.name for p in parameters.get([])] == ["/open/a"]
+    assert parameters.get(["/closed", "/open/none"]) == []
+    parameters.set([Parameter("/open/a", value=5), Parameter("/open/b")])
+    assert master.calls == [("/open/a", 5), ("/open/b", None)]
+    for name, value, text in (
+        ("/closed", 1, "'/closed' is not allowed, /open/*"),
+        ("open/a", 1, "'open/a' is not allowed"),
+        ("/open/a", 1 << 40, "1099511627776 is not allowed, 32 bits"),
+    ):
+        with pytest.raises(ParameterError, match="parameter") as refused:
+            parameters.set([Parameter(name, value=value)])
+        assert text in str(refused.value)
+    with pytest.raises(ParameterError, match="only shows"):
+        RosParameters(lambda: master, ["*"], operate=False).set([Parameter("/open/a", value=1)])
+
+
+class _Channel:
+    """A channel that keeps what it logs."""
+
+    def __init__(self, topic: str, **_: Any) -> None:
+        self.topic = topic
+        self.logged: list[bytes] = []
+        self.closed = False
+
+    def log(self, data: bytes, log_time: int) -> None:
+        self.logged.append(data)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class _Listener:
+    def __init__(self, owner: list[Any]) -> None:
+        self._owner = owner
+        owner.append(self)
+
+    def close(self) -> None:
+        self._owner.remove(self)
+
+
+class _Raw:
+    """Subscriptions that are counted."""
+
+    def __init__(self) -> None:
+        self.listeners: list[Any] = []
+
+    def listen(self, _: str, __: Any) -> _Listener:
+        return _Listener(self.listeners)
+
+
+def test_a_topic_is_subscribed_to_while_it_has_clients_and_there_is_a_channel_while_it_is_there() -> None:
+    made: dict[str, _Channel] = {}
+    told: list[str] = []
+    raw = _Raw()
+
+    def channel(topic: str, **options: Any) -> _Channel:
+        assert options["schema"].encoding == "ros1msg"
+        made[topic] = _Channel(topic)
+        return made[topic]
+
+    topics = TopicChannels(Context(), raw, lambda _, text: told.append(text), channel)  # type: ignore[arg-type]
+    types = {"/a": "std_msgs/String", "/b": "nope/Nope"}
+    for _ in range(2):
+        topics.update(types)
+    assert list(made) == ["/a"]
+    assert len(told) == 1
+    assert "/b is not offered: type: 'nope/Nope' is not installed" in told[0]
+
+    for _ in range(2):
+        topics.on_subscribe("/a")
+    topics.on_unsubscribe("/a")
+    _done(topics)
+    assert len(raw.listeners) == 1
+    topics.on_unsubscribe("/a")
+    _done(topics)
+    assert raw.listeners == []
+
+    topics.on_subscribe("/a")
+    _done(topics)
+    topics.update({})
+    assert made["/a"].closed
+    _done(topics)
+    assert raw.listeners == []
+    topics.close()
+
+
+def _done(topics: TopicChannels) -> None:
+    """Wait for the thread of the channels."""
+    topics._worker.submit(lambda: None).result()
