@@ -62,6 +62,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     length.add_argument("--short", action="store_true",
                         help="every kind of event once, in two minutes; growth and speed are not judged")  # fmt: skip
     SoakSettings.add_arguments(parser, ("seed", "n", "speed"))
+    kinds = ", ".join(soak_script.KINDS)
+    add("--only", metavar="KINDS", default="",
+        help=f"kinds of episodes, separated by commas, of {kinds} (default: all; not with --short)")  # fmt: skip
     add("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
     add("--script", action="store_true", help="print the script and run nothing")
 
@@ -114,7 +117,7 @@ def run(arguments: argparse.Namespace) -> int:
         settings = SoakSettings.from_arguments(arguments)
         if arguments.short and not hasattr(arguments, "n"):
             settings = replace(settings, n=3)
-        episodes = list(_script(settings, short=arguments.short))
+        episodes = list(_script(settings, _kinds(arguments.only, short=arguments.short), short=arguments.short))
         if arguments.script:
             _print_script(episodes, console)
             return 0
@@ -132,10 +135,27 @@ def run(arguments: argparse.Namespace) -> int:
         return 1
 
 
-def _script(settings: SoakSettings, *, short: bool) -> Iterable[Episode]:
+def _kinds(text: str, *, short: bool) -> Sequence[str]:
+    """Return the kinds of episodes named by ``--only``, in their usual order.
+
+    Raises:
+        OptionError: an unknown kind, or a choice for the short soak.
+    """
+    if not text:
+        return soak_script.KINDS
+    if short:
+        raise OptionError("--only: not allowed with --short, which has an episode of every kind")
+    chosen = text.split(",")
+    for kind in chosen:
+        if kind not in soak_script.KINDS:
+            raise OptionError(f"--only: {kind!r} is not allowed, one of {', '.join(soak_script.KINDS)}")
+    return [kind for kind in soak_script.KINDS if kind in chosen]
+
+
+def _script(settings: SoakSettings, kinds: Sequence[str], *, short: bool) -> Iterable[Episode]:
     if short:
         return soak_script.generate_short(settings.seed, settings.n)
-    return soak_script.generate(settings.seed, settings.n, settings.hours)
+    return soak_script.generate(settings.seed, settings.n, settings.hours, kinds)
 
 
 def _print_script(episodes: Sequence[Episode], console: Console) -> None:

@@ -12,13 +12,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-KINDS = ("mission", "clients", "offboard", "formation_shared", "formation_per_uav", "control")
+KINDS = ("mission", "clients", "offboard", "formation_shared", "formation_merged", "formation_per_uav", "control")
 """Kinds of episodes."""
 SHARES = {
-    "mission": 0.56,
+    "mission": 0.54,
     "clients": 0.10,
     "offboard": 0.10,
-    "formation_shared": 0.13,
+    "formation_shared": 0.12,
+    "formation_merged": 0.03,
     "formation_per_uav": 0.03,
     "control": 0.08,
 }
@@ -109,19 +110,20 @@ class _Draft:
         return Episode(self.number, kind, round(length, 2), tuple(events))
 
 
-def generate(seed: int, count: int, hours: float) -> Iterator[Episode]:
+def generate(seed: int, count: int, hours: float, kinds: Sequence[str] = KINDS) -> Iterator[Episode]:
     """Yield the episodes of a soak until ``hours`` of simulated time are full.
 
     Args:
         seed: of the script.
         count: number of vehicles, at least 2.
         hours: simulated; every kind of episode occurs at least once.
+        kinds: of KINDS.
     """
     rng = random.Random(f"soak {seed} {count}")
-    order = list(KINDS)
+    order = list(kinds)
     rng.shuffle(order)
     number, passed = 0, 0.0
-    spent = dict.fromkeys(KINDS, 0.0)
+    spent = dict.fromkeys(kinds, 0.0)
     while order or passed < hours * 3600.0:
         number += 1
         kind = order.pop() if order else _next_kind(rng, spent)
@@ -134,7 +136,7 @@ def generate(seed: int, count: int, hours: float) -> Iterator[Episode]:
 def generate_short(seed: int, count: int) -> Iterator[Episode]:
     """Yield one brief episode of every kind, with every kind of event; see :func:`generate`."""
     rng = random.Random(f"short soak {seed} {count}")
-    order = [kind for kind in KINDS if kind != "formation_per_uav"]
+    order = [kind for kind in KINDS if kind not in ("formation_merged", "formation_per_uav")]
     rng.shuffle(order)
     for number, kind in enumerate(order, 1):
         yield _WRITERS[kind](_Draft(rng, number, count, True))
@@ -142,11 +144,13 @@ def generate_short(seed: int, count: int) -> Iterator[Episode]:
 
 def _next_kind(rng: random.Random, spent: Mapping[str, float]) -> str:
     """Draw the next kind according to the shares of simulated time."""
-    means = {kind: _MEAN_LENGTH.get(kind, _MEAN_FORMATION) for kind in KINDS}
+    kinds = list(spent)
+    means = {kind: _MEAN_LENGTH.get(kind, _MEAN_FORMATION) for kind in kinds}
     total = sum(spent.values())
-    lacking = {kind: SHARES[kind] * (total + means[kind]) - spent[kind] for kind in KINDS}
-    weights = [max(lacking[kind], 0.02 * means[kind]) / means[kind] for kind in KINDS]
-    return rng.choices(KINDS, weights)[0]
+    whole = sum(SHARES[kind] for kind in kinds)
+    lacking = {kind: SHARES[kind] / whole * (total + means[kind]) - spent[kind] for kind in kinds}
+    weights = [max(lacking[kind], 0.02 * means[kind]) / means[kind] for kind in kinds]
+    return rng.choices(kinds, weights)[0]
 
 
 # ---- episodes
@@ -217,6 +221,14 @@ def _formation_shared(draft: _Draft) -> Episode:
         ("follower", _FOLLOWER, ["iris", "all", str(count), "vel"]),
     ]
     return _formation(draft, "formation_shared", nodes)
+
+
+def _formation_merged(draft: _Draft) -> Episode:
+    count = draft.count
+    nodes: list[tuple[str, tuple[str, str], list[str]]] = [("communication", _COMMUNICATION, ["iris", "0"])]
+    merged = "_communication:=true"
+    nodes += [("follower", _FOLLOWER, ["iris", str(i), str(count), "vel", merged]) for i in range(1, count)]
+    return _formation(draft, "formation_merged", nodes)
 
 
 def _formation_per_uav(draft: _Draft) -> Episode:
@@ -305,6 +317,7 @@ _WRITERS: dict[str, Callable[[_Draft], Episode]] = {
     "clients": _clients,
     "offboard": _offboard,
     "formation_shared": _formation_shared,
+    "formation_merged": _formation_merged,
     "formation_per_uav": _formation_per_uav,
     "control": _control,
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import inspect
 import json
 import math
@@ -15,7 +16,7 @@ import pytest
 from bags import Bag
 from rich.console import Console
 
-from validation.soak import report, soak_script
+from validation.soak import report, soak_cli, soak_script
 from validation.soak.actions import Actions, mission
 from validation.soak.file_checks import Finding, Judge, judge_bag, judge_log
 from validation.soak.growth_and_pace import Stretch, growth, pace
@@ -59,6 +60,40 @@ def test_the_kinds_of_episodes_get_their_shares_of_the_time():
         spent[episode.kind] += episode.length
     for kind, share in soak_script.SHARES.items():
         assert spent[kind] / spent.total() == pytest.approx(share, abs=0.03), kind
+
+
+def test_chosen_kinds_of_episodes_share_the_time_among_them():
+    chosen = ("formation_merged", "formation_shared")
+    spent = Counter()
+    for episode in soak_script.generate(5, 9, 20.0, chosen):
+        spent[episode.kind] += episode.length
+    whole = sum(soak_script.SHARES[kind] for kind in chosen)
+    assert set(spent) == set(chosen)
+    for kind in chosen:
+        assert spent[kind] / spent.total() == pytest.approx(soak_script.SHARES[kind] / whole, abs=0.03)
+
+
+def test_followers_of_a_merged_formation_carry_out_the_commands_of_all_vehicles_but_the_leaders():
+    episode = next(e for e in soak_script.generate(5, 4, 1.0, ("formation_merged",)))
+    started = [e.arguments for e in episode.events if e.action == "start" and e.time == 2.0]
+    hosting = [a for a in started if "_communication:=true" in a["arguments"]]
+    assert [a["arguments"][1] for a in hosting] == ["1", "2", "3"]
+    communication = [a["arguments"] for a in started if a["program"][1] == "multirotor_communication.py"]
+    assert communication == [["iris", "0"]]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--only", "missions"], "'missions' is not allowed, one of mission,"),
+        (["--short", "--only", "mission"], "--short"),
+    ],
+)
+def test_kinds_of_episodes_that_cannot_be_chosen_are_refused(arguments, text, capsys):
+    parser = argparse.ArgumentParser()
+    soak_cli.add_arguments(parser)
+    assert soak_cli.run(parser.parse_args([*arguments, "--script"])) == 2
+    assert text in capsys.readouterr().err
 
 
 def test_each_node_has_a_name_of_its_own_and_is_ended_after_its_start():

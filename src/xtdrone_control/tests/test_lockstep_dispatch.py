@@ -101,3 +101,22 @@ def test_a_latched_message_is_received_by_a_late_subscriber(participant: _Partic
     participant.node.dispatch()
     participant.node.dispatch()
     assert participant.received == [("late", "x")]
+
+
+def test_only_topics_with_messages_or_ended_connections_are_asked_for_messages(
+    participant: _Participant, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    busy, quiet, ended = map(participant.end, ("/a", "/b", "/c"))
+    asked: list[str] = []
+    ready = BufferingSubscriber.ready
+    monkeypatch.setattr(BufferingSubscriber, "ready", lambda end: (asked.append(end.resolved_name), ready(end))[1])
+    for name, end in (("busy", busy), ("quiet", quiet), ("ended", ended)):
+        participant.subscribe(name, end)
+    send(busy, "x")
+    quiet.inbox("/publisher", 5).target = 0
+    ended.inbox("/publisher", 5).closed = True
+    participant.node.dispatch()
+    participant.node.dispatch()
+    assert asked == ["/a", "/c"]
+    assert not ended.inboxes
+    assert participant.received == [("busy", "x")]

@@ -270,6 +270,29 @@ def test_an_avoidance_that_never_came_is_replaced_by_the_own_one() -> None:
     assert len(warnings) == 1
 
 
+def test_an_update_searches_for_near_vehicles_once_and_keeps_none_for_the_next(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    follower, _ = follower_alone(avoid="own", clearance=0.7, vel_max=9.0)
+    follower.on_pattern(OFFSETS)
+    searches: list[float] = []
+    search = avoidance.near_vehicles
+
+    def counted(index: int, positions: Sequence[Vector | None], radius: float) -> avoidance.Near:
+        searches.append(radius)
+        return search(index, positions, radius)
+
+    monkeypatch.setattr(avoidance, "near_vehicles", counted)
+    for distance in (0.5, 1.2, 4.0):
+        for j, p in enumerate([(0.0, 0.0, 0.0), (5.0, distance, 0.0), (5.0, 0.0, 0.0)]):
+            follower.swarm.on_position(j, p)
+        searches.clear()
+        follower.update()
+        assert len(searches) == 1
+        expected = avoidance.avoid(1, follower.swarm.positions)
+        assert follower.avoidance_vector == follower.avoidance() == expected
+
+
 @pytest.mark.parametrize(("avoid", "remains"), [("own", 0.0), ("topic", 0.0), ("off", 0.5)])
 def test_gives_way_with_every_source_of_the_avoidance(avoid: str, remains: float) -> None:
     follower, _ = follower_alone(avoid=avoid, clearance=0.7, vel_max=9.0)

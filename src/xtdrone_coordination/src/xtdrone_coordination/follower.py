@@ -20,6 +20,7 @@ import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 from numpy.typing import ArrayLike
@@ -27,6 +28,7 @@ from numpy.typing import ArrayLike
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_coordination.known_swarm_state import SwarmState, as_vector
 from xtdrone_coordination.laws import avoidance
+from xtdrone_coordination.laws.avoidance import Near
 from xtdrone_coordination.laws.consensus import Peer, Vector, acceleration_law, clip, critical_damping, velocity_law
 from xtdrone_coordination.laws.topology import check_adjacency, weights_of_row
 from xtdrone_coordination.patterns.offsets import slots_of_all
@@ -79,7 +81,7 @@ class FollowerOptions(Settings):
         if self.clearance >= self.avoid_radius:
             raise SettingError("clearance", self.clearance, f"below avoid_radius, {self.avoid_radius} m")
 
-    @property
+    @cached_property
     def limit(self) -> float:
         """Limit of the output: m/s in vel mode, m/s^2 in accel mode."""
         return self.vel_max if self.mode == "vel" else self.accel_max
@@ -89,7 +91,7 @@ class FollowerOptions(Settings):
         """Damping gamma of the acceleration form, s."""
         return critical_damping(self.Kp)
 
-    @property
+    @cached_property
     def timeout_ticks(self) -> int:
         """The ``pose_timeout`` in ticks of the control loop."""
         return math.ceil(self.pose_timeout * RATE)
@@ -168,6 +170,7 @@ class Follower:
         self._received_avoidance: Vector = _ZERO
         self._avoidance_tick: int | None = None  # of its reception
         self._topic_timed_out = False  # and a warning has been issued
+        self._found: tuple[float, Near] | None = None  # radius and near vehicles, during an update
 
     dt = 1.0 / RATE
 
@@ -202,7 +205,7 @@ class Follower:
     def avoidance(self) -> Vector:
         """Return the avoidance, ENU, before the gain Kp_avoid; the default is the paper's Algorithm 1."""
         if self.options.avoid == "own":
-            return avoidance.avoid(self.id, self.swarm.positions, self.options.avoid_radius)
+            return self._own_avoidance()
         if self.options.avoid == "topic":
             return self._avoidance_of_topic()
         return _ZERO
@@ -259,8 +262,14 @@ class Follower:
         if not self.swarm.fresh(self.id, self.options.timeout_ticks):
             self.problem_log.report(STOPPED)
             return _ZERO
-        self.avoidance_vector = self.checked_vector(self.avoidance(), "avoidance")
-        return self._limited(self.law_output(own, self.offsets))
+        radius = self.options.avoid_radius
+        if self.options.avoid != "off":
+            self._found = radius, avoidance.near_vehicles(self.id, self.swarm.positions, radius)
+        try:
+            self.avoidance_vector = self.checked_vector(self.avoidance(), "avoidance")
+            return self._limited(self.law_output(own, self.offsets))
+        finally:
+            self._found = None
 
     def law_output(self, own: Vector, offsets: list[Vector]) -> Vector:
         """Return the checked result of the law, m/s or m/s^2 ENU; zero without a neighbour of recent position."""
@@ -276,10 +285,11 @@ class Follower:
     def _known_peers(self, offsets: list[Vector]) -> tuple[list[Peer], list[int]]:
         """Return the neighbours with recent positions, and the numbers of the others."""
         peers, missing = [], []
-        positions, velocities = self.swarm.positions, self.swarm.velocities
+        swarm, timeout = self.swarm, self.options.timeout_ticks
+        positions, velocities = swarm.positions, swarm.velocities
         for j, weight in self.neighbours().items():
             position = positions[j]
-            if position is None or not self.swarm.fresh(j, self.options.timeout_ticks):
+            if position is None or not swarm.fresh(j, timeout):
                 missing.append(j)
             else:
                 peers.append(Peer(j, weight, position, velocities[j] or _ZERO, offsets[j]))
@@ -291,11 +301,20 @@ class Follower:
         x, y, z = clip(desired, limit)
         ax, ay, az = self.avoidance_vector
         command = clip((x + k * ax, y + k * ay, z + k * az), limit)
-        if self.options.avoid == "off" or self.options.mode == "accel":
+        clearance = self.options.clearance
+        if self.options.avoid == "off" or self.options.mode == "accel" or clearance <= 0.0:
             return command
-        return avoidance.give_way(
-            self.id, self.swarm.positions, command, self.options.avoid_radius, self.options.clearance
-        )
+        return avoidance.give_way_to(self._near(), command, self.options.avoid_radius, clearance)
+
+    def _own_avoidance(self) -> Vector:
+        return avoidance.avoid_near(self.id, self._near(), self.options.avoid_radius)
+
+    def _near(self) -> Near:
+        """Return the vehicles within the avoidance's radius; an update searches for them once."""
+        radius = self.options.avoid_radius
+        if self._found is not None and self._found[0] == radius:
+            return self._found[1]
+        return avoidance.near_vehicles(self.id, self.swarm.positions, radius)
 
     def _avoidance_of_topic(self) -> Vector:
         """Return the received avoidance while it is recent, else its own; log each change once."""
@@ -309,9 +328,7 @@ class Follower:
         elif self._topic_timed_out and not timed_out:
             self.info(f"follower {self.id}: avoidance on its topic again: using it")
         self._topic_timed_out = timed_out
-        if timed_out:
-            return avoidance.avoid(self.id, self.swarm.positions, self.options.avoid_radius)
-        return self._received_avoidance
+        return self._own_avoidance() if timed_out else self._received_avoidance
 
     # checks and reports; also called when many followers are computed together
 

@@ -61,15 +61,14 @@ class SwarmState:
             numbers: x, y, z, vx, vy, vz of each vehicle in turn, m and m/s ENU; at least ``STATE_FIELDS * count``.
         """
         states = numbers[: STATE_FIELDS * self.count]
-        x, y, z, vx, vy, vz = (states[k::STATE_FIELDS] for k in range(STATE_FIELDS))
+        positions = list(zip(states[0::STATE_FIELDS], states[1::STATE_FIELDS], states[2::STATE_FIELDS], strict=True))
+        velocities = list(zip(states[3::STATE_FIELDS], states[4::STATE_FIELDS], states[5::STATE_FIELDS], strict=True))
         if math.isfinite(sum(states)):  # then each of them is
-            self.positions[:] = zip(x, y, z, strict=True)
-            self.velocities[:] = zip(vx, vy, vz, strict=True)
+            self.positions[:] = positions
+            self.velocities[:] = velocities
             self._heard[:] = [self.ticks] * self.count
             return
-        for i, (position, velocity) in enumerate(
-            zip(zip(x, y, z, strict=True), zip(vx, vy, vz, strict=True), strict=True)
-        ):
+        for i, (position, velocity) in enumerate(zip(positions, velocities, strict=True)):
             self.on_position(i, position)
             self.on_velocity(i, velocity)
 
@@ -188,7 +187,8 @@ def _known(rows: NDArray[np.float64], heard: NDArray[np.int64]) -> list[Vector |
 def as_vector(value: Any) -> Vector | None:
     """Return ``value`` (a tuple, list or array) as three finite floats, else None."""
     try:
-        x, y, z = (float(v) for v in value)
+        x, y, z = value
+        x, y, z = float(x), float(y), float(z)
     except (TypeError, ValueError):
         return None
     return (x, y, z) if math.isfinite(x) and math.isfinite(y) and math.isfinite(z) else None

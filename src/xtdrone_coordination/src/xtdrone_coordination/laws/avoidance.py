@@ -27,6 +27,9 @@ from collections.abc import Sequence
 
 from xtdrone_coordination.laws.consensus import Vector
 
+Near = list[tuple[int, Vector]]
+"""Near vehicles: number, and position relative to this vehicle, m."""
+
 RADIUS = 1.5  # m, b
 GAIN = 1.0  # m/s, kp
 CLEARANCE = 0.7  # m
@@ -50,8 +53,13 @@ def avoid(
         radius: b > 0, m.
         gain: kp, m/s.
     """
+    return avoid_near(index, near_vehicles(index, positions, radius), radius, gain)
+
+
+def avoid_near(index: int, near: Near, radius: float = RADIUS, gain: float = GAIN) -> Vector:
+    """Return the avoidance velocity of vehicle ``index``, see :func:`avoid`, from the :func:`near_vehicles`."""
     ax = ay = az = 0.0
-    for j, r in _near(index, positions, radius):
+    for j, r in near:
         dx, dy, dz = contribution(r, radius, gain, index < j)
         ax, ay, az = ax + dx, ay + dy, az + dz
     return ax, ay, az
@@ -76,7 +84,13 @@ def give_way(
     """
     if clearance <= 0.0:
         return velocity
-    near = _near(index, positions, radius)
+    return give_way_to(near_vehicles(index, positions, radius), velocity, radius, clearance)
+
+
+def give_way_to(near: Near, velocity: Vector, radius: float = RADIUS, clearance: float = CLEARANCE) -> Vector:
+    """Return ``velocity`` reduced towards the :func:`near_vehicles`, see :func:`give_way`; ``clearance`` above 0."""
+    if not near:
+        return velocity
     for _ in range(ROUNDS):
         for _, r in near:
             velocity = yielding(r, velocity, radius, clearance)
@@ -128,7 +142,7 @@ def yielding(r: Vector, velocity: Vector, radius: float, clearance: float) -> Ve
     return vx - k * x, vy - k * y, vz - k * z
 
 
-def _near(index: int, positions: Sequence[Vector | None], radius: float) -> list[tuple[int, Vector]]:
+def near_vehicles(index: int, positions: Sequence[Vector | None], radius: float) -> Near:
     """Return number and relative position (m) of each known vehicle within ``radius`` of vehicle ``index``."""
     own = positions[index]
     if own is None:
@@ -139,7 +153,8 @@ def _near(index: int, positions: Sequence[Vector | None], radius: float) -> list
     for j, other in enumerate(positions):
         if other is None or j == index:
             continue
-        x, y, z = other[0] - px, other[1] - py, other[2] - pz
+        x, y, z = other
+        x, y, z = x - px, y - py, z - pz
         if x * x + y * y + z * z < square:
             near.append((j, (x, y, z)))
     return near

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import rospy
 
 from ..protocol import Digest
+from ..transport.inbox import Inbox
 from ..transport.outlets import Outlet
 from ..transport.publisher import CountingPublisher
 from ..transport.subscriber import BufferingSubscriber
@@ -93,7 +94,7 @@ class Node:
         self.datagrams: dict[int, int] = {}
         self.datagrams_missed: dict[int, int] = {}
         self._subscribers_of: dict[str, int] = {}  # number by topic
-        self._connected: list[Subscription] = []
+        self._connected: list[tuple[Subscription, tuple[Inbox, ...]]] = []
         self._subscribers_changed = False
 
     # ---- topics ----
@@ -178,25 +179,32 @@ class Node:
     def dispatch(self) -> None:
         """Run the callbacks by subscriber (in order of declaration), publisher's name, and order of sending."""
         ready: dict[int, list[Any]] = {}
-        for entry in self._connected_subscribers():
+        for entry, inboxes in self._connected_subscribers():
             impl = entry.impl
             if impl is None:  # unregistered by an earlier callback
                 continue
             messages = ready.get(id(impl))
             if messages is None:
-                messages = ready[id(impl)] = impl.ready()
+                messages = []
+                for inbox in inboxes:
+                    if inbox.messages or inbox.closed or inbox.lost:
+                        messages = impl.ready()
+                        break
+                ready[id(impl)] = messages
             if entry.pending:
                 messages = [*entry.pending, *messages]
                 entry.pending = []
             for message in messages:
                 entry.invoke(message)
 
-    def _connected_subscribers(self) -> list[Subscription]:
-        """Return the subscribers that may have messages; in a fleet's node most have no publisher."""
-        if self.reader.new_inboxes or self._subscribers_changed:
-            self.reader.new_inboxes = self._subscribers_changed = False
+    def _connected_subscribers(self) -> list[tuple[Subscription, tuple[Inbox, ...]]]:
+        """Return the subscribers that may have messages, with their inboxes; most of a fleet node's have none."""
+        if self.reader.inboxes_changed or self._subscribers_changed:
+            self.reader.inboxes_changed = self._subscribers_changed = False
             self._connected = [
-                entry for entry in list(self.subscribers) if entry.pending or (entry.impl and entry.impl.inboxes)
+                (entry, tuple(entry.impl.inboxes.values()) if entry.impl else ())
+                for entry in list(self.subscribers)
+                if entry.pending or (entry.impl and entry.impl.inboxes)
             ]
         return self._connected
 

@@ -248,9 +248,8 @@ class Client:
             if rospy.core.is_shutdown_requested():
                 raise rospy.ROSInterruptException("ROS shutdown request")
             try:
-                digest = self._due_digest()
-                if digest:
-                    self._connection.send(digest)
+                if self._node.digests is not None:
+                    self._send_due_digest()
                 counts, ports = self._take_counts()
                 self._connection.send_done(self.tick, self.time_us, counts, ports)
             except OSError as error:
@@ -272,13 +271,12 @@ class Client:
             reported.update(ports)
         return node.take_counts() if node.dirty else {}, ports
 
-    def _due_digest(self) -> bytes:
-        """Return a DIGEST frame in the first turn of each digest period, else nothing."""
+    def _send_due_digest(self) -> None:
+        """Send a DIGEST frame in the first turn of each digest period."""
         period = self.time_us // DIGEST_PERIOD_US
-        if self._node.digests is None or period == self._digest_period:
-            return b""
-        self._digest_period = period
-        return self._digest_frame()
+        if period != self._digest_period:
+            self._digest_period = period
+            self._connection.send(self._digest_frame())
 
     def _digest_frame(self) -> bytes:
         if self._node.digests is None:

@@ -68,6 +68,7 @@ class Connection:
         self.lock = threading.Lock()
         self.frames: deque[tuple[int, bytes]] = deque()
         self._sock: socket.socket | None = None
+        self._descriptor = -1  # of a watched connection
         self._frame_reader = FrameReader()
 
     def ask(self, kind: Kind, content: Mapping[str, Any]) -> dict[str, Any]:
@@ -96,7 +97,8 @@ class Connection:
         """Register ``handler``, which ``reader`` calls whenever data can be read, except in ``await_frames``."""
         sock = self._connected()
         sock.settimeout(None)
-        reader.watch(sock.fileno(), handler)
+        self._descriptor = sock.fileno()
+        reader.watch(self._descriptor, handler)
 
     def await_frames(self, reader: Reader, timeout: float) -> Barrier | None:
         """Wait for data from the simulator or for anything else that ``reader`` handles.
@@ -112,7 +114,7 @@ class Connection:
             OSError: The connection is closed.
             ProtocolError: The data is invalid.
         """
-        received = reader.receive(self._connected().fileno(), timeout, whole=not self._frame_reader)
+        received = reader.receive(self._descriptor, timeout, whole=not self._frame_reader)
         if isinstance(received, tuple):
             return Barrier._make(received)
         if received is not None:
@@ -133,10 +135,9 @@ class Connection:
         Raises:
             OSError: The connection is closed.
         """
-        sock = self._connected()
-        rest = lockstep_io.send_done(sock.fileno(), tick, time_us, channels, datagrams)
+        rest = lockstep_io.send_done(self._descriptor, tick, time_us, channels, datagrams)
         if rest:
-            sock.sendall(rest)
+            self._connected().sendall(rest)
 
     def read(self) -> None:
         """Read the data at hand into ``frames``, waiting for at least one byte.
@@ -161,6 +162,7 @@ class Connection:
 
     def close(self) -> None:
         """Close the connection."""
+        self._descriptor = -1
         if self._sock is not None:
             self._sock.close()
 

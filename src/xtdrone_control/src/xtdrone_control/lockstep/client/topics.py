@@ -37,6 +37,8 @@ class _Arrivals(rospy.SubscribeListener):
 class _Publisher(rospy.Publisher):
     """rospy's publisher, with less work per message in the usual call: one argument, a message of the topic's class."""
 
+    _initialised = False
+
     def publish(self, *args: Any, **kwds: Any) -> None:
         """Publish a message, like rospy.Publisher.
 
@@ -45,7 +47,8 @@ class _Publisher(rospy.Publisher):
             ROSSerializationException: The message cannot be serialised.
         """
         impl = self.impl
-        if impl is None or kwds or len(args) != 1 or type(args[0]) is not self.data_class or not is_initialized():
+        if impl is None or kwds or len(args) != 1 or type(args[0]) is not self.data_class or not self._initialised:
+            self._initialised = is_initialized()  # stays so until the process ends
             super().publish(*args, **kwds)
             return
         try:

@@ -6,7 +6,7 @@ import contextlib
 import socket
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import rospy.core
@@ -84,7 +84,10 @@ class Inbox:
         Returns:
             Whether nothing is lacking.
         """
-        while self.lacking():
+        if self.target is None:
+            return True
+        due = self.target - self.given_up
+        while self.received < due:
             if self.feed is None or not self.feed.pull():
                 return False
         return True
@@ -108,11 +111,11 @@ class Inbox:
             self.messages.popleft()
             self.taken += 1
 
-    def take(self, most_foreign: int) -> Iterator[Any]:
-        """Remove and yield the messages to dispatch now.
+    def take(self, most_foreign: int) -> list[Any]:
+        """Remove and return the messages to dispatch now.
 
         Args:
-            most_foreign: Maximum number of messages from a foreign publisher; the newest ones are yielded.
+            most_foreign: Maximum number of messages from a foreign publisher; the newest ones are returned.
         """
         if self.target is None:
             surplus = max(0, len(self.messages) - most_foreign)
@@ -120,11 +123,12 @@ class Inbox:
         else:
             surplus = 0
             ready = self.target - self.given_up - self.taken - self.dropped
+        taken = []
         for index in range(ready):
             try:
                 message = self.messages.popleft()
             except IndexError:  # given up, or discarded concurrently by rospy's thread
-                return
+                break
             self.taken += 1
             if index < surplus:
                 continue
@@ -134,7 +138,8 @@ class Inbox:
                     continue
             if self.latched:
                 self.latch = message
-            yield message
+            taken.append(message)
+        return taken
 
 
 class Feed:
@@ -177,8 +182,16 @@ class Feed:
         Returns:
             Whether data was read.
         """
-        if self._pull():
-            return True
+        with self._lock:
+            try:
+                read = self._splitter.read(self.sock, self._size)
+            except (OSError, ValueError):  # ended or reset by the publisher, or closed concurrently
+                self.inbox.closed = True
+                read = None
+            if read is not None:
+                self._connection.stat_bytes += read[1]
+                self._store(read[0])
+                return True
         if self.inbox.closed:
             self._close_connection()
         return False
@@ -186,24 +199,10 @@ class Feed:
     def close(self) -> None:
         """Read the data at hand and close the connection; replaces the transport's ``close``."""
         if not rospy.core.is_shutdown_requested():
-            while not self.inbox.closed and self._pull():
+            while not self.inbox.closed and self.pull():
                 pass
         self.inbox.closed = True
         self._close_connection()
-
-    def _pull(self) -> bool:
-        with self._lock:
-            try:
-                read = self._splitter.read(self.sock, self._size)
-            except (OSError, ValueError):  # ended or reset by the publisher, or closed concurrently
-                self.inbox.closed = True
-                return False
-            if read is None:
-                return False
-            messages, size = read
-            self._connection.stat_bytes += size
-            self._store(messages)
-            return True
 
     def _store(self, messages: list[bytes]) -> None:
         count, inbox = len(messages), self.inbox

@@ -94,7 +94,18 @@ class Outlet:
         transport = self._transport
         # The only other sender is the drain thread, and it is started only under the publishing lock.
         if not self._draining or not self._keep(data):
-            self._send(transport, data)
+            sock = transport.socket
+            if sock is None or transport.done:
+                raise rospy.exceptions.TransportTerminated("connection closed")
+            try:
+                sent = sock.send(data, socket.MSG_DONTWAIT)
+            except BlockingIOError:
+                sent = 0
+            except OSError as error:
+                transport.close()
+                raise rospy.exceptions.TransportTerminated(str(error)) from error
+            if sent != len(data):
+                self._begin_draining(sock, data[sent:])
         self.count += 1
         transport.stat_num_msg += 1
         transport.stat_bytes += len(data)
@@ -103,22 +114,10 @@ class Outlet:
             self._ledger.dirty.append(self)
         return True
 
-    def _send(self, transport: Any, data: bytes) -> None:
-        sock = transport.socket
-        if sock is None or transport.done:
-            raise rospy.exceptions.TransportTerminated("connection closed")
-        try:
-            sent = sock.send(data, socket.MSG_DONTWAIT)
-        except BlockingIOError:
-            sent = 0
-        except OSError as error:
-            transport.close()
-            raise rospy.exceptions.TransportTerminated(str(error)) from error
-        if sent == len(data):
-            return
-        # The subscriber does not keep up: a thread sends the rest, so that this node does not block.
+    def _begin_draining(self, sock: socket.socket, rest: bytes) -> None:
+        """Send the rest of a message in a thread: the subscriber does not keep up, and this node must not block."""
         self._draining = True
-        self._backlog.append(data[sent:])
+        self._backlog.append(rest)
         threading.Thread(target=self._drain, args=(sock,), name=f"drain {self.topic}", daemon=True).start()
 
     def _keep(self, data: bytes) -> bool:

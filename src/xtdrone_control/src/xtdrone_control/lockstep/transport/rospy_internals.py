@@ -38,8 +38,12 @@ def set_time_us(time_us: int) -> None:
     module = rospy.rostime
     module._rostime_current = now
     condition = module._rostime_cond
-    with condition:
-        condition.notify_all()
+    condition.acquire()
+    try:
+        if condition._waiters:
+            condition.notify_all()
+    finally:
+        condition.release()
 
 
 def handle_signal(number: int) -> None:

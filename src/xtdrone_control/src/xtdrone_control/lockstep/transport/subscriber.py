@@ -53,7 +53,7 @@ class BufferingSubscriber(SubscriberImpl):
         inbox = self.inboxes.get((publisher, port))
         if inbox is None:
             inbox = self.inboxes.setdefault((publisher, port), Inbox(publisher))
-            self._reader.new_inboxes = True
+            self._reader.inboxes_changed = True
         return inbox
 
     def set_queue_size(self, queue_size: int | None) -> None:
@@ -157,6 +157,7 @@ class BufferingSubscriber(SubscriberImpl):
                 taken += inbox.take(self.most_foreign)
             if inbox.lost or (inbox.closed and inbox.target is None and not inbox.messages):
                 del self.inboxes[key]
+                self._reader.inboxes_changed = True
         return taken
 
     def latches(self) -> list[Any]:

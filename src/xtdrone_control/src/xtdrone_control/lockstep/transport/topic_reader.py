@@ -29,13 +29,13 @@ class Reader:
 
     Attributes:
         active: Whether it reads the connections; otherwise rospy's threads do.
-        new_inboxes: Whether an inbox was created since the node has cleared this.
+        inboxes_changed: Whether an inbox was created or removed since the node has cleared this.
     """
 
     def __init__(self) -> None:
         """Create an inactive reader."""
         self.active = False
-        self.new_inboxes = False
+        self.inboxes_changed = False
         self._handlers: dict[int, Callable[[], Any]] = {}
         self._feeds: dict[int, Feed] = {}
         self._handed_over: deque[Feed] = deque()
