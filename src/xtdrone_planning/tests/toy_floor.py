@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, field
 
@@ -32,7 +33,7 @@ def rooms(seed: int, length: float = 30.0, width: float = 20.0, door: float = 1.
         for low, inner in ((base, base + deep), (base + width / 2 - deep, base + width / 2 - deep)):
             edges = np.cumsum([lobby, *(rng.uniform(0.75, 1.25, 5) * (length - lobby) / 5)])
             edges = lobby + (edges - lobby) * (length - lobby) / (edges[-1] - lobby)
-            for a, b in zip(edges, edges[1:], strict=False):
+            for a, b in itertools.pairwise(edges):
                 at = rng.uniform(a + 0.3, b - 0.3 - door)
                 walls += [(a, inner, at, inner + thick), (at + door, inner, b, inner + thick)]
                 walls.append((a, low, a + thick, low + deep))

@@ -9,7 +9,6 @@ from typing import NamedTuple
 from xtdrone_control.settings import Settings, setting
 
 
-
 class Task(NamedTuple):
     """What a vehicle does between takeoff and landing.
 

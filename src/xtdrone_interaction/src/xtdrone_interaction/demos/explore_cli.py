@@ -16,8 +16,8 @@ from xtdrone_interaction.options import MachineSettings, add_instance, add_maste
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.description = (
-        "Explore a floor of rooms with UAVs that share it: each maps what its lidar sees, flies to where known space ends "
-        "and tells the others its map and regions, until nothing is left to see. Leaves runs/<time>/ with flight.bag, "
+        "Explore a floor of rooms with UAVs that share it: each maps what its lidar sees, flies to where known space "
+        "ends and tells the others its map and regions, until nothing is left to see. Leaves runs/<time>/ with flight.bag, "
         "report.json and floor.png."
     )
     settings = ExploreDemoSettings.add_arguments

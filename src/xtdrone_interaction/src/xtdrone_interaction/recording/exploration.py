@@ -51,11 +51,12 @@ def read_exploration(bag: Path, names: Sequence[str]) -> ExplorationRecord:
     if truth is None:
         raise RecordError(f"bag: {bag} has no true positions of the vehicles; this is no record of such a flight")
     maps = [
-        (time, cells_of(message.map, message.map.info.resolution)[2]) for topic in floors for time, message in recording.messages.get(topic, [])
+        (time, cells_of(message.map, message.map.info.resolution)[2])
+        for topic in floors
+        for time, message in recording.messages.get(topic, [])
     ]
     ends = [
-        [time for time, message in recording.messages.get(topic, []) if message.data == RETURNING]
-        for topic in states
+        [time for time, message in recording.messages.get(topic, []) if message.data == RETURNING] for topic in states
     ]
     explored = max(times[-1] for times in ends) if all(ends) else None
     return ExplorationRecord(

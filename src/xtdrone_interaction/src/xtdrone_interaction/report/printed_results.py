@@ -140,7 +140,9 @@ def print_exploration(report: dict[str, Any], console: Console) -> None:
         console: to print on.
     """
     for name, vehicle in report["vehicles"].items():
-        line = f"{name}: {vehicle['outcome']}; path {vehicle['path']:.1f} m, nearest obstacle {vehicle['clearance']:.2f} m"
+        line = (
+            f"{name}: {vehicle['outcome']}; path {vehicle['path']:.1f} m, nearest obstacle {vehicle['clearance']:.2f} m"
+        )
         console.print(f"{line} from its middle.", highlight=False, soft_wrap=True, markup=False)
     line = f"Seen: {100 * report['coverage']:.1f} % of what can be seen"
     if report["time_to_95_percent"] is not None:

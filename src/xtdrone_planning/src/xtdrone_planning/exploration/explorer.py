@@ -83,7 +83,7 @@ class Explorer:
         self.state = WAITING
         self._home: Array | None = None
         self._target: Cell | None = None
-        self._regions_of_target: frozenset[int] = frozenset()
+        self._was_own = False  # whether the target was in a region of this vehicle when it was chosen
         self._given_up = np.zeros(self.floor.own.shape, np.bool_)
         self._tried_again = False
         self._goal: Array | None = None
@@ -132,8 +132,8 @@ class Explorer:
         aim = position if self._target is None else floor.middle(self._target)
         messages = self.sharing.step(
             now, _pair(position), _pair(aim), active,
-            lambda place, regions: self._regions.divided(
-                here, floor.index(np.array(place)), regions, self.frontiers, clearance
+            lambda place, mine, theirs: self._regions.divided(
+                here, floor.index(np.array(place)), mine, theirs, self.frontiers, clearance
             ),
         )  # fmt: skip
         return Decision(self.state, goal, route, messages)
@@ -160,18 +160,21 @@ class Explorer:
 
     def _chosen(self, reachable: list[Frontier], ways: Ways) -> Frontier | None:
         """Return the frontier to view next: the present one while it is there, else the first of a tour."""
-        if self._target is not None and self.sharing.own == self._regions_of_target:
+        if self._target is not None and (self._is_own(self._target) or not self._was_own):
             near = [(math.dist(f.centre, self._target), f.centre, f) for f in reachable]
             found = min(near, key=lambda entry: entry[:2])
             if found[0] * self.floor.cell <= _SAME:
                 return found[2]
-        self._regions_of_target = self.sharing.own
         others = self.sharing.targets()
         free = [f for f in reachable if all(self._apart(f, target) > _TAKEN for target in others)]
-        own = [f for f in free if self._regions.of(f.centre) in self.sharing.own]
+        own = [f for f in free if self._is_own(f.centre)]
+        self._was_own = bool(own)
         if own:
             return self._first_of_tour(own)
         return min(free, key=lambda f: (f.way, f.centre)) if free else None
+
+    def _is_own(self, cell: Cell) -> bool:
+        return self._regions.of(cell) in self.sharing.own
 
     def _apart(self, frontier: Frontier, target: tuple[float, float]) -> float:
         return math.dist(self.floor.middle(frontier.centre).tolist(), target)

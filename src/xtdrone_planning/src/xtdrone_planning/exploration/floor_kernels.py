@@ -1,7 +1,7 @@
 """Kernels on the cells of a floor: ways from a place, clusters of frontier cells, and places to view them from.
 
-Ways are by Dijkstra's algorithm (Numerische Mathematik 1, 1959) over the eight neighbours of a cell; frontiers are those
-of B. Yamauchi, A frontier-based approach for autonomous exploration, IEEE CIRA 1997.
+Ways are by Dijkstra's algorithm (Numerische Mathematik 1, 1959) over the eight neighbours of a cell; frontiers are
+those of B. Yamauchi, A frontier-based approach for autonomous exploration, IEEE CIRA 1997.
 """
 
 from __future__ import annotations

@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 from xtdrone_planning.exploration.floor_map import UNKNOWN, FloorMap
 from xtdrone_planning.exploration.frontiers import Cell, Frontier, Ways
 from xtdrone_planning.exploration.settings import ExplorationSettings
-from xtdrone_planning.exploration.tours import divide
+from xtdrone_planning.exploration.tours import divide, division_cost
 
 Array = NDArray[np.float64]
 
 _UNKNOWN_SHARE = 0.3  # of a region, from which on it is active without a frontier
+_GAIN = 0.85  # a new division must cost at most this part of the present one
+_NO_WAY = 1e4  # m
 _UNKNOWN_COST = 1.5  # of a metre through unknown space, against one through free space
 
 
@@ -51,13 +53,20 @@ class Regions:
         return frozenset(largely) | {self.of(frontier.centre) for frontier in frontiers if frontier.view is not None}
 
     def divided(
-        self, here: Cell, there: Cell, regions: frozenset[int], frontiers: list[Frontier], clearance: float
+        self,
+        here: Cell,
+        there: Cell,
+        mine: frozenset[int],
+        theirs: frozenset[int],
+        frontiers: list[Frontier],
+        clearance: float,
     ) -> tuple[frozenset[int], frozenset[int]]:
-        """Return which of ``regions`` the vehicle at ``here`` and the one at ``there`` visit best.
+        """Return which regions the vehicle at ``here`` and the one at ``there`` visit best; both sets may overlap.
 
-        Ways through unknown space count as free ones that are longer.
+        Ways through unknown space count as free ones that are longer. A division that is hardly better than the present
+        one is not worth turning round for: the present one is returned then.
         """
-        order = sorted(regions)
+        order = sorted(mine | theirs)
         places = [here, there, *(self._place(region, frontiers) for region in order)]
         costs = np.zeros((len(places), len(places)))
         for n, place in enumerate(places):
@@ -65,8 +74,17 @@ class Regions:
             costs[n] = [float(ways[other]) for other in places]
         costs = 0.5 * (costs + costs.T)
         costs[:, 2:] += [self._work(region) for region in order]
-        mine, theirs = divide(costs, 2)
-        return frozenset(order[n - 2] for n in mine[1:]), frozenset(order[n - 2] for n in theirs[1:])
+        costs = np.where(np.isfinite(costs), costs, _NO_WAY)
+        routes = divide(costs, 2)
+        if not mine & theirs:
+            present = [
+                _tour(costs, start, [order.index(r) + 2 for r in sorted(own)])
+                for start, own in enumerate((mine, theirs))
+            ]
+            if division_cost(costs, routes) > _GAIN * division_cost(costs, present):
+                return mine, theirs
+        new_mine, new_theirs = (frozenset(order[n - 2] for n in route[1:]) for route in routes)
+        return new_mine, new_theirs
 
     def _place(self, region: int, frontiers: list[Frontier]) -> Cell:
         """Return the cell that stands for a region: its nearest frontier's, or the open one nearest to its middle."""
@@ -83,3 +101,9 @@ class Regions:
         """Return the way within a region, m, by its unknown area."""
         unknown = (self._numbers == region) & (self._floor.values == UNKNOWN) & self._floor.inside
         return math.sqrt(float(np.count_nonzero(unknown))) * self._floor.cell
+
+
+def _tour(costs: Array, start: int, nodes: list[int]) -> list[int]:
+    """Return a short route from a start through nodes, numbers in ``costs``."""
+    chosen = [start, *nodes]
+    return [chosen[n] for n in divide(costs[np.ix_(chosen, chosen)], 1)[0]]

@@ -20,7 +20,12 @@ def parse_bounds(value: Any) -> tuple[float, float, float, float]:
     """
     parts = value.split(",") if isinstance(value, str) else value
     numbers = tuple(float(part) for part in parts)
-    if len(numbers) != 4 or not all(map(math.isfinite, numbers)) or numbers[0] >= numbers[2] or numbers[1] >= numbers[3]:
+    if (
+        len(numbers) != 4
+        or not all(map(math.isfinite, numbers))
+        or numbers[0] >= numbers[2]
+        or numbers[1] >= numbers[3]
+    ):
         raise ValueError("four numbers x0,y0,x1,y1 with x0 < x1 and y0 < y1, m in map")
     return numbers[0], numbers[1], numbers[2], numbers[3]
 

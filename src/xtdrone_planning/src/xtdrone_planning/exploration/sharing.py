@@ -1,10 +1,10 @@
 """How vehicles share the regions of a floor without a central node, by messages that may be delayed or lost.
 
-Each vehicle tells its regions twice a second. From time to time it proposes to another one how to divide the regions of
-both; the other accepts if its own regions are still those that the proposal was made for, and both take them over (the
-pairwise interaction of RACER, B. Zhou et al., IEEE Transactions on Robotics 39, 2023). Whatever is lost on the way leaves
-regions with two owners, whom their next proposal parts, or with none, which the first vehicle in the fleet takes that is
-still heard. A vehicle that is not heard for long is lost, and its regions have no owner.
+Each vehicle broadcasts its regions twice a second. From time to time it proposes to another one how to divide the
+regions of both; the other accepts if its own regions are still those that the proposal was made for, and both take them
+over (the pairwise interaction of RACER, B. Zhou et al., IEEE Transactions on Robotics 39, 2023). A lost message leaves
+regions with two owners, which their next proposal parts, or with none, which the first vehicle in the fleet takes that
+is still heard. A vehicle that is not heard for long is lost, and its regions have no owner.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ _ORPHANED = 2.0  # s without an owner after which a region is taken
 
 Place = tuple[float, float]
 Regions = frozenset[int]
-Divide = Callable[[Place, Regions], tuple[Regions, Regions]]
-"""From the other's place and the regions of both: which are for this vehicle, which for the other."""
+Divide = Callable[[Place, Regions, Regions], tuple[Regions, Regions]]
+"""From the other's place, the own regions and the other's: which are for this vehicle, which for the other."""
 
 
 @dataclass(frozen=True)
@@ -188,7 +188,7 @@ class Sharing:
         mine, theirs = self.own & active, state.regions & active
         if not mine | theirs:
             return None
-        new_mine, new_theirs = divided(state.place, mine | theirs)
+        new_mine, new_theirs = divided(state.place, mine, theirs)
         if (new_mine, new_theirs) == (mine, theirs):
             return None
         self._proposals += 1

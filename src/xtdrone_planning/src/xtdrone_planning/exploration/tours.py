@@ -8,6 +8,7 @@ Transactions on Robotics 39, 2023, by a capacitated routing problem.
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -21,10 +22,11 @@ _ROUNDS = 20
 
 def route_length(ways: Array, route: list[int]) -> float:
     """Return the cost of a route over nodes of ``ways``, (n, n), the cost from node to node."""
-    return float(sum(ways[a, b] for a, b in zip(route, route[1:], strict=False)))
+    return float(sum(ways[a, b] for a, b in itertools.pairwise(route)))
 
 
-def _cost(ways: Array, routes: list[list[int]]) -> float:
+def division_cost(ways: Array, routes: list[list[int]]) -> float:
+    """Return what a division costs: the longer route, and a part of both."""
     lengths = [route_length(ways, route) for route in routes]
     return max(lengths) + _SUM * sum(lengths)
 
@@ -41,7 +43,7 @@ def divide(ways: Array, starts: int) -> list[list[int]]:
     nodes = sorted(range(starts, len(ways)), key=lambda n: (-float(costs[:starts, n].min()), n))
     for node in nodes:
         _insert(costs, routes, node)
-    best = _cost(costs, routes)
+    best = division_cost(costs, routes)
     for _ in range(_ROUNDS):
         before = best
         for node in nodes:
@@ -50,7 +52,7 @@ def divide(ways: Array, starts: int) -> list[list[int]]:
                 if node in route:
                     route.remove(node)
             _insert(costs, routes, node)
-            now = _cost(costs, routes)
+            now = division_cost(costs, routes)
             if now < best - 1e-9:
                 best = now
             else:
