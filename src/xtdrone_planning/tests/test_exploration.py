@@ -33,8 +33,7 @@ def test_ways_lead_through_the_gap_with_clearance() -> None:
     ways = Ways(floor, floor.index(np.array([1.0, 1.0])), 0.5)
     route = np.array(ways.route(floor.index(np.array([7.0, 1.0]))))
     assert floor.distance[route[:, 0], route[:, 1]].min() >= 0.5
-    # round the end of the wall at (5.1, 4) with 0.5 m: two straight parts, and at most 8 % more for eight directions
-    around = 2.0 * math.hypot(4.1 - 0.4, 3.4)
+    around = math.hypot(4.1, 3.3) + math.hypot(1.9, 3.3)  # two straight parts, past the wall's end at (5.1, 4.3)
     assert around <= float(ways.costs[tuple(route[-1])]) < 1.6 * around  # nearness to walls costs
     assert not np.isfinite(Ways(floor, floor.index(np.array([1.0, 1.0])), 1.1).costs[tuple(route[-1])])
 

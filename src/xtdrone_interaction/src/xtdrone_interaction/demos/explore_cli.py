@@ -17,8 +17,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.description = (
         "Explore a floor of rooms with UAVs that share it: each maps what its lidar sees, flies to where known space "
-        "ends and tells the others its map and regions, until nothing is left to see. Leaves runs/<time>/ with flight.bag, "
-        "report.json and floor.png."
+        "ends and tells the others its map and regions, until nothing is left to see. Leaves runs/<time>/ with "
+        "flight.bag, report.json and floor.png."
     )
     settings = ExploreDemoSettings.add_arguments
     settings(parser, ("n", "length", "width", "delay", "loss", "speed_limit", "seed"))

@@ -79,6 +79,7 @@ class Explorer:
         self.floor = FloorMap(settings)
         self._regions = Regions(settings, self.floor)
         self.sharing = Sharing(name, fleet, self._regions.count, settings.lost_after)
+        self._smallest = max(1, round(settings.smallest / settings.cell))
         self.frontiers: list[Frontier] = []
         self.state = WAITING
         self._home: Array | None = None
@@ -120,7 +121,7 @@ class Explorer:
         here = floor.index(position)
         ways = Ways(floor, here, clearance)
         self._give_up(now, position, planner)
-        self.frontiers = find_frontiers(floor, ways, self._given_up, self._settings.smallest)
+        self.frontiers = find_frontiers(floor, ways, self._given_up, self._smallest)
         goal, route = None, np.empty((0, 2))
         if self._home is not None and self.state not in (HOME, STRANDED):
             target = self._choose(now, ways, position)
@@ -128,7 +129,7 @@ class Explorer:
                 route = self._places(ways.route(target))
                 goal = self._next_goal(route, position)
             self._arrive(now, ways, position, planner)
-        active = self._regions.active(self.frontiers)
+        active: frozenset[int] = frozenset() if self.state == HOME else self._regions.active(self.frontiers)
         aim = position if self._target is None else floor.middle(self._target)
         messages = self.sharing.step(
             now, _pair(position), _pair(aim), active,

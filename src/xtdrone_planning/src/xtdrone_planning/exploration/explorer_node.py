@@ -43,7 +43,7 @@ from xtdrone_planning.exploration.exploration_messages import (
     share_of,
     slice_of,
 )
-from xtdrone_planning.exploration.explorer import STRANDED, Decision, Explorer
+from xtdrone_planning.exploration.explorer import HOME, STRANDED, Decision, Explorer
 from xtdrone_planning.exploration.settings import ExplorationSettings
 from xtdrone_planning.mapping.map_messages import FRAME
 from xtdrone_planning.mapping.range_images import ScanError
@@ -153,7 +153,7 @@ class VehicleExplorer:
         if self._position is None or now - self._posed > _STALE:
             self._report(stamp, 2, "no position from the autopilot")
             return
-        if now - self._sliced > _STALE:
+        if now - self._sliced > _STALE and self._explorer.state != HOME:
             self._report(stamp, 1, "no local map at the height of flight from the planner")
             return
         decision = self._explorer.step(now, self._position, self._planner)

@@ -43,7 +43,7 @@ class ExplorationSettings(Settings):
     cell: float = setting(0.15, low=0.05, high=1.0, unit="m", text="side of a cell; that of the local maps' slices")
     flight_height: float = setting(1.5, low=0.3, high=100.0, unit="m", text="height of flight")
     clearance: float = setting(0.6, low=0.1, high=5.0, unit="m", text="least distance of ways to obstacles")
-    smallest: int = setting(4, low=1, high=1000, text="frontiers of fewer cells are ignored")
+    smallest: float = setting(0.9, low=0.0, high=100.0, unit="m", text="frontiers of fewer cells in a row are ignored")
     region: float = setting(5.0, low=1.0, high=100.0, unit="m", text="side of the regions that vehicles share")
     ahead: float = setting(5.0, low=1.0, high=50.0, unit="m", text="way to the goals given to the planner")
     lost_after: float = setting(
