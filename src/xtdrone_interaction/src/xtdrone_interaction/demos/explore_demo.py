@@ -18,7 +18,7 @@ from xtdrone_interaction.demos.forest_demo import show_event
 from xtdrone_interaction.formation.distances import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, run_flight
 from xtdrone_interaction.metrics.clearance import solids_of
-from xtdrone_interaction.metrics.formation import write_report
+from xtdrone_interaction.metrics.missions.formation_metrics import write_report
 from xtdrone_interaction.options import seed_setting, speed_setting
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.printed_results import print_exploration, print_paths
@@ -171,9 +171,9 @@ def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
     Raises:
         DemoError: the bag is not the record of such a flight.
     """
-    from xtdrone_interaction.metrics.exploration import make_report, visible_cells
-    from xtdrone_interaction.pictures.exploration import save_floor  # matplotlib takes a while to import
-    from xtdrone_interaction.recording.exploration import read_exploration
+    from xtdrone_interaction.metrics.missions.exploration_metrics import make_report, visible_cells
+    from xtdrone_interaction.pictures.exploration_picture import save_floor  # matplotlib takes a while to import
+    from xtdrone_interaction.recording.exploration_record import read_exploration
     from xtdrone_sim.worlds.catalogue import load_world
 
     timings: dict[str, Any] = {}

@@ -136,7 +136,7 @@ def print_exploration(report: dict[str, Any], console: Console) -> None:
     """Print the figures of an exploration.
 
     Args:
-        report: of :func:`~xtdrone_interaction.metrics.exploration.make_report`.
+        report: of :func:`~xtdrone_interaction.metrics.missions.exploration_metrics.make_report`.
         console: to print on.
     """
     for name, vehicle in report["vehicles"].items():

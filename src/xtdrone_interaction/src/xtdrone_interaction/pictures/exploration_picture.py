@@ -12,8 +12,8 @@ import numpy as np
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
-from xtdrone_interaction.metrics.exploration import ENOUGH, Mask
-from xtdrone_interaction.recording.exploration import ExplorationRecord
+from xtdrone_interaction.metrics.missions.exploration_metrics import ENOUGH, Mask
+from xtdrone_interaction.recording.exploration_record import ExplorationRecord
 from xtdrone_planning.exploration.floor_map import FloorMap
 from xtdrone_planning.exploration.settings import ExplorationSettings
 

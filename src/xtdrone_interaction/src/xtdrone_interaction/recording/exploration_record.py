@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from xtdrone_interaction.bags.ros1bag import BagError
 from xtdrone_interaction.formation.distances import EVENTS_TOPIC, TRUTH, TRUTH_TOPIC, odometry_topic
 from xtdrone_interaction.recording.bag import read_bag
-from xtdrone_interaction.recording.crossing import CrossingRecord
+from xtdrone_interaction.recording.crossing_record import CrossingRecord
 from xtdrone_interaction.recording.positions import fleet_track
 from xtdrone_interaction.recording.recorded_flight import LOG_TOPIC, RecordError
 from xtdrone_planning.exploration.exploration_messages import cells_of
