@@ -35,7 +35,7 @@ def test_ways_lead_through_the_gap_with_clearance() -> None:
     assert floor.distance[route[:, 0], route[:, 1]].min() >= 0.5
     around = math.hypot(4.1, 3.3) + math.hypot(1.9, 3.3)  # two straight parts, past the wall's end at (5.1, 4.3)
     assert around <= float(ways.costs[tuple(route[-1])]) < 1.6 * around  # nearness to walls costs
-    assert not np.isfinite(Ways(floor, floor.index(np.array([1.0, 1.0])), 1.1).costs[tuple(route[-1])])
+    assert not np.isfinite(Ways(floor, floor.index(np.array([1.0, 1.0])), 2.3).costs[tuple(route[-1])])
 
 
 def test_frontiers_are_where_free_space_meets_the_unknown() -> None:
