@@ -36,6 +36,7 @@ from xtdrone_perception.tags.apriltag_node import AprilTagOptions
 from xtdrone_perception.tags.tag_detector import TagDetectorSettings
 from xtdrone_perception.tracking.geolocation import Noise, Person
 from xtdrone_perception.tracking.tracker import TrackerSettings
+from xtdrone_planning.exploration.settings import ExplorationSettings
 from xtdrone_planning.mapping.map_feed import SensorChoice
 from xtdrone_planning.mapping.range_images import DepthMapping, LidarMapping
 from xtdrone_planning.mapping.sensor_watch import WatchSettings
@@ -129,6 +130,7 @@ CLASSES: dict[str, type[Settings]] = {
         PlannerSettings,
         TrajectorySettings,
         AgreementSettings,
+        ExplorationSettings,
         SensorChoice,
         LidarMapping,
         DepthMapping,

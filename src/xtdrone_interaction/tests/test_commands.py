@@ -57,7 +57,7 @@ def test_help_of_a_group_lists_its_members() -> None:
     ("line", "offered"),
     [
         ("xtdrone re", {"report", "record", "record-view", "replay-check"}),
-        ("xtdrone demo ", {"hello", "formation", "simplified", "search", "forest", "slam", "landing"}),
+        ("xtdrone demo ", {"hello", "formation", "simplified", "search", "forest", "explore", "slam", "landing"}),
         ("xtdrone demo formation --contr", {"--control"}),
         ("xtdrone demo formation --control ", {"vel", "accel"}),
         ("xtdrone bench --o", {"--only"}),

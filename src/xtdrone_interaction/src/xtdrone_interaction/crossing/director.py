@@ -6,9 +6,9 @@ For every vehicle T of /xtdrone/fleet:
 subscribed
 /T/mavros/state                           mavros_msgs/State
 /T/mavros/local_position/pose             PoseStamped              for the progress
-/T/planner/state                          String
+/T/planner/state                          String                   or exploration/state, see ``mission.TASKS``
 published
-/T/planner/goal                           PoseStamped
+/T/planner/goal                           PoseStamped              or exploration/start
 /xtdrone/demo/events                      String (JSON)            event, time (simulated s), ...
 /xtdrone/demo/progress                    String (JSON)            phase, vehicles under way, least way left
 ========================================  =======================  ====================================================
@@ -33,7 +33,7 @@ from std_msgs.msg import String
 from xtdrone_control import lockstep
 from xtdrone_control.communication.commands import Request
 from xtdrone_control.communication.multirotor import MavrosServices
-from xtdrone_interaction.crossing.mission import Crossing, CrossingSettings
+from xtdrone_interaction.crossing.mission import TASKS, Crossing, CrossingSettings
 from xtdrone_interaction.formation.distances import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.formation.flight_events import EVENTS_FILE, EventsFile
 
@@ -79,7 +79,8 @@ class CrossingDirector:
         Raises:
             OSError: the events file cannot be written.
         """
-        self._crossings = [Crossing(name, goal, settings.time_limit) for name, goal in goals.items()]
+        task = TASKS[settings.task]
+        self._crossings = [Crossing(name, goal, settings.time_limit, task) for name, goal in goals.items()]
         self._positions: dict[str, Goal] = {}
         self._events = EventsFile(Path(settings.out) / EVENTS_FILE, rospy.logwarn) if settings.out else None
         self._event_publisher = lockstep.Publisher(EVENTS_TOPIC, String)
@@ -91,7 +92,7 @@ class CrossingDirector:
 
     def _declare(self, crossing: Crossing) -> None:
         name, reports = crossing.name, crossing.reports
-        self._goals[name] = lockstep.Publisher(f"/{name}/planner/goal", PoseStamped)
+        self._goals[name] = lockstep.Publisher(f"/{name}/{crossing.task.goal}", PoseStamped)
         self._services[name] = MavrosServices(name, in_lockstep=lockstep.is_active())
 
         def on_state(message: State) -> None:
@@ -105,7 +106,7 @@ class CrossingDirector:
             self._positions[name] = (place.x, place.y, place.z)
 
         lockstep.Subscriber(f"/{name}/mavros/state", State, on_state)
-        lockstep.Subscriber(f"/{name}/planner/state", String, on_planner)
+        lockstep.Subscriber(f"/{name}/{crossing.task.state}", String, on_planner)
         lockstep.Subscriber(f"/{name}/mavros/local_position/pose", PoseStamped, on_pose)
 
     def wait_for_recorder(self, node: str, timeout: float) -> bool:

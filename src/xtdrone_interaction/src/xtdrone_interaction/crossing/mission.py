@@ -4,11 +4,29 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from xtdrone_control.settings import Settings, setting
 
-ARRIVED, UNREACHABLE = "hovering at the goal", "goal unreachable"
-"""Texts of /T/planner/state that end a crossing."""
+
+class Task(NamedTuple):
+    """What a vehicle does between takeoff and landing.
+
+    Attributes:
+        goal, state: topics below /T/: the goal, and the reports of the node that it is sent to.
+        arrived, unreachable: reports that end it.
+    """
+
+    goal: str
+    state: str
+    arrived: str
+    unreachable: str
+
+
+TASKS = {
+    "goal": Task("planner/goal", "planner/state", "hovering at the goal", "goal unreachable"),
+    "explore": Task("exploration/start", "exploration/state", "explored, home", "home unreachable"),
+}
 
 _SPACING = 2.0  # s between two equal commands
 _SETTLED = 1.0  # s at the goal before landing
@@ -21,6 +39,7 @@ class CrossingSettings(Settings):
     time_limit: float = setting(
         180.0, low=10.0, high=3600.0, unit="s", text="simulated time after which a vehicle that has not arrived lands"
     )
+    task: str = setting("goal", choices=tuple(TASKS), text="fly to the goals, or explore a floor and then fly there")
     out: str = setting("", text="folder for events.jsonl, empty for none")
     recorder: str = setting("", text="node that records the flight; time starts when it has subscribed, or after 30 s")
 
@@ -31,7 +50,7 @@ class Reports:
 
     Attributes:
         armed, mode: of mavros/state.
-        planner: text of planner/state; empty before the first.
+        planner: text of the task's state topic; empty before the first.
     """
 
     armed: bool = False
@@ -47,6 +66,7 @@ class Crossing:
         name: of the vehicle.
         goal: x, y, z, m in map.
         limit: time limit, s.
+        task: what it does.
         phase: preparing, taking off, crossing, landing, landed or failed.
         outcome: arrived, or why not; empty before that is known.
         reports: what the vehicle reports.
@@ -56,6 +76,7 @@ class Crossing:
     name: str
     goal: tuple[float, float, float]
     limit: float
+    task: Task = TASKS["goal"]
     phase: str = "preparing"
     outcome: str = ""
     reports: Reports = field(default_factory=Reports)
@@ -101,14 +122,14 @@ class Crossing:
         return [] if self.reports.mode == "AUTO.TAKEOFF" else self._repeat("AUTO.TAKEOFF", now)
 
     def _cross(self, now: float) -> list[str]:
-        arrived = self.reports.planner == ARRIVED
+        arrived = self.reports.planner == self.task.arrived
         self._since = (now if math.isnan(self._since) else self._since) if arrived else math.nan
         if arrived and math.isnan(self.ended):
             self.ended = now
         if arrived and now - self._since >= _SETTLED:
             self.outcome = "arrived"
-        elif self.reports.planner == UNREACHABLE:
-            self.outcome = UNREACHABLE
+        elif self.reports.planner == self.task.unreachable:
+            self.outcome = self.task.unreachable
         elif not self.reports.armed:
             self.phase, self.outcome = "failed", "the vehicle has disarmed in flight"
             return []

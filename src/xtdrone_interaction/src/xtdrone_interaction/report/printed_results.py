@@ -130,3 +130,27 @@ def print_crossing(report: dict[str, Any], console: Console) -> None:
         console.print(f"Least distance of two vehicles {report['least_distance']:.2f} m.", highlight=False)
     for text in report["shortcomings"]:
         console.print(f"[red]Missed:[/red] {escape(text)}", highlight=False, soft_wrap=True)
+
+
+def print_exploration(report: dict[str, Any], console: Console) -> None:
+    """Print the figures of an exploration.
+
+    Args:
+        report: of :func:`~xtdrone_interaction.metrics.missions.exploration_metrics.make_report`.
+        console: to print on.
+    """
+    for name, vehicle in report["vehicles"].items():
+        line = (
+            f"{name}: {vehicle['outcome']}; path {vehicle['path']:.1f} m, nearest obstacle {vehicle['clearance']:.2f} m"
+        )
+        console.print(f"{line} from its middle.", highlight=False, soft_wrap=True, markup=False)
+    line = f"Seen: {100 * report['coverage']:.1f} % of what can be seen"
+    if report["time_to_95_percent"] is not None:
+        line += f", 95 % after {report['time_to_95_percent']:.0f} s"
+    if report["explored_after"] is not None:
+        line += f", no frontier left after {report['explored_after']:.0f} s"
+    console.print(f"{line}.", highlight=False, soft_wrap=True)
+    if report["least_distance"] is not None:
+        console.print(f"Least distance of two vehicles {report['least_distance']:.2f} m.", highlight=False)
+    for text in report["shortcomings"]:
+        console.print(f"[red]Missed:[/red] {escape(text)}", highlight=False, soft_wrap=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 
 from xtdrone_interaction.console import PatientConsole, run_reported
-from xtdrone_interaction.demos import forest_demo, landing_demo, slam_demo
+from xtdrone_interaction.demos import explore_demo, forest_demo, landing_demo, slam_demo
 from xtdrone_interaction.demos.formation import formation_demo
 from xtdrone_interaction.demos.search import search_demo
 from xtdrone_interaction.demos.search.search_prepare import is_search
@@ -30,6 +30,8 @@ def _maker(bag: Path) -> Callable[[Path, Console], int]:
     """Return the function that makes the report of this kind of flight."""
     if is_search(bag.parent):
         return search_demo.report_again
+    if explore_demo.is_exploration(bag.parent):
+        return explore_demo.report_again
     if forest_demo.is_forest(bag.parent):
         return forest_demo.report_again
     if landing_demo.is_landing(bag):

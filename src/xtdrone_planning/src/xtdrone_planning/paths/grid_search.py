@@ -57,7 +57,7 @@ def search(
         node = heap[0]
         key = keys[0]
         size -= 1
-        _sink(heap, keys, size)
+        sink(heap, keys, size)
         i, j, k = node // (ny * nz), node // nz % ny, node % nz
         way = _way(i - goal[0], j - goal[1], k - goal[2])
         if key > costs[node] + _WEIGHT * way + 1e-3:
@@ -90,7 +90,7 @@ def search(
                     if stamps[other] == stamp and cost >= costs[other]:
                         continue
                     costs[other], parents[other], stamps[other] = cost, node, stamp
-                    _rise(heap, keys, size, other, cost + _WEIGHT * _way(a - goal[0], b - goal[1], c - goal[2]))
+                    rise(heap, keys, size, other, cost + _WEIGHT * _way(a - goal[0], b - goal[1], c - goal[2]))
                     size += 1
     return outcome, _voxels(parents, nearest, ny, nz)
 
@@ -117,7 +117,7 @@ def _voxels(parents, node, ny, nz):
 
 
 @kernel
-def _rise(heap, keys, place, node, key):
+def rise(heap, keys, place, node, key):
     """Enter a node at the end, ``place``, of the binary heap."""
     while place > 0:
         above = (place - 1) // 2
@@ -129,7 +129,7 @@ def _rise(heap, keys, place, node, key):
 
 
 @kernel
-def _sink(heap, keys, size):
+def sink(heap, keys, size):
     """Remove the first node of a heap that had ``size`` + 1."""
     node, key, place = heap[size], keys[size], 0
     while True:

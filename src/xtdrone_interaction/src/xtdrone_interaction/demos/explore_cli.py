@@ -1,0 +1,53 @@
+"""``./xtdrone demo explore``: its options and their checks."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+from xtdrone_interaction import options
+from xtdrone_interaction.console import PatientConsole, run_reported
+from xtdrone_interaction.demos.explore_demo import ExploreDemoSettings, run_explore
+from xtdrone_interaction.launching.supervised_launch import master_port
+from xtdrone_interaction.options import MachineSettings, add_instance, add_master, results_folder, take_instance
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.description = (
+        "Explore a floor of rooms with UAVs that share it: each maps what its lidar sees, flies to where known space "
+        "ends and tells the others its map and regions, until nothing is left to see. Leaves runs/<time>/ with "
+        "flight.bag, report.json and floor.png."
+    )
+    settings = ExploreDemoSettings.add_arguments
+    settings(parser, ("n", "length", "width", "delay", "loss", "speed_limit", "seed"))
+    parser.add_argument(
+        "--world", metavar="WORLD", help="another world, by name or file (default: a building of the seed)"
+    )
+    settings(parser, ("bounds", "time_limit", "speed", "headless"))
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
+    add_master(parser)
+    add_instance(parser)
+
+
+def settings_of(arguments: argparse.Namespace) -> ExploreDemoSettings:
+    """Return the settings of the flight, after all checks that need no ROS.
+
+    Raises:
+        OptionError: a value is not allowed.
+    """
+    settings = ExploreDemoSettings.from_arguments(arguments, world="")
+    settings = replace(settings, world=options.world(arguments.world or settings.generated_world))
+    machine = MachineSettings.from_arguments(arguments)
+    return replace(
+        settings,
+        out=results_folder(arguments.out, recorded=True),
+        master_port=master_port(machine.master_port, use_running=arguments.use_master),
+        instance=take_instance(settings.fleet, machine.instance),
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fly and return the exit status; see :func:`~xtdrone_interaction.demos.explore_demo.run_explore`."""
+    return run_reported(lambda: run_explore(settings_of(arguments), PatientConsole()))

@@ -1,0 +1,30 @@
+"""``./xtdrone demo explore``: values that are not allowed. The tutorial on exploring a floor has the flight."""
+
+from __future__ import annotations
+
+import pytest
+
+from xtdrone_interaction import cli
+
+pytest.importorskip("rospy")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--bounds", "1,2,3"], "x0,y0,x1,y1"),
+        (["--bounds", "5,0,1,4"], "x0 < x1"),
+        (["--n", "0"], "1 to 6"),
+        (["--loss", "0.9"], "0 to 0.5"),
+        (["--world", "indor"], "'indor' is unknown"),
+    ],
+)
+def test_values_that_are_not_allowed_are_named(
+    options: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        status = cli.main(["demo", "explore", *options])
+    except SystemExit as ended:  # of argparse
+        status = int(str(ended.code))
+    assert status == 2
+    assert words in capsys.readouterr().err
