@@ -8,14 +8,16 @@ import math
 
 import numpy as np
 import pytest
-from toy_flight import LIMITS, PERIOD, ToyFlight
+from toy_flight import LIMITS, PERIOD, ToyFlight, forest, wall
 
 from xtdrone_control.network.message_radio import MessageRadio
 from xtdrone_control.network.options import NetworkOptions
+from xtdrone_planning.paths.local_path import PathSearch
 from xtdrone_planning.swarm.known_trajectories import FORGET, Known, Proposal
 from xtdrone_planning.swarm.settings import AgreementSettings
 from xtdrone_planning.swarm.swarm_planner import SwarmPlanner
 from xtdrone_planning.trajectories.moving_vehicles import MovingVehicles
+from xtdrone_planning.trajectories.spline_cost import UPRIGHT
 from xtdrone_planning.trajectories.uniform_spline import UniformSpline, resting
 
 RADIUS = LIMITS.radius
@@ -25,17 +27,25 @@ LENGTH = 16.0
 class Group:
     """Vehicles in pairs, each of which wants to be where the other is."""
 
-    def __init__(self, count: int, options: NetworkOptions, check: float, seed: int = 0) -> None:
+    def __init__(
+        self,
+        count: int,
+        options: NetworkOptions,
+        check: float,
+        seed: int = 0,
+        length: float = LENGTH,
+        trunks: np.ndarray | None = None,
+    ) -> None:
         self.radio = MessageRadio(count, options, seed)
         self.flights = []
         for rank in range(count):
-            place = np.array([LENGTH * (rank % 2), 2.5 * (rank // 2), 2.0])
-            flight = ToyFlight(np.zeros((0, 3)), position=place)
+            place = np.array([length * (rank % 2), 2.5 * (rank // 2), 2.0])
+            flight = ToyFlight(np.zeros((0, 3)) if trunks is None else trunks, position=place)
             flight.planner = SwarmPlanner(
                 flight.map.grid, flight.settings, flight.limits, AgreementSettings(check=check), rank
             )
             self.flights.append(flight)
-        self.goals = [np.array([LENGTH - flight.position[0], *flight.position[1:]]) for flight in self.flights]
+        self.goals = [np.array([length - flight.position[0], *flight.position[1:]]) for flight in self.flights]
         self.least = math.inf
 
     def run(self, seconds: float) -> float:
@@ -132,3 +142,30 @@ def test_what_was_overtaken_on_its_way_is_ignored():
     known.forget(10.0 + FORGET + 0.01)
     assert known.trajectories()[0].points[0, 0] == 1.0
     assert len(known.trajectories()) == 1
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_vehicles_that_meet_among_dense_trunks_find_their_way_round_each_other(seed):
+    group = Group(2, NetworkOptions(), 0.2, trunks=forest(seed))
+    assert group.run(40.0) < 40.0
+    assert group.least > 2.0 * RADIUS + AgreementSettings().separation - 0.1
+    assert min(flight.clearance() for flight in group.flights) > RADIUS
+
+
+def test_a_path_leads_round_the_place_where_another_rests():
+    flight = ToyFlight(wall(8.0, -12.0, -2.0))
+    flight.run(1.0)
+    others = MovingVehicles([resting(np.array([6.0, 0.0, 2.0]), 0.0)], [1.5])
+    clearance = LIMITS.clearance(flight.map.grid.resolution)
+    distance = others.near_rest(flight.map.grid, clearance)
+    grid = flight.map.grid
+    for place in itertools.product(np.arange(3.0, 9.0, 0.35), np.arange(-3.0, 3.0, 0.35), (1.5, 2.0, 2.5)):
+        voxel = grid.index(np.array(place))
+        off = np.linalg.norm((grid.middle(np.array(voxel)) - (6.0, 0.0, 2.0)) * (1.0, 1.0, UPRIGHT))
+        if off < 1.5:
+            assert 0.0 < distance[voxel] < clearance
+        assert distance[voxel] <= grid.distance[voxel]
+    path = PathSearch(25000).find(grid, flight.position, np.array([12.0, 0.0, 2.0]), clearance, LIMITS.radius,
+                                  (0.8, 5.0), 20.0, distance)  # fmt: skip
+    along = np.vstack([np.linspace(a, b, 20) for a, b in itertools.pairwise(path.points)])
+    assert np.linalg.norm(along - (6.0, 0.0, 2.0), axis=1).min() > 1.4
