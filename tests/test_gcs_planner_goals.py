@@ -40,7 +40,12 @@ def goto(graph: Graph, *arguments: str) -> tuple[int, str]:
     command = [sys.executable, "-m", "xtdrone_interaction", "gcs", "goto", *arguments, "--fleet", "iris_3d_lidar:3",
                "--avoid", "--master", str(graph.port)]  # fmt: skip
     done = subprocess.run(
-        command, env={**os.environ, **graph.environment}, capture_output=True, text=True, timeout=WALL_LIMIT, check=False
+        command,
+        env={**os.environ, **graph.environment},
+        capture_output=True,
+        text=True,
+        timeout=WALL_LIMIT,
+        check=False,
     )
     return done.returncode, done.stdout + done.stderr
 

@@ -27,25 +27,17 @@ LENGTH = 16.0
 class Group:
     """Vehicles in pairs, each of which wants to be where the other is."""
 
-    def __init__(
-        self,
-        count: int,
-        options: NetworkOptions,
-        check: float,
-        seed: int = 0,
-        length: float = LENGTH,
-        trunks: np.ndarray | None = None,
-    ) -> None:
+    def __init__(self, count: int, options: NetworkOptions, check: float, seed: int = 0) -> None:
         self.radio = MessageRadio(count, options, seed)
         self.flights = []
         for rank in range(count):
-            place = np.array([length * (rank % 2), 2.5 * (rank // 2), 2.0])
-            flight = ToyFlight(np.zeros((0, 3)) if trunks is None else trunks, position=place)
+            place = np.array([LENGTH * (rank % 2), 2.5 * (rank // 2), 2.0])
+            flight = ToyFlight(np.zeros((0, 3)), position=place)
             flight.planner = SwarmPlanner(
                 flight.map.grid, flight.settings, flight.limits, AgreementSettings(check=check), rank
             )
             self.flights.append(flight)
-        self.goals = [np.array([length - flight.position[0], *flight.position[1:]]) for flight in self.flights]
+        self.goals = [np.array([LENGTH - flight.position[0], *flight.position[1:]]) for flight in self.flights]
         self.least = math.inf
 
     def run(self, seconds: float) -> float:
@@ -144,12 +136,16 @@ def test_what_was_overtaken_on_its_way_is_ignored():
     assert len(known.trajectories()) == 1
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_vehicles_that_meet_among_dense_trunks_find_their_way_round_each_other(seed):
-    group = Group(2, NetworkOptions(), 0.2, trunks=forest(seed))
-    assert group.run(40.0) < 40.0
-    assert group.least > 2.0 * RADIUS + AgreementSettings().separation - 0.1
-    assert min(flight.clearance() for flight in group.flights) > RADIUS
+def test_a_vehicle_finds_its_way_round_one_that_waits_among_trunks():
+    flight = ToyFlight(forest(2), position=np.array([28.0, -4.0, 2.0]))
+    flight.planner = SwarmPlanner(flight.map.grid, flight.settings, flight.limits, AgreementSettings(check=0.2), rank=1)
+    waiting = np.array([25.3, -3.7, 2.1])
+    flight.planner.on_decided(0, 1, resting(waiting, 0.0), RADIUS)
+    flight.planner.set_goal(np.array([18.0, -4.0, 2.0]))
+    flight.run(30.0, "hovering at the goal")
+    assert flight.planner.state.name == "hovering at the goal"
+    assert np.linalg.norm(np.array(flight.track) - waiting, axis=1).min() > 2.0 * RADIUS + 0.3
+    assert flight.clearance() > RADIUS
 
 
 def test_a_path_leads_round_the_place_where_another_rests():

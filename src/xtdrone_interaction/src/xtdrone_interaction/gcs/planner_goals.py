@@ -26,7 +26,7 @@ def send_goals(goals: Mapping[str, Goal], master: str = "") -> dict[str, GcsErro
 
     Args:
         goals: x, y, z by name of the vehicle, m in map.
-        master: port or URI of the ROS master; empty: that of the environment, or of the newest flight of this workspace.
+        master: port or URI of the ROS master; empty: the environment's, or that of the newest flight of this workspace.
 
     Returns:
         Per vehicle None, or why it does not fly there.

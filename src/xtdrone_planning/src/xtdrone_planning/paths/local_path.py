@@ -87,9 +87,7 @@ class PathSearch:
         seen = max(1, seen_count(grid.evidence, grid.corner, grid.resolution, points, radius, 2.0 * radius, farthest))
         ahead = points[min(len(points) - 1, round(3.0 / grid.resolution))]
         is_whole = outcome == REACHED and seen == len(points) and bool(np.allclose(points[-1], goal))
-        kept = without_corners(
-            distance, grid.evidence, grid.corner, grid.resolution, points[:seen], clearance, radius
-        )
+        kept = without_corners(distance, grid.evidence, grid.corner, grid.resolution, points[:seen], clearance, radius)
         return LocalPath(int(outcome), kept, ahead, is_whole)
 
     def _prepare(self, grid: VoxelGrid) -> None:
