@@ -25,7 +25,7 @@ from mavros_msgs.msg import PositionTarget
 from quadrotor_msgs.msg import PositionCommand
 
 from xtdrone_control import lockstep
-from xtdrone_control.camera_pose import LINK_FROM_OPTICAL
+from xtdrone_control.cameras.camera_pose import LINK_FROM_OPTICAL
 from xtdrone_control.rotation import multiply
 from xtdrone_control.settings import Settings, setting
 
