@@ -41,6 +41,7 @@ from xtdrone_planning.mapping.map_feed import SensorChoice
 from xtdrone_planning.mapping.range_images import DepthMapping, LidarMapping
 from xtdrone_planning.mapping.sensor_watch import WatchSettings
 from xtdrone_planning.mapping.voxel_grid import MapSettings
+from xtdrone_planning.replanning.ego_transfer_node import TransferSettings
 from xtdrone_planning.replanning.planner_node import TimingSettings
 from xtdrone_planning.replanning.situation import PlannerSettings
 from xtdrone_planning.safety.settings import SafetySettings
@@ -137,6 +138,7 @@ CLASSES: dict[str, type[Settings]] = {
         WatchSettings,
         MapSettings,
         TimingSettings,
+        TransferSettings,
         MarkerSettings,
         StationSettings,
         FoxgloveSettings,

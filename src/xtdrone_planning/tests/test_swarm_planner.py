@@ -8,14 +8,16 @@ import math
 
 import numpy as np
 import pytest
-from toy_flight import LIMITS, PERIOD, ToyFlight
+from toy_flight import LIMITS, PERIOD, ToyFlight, forest, wall
 
 from xtdrone_control.network.message_radio import MessageRadio
 from xtdrone_control.network.options import NetworkOptions
+from xtdrone_planning.paths.local_path import PathSearch
 from xtdrone_planning.swarm.known_trajectories import FORGET, Known, Proposal
 from xtdrone_planning.swarm.settings import AgreementSettings
 from xtdrone_planning.swarm.swarm_planner import SwarmPlanner
 from xtdrone_planning.trajectories.moving_vehicles import MovingVehicles
+from xtdrone_planning.trajectories.spline_cost import UPRIGHT
 from xtdrone_planning.trajectories.uniform_spline import UniformSpline, resting
 
 RADIUS = LIMITS.radius
@@ -132,3 +134,34 @@ def test_what_was_overtaken_on_its_way_is_ignored():
     known.forget(10.0 + FORGET + 0.01)
     assert known.trajectories()[0].points[0, 0] == 1.0
     assert len(known.trajectories()) == 1
+
+
+def test_a_vehicle_finds_its_way_round_one_that_waits_among_trunks():
+    flight = ToyFlight(forest(2), position=np.array([28.0, -4.0, 2.0]))
+    flight.planner = SwarmPlanner(flight.map.grid, flight.settings, flight.limits, AgreementSettings(check=0.2), rank=1)
+    waiting = np.array([25.3, -3.7, 2.1])
+    flight.planner.on_decided(0, 1, resting(waiting, 0.0), RADIUS)
+    flight.planner.set_goal(np.array([18.0, -4.0, 2.0]))
+    flight.run(30.0, "hovering at the goal")
+    assert flight.planner.state.name == "hovering at the goal"
+    assert np.linalg.norm(np.array(flight.track) - waiting, axis=1).min() > 2.0 * RADIUS + 0.3
+    assert flight.clearance() > RADIUS
+
+
+def test_a_path_leads_round_the_place_where_another_rests():
+    flight = ToyFlight(wall(8.0, -12.0, -2.0))
+    flight.run(1.0)
+    others = MovingVehicles([resting(np.array([6.0, 0.0, 2.0]), 0.0)], [1.5])
+    clearance = LIMITS.clearance(flight.map.grid.resolution)
+    distance = others.near_rest(flight.map.grid, clearance)
+    grid = flight.map.grid
+    for place in itertools.product(np.arange(3.0, 9.0, 0.35), np.arange(-3.0, 3.0, 0.35), (1.5, 2.0, 2.5)):
+        voxel = grid.index(np.array(place))
+        off = np.linalg.norm((grid.middle(np.array(voxel)) - (6.0, 0.0, 2.0)) * (1.0, 1.0, UPRIGHT))
+        if off < 1.5:
+            assert 0.0 < distance[voxel] < clearance
+        assert distance[voxel] <= grid.distance[voxel]
+    path = PathSearch(25000).find(grid, flight.position, np.array([12.0, 0.0, 2.0]), clearance, LIMITS.radius,
+                                  (0.8, 5.0), 20.0, distance)  # fmt: skip
+    along = np.vstack([np.linspace(a, b, 20) for a, b in itertools.pairwise(path.points)])
+    assert np.linalg.norm(along - (6.0, 0.0, 2.0), axis=1).min() > 1.4

@@ -55,6 +55,7 @@ class PathSearch:
         radius: float,
         heights: tuple[float, float],
         farthest: float,
+        distance: NDArray[np.float32] | None = None,
     ) -> LocalPath:
         """Search a path.
 
@@ -65,15 +66,17 @@ class PathSearch:
             radius: of the disc that must have been seen around each point, m.
             heights: lowest and highest flight, m in map.
             farthest: longest way that is returned, m.
+            distance: distances to obstacles in place of the map's, m.
         """
         self._prepare(grid)
+        distance = grid.distance if distance is None else distance
         places = [value / grid.resolution - grid.corner[2] for value in heights]
         first = np.array(grid.index(start))
         layers = grid.evidence.shape[2]
         lowest = int(np.clip(np.ceil(places[0] - 0.5), 0, layers - 1))
         highest = int(np.clip(np.floor(places[1] - 0.5), lowest, layers - 1))
         outcome, voxels = search(
-            grid.distance, grid.evidence, clearance, first, goal / grid.resolution - grid.corner,
+            distance, grid.evidence, clearance, first, goal / grid.resolution - grid.corner,
             min(lowest, first[2]), max(highest, first[2]), self._most,
             self._costs, self._parents, self._stamps, self._stamp, self._heap, self._keys,
         )  # fmt: skip
@@ -84,9 +87,7 @@ class PathSearch:
         seen = max(1, seen_count(grid.evidence, grid.corner, grid.resolution, points, radius, 2.0 * radius, farthest))
         ahead = points[min(len(points) - 1, round(3.0 / grid.resolution))]
         is_whole = outcome == REACHED and seen == len(points) and bool(np.allclose(points[-1], goal))
-        kept = without_corners(
-            grid.distance, grid.evidence, grid.corner, grid.resolution, points[:seen], clearance, radius
-        )
+        kept = without_corners(distance, grid.evidence, grid.corner, grid.resolution, points[:seen], clearance, radius)
         return LocalPath(int(outcome), kept, ahead, is_whole)
 
     def _prepare(self, grid: VoxelGrid) -> None:

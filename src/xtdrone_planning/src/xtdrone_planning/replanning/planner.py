@@ -25,7 +25,8 @@ Array = NDArray[np.float64]
 
 _LOOK_AHEAD = 0.6  # s: the yaw looks where the vehicle is then
 _SLOW = 0.3  # m in that time: the yaw is kept
-_LEAST_WAY = 0.6  # m: a shorter seen path is not worth flying, unless it ends at the goal
+LEAST_WAY = 0.6
+"""A shorter seen path is not worth flying, unless it ends at the goal, m."""
 
 
 class Planner:
@@ -138,14 +139,11 @@ class Planner:
             if away < clearance:
                 self.searched = f"the goal is {away:.1f} m from an obstacle"
                 return False
-        heights = (self.settings.lowest, self.settings.highest)
-        self.path = self._search.find(
-            self.grid, start.position, self.goal, clearance, self.limits.radius, heights, self.settings.horizon
-        )
+        self.path = self._find_path(start.position)
         if self.path.outcome == BLOCKED:
             self.searched = "there is no way to the goal on the map"
             return False
-        if length_of(self.path.points) < _LEAST_WAY and not self.path.is_whole:
+        if length_of(self.path.points) < LEAST_WAY and not self.path.is_whole:
             self.searched = "the way ahead has not been seen"
             return False
         found = self._trajectory_along(self.path.points, start, now.time)
@@ -155,6 +153,15 @@ class Planner:
         self.searched = "" if self.path.outcome == REACHED else "the search was cut short"
         self._fly(found)
         return True
+
+    def _find_path(self, start: Array, distance: NDArray[np.float32] | None = None) -> LocalPath:
+        """Search a path to the goal; ``distance`` in place of the map's, see ``PathSearch.find``."""
+        assert self.goal is not None
+        heights = (self.settings.lowest, self.settings.highest)
+        clearance, radius = self.limits.clearance(self.grid.resolution), self.limits.radius
+        return self._search.find(
+            self.grid, start, self.goal, clearance, radius, heights, self.settings.horizon, distance
+        )
 
     def _trajectory_along(self, corners: Array, start: State, time: float) -> UniformSpline | None:
         return plan_along(self.grid, corners, start, time, self.limits)

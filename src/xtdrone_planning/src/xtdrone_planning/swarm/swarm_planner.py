@@ -19,12 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_planning.mapping.voxel_grid import VoxelGrid
-from xtdrone_planning.replanning.planner import Planner
+from xtdrone_planning.replanning.planner import LEAST_WAY, Planner
 from xtdrone_planning.replanning.situation import Command, PlannerSettings, Situation
 from xtdrone_planning.swarm.known_trajectories import Known, Proposal
 from xtdrone_planning.swarm.settings import AgreementSettings
 from xtdrone_planning.trajectories.local_trajectory import State, TrajectorySettings, conflict_time, plan_along
 from xtdrone_planning.trajectories.moving_vehicles import MovingVehicles
+from xtdrone_planning.trajectories.time_law import length_of
 from xtdrone_planning.trajectories.uniform_spline import UniformSpline
 
 Array = NDArray[np.float64]
@@ -114,7 +115,20 @@ class SwarmPlanner(Planner):
         super().brake(time)
 
     def _trajectory_along(self, corners: Array, start: State, time: float) -> UniformSpline | None:
-        return plan_along(self.grid, corners, start, time, self.limits, self._others(None))
+        others = self._others(None)
+        found = plan_along(self.grid, corners, start, time, self.limits, others)
+        return found if found is not None or not len(others) else self._trajectory_round(others, start, time)
+
+    def _trajectory_round(self, others: MovingVehicles, start: State, time: float) -> UniformSpline | None:
+        """Return a trajectory on a path round the places where others come to rest, None if there is none.
+
+        The path on the map may lead through a vehicle that waits, and no bend of a trajectory along it leads round.
+        """
+        clearance = self.limits.clearance(self.grid.resolution)
+        self.path = path = self._find_path(start.position, others.near_rest(self.grid, clearance))
+        if length_of(path.points) < LEAST_WAY and not path.is_whole:
+            return None
+        return plan_along(self.grid, path.points, start, time, self.limits, others)
 
     def _fly(self, trajectory: UniformSpline) -> None:
         """Propose what begins later; what begins at once is flown."""

@@ -30,6 +30,9 @@ _PACES = (1.0, 0.8, 0.6, 0.4)  # parts of the speed limit that are tried in turn
 _WEIGHTS = (300.0, 1500.0)  # of nearness to obstacles, tried in turn
 _STRETCHES = 4  # of time, until the limits hold
 _ITERATIONS = 60
+_SLOW_SPEED, _SLOW_ACCELERATION = 0.8, 0.5  # m/s, m/s^2: close to the path itself
+_SLOW_WAY = 6.0  # m
+_AT_REST = 0.05  # m/s
 _TOLERANCE = 1e-6
 
 
@@ -92,7 +95,32 @@ def plan_along(
                 continue
             if math.isinf(others.conflict_time(spline, time)):
                 return spline
-    return None
+    return _slowly_along(grid, corners, length, state, time, settings, others)
+
+
+def _slowly_along(
+    grid: VoxelGrid,
+    corners: Array,
+    length: float,
+    state: State,
+    time: float,
+    settings: TrajectorySettings,
+    others: MovingVehicles,
+) -> UniformSpline | None:
+    """Return a slow trajectory from rest whose control points are on the path itself, or None if it is not flyable.
+
+    The optimisation ends in a local minimum, which may be in an obstacle; a spline stays in the hull of its control
+    points, and so at low speed close to the path, which is clear.
+    """
+    if float(np.linalg.norm(state.velocity)) > _AT_REST:
+        return None
+    speed, acceleration = min(_SLOW_SPEED, settings.speed), min(_SLOW_ACCELERATION, settings.acceleration)
+    law = TimeLaw.along(min(length, _SLOW_WAY), 0.0, speed, acceleration)
+    count = math.ceil(law.duration / _INTERVAL) + 1
+    ways = np.concatenate([np.zeros(2), law.way(np.arange(count) * _INTERVAL), np.full(2, law.length)])
+    spline = UniformSpline(time, _INTERVAL, points_along(corners, ways))
+    clear = is_flyable(grid, spline, time, settings) and math.isinf(others.conflict_time(spline, time))
+    return spline if clear else None
 
 
 def is_flyable(grid: VoxelGrid, spline: UniformSpline, time: float, settings: TrajectorySettings) -> bool:

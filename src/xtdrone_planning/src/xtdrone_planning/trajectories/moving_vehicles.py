@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_planning.trajectories.separation import first_approach, places_at
+from xtdrone_planning.mapping.voxel_grid import VoxelGrid
+from xtdrone_planning.trajectories.separation import first_approach, places_at, shorten_near
 from xtdrone_planning.trajectories.uniform_spline import UniformSpline
 
 Array = NDArray[np.float64]
@@ -42,6 +43,20 @@ class MovingVehicles:
         for places, spline in zip(found, self._trajectories, strict=True):
             places_at(spline.points, spline.interval, spline.start, times, places)
         return np.ascontiguousarray(found.transpose(1, 0, 2))
+
+    def near_rest(self, grid: VoxelGrid, clearance: float) -> NDArray[np.float32]:
+        """Return the distances of a map, m, shortened around the places where the others come to rest.
+
+        Where another is nearer than allowed they are below ``clearance``, m, so that paths lead round it.
+        """
+        distance = grid.distance.copy()
+        places = np.array([spline.points[-1] for spline in self._trajectories]).reshape(-1, 3)
+        shorten_near(distance, grid.corner, grid.resolution, places, self._distances + grid.resolution, clearance)
+        return distance
+
+    def __len__(self) -> int:
+        """Return the number of trajectories."""
+        return len(self._trajectories)
 
     def conflict_time(self, spline: UniformSpline, begin: float) -> float:
         """Return the ROS time, s, from ``begin`` on at which a trajectory is too near to another; inf: never."""

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 
 from xtdrone_planning.kernel import kernel
+from xtdrone_planning.trajectories.spline_cost import UPRIGHT
 from xtdrone_planning.trajectories.spline_kernels import spline_at
 
 _LEAST_STEP, _MOST_STEP = 0.02, 0.5  # s
+_LEAST = 0.01  # m: distances stay positive, as a search leaves obstacles only through such voxels
 
 
 @kernel
@@ -68,3 +70,28 @@ def places_at(points, interval, start, times, places):
     last = interval * (len(points) - 3)
     for k in range(len(times)):
         places[k] = spline_at(points, interval, min(max(times[k] - start, 0.0), last))[0]
+
+
+@kernel
+def shorten_near(distance, corner, resolution, places, apart, clearance):
+    """Shorten the distances of a map near vehicles, in place: below ``clearance`` where one is nearer than allowed.
+
+    Args:
+        distance: (nx, ny, nz) m.
+        corner: (3,) number of the lowest voxel.
+        resolution: side of a voxel, m.
+        places: (m, 3) of the vehicles, m in map.
+        apart: (m,) distance to be kept from each, m; above and below ``1 / UPRIGHT`` times as much.
+        clearance: m.
+    """
+    nx, ny, nz = distance.shape
+    for n in range(len(places)):
+        reach = math.ceil((apart[n] + 1.0) / resolution)
+        up = math.ceil((apart[n] + 1.0) / UPRIGHT / resolution)
+        x, y, z = places[n] / resolution - corner - 0.5
+        for i in range(max(0, math.floor(x) - reach), min(nx, math.floor(x) + reach + 2)):
+            for j in range(max(0, math.floor(y) - reach), min(ny, math.floor(y) + reach + 2)):
+                for k in range(max(0, math.floor(z) - up), min(nz, math.floor(z) + up + 2)):
+                    w = UPRIGHT * (k - z)
+                    away = resolution * math.sqrt((i - x) ** 2 + (j - y) ** 2 + w * w) - apart[n] + clearance
+                    distance[i, j, k] = min(distance[i, j, k], max(away, _LEAST))

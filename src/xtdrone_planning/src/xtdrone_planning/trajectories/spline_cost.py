@@ -22,6 +22,9 @@ SAMPLES = 3
 """Of a segment, at which its distance to obstacles and others is regarded."""
 _MEMORY = 6
 _SAME_PLACE = 1e-6  # m: the direction from another is undefined
+UPRIGHT = 0.5
+"""Factor of heights in distances from others, so that vehicles pass beside each other rather than through downwash and
+into heights that no sensor has seen; the ellipsoid of X. Zhou et al., EGO-Swarm, ICRA 2021."""
 _ARMIJO = 1e-4
 
 
@@ -92,7 +95,7 @@ def _collision(points, k, interval, distance, corner, resolution, clearance, wei
                 gradient[k + m, 2] += slope * b * gz
         for j in range(len(apart)):
             other = moving[SAMPLES * k + sample, j]
-            ox, oy, oz = x - other[0], y - other[1], z - other[2]
+            ox, oy, oz = x - other[0], y - other[1], UPRIGHT * (z - other[2])
             off = math.sqrt(ox * ox + oy * oy + oz * oz)
             lack = apart[j] - off
             if lack <= 0.0 or off < _SAME_PLACE:
@@ -102,7 +105,7 @@ def _collision(points, k, interval, distance, corner, resolution, clearance, wei
             for m, b in ((0, b0), (1, b1), (2, b2), (3, b3)):
                 gradient[k + m, 0] += slope * b * ox
                 gradient[k + m, 1] += slope * b * oy
-                gradient[k + m, 2] += slope * b * oz
+                gradient[k + m, 2] += slope * b * UPRIGHT * oz
     return total
 
 

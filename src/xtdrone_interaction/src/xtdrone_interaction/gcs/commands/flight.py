@@ -97,10 +97,28 @@ def _goto(arguments: argparse.Namespace) -> int:
             f"goto: {len(peers)} vehicles would meet there; --spacing M keeps so many metres between heights"
         )
     heights = [i * (options.spacing or 0.0) for i in range(len(peers))]
+    if arguments.avoid:
+        return _plan(arguments, target, dict(zip(peers, heights, strict=True)))
     actions = {
         peer: partial(flight.go_to, target=target.raised(height)) for peer, height in zip(peers, heights, strict=True)
     }
     return _each(arguments, actions, "goes there")
+
+
+def _plan(arguments: argparse.Namespace, target: Target, heights: Mapping[Peer, float]) -> int:
+    """Hand the target, raised by ``heights`` (m), to the vehicles' planners; return the exit status."""
+    if target.local is None or not math.isnan(target.speed):
+        raise UsageError("goto: --avoid needs X Y Z, and is without --speed, which is the planner's (~speed)")
+    from ..planner_goals import send_goals  # the only command that needs ROS
+
+    x, y, z = target.local
+    try:
+        goals = {peer.name: (x, y, z + height) for peer, height in heights.items()}
+        results = send_goals(goals, arguments.master or "")
+    except argparse.ArgumentTypeError as error:
+        raise UsageError(str(error)) from error
+    display = Display([peer.name for peer in heights])
+    return display.results(list(heights), results, lambda *_: "its planner flies there")
 
 
 def _target(place: Sequence[float], options: GotoOptions) -> Target:
@@ -144,6 +162,10 @@ def add_to(add: Adder) -> None:
     goto.add_argument("place", nargs="*", type=_metres("place", -_FAR, _FAR), metavar="X Y Z",
                       help="m east, north, up from the local frame's origin (the simulator's map frame)")  # fmt: skip
     GotoOptions.add_arguments(goto)
+    goto.add_argument("--avoid", action="store_true",
+                      help="by the vehicle's planner, round what its sensor sees: planner.py has to run")  # fmt: skip
+    goto.add_argument("--master", metavar="MASTER", help="with --avoid: port or URI of the ROS master (default: "
+                      "ROS_MASTER_URI, or the newest flight of this workspace)")  # fmt: skip
     mode = add("mode", _mode, "set the mode by its PX4 or ArduPilot name, such as MISSION, POSCTL, GUIDED")
     mode.add_argument("name", metavar="NAME", help="the mode")
     add("hold", lambda arguments: _all(arguments, flight.hold, "holds"), "hold the position")
