@@ -18,8 +18,8 @@ import rospy
 
 from xtdrone_control import lockstep
 from xtdrone_control.programs.program import ArgumentError, run_program, served_vehicles
-from xtdrone_perception.slam.odometry_node import RATE
 from xtdrone_perception.slam.laser.laser_odometry_node import LaserOdometryNode, read_settings
+from xtdrone_perception.slam.odometry_node import RATE
 
 USAGE = "laser_odometry.py TYPE ID   (ID: a number, as 0)"
 

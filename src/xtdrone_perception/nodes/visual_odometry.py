@@ -4,8 +4,8 @@
 One process serves one vehicle. ``xtdrone_perception.slam.visual.visual_odometry_node`` lists the topics.
 
 Parameters:
-    those of ``VisualOdometryOptions``, ``TrackSettings``, ``NoiseSettings``, ``KeyframeSettings`` and ``VisualHealthLimits`` in
-        ``xtdrone_perception.slam.visual``, see docs/settings.md.
+    those of ``VisualOdometryOptions``, ``TrackSettings``, ``NoiseSettings``, ``KeyframeSettings`` and
+        ``VisualHealthLimits`` in ``xtdrone_perception.slam.visual``, see docs/settings.md.
     /xtdrone/fleet (as ``iris_slam_rgbd:1``): the fleet; without it ids are not checked against a count.
 """
 

@@ -73,15 +73,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "runs/<time>/ with flight.bag, report.json, and pictures of the way with its map and of the drift."
     )
     parser.add_argument("--script", type=Path, default=SCRIPT, metavar="FILE.py", help="script that flies the vehicle")
-    parser.add_argument(
-        "--by", choices=tuple(TYPES), default="lidar", help="sensor of the odometry (default: lidar)"
-    )
+    parser.add_argument("--by", choices=tuple(TYPES), default="lidar", help="sensor of the odometry (default: lidar)")
     parser.add_argument(
         "--way", nargs="+", default=[], metavar="X,Y", help="points of the way, m east and north of the start"
     )
     SlamSettings.add_arguments(parser, ("height", "speed", "seed"))
     parser.add_argument(
-        "--world", metavar="WORLD", help="world, by name or file (default: city; outdoor for cameras, indoor for a laser)"
+        "--world",
+        metavar="WORLD",
+        help="world, by name or file (default: city; outdoor for cameras, indoor for a laser)",
     )
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
     MachineSettings.add_arguments(parser, ("master_port",))

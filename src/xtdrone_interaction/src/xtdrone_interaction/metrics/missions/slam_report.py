@@ -15,7 +15,8 @@ from xtdrone_interaction.recording.series import Array
 
 SOURCES = ("lidar_odometry", "laser_odometry", "visual_odometry")
 _HOME_LIMIT = 0.5  # m
-_DRIFT_LIMIT = 0.5  # % of the way
+_DRIFT_LIMITS = {"visual_odometry": 1.5}  # % of the way
+_DRIFT_LIMIT = 0.5  # % of the way, of the others
 _VOXEL = 0.5  # m, of the joined map
 
 
@@ -71,8 +72,9 @@ def _shortcomings(row: dict[str, Any], miss: float, recording: Recording) -> lis
     found = list(recording.collisions)
     if miss > _HOME_LIMIT:
         found.append(f"landed {miss:.2f} m from the start, more than {_HOME_LIMIT:g} m")
-    if row["drift"] is not None and row["drift"] > _DRIFT_LIMIT:
-        found.append(f"drift {row['drift']:.2f} % of the way, more than {_DRIFT_LIMIT:g} %")
+    limit = _DRIFT_LIMITS.get(row["source"], _DRIFT_LIMIT)
+    if row["drift"] is not None and row["drift"] > limit:
+        found.append(f"drift {row['drift']:.2f} % of the way, more than {limit:g} %")
     return found
 
 

@@ -34,7 +34,9 @@ class ScanMatchSettings(Settings):
     reach: float = setting(0.5, low=0.05, high=10.0, unit="m", text="greatest distance of corresponding points")
     noise: float = setting(0.02, above=0.0, high=1.0, unit="m", text="standard deviation of points about their lines")
     ground: float = setting(0.1, low=0.0, high=10.0, unit="m", text="points lower above the ground are not used")
-    slab: float = setting(1.5, low=0.05, high=10.0, unit="m", text="points farther above or below the vehicle are not used")
+    slab: float = setting(
+        1.5, low=0.05, high=10.0, unit="m", text="points farther above or below the vehicle are not used"
+    )
     key_step: float = setting(0.3, above=0.0, high=100.0, unit="m", text="way after which a scan joins the map")
     key_turn: float = setting(0.2, above=0.0, high=3.2, unit="rad", text="turn after which one does")
     step: float = setting(0.12, above=0.0, high=10.0, unit="m", text="a jump of the range that is a step of the ground")

@@ -7,6 +7,7 @@ added where there are none.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -246,7 +247,9 @@ class VisualOdometry:
         self._window.append(_Keyframe(self.pose, picture.attitude, known.ids, known.measured))
         if len(self._window) > 1:
             self._adjust()
-        known = Tracks(known.ids, known.measured, np.array([self._points[k] for k in known.ids.tolist()]).reshape(-1, 3))
+        known = Tracks(
+            known.ids, known.measured, np.array([self._points[k] for k in known.ids.tolist()]).reshape(-1, 3)
+        )
         new = self._new_tracks(picture, self.pose, known)
         self._next_id += len(new.ids)
         self._points.update(zip(new.ids.tolist(), new.points, strict=True))
@@ -266,7 +269,7 @@ class VisualOdometry:
         used, point = np.unique(point[often], return_inverse=True)
         if len(used) < self._settings.least_points:
             return
-        turns = tuple(a.attitude.inv() * b.attitude for a, b in zip(window[:-1], window[1:], strict=True))
+        turns = tuple(a.attitude.inv() * b.attitude for a, b in itertools.pairwise(window))
         problem = WindowProblem(turns, frame[often], point, measured[often])
         keys = ids[used].tolist()
         poses = np.stack([entry.pose for entry in window])

@@ -118,7 +118,9 @@ class VisualOdometryNode(OdometryNode):
         if np.isfinite(message.P).all() and (focal > 0.0).all():
             self._infos[index] = message
         else:
-            rospy.logwarn_throttle(10.0, f"{self._name}: ignored a camera_info: P: {list(message.P)} has no focal length")
+            rospy.logwarn_throttle(
+                10.0, f"{self._name}: ignored a camera_info: P: {list(message.P)} has no focal length"
+            )
 
     def _on_image(self, index: int, message: Image) -> None:
         stamp = message.header.stamp.to_nsec()

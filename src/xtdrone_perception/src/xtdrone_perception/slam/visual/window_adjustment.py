@@ -100,7 +100,11 @@ def _steps(
     by_pose, by_point = camera.slopes(poses[problem.frame], local, points[problem.point])
     known = np.isfinite(problem.measured)[:, :, None] / sigmas.measured[:, None]
     weight = np.sqrt(huber(residual))[:, None]
-    residual, by_pose, by_point = weight * residual, weight[:, :, None] * known * by_pose, weight[:, :, None] * known * by_point
+    residual, by_pose, by_point = (
+        weight * residual,
+        weight[:, :, None] * known * by_pose,
+        weight[:, :, None] * known * by_point,
+    )
     pose_rows, point_rows = by_pose.transpose(0, 2, 1), by_point.transpose(0, 2, 1)
     normal, right = _pose_blocks(sigmas, problem, poses)
     np.add.at(normal, (problem.frame, problem.frame), pose_rows @ by_pose)
