@@ -126,7 +126,7 @@ class LaserOdometryNode(OdometryNode):
         if sweep is None:
             self._warn_of_attitude()
         elif not self._is_late():
-            self._submit(sweep, zlib.crc32(np.asarray(message.ranges, "<f4")), end_ns)
+            self._submit(sweep, zlib.crc32(np.asarray(message.ranges, "<f4").tobytes()), end_ns)
 
     def _sweep(self, scan: ReadScan, begin_ns: int, duration: float, end_ns: int) -> LaserSweep | None:
         """Return a scan with all that is known of its time; None if the attitude is unknown."""

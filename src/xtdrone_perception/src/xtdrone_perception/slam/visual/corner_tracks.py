@@ -6,6 +6,7 @@ Pixel coordinates here are OpenCV's: the centre of the upper left pixel is (0, 0
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -39,7 +40,9 @@ class TrackSettings(Settings):
     )
 
 
-def track(settings: TrackSettings, before: Grey, after: Grey, pixels: Array, guess: Array) -> tuple[Array, Array]:
+def track(
+    settings: TrackSettings, before: Grey, after: Grey, pixels: Array, guess: Array
+) -> tuple[Array, NDArray[np.bool_]]:
     """Return where corners are in another picture, (n, 2) px, and whether they were found, (n,) bool.
 
     Each is followed there and back.
@@ -52,7 +55,7 @@ def track(settings: TrackSettings, before: Grey, after: Grey, pixels: Array, gue
     """
     if not len(pixels):
         return np.empty((0, 2)), np.empty(0, bool)
-    options = {
+    options: dict[str, Any] = {
         "winSize": (settings.window, settings.window),
         "maxLevel": settings.levels,
         "criteria": _CRITERIA,
@@ -82,7 +85,7 @@ def new_corners(settings: TrackSettings, picture: Grey, known: Array, usable: ND
     wanted = settings.corners - len(known)
     if wanted <= 0:
         return np.empty((0, 2))
-    mask = np.full(picture.shape, 255, np.uint8) if usable is None else usable.astype(np.uint8) * np.uint8(255)
+    mask: Any = np.full(picture.shape, 255, np.uint8) if usable is None else usable.astype(np.uint8) * np.uint8(255)
     for x, y in np.round(known).astype(int).tolist():
         cv2.circle(mask, (x, y), round(settings.corner_distance), 0, -1)
     found = cv2.goodFeaturesToTrack(picture, wanted, settings.corner_quality, settings.corner_distance, mask=mask)

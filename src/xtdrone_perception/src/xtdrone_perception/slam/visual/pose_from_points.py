@@ -7,7 +7,7 @@ Huber's weights, over pixels, inverse depths, and the turn that the autopilot ha
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -106,11 +106,12 @@ def _consensus(
     matrix = np.diag([camera.focal[0], camera.focal[1], 1.0])
     matrix[:2, 2] = camera.centre
     start = inverse(predicted @ camera.mount)
+    no_lens: Any = None
     found, _, _, chosen = cv2.solvePnPRansac(
         points - predicted[:3, 3],  # near the origin, for the sake of rounding
         measured[:, :2].copy(),
         matrix,
-        None,
+        no_lens,
         rotation_of(start).as_rotvec(),
         start[:3, 3] + start[:3, :3] @ predicted[:3, 3],
         useExtrinsicGuess=True,

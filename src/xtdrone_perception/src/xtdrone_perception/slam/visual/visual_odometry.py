@@ -77,9 +77,17 @@ class Tracks:
     measured: Array = field(default_factory=lambda: np.empty((0, 3)))
     points: Array = field(default_factory=lambda: np.empty((0, 3)))
 
-    def of(self, chosen: Array) -> Tracks:
+    def of(self, chosen: NDArray[np.bool_]) -> Tracks:
         """Return some of them; chosen: (n,) bool."""
         return Tracks(self.ids[chosen], self.measured[chosen], self.points[chosen])
+
+    def joined(self, other: Tracks) -> Tracks:
+        """Return these and others, whose ids are greater."""
+        return Tracks(
+            np.concatenate([self.ids, other.ids]),
+            np.concatenate([self.measured, other.measured]),
+            np.concatenate([self.points, other.points]),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -253,7 +261,7 @@ class VisualOdometry:
         new = self._new_tracks(picture, self.pose, known)
         self._next_id += len(new.ids)
         self._points.update(zip(new.ids.tolist(), new.points, strict=True))
-        self._tracks = Tracks(*(np.concatenate(pair) for pair in zip(_parts(known), _parts(new), strict=True)))
+        self._tracks = known.joined(new)
         self._window[-1] = _Keyframe(self.pose, picture.attitude, self._tracks.ids, self._tracks.measured)
         del self._window[: -self._settings.keyframes]
         alive = np.unique(np.concatenate([frame.ids for frame in self._window])).tolist()
@@ -279,10 +287,6 @@ class VisualOdometry:
             entry.pose = pose
         self._points.update(zip(keys, points, strict=True))
         self.pose = poses[-1]
-
-
-def _parts(tracks: Tracks) -> tuple[Array, Array, Array]:
-    return tracks.ids, tracks.measured, tracks.points  # type: ignore[return-value]
 
 
 def _weakest(information: Array) -> float:

@@ -158,7 +158,7 @@ class VisualOdometryNode(OdometryNode):
             return
         if not self._is_late():
             seen = SeenPicture(grey, attitude, depth, right, base or 0.0)
-            self._submit(seen, zlib.crc32(grey), end_ns)
+            self._submit(seen, zlib.crc32(grey.tobytes()), end_ns)
 
     def _base(self) -> float | None:
         """Return focal length times baseline of the pair, px m; None if it is unknown."""
