@@ -27,11 +27,17 @@ from xtdrone_perception.following.human_tracking_node import TrackingOptions
 from xtdrone_perception.gimbal_node import GimbalOptions
 from xtdrone_perception.localisation.relative_filter import FilterSettings
 from xtdrone_perception.localisation.relative_node import RelativeOptions
+from xtdrone_perception.slam.laser.laser_odometry import ScanMatchSettings
+from xtdrone_perception.slam.laser.laser_odometry_node import LaserOdometryOptions
 from xtdrone_perception.slam.lidar_odometry import RegistrationOptions
 from xtdrone_perception.slam.lidar_odometry_node import LidarOdometryOptions
 from xtdrone_perception.slam.loops.loop_closure import LoopOptions
 from xtdrone_perception.slam.loops.loop_closure_node import LoopNodeOptions
 from xtdrone_perception.slam.odometry_health import HealthLimits
+from xtdrone_perception.slam.visual.corner_tracks import TrackSettings
+from xtdrone_perception.slam.visual.pose_from_points import NoiseSettings
+from xtdrone_perception.slam.visual.visual_odometry import KeyframeSettings
+from xtdrone_perception.slam.visual.visual_odometry_node import VisualHealthLimits, VisualOdometryOptions
 from xtdrone_perception.tags.apriltag_node import AprilTagOptions
 from xtdrone_perception.tags.tag_detector import TagDetectorSettings
 from xtdrone_perception.tracking.geolocation import Noise, Person
@@ -101,6 +107,13 @@ CLASSES: dict[str, type[Settings]] = {
         LidarOdometryOptions,
         RegistrationOptions,
         HealthLimits,
+        VisualOdometryOptions,
+        TrackSettings,
+        NoiseSettings,
+        KeyframeSettings,
+        VisualHealthLimits,
+        LaserOdometryOptions,
+        ScanMatchSettings,
         LoopOptions,
         LoopNodeOptions,
         DriveLimits,

@@ -56,6 +56,20 @@ def test_it_flies_and_comes_home_by_lidar_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("sensor", "height", "way", "most"), [("laser", "1.2", "5,0", 0.1), ("rgbd", "1.5", "2,0", 0.3)]
+)
+def test_it_flies_by_a_2d_laser_and_by_a_camera(
+    sensor: str, height: str, way: str, most: float, tmp_path: Path
+) -> None:
+    flown = fly(tmp_path / "run", "--by", sensor, "--height", height, "--way", way)
+    assert flown.returncode == 0, flown.stdout + flown.stderr
+    report = json.loads((tmp_path / "run" / "report.json").read_text())
+    assert report["home_miss"] < 0.3
+    assert report["odometry"][0]["way"] > 2.0 * float(way.split(",")[0])
+    assert report["odometry"][0]["greatest"] < most
+
+
+@pytest.mark.parametrize(
     "fault",
     ["frozen 0 scans do not change", "off 0 no scans arrive", "dropouts 0.999 too few points are seen"],
     ids=("frozen", "silent", "blind"),

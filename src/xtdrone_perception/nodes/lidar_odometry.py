@@ -18,7 +18,8 @@ import rospy
 
 from xtdrone_control import lockstep
 from xtdrone_control.programs.program import ArgumentError, run_program, served_vehicles
-from xtdrone_perception.slam.lidar_odometry_node import RATE, VehicleOdometry, read_settings
+from xtdrone_perception.slam.lidar_odometry_node import LidarOdometryNode, read_settings
+from xtdrone_perception.slam.odometry_node import RATE
 
 USAGE = "lidar_odometry.py TYPE ID   (ID: a number, as 0)"
 
@@ -29,7 +30,7 @@ def main(arguments: Sequence[str]) -> None:
     if len(ids) != 1:
         raise ArgumentError(f"id: {len(ids)} vehicles are not allowed, one for each node")
     lockstep.init_node(f"{name}_lidar_odometry", rate=RATE)
-    node = VehicleOdometry(name, *read_settings())
+    node = LidarOdometryNode(name, *read_settings())
     try:
         lockstep.start()
         lockstep.spin(node.step)

@@ -11,9 +11,17 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2, PointField
 
 from xtdrone_perception.slam.deskewing import deskewed, motion_of
-from xtdrone_perception.slam.lidar_odometry import LidarOdometry, RegistrationOptions, predicted_pose
-from xtdrone_perception.slam.odometry_health import Fault, Health, HealthLimits, ScanFigures, State, fault_of
-from xtdrone_perception.slam.poses import inverse, pose_of, pose_of_vector, vector_of
+from xtdrone_perception.slam.lidar_odometry import LidarOdometry, RegistrationOptions
+from xtdrone_perception.slam.odometry_health import (
+    Fault,
+    Health,
+    HealthLimits,
+    ScanFigures,
+    State,
+    fault_of,
+    figures_of,
+)
+from xtdrone_perception.slam.poses import inverse, pose_of, pose_of_vector, predicted_pose, vector_of
 from xtdrone_perception.slam.scan_points import read_cloud
 
 OPTIONS = RegistrationOptions(spacing=0.5)
@@ -85,8 +93,7 @@ def test_the_same_scans_give_the_same_bits() -> None:
 
 
 def _figures(entry: object, same: int = 0) -> ScanFigures:
-    e = entry
-    return ScanFigures(e.count, e.share, e.residual, e.weakest, e.jump, e.turn, same, OPTIONS.least_points, e.is_first)  # type: ignore[attr-defined]
+    return figures_of(entry, same, OPTIONS.least_points)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""``./xtdrone demo slam``: one vehicle flies round a building without GPS, by its lidar alone.
+"""``./xtdrone demo slam``: one vehicle flies without GPS, by lidar, camera or 2D laser alone.
 
 Exit status: 0 for a flight that came home, 1 if the script or the launch has failed or it landed elsewhere, 2 for a
 value that is not allowed, 128 + n when stopped by signal n.
@@ -26,9 +26,17 @@ from xtdrone_interaction.options import MachineSettings, OptionError, seed_setti
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.report_tables import odometry_table, print_table
 
-TYPE = "iris_slam"
+TYPES = {"lidar": "iris_slam", "rgbd": "iris_slam_rgbd", "stereo": "iris_slam_stereo", "laser": "iris_slam_laser"}
 SCRIPT = options.repository() / "src" / "xtdrone_control" / "examples" / "slam.py"
-_WORLD = "city"
+_WORLDS = {"lidar": "city", "rgbd": "outdoor", "stereo": "outdoor", "laser": "indoor"}
+_WAYS = {
+    "lidar": (),
+    "rgbd": ("4,0", "4,3", "0,3"),
+    "stereo": ("4,0", "4,3", "0,3"),
+    "laser": ("15,0",),
+}
+"""Default ways; the script has that of the lidar. Cameras look ahead, at the scenery in the east."""
+_POSES = {"laser": "[22, 5, 0, 0, 0, 0]"}  # inside the building
 _RESULTS = ("flight.bag", "report.json", "path.png", "drift.png")
 
 
@@ -38,6 +46,7 @@ class SlamSettings(Settings):
 
     Attributes:
         script: the file that flies.
+        odometry: by which sensor, one of ``TYPES``.
         way: its arguments: points east, north of the start.
         world: name, or absolute path of a file.
         out: folder of the results.
@@ -46,6 +55,7 @@ class SlamSettings(Settings):
     """
 
     script: Path
+    odometry: str
     way: tuple[str, ...] = ()
     world: str
     height: float = setting(3.0, low=1.0, high=50.0, unit="m", text="height of the flight above the start")
@@ -60,15 +70,20 @@ class SlamSettings(Settings):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.description = (
-        "Fly one vehicle without GPS: its lidar says where it is, on a way round a building, home and down. Leaves "
+        "Fly one vehicle without GPS: its lidar (or camera) says where it is, on a way, home and down. Leaves "
         "runs/<time>/ with flight.bag, report.json, and pictures of the way with its map and of the drift."
     )
-    parser.add_argument("--script", type=Path, default=SCRIPT, metavar="FILE.py", help="script that flies iris_slam_0")
+    parser.add_argument("--script", type=Path, default=SCRIPT, metavar="FILE.py", help="script that flies the vehicle")
+    parser.add_argument("--by", choices=tuple(TYPES), default="lidar", help="sensor of the odometry (default: lidar)")
     parser.add_argument(
         "--way", nargs="+", default=[], metavar="X,Y", help="points of the way, m east and north of the start"
     )
     SlamSettings.add_arguments(parser, ("height", "speed", "seed", "web"))
-    parser.add_argument("--world", default=_WORLD, metavar="WORLD", help="world, by name or file (default: city)")
+    parser.add_argument(
+        "--world",
+        metavar="WORLD",
+        help="world, by name or file (default: city; outdoor for cameras, indoor for a laser)",
+    )
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
     MachineSettings.add_arguments(parser, ("master_port",))
     options.add_instance(parser)
@@ -94,11 +109,12 @@ def _settings(arguments: argparse.Namespace) -> SlamSettings:
     return SlamSettings.from_arguments(
         arguments,
         script=script.resolve(),
-        way=tuple(arguments.way),
-        world=options.world(arguments.world),
+        odometry=arguments.by,
+        way=tuple(arguments.way) or _WAYS[arguments.by],
+        world=options.world(arguments.world or _WORLDS[arguments.by]),
         out=options.results_folder(arguments.out, recorded=True),
         master_port=master_port(machine.master_port, use_running=False),
-        instance=options.take_instance(f"{TYPE}:1", machine.instance),
+        instance=options.take_instance(f"{TYPES[arguments.by]}:1", machine.instance),
     )
 
 
@@ -115,8 +131,10 @@ def _fly(settings: SlamSettings, console: Console) -> int:
     launch = Launch(
         "slam.launch",
         {
-            "type": TYPE,
+            "odometry": settings.odometry,
+            "type": TYPES[settings.odometry],
             "world": settings.world,
+            **({"pose": _POSES[settings.odometry]} if settings.odometry in _POSES else {}),
             "speed": settings.speed,
             "seed": settings.seed,
             "bag": settings.out / "flight.bag",
@@ -128,7 +146,7 @@ def _fly(settings: SlamSettings, console: Console) -> int:
         headless=True,
         instance=settings.instance,
     )
-    command: list[Path | str] = [settings.script, f"{TYPE}_0", str(settings.height), *settings.way]
+    command: list[Path | str] = [settings.script, f"{TYPES[settings.odometry]}_0", str(settings.height), *settings.way]
 
     def go() -> int:
         ended_nodes = EndedNodes(launch.log)

@@ -23,7 +23,8 @@ from scipy.spatial.transform import Rotation
 from xtdrone_control.settings import Settings, setting
 
 from .deskewing import ScanMotion, deskewed
-from .poses import inverse, pose_of, rotation_of
+from .odometry_health import Estimate
+from .poses import pose_of
 from .scan_points import PointScan
 
 Array = NDArray[np.float64]
@@ -50,44 +51,17 @@ class RegistrationOptions(Settings):
     least_points: int = setting(100, low=10, high=100_000, text="points that a scan needs to be registered")
 
 
-@dataclass(frozen=True)
-class Registration:
-    """Result of one scan.
+@dataclass(frozen=True, kw_only=True)
+class Registration(Estimate):
+    """Result of one scan, at its end; the residual is about 0.5 for 2 cm of noise.
 
     Attributes:
-        pose: (4, 4) body to map, at the end of the scan.
-        predicted: (4, 4) before the registration.
         points: (n, 3) of the scan, without skew, in the body's frame at its end.
-        count: points that were registered.
-        share: of these that have a correspondence, 0..1.
-        residual: root mean square of the normalised distances of correspondences; about 0.5 for 2 cm of noise.
-        weakest: information on the least known direction over that on the best known one, 0..1; small where the
-            surroundings do not tell where the vehicle is: a plain, a long corridor.
-        covariance: (6, 6) of x, y, z (m, map's axes) and rotation (rad, body's axes).
         surfaces: the scan as the map takes it; None: too few points.
-        is_first: nothing to compare with: the map was empty.
     """
 
-    pose: Array
-    predicted: Array
     points: Array
-    count: int
-    share: float
-    residual: float
-    weakest: float
-    covariance: Array
     surfaces: small_gicp.PointCloud | None = None
-    is_first: bool = False
-
-    @property
-    def jump(self) -> float:
-        """Distance between prediction and result, m."""
-        return float(np.linalg.norm(self.pose[:3, 3] - self.predicted[:3, 3]))
-
-    @property
-    def turn(self) -> float:
-        """Angle between prediction and result, rad."""
-        return float((rotation_of(self.predicted).inv() * rotation_of(self.pose)).magnitude())
 
 
 class _Map:
@@ -164,12 +138,11 @@ class LidarOdometry:
         """
         settings = self._settings
         if len(points) < settings.least_points:
-            return Registration(predicted, predicted, points, len(points), 0.0, 0.0, 0.0, np.eye(6))
+            return _unregistered(predicted, points, None, len(points))
         source = self._surfaces(points)
         count = source.size()
         if self._maps[0].gaussians.size() == 0:
-            known = np.diag([1e-6] * 6)
-            return Registration(predicted, predicted, points, count, 1.0, 0.0, 1.0, known, source, is_first=True)
+            return _unregistered(predicted, points, source, count)
         pose = predicted
         for part in self._maps:
             pose, result = part.align(source, pose, settings.reach)
@@ -177,15 +150,15 @@ class LidarOdometry:
         square = 2.0 * float(result.error) / inliers
         information = np.asarray(result.H)
         return Registration(
-            pose,
-            predicted,
-            points,
-            count,
-            result.num_inliers / count,
-            float(np.sqrt(square)),
-            _weakest(information),
-            _covariance(information, square, pose),
-            source,
+            pose=pose,
+            predicted=predicted,
+            count=count,
+            share=result.num_inliers / count,
+            residual=float(np.sqrt(square)),
+            weakest=_weakest(information),
+            covariance=_covariance(information, square, pose),
+            points=points,
+            surfaces=source,
         )
 
     def accept(self, registration: Registration) -> None:
@@ -216,16 +189,21 @@ class LidarOdometry:
         return source
 
 
-def predicted_pose(pose: Array, turn: Rotation, velocity: Array, seconds: float) -> Array:
-    """Return a pose some time later.
-
-    Args:
-        pose: (4, 4).
-        turn: of the body meanwhile, in its axes.
-        velocity: (3,) m/s, mean, in the map.
-        seconds: of the time.
-    """
-    return pose_of(pose[:3, 3] + velocity * seconds, rotation_of(pose) * turn)
+def _unregistered(predicted: Array, points: Array, source: small_gicp.PointCloud | None, count: int) -> Registration:
+    """Return the result of a scan with nothing to compare with: the first one, or one with too few points."""
+    is_first = source is not None
+    return Registration(
+        pose=predicted,
+        predicted=predicted,
+        count=count,
+        share=float(is_first),
+        residual=0.0,
+        weakest=float(is_first),
+        covariance=np.diag([1e-6] * 6) if is_first else np.eye(6),
+        is_first=is_first,
+        points=points,
+        surfaces=source,
+    )
 
 
 def _orthonormal(pose: Array) -> Array:
@@ -254,9 +232,3 @@ def _covariance(information: Array, square: float, pose: Array) -> Array:
     turn[:3, :3] = pose[:3, :3]
     covariance: Array = turn @ found @ turn.T
     return 0.5 * (covariance + covariance.T)
-
-
-def relative(first: Array, second: Array) -> Array:
-    """Return the pose of ``second`` in ``first``, (4, 4)."""
-    found: Array = inverse(first) @ second
-    return found

@@ -5,28 +5,43 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import Enum
 
+import numpy as np
+from numpy.typing import NDArray
+
 from xtdrone_control.settings import Settings, setting
+
+from .poses import angle_between, distance_between
+
+Array = NDArray[np.float64]
 
 
 class Fault(Enum):
-    """A reason not to trust odometry; the value says it in words."""
+    """A reason not to trust odometry; ``words`` says it."""
 
-    SILENT = "no scans arrive"
-    FROZEN = "scans do not change"
+    SILENT = "no {noun}s arrive"
+    FROZEN = "{noun}s do not change"
     BLIND = "too few points are seen"
     UNMATCHED = "too few points fit the map"
     DEGENERATE = "the surroundings do not tell the position"
-    RESIDUAL = "the scan does not fit the map"
+    RESIDUAL = "the {noun} does not fit the map"
     DIVERGED = "the position contradicts the autopilot's motion"
-    LATE = "scans are dropped, as registration takes too long"
+    LATE = "{noun}s are dropped, as registration takes too long"
+
+    def words(self, noun: str) -> str:
+        """Return the reason in words; noun: of a measurement, as ``scan``."""
+        return self.value.format(noun=noun)
 
 
 class State(Enum):
     """State of the odometry."""
 
-    WAITING = "waiting for the first scan"
+    WAITING = "waiting for the first {noun}"
     GOOD = "good"
     LOST = "lost"
+
+    def words(self, noun: str) -> str:
+        """Return the state in words; noun: of a measurement, as ``scan``."""
+        return self.value.format(noun=noun)
 
 
 @dataclass(frozen=True)
@@ -50,14 +65,50 @@ class HealthLimits(Settings):
     recovery: int = setting(10, low=1, high=1000, text="good scans in succession after which odometry is good again")
 
 
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """Result of the registration of one measurement.
+
+    Attributes:
+        pose: (4, 4) body to map, at the time of the measurement.
+        predicted: (4, 4) before the registration.
+        count: points that were registered.
+        share: of these that have a correspondence, 0..1.
+        residual: root mean square of the normalised residuals.
+        weakest: information on the least known direction over that on the best known one, 0..1; small where the
+            surroundings do not tell where the vehicle is: a plain, a long corridor.
+        covariance: (6, 6) of x, y, z (m, map's axes) and rotation (rad, body's axes).
+        is_first: nothing to compare with: the map was empty.
+    """
+
+    pose: Array
+    predicted: Array
+    count: int
+    share: float
+    residual: float
+    weakest: float
+    covariance: Array
+    is_first: bool = False
+
+    @property
+    def jump(self) -> float:
+        """Distance between prediction and result, m."""
+        return distance_between(self.predicted, self.pose)
+
+    @property
+    def turn(self) -> float:
+        """Angle between prediction and result, rad."""
+        return angle_between(self.predicted, self.pose)
+
+
 @dataclass(frozen=True)
 class ScanFigures:
-    """What is known of one scan.
+    """What is known of one measurement.
 
     Attributes:
         count: points used.
-        share, residual, weakest, jump (m), turn (rad): see ``Registration``.
-        same: identical scans in succession, 0 for a new one.
+        share, residual, weakest, jump (m), turn (rad): see ``Estimate``.
+        same: identical ones in succession, 0 for a new one.
         least_points: that a registration needs.
         is_first: no map yet.
     """
@@ -73,8 +124,29 @@ class ScanFigures:
     is_first: bool = False
 
 
+def figures_of(found: Estimate, same: int, least_points: int) -> ScanFigures:
+    """Return what is known of a registered measurement.
+
+    Args:
+        found: the result.
+        same: identical measurements in succession, 0 for a new one.
+        least_points: that a registration needs.
+    """
+    return ScanFigures(
+        found.count,
+        found.share,
+        found.residual,
+        found.weakest,
+        found.jump,
+        found.turn,
+        same,
+        least_points,
+        found.is_first,
+    )
+
+
 def fault_of(figures: ScanFigures, limits: HealthLimits) -> Fault | None:
-    """Return the first fault of a scan, None for a good one."""
+    """Return the first fault of a measurement, None for a good one."""
     if figures.same >= limits.frozen:
         return Fault.FROZEN
     if figures.count < figures.least_points:

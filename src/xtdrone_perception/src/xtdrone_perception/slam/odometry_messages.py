@@ -17,8 +17,7 @@ from tf2_msgs.msg import TFMessage
 
 from xtdrone_control.frames import to_xyzw
 
-from .lidar_odometry import Registration
-from .odometry_health import Health, State
+from .odometry_health import Estimate, Health, State
 from .poses import quaternion_of
 
 _LEVELS = {State.WAITING: DiagnosticStatus.WARN, State.GOOD: DiagnosticStatus.OK, State.LOST: DiagnosticStatus.ERROR}
@@ -33,6 +32,20 @@ class Frames(NamedTuple):
     map: str
     odom: str
     body: str
+
+
+class Reporter(NamedTuple):
+    """Whose state diagnostics tell.
+
+    Attributes:
+        vehicle: its name.
+        source: name of the odometry, as ``lidar_odometry``.
+        noun: of a measurement, as ``scan``.
+    """
+
+    vehicle: str
+    source: str
+    noun: str
 
 
 def pose_message(pose: Array) -> Pose:
@@ -99,17 +112,20 @@ def cloud(points: Array, stamp: Time, frame: str) -> PointCloud2:
     return message
 
 
-def diagnostics(name: str, health: Health, figures: Registration | None, dropped: int, stamp: Time) -> DiagnosticArray:
+def diagnostics(
+    reporter: Reporter, health: Health, figures: Estimate | None, dropped: int, stamp: Time
+) -> DiagnosticArray:
     """Return the state of a vehicle's odometry.
 
     Args:
-        name: of the vehicle.
+        reporter: whose state it is.
         health: of the odometry.
-        figures: of the last scan, None before the first.
-        dropped: scans that were not registered for want of time.
+        figures: of the last measurement, None before the first.
+        dropped: measurements that were not registered for want of time.
         stamp: now.
     """
-    text = health.fault.value if health.fault is not None else health.state.value
+    noun = reporter.noun
+    text = health.fault.words(noun) if health.fault is not None else health.state.words(noun)
     level = _LEVELS[health.state]
     if health.state is State.GOOD and health.fault is not None:
         level = DiagnosticStatus.WARN
@@ -122,5 +138,5 @@ def diagnostics(name: str, health: Health, figures: Registration | None, dropped
             KeyValue("weakest", f"{figures.weakest:.4f}"),
             KeyValue("jump", f"{figures.jump:.3f}"),
         ]
-    status = DiagnosticStatus(level, f"{name}: lidar_odometry", text, name, values)
+    status = DiagnosticStatus(level, f"{reporter.vehicle}: {reporter.source}", text, reporter.vehicle, values)
     return DiagnosticArray(Header(stamp=stamp), [status])

@@ -61,3 +61,30 @@ def yaw_of(pose: Array) -> float:
 def turned_about_z(angle: float) -> Rotation:
     """Return the rotation by an angle (rad) about z."""
     return Rotation.from_rotvec([0.0, 0.0, angle])
+
+
+def predicted_pose(pose: Array, turn: Rotation, velocity: Array, seconds: float) -> Array:
+    """Return a pose some time later.
+
+    Args:
+        pose: (4, 4).
+        turn: of the body meanwhile, in its axes.
+        velocity: (3,) m/s, mean, in the map.
+        seconds: of the time.
+    """
+    return pose_of(pose[:3, 3] + velocity * seconds, rotation_of(pose) * turn)
+
+
+def distance_between(first: Array, second: Array) -> float:
+    """Return the distance between two poses (4, 4), m."""
+    return float(np.linalg.norm(second[:3, 3] - first[:3, 3]))
+
+
+def angle_between(first: Array, second: Array) -> float:
+    """Return the angle between two poses (4, 4), rad."""
+    return float((rotation_of(first).inv() * rotation_of(second)).magnitude())
+
+
+def moved(pose: Array, step: Array) -> Array:
+    """Return a pose (4, 4) changed by a shift (m, reference axes), then a rotation vector (rad, body's axes), (6,)."""
+    return pose_of(pose[:3, 3] + step[:3], rotation_of(pose) * Rotation.from_rotvec(step[3:]))

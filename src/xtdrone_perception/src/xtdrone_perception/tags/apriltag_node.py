@@ -24,7 +24,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 import rospy
 from apriltag_ros.msg import AprilTagDetection, AprilTagDetectionArray
@@ -42,13 +41,13 @@ from xtdrone_control.lockstep.deferred_work import Deferred
 from xtdrone_control.programs.program import ArgumentError
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_control.tag_boards import TagBoard, boards_of
+from xtdrone_perception.image_arrays import grey_of
 from xtdrone_perception.tags.mounted_camera import in_map, optical_frame, quaternion, up_in
 from xtdrone_perception.tags.tag_detector import SeenTag, TagDetector, TagDetectorSettings
 from xtdrone_perception.tags.tag_poses import BoardPose, Optics, board_pose
 from xtdrone_perception.tracking.pose_history import PoseHistory
 
 RATE = 50.0  # Hz
-_CHANNELS = {"rgb8": 3, "bgr8": 3, "mono8": 1}
 _WARNING_PERIOD = 10.0  # s
 
 
@@ -236,25 +235,6 @@ class AprilTagNode:
     def close(self) -> None:
         """Stop the worker."""
         self._work.close()
-
-
-def grey_of(message: Image) -> NDArray[np.uint8]:
-    """Return the grey values of a picture, (height, width).
-
-    Raises:
-        ValueError: unknown encoding, or a size that does not match the data.
-    """
-    channels = _CHANNELS.get(message.encoding)
-    if channels is None:
-        raise ValueError(f"encoding: {message.encoding!r} is not allowed, {', '.join(_CHANNELS)}")
-    width, height, step = message.width, message.height, message.step
-    if not width or not height or step < channels * width or len(message.data) != step * height:
-        raise ValueError(f"{width} x {height} px in rows of {step} bytes, but {len(message.data)} bytes")
-    rows = np.frombuffer(message.data, np.uint8).reshape(height, step)[:, : channels * width]
-    if channels == 1:
-        return np.ascontiguousarray(rows)
-    code = cv2.COLOR_RGB2GRAY if message.encoding == "rgb8" else cv2.COLOR_BGR2GRAY
-    return np.asarray(cv2.cvtColor(np.ascontiguousarray(rows).reshape(height, width, 3), code))
 
 
 def _pose(turn: NDArray[np.float64], place: NDArray[np.float64]) -> Pose:

@@ -13,9 +13,10 @@ from xtdrone_interaction.recording.bag import read_bag
 from xtdrone_interaction.recording.recorded_flight import RecordError, Recording
 from xtdrone_interaction.recording.series import Array
 
-SOURCE = "lidar_odometry"
+SOURCES = ("lidar_odometry", "laser_odometry", "visual_odometry")
 _HOME_LIMIT = 0.5  # m
-_DRIFT_LIMIT = 0.5  # % of the way
+_DRIFT_LIMITS = {"visual_odometry": 1.5}  # % of the way
+_DRIFT_LIMIT = 0.5  # % of the way, of the others
 _VOXEL = 0.5  # m, of the joined map
 
 
@@ -40,12 +41,12 @@ def slam_report(bag: Path) -> tuple[dict[str, Any], ShownFlight]:
     Raises:
         RecordError: the bag has no odometry beside the truth.
     """
-    maps = f"/{SOURCE}/local_map"
+    maps = tuple(f"/{source}/local_map" for source in SOURCES)
     names = [topic.name for topic in read_bag([bag], wanted=lambda name: False).topics if topic.name.endswith(maps)]
     recording = read_bag([bag], keep=names)
-    known = [pair for pair in pairs(recording) if pair[1] == SOURCE]
+    known = [pair for pair in pairs(recording) if pair[1] in SOURCES]
     if not known:
-        raise RecordError(f"{bag}: no {SOURCE} beside the vehicle's true odometry")
+        raise RecordError(f"{bag}: no odometry of its own beside the vehicle's true odometry")
     vehicle, source, estimate, truth = known[0]
     rows = [
         {"vehicle": vehicle, "source": source, **asdict(row)}
@@ -71,8 +72,9 @@ def _shortcomings(row: dict[str, Any], miss: float, recording: Recording) -> lis
     found = list(recording.collisions)
     if miss > _HOME_LIMIT:
         found.append(f"landed {miss:.2f} m from the start, more than {_HOME_LIMIT:g} m")
-    if row["drift"] is not None and row["drift"] > _DRIFT_LIMIT:
-        found.append(f"drift {row['drift']:.2f} % of the way, more than {_DRIFT_LIMIT:g} %")
+    limit = _DRIFT_LIMITS.get(row["source"], _DRIFT_LIMIT)
+    if row["drift"] is not None and row["drift"] > limit:
+        found.append(f"drift {row['drift']:.2f} % of the way, more than {limit:g} %")
     return found
 
 

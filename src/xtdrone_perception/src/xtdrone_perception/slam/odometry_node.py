@@ -1,0 +1,350 @@
+"""Odometry of one vehicle ``T`` as a ROS node, whatever sensor it has.
+
+=========================================  ================================  =========================================
+topic                                      type                              meaning
+=========================================  ================================  =========================================
+/T/mavros/imu/data                         sensor_msgs/Imu                   in: attitude, for skew and prediction
+/T/mavros/local_position/velocity_local    geometry_msgs/TwistStamped        in: velocity, for skew and prediction
+/T/SOURCE/odometry                         nav_msgs/Odometry                 out: T/odom to T/base_link
+/T/SOURCE/path                             nav_msgs/Path                     out, latched: ``~path_rate``
+/T/mavros/vision_pose/pose                 geometry_msgs/PoseStamped         out: to the autopilot, while good
+/diagnostics                               diagnostic_msgs/DiagnosticArray   out: at every change, and 1 Hz
+/tf, /tf_static                            tf2_msgs/TFMessage                out with ``~tf``: map, T/odom, T/base_link
+=========================================  ================================  =========================================
+
+The result of a measurement (a scan, a picture) is published ``~latency`` of simulated time after its arrival, whatever
+the computation takes; the flight continues meanwhile. A pose for the autopilot, which takes it for one of the time of
+its arrival, is carried forward to this time. A measurement that may not be trusted (``odometry_health``) is not passed
+on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from nav_msgs.msg import Odometry, Path
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import Imu
+from tf2_msgs.msg import TFMessage
+
+from xtdrone_control import lockstep
+from xtdrone_control.lockstep.deferred_work import Deferred
+from xtdrone_control.settings import Settings, setting
+from xtdrone_perception.tracking.pose_history import PoseHistory
+
+from . import odometry_messages as messages
+from .odometry_health import Estimate, Fault, Health, HealthLimits, State, fault_of, figures_of
+from .poses import pose_of, predicted_pose, rotation_of, turned_about_z, yaw_of
+
+RATE = 50.0  # Hz
+_MOST_WAITING = 3  # measurements; on a real vehicle further ones are dropped
+_LEAST_STEP = 0.05  # m between two poses of the path
+_MOST_PATH = 20_000  # poses
+_REPORT_NS = 1_000_000_000
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class OdometryOptions(Settings):
+    """Private parameters of every node for odometry."""
+
+    start: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.0), low=-1e5, high=1e5, unit="m", text="where base_link is at the first measurement, in map"
+    )
+    heading: float | None = setting(
+        None, low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad", text="its yaw then, ENU; none: the autopilot's"
+    )
+    level: bool = setting(True, text="take base_link for level then; false: its roll and pitch are the autopilot's")
+    latency: float = setting(0.04, low=0.0, high=1.0, unit="s", text="simulated time from a measurement to its result")
+    feed: bool = setting(True, text="send poses to the autopilot")
+    tf: bool = setting(False, text="publish T/odom to T/base_link")
+    tf_map: bool = setting(True, text="publish map to T/odom, the identity; false: loop closure does")
+    path_rate: float = setting(2.0, low=0.0, high=10.0, unit="Hz", text="of the path; 0: none")
+
+
+class Core(Protocol):
+    """What the node needs of an odometry without ROS.
+
+    Attributes:
+        pose: (4, 4) body to map, at the last measurement.
+    """
+
+    pose: Array
+
+    def accept(self, found: Any) -> None:
+        """Move to the pose of a measurement and remember what it has shown."""
+
+    def move(self, pose: Array) -> None:
+        """Move to a pose that was not measured."""
+
+
+class Source(NamedTuple):
+    """What distinguishes one odometry from another.
+
+    Attributes:
+        name: of the node and its topics, as ``lidar_odometry``.
+        noun: of a measurement, as ``scan``.
+        least_points: that a measurement needs.
+    """
+
+    name: str
+    noun: str
+    least_points: int
+
+
+class Job(NamedTuple):
+    """A measurement to be registered; all times in ns."""
+
+    payload: Any
+    turn: Rotation  # of the body since the last measurement
+    velocity: Array | None  # m/s, map; None: unknown
+    attitude: Rotation  # of the autopilot at the time
+    end_ns: int
+    same: int
+
+
+class _Outcome(NamedTuple):
+    """A registered measurement and its fault."""
+
+    found: Estimate
+    velocity: Array
+    fault: Fault | None
+
+
+class AutopilotMotion:
+    """The autopilot's attitudes and velocities of the last seconds."""
+
+    def __init__(self, name: str) -> None:
+        """Subscribe to the topics of a vehicle."""
+        self._attitudes, self._velocities = PoseHistory(), PoseHistory()
+        lockstep.Subscriber(f"/{name}/mavros/imu/data", Imu, self._on_imu)
+        lockstep.Subscriber(f"/{name}/mavros/local_position/velocity_local", TwistStamped, self._on_velocity)
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._attitudes.clear()
+        self._velocities.clear()
+
+    def attitude(self, time_ns: int) -> Rotation | None:
+        """Return the attitude at a time, body to map, None if it is unknown."""
+        entry = self._attitudes.at(time_ns)
+        return None if entry is None else Rotation.from_quat(entry)
+
+    def velocity(self, time_ns: int) -> Array | None:
+        """Return the velocity at a time, (3,) m/s, map, None if it is unknown."""
+        entry = self._velocities.at(time_ns)
+        return None if entry is None else entry[:3]
+
+    def _on_imu(self, message: Imu) -> None:
+        q = message.orientation
+        entry = np.array([q.x, q.y, q.z, q.w])
+        if np.isfinite(entry).all() and abs(np.linalg.norm(entry) - 1.0) < 0.1:
+            self._attitudes.add(message.header.stamp.to_nsec(), entry)
+
+    def _on_velocity(self, message: TwistStamped) -> None:
+        v = message.twist.linear
+        entry = np.array([v.x, v.y, v.z, 0.0, 0.0, 0.0, 1.0])
+        if np.isfinite(entry).all():
+            self._velocities.add(message.header.stamp.to_nsec(), entry)
+
+
+class OdometryNode:
+    """Topics and state of one vehicle; a subclass adds the sensor and the registration."""
+
+    def __init__(self, name: str, source: Source, options: OdometryOptions, limits: HealthLimits) -> None:
+        """Declare the topics.
+
+        Args:
+            name: of the vehicle.
+            source: of the odometry.
+            options: of the node.
+            limits: of the supervision.
+        """
+        self._name, self._source, self._options, self._limits = name, source, options, limits
+        self._frames = messages.Frames("map", f"{name}/odom", f"{name}/base_link")
+        self._deferred = Deferred(1, wait=lockstep.is_active())
+        base = f"/{name}/{source.name}"
+        self._odometry = lockstep.Publisher(f"{base}/odometry", Odometry)
+        self._path = lockstep.Publisher(f"{base}/path", Path, latch=True)
+        self._vision = lockstep.Publisher(f"/{name}/mavros/vision_pose/pose", PoseStamped)
+        self._diagnostics = lockstep.Publisher("/diagnostics", DiagnosticArray)
+        self._tf = lockstep.Publisher("/tf", TFMessage)
+        self._tf_static = lockstep.Publisher("/tf_static", TFMessage, latch=True)
+        self._motion = AutopilotMotion(name)
+        self._clear()
+        lockstep.add_reset_hook(self._restart)
+        if options.tf and options.tf_map:
+            self._tf_static.publish(messages.identity(self._frames.map, self._frames.odom))
+
+    # of the subclass
+
+    def _new_core(self, start: Array) -> Core:
+        """Return the odometry, at a pose (4, 4) of the body in the map."""
+        raise NotImplementedError
+
+    def _register(self, core: Any, job: Job, predicted: Array) -> Estimate:
+        """Register a measurement from a predicted pose (4, 4); called by the worker."""
+        raise NotImplementedError
+
+    def _publish_more(self, found: Any, stamp: rospy.Time) -> None:
+        """Publish what only this source has, after the odometry."""
+
+    def _clear(self) -> None:
+        """Forget everything, as after a reset of time."""
+        self._motion.clear()
+        self._core: Core | None = None
+        self._health = Health(self._limits)
+        self._told: tuple[State, Fault | None] | None = None
+        self._velocity = np.zeros(3)  # of the worker's last measurement, map; used by the worker only
+        self._last_end_ns: int | None = None
+        self._last_attitude: Rotation | None = None
+        self._digest, self._same, self._dropped = -1, 0, 0
+        self._figures: Estimate | None = None
+        self._poses: deque[PoseStamped] = deque(maxlen=_MOST_PATH)
+        self._next_path_ns = self._next_report_ns = 0
+
+    def _restart(self) -> None:
+        self._deferred.clear()
+        self._deferred.close()
+        self._deferred = Deferred(1, wait=lockstep.is_active())
+        self._clear()
+
+    # measurements
+
+    def _is_late(self) -> bool:
+        """Return whether a new measurement must be dropped, and record it."""
+        if len(self._deferred) < _MOST_WAITING:
+            return False
+        self._dropped += 1
+        self._health.on_scan(rospy.get_time(), Fault.LATE)
+        return True
+
+    def _submit(self, payload: Any, digest: int, end_ns: int) -> None:
+        """Begin the registration of a measurement.
+
+        Args:
+            payload: for ``_register``.
+            digest: of the raw data: two measurements of a working sensor differ.
+            end_ns: its time.
+        """
+        self._same = self._same + 1 if digest == self._digest else 0
+        self._digest = digest
+        attitude = self._motion.attitude(end_ns)
+        if attitude is None:
+            self._warn_of_attitude()
+            return
+        last = self._last_attitude or attitude
+        self._last_attitude = attitude
+        job = Job(payload, last.inv() * attitude, self._motion.velocity(end_ns), attitude, end_ns, self._same)
+        due_us = (rospy.Time.now().to_nsec() + round(self._options.latency * 1e9)) // 1000
+        self._deferred.put(job, due_us, self._registered, job, self._started(job))
+
+    def _warn_of_attitude(self) -> None:
+        rospy.logwarn_throttle(
+            10.0, f"{self._name}: no odometry: no attitude on mavros/imu/data at the {self._source.noun}'s time"
+        )
+
+    def _started(self, job: Job) -> Core:
+        """Return the odometry, which starts with the first measurement."""
+        if self._core is None:
+            options = self._options
+            own = yaw_of(pose_of((0.0, 0.0, 0.0), job.attitude))
+            heading = own if options.heading is None else options.heading
+            tilt = Rotation.identity() if options.level else turned_about_z(-own) * job.attitude
+            self._core = self._new_core(pose_of(options.start, turned_about_z(heading) * tilt))
+        return self._core
+
+    # registration, by the worker
+
+    def _registered(self, job: Job, core: Core) -> _Outcome:
+        """Register a measurement and move the odometry."""
+        seconds = 0.0 if self._last_end_ns is None else (job.end_ns - self._last_end_ns) * 1e-9
+        self._last_end_ns = job.end_ns
+        velocity = self._velocity if job.velocity is None else job.velocity
+        before = core.pose
+        predicted = predicted_pose(before, job.turn, velocity, seconds)
+        found = self._register(core, job, predicted)
+        fault = fault_of(figures_of(found, job.same, self._source.least_points), self._limits)
+        if fault is None:
+            core.accept(found)
+        else:
+            core.move(predicted)
+        if seconds > 0.0:
+            self._velocity = (core.pose[:3, 3] - before[:3, 3]) / seconds
+        return _Outcome(found, self._velocity.copy(), fault)
+
+    # turns
+
+    def step(self) -> None:
+        """Publish the results that are due, and the state."""
+        now = rospy.Time.now()
+        for job, outcome in self._deferred.ready(now.to_nsec() // 1000):
+            self._finish(job, outcome, now)
+        self._health.on_time(now.to_sec())
+        self._report(now)
+
+    def close(self) -> None:
+        """End the worker."""
+        self._deferred.close()
+
+    def _finish(self, job: Job, outcome: _Outcome, now: rospy.Time) -> None:
+        trusted = self._health.on_scan(now.to_sec(), outcome.fault)
+        self._figures = outcome.found
+        if not trusted:
+            return
+        pose = outcome.found.pose
+        end = rospy.Time(0, 0) + rospy.Duration(0, job.end_ns)
+        self._publish(pose, outcome, end)
+        if self._options.feed:
+            self._vision.publish(messages.stamped(self._carried(pose, outcome, job, now), now, self._frames.map))
+        self._publish_path(pose, end)
+        self._publish_more(outcome.found, end)
+
+    def _publish(self, pose: Array, outcome: _Outcome, stamp: rospy.Time) -> None:
+        body_velocity = rotation_of(pose).inv().apply(outcome.velocity)
+        self._odometry.publish(messages.odometry(pose, body_velocity, outcome.found.covariance, stamp, self._frames))
+        if self._options.tf:
+            self._tf.publish(messages.transform(pose, stamp, self._frames.odom, self._frames.body))
+
+    def _carried(self, pose: Array, outcome: _Outcome, job: Job, now: rospy.Time) -> Array:
+        """Return a pose carried forward from the time of its measurement to now."""
+        attitude = self._motion.attitude(now.to_nsec())
+        turn = Rotation.identity() if attitude is None else job.attitude.inv() * attitude
+        return predicted_pose(pose, turn, outcome.velocity, (now.to_nsec() - job.end_ns) * 1e-9)
+
+    def _publish_path(self, pose: Array, stamp: rospy.Time) -> None:
+        """Publish the path, if it is due."""
+        entry = messages.stamped(pose, stamp, self._frames.odom)
+        if not self._poses or messages.distance(self._poses[-1], entry) >= _LEAST_STEP:
+            self._poses.append(entry)
+        if self._options.path_rate and stamp.to_nsec() >= self._next_path_ns:
+            self._next_path_ns = stamp.to_nsec() + round(1e9 / self._options.path_rate)
+            self._path.publish(messages.path(self._poses, stamp, self._frames.odom))
+
+    def _report(self, now: rospy.Time) -> None:
+        """Publish the state at each change, and once a second."""
+        state = self._health.state, self._health.fault
+        if state == self._told and now.to_nsec() < self._next_report_ns:
+            return
+        if state != self._told:
+            self._log(*state)
+        self._told = state
+        self._next_report_ns = now.to_nsec() + _REPORT_NS
+        source = messages.Reporter(self._name, self._source.name, self._source.noun)
+        self._diagnostics.publish(messages.diagnostics(source, self._health, self._figures, self._dropped, now))
+
+    def _log(self, state: State, fault: Fault | None) -> None:
+        if state is State.LOST and fault is not None:
+            words = fault.words(self._source.noun)
+            rospy.logwarn(f"{self._name}: odometry is lost, the autopilot gets no poses: {words}")
+        elif state is State.GOOD and self._told is not None and self._told[0] is State.LOST:
+            rospy.loginfo(f"{self._name}: odometry is good again")

@@ -1,0 +1,163 @@
+"""The pose of a camera from points that are known and seen: RANSAC, then robust least squares.
+
+RANSAC with EPnP is OpenCV's, whose random numbers are the same on each call. Least squares are Gauss-Newton with
+Huber's weights, over pixels, inverse depths, and the turn that the autopilot has measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from xtdrone_control.settings import Settings, setting
+from xtdrone_perception.slam.poses import inverse, moved, pose_of, rotation_of
+
+from .camera_model import BodyCamera
+
+Array = NDArray[np.float64]
+
+_ITERATIONS = 10
+_SMALL = 1e-7  # m and rad, of a step that ends the iteration
+_KNEE = 2.0  # normalised residual from which on weights fall
+_RANSAC_ROUNDS, _RANSAC_CONFIDENCE = 60, 0.999
+_LEAST = 6  # points
+
+
+@dataclass(frozen=True)
+class NoiseSettings(Settings):
+    """Private parameters of the errors of measurements, standard deviations."""
+
+    pixel_noise: float = setting(0.4, above=0.0, high=20.0, unit="px", text="of a corner's place")
+    depth_noise: float = setting(
+        0.001, above=0.0, high=1.0, unit="1/m", text="of an inverse depth by a depth camera; at z m this is z^2 times m"
+    )
+    disparity_noise: float = setting(0.3, above=0.0, high=20.0, unit="px", text="of a disparity by a stereo pair")
+    turn_noise: float = setting(
+        0.003, above=0.0, high=1.0, unit="rad", text="of the autopilot's turn from one picture or keyframe to the next"
+    )
+    most_reprojection: float = setting(
+        2.5, above=0.0, high=50.0, unit="px", text="a point that is seen farther from where it should be is left out"
+    )
+
+
+@dataclass(frozen=True)
+class Sigmas:
+    """Standard deviations: (3,) px, px, 1/m of a measurement, and rad of a turn."""
+
+    measured: Array
+    turn: float
+
+
+class Solved(NamedTuple):
+    """A pose, which points agree, and how well.
+
+    Attributes:
+        pose: (4, 4) body to map.
+        inliers: (n,) bool.
+        residual: root mean square of the normalised residuals of the inliers' pixels and depths.
+        information: (6, 6) of shift (map) and rotation (body), of the points alone.
+    """
+
+    pose: Array
+    inliers: NDArray[np.bool_]
+    residual: float
+    information: Array
+
+
+def solve(
+    camera: BodyCamera, sigmas: Sigmas, most: float, predicted: Array, points: Array, measured: Array
+) -> Solved | None:
+    """Return the pose of the body; None if RANSAC finds none.
+
+    Args:
+        camera: of the measurements.
+        sigmas: of the measurements.
+        most: px, greatest error of an inlier.
+        predicted: (4, 4) body to map, by the autopilot.
+        points: (n, 3) m, map.
+        measured: (n, 3) u, v (px), inverse depth (1/m, NaN where unknown).
+    """
+    if len(points) < _LEAST:
+        return None
+    chosen = _consensus(camera, most, predicted, points, measured)
+    if chosen is None:
+        return None
+    pose = _refined(camera, sigmas, predicted, points[chosen], measured[chosen])
+    expected, local = camera.measured(pose, points)
+    off = np.linalg.norm(expected[:, :2] - measured[:, :2], axis=1)
+    deep = np.abs(np.nan_to_num(expected[:, 2] - measured[:, 2])) / sigmas.measured[2]
+    inliers = (off <= most) & (local[:, 2] > 0.0) & (deep <= 2.0 * most / sigmas.measured[0])
+    if inliers.sum() < _LEAST:
+        return None
+    pose = _refined(camera, sigmas, pose, points[inliers], measured[inliers], predicted)
+    normal, residuals = _normal_equations(camera, sigmas, pose, points[inliers], measured[inliers])[::2]
+    return Solved(pose, inliers, float(np.sqrt(np.mean(residuals**2))), normal)
+
+
+def _consensus(
+    camera: BodyCamera, most: float, predicted: Array, points: Array, measured: Array
+) -> NDArray[np.intp] | None:
+    """Return the indices of the points that agree with one pose."""
+    matrix = np.diag([camera.focal[0], camera.focal[1], 1.0])
+    matrix[:2, 2] = camera.centre
+    start = inverse(predicted @ camera.mount)
+    no_lens: Any = None
+    found, _, _, chosen = cv2.solvePnPRansac(
+        points - predicted[:3, 3],  # near the origin, for the sake of rounding
+        measured[:, :2].copy(),
+        matrix,
+        no_lens,
+        rotation_of(start).as_rotvec(),
+        start[:3, 3] + start[:3, :3] @ predicted[:3, 3],
+        useExtrinsicGuess=True,
+        iterationsCount=_RANSAC_ROUNDS,
+        reprojectionError=most,
+        confidence=_RANSAC_CONFIDENCE,
+    )
+    if not found or chosen is None or len(chosen) < _LEAST:
+        return None
+    return np.sort(chosen.ravel())
+
+
+def _refined(
+    camera: BodyCamera, sigmas: Sigmas, start: Array, points: Array, measured: Array, predicted: Array | None = None
+) -> Array:
+    """Return the pose with the least robust squares."""
+    predicted = start if predicted is None else predicted
+    pose = start
+    for _ in range(_ITERATIONS):
+        normal, right, _ = _normal_equations(camera, sigmas, pose, points, measured)
+        turn = (rotation_of(predicted).inv() * rotation_of(pose)).as_rotvec()
+        weight = 1.0 / sigmas.turn**2
+        normal[3:, 3:] += weight * np.eye(3)
+        right[3:] -= weight * turn
+        step = np.linalg.solve(normal + 1e-9 * np.eye(6), right)
+        pose = moved(pose, step)
+        if np.abs(step).max() < _SMALL:
+            break
+    return pose_of(pose[:3, 3], Rotation.from_matrix(pose[:3, :3]))
+
+
+def _normal_equations(
+    camera: BodyCamera, sigmas: Sigmas, pose: Array, points: Array, measured: Array
+) -> tuple[Array, Array, Array]:
+    """Return matrix (6, 6), right side (6,), and the normalised residuals that are known, (k,)."""
+    expected, local = camera.measured(pose, points)
+    slopes, _ = camera.slopes(np.broadcast_to(pose, (len(points), 4, 4)), local, points)
+    residual = (measured - expected) / sigmas.measured
+    known = np.isfinite(residual)
+    residual, slopes = np.where(known, residual, 0.0), slopes / sigmas.measured[:, None] * known[:, :, None]
+    weight = np.sqrt(huber(residual))[:, None]
+    rows, sides = (weight[:, :, None] * slopes).reshape(-1, 6), (weight * residual).ravel()
+    return rows.T @ rows, rows.T @ sides, residual[known]
+
+
+def huber(residual: Array) -> Array:
+    """Return the weights (n,) of normalised residuals (n, 3), by P. J. Huber's function."""
+    length = np.sqrt(np.einsum("ni,ni->n", residual, residual))
+    return np.asarray(np.minimum(1.0, _KNEE / np.maximum(length, 1e-12)))

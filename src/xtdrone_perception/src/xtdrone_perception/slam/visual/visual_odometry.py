@@ -1,0 +1,302 @@
+"""Visual odometry: corners with depth are followed, pictures are placed among their points, keyframes adjusted.
+
+Each picture's pose follows from the points that it sees (``pose_from_points``). From time to time a picture becomes a
+keyframe: the last few keyframes and their points are adjusted together (``window_adjustment``), and new corners are
+added where there are none.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from xtdrone_control.settings import Settings, setting
+from xtdrone_perception.slam.odometry_health import Estimate
+from xtdrone_perception.slam.poses import angle_between, distance_between
+
+from .camera_model import BodyCamera
+from .corner_tracks import Grey, TrackSettings, depth_at, new_corners, stereo_depth, track
+from .pose_from_points import NoiseSettings, Sigmas, Solved, solve
+from .window_adjustment import WindowProblem, adjust
+
+Array = NDArray[np.float64]
+Ids = NDArray[np.int64]
+
+_MISSES = 2  # pictures without a pose after which odometry begins anew where it is predicted to be
+
+
+@dataclass(frozen=True)
+class KeyframeSettings(Settings):
+    """Private parameters of the keyframes."""
+
+    keyframes: int = setting(6, low=2, high=20, text="that are adjusted together")
+    keyframe_share: float = setting(
+        0.7, low=0.0, high=1.0, text="a picture that sees less of the last keyframe's points becomes a keyframe"
+    )
+    keyframe_step: float = setting(0.4, above=0.0, high=100.0, unit="m", text="way after which one does")
+    keyframe_turn: float = setting(0.2, above=0.0, high=3.2, unit="rad", text="turn after which one does")
+    depth_min: float = setting(0.3, low=0.05, high=100.0, unit="m", text="nearer points are not used")
+    depth_max: float = setting(25.0, low=0.5, high=1000.0, unit="m", text="farther points are not used")
+    least_points: int = setting(20, low=6, high=1000, text="points that a picture needs")
+
+
+@dataclass(frozen=True)
+class SeenPicture:
+    """A picture with what tells depths: a depth picture, or the right picture of a stereo pair.
+
+    Attributes:
+        grey: (height, width).
+        depth: (height, width) m, registered to ``grey``; NaN where unknown.
+        right: (height, width), rectified.
+        base: focal length times baseline, px m.
+        attitude: of the autopilot at the exposure, body to its map.
+    """
+
+    grey: Grey
+    attitude: Rotation
+    depth: NDArray[np.float32] | None = None
+    right: Grey | None = None
+    base: float = 0.0
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Corners that are followed.
+
+    Attributes:
+        ids: (n,) unique, ascending.
+        measured: (n, 3) u, v (px), inverse depth (1/m, NaN where unknown) in the last picture.
+        points: (n, 3) m, map.
+    """
+
+    ids: Ids = field(default_factory=lambda: np.empty(0, np.int64))
+    measured: Array = field(default_factory=lambda: np.empty((0, 3)))
+    points: Array = field(default_factory=lambda: np.empty((0, 3)))
+
+    def of(self, chosen: NDArray[np.bool_]) -> Tracks:
+        """Return some of them; chosen: (n,) bool."""
+        return Tracks(self.ids[chosen], self.measured[chosen], self.points[chosen])
+
+    def joined(self, other: Tracks) -> Tracks:
+        """Return these and others, whose ids are greater."""
+        return Tracks(
+            np.concatenate([self.ids, other.ids]),
+            np.concatenate([self.measured, other.measured]),
+            np.concatenate([self.points, other.points]),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class VisualEstimate(Estimate):
+    """Result of one picture: its tracks are the points that fit."""
+
+    picture: SeenPicture
+    tracks: Tracks
+
+
+@dataclass
+class _Keyframe:
+    """A picture of the window: pose (4, 4), the autopilot's attitude, and what was seen of which corners."""
+
+    pose: Array
+    attitude: Rotation
+    ids: Ids
+    measured: Array
+
+
+class VisualOdometry:
+    """The window of keyframes and the vehicle's pose.
+
+    Attributes:
+        pose: (4, 4) body to map, at the last picture.
+    """
+
+    def __init__(
+        self,
+        camera: BodyCamera,
+        settings: tuple[TrackSettings, NoiseSettings, KeyframeSettings],
+        base: float,
+        start: Array,
+    ) -> None:
+        """Begin without points.
+
+        Args:
+            camera: that takes the pictures (the left one of a pair).
+            settings: of corners, errors and keyframes.
+            base: focal length times baseline of a stereo pair, px m; 0: a depth camera.
+            start: (4, 4) pose of the body in the map.
+        """
+        self._camera = camera
+        self._corners, self._noise, self._settings = settings
+        deep = self._noise.disparity_noise / base if base > 0.0 else self._noise.depth_noise
+        pixel = self._noise.pixel_noise
+        self._sigmas = Sigmas(np.array([pixel, pixel, deep]), self._noise.turn_noise)
+        self.pose = start
+        self._forget()
+
+    def _forget(self) -> None:
+        self._grey: Grey | None = None
+        self._tracks = Tracks()
+        self._window: list[_Keyframe] = []
+        self._points: dict[int, Array] = {}
+        self._next_id = 0
+        self._misses = 0
+
+    def register(self, picture: SeenPicture, predicted: Array) -> VisualEstimate:
+        """Return the pose of a picture; keyframes and ``pose`` do not change, unless odometry begins anew.
+
+        Args:
+            picture: the new one.
+            predicted: (4, 4) pose of the body.
+        """
+        if self._misses > _MISSES:
+            self._forget()
+        if self._grey is None:
+            corners = self._new_tracks(picture, predicted, Tracks())
+            return self._without_pose(picture, predicted, corners, is_first=True)
+        seen = self._followed(self._grey, picture, predicted)
+        if len(seen.ids) < self._settings.least_points:
+            return self._without_pose(picture, predicted, seen)
+        most = self._noise.most_reprojection
+        solved = solve(self._camera, self._sigmas, most, predicted, seen.points, seen.measured)
+        if solved is None:
+            return self._without_pose(picture, predicted, seen)
+        return VisualEstimate(
+            pose=solved.pose,
+            predicted=predicted,
+            count=len(seen.ids),
+            share=float(solved.inliers.mean()),
+            residual=solved.residual,
+            weakest=_weakest(solved.information),
+            covariance=_covariance(solved),
+            picture=picture,
+            tracks=seen.of(solved.inliers),
+        )
+
+    def accept(self, found: VisualEstimate) -> None:
+        """Move to the pose of a picture, and make it a keyframe if it shows enough that is new."""
+        self.pose, self._grey, self._tracks, self._misses = found.pose, found.picture.grey, found.tracks, 0
+        if self._is_keyframe(found):
+            self._add_keyframe(found.picture)
+
+    def move(self, pose: Array) -> None:
+        """Move to a pose that was not found by a picture."""
+        self.pose = pose
+        self._misses += 1
+
+    # tracks
+
+    def _followed(self, before: Grey, picture: SeenPicture, predicted: Array) -> Tracks:
+        """Return the tracks in a new picture."""
+        tracks = self._tracks
+        guess = self._camera.measured(predicted, tracks.points)[0]
+        pixels, good = track(self._corners, before, picture.grey, tracks.measured[:, :2], guess[:, :2])
+        seen = tracks.of(good)
+        depth = self._depths(picture, pixels[good], 1.0 / guess[good, 2])
+        return Tracks(seen.ids, np.column_stack([pixels[good], 1.0 / depth]), seen.points)
+
+    def _depths(self, picture: SeenPicture, pixels: Array, guess: Array) -> Array:
+        """Return depths (n,) m, NaN where unknown or out of range; guess: (n,) m, NaN where unknown."""
+        if picture.right is not None:
+            found = stereo_depth(self._corners, picture.grey, picture.right, pixels, picture.base, guess)
+        elif picture.depth is not None:
+            found = depth_at(picture.depth, pixels)
+        else:
+            found = np.full(len(pixels), np.nan)
+        usable = (found >= self._settings.depth_min) & (found <= self._settings.depth_max)
+        return np.where(usable, found, np.nan)
+
+    def _new_tracks(self, picture: SeenPicture, pose: Array, known: Tracks) -> Tracks:
+        """Return new corners that have a depth, in a picture at a pose."""
+        usable = None if picture.depth is None else np.isfinite(picture.depth) & (picture.depth > 0.0)
+        pixels = new_corners(self._corners, picture.grey, known.measured[:, :2], usable)
+        depth = self._depths(picture, pixels, np.full(len(pixels), np.nan))
+        deep = np.isfinite(depth)
+        pixels, depth = pixels[deep], depth[deep]
+        ids = self._next_id + np.arange(len(pixels), dtype=np.int64)
+        measured = np.column_stack([pixels, 1.0 / depth])
+        return Tracks(ids, measured, self._camera.points(pose, pixels, depth))
+
+    def _without_pose(
+        self, picture: SeenPicture, predicted: Array, seen: Tracks, is_first: bool = False
+    ) -> VisualEstimate:
+        return VisualEstimate(
+            pose=predicted,
+            predicted=predicted,
+            count=len(seen.ids),
+            share=float(is_first),
+            residual=0.0,
+            weakest=float(is_first),
+            covariance=np.diag([1e-6] * 6) if is_first else np.eye(6),
+            is_first=is_first,
+            picture=picture,
+            tracks=Tracks() if is_first else seen,
+        )
+
+    # keyframes
+
+    def _is_keyframe(self, found: VisualEstimate) -> bool:
+        if not self._window:
+            return True
+        last, settings = self._window[-1], self._settings
+        seen = np.isin(last.ids, found.tracks.ids, assume_unique=True).sum()
+        return bool(
+            seen < settings.keyframe_share * len(last.ids)
+            or distance_between(last.pose, found.pose) > settings.keyframe_step
+            or angle_between(last.pose, found.pose) > settings.keyframe_turn
+        )
+
+    def _add_keyframe(self, picture: SeenPicture) -> None:
+        known = self._tracks
+        self._window.append(_Keyframe(self.pose, picture.attitude, known.ids, known.measured))
+        if len(self._window) > 1:
+            self._adjust()
+        known = Tracks(
+            known.ids, known.measured, np.array([self._points[k] for k in known.ids.tolist()]).reshape(-1, 3)
+        )
+        new = self._new_tracks(picture, self.pose, known)
+        self._next_id += len(new.ids)
+        self._points.update(zip(new.ids.tolist(), new.points, strict=True))
+        self._tracks = known.joined(new)
+        self._window[-1] = _Keyframe(self.pose, picture.attitude, self._tracks.ids, self._tracks.measured)
+        del self._window[: -self._settings.keyframes]
+        alive = np.unique(np.concatenate([frame.ids for frame in self._window])).tolist()
+        self._points = {k: self._points[k] for k in alive}
+
+    def _adjust(self) -> None:
+        """Adjust the window's poses and points."""
+        window = self._window
+        ids, point = np.unique(np.concatenate([frame.ids for frame in window]), return_inverse=True)
+        frame = np.repeat(np.arange(len(window)), [len(entry.ids) for entry in window])
+        measured = np.concatenate([entry.measured for entry in window])
+        often = np.bincount(point)[point] > 1
+        used, point = np.unique(point[often], return_inverse=True)
+        if len(used) < self._settings.least_points:
+            return
+        turns = tuple(a.attitude.inv() * b.attitude for a, b in itertools.pairwise(window))
+        problem = WindowProblem(turns, frame[often], point, measured[often])
+        keys = ids[used].tolist()
+        poses = np.stack([entry.pose for entry in window])
+        points = np.array([self._points[key] for key in keys])
+        poses, points = adjust(self._camera, self._sigmas, problem, poses, points)
+        for entry, pose in zip(window, poses, strict=True):
+            entry.pose = pose
+        self._points.update(zip(keys, points, strict=True))
+        self.pose = poses[-1]
+
+
+def _weakest(information: Array) -> float:
+    """Return the least over the largest eigenvalue of the information on translation, 0..1."""
+    values = np.linalg.eigvalsh(information[:3, :3])
+    return float(max(values[0], 0.0) / values[-1]) if values[-1] > 0.0 else 0.0
+
+
+def _covariance(solved: Solved) -> Array:
+    """Return the covariance of x, y, z (map) and rotation (body) of a pose among the window's points."""
+    found = np.linalg.pinv(solved.information, hermitian=True) * max(solved.residual, 0.1) ** 2
+    covariance: Array = 0.5 * (found + found.T)
+    return covariance

@@ -1,0 +1,151 @@
+"""Visual odometry without ROS: its derivatives, and flights past textured walls whose pictures are exact."""
+
+from __future__ import annotations
+
+import itertools
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from xtdrone_perception.slam.odometry_health import Fault, fault_of, figures_of
+from xtdrone_perception.slam.poses import distance_between, inverse, moved, pose_of, rotation_of
+from xtdrone_perception.slam.visual.camera_model import BodyCamera
+from xtdrone_perception.slam.visual.corner_tracks import TrackSettings, depth_at
+from xtdrone_perception.slam.visual.pose_from_points import NoiseSettings, Sigmas, solve
+from xtdrone_perception.slam.visual.visual_odometry import KeyframeSettings, SeenPicture, VisualOdometry
+from xtdrone_perception.slam.visual.visual_odometry_node import VisualHealthLimits
+from xtdrone_perception.slam.visual.window_adjustment import WindowProblem, adjust
+
+WIDTH, HEIGHT, FOCAL, BASELINE = 320, 240, 260.0, 0.12
+CAMERA = BodyCamera(
+    np.array([FOCAL, FOCAL]),
+    np.array([WIDTH, HEIGHT]) / 2.0 - 0.5,
+    pose_of((0.1, 0.0, 0.0), Rotation.from_quat([-0.5, 0.5, -0.5, 0.5])),
+)
+SIGMAS = Sigmas(np.array([0.4, 0.4, 0.001]), 0.003)
+WALL = 5.0  # m, x of a wall across the view
+TEXEL = 0.02  # m
+TEXTURE = cv2.resize(np.random.default_rng(3).integers(0, 255, (200, 200), np.uint8), (800, 800))
+
+
+def picture(pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return grey values and depths of the wall x = WALL seen from a pose of the body: a homography, in closed form."""
+    camera = inverse(pose @ CAMERA.mount)
+    corner = np.array([WALL, 400 * TEXEL, 400 * TEXEL])  # the texture goes right (-y) and down (-z)
+    across, down = np.array([0.0, -TEXEL, 0.0]), np.array([0.0, 0.0, -TEXEL])
+    matrix = np.array([[FOCAL, 0, CAMERA.centre[0]], [0, FOCAL, CAMERA.centre[1]], [0, 0, 1.0]])
+    plane = np.stack([camera[:3, :3] @ across, camera[:3, :3] @ down, camera[:3, :3] @ corner + camera[:3, 3]], axis=1)
+    grey = cv2.warpPerspective(TEXTURE, matrix @ plane, (WIDTH, HEIGHT), flags=cv2.INTER_LINEAR)
+    u, v = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
+    rays = np.stack([(u - CAMERA.centre[0]) / FOCAL, (v - CAMERA.centre[1]) / FOCAL, np.ones_like(u)], axis=2)
+    back = inverse(camera)
+    depth = (WALL - back[0, 3]) / (rays @ back[0, :3])
+    return grey, depth.astype(np.float32)
+
+
+def true_pose(k: int) -> np.ndarray:
+    """Return a pose on a way along the wall, with turns."""
+    t = 0.1 * k
+    return pose_of(
+        (0.3 * np.sin(t), 0.35 * t, 0.2 * np.sin(0.7 * t)), Rotation.from_euler("zyx", [0.1 * np.sin(t), 0.03, 0])
+    )
+
+
+def fly(is_stereo: bool, count: int = 30) -> tuple[VisualOdometry, list]:
+    """Return odometry and estimates of a flight whose turns an autopilot knows, and its velocity roughly."""
+    base = FOCAL * BASELINE if is_stereo else 0.0
+    settings = TrackSettings(corners=120, corner_distance=10.0), NoiseSettings(), KeyframeSettings()
+    odometry, found = VisualOdometry(CAMERA, settings, base, true_pose(0)), []
+    for k in range(count):
+        pose = true_pose(k)
+        grey, depth = picture(pose)
+        if is_stereo:
+            right = picture(moved(pose, np.append(rotation_of(pose).apply([0.0, -BASELINE, 0.0]), np.zeros(3))))[0]
+            seen = SeenPicture(grey, rotation_of(pose), right=right, base=base)
+        else:
+            seen = SeenPicture(grey, rotation_of(pose), depth=depth)
+        step = np.eye(4) if k == 0 else inverse(true_pose(k - 1)) @ pose
+        step[:3, 3] *= 0.7
+        found.append(odometry.register(seen, odometry.pose @ step))
+        assert fault_of(figures_of(found[-1], 0, 20), VisualHealthLimits()) is None
+        odometry.accept(found[-1])
+    return odometry, found
+
+
+@pytest.mark.parametrize(("is_stereo", "most"), [(False, 0.02), (True, 0.04)], ids=("depth", "stereo"))
+def test_it_finds_its_way_along_a_wall(is_stereo: bool, most: float) -> None:
+    odometry, _ = fly(is_stereo)
+    assert distance_between(odometry.pose, true_pose(29)) < most
+    assert distance_between(true_pose(0), true_pose(29)) > 1.0
+
+
+def test_the_same_pictures_give_the_same_bits() -> None:
+    assert fly(False, 8)[0].pose.tobytes() == fly(False, 8)[0].pose.tobytes()
+
+
+def test_without_light_it_is_blind_and_begins_anew_later() -> None:
+    odometry, _ = fly(False, 6)
+    dark = SeenPicture(
+        np.zeros((HEIGHT, WIDTH), np.uint8), Rotation.identity(), np.full((HEIGHT, WIDTH), 3.0, np.float32)
+    )
+    for _ in range(4):
+        estimate = odometry.register(dark, odometry.pose)
+        assert fault_of(figures_of(estimate, 0, 20), VisualHealthLimits()) is Fault.BLIND
+        odometry.move(estimate.predicted)
+    grey, depth = picture(true_pose(6))
+    again = odometry.register(SeenPicture(grey, Rotation.identity(), depth), odometry.pose)
+    assert again.is_first
+    assert fault_of(figures_of(again, 0, 20), VisualHealthLimits()) is None
+
+
+def test_derivatives_are_those_of_differences() -> None:
+    random = np.random.default_rng(1)
+    points = np.column_stack([random.uniform(2, 8, 9), random.uniform(-2, 2, (9, 2))])
+    pose = moved(np.eye(4), 0.1 * random.standard_normal(6))
+    expected, local = CAMERA.measured(pose, points)
+    by_pose, by_point = CAMERA.slopes(np.broadcast_to(pose, (9, 4, 4)), local, points)
+    for k in range(6):
+        step = 1e-6 * np.eye(6)[k]
+        change = (CAMERA.measured(moved(pose, step), points)[0] - expected) / 1e-6
+        assert by_pose[:, :, k] == pytest.approx(change, abs=2e-3)
+    for k in range(3):
+        change = (CAMERA.measured(pose, points + 1e-6 * np.eye(3)[k])[0] - expected) / 1e-6
+        assert by_point[:, :, k] == pytest.approx(change, abs=2e-3)
+
+
+def test_a_third_of_wrong_points_does_not_move_the_pose() -> None:
+    random = np.random.default_rng(2)
+    points = np.column_stack([random.uniform(3, 8, 60), random.uniform(-1.5, 1.5, (60, 2))])
+    truth = moved(np.eye(4), np.array([0.2, -0.1, 0.05, 0.01, 0.0, 0.02]))
+    measured = CAMERA.measured(truth, points)[0]
+    measured[:20, :2] += random.uniform(15, 60, (20, 2))
+    predicted = moved(truth, np.array([0.1, 0.1, -0.1, 0.0, 0.0, 0.0]))
+    solved = solve(CAMERA, SIGMAS, 2.5, predicted, points, measured)
+    assert solved is not None
+    assert solved.inliers.tolist() == [False] * 20 + [True] * 40
+    assert distance_between(solved.pose, truth) < 1e-3
+
+
+def test_adjustment_brings_poses_and_points_back() -> None:
+    random = np.random.default_rng(4)
+    points = np.column_stack([random.uniform(3, 8, 50), random.uniform(-1.5, 1.5, (50, 2))])
+    truth = np.stack([pose_of((0.3 * k, 0.1 * k, 0.0), Rotation.from_euler("z", 0.05 * k)) for k in range(4)])
+    frame, point = np.repeat(np.arange(4), 50), np.tile(np.arange(50), 4)
+    measured = np.concatenate([CAMERA.measured(pose, points)[0] for pose in truth])
+    turns = tuple(rotation_of(a).inv() * rotation_of(b) for a, b in itertools.pairwise(truth))
+    start = np.stack([truth[0], *(moved(pose, 0.02 * random.standard_normal(6)) for pose in truth[1:])])
+    shaken = points + 0.05 * random.standard_normal(points.shape)
+    poses, better = adjust(CAMERA, SIGMAS, WindowProblem(turns, frame, point, measured), start, shaken)
+    assert np.abs(poses - truth).max() < 1e-3
+    assert np.abs(better - points).max() < 1e-2
+
+
+def test_depths_on_edges_are_left_out() -> None:
+    depth = np.full((8, 8), 2.0, np.float32)
+    depth[:, 5:] = 4.0
+    depth[6, 1] = np.nan
+    found = depth_at(depth, np.array([[2.5, 2.5], [4.5, 2.5], [1.5, 5.5]]))
+    assert found[0] == pytest.approx(2.0)
+    assert np.isnan(found[1:]).all()
