@@ -87,7 +87,7 @@ def new_corners(settings: TrackSettings, picture: Grey, known: Array, usable: ND
         return np.empty((0, 2))
     mask: Any = np.full(picture.shape, 255, np.uint8) if usable is None else usable.astype(np.uint8) * np.uint8(255)
     for x, y in np.round(known).astype(int).tolist():
-        cv2.circle(mask, (x, y), round(settings.corner_distance), 0, -1)
+        cv2.circle(mask, (x, y), round(settings.corner_distance), (0,), -1)
     found = cv2.goodFeaturesToTrack(picture, wanted, settings.corner_quality, settings.corner_distance, mask=mask)
     corners = np.empty((0, 2)) if found is None else found.reshape(-1, 2).astype(float)
     height, width = picture.shape
