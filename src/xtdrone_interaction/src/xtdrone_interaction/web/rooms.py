@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.fleet.fleet_watch import FleetWatch
+from xtdrone_interaction.web.inspection.all_rooms import inspection_methods
 from xtdrone_interaction.web.server.methods import Method
 from xtdrone_interaction.web.station_settings import StationSettings
 
@@ -11,4 +12,4 @@ from xtdrone_interaction.web.station_settings import StationSettings
 def methods_of_rooms(context: StationContext, settings: StationSettings) -> list[Method]:
     """Open all rooms and return their methods."""
     fleet = FleetWatch(context, settings.rate)
-    return [*fleet.methods()]
+    return [*fleet.methods(), *inspection_methods(context)]
