@@ -50,9 +50,8 @@ function mount(element, station) {
     const known = state.rates[name];
     return html`<tr key=${name} class=${name === state.topic ? 'selected' : ''} data-topic=${name}>
       <td><input type="checkbox" title="measure the rate" checked=${measured.has(name)} onchange=${() => toggleRate(name)}/></td>
-      <td class="mono link" title=${`from ${publishers.join(', ') || 'no node'}\nto ${subscribers.join(', ') || 'no node'}`}
-        onclick=${() => select(name)}>${name}</td>
-      <td class="soft">${type}</td>
+      <td class="mono link text" title=${`from ${publishers.join(', ') || 'no node'}\nto ${subscribers.join(', ') || 'no node'}`}
+        onclick=${() => select(name)}>${name}<div class="soft type">${type}</div></td>
       <td class="num">${measured.has(name) && known ? rate(known.rate) : ''}</td>
       <td class="num">${measured.has(name) && known ? bytes(known.bytes) : ''}</td></tr>`;
   };
@@ -86,7 +85,7 @@ function mount(element, station) {
         oninput=${(event) => { state.words = event.target.value; draw(); }}/>
         <span class="soft">${found.length} of ${state.topics.length}</span></div>
       ${state.topic ? echoCard() : ''}
-      <table><thead><tr><th>Hz</th><th>topic</th><th>type</th><th class="num">Hz</th><th class="num">per s</th></tr></thead>
+      <table><thead><tr><th></th><th>topic</th><th class="num">Hz</th><th class="num">per s</th></tr></thead>
         <tbody>${found.slice(0, SHOWN).map(row)}</tbody></table>
       ${found.length > SHOWN ? html`<p class="soft">${found.length - SHOWN} more: narrow the filter.</p>` : ''}`, element);
   }
