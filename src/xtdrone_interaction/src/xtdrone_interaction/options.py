@@ -244,6 +244,11 @@ def add_instance(parser: argparse.ArgumentParser) -> None:
     MachineSettings.add_arguments(parser, ("instance",))
 
 
+def web_setting() -> Any:
+    """Declare whether a flight has a page for browsers; an argument of its launch file."""
+    return setting(False, text="serve the page of the flight to a browser, see docs/web.md; prints its URL")
+
+
 def add_world(parser: argparse.ArgumentParser) -> None:
     """Add the option that selects the world."""
     parser.add_argument(

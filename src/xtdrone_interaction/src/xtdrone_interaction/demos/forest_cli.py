@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--world", metavar="WORLD", help="another world, by name or file (default: a forest of the seed)"
     )
-    settings(parser, ("start", "goal", "highest", "time_limit", "speed", "headless", "logs"))
+    settings(parser, ("start", "goal", "highest", "time_limit", "speed", "headless", "logs", "web"))
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
     add_master(parser)
     add_instance(parser)

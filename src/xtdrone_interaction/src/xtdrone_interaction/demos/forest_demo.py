@@ -22,7 +22,7 @@ from xtdrone_interaction.metrics.clearance import solids_of
 from xtdrone_interaction.metrics.crossing import make_report
 from xtdrone_interaction.metrics.formation import write_report
 from xtdrone_interaction.monitoring.progress_display import Display
-from xtdrone_interaction.options import seed_setting, speed_setting
+from xtdrone_interaction.options import seed_setting, speed_setting, web_setting
 from xtdrone_interaction.recording.crossing import read_crossing
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.printed_results import print_crossing, print_paths
@@ -97,6 +97,7 @@ class ForestDemoSettings(Settings):
     headless: bool = setting(False, text="no live display: print a line of progress every few seconds")
     logs: bool = setting(False, text="write the vehicle's flight log (PX4's ULog)")
     instance: int = 0
+    web: bool = web_setting()
 
     @property
     def fleet(self) -> str:
@@ -129,7 +130,7 @@ class ForestDemoSettings(Settings):
 
     def stored(self) -> dict[str, Any]:
         """Return the settings stored in the report."""
-        unstored = ("out", "master_port", "headless", "instance")
+        unstored = ("out", "master_port", "headless", "instance", "web")
         return {key: value for key, value in asdict(self).items() if key not in unstored}
 
 
@@ -170,6 +171,7 @@ def flight(settings: ForestDemoSettings) -> Flight:
             "out": settings.out,
             **({"log": settings.out / "ulog"} if settings.logs else {}),
             **({"instance": settings.instance} if settings.instance else {}),
+            **({"web": "true"} if settings.web else {}),
         },
         out=settings.out,
         bag="flight.bag",

@@ -39,7 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="follower program of xtdrone_coordination, or FILE.py[:CLASS] with your own follower class "
         "(default: %(default)s)")  # fmt: skip
     add("--leader", metavar="FILE.py:CLASS", help="your own leader class (default: the shipped one)")
-    DemoSettings.add_arguments(parser, ("control", "avoidance", "neighbours", "clearance", "waive", "headless", "logs"))
+    DemoSettings.add_arguments(
+        parser, ("control", "avoidance", "neighbours", "clearance", "waive", "headless", "logs", "web")
+    )
     options.add_world(parser)
     add("--no-film", dest="film", action="store_false", help="no film of the flight, flight.mp4, after its end")
     add("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")

@@ -28,6 +28,7 @@ from xtdrone_interaction.options import (
     speed_setting,
     vehicles_setting,
     waive_setting,
+    web_setting,
 )
 from xtdrone_interaction.recording.formation import read_formation
 from xtdrone_interaction.recording.recorded_flight import RecordError
@@ -95,6 +96,7 @@ class DemoSettings(Settings):
     window: bool = False
     film: bool = False
     instance: int = 0
+    web: bool = web_setting()
 
 
 def waived_criteria(leader: type[Leader], waived: Sequence[str]) -> tuple[str, ...]:
@@ -145,6 +147,8 @@ def flight(settings: DemoSettings) -> Flight:
         arguments |= {"simulator": settings.simulator, "model": settings.model}
     if settings.instance:
         arguments["instance"] = settings.instance
+    if settings.web:
+        arguments["web"] = "true"
     return Flight(
         file="formation.launch",
         arguments=arguments,
@@ -185,7 +189,7 @@ def _conclude(settings: DemoSettings, console: Console, command_wall: float, end
     last = flight(settings).events()[-1]
     if last["event"] == "failed":
         raise DemoError(last["reason"])
-    unstored = ("out", "master_port", "headless", "window", "film", "instance")
+    unstored = ("out", "master_port", "headless", "window", "film", "instance", "web")
     stored = {k: v for k, v in asdict(settings).items() if k not in unstored}
     bag = settings.out / "flight.bag"
     status = report_flight(bag, {**stored, "command_wall": command_wall}, console, list(ended_nodes.found.values()))

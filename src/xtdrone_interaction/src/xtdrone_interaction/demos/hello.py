@@ -25,7 +25,7 @@ from xtdrone_interaction.launching.supervised_launch import (
     watching,
 )
 from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
-from xtdrone_interaction.options import MachineSettings, OptionError, seed_setting, speed_setting
+from xtdrone_interaction.options import MachineSettings, OptionError, seed_setting, speed_setting, web_setting
 
 FLEET = "iris:1"
 SCRIPT = options.repository() / "src" / "xtdrone_control" / "examples" / "hello.py"
@@ -47,6 +47,7 @@ class HelloSettings(Settings):
     world: str
     speed: float = speed_setting()
     seed: int = seed_setting()
+    web: bool = web_setting()
     out: Path
     master_port: int
     instance: int
@@ -61,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--script", type=Path, default=SCRIPT, metavar="FILE.py", help="script that flies iris_0 (default: the example)"
     )
-    HelloSettings.add_arguments(parser, ("speed", "seed"))
+    HelloSettings.add_arguments(parser, ("speed", "seed", "web"))
     options.add_world(parser)
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="new folder for the logs (default: runs/<time>)")
     MachineSettings.add_arguments(parser, ("master_port",))
@@ -105,6 +106,7 @@ def _fly(settings: HelloSettings, console: Console) -> int:
             "seed": settings.seed,
             "participants": f"/mavros,/{NODE}",
             **({"instance": settings.instance} if settings.instance else {}),
+            **({"web": "true"} if settings.web else {}),
         },
         settings.out,
         settings.master_port,

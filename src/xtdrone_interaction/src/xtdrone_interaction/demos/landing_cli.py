@@ -25,7 +25,7 @@ from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, e
 from xtdrone_interaction.metrics.formation import write_report
 from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
 from xtdrone_interaction.monitoring.progress_display import Display
-from xtdrone_interaction.options import MachineSettings, seed_setting, speed_setting
+from xtdrone_interaction.options import MachineSettings, seed_setting, speed_setting, web_setting
 from xtdrone_interaction.recording.recorded_flight import RecordError
 
 TYPE, ROBOT = "iris_landing_camera", "ugv_0"
@@ -60,6 +60,7 @@ class LandingDemoSettings(Settings):
     out: Path = Path()
     master_port: int = 0
     instance: int = 0
+    web: bool = web_setting()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "lands on them by PX4's precision landing. Leaves runs/<time>/ with flight.bag, report.json, events.jsonl and "
         "landing.png."
     )
-    LandingDemoSettings.add_arguments(parser, ("ugv_speed", "ugv_turn", "seed", "speed", "headless"))
+    LandingDemoSettings.add_arguments(parser, ("ugv_speed", "ugv_turn", "seed", "speed", "headless", "web"))
     options.add_world(parser)
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
     options.add_master(parser)
@@ -127,6 +128,7 @@ def _flight(settings: LandingDemoSettings) -> Flight:
             "speed": settings.speed,
             "out": settings.out,
             **({"instance": settings.instance} if settings.instance else {}),
+            **({"web": "true"} if settings.web else {}),
         },
         out=settings.out,
         bag="flight.bag",
@@ -148,7 +150,7 @@ def _show_event(event: dict[str, Any], display: Display) -> None:
 
 
 def _conclude(settings: LandingDemoSettings, console: Console, wall_time: float, ended_nodes: EndedNodes) -> int:
-    unstored = ("out", "master_port", "headless", "instance")
+    unstored = ("out", "master_port", "headless", "instance", "web")
     stored = {key: value for key, value in asdict(settings).items() if key not in unstored}
     report = report_of(settings.out / "flight.bag", {**stored, "wall_time": wall_time})
     ended = [str(node) for node in ended_nodes.found.values() if node.matters]

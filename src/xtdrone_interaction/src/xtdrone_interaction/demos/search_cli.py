@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="your own VEHICLE.plan files in QGroundControl's format (default: made for the region)")  # fmt: skip
     add("--world", metavar="WORLD", help="your own world, by name or file (default: generated from the seed)")
     options(parser, ("height", "on_find", "follow_time", "time_limit", "camera_rate", "speed", "film"))
-    options(parser, ("headless", "logs"))
+    options(parser, ("headless", "logs", "web"))
     add("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
     add_master(parser)
     add_instance(parser)

@@ -73,6 +73,7 @@ def flight(settings: SearchSettings, prepared: Prepared) -> Flight:
             "out": settings.out,
             "log": settings.out / "logs" if settings.logs else "",
             **({"instance": settings.instance} if settings.instance else {}),
+            **({"web": "true"} if settings.web else {}),
         },
         out=settings.out,
         bag="flight.bag",

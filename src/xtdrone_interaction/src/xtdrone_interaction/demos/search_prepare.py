@@ -26,7 +26,14 @@ from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.search.planning.plans import SearchOptions, VehiclePlan, plan_search, write_plans
 from xtdrone_coordination.search.planning.region import parse_region, read_region, region_data
 from xtdrone_interaction.formation.distances import natural_order
-from xtdrone_interaction.options import OptionError, repository, seed_setting, speed_setting, vehicles_setting
+from xtdrone_interaction.options import (
+    OptionError,
+    repository,
+    seed_setting,
+    speed_setting,
+    vehicles_setting,
+    web_setting,
+)
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.worlds import people, scenery
 from xtdrone_sim.worlds.catalogue import load_world
@@ -86,10 +93,11 @@ class SearchSettings(Settings):
     headless: bool = setting(False, text="no live display: print a line of progress every few seconds")
     logs: bool = setting(False, text="write the vehicles' flight logs (PX4's ULog)")
     instance: int = 0
+    web: bool = web_setting()
 
     def stored(self) -> dict[str, Any]:
         """Return the settings stored in the report."""
-        unstored = ("out", "master_port", "headless", "instance")
+        unstored = ("out", "master_port", "headless", "instance", "web")
         return {key: value for key, value in asdict(self).items() if key not in unstored}
 
 

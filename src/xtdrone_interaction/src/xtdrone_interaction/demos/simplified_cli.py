@@ -60,6 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="on ROS: a process per vehicle and role, one per vehicle, or one per role "
         "(default: %(default)s)")  # fmt: skip
     SwarmSettings.add_arguments(parser, ("headless",))
+    DemoSettings.add_arguments(parser, ("web",))
     add("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
     options.add_master(parser)
 
@@ -73,6 +74,8 @@ def _fly(arguments: argparse.Namespace) -> int:
     console = PatientConsole()
     try:
         settings, film = swarm_settings(arguments)
+        if arguments.without_ros and hasattr(arguments, "web"):
+            raise OptionError("web: --web is not available with --without-ros, the page shows a flight on ROS")
         demo = None if arguments.without_ros else ros_settings(arguments, settings, film)
     except OptionError:
         raise
@@ -164,6 +167,7 @@ def ros_settings(arguments: argparse.Namespace, settings: SwarmSettings, film: F
         model=settings.model,
         leader_class=options.leader_class(arguments.leader),
         window=film.window,
+        web=getattr(arguments, "web", False),
     )
 
 

@@ -22,7 +22,7 @@ from xtdrone_interaction.launching.supervised_launch import DemoError, Launch, m
 from xtdrone_interaction.metrics.formation import write_report
 from xtdrone_interaction.metrics.slam import slam_report
 from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
-from xtdrone_interaction.options import MachineSettings, OptionError, seed_setting, speed_setting
+from xtdrone_interaction.options import MachineSettings, OptionError, seed_setting, speed_setting, web_setting
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.report_tables import odometry_table, print_table
 
@@ -51,6 +51,7 @@ class SlamSettings(Settings):
     height: float = setting(3.0, low=1.0, high=50.0, unit="m", text="height of the flight above the start")
     speed: float = speed_setting()
     seed: int = seed_setting()
+    web: bool = web_setting()
     out: Path
     master_port: int
     instance: int
@@ -66,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--way", nargs="+", default=[], metavar="X,Y", help="points of the way, m east and north of the start"
     )
-    SlamSettings.add_arguments(parser, ("height", "speed", "seed"))
+    SlamSettings.add_arguments(parser, ("height", "speed", "seed", "web"))
     parser.add_argument("--world", default=_WORLD, metavar="WORLD", help="world, by name or file (default: city)")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
     MachineSettings.add_arguments(parser, ("master_port",))
@@ -120,6 +121,7 @@ def _fly(settings: SlamSettings, console: Console) -> int:
             "seed": settings.seed,
             "bag": settings.out / "flight.bag",
             **({"instance": settings.instance} if settings.instance else {}),
+            **({"web": "true"} if settings.web else {}),
         },
         settings.out,
         settings.master_port,

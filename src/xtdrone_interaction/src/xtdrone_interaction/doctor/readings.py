@@ -54,7 +54,7 @@ def read_vehicles(master: Master, simulator: Simulator | None) -> list[Vehicle]:
     Raises:
         SimError: a MAVROS layer does not answer.
     """
-    found = {vehicle.prefix: vehicle for vehicle in _asked(master)}
+    found = {vehicle.prefix: vehicle for vehicle in read_asked_vehicles(master)}
     rest = [prefix for prefix in _prefixes(master) if prefix not in found]
     found |= {vehicle.prefix: vehicle for vehicle in _heard(master, rest[:_MOST_HEARD], simulator)}
     names = _fleet(master)
@@ -79,7 +79,12 @@ def _prefixes(master: Master) -> list[str]:
     return [match["prefix"] for topic in sorted(master.graph.publishers) if (match := _STATE.match(topic))]
 
 
-def _asked(master: Master) -> list[Vehicle]:
+def read_asked_vehicles(master: Master) -> list[Vehicle]:
+    """Return the vehicles of the project's MAVROS layers, which are asked by a service.
+
+    Raises:
+        SimError: a MAVROS layer does not answer.
+    """
     from xtdrone_msgs.srv import GetReadiness, GetReadinessRequest
 
     vehicles = []
@@ -132,4 +137,4 @@ def _counted_time(master: Master, simulator: Simulator | None) -> float:
     return 0.0 if simplified or simulator.reason else LISTENING * simulator.measured_speed
 
 
-__all__ = ["LISTENING", "SimError", "read_simulator", "read_vehicles"]
+__all__ = ["LISTENING", "SimError", "read_asked_vehicles", "read_simulator", "read_vehicles"]

@@ -49,6 +49,7 @@ _VITAL = (
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 _INCOMPLETE = "participants have "  # "joined" or "not joined": the simulator's status while it waits at the start
 _ERROR_LINES = 12
+_PAGE = "station "  # begins the lines in which web_station.py prints its URLs
 _SIGNALLED = 128  # exit status of a process that a signal ended, less the signal's number
 
 
@@ -194,6 +195,7 @@ class Watch:
         self._shown: set[str] = set()
         self._first_end = 0.0
         self._incomplete_shown = False
+        self._page_shown = False
 
     @property
     def stalled_time(self) -> float:
@@ -231,6 +233,7 @@ class Watch:
                 self._moved = now
             self._show_incomplete()
             self._show_standstill()
+            self._show_page()
         self.show_ended_nodes(now)
         if self._feed.lost and self.running() and self.stalled_time > _GRACE:
             words = self._feed.last_words()
@@ -254,6 +257,15 @@ class Watch:
         if self.startup.incomplete and not self._incomplete_shown:
             self._incomplete_shown = True
             self.display.note(f"  [yellow]{escape(self.startup.incomplete + self.not_joined())}[/yellow]")
+
+    def _show_page(self) -> None:
+        """Show once where the flight's page is, for a launch with ``web:=true``."""
+        if self._page_shown or str(self._launch.arguments.get("web", "")).lower() != "true":
+            return
+        for line in _log_lines(self._launch):
+            if line.startswith(_PAGE):
+                self._page_shown = True
+                self.display.note(f"  page {escape(line.removeprefix(_PAGE))}")
 
     def _show_standstill(self) -> None:
         status = "" if self.status is None else self.status["text"]

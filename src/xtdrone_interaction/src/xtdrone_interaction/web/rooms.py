@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-from xtdrone_interaction import options
+from xtdrone_interaction.web.commands.swarm_commands import SwarmCommands
+from xtdrone_interaction.web.commands.time_control import TimeControl
+from xtdrone_interaction.web.commands.vehicle_commands import VehicleCommands
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.fleet.fleet_watch import FleetWatch
-from xtdrone_interaction.web.inspection.all_rooms import inspection_methods
-from xtdrone_interaction.web.recordings.recording_room import RecordingRoom
+from xtdrone_interaction.web.fleet.formation_view import FormationView
+from xtdrone_interaction.web.fleet.vehicle_status import VehicleStatus
+from xtdrone_interaction.web.fleet.world_view import WorldView
 from xtdrone_interaction.web.server.methods import Method
 from xtdrone_interaction.web.station_settings import StationSettings
-from xtdrone_interaction.web.steering.steering_room import SteeringRoom
-
-RECORDINGS = "runs"
+from xtdrone_interaction.web.tool_rooms import tool_methods
 
 
 def methods_of_rooms(context: StationContext, settings: StationSettings) -> list[Method]:
     """Open all rooms and return their methods."""
     fleet = FleetWatch(context, settings.rate)
-    recordings = RecordingRoom(context, options.repository() / RECORDINGS)
-    return [*fleet.methods(), *inspection_methods(context), *recordings.methods(), *SteeringRoom(context).methods()]
+    VehicleStatus(context, fleet)
+    return [
+        *fleet.methods(),
+        *WorldView(context, fleet).methods(),
+        *FormationView(context).methods(),
+        *VehicleCommands(context, fleet).methods(),
+        *SwarmCommands(context, fleet).methods(),
+        *TimeControl(context, fleet).methods(),
+        *tool_methods(context),
+    ]

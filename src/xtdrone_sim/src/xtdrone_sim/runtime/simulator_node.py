@@ -178,7 +178,7 @@ class SimulatorNode:
             on_digest=self._digests.write if self._digests and settings.digest_topics else None,
         )
         # rosout subscribes like every node in C++, but reads the time only for messages of its own.
-        self._clock = lockstep.UncountedPublisher("/clock", Clock, queue_size=10, rare=["/rosout"])
+        self._clock = lockstep.UncountedPublisher("/clock", Clock, queue_size=10, rare=["/rosout", "/web_station"])
         self._clock_message = Clock()
         self._server.attach_host(host)
         self._states = lockstep.Publisher("/gazebo/model_states", ModelStates)

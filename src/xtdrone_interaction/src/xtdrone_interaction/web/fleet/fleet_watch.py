@@ -7,7 +7,6 @@ from typing import Any
 
 import rospy
 from gazebo_msgs.msg import ModelStates
-from rosgraph_msgs.msg import Clock
 
 from xtdrone_control.fleet import FleetError, parse_fleet
 from xtdrone_interaction.web.context import StationContext
@@ -40,10 +39,9 @@ class FleetWatch:
         self.models: ModelRows | None = None
         self._context = context
         self._packed: bytes | None = None
-        self._clock: bytes = b""
         self._number = 0
         self._told = -1
-        self._subscribers: list[Any] = []
+        self._subscriber: rospy.Subscriber | None = None
         context.every(1.0 / rate, self._send)
         context.every(_FLEET_PERIOD, self._read_fleet)
 
@@ -55,14 +53,6 @@ class FleetWatch:
     def methods(self) -> list[Method]:
         """Return the methods of a page."""
         return [Method("fleet.roster", self._describe)]
-
-    @property
-    def time(self) -> float:
-        """Simulated time, s."""
-        clock = Clock()
-        if self._clock:
-            clock.deserialize(self._clock)
-        return float(clock.clock.to_sec())
 
     async def _read_fleet(self) -> None:
         text = await self._context.blocking(rospy.get_param, "/xtdrone/fleet", None)
@@ -76,24 +66,17 @@ class FleetWatch:
 
     def _listen(self, wanted: bool) -> None:
         """Subscribe while a page is open: nobody pays for what nobody sees."""
-        if wanted and not self._subscribers:
-            self._subscribers = [
-                rospy.Subscriber(
-                    "/gazebo/model_states", rospy.AnyMsg, self._on_states, queue_size=1, buff_size=1 << 20
-                ),
-                rospy.Subscriber("/clock", rospy.AnyMsg, self._on_clock, queue_size=1),
-            ]
-        elif not wanted and self._subscribers:
-            for subscriber in self._subscribers:
-                subscriber.unregister()
-            self._subscribers = []
+        if wanted and self._subscriber is None:
+            self._subscriber = rospy.Subscriber(
+                "/gazebo/model_states", rospy.AnyMsg, self._on_states, queue_size=1, buff_size=1 << 20
+            )
+        elif not wanted and self._subscriber is not None:
+            self._subscriber.unregister()
+            self._subscriber = None
 
     def _on_states(self, message: rospy.AnyMsg) -> None:
         if message._connection_header.get("type") == ModelStates._type:
             self._packed = message._buff
-
-    def _on_clock(self, message: rospy.AnyMsg) -> None:
-        self._clock = message._buff
 
     def _send(self) -> None:
         sessions = list(self._context.sessions.values())
@@ -111,6 +94,6 @@ class FleetWatch:
             self._told = self.roster.version
             self._context.push_all("fleet.roster", self.roster.describe(self.models))
         self._number += 1
-        frame = pack_fleet_frame(vehicles, movers, self.time, self.roster.version, self._number)
+        frame = pack_fleet_frame(vehicles, movers, rospy.get_time(), self.roster.version, self._number)
         for session in sessions:
             session.push_latest(CHANNEL, frame)

@@ -64,7 +64,7 @@ class Address:
 
 def _own_address(host: str) -> str:
     """Return an address by which other machines reach this one."""
-    if host not in ("0.0.0.0", "::"):  # noqa: S104
+    if host not in ("0.0.0.0", "::"):
         return f"[{host}]" if ":" in host else host
     with sockets.socket(sockets.AF_INET, sockets.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
         probe.connect(("192.0.2.1", 9))  # sends nothing: the system chooses the address of the way out

@@ -1,0 +1,102 @@
+"""Simulated time: its state with who holds the tick, and pause, step, speed and reset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import rospy
+from std_srvs.srv import Empty, EmptyRequest, Trigger, TriggerRequest
+from xtdrone_msgs.msg import SimulationStatus
+from xtdrone_msgs.srv import ResetVehicle, ResetVehicleRequest, SetSpeed, SetSpeedRequest, Step, StepRequest
+
+from xtdrone_control.settings import Settings, setting
+from xtdrone_control.simulation_speed import LEAST_SPEED
+from xtdrone_interaction.sim_cli import SimError, call
+from xtdrone_interaction.web.commands.vehicle_commands import chosen_vehicles
+from xtdrone_interaction.web.context import StationContext
+from xtdrone_interaction.web.fleet.fleet_watch import FleetWatch
+from xtdrone_interaction.web.server.methods import CallError, Method, Params
+from xtdrone_interaction.web.server.session import Session
+
+_STEP_LIMIT = 50.0  # s of wall time; a page waits 60 s
+
+
+@dataclass(frozen=True)
+class TimeCommand(Settings):
+    """A command to the simulator."""
+
+    action: str = setting(
+        "", choices=("pause", "resume", "step", "speed", "reset", "reset_vehicle"), text="what it does"
+    )
+    ticks: int = setting(1, low=1, high=100_000, text="ticks of a step")
+    factor: float = setting(1.0, low=0.0, high=1000.0, text="target real-time factor; 0: as fast as it goes")
+    vehicle: str = setting("", text="that is reset alone")
+
+
+class TimeControl:
+    """Passes the simulator's status to the pages, and their requests to the simulator."""
+
+    def __init__(self, context: StationContext, fleet: FleetWatch) -> None:
+        self._context = context
+        self._fleet = fleet
+        self._status: dict[str, Any] | None = None
+        rospy.Subscriber("/simulator/status", SimulationStatus, self._on_status, queue_size=1)
+
+    def methods(self) -> list[Method]:
+        """Return the methods of a page."""
+        return [Method("time.status", self._describe), Method("time.control", self._control, "operate")]
+
+    def _on_status(self, message: SimulationStatus) -> None:
+        self._status = status_for_page(message)
+        self._context.in_loop(self._context.push_all, "time.status", self._status)
+
+    def _describe(self, _session: Session, _params: Params) -> dict[str, Any] | None:
+        return self._status
+
+    async def _control(self, _session: Session, params: Params) -> str:
+        command = TimeCommand.from_mapping(dict(params), "command")
+        if command.action == "reset_vehicle":
+            chosen_vehicles([command.vehicle], self._fleet.roster.vehicles)
+        if command.action == "speed" and 0.0 < command.factor < LEAST_SPEED:
+            raise CallError(f"factor: {command.factor} is not allowed, 0 or at least {LEAST_SPEED}")
+        try:
+            return await self._context.blocking(self._ask, command)
+        except SimError as error:
+            raise CallError(str(error)) from error
+
+    def _ask(self, command: TimeCommand) -> str:
+        master = self._context.master
+        if command.action in ("pause", "resume"):
+            return _accepted(call(master, f"/simulator/{command.action}", Trigger, TriggerRequest()))
+        if command.action == "step":
+            return _accepted(call(master, "/simulator/step", Step, StepRequest(ticks=command.ticks), _STEP_LIMIT))
+        if command.action == "speed":
+            return _accepted(call(master, "/simulator/set_speed", SetSpeed, SetSpeedRequest(speed=command.factor)))
+        if command.action == "reset_vehicle":
+            request = ResetVehicleRequest(command.vehicle, [])
+            return _accepted(call(master, "/simulator/reset_vehicle", ResetVehicle, request))
+        call(master, "/gazebo/reset_simulation", Empty, EmptyRequest())
+        return "reset: vehicles are at their places, simulated time is 0"
+
+
+def status_for_page(status: SimulationStatus) -> dict[str, Any]:
+    """Return the simulator's status; ``held``: whether it waits for participants now."""
+    return {
+        "time": status.sim_time.to_sec(),
+        "tick": status.tick,
+        "speed": status.speed,
+        "measured": status.measured_speed,
+        "paused": bool(status.paused and not status.stepping),
+        "stepping": bool(status.stepping),
+        "participants": sorted(status.participants),
+        "waiting_for": sorted(status.waiting_for),
+        "waiting": status.waiting.to_sec(),
+        "reason": str(status.reason),
+    }
+
+
+def _accepted(response: Any) -> str:
+    if not response.success:
+        raise CallError(str(response.message))
+    return str(response.message)
