@@ -68,6 +68,13 @@ function mount(element, station) {
 
   const fail = (error) => toast(error.message, 'bad');
 
+  /** Says over the view that it shows a recording. */
+  const mark = (file) => {
+    const stage = document.getElementById('stage-body');
+    if (file) stage.dataset.recording = file;
+    else delete stage.dataset.recording;
+  };
+
   const list = () => station.call('recordings.list').then(({ files, profiles }) => { Object.assign(state, { files, profiles }); draw(); }, () => {});
   const readState = () => station.call('recordings.state').then((recorder) => {
     const ended = state.recorder.recording && !recorder.recording;
@@ -89,6 +96,7 @@ function mount(element, station) {
       station.replay(flight.frame(flight.start, -1));
       station.emit('fleet.roster', { version: -1, vehicles: flight.vehicles.map((name) => ({ name, type: name.replace(/_\d+$/, ''), model: name.replace(/_\d+$/, '') })),
         movers: [], places: {} });
+      mark(file);
       flight.load(station, draw).then(() => show(), fail);
     } catch (error) { fail(error); }
     state.opening = '';
@@ -99,6 +107,7 @@ function mount(element, station) {
     if (!state.flight) return;
     state.flight.closed = true;
     state.flight = null;
+    mark('');
     station.replay(null);
     if (station.connected) station.call('fleet.roster').then((roster) => station.emit('fleet.roster', roster), () => {});
     draw();
@@ -177,4 +186,4 @@ function mount(element, station) {
   };
 }
 
-export const panel = { name: 'recordings', title: 'Recordings', icon: '⏺', mount };
+export const panel = { name: 'recordings', title: 'Recordings', icon: '●', mount };

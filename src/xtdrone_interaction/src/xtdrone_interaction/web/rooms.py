@@ -26,5 +26,5 @@ def methods_of_rooms(context: StationContext, settings: StationSettings) -> list
         *VehicleCommands(context, fleet).methods(),
         *SwarmCommands(context, fleet).methods(),
         *TimeControl(context, fleet).methods(),
-        *tool_methods(context),
+        *tool_methods(context, settings),
     ]
