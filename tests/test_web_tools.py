@@ -13,12 +13,13 @@ from typing import Any
 import pytest
 from conftest import START_LIMIT, WALL_LIMIT, Graph, Stack, poll, wait_for_ports
 
-sync_api = pytest.importorskip("playwright.sync_api")
+pytest.importorskip("playwright")
 pytest.importorskip("rospy")
 
 import rospy
 from darknet_ros_msgs.msg import BoundingBox, BoundingBoxes
 from mavros_msgs.srv import ParamGet
+from playwright import sync_api
 
 VEHICLE = "typhoon_h480_0"
 POSE = f"/{VEHICLE}/mavros/local_position/pose"

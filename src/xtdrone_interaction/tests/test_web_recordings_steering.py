@@ -79,7 +79,7 @@ def test_only_recordings_below_the_folder_are_opened(tmp_path: Path) -> None:
 
 def test_the_recorder_refuses_what_it_cannot_do(tmp_path: Path) -> None:
     recorder = RecorderProcess(tmp_path, "http://127.0.0.1:9")
-    with pytest.raises(OptionError, match="profile: '../light' is not allowed, one of light, full, cameras"):
+    with pytest.raises(OptionError, match=r"profile: '\.\./light' is not allowed, one of light, full, cameras"):
         recorder.start("../light")
     with pytest.raises(OptionError, match="no recording is running"):
         recorder.stop()
