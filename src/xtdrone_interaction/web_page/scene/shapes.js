@@ -1,7 +1,7 @@
 // Geometries of the shapes that the station describes: primitives of unit size, meshes, and vehicles as one mesh.
 import {
-  BoxGeometry, BufferAttribute, BufferGeometry, Color, CylinderGeometry, Matrix4, Quaternion, SphereGeometry, SRGBColorSpace,
-  Texture, Vector3,
+  BoxGeometry, BufferAttribute, BufferGeometry, Color, CylinderGeometry, Matrix4, Quaternion, RepeatWrapping, SphereGeometry,
+  SRGBColorSpace, Texture, Vector3,
 } from '../vendor/three.js';
 
 const AROUND = 10; // corners of a circle: few, as a hundred vehicles have thousands
@@ -56,6 +56,7 @@ export class Shapes {
     await image.decode();
     const texture = new Texture(image);
     texture.colorSpace = SRGBColorSpace;
+    texture.wrapS = texture.wrapT = RepeatWrapping;
     texture.needsUpdate = true;
     return texture;
   }

@@ -140,7 +140,7 @@ def job_of(command: VehicleCommand, goal: Sequence[float] | None) -> Callable[..
         x, y, z = goal
         target = Target(local=(x, y, z), speed=math.nan if command.speed is None else command.speed)
         return partial(flight.go_to, target=target)
-    return {
+    jobs: dict[str, Callable[..., Any]] = {
         "arm": partial(flight.arm, armed=True),
         "disarm": partial(flight.arm, armed=False),
         "kill": partial(flight.arm, armed=False, force=True),
@@ -149,4 +149,5 @@ def job_of(command: VehicleCommand, goal: Sequence[float] | None) -> Callable[..
         "rtl": flight.rtl,
         "hold": flight.hold,
         "mode": partial(flight.set_mode, name=command.mode),
-    }[command.action]
+    }
+    return jobs[command.action]

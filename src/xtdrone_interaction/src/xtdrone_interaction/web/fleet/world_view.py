@@ -9,6 +9,7 @@ from typing import Any
 import rospy
 from xtdrone_msgs.msg import SceneModels
 
+from xtdrone_control.geodesy.datum import Datum
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.fleet.fleet_watch import FleetWatch
 from xtdrone_interaction.web.fleet.shapes_for_page import ShapeStore, describe_vehicle
@@ -42,6 +43,14 @@ class WorldView:
             Method("world.mesh", self._mesh),
             Method("world.texture", self._texture),
         ]
+
+    def datum(self) -> Datum | None:
+        """Return the origin of the map frame; None without a world. It blocks."""
+        name = str(rospy.get_param("/xtdrone/world", ""))
+        try:
+            return self._world(name).datum if name else None
+        except (ModelError, OSError, ValueError):
+            return None
 
     def _on_models(self, message: SceneModels) -> None:
         self._changes = message

@@ -133,9 +133,9 @@ class StationServer:
 class _PageFile(StaticFileHandler):
     """A file of the page's folder; tornado refuses paths that lead out of it."""
 
-    def initialize(self, path: str, default_filename: str | None = None, server: StationServer | None = None) -> None:
+    def initialize(self, path: str, default_filename: str | None = None, server: Any = None) -> None:
         super().initialize(path, default_filename)
-        self._server = server
+        self._server: StationServer = server
 
     def set_default_headers(self) -> None:
         self.clear_header("Server")
@@ -143,7 +143,6 @@ class _PageFile(StaticFileHandler):
             self.set_header(name, value)
 
     def prepare(self) -> None:
-        assert self._server is not None
         if not is_own_host(self.request.host, self._server.address.host):
             raise HTTPError(403)
 
