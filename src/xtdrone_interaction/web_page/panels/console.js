@@ -38,8 +38,8 @@ function mount(element, station) {
   };
 
   const row = (m) => html`<tr key=${m.number} data-level=${m.level} onclick=${() => { state.open = state.open === m.number ? null : m.number; draw(); }}>
-    <td class="num mono">${m.time.toFixed(2)}</td><td class=${COLOURS[m.level]}>${m.level}</td><td class="soft">${m.node}</td>
-    <td class="text">${m.text}${state.open === m.number ? html`<div class="soft mono">${m.place}</div>` : ''}</td></tr>`;
+    <td class="num mono">${m.time.toFixed(2)}</td><td class=${COLOURS[m.level]}>${m.level}</td>
+    <td class="text"><span class="soft">${m.node}</span> ${m.text}${state.open === m.number ? html`<div class="soft mono">${m.place}</div>` : ''}</td></tr>`;
 
   function draw() {
     const found = shown();
@@ -56,7 +56,7 @@ function mount(element, station) {
         <button onclick=${() => { state.messages = []; draw(); }}>Clear</button><button onclick=${export_}>CSV</button></div>
       <p class="soft">${found.length} of ${state.messages.length}; <span class="warn">${counts.warn} warnings</span>,
         <span class="bad"> ${counts.error + counts.fatal} errors</span>; newest first</p>
-      <table><thead><tr><th class="num">time s</th><th>level</th><th>node</th><th>message</th></tr></thead>
+      <table><thead><tr><th class="num">time s</th><th>level</th><th>message</th></tr></thead>
         <tbody>${found.slice(-SHOWN).reverse().map(row)}</tbody></table>
       ${found.length > SHOWN ? html`<p class="soft">${found.length - SHOWN} older: narrow the filter or export.</p>` : ''}`, element);
   }
