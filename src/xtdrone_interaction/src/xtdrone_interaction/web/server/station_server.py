@@ -131,7 +131,7 @@ class StationServer:
 
 
 class _PageFile(StaticFileHandler):
-    """A file of the page's folder; tornado refuses paths that lead out of it."""
+    """A file of the page's folder; tornado refuses paths and links that lead out of it."""
 
     def initialize(self, path: str, default_filename: str | None = None, server: Any = None) -> None:
         super().initialize(path, default_filename)
@@ -147,10 +147,11 @@ class _PageFile(StaticFileHandler):
             raise HTTPError(403)
 
     def validate_absolute_path(self, root: str, absolute_path: str) -> str | None:
-        """Refuse symbolic links out of the folder, and hidden files, too."""
-        path = super().validate_absolute_path(root, absolute_path)
-        if path is not None and not Path(path).resolve().is_relative_to(Path(root).resolve()):
-            raise HTTPError(403)
+        """Refuse hidden files and impossible names, too."""
+        try:
+            path = super().validate_absolute_path(root, absolute_path)
+        except ValueError as error:
+            raise HTTPError(400) from error
         if path is not None and any(part.startswith(".") for part in Path(path).relative_to(root).parts):
             raise HTTPError(404)
         return path
