@@ -16,6 +16,7 @@ from xtdrone_interaction.crossing.mission import CrossingSettings
 from xtdrone_interaction.formation.director import DirectorSettings
 from xtdrone_interaction.landing.director import LandingSettings
 from xtdrone_interaction.rviz.markers_node import MarkerSettings
+from xtdrone_interaction.web.station_settings import StationSettings
 from xtdrone_perception.detection.detector import DetectorSettings
 from xtdrone_perception.detection.yolo_node import DetectionOptions, GroundOptions
 from xtdrone_perception.following.following import FollowSettings
@@ -132,6 +133,7 @@ CLASSES: dict[str, type[Settings]] = {
         MapSettings,
         TimingSettings,
         MarkerSettings,
+        StationSettings,
     )
 }
 

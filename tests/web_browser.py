@@ -1,7 +1,7 @@
 """A browser without a screen on the station of a running flight, for tests of the page.
 
-``station_page(stack)`` starts the station beside a stack's simulation and opens its page in Debian's chromium. The page's
-own object ``station`` (``web_page/station.js``) tells what it has received.
+``station_page(stack)`` starts the station beside a stack's simulation and opens its page in Debian's chromium. The
+page's own object ``station`` (``web_page/station.js``) tells what it has received.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ import secrets
 from dataclasses import dataclass
 from urllib.parse import urlparse
 
-from xtdrone_interaction.web.server.methods import Role
+from xtdrone_interaction.web.server.roles import Role
 
 _LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
 _TOKEN_BYTES = 18

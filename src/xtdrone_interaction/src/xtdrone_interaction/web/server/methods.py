@@ -5,12 +5,11 @@ from __future__ import annotations
 import inspect
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any
 
-if TYPE_CHECKING:
-    from xtdrone_interaction.web.server.session import Session
+from xtdrone_interaction.web.server.roles import Role
+from xtdrone_interaction.web.server.session import Session
 
-Role = Literal["view", "operate"]
 Params = Mapping[str, Any]
 
 

@@ -1,0 +1,7 @@
+"""What a page may do: only watch, or operate, which includes watching."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+Role = Literal["view", "operate"]
