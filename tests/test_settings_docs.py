@@ -55,9 +55,9 @@ from xtdrone_sim.runtime.full_simulation import FullSettings
 from xtdrone_sim.runtime.simulator_node import NodeSettings
 from xtdrone_sim.topics.robot_tf import TfSettings
 from xtdrone_sim.uwb.uwb_node import UwbSettings
-from xtdrone_sim.vehicles.imu_mounts import ImuMount
-from xtdrone_sim.vehicles.lidar_mounts import LidarMount
-from xtdrone_sim.vehicles.uwb_mounts import UwbMount
+from xtdrone_sim.vehicles.mounts.imu_mounts import ImuMount
+from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount
+from xtdrone_sim.vehicles.mounts.uwb_mounts import UwbMount
 from xtdrone_sim.video.video_node import VideoSettings
 from xtdrone_sim.worlds.generated.city import CitySettings
 from xtdrone_sim.worlds.generated.countryside import CountrysideSettings

@@ -23,8 +23,8 @@ from xtdrone_sim.lidars.lidars import Lidar
 from xtdrone_sim.lidars.measuring import begin_us, cast_scan, end_us, measured
 from xtdrone_sim.lidars.scene_history import SceneHistory
 from xtdrone_sim.rays.scene import RayScene
-from xtdrone_sim.vehicles.lidar_mounts import KINDS, LidarMount
-from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.shapes.visual import Pose
+from xtdrone_sim.vehicles.mounts.lidar_mounts import KINDS, LidarMount
 from xtdrone_sim.worlds.scene_at import ActorState, SceneAt
 from xtdrone_sim.worlds.sdf import load_world_file
 

@@ -28,8 +28,8 @@ from make_data import REGION, Scene, View, people_of
 from xtdrone_control.rotation import from_euler
 from xtdrone_coordination.search.people.candidates import Candidate, Evidence, Sighting, nearest
 from xtdrone_coordination.search.search_settings import MissionSettings
-from xtdrone_sim.vehicles.pose_arithmetic import rotate
-from xtdrone_sim.vehicles.visual import Mesh, Pose, Visual
+from xtdrone_sim.shapes.pose_arithmetic import rotate
+from xtdrone_sim.shapes.visual import Mesh, Pose, Visual
 from xtdrone_sim.worlds import people
 from xtdrone_sim.worlds.scenery import Ground, outdoor
 from xtdrone_sim.worlds.sdf import SdfWorld

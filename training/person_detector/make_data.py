@@ -28,13 +28,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.camera_pose import camera_link_pose, mount_orientation, optical_pose
+from xtdrone_control.cameras.camera_pose import camera_link_pose, mount_orientation, optical_pose
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.cameras.rendering import Renderer
-from xtdrone_sim.vehicles.pose_arithmetic import compose, rotate
+from xtdrone_sim.shapes.pose_arithmetic import compose, rotate
+from xtdrone_sim.shapes.visual import Mesh, Pose, Visual
 from xtdrone_sim.vehicles.urdf import Description
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
-from xtdrone_sim.vehicles.visual import Mesh, Pose, Visual
 from xtdrone_sim.worlds import people
 from xtdrone_sim.worlds.scenery import Ground, outdoor
 from xtdrone_sim.worlds.sdf import SdfWorld

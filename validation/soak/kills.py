@@ -23,8 +23,8 @@ from pathlib import Path
 
 from xtdrone_interaction import options
 from xtdrone_interaction.console import PatientConsole
-from xtdrone_interaction.demos import formation_demo
-from xtdrone_interaction.demos.formation_demo import DemoSettings
+from xtdrone_interaction.demos.formation import formation_demo
+from xtdrone_interaction.demos.formation.formation_demo import DemoSettings
 from xtdrone_interaction.formation.flight_events import read_events
 from xtdrone_interaction.launching.process_tree import ProcessTree, descendants, end_descendants
 from xtdrone_interaction.launching.supervised_launch import DemoError, run_flight

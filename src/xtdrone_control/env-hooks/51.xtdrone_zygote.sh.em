@@ -1,4 +1,4 @@
-# Launch files start Python nodes through it, see xtdrone_control/zygote.py; empty: each by an interpreter of its own.
+# Launch files start Python nodes through it, see xtdrone_control/programs/zygote.py; empty: each by an interpreter of its own.
 @[if DEVELSPACE]@
 export XTDRONE_NODE_LAUNCHER="@(CATKIN_DEVEL_PREFIX)/lib/@(PROJECT_NAME)/node_launcher"
 @[else]@

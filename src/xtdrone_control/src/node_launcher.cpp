@@ -1,6 +1,6 @@
 // node_launcher SCRIPT ARGUMENT...: runs a Python node of a launch file as a fork of the launch's zygote.
 //
-// To be the launch-prefix of a node. The zygote (xtdrone_control/zygote.py) is a process that has imported the nodes'
+// To be the launch-prefix of a node. The zygote (xtdrone_control/programs/zygote.py) is a process that has imported the nodes'
 // modules; there is one for each parent of launchers, that is for each roslaunch, started by the first of them. The
 // launcher stands for the node in roslaunch: it forwards signals to it and ends as the node does. A program that the
 // zygote cannot run (no Python script, another environment than the first node's) replaces the launcher, as without it.
@@ -137,7 +137,7 @@ void startZygote(const std::string& interpreter, pid_t parent, int listener) {
   dup2(STDERR_FILENO, STDOUT_FILENO);
   fcntl(listener, F_SETFD, 0);
   const std::string title(TITLE_SIZE, ' ');
-  execlp(interpreter.c_str(), interpreter.c_str(), "-P", "-m", "xtdrone_control.zygote",
+  execlp(interpreter.c_str(), interpreter.c_str(), "-P", "-m", "xtdrone_control.programs.zygote",
          std::to_string(listener).c_str(), std::to_string(parent).c_str(), title.c_str(), nullptr);
   _exit(127);
 }

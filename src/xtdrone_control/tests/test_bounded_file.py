@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from xtdrone_control import bounded_file, parameter_file
+from xtdrone_control import bounded_file
+from xtdrone_control.autopilot.parameters import parameter_file
 from xtdrone_control.bounded_file import MB, MOST_VALUES, ContentError, load_json, load_yaml, read_bytes, read_text
 from xtdrone_control.plans import qgc_plan
 

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from xtdrone_control import frames
-from xtdrone_control.camera_pose import camera_link_pose, mount_orientation, optical_pose
+from xtdrone_control.cameras.camera_pose import camera_link_pose, mount_orientation, optical_pose
 
 
 def turned(pose, vector):

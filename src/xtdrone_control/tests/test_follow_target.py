@@ -15,7 +15,7 @@ from service_fakes import Served
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.commander.commander import Result
 from xtdrone_control.autopilot.flight_tasks.follow_target import TargetEstimate
-from xtdrone_control.autopilot.flight_tasks.follow_task import follow_task, start_following
+from xtdrone_control.autopilot.flight_tasks.tasks.follow_task import follow_task, start_following
 from xtdrone_control.autopilot.state import TASK_FOLLOW, TASK_GOTO
 
 NAN = math.nan

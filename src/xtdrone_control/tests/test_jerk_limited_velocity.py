@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_control.autopilot.flight_tasks import jerk_limited_velocity
+from xtdrone_control.autopilot.flight_tasks.motion_planning import jerk_limited_velocity
 from xtdrone_control.autopilot.state import PATH
 
 DT = 0.02

@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from test_mavlink_server import Client, World, heartbeat, named
 
 from xtdrone_control.autopilot.logger.log_folder import LogFolder
-from xtdrone_control.mavlink.microservices import log_download
+from xtdrone_control.mavlink.microservices.files_and_logs import log_download
 
 _SYSTEM = FIRST_ID + 1
 _CHUNK = 90

@@ -20,7 +20,7 @@ from xtdrone_control.autopilot.events.event_catalogue import CATALOGUE, CODES, E
 from xtdrone_control.autopilot.events.events import event, event_id
 from xtdrone_control.autopilot.parameters import metadata, parameter_choices
 from xtdrone_control.autopilot.parameters.parameters import INT32, NAMES, describe
-from xtdrone_control.mavlink.microservices.metadata import checksum
+from xtdrone_control.mavlink.microservices.files_and_logs.metadata import checksum
 from xtdrone_control.mavlink.wire.codec import decoder, split
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
 

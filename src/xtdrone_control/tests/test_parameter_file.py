@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xtdrone_control import parameter_file
-from xtdrone_control.parameter_file import LIMITS, REAL32, ParameterFile, ParameterFileError
+from xtdrone_control.autopilot.parameters import parameter_file
+from xtdrone_control.autopilot.parameters.parameter_file import LIMITS, REAL32, ParameterFile, ParameterFileError
 
 floats = st.floats(width=32, allow_nan=False, allow_infinity=False).map(lambda value: (value, REAL32))
 whole = st.sampled_from(sorted(LIMITS)).flatmap(

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.cameras.pinhole import Pinhole
 
 
 def test_the_typhoons_camera_has_upstreams_focal_length():

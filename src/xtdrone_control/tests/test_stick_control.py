@@ -9,7 +9,7 @@ import pytest
 
 from xtdrone_control import rotation_kernels as rotation
 from xtdrone_control.autopilot.control import hover_thrust, takeoff
-from xtdrone_control.autopilot.flight_tasks import stick_control
+from xtdrone_control.autopilot.flight_tasks.tasks import stick_control
 from xtdrone_control.autopilot.parameters.parameters import PARAMS, Parameters
 from xtdrone_control.autopilot.state import (
     CONTROL,

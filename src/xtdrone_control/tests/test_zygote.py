@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from xtdrone_control import zygote
+from xtdrone_control.programs import zygote
 
 LAUNCHER = os.environ.get("XTDRONE_NODE_LAUNCHER", "")
 LIMIT = 240.0  # s of wall time; only a broken run takes it
@@ -200,7 +200,7 @@ def test_no_process_outlives_those_it_belongs_to(tmp_path, launches):
     )
     for name in names:
         launch.wait_for_file(f"{name}.ready")
-    zygote_pid = launch.pid("xtdrone_control.zygote")
+    zygote_pid = launch.pid("xtdrone_control.programs.zygote")
     kept = launch.pid("sleeper", "__name:=kept")
     assert launch.pid("node_launcher", f"__name:=kept {kept}")
 
@@ -218,7 +218,7 @@ def test_no_process_outlives_those_it_belongs_to(tmp_path, launches):
     launch.wait_for(r"\[kept-\d+\] process has died \[pid \d+, exit code -9")
     assert launch.gone("__name:=kept")
     launch.wait_for_file("again.ready")  # respawned, by another zygote
-    assert launch.pid("xtdrone_control.zygote") != zygote_pid
+    assert launch.pid("xtdrone_control.programs.zygote") != zygote_pid
 
     launch.interrupt()
     assert (tmp_path / "again.interrupted").exists()
@@ -232,7 +232,7 @@ def test_nodes_are_interrupted_when_roslaunch_is_killed(tmp_path, launches):
     launch.process.kill()
     launch.wait_for_file("node.interrupted")
     assert launch.gone("sleeper")
-    assert launch.gone("xtdrone_control.zygote")
+    assert launch.gone("xtdrone_control.programs.zygote")
 
 
 @needs_ros
@@ -245,11 +245,11 @@ def test_the_zygote_of_a_launcher_whose_roslaunch_is_gone_ends_after_its_node(tm
     os.close(begin)
     os.close(shell_has_ended)
     launch.wait_for_file("orphan.ready")
-    zygote_pid = launch.pid("xtdrone_control.zygote")
+    zygote_pid = launch.pid("xtdrone_control.programs.zygote")
     assert f"PPid:\t{launch.process.pid}\n" not in status(zygote_pid)
     os.kill(launch.pid("node_launcher __name:=orphan"), signal.SIGINT)
     launch.wait_for_file("orphan.interrupted")
-    assert launch.gone("xtdrone_control.zygote")
+    assert launch.gone("xtdrone_control.programs.zygote")
 
 
 @needs_ros
@@ -284,7 +284,7 @@ def test_nodes_beyond_the_zygotes_descriptors_run_without_it(tmp_path, launches)
     try:
         for name in names:
             launch.wait_for_file(f"{name}.ready")
-        zygote_pid = launch.pid("xtdrone_control.zygote")
+        zygote_pid = launch.pid("xtdrone_control.programs.zygote")
         forked = [
             name
             for name in names

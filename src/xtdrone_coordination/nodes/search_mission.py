@@ -18,7 +18,7 @@ Topics: see ``xtdrone_coordination.search_node``.
 
 import sys
 
-from xtdrone_control.program import run_program
+from xtdrone_control.programs.program import run_program
 from xtdrone_coordination.search_node import run
 
 if __name__ == "__main__":

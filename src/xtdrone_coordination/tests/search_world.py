@@ -15,7 +15,7 @@ import numpy as np
 from shapely.geometry import Polygon
 
 from xtdrone_control.autopilot.navigator import plan
-from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_coordination.search import actions as control
 from xtdrone_coordination.search.coverage_map import shows
 from xtdrone_coordination.search.mission_control import SearchMission

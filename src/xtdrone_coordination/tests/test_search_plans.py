@@ -10,7 +10,7 @@ import pytest
 from shapely.geometry import Polygon
 
 from xtdrone_control.autopilot.navigator import plan
-from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.plans import qgc_plan
 from xtdrone_coordination.search.planning import plans as search_plans
 from xtdrone_coordination.search.planning.coverage_path import sweep

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from xtdrone_control.autopilot.navigator.plan import PlanItem
-from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_coordination.search.coverage_map import CoverageMap
 from xtdrone_coordination.search.losses.reallocation import cut, share_out
 from xtdrone_coordination.search.people.candidates import Candidate, Evidence, nearest

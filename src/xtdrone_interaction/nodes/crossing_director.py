@@ -18,7 +18,7 @@ import yaml
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.under_roslaunch import end_launch
+from xtdrone_control.programs.under_roslaunch import end_launch
 from xtdrone_interaction.crossing.director import RATE, CrossingDirector, parse_goals
 from xtdrone_interaction.crossing.mission import CrossingSettings
 

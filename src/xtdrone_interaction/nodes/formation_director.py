@@ -18,7 +18,7 @@ import rospy
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.under_roslaunch import end_launch
+from xtdrone_control.programs.under_roslaunch import end_launch
 from xtdrone_interaction.formation.director import (
     RATE,
     RECORDER_LIMIT,

@@ -14,8 +14,8 @@ from collections.abc import Sequence
 import rospy
 
 from xtdrone_control.drone.script_node import connect
-from xtdrone_control.program import ArgumentError, run_program
-from xtdrone_control.under_roslaunch import end_launch
+from xtdrone_control.programs.program import ArgumentError, run_program
+from xtdrone_control.programs.under_roslaunch import end_launch
 from xtdrone_interaction.formation.director import open_events
 from xtdrone_interaction.landing.director import LandingDirector, LandingSettings, direct
 

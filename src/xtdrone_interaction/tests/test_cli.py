@@ -17,7 +17,8 @@ import fake_roslaunch
 import pytest
 
 from xtdrone_interaction import cli, options
-from xtdrone_interaction.demos import formation_cli, search_cli
+from xtdrone_interaction.demos.formation import formation_cli
+from xtdrone_interaction.demos.search import search_cli
 
 DEMO = ["demo", "formation"]
 PATIENCE = 120.0  # s of wall time; bounds a broken test
@@ -195,7 +196,7 @@ def test_nothing_is_left_running(tmp_path: Path, then: str, number: int | None, 
     program = textwrap.dedent(f"""
         import sys
         from xtdrone_interaction import cli, options
-        from xtdrone_interaction.demos import search_cli
+        from xtdrone_interaction.demos.search import search_cli
         from xtdrone_interaction.launching import process_tree
         process_tree._STEPS = tuple((s, 0.5) for s, _ in process_tree._STEPS)
         options._taken = lambda number, kind: False

@@ -11,6 +11,7 @@ import pytest
 
 from xtdrone_control.autopilot.events.event_catalogue import CATALOGUE
 from xtdrone_interaction.doctor import machine_check
+from xtdrone_interaction.doctor.failing_check_remedies import CHECKS, UNKNOWN_CHECK
 from xtdrone_interaction.doctor.findings import (
     Check,
     Graph,
@@ -20,7 +21,6 @@ from xtdrone_interaction.doctor.findings import (
     examine_simulator,
     examine_vehicle,
 )
-from xtdrone_interaction.doctor.remedies import CHECKS, UNKNOWN_CHECK
 from xtdrone_interaction.doctor.screen import BAD, Line, vehicle_lines, wrapped
 
 RUNNING = Simulator(

@@ -14,7 +14,7 @@ from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.plans.qgc_plan import Plan
 from xtdrone_interaction.gcs import GcsError, Peer, peers_of, station, upload_plans
-from xtdrone_interaction.gcs.commands import display
+from xtdrone_interaction.gcs.commands import terminal_output
 from xtdrone_interaction.gcs.commands.gcs_cli import main
 from xtdrone_interaction.gcs.exchanges import plans as plan_exchanges
 
@@ -263,8 +263,8 @@ def terminal(monkeypatch):
 
 def test_a_terminal_shows_what_fits_and_everything_at_the_end(terminal, monkeypatch):
     names = [f"iris_{i}" for i in range(5)]
-    monkeypatch.setattr(display, "_REDRAW", 0.0)
-    shown = display.Display(names, terminal)
+    monkeypatch.setattr(terminal_output, "_REDRAW", 0.0)
+    shown = terminal_output.Display(names, terminal)
     assert "iris_0  waiting" in terminal.getvalue()
     shown.watch("iris_0", "sending", 3, 9)
     assert "iris_0  sending 3/9" in terminal.getvalue()
@@ -277,7 +277,7 @@ def test_a_terminal_shows_what_fits_and_everything_at_the_end(terminal, monkeypa
 
 def test_without_a_terminal_only_the_results_are_printed(terminal, monkeypatch):
     monkeypatch.setenv("TERM", "dumb")
-    shown = display.Display(["iris_0"], terminal)
+    shown = terminal_output.Display(["iris_0"], terminal)
     shown.watch("iris_0", "sending mission", 3, 9)
     shown.results([Peer("iris_0", 1, "h", 1)], {"iris_0": GcsError("iris_0: no")}, lambda *_: "")
     assert terminal.getvalue() == "iris_0  failed\n"

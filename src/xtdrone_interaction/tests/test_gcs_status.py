@@ -19,9 +19,9 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_interaction.gcs import GcsError, Peer, discovery
-from xtdrone_interaction.gcs.commands import status as status_command
-from xtdrone_interaction.gcs.commands.display import Screen
+from xtdrone_interaction.gcs.commands import status_table as status_command
 from xtdrone_interaction.gcs.commands.gcs_cli import main
+from xtdrone_interaction.gcs.commands.terminal_output import Screen
 from xtdrone_interaction.gcs.exchanges import exchange
 from xtdrone_interaction.gcs.station import GroundStation
 from xtdrone_interaction.gcs.udp_tcp_serial import open_connection, split_stream

@@ -261,7 +261,7 @@ MUTE = "server = socket.create_server(('127.0.0.1', int(sys.argv[sys.argv.index(
 IMPATIENT = """\
 import sys
 from xtdrone_interaction import cli
-from xtdrone_interaction.demos import formation_demo
+from xtdrone_interaction.demos.formation import formation_demo
 from xtdrone_interaction.launching import supervised_launch
 from xtdrone_interaction.launching import process_tree
 process_tree._STEPS = tuple((s, 0.3) for s, _ in process_tree._STEPS)

@@ -13,7 +13,7 @@ from bags import POSE, Bag, helix
 from rosbags.typesys import get_types_from_msg
 
 from xtdrone_interaction import cli
-from xtdrone_interaction.pictures.recording import pictures
+from xtdrone_interaction.pictures.recording_pictures import pictures
 from xtdrone_interaction.recording.bag import read_bag
 from xtdrone_interaction.recording.recorded_flight import Recording
 

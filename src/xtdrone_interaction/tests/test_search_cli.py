@@ -12,8 +12,8 @@ from shapely.ops import unary_union
 
 from xtdrone_control.plans import qgc_plan
 from xtdrone_interaction import cli, options
-from xtdrone_interaction.demos import search_demo
-from xtdrone_interaction.demos.search_prepare import SearchSettings, is_search, prepare, read_prepared
+from xtdrone_interaction.demos.search import search_demo
+from xtdrone_interaction.demos.search.search_prepare import SearchSettings, is_search, prepare, read_prepared
 from xtdrone_interaction.options import OptionError
 from xtdrone_sim.worlds.sdf import load_world_file
 

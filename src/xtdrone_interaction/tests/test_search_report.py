@@ -11,10 +11,10 @@ import pytest
 from rich.console import Console
 from shapely.geometry import box
 
-from xtdrone_interaction.metrics.search import make_report
+from xtdrone_interaction.metrics.missions.search_metrics import make_report
 from xtdrone_interaction.pictures.search_views import Views
 from xtdrone_interaction.recording.recorded_flight import RecordError
-from xtdrone_interaction.recording.search import CUT_SHORT, SearchRecord, Sight, read_search
+from xtdrone_interaction.recording.search_record import CUT_SHORT, SearchRecord, Sight, read_search
 from xtdrone_interaction.report.printed_results import print_search
 
 FINISHED: dict[str, Any] = {

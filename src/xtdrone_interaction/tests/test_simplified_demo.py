@@ -16,11 +16,11 @@ import pytest
 from PIL import ImageGrab
 
 from xtdrone_interaction import cli, options
-from xtdrone_interaction.demos import formation_cli, formation_demo, simplified_demo
-from xtdrone_interaction.demos.formation_demo import DemoSettings
+from xtdrone_interaction.demos.formation import formation_cli, formation_demo, simplified_demo
+from xtdrone_interaction.demos.formation.formation_demo import DemoSettings
 from xtdrone_interaction.launching import supervised_launch
 from xtdrone_interaction.pictures.formation_film import frames as frames_of
-from xtdrone_interaction.recording.formation import FormationRecord
+from xtdrone_interaction.recording.formation_record import FormationRecord
 from xtdrone_interaction.recording.positions import FleetTrack
 from xtdrone_interaction.recording.recorded_flight import Change
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from xtdrone_interaction.monitoring.ended_nodes import EndedNode
-from xtdrone_interaction.monitoring.error_remedies import advice, error_lines
+from xtdrone_interaction.monitoring.launch_log_errors import advice, error_lines
 from xtdrone_interaction.monitoring.missing_nodes import nodes, not_joined
 from xtdrone_interaction.monitoring.startup_progress import Startup
 

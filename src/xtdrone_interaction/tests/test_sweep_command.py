@@ -16,8 +16,8 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-from xtdrone_interaction.sweep.one_run import fly_batch
-from xtdrone_interaction.sweep.plan import Plan
+from xtdrone_interaction.sweep.fly_one_run import fly_batch
+from xtdrone_interaction.sweep.list_of_runs import Plan
 from xtdrone_interaction.sweep.study import read_study
 from xtdrone_interaction.sweep.sweep_cli import main
 

@@ -18,10 +18,16 @@ import sweep_standin
 from distributed import Client, as_completed
 
 from xtdrone_interaction import options
-from xtdrone_interaction.sweep import execute
-from xtdrone_interaction.sweep.execute import Executor, SchedulerLostError, SweepError, local_client, remote_client
-from xtdrone_interaction.sweep.one_run import fly_batch
-from xtdrone_interaction.sweep.plan import Plan
+from xtdrone_interaction.sweep import dask_execution
+from xtdrone_interaction.sweep.dask_execution import (
+    Executor,
+    SchedulerLostError,
+    SweepError,
+    local_client,
+    remote_client,
+)
+from xtdrone_interaction.sweep.fly_one_run import fly_batch
+from xtdrone_interaction.sweep.list_of_runs import Plan
 from xtdrone_interaction.sweep.study import make_study
 
 SHORT = {"n": 3, "pattern": "triangle", "limit": 4.0, "hold": 0.5}
@@ -88,7 +94,7 @@ def test_run_that_kills_its_worker_is_a_row_with_that_error(client: Client) -> N
 
 
 def test_a_cluster_without_workers_ends_the_sweep(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(execute, "_WORKERS_LIMIT", 2.5)
+    monkeypatch.setattr(dask_execution, "_WORKERS_LIMIT", 2.5)
     with local_client(1) as lonely:
         lonely.cluster.scale(0)
         while lonely.nthreads():  # until the scheduler has noticed; it announces that to no client

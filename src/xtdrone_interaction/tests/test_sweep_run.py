@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from xtdrone_interaction.options import OptionError
-from xtdrone_interaction.sweep.one_run import fly_row
-from xtdrone_interaction.sweep.plan import Plan
+from xtdrone_interaction.sweep.fly_one_run import fly_row
+from xtdrone_interaction.sweep.list_of_runs import Plan
 from xtdrone_interaction.sweep.sources import Source, load
 from xtdrone_interaction.sweep.study import make_study
 

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import rospy
 
 from xtdrone_control import lockstep
-from xtdrone_control.program import ArgumentError, run_program, served_vehicles
+from xtdrone_control.programs.program import ArgumentError, run_program, served_vehicles
 from xtdrone_perception.slam.loops.loop_closure_node import RATE, VehicleLoops, read_settings
 
 USAGE = "loop_closure.py TYPE ID   (ID: a number, as 0)"

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 import rospy
 
 from xtdrone_control import lockstep
-from xtdrone_control.program import run_program, served_vehicles
+from xtdrone_control.programs.program import run_program, served_vehicles
 from xtdrone_perception.following.human_tracking_node import RATE, HumanTracking, read_options
 
 USAGE = "yolo_human_tracking.py TYPE ID   (ID: 0, 0-5, 1,3,5 or all)"

@@ -11,7 +11,7 @@ import pytest
 from test_yolo_node import PATIENCE, ROSMASTER, Stack, rospy
 
 from xtdrone_control import lockstep
-from xtdrone_control.camera_pose import camera_link_pose, mount_orientation
+from xtdrone_control.cameras.camera_pose import camera_link_pose, mount_orientation
 from xtdrone_control.frames import to_xyzw
 
 if rospy is not None:

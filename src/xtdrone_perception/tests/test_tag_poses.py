@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from xtdrone_control import rotation
-from xtdrone_control.camera_pose import rotation_matrix
+from xtdrone_control.cameras.camera_pose import rotation_matrix
 from xtdrone_control.settings import SettingError
 from xtdrone_control.tag_boards import LANDING, Tag, TagBoard
 from xtdrone_perception.tags.mounted_camera import in_map, optical_frame, quaternion, up_in

@@ -16,9 +16,9 @@ from perception_stack import PATIENCE, ROSMASTER, Stack, wait_until
 from tiny_networks import write_darknet
 
 from xtdrone_control import lockstep
-from xtdrone_control.camera_pose import camera_link_pose, mount_orientation, optical_pose
+from xtdrone_control.cameras.camera_pose import camera_link_pose, mount_orientation, optical_pose
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.frames import to_xyzw
-from xtdrone_control.pinhole import Pinhole
 from xtdrone_perception.tracking.geolocation import Geolocator, View
 
 try:

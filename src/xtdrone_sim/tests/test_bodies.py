@@ -10,18 +10,18 @@ import pytest
 
 from xtdrone_control.fleet import StartPose, parse_fleet
 from xtdrone_control.rotation import from_euler
-from xtdrone_sim.physics.mass_of_models import mass_of
+from xtdrone_sim.physics.bodies.mass_of_models import mass_of
 from xtdrone_sim.physics.vehicle_dynamics import ASLEEP, FREE, TOUCHING
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.physics.world_values import (
+from xtdrone_sim.physics.world_environment import (
     load_world,
 )
 from xtdrone_sim.physics.wrenches import Wrench
+from xtdrone_sim.shapes.pose_arithmetic import compose
+from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Pose
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.vehicles.pose_arithmetic import compose
 from xtdrone_sim.vehicles.urdf import Inertial
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.vehicles.visual import Box, Collision, Cylinder, Pose
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
 
 DT = 0.004

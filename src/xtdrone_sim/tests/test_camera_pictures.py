@@ -13,17 +13,17 @@ pytest.importorskip("rospy")
 import rospy
 from numpy.typing import NDArray
 
-from xtdrone_control.lenses import Equidistant, PlumbBob, drawing_of
-from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.cameras import Equidistant, PlumbBob, drawing_of
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_sim.cameras.cameras import Camera
 from xtdrone_sim.cameras.colours import through_lens
 from xtdrone_sim.cameras.drawn_scene import View
 from xtdrone_sim.cameras.outputs import camera_info, messages, topics_of
 from xtdrone_sim.cameras.rendering import Renderer
-from xtdrone_sim.vehicles.camera_and_gimbal_mounts import CameraMount, MountError, read_cameras
-from xtdrone_sim.vehicles.pose_arithmetic import OPTICAL_FRAME, compose, conjugate
+from xtdrone_sim.shapes.pose_arithmetic import OPTICAL_FRAME, compose, conjugate
+from xtdrone_sim.shapes.visual import Pose, Sphere, Visual
+from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import CameraMount, MountError, read_cameras
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.vehicles.visual import Pose, Sphere, Visual
 
 STAMP = rospy.Time(3, 500_000_000)
 BARREL = [-0.28, 0.07, 0.002, -0.001, 0.004]

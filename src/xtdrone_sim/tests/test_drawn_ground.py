@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.cameras.drawn_scene import DrawnScene, SceneAt, View, ground_level
 from xtdrone_sim.cameras.rendering import Renderer
-from xtdrone_sim.vehicles.visual import Box, Geometry, Pose, Visual
+from xtdrone_sim.shapes.visual import Box, Geometry, Pose, Visual
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel, load_world_file
 
 EYE = "camera::link"

@@ -13,7 +13,7 @@ from xtdrone_control.autopilot import modes
 from xtdrone_control.fleet import StartPose, parse_fleet
 from xtdrone_sim.effects import EffectError, Effects, load_effects
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.physics.world_values import (
+from xtdrone_sim.physics.world_environment import (
     load_world,
 )
 from xtdrone_sim.simulation import Simulation

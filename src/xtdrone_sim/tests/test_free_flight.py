@@ -7,8 +7,8 @@ import pytest
 
 from xtdrone_control.autopilot.state import TASK_RATES
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_sim.free_flight import FreeFlight
 from xtdrone_sim.simulation import Simulation
+from xtdrone_sim.steps_in_free_flight import FreeFlight
 
 _PLACES = [(5.0 * i, 0.0, 60.0 + i) for i in range(5)]
 

@@ -8,8 +8,8 @@ pytest.importorskip("rospy", reason="needs rospy")
 from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
 
 from xtdrone_sim.physics.vehicle_dynamics import PLANT
+from xtdrone_sim.shapes import visual
 from xtdrone_sim.topics.model_states import ModelStatesMessage
-from xtdrone_sim.vehicles import visual
 from xtdrone_sim.worlds.sdf import SdfModel
 
 TREE = SdfModel("tree", pose=visual.Pose((4.0, 5.0, 6.0)))

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.physics.vehicle_dynamics import TOUCHING
+from xtdrone_sim.shapes.visual import Box
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.vehicles.visual import Box
 from xtdrone_sim.worlds.catalogue import find_world, is_known, known_names, load_world
 from xtdrone_sim.worlds.generated import KINDS, UPSTREAM, generate
 from xtdrone_sim.worlds.generated.forest import least_distance, places

@@ -14,7 +14,7 @@ from xtdrone_control.fleet import FleetError, StartPose, parse_fleet
 from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.effects import load_effects
-from xtdrone_sim.physics.start_collisions import StartError
+from xtdrone_sim.physics.contacts.start_collisions import StartError
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT, ASLEEP, TOUCHING
 from xtdrone_sim.simulation import Simulation
 

@@ -15,11 +15,11 @@ from xtdrone_sim.lidars.measuring import begin_us, cast_scan, end_us, measured
 from xtdrone_sim.lidars.patterns import PatternError, rays_of, read_pattern
 from xtdrone_sim.lidars.scene_history import SceneHistory
 from xtdrone_sim.rays.scene import Hits, RayScene
+from xtdrone_sim.shapes.visual import Box, Pose, Visual
 from xtdrone_sim.topics.robot_frames import RobotFrames
-from xtdrone_sim.vehicles.camera_and_gimbal_mounts import MountError
-from xtdrone_sim.vehicles.lidar_mounts import LidarMount, read_lidars
+from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import MountError
+from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount, read_lidars
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.vehicles.visual import Box, Pose, Visual
 from xtdrone_sim.worlds.scene_at import SceneAt
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
 

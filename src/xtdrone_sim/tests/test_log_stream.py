@@ -17,7 +17,7 @@ from xtdrone_control.autopilot.logger import mavlink_log_pieces
 from xtdrone_control.autopilot.logger.sampled_topics import TOPICS
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.mavlink.mavlink_server import MavlinkServer
-from xtdrone_control.mavlink.microservices import log_stream
+from xtdrone_control.mavlink.microservices.files_and_logs import log_stream
 from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot
 from xtdrone_sim.simulation import Simulation
 

@@ -11,8 +11,8 @@ import pytest
 from xtdrone_control.autopilot import modes
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_sim.robots.robot_model import load_robot
+from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.vehicles.visual import Pose
 
 STEP_US = 20_000
 OBSERVED_US = 100_000  # period of the camera

@@ -12,9 +12,9 @@ from xtdrone_control.rotation import from_euler
 from xtdrone_sim.rays.scene import RayScene, SceneError, cast
 from xtdrone_sim.rays.surfaces import of_triangles, surfaces_of
 from xtdrone_sim.rays.tree import build
-from xtdrone_sim.vehicles.pose_arithmetic import rotate
-from xtdrone_sim.vehicles.triangles import triangles_of
-from xtdrone_sim.vehicles.visual import Box, Collision, Cylinder, Pose, Sphere, Visual
+from xtdrone_sim.shapes.pose_arithmetic import rotate
+from xtdrone_sim.shapes.triangles import triangles_of
+from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Pose, Sphere, Visual
 from xtdrone_sim.worlds.scene_at import ActorState, SceneAt
 from xtdrone_sim.worlds.sdf import SdfActor, SdfLink, SdfModel, load_world_file
 

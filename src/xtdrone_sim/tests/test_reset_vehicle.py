@@ -7,7 +7,7 @@ import pytest
 
 from xtdrone_control.autopilot import modes
 from xtdrone_control.fleet import StartPose, parse_fleet
-from xtdrone_sim.physics.start_collisions import StartError
+from xtdrone_sim.physics.contacts.start_collisions import StartError
 from xtdrone_sim.simulation import Simulation
 
 OTHERS = [0, 2, 3]

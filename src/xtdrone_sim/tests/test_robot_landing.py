@@ -10,8 +10,8 @@ import pytest
 from xtdrone_control.autopilot import modes
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_sim.robots.robot_model import load_robot
+from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.vehicles.visual import Pose
 
 UNSET = (math.nan, math.nan, math.nan)
 STEP_US = 20_000

@@ -13,19 +13,19 @@ from test_terrain_and_models import ramp, yaml_world
 
 from xtdrone_control.fleet import StartPose, parse_fleet
 from xtdrone_control.rotation import from_euler, rotate
-from xtdrone_sim.physics.start_collisions import StartError, check_height
+from xtdrone_sim.physics.contacts.start_collisions import StartError, check_height
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.physics.world_values import load_world
+from xtdrone_sim.physics.world_environment import load_world
 from xtdrone_sim.rays.solid_ground import SolidGround, shapes_of
 from xtdrone_sim.robots.kinematics import Drive
 from xtdrone_sim.robots.listing import parse_robots
 from xtdrone_sim.robots.robot_model import load_robot
 from xtdrone_sim.robots.robot_urdf import urdf_of, wheel_frames, wheel_joints
+from xtdrone_sim.shapes.pose_arithmetic import compose, inverse
+from xtdrone_sim.shapes.visual import Box, Pose
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.vehicles.pose_arithmetic import compose, inverse
 from xtdrone_sim.vehicles.urdf import read_urdf
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.vehicles.visual import Box, Pose
 from xtdrone_sim.worlds.sdf import load_world_file
 
 

@@ -12,16 +12,16 @@ from xtdrone_control.fleet import StartPose
 from xtdrone_control.rotation import from_euler, yaw_of
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.physics.world_values import (
+from xtdrone_sim.physics.world_environment import (
     load_world,
 )
 from xtdrone_sim.rays.scene import RayScene
 from xtdrone_sim.robots.kinematics import Ackermann, AckermannLimits, Differential, DifferentialLimits, Drive
 from xtdrone_sim.robots.listing import parse_robots
 from xtdrone_sim.robots.robot_model import load_robot, robot_types
-from xtdrone_sim.vehicles.pose_arithmetic import compose
+from xtdrone_sim.shapes.pose_arithmetic import compose
+from xtdrone_sim.shapes.visual import Box, Collision, Pose
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.vehicles.visual import Box, Collision, Pose
 from xtdrone_sim.worlds.scene_at import SceneAt
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
 

@@ -15,8 +15,8 @@ from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.package_files import CONFIG, MODELS
+from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Mesh, Pose, Sphere, Visual
 from xtdrone_sim.vehicles.urdf import Inertial, UrdfError, parse_urdf, read_urdf
-from xtdrone_sim.vehicles.visual import Box, Collision, Cylinder, Mesh, Pose, Sphere, Visual
 from xtdrone_sim.worlds.actors import Actors
 from xtdrone_sim.worlds.sdf import (
     Light,
@@ -33,7 +33,7 @@ from xtdrone_sim.worlds.sdf import (
     world_file,
     write_world,
 )
-from xtdrone_sim.worlds.sdf.geometry import box_of
+from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
 
 CONE = MODELS / "scenery" / "meshes" / "cone_0.obj"
 GRASS = MODELS / "scenery" / "textures" / "grass_0.jpg"

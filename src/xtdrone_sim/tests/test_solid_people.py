@@ -7,11 +7,11 @@ import pytest
 
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.rotation import from_euler
-from xtdrone_sim.physics.solid_people import RADIUS
-from xtdrone_sim.physics.start_collisions import StartError
+from xtdrone_sim.physics.bodies.solid_people import RADIUS
+from xtdrone_sim.physics.contacts.start_collisions import StartError
 from xtdrone_sim.robots.robot_model import load_robot
+from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.vehicles.visual import Pose
 
 WORLD = """<sdf version="1.6"><world name="w">
 <actor name="walker"><pose>0 0 0 0 0 0</pose><skin><filename>adam</filename></skin>

@@ -10,7 +10,7 @@ import pytest
 from xtdrone_control.fleet import parse_fleet, with_poses
 from xtdrone_control.rotation import to_euler
 from xtdrone_sim.descriptions import ModelError
-from xtdrone_sim.physics.start_collisions import StartError
+from xtdrone_sim.physics.contacts.start_collisions import StartError
 from xtdrone_sim.simulation import Simulation
 
 MODELS = """<sdf version="1.6"><world name="w">

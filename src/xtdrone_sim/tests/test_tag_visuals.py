@@ -11,7 +11,7 @@ from xtdrone_control.settings import SettingError
 from xtdrone_control.tag_boards import LANDING, Tag, TagBoard
 from xtdrone_sim.package_files import MODELS as PACKAGE_MODELS
 from xtdrone_sim.robots.tag_visuals import BLACK, cells_of, model, plate
-from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.worlds.sdf import read_world
 from xtdrone_sim.worlds.sdf.world_writer import write_model
 

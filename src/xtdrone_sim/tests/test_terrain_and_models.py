@@ -14,16 +14,17 @@ from xtdrone_control.fleet import StartPose
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.cameras.drawn_scene import ground_level
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.physics.world_values import (
+from xtdrone_sim.physics.world_environment import (
     load_world,
 )
 from xtdrone_sim.rays.scene import RayScene
+from xtdrone_sim.shapes.visual import Mesh, Pose
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.vehicles.visual import Mesh, Pose
-from xtdrone_sim.worlds.sdf import SdfError, SdfWorld, heightmaps, load_world_file, read_world, write_world
-from xtdrone_sim.worlds.sdf.geometry import box_of
-from xtdrone_sim.worlds.sdf.heightmaps import read_heightmap
-from xtdrone_sim.worlds.sdf.mesh_files import MOST_TRIANGLES, check_wavefront, read_mesh
+from xtdrone_sim.worlds.sdf import SdfError, SdfWorld, load_world_file, read_world, write_world
+from xtdrone_sim.worlds.sdf.geometries import heightmaps
+from xtdrone_sim.worlds.sdf.geometries.heightmaps import read_heightmap
+from xtdrone_sim.worlds.sdf.geometries.mesh_files import MOST_TRIANGLES, check_wavefront, read_mesh
+from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
 
 SIDE = 65
 SIZE = (64.0, 64.0, 8.0)

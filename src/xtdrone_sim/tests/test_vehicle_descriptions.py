@@ -16,12 +16,12 @@ from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.descriptions import ModelError, available, read_description
 from xtdrone_sim.package_files import CONFIG
+from xtdrone_sim.shapes.pose_arithmetic import compose, inverse, rotate
+from xtdrone_sim.shapes.visual import Box, Cylinder, Pose
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.topics.robot_frames import RobotFrames
-from xtdrone_sim.vehicles.pose_arithmetic import compose, inverse, rotate
 from xtdrone_sim.vehicles.urdf import UrdfError, parse_urdf
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.vehicles.visual import Box, Cylinder, Pose
 
 TYPHOON = "typhoon_h480"
 DUMB_BELL = """<robot name="dumb-bell">

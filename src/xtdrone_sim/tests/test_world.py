@@ -9,7 +9,7 @@ from xtdrone_control.fleet import StartPose
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.physics.vehicle_dynamics import ASLEEP, FREE, TOUCHING
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.physics.world_values import (
+from xtdrone_sim.physics.world_environment import (
     load_world,
 )
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle

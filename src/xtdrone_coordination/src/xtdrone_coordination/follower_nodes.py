@@ -37,7 +37,7 @@ from std_msgs.msg import Float32MultiArray, Float64MultiArray, Int32MultiArray
 from xtdrone_control import lockstep
 from xtdrone_control.communication.commands import CommandSettings
 from xtdrone_control.communication.multirotor import MultirotorCommunication
-from xtdrone_control.program import (
+from xtdrone_control.programs.program import (
     ArgumentError,
     check_multirotor,
     fleet_of,

@@ -42,12 +42,12 @@ from xtdrone_msgs.msg import ObjectsOnGround
 
 from xtdrone_control import lockstep
 from xtdrone_control.autopilot.navigator.plan import Items, PlanItem
-from xtdrone_control.camera_pose import rotation_matrix
+from xtdrone_control.cameras.camera_pose import rotation_matrix
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.communication.setpoint import yaw_of
 from xtdrone_control.geodesy.datum import Datum
-from xtdrone_control.pinhole import Pinhole
-from xtdrone_control.program import ArgumentError, check_no_arguments, needed_fleet
-from xtdrone_control.under_roslaunch import end_launch
+from xtdrone_control.programs.program import ArgumentError, check_no_arguments, needed_fleet
+from xtdrone_control.programs.under_roslaunch import end_launch
 
 from .search import actions
 from .search.actions import Action

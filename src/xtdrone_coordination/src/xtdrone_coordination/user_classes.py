@@ -5,8 +5,8 @@ from __future__ import annotations
 import inspect
 from typing import TypeVar
 
-from xtdrone_control.program import ArgumentError
-from xtdrone_control.user_module import import_user_module
+from xtdrone_control.programs.program import ArgumentError
+from xtdrone_control.programs.user_module import import_user_module
 
 _Base = TypeVar("_Base")
 

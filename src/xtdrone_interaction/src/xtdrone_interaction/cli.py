@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
-from xtdrone_interaction.monitoring.error_remedies import advice
+from xtdrone_interaction.monitoring.launch_log_errors import advice
 
 TABLE = Path(__file__).resolve().parents[4] / "scripts" / "commands.txt"
 _NO_MODULE = "-"

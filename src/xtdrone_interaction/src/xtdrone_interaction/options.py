@@ -25,8 +25,8 @@ from xtdrone_control.fleet import (
     check_instance,
     parse_fleet,
 )
+from xtdrone_control.lockstep.simulation_speed import LEAST_SPEED
 from xtdrone_control.settings import Settings, setting
-from xtdrone_control.simulation_speed import LEAST_SPEED
 from xtdrone_coordination.patterns import Patterns, absolute_name
 from xtdrone_interaction.formation.distances import ORIGIN
 from xtdrone_interaction.formation.flight_criteria import CRITERIA, parse_criteria

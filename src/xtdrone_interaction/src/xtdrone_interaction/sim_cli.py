@@ -29,7 +29,7 @@ from urllib.parse import urlparse
 
 import rosgraph.network
 
-from xtdrone_control.simulation_speed import LEAST_SPEED
+from xtdrone_control.lockstep.simulation_speed import LEAST_SPEED
 
 DEFAULT_MASTER = "http://localhost:11311"
 RUNS = Path(__file__).resolve().parents[4] / "runs"

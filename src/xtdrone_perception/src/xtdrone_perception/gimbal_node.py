@@ -26,7 +26,7 @@ from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Vector3
 from mavros_msgs.msg import MountControl
 
 from xtdrone_control import lockstep
-from xtdrone_control.camera_pose import camera_link_pose
+from xtdrone_control.cameras.camera_pose import camera_link_pose
 from xtdrone_control.frames import to_xyzw
 from xtdrone_control.settings import Settings, setting
 

@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.user_module import import_user_module
+from xtdrone_control.programs.user_module import import_user_module
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT, ASLEEP, FREE, advance_rotors, integrate_free, rotor_wrench
 
 from .air import AIR

@@ -13,19 +13,19 @@ from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.fleet import StartPose, Vehicle, place_ids, start_poses, vehicle_named
 from xtdrone_sim.autopilots.builtin_autopilot import AutopilotFactory, BuiltinAutopilot
-from xtdrone_sim.physics.solid_people import SolidPeople
-from xtdrone_sim.physics.start_collisions import StartError
+from xtdrone_sim.physics.bodies.solid_people import SolidPeople
+from xtdrone_sim.physics.contacts.start_collisions import StartError
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.physics.world_values import load_world
+from xtdrone_sim.physics.world_environment import load_world
 from xtdrone_sim.sensors.others import Others
 from xtdrone_sim.sensors.sensor_models import Sensors
+from xtdrone_sim.steps_in_free_flight import FreeFlight
 from xtdrone_sim.vehicles.gimbal import Gimbals
 from xtdrone_sim.vehicles.landing_gear import LandingGears
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
 from xtdrone_sim.worlds.actors import actors_of
 
 from .effects import Effect, Effects
-from .free_flight import FreeFlight
 
 
 class Simulation:

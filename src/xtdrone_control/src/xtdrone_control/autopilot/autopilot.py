@@ -30,7 +30,11 @@ from xtdrone_control.autopilot.estimator.ekf import update as update_estimator
 from xtdrone_control.autopilot.estimator.vibration import update_vibration
 from xtdrone_control.autopilot.flight_tasks.estimator_resets import follow_resets
 from xtdrone_control.autopilot.flight_tasks.flight_tasks import generate_setpoint
-from xtdrone_control.autopilot.flight_tasks.stick_control import stick_attitude, stick_rates, update_throttle_limits
+from xtdrone_control.autopilot.flight_tasks.tasks.stick_control import (
+    stick_attitude,
+    stick_rates,
+    update_throttle_limits,
+)
 from xtdrone_control.autopilot.parameters.parameters import PARAMS
 from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.kernel import kernel

@@ -354,7 +354,11 @@ SETPOINT = np.dtype(
         # TASK_GOTO, TASK_LAND: auto_setpoint; speeds: navigator and mission
         ("goal_position", "f8", 3),  # m, local
         ("goal_yaw", "f8"),  # rad; NaN keeps the heading
-        ("goal_velocity", "f8", 2),  # m/s, local; of a goal that moves, which flight_tasks/moving_goal.py carries along
+        (
+            "goal_velocity",
+            "f8",
+            2,
+        ),  # m/s, local; of a goal that moves, which flight_tasks/motion_planning/moving_goal.py carries along
         ("cruise_speed", "f8"),  # m/s horizontal; NaN: MPC_XY_CRUISE
         ("climb_speed", "f8"),  # m/s upwards; NaN: MPC_Z_V_AUTO_UP (takeoff: MPC_TKO_SPEED)
         ("descend_speed", "f8"),  # m/s downwards; NaN: MPC_Z_V_AUTO_DN

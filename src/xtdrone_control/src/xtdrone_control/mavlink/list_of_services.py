@@ -11,11 +11,11 @@ from xtdrone_control.mavlink.commands.setpoint_service import SetpointService
 from xtdrone_control.mavlink.commands.vision_service import VisionService
 from xtdrone_control.mavlink.microservices.autopilot_version import VersionService
 from xtdrone_control.mavlink.microservices.event import EventService
-from xtdrone_control.mavlink.microservices.ftp import FtpService
+from xtdrone_control.mavlink.microservices.files_and_logs.ftp import FtpService
+from xtdrone_control.mavlink.microservices.files_and_logs.log_download import LogService
+from xtdrone_control.mavlink.microservices.files_and_logs.log_stream import LogStreamService
+from xtdrone_control.mavlink.microservices.files_and_logs.metadata import MetadataService
 from xtdrone_control.mavlink.microservices.heartbeat_ping_timesync import HeartbeatService
-from xtdrone_control.mavlink.microservices.log_download import LogService
-from xtdrone_control.mavlink.microservices.log_stream import LogStreamService
-from xtdrone_control.mavlink.microservices.metadata import MetadataService
 from xtdrone_control.mavlink.microservices.mission import MissionService
 from xtdrone_control.mavlink.microservices.parameter import ParameterService
 from xtdrone_control.mavlink.microservices.signing import SigningService

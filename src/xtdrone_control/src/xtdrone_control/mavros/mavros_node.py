@@ -49,7 +49,7 @@ from xtdrone_control.mavros.readiness import readiness
 from xtdrone_control.mavros.swarm_state_topic import Swarm
 from xtdrone_control.mavros.uas import PluginKind, Uas
 from xtdrone_control.mavros.unsubscribed_topics import Registrations, Watch
-from xtdrone_control.under_roslaunch import announce
+from xtdrone_control.programs.under_roslaunch import announce
 
 RATE = 50.0  # Hz of simulated time: PX4's fastest telemetry on the offboard link that MAVROS publishes
 _FAILED = 1

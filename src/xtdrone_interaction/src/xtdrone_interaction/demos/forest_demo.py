@@ -19,11 +19,11 @@ from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction.formation.distances import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, escape, run_flight
 from xtdrone_interaction.metrics.clearance import solids_of
-from xtdrone_interaction.metrics.crossing import make_report
-from xtdrone_interaction.metrics.formation import write_report
+from xtdrone_interaction.metrics.missions.crossing_metrics import make_report
+from xtdrone_interaction.metrics.missions.formation_metrics import write_report
 from xtdrone_interaction.monitoring.progress_display import Display
 from xtdrone_interaction.options import seed_setting, speed_setting, web_setting
-from xtdrone_interaction.recording.crossing import read_crossing
+from xtdrone_interaction.recording.crossing_record import read_crossing
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.printed_results import print_crossing, print_paths
 

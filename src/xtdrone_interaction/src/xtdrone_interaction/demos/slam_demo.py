@@ -19,8 +19,8 @@ from xtdrone_interaction import options
 from xtdrone_interaction.console import PatientConsole, run_reported
 from xtdrone_interaction.launching.flown_script import fly_script
 from xtdrone_interaction.launching.supervised_launch import DemoError, Launch, master_port, run_launch, watching
-from xtdrone_interaction.metrics.formation import write_report
-from xtdrone_interaction.metrics.slam import slam_report
+from xtdrone_interaction.metrics.missions.formation_metrics import write_report
+from xtdrone_interaction.metrics.missions.slam_report import slam_report
 from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
 from xtdrone_interaction.options import MachineSettings, OptionError, seed_setting, speed_setting, web_setting
 from xtdrone_interaction.recording.recorded_flight import RecordError
@@ -157,7 +157,7 @@ def report_again(bag: Path, console: Console, settings: dict[str, Any] | None = 
     Raises:
         DemoError: the bag is not the record of such a flight.
     """
-    from xtdrone_interaction.pictures.odometry import save_pictures  # matplotlib takes a while to import
+    from xtdrone_interaction.pictures.odometry_pictures import save_pictures  # matplotlib takes a while to import
 
     try:
         report, shown = slam_report(bag)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from xtdrone_control.fleet import COMMAND_TOPICS
-from xtdrone_interaction.doctor.remedies import CHECKS, UNKNOWN_CHECK
+from xtdrone_interaction.doctor.failing_check_remedies import CHECKS, UNKNOWN_CHECK
 
 SETPOINT_TOPICS = (
     "setpoint_accel/accel",

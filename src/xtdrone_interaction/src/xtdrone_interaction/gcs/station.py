@@ -24,13 +24,13 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.mavlink.wire.codec import FrameError, split
 from xtdrone_control.plans.qgc_plan import Plan
+from xtdrone_interaction.gcs.exchange_queue import AbortMessages, Contact, Job, QueuedExchange
 
 from .exchanges import exchange
 from .exchanges.exchange import Progress
 from .exchanges.plans import cancel_transfers, check_capacity, upload_plan
 from .udp_tcp_serial import Connection, open_connection
 from .vehicle_addresses import ANY, LOOPBACK, GcsError, Peer, peers_of
-from .vehicle_contact import AbortMessages, Contact, Job, QueuedExchange
 from .vehicle_state import VehicleState
 
 TIMEOUT = 0.3

@@ -10,7 +10,7 @@ import numpy as np
 
 from xtdrone_interaction.bags.ros1bag import BagError
 from xtdrone_interaction.formation.distances import EVENTS_TOPIC, TRUTH_TOPIC, odometry_topic
-from xtdrone_interaction.metrics.formation import versions
+from xtdrone_interaction.metrics.missions.formation_metrics import versions
 from xtdrone_interaction.recording.bag import read_bag
 from xtdrone_interaction.recording.recorded_flight import LOG_TOPIC, RecordError, Recording
 from xtdrone_interaction.recording.series import Array

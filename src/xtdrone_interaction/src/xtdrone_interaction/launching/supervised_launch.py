@@ -25,7 +25,7 @@ from xtdrone_interaction.formation.flight_events import read_events
 from xtdrone_interaction.launching.message_feed import Feed, answers
 from xtdrone_interaction.launching.process_tree import ProcessTree
 from xtdrone_interaction.monitoring.ended_nodes import EndedNode, EndedNodes
-from xtdrone_interaction.monitoring.error_remedies import advice, error_lines
+from xtdrone_interaction.monitoring.launch_log_errors import advice, error_lines
 from xtdrone_interaction.monitoring.missing_nodes import not_joined
 from xtdrone_interaction.monitoring.progress_display import Display, LineDisplay, LiveDisplay
 from xtdrone_interaction.monitoring.startup_progress import Startup

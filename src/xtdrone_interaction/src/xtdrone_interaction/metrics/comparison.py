@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from xtdrone_interaction.metrics.formation import measure
+from xtdrone_interaction.metrics.missions.formation_metrics import measure
 from xtdrone_interaction.metrics.resampling import (
     even_times,
 )
 from xtdrone_interaction.metrics.vehicle import least_distance_series, way_length
-from xtdrone_interaction.recording.formation import formation_of
+from xtdrone_interaction.recording.formation_record import formation_of
 from xtdrone_interaction.recording.open import open_recording
 from xtdrone_interaction.recording.recorded_flight import RecordError, Recording
 from xtdrone_interaction.recording.series import Array, Series

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from xtdrone_interaction.formation.distances import least_distances
-from xtdrone_interaction.metrics import odometry
-from xtdrone_interaction.metrics.formation import make_report
+from xtdrone_interaction.metrics.missions import odometry_errors
+from xtdrone_interaction.metrics.missions.formation_metrics import make_report
 from xtdrone_interaction.metrics.tracking import trackings
-from xtdrone_interaction.recording.formation import FormationRecord
+from xtdrone_interaction.recording.formation_record import FormationRecord
 from xtdrone_interaction.recording.recorded_flight import RecordError, Recording, VehicleRecord
 from xtdrone_interaction.recording.series import Series, spans
 from xtdrone_interaction.recording.ulog import FlightLog
@@ -40,7 +40,7 @@ def summarise(recording: Recording, record: FormationRecord | None) -> dict[str,
         "cut_off": recording.cut,
         "notes": recording.notes,
         "vehicles": {vehicle.name: vehicle_metrics(vehicle) for vehicle in recording.vehicles},
-        "odometry": odometry.of_recording(recording),
+        "odometry": odometry_errors.of_recording(recording),
         "collisions": recording.collisions,
         "formation": None,
     }

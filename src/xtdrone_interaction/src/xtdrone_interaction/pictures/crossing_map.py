@@ -16,9 +16,9 @@ from matplotlib.collections import PatchCollection
 from matplotlib.patches import Circle, Polygon
 
 from xtdrone_interaction.metrics.clearance import Solid
-from xtdrone_interaction.recording.crossing import CrossingRecord
-from xtdrone_sim.vehicles.pose_arithmetic import rotate
-from xtdrone_sim.vehicles.visual import Box, Cylinder
+from xtdrone_interaction.recording.crossing_record import CrossingRecord
+from xtdrone_sim.shapes.pose_arithmetic import rotate
+from xtdrone_sim.shapes.visual import Box, Cylinder
 
 _DPI = 130
 _MARGIN = 4.0  # m around the paths

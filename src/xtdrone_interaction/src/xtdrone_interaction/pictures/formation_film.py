@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from xtdrone_interaction.recording.formation import FormationRecord
+from xtdrone_interaction.recording.formation_record import FormationRecord
 from xtdrone_swarm.view import Frame, film
 
 _RATE = 15  # frames a second

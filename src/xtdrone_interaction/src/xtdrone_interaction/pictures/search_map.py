@@ -17,7 +17,7 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
 from shapely.geometry import MultiPolygon, Polygon
 
-from xtdrone_interaction.recording.search import SearchRecord
+from xtdrone_interaction.recording.search_record import SearchRecord
 
 _DPI = 150
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from xtdrone_interaction.bags.ros1bag import BagError
 from xtdrone_interaction.recording.bag import read_bag
-from xtdrone_interaction.recording.formation import read_archive
+from xtdrone_interaction.recording.formation_record import read_archive
 from xtdrone_interaction.recording.recorded_flight import RecordError, Recording, VehicleRecord
 from xtdrone_interaction.recording.series import Series
 from xtdrone_interaction.recording.ulog import NAMELESS, FlightLog, LogError, is_log, read_log

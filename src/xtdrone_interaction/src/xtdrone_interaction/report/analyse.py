@@ -15,12 +15,12 @@ from typing import Any
 from rich.console import Console
 
 from xtdrone_interaction.bags.ros1bag import BagError
-from xtdrone_interaction.metrics.odometry import write_trajectories
+from xtdrone_interaction.metrics.missions.odometry_errors import write_trajectories
 from xtdrone_interaction.metrics.vehicle import summarise, summarise_log
 from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.pictures import flight_log
-from xtdrone_interaction.pictures import recording as recording_pictures
-from xtdrone_interaction.recording.formation import formation_of
+from xtdrone_interaction.pictures import recording_pictures as recording_pictures
+from xtdrone_interaction.recording.formation_record import formation_of
 from xtdrone_interaction.recording.open import open_recording
 from xtdrone_interaction.recording.recorded_flight import RecordError, Recording
 from xtdrone_interaction.recording.ulog import FlightLog, LogError

@@ -22,8 +22,8 @@ from scipy.spatial.distance import cdist
 from xtdrone_coordination.laws.assignment import Assignment
 from xtdrone_coordination.leader import Leader
 from xtdrone_interaction.formation.distances import Array, relative
-from xtdrone_interaction.metrics.formation import measure
-from xtdrone_interaction.recording.formation import FormationRecord, PatternWindow
+from xtdrone_interaction.metrics.missions.formation_metrics import measure
+from xtdrone_interaction.recording.formation_record import FormationRecord, PatternWindow
 from xtdrone_interaction.recording.positions import FleetTrack
 from xtdrone_interaction.recording.recorded_flight import RecordError
 

@@ -11,7 +11,7 @@ import jinja2
 from rich.console import Console
 from rich.markup import escape
 
-from xtdrone_interaction.metrics.formation import write_report
+from xtdrone_interaction.metrics.missions.formation_metrics import write_report
 from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.pictures.drawing import NamedFigure, save_figures
 from xtdrone_interaction.report.printed_results import print_paths

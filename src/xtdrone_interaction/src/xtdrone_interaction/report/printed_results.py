@@ -22,7 +22,7 @@ def print_formation(report: dict[str, Any], console: Console) -> None:
     """Print a formation flight's table and shortcomings.
 
     Args:
-        report: of :func:`~xtdrone_interaction.metrics.formation.make_report`.
+        report: of :func:`~xtdrone_interaction.metrics.missions.formation_metrics.make_report`.
         console: to print on.
     """
     title = f"Formation flight of {len(report['vehicles'])} vehicles"
@@ -46,7 +46,7 @@ def print_search(report: dict[str, Any], console: Console) -> None:
     """Print a search's finds, table and shortcomings.
 
     Args:
-        report: of :func:`~xtdrone_interaction.metrics.search.make_report`.
+        report: of :func:`~xtdrone_interaction.metrics.missions.search_metrics.make_report`.
         console: to print on.
     """
     covered = report["covered"]
@@ -105,7 +105,7 @@ def print_crossing(report: dict[str, Any], console: Console) -> None:
     """Print the figures of a flight through obstacles.
 
     Args:
-        report: of :func:`~xtdrone_interaction.metrics.crossing.make_report`.
+        report: of :func:`~xtdrone_interaction.metrics.missions.crossing_metrics.make_report`.
         console: to print on.
     """
     for name, vehicle in report["vehicles"].items():

@@ -70,7 +70,7 @@ def odometry_table(rows: Iterable[dict[str, Any]]) -> ReportTable:
     """Return the table of odometry against the truth.
 
     Args:
-        rows: see :class:`~xtdrone_interaction.metrics.odometry.OdometryErrors`.
+        rows: see :class:`~xtdrone_interaction.metrics.missions.odometry_errors.OdometryErrors`.
     """
     head = ("odometry", "aligned", "way (m)", "ATE (m)", "most (m)", "end (m)", "drift (%)", "RPE (%)")
     keys = (("way", 1), ("ate", 3), ("greatest", 3), ("end", 3), ("drift", 3), ("rpe_percent", 2))
@@ -85,7 +85,8 @@ def formation_table(reconfigurations: Iterable[dict[str, Any]], title: str = "Fo
     """Return the table of a formation flight.
 
     Args:
-        reconfigurations: as in the report, see :class:`~xtdrone_interaction.metrics.formation.Reconfiguration`.
+        reconfigurations: as in the report, see
+            :class:`~xtdrone_interaction.metrics.missions.formation_metrics.Reconfiguration`.
         title: above it.
     """
     rows = [

@@ -128,7 +128,7 @@ def film_bag(settings: FilmSettings, path: Path, work: Path, console: Console) -
 
 def flown_world(bag: Path) -> str:
     """Return the world of a recorded flight, as the files beside its bag name it; empty if they do not."""
-    from xtdrone_interaction.demos.search_prepare import WORLD  # shapely is slow to import
+    from xtdrone_interaction.demos.search.search_prepare import WORLD  # shapely is slow to import
 
     searched = bag.absolute().parent / WORLD
     if searched.is_file():

@@ -26,9 +26,9 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
 from xtdrone_sim.cached_files import cached_folder
-from xtdrone_sim.vehicles.pose_arithmetic import compose
-from xtdrone_sim.vehicles.triangles import triangles_of, write_obj
-from xtdrone_sim.vehicles.visual import Box, Colour, Cylinder, Geometry, Mesh, Pose, Sphere, Visual
+from xtdrone_sim.shapes.pose_arithmetic import compose
+from xtdrone_sim.shapes.triangles import triangles_of, write_obj
+from xtdrone_sim.shapes.visual import Box, Colour, Cylinder, Geometry, Mesh, Pose, Sphere, Visual
 from xtdrone_sim.worlds import people
 from xtdrone_sim.worlds.people import Person
 from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld

@@ -24,7 +24,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from xtdrone_interaction.options import OptionError
-from xtdrone_interaction.sweep.one_run import FIGURES
+from xtdrone_interaction.sweep.fly_one_run import FIGURES
 from xtdrone_interaction.sweep.result_store import METADATA
 
 DPI = 150

@@ -28,8 +28,8 @@ from xtdrone_interaction.console import PatientConsole
 from xtdrone_interaction.launching.scripted_launch import Stopped, StopRequest
 from xtdrone_interaction.machine_facts import machine_facts
 from xtdrone_interaction.options import OptionError
-from xtdrone_interaction.sweep.one_run import FIGURES
-from xtdrone_interaction.sweep.plan import Plan
+from xtdrone_interaction.sweep.fly_one_run import FIGURES
+from xtdrone_interaction.sweep.list_of_runs import Plan
 from xtdrone_interaction.sweep.progress import Progress, one_line
 from xtdrone_interaction.sweep.result_store import Store
 from xtdrone_interaction.sweep.study import Study, read_study
@@ -260,8 +260,8 @@ def _fly(
     plan: Plan, missing: Sequence[int], store: Store, arguments: argparse.Namespace, stop: StopRequest, console: Console
 ) -> int:
     """Fly the runs of these numbers and return the exit status."""
-    from xtdrone_interaction.sweep.execute import Executor, SweepError  # heavy, and not for --dry-run
-    from xtdrone_interaction.sweep.one_run import fly_batch
+    from xtdrone_interaction.sweep.dask_execution import Executor, SweepError  # heavy, and not for --dry-run
+    from xtdrone_interaction.sweep.fly_one_run import fly_batch
 
     study = plan.study
     common = {
@@ -299,7 +299,7 @@ def _tasks(plan: Plan, numbers: Sequence[int]) -> Iterator[dict[str, Any]]:
 
 
 def _client(arguments: argparse.Namespace) -> AbstractContextManager[Any]:
-    from xtdrone_interaction.sweep.execute import local_client, remote_client
+    from xtdrone_interaction.sweep.dask_execution import local_client, remote_client
 
     if arguments.scheduler:
         return remote_client(arguments.scheduler)

@@ -18,7 +18,7 @@ from std_msgs.msg import String
 from tornado.ioloop import IOLoop
 
 from xtdrone_control import lockstep
-from xtdrone_control.program import check_no_arguments
+from xtdrone_control.programs.program import check_no_arguments
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.rooms import methods_of_rooms
 from xtdrone_interaction.web.server.credentials import Credentials, is_loopback

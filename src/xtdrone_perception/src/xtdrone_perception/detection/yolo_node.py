@@ -41,11 +41,11 @@ from std_msgs.msg import Bool
 from xtdrone_msgs.msg import ObjectOnGround, ObjectsOnGround
 
 from xtdrone_control import lockstep
-from xtdrone_control.camera_pose import CameraPose, camera_link_pose, optical_pose
+from xtdrone_control.cameras.camera_pose import CameraPose, camera_link_pose, optical_pose
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.frames import to_xyzw
 from xtdrone_control.lockstep.deferred_work import Deferred
-from xtdrone_control.pinhole import Pinhole
-from xtdrone_control.program import ArgumentError
+from xtdrone_control.programs.program import ArgumentError
 from xtdrone_control.settings import Settings, setting
 from xtdrone_perception.tracking.geolocation import Geolocator, Noise, Person, View
 from xtdrone_perception.tracking.pose_history import PoseHistory

@@ -35,7 +35,7 @@ from std_msgs.msg import Float64MultiArray
 from xtdrone_msgs.msg import RelativeRanges
 
 from xtdrone_control import lockstep
-from xtdrone_control.camera_pose import rotation_matrix
+from xtdrone_control.cameras.camera_pose import rotation_matrix
 from xtdrone_control.settings import Settings, setting
 from xtdrone_perception.localisation.relative_filter import FilterSettings, RelativeFilter
 

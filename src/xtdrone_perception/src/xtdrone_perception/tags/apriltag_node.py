@@ -36,10 +36,10 @@ from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import lockstep
 from xtdrone_control.bounded_file import ContentError
-from xtdrone_control.camera_pose import CameraPose
+from xtdrone_control.cameras.camera_pose import CameraPose
 from xtdrone_control.frames import to_xyzw
 from xtdrone_control.lockstep.deferred_work import Deferred
-from xtdrone_control.program import ArgumentError
+from xtdrone_control.programs.program import ArgumentError
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_control.tag_boards import TagBoard, boards_of
 from xtdrone_perception.tags.mounted_camera import in_map, optical_frame, quaternion, up_in

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control import rotation
-from xtdrone_control.camera_pose import LINK_FROM_OPTICAL, CameraPose, rotation_matrix
+from xtdrone_control.cameras.camera_pose import LINK_FROM_OPTICAL, CameraPose, rotation_matrix
 from xtdrone_control.rotation import Quaternion, Vector
 
 Array = NDArray[np.float64]

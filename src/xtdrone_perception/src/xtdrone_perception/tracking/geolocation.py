@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.camera_pose import rotation_matrix
-from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.cameras.camera_pose import rotation_matrix
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.settings import Settings, check_range, setting
 
 Array = NDArray[np.float64]

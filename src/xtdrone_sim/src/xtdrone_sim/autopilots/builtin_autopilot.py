@@ -19,7 +19,7 @@ from xtdrone_control.fleet import Vehicle
 from xtdrone_control.geodesy.datum import Datum
 from xtdrone_sim.physics.battery import Batteries
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.physics.world_values import (
+from xtdrone_sim.physics.world_environment import (
     WorldModel,
 )
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel

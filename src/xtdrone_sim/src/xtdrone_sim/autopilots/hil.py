@@ -32,7 +32,7 @@ from xtdrone_control.geodesy.datum import Datum
 from xtdrone_sim.autopilots.hil_link import HilLink, Log
 from xtdrone_sim.autopilots.hil_messages import Frames
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.physics.world_values import (
+from xtdrone_sim.physics.world_environment import (
     WorldModel,
 )
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
+from xtdrone_control.cameras import drawing_of
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.lenses import drawing_of
 from xtdrone_control.settings import check_range
 from xtdrone_sim.cameras.drawn_scene import View
-from xtdrone_sim.vehicles.pose_arithmetic import compose
+from xtdrone_sim.shapes.pose_arithmetic import compose
+from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.vehicles.vehicle_model import CameraMount, load_vehicle
-from xtdrone_sim.vehicles.visual import Pose
 
 LEAST_TURNS = 10.0  # Hz, least rate of the node's turns, which take and publish the images
 MOST_TURNS = 50.0  # Hz, rate of /xtdrone/scene

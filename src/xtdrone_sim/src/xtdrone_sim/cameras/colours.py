@@ -10,8 +10,8 @@ import numpy as np
 import rospy
 from numpy.typing import NDArray
 
-from xtdrone_control.lenses import Lens, drawing_of
-from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.cameras import Lens, drawing_of
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_sim.cameras.cameras import Camera
 
 Colours = NDArray[np.uint8]  # (height, width, 3) RGB

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.pinhole import Pinhole
 from xtdrone_sim.cameras.rendering import Picture, Renderer
 from xtdrone_sim.cameras.sun_shadows import SunShadows, darkened
-from xtdrone_sim.vehicles.pose_arithmetic import OPTICAL_FRAME, compose
+from xtdrone_sim.shapes.pose_arithmetic import OPTICAL_FRAME, compose
+from xtdrone_sim.shapes.visual import Box, Mesh, Pose, Visual
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.vehicles.visual import Box, Mesh, Pose, Visual
 from xtdrone_sim.worlds import people
 from xtdrone_sim.worlds.scene_at import ActorState, SceneAt
 from xtdrone_sim.worlds.sdf import SdfActor, SdfModel, SdfWorld
-from xtdrone_sim.worlds.sdf.geometry import box_of
+from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
 
 _GROUND = Box((2000.0, 2000.0, 0.1))
 _GROUND_COLOUR = (0.45, 0.5, 0.4, 1.0)

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.pinhole import Pinhole
 from xtdrone_sim.rays.scene import RayScene
-from xtdrone_sim.vehicles.triangles import rotation_matrix
-from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.shapes.triangles import rotation_matrix
+from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.worlds.scene_at import SceneAt
 from xtdrone_sim.worlds.sdf import Light, SdfModel, SdfWorld
 

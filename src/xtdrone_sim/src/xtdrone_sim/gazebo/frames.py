@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from xtdrone_control.rotation import Vector
-from xtdrone_sim.vehicles.pose_arithmetic import compose, conjugate, inverse, rotate
-from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.shapes.pose_arithmetic import compose, conjugate, inverse, rotate
+from xtdrone_sim.shapes.visual import Pose
 
 
 class State(NamedTuple):

@@ -10,7 +10,7 @@ import numpy as np
 
 from xtdrone_control.rotation import Quaternion, Vector
 from xtdrone_sim.worlds.sdf import SdfError, SdfModel
-from xtdrone_sim.worlds.sdf.geometry import box_of
+from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
 
 FARTHEST = 1e5  # m, along each axis
 FASTEST = 1e3  # m/s and rad/s

@@ -9,12 +9,12 @@ import numpy as np
 
 from xtdrone_sim.gazebo.frames import STANDING, State, in_world, part_of
 from xtdrone_sim.gazebo.limits import MOST_ADDED, RequestError, check_model, check_name, unknown
-from xtdrone_sim.physics.movable_bodies import Drive
+from xtdrone_sim.physics.bodies.movable_bodies import Drive
 from xtdrone_sim.physics.wrenches import Wrench
+from xtdrone_sim.shapes.pose_arithmetic import compose, conjugate, inverse, rotate
+from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.vehicles.link_poses import Links
-from xtdrone_sim.vehicles.pose_arithmetic import compose, conjugate, inverse, rotate
-from xtdrone_sim.vehicles.visual import Pose
 from xtdrone_sim.worlds.actor_topics import ActorTopics
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
 

@@ -14,9 +14,9 @@ from xtdrone_sim.gazebo.frames import seen_from
 from xtdrone_sim.gazebo.limits import RequestError, unknown
 from xtdrone_sim.gazebo.models import Models
 from xtdrone_sim.gazebo.request_messages import pose_message, twist_message
+from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.vehicles.urdf import Inertial
-from xtdrone_sim.vehicles.visual import Pose
 from xtdrone_sim.worlds.sdf.world_records import DEFAULT_INERTIAL
 
 

@@ -6,9 +6,9 @@ import re
 
 from xtdrone_sim.gazebo.limits import RequestError
 from xtdrone_sim.package_files import PACKAGE
-from xtdrone_sim.vehicles.pose_arithmetic import compose
+from xtdrone_sim.shapes.pose_arithmetic import compose
+from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.vehicles.urdf import Description, Inertial, UrdfError, parse_urdf
-from xtdrone_sim.vehicles.visual import Pose
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
 from xtdrone_sim.worlds.sdf.rigid_links import is_possible
 

@@ -8,7 +8,7 @@ from sensor_msgs.msg import LaserScan, PointCloud2, PointField
 
 from xtdrone_sim.lidars.lidars import Lidar
 from xtdrone_sim.lidars.measuring import Scan, begin_us
-from xtdrone_sim.vehicles.lidar_mounts import LidarMount
+from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount
 
 POINT = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")]

@@ -33,7 +33,7 @@ from xtdrone_msgs.srv import SetLidarFailure, SetLidarFailureRequest, SetLidarFa
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.lockstep.deferred_work import Deferred
-from xtdrone_control.program import ArgumentError, check_no_arguments, fleet_of
+from xtdrone_control.programs.program import ArgumentError, check_no_arguments, fleet_of
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.early_parameters import private_parameters
 from xtdrone_sim.lidars.lidar_messages import scan_message
@@ -43,7 +43,7 @@ from xtdrone_sim.lidars.patterns import read_pattern
 from xtdrone_sim.lidars.scene_history import SceneHistory
 from xtdrone_sim.topics.live_rays import LiveRays
 from xtdrone_sim.topics.scene_messages import scene_of
-from xtdrone_sim.vehicles.lidar_mounts import LEAST_RATE, MOST_RATE, ROSETTE, LidarMount
+from xtdrone_sim.vehicles.mounts.lidar_mounts import LEAST_RATE, MOST_RATE, ROSETTE, LidarMount
 
 USAGE = "lidars.py"
 TURNS = 50.0  # Hz, rate of /xtdrone/scene

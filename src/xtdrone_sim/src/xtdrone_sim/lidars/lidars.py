@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.settings import check_choice, check_range
-from xtdrone_sim.vehicles.lidar_mounts import LidarMount
+from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
 FAILURES = ("ok", "off", "frozen", "biased", "dropouts")

@@ -13,8 +13,8 @@ from xtdrone_sim.lidars.patterns import Rays, rays_of
 from xtdrone_sim.rays.casting import PLACE, place_rays
 from xtdrone_sim.rays.scene import Hits, Layout, cast
 from xtdrone_sim.rays.tree import NOTHING
-from xtdrone_sim.vehicles.lidar_mounts import LidarMount
-from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.shapes.visual import Pose
+from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount
 
 WHITE = 100.0
 """Intensity of a surface that faces the lidar; others have it times the cosine of the angle between ray and normal, as

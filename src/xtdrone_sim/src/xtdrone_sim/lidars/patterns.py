@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.bounded_file import read_text
-from xtdrone_sim.vehicles.lidar_mounts import MOST_RAYS, ROSETTE, LidarMount
+from xtdrone_sim.vehicles.mounts.lidar_mounts import MOST_RAYS, ROSETTE, LidarMount
 
 Array = NDArray[np.float64]
 

@@ -19,29 +19,29 @@ from xtdrone_control.rotation import Quaternion, Vector
 from xtdrone_sim.effects import Effects, drive_rotors, integrate_all
 from xtdrone_sim.physics import vehicle_dynamics as dynamics
 from xtdrone_sim.physics import wrenches
-from xtdrone_sim.physics.contact_points import GROUND, Contact
-from xtdrone_sim.physics.contact_states import (
+from xtdrone_sim.physics.bodies.movable_bodies import Bodies, Drive
+from xtdrone_sim.physics.bodies.obstacles import Obstacles
+from xtdrone_sim.physics.contacts.contact_points import GROUND, Contact
+from xtdrone_sim.physics.contacts.contact_states import (
     sort_contacts,
 )
-from xtdrone_sim.physics.free_or_bullet import (
+from xtdrone_sim.physics.contacts.free_or_bullet import (
     CHECK_STEPS,
     FAR,
     NEAR,
     mark_near,
     stay_free,
 )
-from xtdrone_sim.physics.movable_bodies import Bodies, Drive
-from xtdrone_sim.physics.obstacles import Obstacles
-from xtdrone_sim.physics.quiet_pybullet import connect, pybullet
-from xtdrone_sim.physics.sleeping import (
+from xtdrone_sim.physics.contacts.sleeping import (
     REST_SPEED,
     let_sleep,
 )
-from xtdrone_sim.physics.start_collisions import body_pose, check_starts
+from xtdrone_sim.physics.contacts.start_collisions import body_pose, check_starts
+from xtdrone_sim.physics.quiet_pybullet import connect, pybullet
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT, ASLEEP, PLANT, TOUCHING
-from xtdrone_sim.physics.world_values import WorldModel
+from xtdrone_sim.physics.world_environment import WorldModel
+from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.vehicles.vehicle_model import MODEL, VehicleModel
-from xtdrone_sim.vehicles.visual import Pose
 from xtdrone_sim.worlds.sdf import SdfModel
 
 _NO_BODY = -1  # of an absent place

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from xtdrone_control.rotation import Vector
 from xtdrone_control.rotation_kernels import rotate_inverse
-from xtdrone_sim.physics.movable_bodies import Bodies
+from xtdrone_sim.physics.bodies.movable_bodies import Bodies
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ from xtdrone_control.fleet import Vehicle
 from xtdrone_sim.rays.casting import PLACE, THING, cast_rays
 from xtdrone_sim.rays.surfaces import of_triangles, seen, seen_of, surfaces_of
 from xtdrone_sim.rays.tree import NOTHING, SURFACE, Trees, build, joined
-from xtdrone_sim.vehicles.pose_arithmetic import compose
+from xtdrone_sim.shapes.pose_arithmetic import compose
+from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.vehicles.visual import Pose
 from xtdrone_sim.worlds import people
 from xtdrone_sim.worlds.scene_at import ActorState, SceneAt
 from xtdrone_sim.worlds.sdf import SdfActor, SdfModel

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_sim.rays.scene import RayScene
-from xtdrone_sim.vehicles.pose_arithmetic import compose
-from xtdrone_sim.vehicles.visual import Collision, Geometry, Mesh, Pose
-from xtdrone_sim.worlds.sdf.geometry import box_of
-from xtdrone_sim.worlds.sdf.heightmaps import is_terrain
+from xtdrone_sim.shapes.pose_arithmetic import compose
+from xtdrone_sim.shapes.visual import Collision, Geometry, Mesh, Pose
+from xtdrone_sim.worlds.sdf.geometries.heightmaps import is_terrain
+from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
 from xtdrone_sim.worlds.sdf.world_records import SdfLink, SdfModel
 
 Array = NDArray[np.float64]

@@ -28,8 +28,8 @@ from xtdrone_sim.robots.rolling import (
     places,
     stand_on,
 )
-from xtdrone_sim.vehicles.pose_arithmetic import conjugate
-from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.shapes.pose_arithmetic import conjugate
+from xtdrone_sim.shapes.visual import Pose
 
 _NEVER = -1
 

@@ -9,7 +9,7 @@ from xtdrone_control.bounded_file import ContentError, load_yaml
 from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import SettingError, check_range
 from xtdrone_sim.robots.robot_model import RobotModel, load_robot
-from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.shapes.visual import Pose
 
 MOST_ROBOTS = 50
 

@@ -15,8 +15,8 @@ from xtdrone_sim.descriptions import ModelError, available, read_description
 from xtdrone_sim.robots import tag_visuals
 from xtdrone_sim.robots.kinematics import Ackermann, AckermannLimits, Differential, DifferentialLimits, Drive
 from xtdrone_sim.robots.rolling import Footprint, Ground
+from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Pose, Visual
 from xtdrone_sim.vehicles.urdf import Inertial
-from xtdrone_sim.vehicles.visual import Box, Collision, Cylinder, Pose, Visual
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
 
 LINK = "base_link"

@@ -39,16 +39,16 @@ from xtdrone_control import lockstep
 from xtdrone_control.frames import to_xyzw
 from xtdrone_sim.gazebo.models import Models
 from xtdrone_sim.gazebo.scene_topics import ModelTopics
-from xtdrone_sim.physics.start_collisions import StartError, check_height
+from xtdrone_sim.physics.contacts.start_collisions import StartError, check_height
 from xtdrone_sim.rays.solid_ground import SolidGround, shapes_of
 from xtdrone_sim.robots.kinematics import Drive
 from xtdrone_sim.robots.listing import Robot
 from xtdrone_sim.robots.robot_model import LINK
 from xtdrone_sim.robots.robot_urdf import urdf_of, wheel_frames
+from xtdrone_sim.shapes.pose_arithmetic import compose, inverse
+from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.topics.link_topics import PERIOD_US
-from xtdrone_sim.vehicles.pose_arithmetic import compose, inverse
-from xtdrone_sim.vehicles.visual import Pose
 
 _WARNING_PERIOD = 5.0  # wall s between two equal warnings
 _TOLERANCE = 0.01  # m of overlap at the start

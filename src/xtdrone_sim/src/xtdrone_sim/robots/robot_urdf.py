@@ -10,8 +10,8 @@ from xml.etree import ElementTree
 from xtdrone_control.rotation import Vector, to_euler
 from xtdrone_sim.robots.kinematics import Joint
 from xtdrone_sim.robots.robot_model import LINK, RobotModel
-from xtdrone_sim.vehicles.pose_arithmetic import from_axis_angle
-from xtdrone_sim.vehicles.visual import Box, Cylinder, Pose, Visual
+from xtdrone_sim.shapes.pose_arithmetic import from_axis_angle
+from xtdrone_sim.shapes.visual import Box, Cylinder, Pose, Visual
 
 _UP, _LEFT = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
 

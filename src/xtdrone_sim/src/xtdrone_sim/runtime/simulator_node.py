@@ -21,9 +21,9 @@ from rosgraph_msgs.msg import Clock
 
 from xtdrone_control import kernel, lockstep
 from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_control.log_output import survive_full_disk
+from xtdrone_control.programs.log_output import survive_full_disk
+from xtdrone_control.programs.under_roslaunch import announce, end_launch
 from xtdrone_control.settings import Settings, setting
-from xtdrone_control.under_roslaunch import announce, end_launch
 from xtdrone_sim.runtime.digests import DigestFile
 from xtdrone_sim.runtime.end_by_signal import Stop
 from xtdrone_sim.runtime.other_simulator import obstacle, ready_words, stale_uri

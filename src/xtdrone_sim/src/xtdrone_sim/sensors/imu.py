@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.rotation_kernels import rotate_inverse
-from xtdrone_sim.vehicles.imu_mounts import ImuMount
+from xtdrone_sim.vehicles.mounts.imu_mounts import ImuMount
 
 _WHITE, _WALK = 0, 1  # purposes of random numbers
 

@@ -14,8 +14,8 @@ from xtdrone_sim.rays.casting import PLACE, THING
 from xtdrone_sim.rays.scene import RayScene
 from xtdrone_sim.rays.tree import NODE, NOTHING, SURFACE
 from xtdrone_sim.sensors.others import Others
-from xtdrone_sim.vehicles.pose_arithmetic import compose
-from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.shapes.pose_arithmetic import compose
+from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.worlds.scene_at import SceneAt
 
 _NOTHING = np.zeros(0, NODE), np.zeros(0, SURFACE), np.zeros(0, THING), np.zeros(0, PLACE)

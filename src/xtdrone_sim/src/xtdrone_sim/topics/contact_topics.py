@@ -19,7 +19,7 @@ from gazebo_msgs.msg import ContactsState, ContactState
 from geometry_msgs.msg import Vector3, Wrench
 
 from xtdrone_control import lockstep
-from xtdrone_sim.physics.contact_points import (
+from xtdrone_sim.physics.contacts.contact_points import (
     GROUND,
     Contact,
 )

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from xtdrone_sim.vehicles.imu_mounts import ImuMount
-from xtdrone_sim.vehicles.pose_arithmetic import OPTICAL_FRAME, compose, from_axis_angle
+from xtdrone_sim.shapes.pose_arithmetic import OPTICAL_FRAME, compose, from_axis_angle
+from xtdrone_sim.shapes.visual import Pose
+from xtdrone_sim.vehicles.mounts.imu_mounts import ImuMount
+from xtdrone_sim.vehicles.mounts.uwb_mounts import UwbMount
 from xtdrone_sim.vehicles.urdf import FIXED
-from xtdrone_sim.vehicles.uwb_mounts import UwbMount
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
-from xtdrone_sim.vehicles.visual import Pose
 
 
 class Frame(NamedTuple):

@@ -14,7 +14,7 @@ from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import lockstep
 from xtdrone_control.frames import to_xyzw
-from xtdrone_control.program import ArgumentError, check_no_arguments, needed_fleet
+from xtdrone_control.programs.program import ArgumentError, check_no_arguments, needed_fleet
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.topics.robot_frames import Frame, RobotFrames

@@ -5,7 +5,7 @@ from __future__ import annotations
 from geometry_msgs.msg import Pose as PoseMessage
 from xtdrone_msgs.msg import SceneState
 
-from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.worlds.scene_at import ActorState, SceneAt
 
 

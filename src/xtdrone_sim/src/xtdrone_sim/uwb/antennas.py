@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from xtdrone_control.fleet import Vehicle
-from xtdrone_sim.vehicles.uwb_mounts import UwbMount
+from xtdrone_sim.vehicles.mounts.uwb_mounts import UwbMount
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
 

@@ -12,7 +12,7 @@ from xtdrone_sim.lidars.measuring import link_places
 from xtdrone_sim.rays.casting import between
 from xtdrone_sim.rays.scene import Layout, RayScene, cast
 from xtdrone_sim.rays.tree import NOTHING
-from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.worlds.scene_at import SceneAt
 
 Array = NDArray[np.float64]

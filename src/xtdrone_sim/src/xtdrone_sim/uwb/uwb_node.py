@@ -29,19 +29,19 @@ from xtdrone_msgs.srv import SetLidarFailure, SetLidarFailureRequest, SetLidarFa
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.program import ArgumentError, check_no_arguments, fleet_of
+from xtdrone_control.programs.program import ArgumentError, check_no_arguments, fleet_of
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.early_parameters import private_parameters
 from xtdrone_sim.lidars.lidars import Failure
+from xtdrone_sim.shapes.pose_arithmetic import compose
+from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.topics.live_rays import LiveRays
 from xtdrone_sim.topics.scene_messages import scene_of
 from xtdrone_sim.uwb.antennas import Antenna, antennas_of, neighbours_of
 from xtdrone_sim.uwb.line_of_sight import Moment, Sights
 from xtdrone_sim.uwb.ranging import Neighbours, measured, seen_from
 from xtdrone_sim.uwb.uwb_messages import ranges_message
-from xtdrone_sim.vehicles.pose_arithmetic import compose
-from xtdrone_sim.vehicles.uwb_mounts import LEAST_RATE, MOST_RATE, SIGHT_IGNORED
-from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.vehicles.mounts.uwb_mounts import LEAST_RATE, MOST_RATE, SIGHT_IGNORED
 from xtdrone_sim.worlds.scene_at import SceneAt
 
 USAGE = "uwb.py"

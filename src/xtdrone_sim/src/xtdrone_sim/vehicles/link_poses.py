@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from xtdrone_control.rotation import Vector
 from xtdrone_control.rotation_kernels import exponential, multiply, rotate
 from xtdrone_sim.kernel import kernel
-from xtdrone_sim.vehicles.camera_and_gimbal_mounts import GimbalMount
-from xtdrone_sim.vehicles.pose_arithmetic import compose
-from xtdrone_sim.vehicles.pose_arithmetic import rotate as rotate_by
+from xtdrone_sim.shapes.pose_arithmetic import compose
+from xtdrone_sim.shapes.pose_arithmetic import rotate as rotate_by
+from xtdrone_sim.shapes.visual import Pose
+from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import GimbalMount
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
-from xtdrone_sim.vehicles.visual import Pose
 
 _BODY = -1  # as parent: this link is the vehicle's body
 _STILL = -1  # as joint: not a joint of the gimbal

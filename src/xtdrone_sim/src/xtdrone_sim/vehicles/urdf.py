@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from xtdrone_control.bounded_file import MB, MOST_VALUES, ContentError, read_text
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.package_files import PACKAGE
-from xtdrone_sim.vehicles.pose_arithmetic import compose, rotate
-from xtdrone_sim.vehicles.visual import (
+from xtdrone_sim.shapes.pose_arithmetic import compose, rotate
+from xtdrone_sim.shapes.visual import (
     Box,
     Collision,
     Colour,

@@ -18,7 +18,8 @@ from xtdrone_control.autopilot.autopilot import RotorLayout
 from xtdrone_control.autopilot.state import MAX_ROTORS
 from xtdrone_sim.descriptions import ModelError, find, folders, read_description
 from xtdrone_sim.package_files import MODELS
-from xtdrone_sim.vehicles.camera_and_gimbal_mounts import (
+from xtdrone_sim.shapes.visual import Box, Collision, Visual
+from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import (
     CameraMount,
     GimbalMount,
     MountError,
@@ -26,11 +27,10 @@ from xtdrone_sim.vehicles.camera_and_gimbal_mounts import (
     read_gimbal,
     read_landing_gear,
 )
-from xtdrone_sim.vehicles.imu_mounts import ImuMount, read_imus
-from xtdrone_sim.vehicles.lidar_mounts import LidarMount, read_lidars
+from xtdrone_sim.vehicles.mounts.imu_mounts import ImuMount, read_imus
+from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount, read_lidars
+from xtdrone_sim.vehicles.mounts.uwb_mounts import UwbMount, read_uwb
 from xtdrone_sim.vehicles.urdf import Description, Joint, Link, UrdfError, read_urdf
-from xtdrone_sim.vehicles.uwb_mounts import UwbMount, read_uwb
-from xtdrone_sim.vehicles.visual import Box, Collision, Visual
 
 MODEL = np.dtype(
     [

@@ -19,7 +19,7 @@ import rospkg
 
 from xtdrone_control.settings import check_choice
 from xtdrone_sim.cached_files import cached_folder
-from xtdrone_sim.vehicles.visual import Mesh, Visual
+from xtdrone_sim.shapes.visual import Mesh, Visual
 
 SPLITS = ("train", "test")
 _FORMAT = b"1"  # of the cached files; a new version invalidates them

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.flight_tasks.auto_tasks import descend_task, goto_task, land_task
-from xtdrone_control.autopilot.flight_tasks.follow_task import follow_task, start_following
-from xtdrone_control.autopilot.flight_tasks.manual_tasks import altitude_task, sticks_task
-from xtdrone_control.autopilot.flight_tasks.moving_goal import add_goal_velocity, move_with_goal
-from xtdrone_control.autopilot.flight_tasks.orbit_task import orbit_task
-from xtdrone_control.autopilot.flight_tasks.smoothing import reset_smoothing
+from xtdrone_control.autopilot.flight_tasks.motion_planning.moving_goal import add_goal_velocity, move_with_goal
+from xtdrone_control.autopilot.flight_tasks.motion_planning.smoothing import reset_smoothing
+from xtdrone_control.autopilot.flight_tasks.tasks.auto_tasks import descend_task, goto_task, land_task
+from xtdrone_control.autopilot.flight_tasks.tasks.follow_task import follow_task, start_following
+from xtdrone_control.autopilot.flight_tasks.tasks.manual_tasks import altitude_task, sticks_task
+from xtdrone_control.autopilot.flight_tasks.tasks.orbit_task import orbit_task
 from xtdrone_control.autopilot.state import (
     TASK_ALTITUDE,
     TASK_DESCEND,

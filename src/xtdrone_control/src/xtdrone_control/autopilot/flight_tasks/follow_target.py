@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.autopilot.flight_tasks.auto_setpoint import Course
-from xtdrone_control.autopilot.flight_tasks.follow_task import OVER_GROUND, OVER_TARGET
+from xtdrone_control.autopilot.flight_tasks.tasks.follow_task import OVER_GROUND, OVER_TARGET
 from xtdrone_control.autopilot.state import TASK_FOLLOW
 from xtdrone_control.autopilot.vehicle_view import Vector
 from xtdrone_control.geodesy import projection

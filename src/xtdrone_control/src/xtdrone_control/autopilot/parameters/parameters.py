@@ -18,8 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from xtdrone_control import parameter_file
-from xtdrone_control.autopilot.parameters import former_parameters, inert_parameters
+from xtdrone_control.autopilot.parameters import former_parameters, inert_parameters, parameter_file
 from xtdrone_control.autopilot.parameters.effective_parameters import KERNEL_ROWS, OTHER_ROWS, Row, channel_rows
 
 INT32 = 6  # MAV_PARAM_TYPE_INT32

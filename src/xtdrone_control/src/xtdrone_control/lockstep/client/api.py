@@ -24,7 +24,7 @@ import rospy.core
 import rospy.impl.simtime
 import rospy.rostime
 
-from xtdrone_control.log_output import survive_full_disk
+from xtdrone_control.programs.log_output import survive_full_disk
 
 from ..protocol import Schedule
 from ..transport import local_topics

@@ -9,7 +9,7 @@ import rospy
 from mavros_msgs.msg import ParamValue
 from mavros_msgs.srv import ParamGet, ParamPull, ParamPush, ParamSet
 
-from xtdrone_control.parameter_file import as_float32
+from xtdrone_control.autopilot.parameters.parameter_file import as_float32
 
 from . import parameter_formats
 from .parameter_formats import MAVPROXY, MISSION_PLANNER, QGC, FormatError, Number

@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Mapping
 
-from xtdrone_control.parameter_file import REAL32, ParameterFile, checked, parse, text_of, written
+from xtdrone_control.autopilot.parameters.parameter_file import REAL32, ParameterFile, checked, parse, text_of, written
 
 QGC, MISSION_PLANNER, MAVPROXY = "qgc", "mp", "mavpx"
 _NAME = re.compile(r"[A-Za-z0-9_]{1,16}")

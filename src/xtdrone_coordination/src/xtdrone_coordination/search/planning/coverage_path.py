@@ -19,7 +19,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry import Polygon
 
-from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.settings import Settings, check_range, setting
 
 PERSON = 1.7  # m, height of a person

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.cameras.pinhole import Pinhole
 
 from ..actions import OFFBOARD, PointCamera
 from ..coverage_map import shows

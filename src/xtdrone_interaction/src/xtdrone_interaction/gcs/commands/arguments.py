@@ -10,11 +10,11 @@ from typing import Protocol, TypeVar
 
 from xtdrone_control.fleet import MAX_INSTANCE, FleetError, parse_fleet
 from xtdrone_control.settings import Settings, setting
+from xtdrone_interaction.gcs.exchange_queue import AbortMessages, Job
 
 from .. import discovery, station
 from ..station import no_abort_messages
 from ..vehicle_addresses import LOOPBACK, GcsError, Peer, choose_systems, numbered, numbers_of, parse_address
-from ..vehicle_contact import AbortMessages, Job
 
 T = TypeVar("T")
 Runner = Callable[[argparse.Namespace], int]

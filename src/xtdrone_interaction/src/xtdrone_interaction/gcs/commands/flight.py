@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from functools import partial
 
 from xtdrone_control.settings import SettingError, Settings, check_range, setting
+from xtdrone_interaction.gcs.commands.terminal_output import Display
 
 from ..exchanges import flight
 from ..exchanges.exchange import Exchange, Heartbeat
 from ..exchanges.flight import Target
 from ..vehicle_addresses import Peer
 from .arguments import Adder, UsageError, run, select_vehicles
-from .display import Display
 
 _FAR = 100_000.0  # m
 _PLACES = "X Y Z, m, or --lat, --lon and one of --alt and --height"

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from xtdrone_interaction import cli
 
 from ..vehicle_addresses import GcsError
-from . import flight, logs, parameters, plan_lists, plans, status
+from . import flight, logs, parameters, plan_lists, plans, status_table
 from .arguments import Runner, UsageError, common
 
 
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the commands."""
     parser.description = "A ground station, over MAVLink."
     commands = _Commands(parser, common())
-    for module in (status, flight, plans, plan_lists, parameters, logs):
+    for module in (status_table, flight, plans, plan_lists, parameters, logs):
         module.add_to(commands)
 
 

@@ -10,13 +10,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from xtdrone_interaction.gcs.commands.terminal_output import Display, print_errors
+
 from ..exchanges import logs
 from ..exchanges.exchange import Exchange, Heartbeat, Progress, RefusalError
 from ..exchanges.logs import Log
 from ..station import progress_of
 from ..vehicle_addresses import GcsError
 from .arguments import Adder, UsageError, run, select_vehicles
-from .display import Display, print_errors
 
 _PART = ".part"
 

@@ -10,14 +10,22 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.parameter_file import SUFFIX, ParameterFile, ParameterFileError, Value, read, shown, write
+from xtdrone_control.autopilot.parameters.parameter_file import (
+    SUFFIX,
+    ParameterFile,
+    ParameterFileError,
+    Value,
+    read,
+    shown,
+    write,
+)
+from xtdrone_interaction.gcs.commands.terminal_output import Display, print_errors
 
 from ..exchanges import parameters
 from ..exchanges.exchange import Exchange, Heartbeat
 from ..station import progress_of
 from ..vehicle_addresses import GcsError, Peer
 from .arguments import Adder, UsageError, run, select_vehicles
-from .display import Display, print_errors
 
 _WILD = frozenset("*?[")
 

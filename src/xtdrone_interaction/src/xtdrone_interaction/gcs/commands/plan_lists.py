@@ -12,6 +12,7 @@ from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import Items
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.plans.qgc_plan import Plan, PlanError
+from xtdrone_interaction.gcs.commands.terminal_output import Display
 
 from ..exchanges import plans as plan_exchanges
 from ..exchanges.exchange import Exchange, Heartbeat
@@ -19,7 +20,6 @@ from ..exchanges.plans import KINDS
 from ..station import progress_of
 from ..vehicle_addresses import GcsError, Peer
 from .arguments import Adder, Runner, UsageError, run, select_vehicles
-from .display import Display
 from .plans import assign, find_files, owners, read_plans
 
 

@@ -15,13 +15,13 @@ from xtdrone_control.autopilot.navigator.feasibility import Situation
 from xtdrone_control.geodesy import projection
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.plans.qgc_plan import Plan, PlanError
+from xtdrone_interaction.gcs.commands.terminal_output import Display
 
 from ..exchanges import plans as plan_exchanges
 from ..exchanges.exchange import Exchange, Heartbeat
 from ..station import progress_of
 from ..vehicle_addresses import GcsError, Peer
 from .arguments import Adder, UsageError, run, select_named, select_vehicles
-from .display import Display
 
 _FIRST_DISTANCE = 900.0  # m, PX4's default of MIS_DIST_1WP
 

@@ -12,7 +12,15 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.parameter_file import LIMITS, REAL32, ParameterFile, Value, as_float32, checked, shown
+from xtdrone_control.autopilot.parameters.parameter_file import (
+    LIMITS,
+    REAL32,
+    ParameterFile,
+    Value,
+    as_float32,
+    checked,
+    shown,
+)
 
 from .exchange import AUTOPILOT, Exchange, Heartbeat, Progress, RefusalError, fetch_message, ignore_progress
 

@@ -15,10 +15,10 @@ import numpy as np
 from PIL import Image
 
 from xtdrone_interaction.web.server.methods import CallError
-from xtdrone_sim.vehicles.pose_arithmetic import compose
-from xtdrone_sim.vehicles.triangles import triangles_of
+from xtdrone_sim.shapes.pose_arithmetic import compose
+from xtdrone_sim.shapes.triangles import triangles_of
+from xtdrone_sim.shapes.visual import Box, Cylinder, Geometry, Mesh, Pose, Visual
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
-from xtdrone_sim.vehicles.visual import Box, Cylinder, Geometry, Mesh, Pose, Visual
 
 _MOST_TRIANGLES = 200_000
 _TEXTURE_SIZE = 512  # px, the longer side

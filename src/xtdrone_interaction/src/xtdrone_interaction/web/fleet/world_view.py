@@ -16,8 +16,8 @@ from xtdrone_interaction.web.fleet.shapes_for_page import ShapeStore, describe_v
 from xtdrone_interaction.web.server.methods import CallError, Method, Params, needed
 from xtdrone_interaction.web.server.session import Session
 from xtdrone_sim.descriptions import ModelError
+from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.vehicles.visual import Pose
 from xtdrone_sim.worlds import people
 from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld, load_world_file, read_world
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.geodesy.datum import Datum
-from xtdrone_control.pinhole import Pinhole
 from xtdrone_control.plans.qgc_plan import Plan
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.search.planning.plans import SearchOptions, VehiclePlan, plan_search, to_plan

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.pinhole import Pinhole
-from xtdrone_sim.vehicles.triangles import rotation_matrix
-from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_control.cameras.pinhole import Pinhole
+from xtdrone_sim.shapes.triangles import rotation_matrix
+from xtdrone_sim.shapes.visual import Pose
 
 SPLIT = 2.0  # m; nearer surfaces are drawn in a separate picture
 

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.frames import to_xyzw
-from xtdrone_control.pinhole import Pinhole
 from xtdrone_control.settings import check_range
 from xtdrone_sim.cameras.rendering.backends import BACKENDS, Backend, RendererError
 from xtdrone_sim.cameras.rendering.depth_ranges import Extents
 from xtdrone_sim.physics.quiet_pybullet import pybullet
-from xtdrone_sim.vehicles.triangles import Triangles, joined, rotation_matrix, triangles_of, write_obj
-from xtdrone_sim.vehicles.visual import Colour, Geometry, Pose, Visual
+from xtdrone_sim.shapes.triangles import Triangles, joined, rotation_matrix, triangles_of, write_obj
+from xtdrone_sim.shapes.visual import Colour, Geometry, Pose, Visual
 from xtdrone_sim.worlds.sdf import Light
 
 __all__ = ["BACKENDS", "Light", "Picture", "Renderer", "RendererError"]

@@ -43,7 +43,7 @@ from std_srvs.srv import Empty, EmptyResponse, Trigger, TriggerResponse
 from xtdrone_msgs.msg import SimulationStatus
 from xtdrone_msgs.srv import GetStatus, GetStatusResponse, SetSpeed, SetSpeedResponse, Step, StepResponse
 
-from xtdrone_control.simulation_speed import LEAST_SPEED
+from xtdrone_control.lockstep.simulation_speed import LEAST_SPEED
 from xtdrone_sim.runtime.requests.mailbox import ClosedError, Mailbox
 from xtdrone_sim.runtime.requests.simulation_control import Control, ControlError, Reset, Status, StepRequest
 

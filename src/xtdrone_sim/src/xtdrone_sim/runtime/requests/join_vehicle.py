@@ -10,8 +10,8 @@ from typing import Any
 import rospy
 from xtdrone_msgs.srv import AddVehicle, RemoveVehicle
 
-from xtdrone_control.program import ArgumentError, check_no_arguments
-from xtdrone_control.under_roslaunch import announce
+from xtdrone_control.programs.program import ArgumentError, check_no_arguments
+from xtdrone_control.programs.under_roslaunch import announce
 
 _PATIENCE = 60.0  # wall s to wait for the simulator
 _ADD, _REMOVE = "/simulator/add_vehicle", "/simulator/remove_vehicle"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from xtdrone_control.settings import Settings, setting
-from xtdrone_sim.vehicles.visual import Box, Colour, Pose, Visual
+from xtdrone_sim.shapes.visual import Box, Colour, Pose, Visual
 from xtdrone_sim.worlds.scenery import assets, scenery_objects
 from xtdrone_sim.worlds.scenery.free_ground import Rectangle
 from xtdrone_sim.worlds.scenery.materials import Kit

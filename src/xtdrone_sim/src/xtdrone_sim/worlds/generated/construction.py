@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from xtdrone_control.rotation import from_euler
-from xtdrone_sim.vehicles.visual import Box, Collision, Colour, Mesh, Pose, Visual
+from xtdrone_sim.shapes.visual import Box, Collision, Colour, Mesh, Pose, Visual
 from xtdrone_sim.worlds.scenery import assets
 from xtdrone_sim.worlds.scenery.free_ground import Rectangle
 from xtdrone_sim.worlds.scenery.scenery_objects import Thing

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from xtdrone_control.settings import Settings, setting
-from xtdrone_sim.vehicles.visual import Cylinder, Pose, Visual
+from xtdrone_sim.shapes.visual import Cylinder, Pose, Visual
 from xtdrone_sim.worlds.scenery import scenery_objects
 from xtdrone_sim.worlds.scenery.materials import Kit
 from xtdrone_sim.worlds.scenery.scenery_objects import Thing

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from xtdrone_control.settings import SettingError, Settings, setting
-from xtdrone_sim.vehicles.visual import Colour, Cylinder, Pose, Visual
+from xtdrone_sim.shapes.visual import Colour, Cylinder, Pose, Visual
 from xtdrone_sim.worlds.scenery.free_ground import Rectangle
 from xtdrone_sim.worlds.scenery.materials import Kit
 from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.settings import Settings, setting
-from xtdrone_sim.vehicles.visual import Colour, Visual
+from xtdrone_sim.shapes.visual import Colour, Visual
 from xtdrone_sim.worlds.sdf import SdfWorld
 
 from .construction import BESIDE, START, box, ground, solid, world

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_sim.vehicles.pose_arithmetic import compose
+from xtdrone_sim.shapes.pose_arithmetic import compose
 from xtdrone_sim.worlds.sdf import SdfWorld
-from xtdrone_sim.worlds.sdf.geometry import box_of
+from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
 
 Rectangle = tuple[float, float, float, float]
 """x0, y0, x1, y1, m."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from xtdrone_control.settings import check_choice
-from xtdrone_sim.vehicles.visual import Colour
+from xtdrone_sim.shapes.visual import Colour
 from xtdrone_sim.worlds.scenery import assets
 
 SPLITS = ("all", "train", "test")

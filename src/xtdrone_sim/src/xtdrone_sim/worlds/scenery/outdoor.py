@@ -11,7 +11,7 @@ import numpy as np
 
 from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import Settings, check_range, setting
-from xtdrone_sim.vehicles.visual import Mesh, Pose, Visual
+from xtdrone_sim.shapes.visual import Mesh, Pose, Visual
 from xtdrone_sim.worlds.scenery import assets, scenery_objects
 from xtdrone_sim.worlds.scenery.free_ground import Ground, Rectangle
 from xtdrone_sim.worlds.scenery.materials import SPLITS, Kit

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from xtdrone_control.rotation import from_euler
-from xtdrone_sim.vehicles.visual import Box, Collision, Colour, Cylinder, Geometry, Mesh, Pose, Sphere, Visual
+from xtdrone_sim.shapes.visual import Box, Collision, Colour, Cylinder, Geometry, Mesh, Pose, Sphere, Visual
 from xtdrone_sim.worlds.scenery import assets
 from xtdrone_sim.worlds.scenery.materials import Kit
 

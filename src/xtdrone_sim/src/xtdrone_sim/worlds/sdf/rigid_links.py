@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from xtdrone_sim.vehicles.urdf import Inertial
-from xtdrone_sim.worlds.sdf.geometry import has_heightmap
+from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import has_heightmap
 from xtdrone_sim.worlds.sdf.world_records import DEFAULT_INERTIAL, SdfLink
 from xtdrone_sim.worlds.sdf.xml_elements import Element
 from xtdrone_sim.worlds.sdf.xml_poses import (

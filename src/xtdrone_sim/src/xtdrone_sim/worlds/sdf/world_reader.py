@@ -11,8 +11,8 @@ from typing import Any
 
 from xtdrone_control.bounded_file import read_bytes
 from xtdrone_control.geodesy.datum import Datum
-from xtdrone_sim.vehicles.visual import Collision, Visual
-from xtdrone_sim.worlds.sdf.geometry import is_plane, read_collisions, read_visuals
+from xtdrone_sim.shapes.visual import Collision, Visual
+from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import is_plane, read_collisions, read_visuals
 from xtdrone_sim.worlds.sdf.model_uris import (
     model_folders,
     resolve,

@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from decimal import Decimal
 from xml.sax.saxutils import escape, quoteattr
 
+from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.vehicles.urdf import Inertial
-from xtdrone_sim.vehicles.visual import Pose
-from xtdrone_sim.worlds.sdf.geometry import write_collision, write_visual
+from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import write_collision, write_visual
 from xtdrone_sim.worlds.sdf.rigid_links import INERTIA
 from xtdrone_sim.worlds.sdf.world_reader import DECLINATION, GROUND, SPEED
 from xtdrone_sim.worlds.sdf.world_records import SdfActor, SdfLink, SdfModel, SdfWorld, Trajectory

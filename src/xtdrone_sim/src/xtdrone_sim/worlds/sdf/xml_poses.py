@@ -6,7 +6,7 @@ import math
 
 from xtdrone_control.frames import to_xyzw
 from xtdrone_control.rotation import from_euler, to_euler
-from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.worlds.sdf.xml_elements import Element
 
 _QUATERNION = "quat_xyzw"

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from xtdrone_control.rotation import Vector, from_euler
+from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Geometry, Mesh, Pose, Sphere, Visual
 from xtdrone_sim.vehicles.urdf import Inertial
-from xtdrone_sim.vehicles.visual import Box, Collision, Cylinder, Geometry, Mesh, Pose, Sphere, Visual
-from xtdrone_sim.worlds.sdf.geometry import box_of
-from xtdrone_sim.worlds.sdf.heightmaps import read_heightmap
-from xtdrone_sim.worlds.sdf.materials import GREY
-from xtdrone_sim.worlds.sdf.mesh_files import MeshPart, check_wavefront, read_mesh
+from xtdrone_sim.worlds.sdf.geometries.heightmaps import read_heightmap
+from xtdrone_sim.worlds.sdf.geometries.materials import GREY
+from xtdrone_sim.worlds.sdf.geometries.mesh_files import MeshPart, check_wavefront, read_mesh
+from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
 from xtdrone_sim.worlds.sdf.model_uris import (
     resolve,
 )

@@ -6,12 +6,12 @@ state to it after a long rejection; ``stop_timed_out_sources`` handles timeouts.
 
 from __future__ import annotations
 
-from xtdrone_control.autopilot.estimator.aiding.ev_control import process_vision
-from xtdrone_control.autopilot.estimator.aiding.flow_control import process_flow
-from xtdrone_control.autopilot.estimator.aiding.gps_control import process_gps
-from xtdrone_control.autopilot.estimator.aiding.height_control import process_baro
-from xtdrone_control.autopilot.estimator.aiding.mag_control import process_mag
-from xtdrone_control.autopilot.estimator.aiding.range_control import process_range
+from xtdrone_control.autopilot.estimator.aiding.sources.ev_control import process_vision
+from xtdrone_control.autopilot.estimator.aiding.sources.flow_control import process_flow
+from xtdrone_control.autopilot.estimator.aiding.sources.gps_control import process_gps
+from xtdrone_control.autopilot.estimator.aiding.sources.height_control import process_baro
+from xtdrone_control.autopilot.estimator.aiding.sources.mag_control import process_mag
+from xtdrone_control.autopilot.estimator.aiding.sources.range_control import process_range
 from xtdrone_control.kernel import kernel
 
 _MAG_PERIOD_US = 60_000  # PX4: SENS_MAG_RATE 15 Hz, rounded to the magnetometer's 50 Hz

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from xtdrone_control.autopilot.estimator.aiding.ev_control import stop_vision
 from xtdrone_control.autopilot.estimator.aiding.horizontal_aiding import other_horizontal_aiding
 from xtdrone_control.autopilot.estimator.aiding.source_timeouts import (
     GPS_STOP_US,
@@ -11,6 +10,7 @@ from xtdrone_control.autopilot.estimator.aiding.source_timeouts import (
     VISION_STOP_US,
     is_recent,
 )
+from xtdrone_control.autopilot.estimator.aiding.sources.ev_control import stop_vision
 from xtdrone_control.autopilot.state import HEIGHT_BARO, HEIGHT_GPS, HEIGHT_RANGE, HEIGHT_VISION
 from xtdrone_control.kernel import kernel
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.estimator.aiding.fake_pos_control import hold_position
 from xtdrone_control.autopilot.estimator.aiding.horizontal_aiding import (
     other_horizontal_aiding,
 )
@@ -15,6 +14,7 @@ from xtdrone_control.autopilot.estimator.aiding.source_timeouts import (
     SENSOR_STOP_US,
     is_recent,
 )
+from xtdrone_control.autopilot.estimator.aiding.sources.fake_pos_control import hold_position
 from xtdrone_control.autopilot.estimator.aiding.stop_timed_out_sources import stop_timed_out
 from xtdrone_control.autopilot.state import N_STATES
 from xtdrone_control.kernel import kernel

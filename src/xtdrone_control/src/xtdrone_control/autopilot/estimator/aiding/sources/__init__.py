@@ -1,0 +1,1 @@
+"""The aiding sources, one module each, named as in PX4's ekf2."""

@@ -1,0 +1,67 @@
+"""Aiding by optical flow (PX4: optical_flow_control)."""
+
+from __future__ import annotations
+
+import math
+
+from xtdrone_control.autopilot.estimator.aiding.horizontal_aiding import (
+    mark_located,
+)
+from xtdrone_control.autopilot.estimator.aiding.source_timeouts import HEIGHT_RESET_US, RESET_US, is_recent
+from xtdrone_control.autopilot.estimator.aiding.sources.range_control import (
+    LEAST_TERRAIN_VARIANCE,
+    LEVEL_COSINE,
+    tilt_cosine,
+)
+from xtdrone_control.autopilot.estimator.fusion import fuse_flow, reset_position, reset_velocity
+from xtdrone_control.kernel import kernel
+from xtdrone_control.rotation_kernels import constrain, yaw_of
+
+
+@kernel
+def process_flow(e, s, p, work):
+    """Process a sample of optical flow, which needs a known height above ground."""
+    e.time_flow_us = s.time_us
+    e.flow_good = s.flow_quality >= p.ekf2_of_qmin
+    known = is_recent(s.time_us, e.time_terrain_fuse_us, HEIGHT_RESET_US)
+    if not int(p.ekf2_of_ctrl) or not e.flow_good or not known or tilt_cosine(e) < LEVEL_COSINE:
+        return
+    hagl = max(e.terrain - e.position[2], p.ekf2_min_rng)
+    share = (s.flow_quality - p.ekf2_of_qmin) / max(255.0 - p.ekf2_of_qmin, 1.0)
+    noise = p.ekf2_of_n_max + (p.ekf2_of_n_min - p.ekf2_of_n_max) * constrain(share, 0.0, 1.0)
+    gx, gy = s.flow_gyro[0], s.flow_gyro[1]
+    if math.isnan(gx) or math.isnan(gy):
+        gx, gy = e.rates[0], e.rates[1]
+    x, y = s.flow_rate[0] - gx, s.flow_rate[1] - gy
+    speed_error = (x * x + y * y) * e.terrain_variance / (hagl * hagl)
+    if not e.flow_used:
+        _start_flow(e, s, x, y, hagl, noise)
+        return
+    e.test_ratio.flow = fuse_flow(e, x, y, hagl, noise**2 + speed_error, p.ekf2_of_gate, work)
+    if e.test_ratio.flow <= 1.0:
+        e.time_flow_fuse_us = e.time_last_vel_fuse_us = s.time_us
+    elif not is_recent(s.time_us, e.time_flow_fuse_us, RESET_US):
+        e.flow_used = 0
+
+
+@kernel
+def _start_flow(e, s, x, y, hagl, noise):
+    """Start fusing optical flow; without another horizontal source, reset the velocity to it and keep the position."""
+    e.flow_used = 1
+    e.time_flow_fuse_us = s.time_us
+    if e.gps_used or e.vision_position_used or e.vision_velocity_used:
+        return
+    reach = hagl / tilt_cosine(e)
+    north, east = _heading_to_local(e, y * reach, -x * reach)
+    reset_velocity(e, north, east, (noise * reach) ** 2)
+    if not e.located:
+        reset_position(e, e.position[0], e.position[1], LEAST_TERRAIN_VARIANCE)
+    mark_located(e, s)
+
+
+@kernel
+def _heading_to_local(e, forward, right):
+    """Return (north, east) of a horizontal vector given as (forward, right) of the heading."""
+    yaw = yaw_of(e.q)
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    return cos * forward - sin * right, sin * forward + cos * right

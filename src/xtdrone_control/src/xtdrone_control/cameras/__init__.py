@@ -1,0 +1,9 @@
+"""Cameras as geometry: pinholes, lenses that distort by ROS's distortion models, and poses on gimbals."""
+
+from xtdrone_control.cameras.equidistant import Equidistant
+from xtdrone_control.cameras.lens_drawing import MOST_GROWTH, Drawing, drawing_of
+from xtdrone_control.cameras.plumb_bob import PlumbBob
+
+Lens = PlumbBob | Equidistant
+
+__all__ = ["MOST_GROWTH", "Drawing", "Equidistant", "Lens", "PlumbBob", "drawing_of"]

@@ -1,0 +1,1 @@
+"""Files of the autopilot: MAVLink FTP, component metadata, download and streaming of flight logs."""

@@ -1,0 +1,1 @@
+"""The formation flight as a demo: on the full stack, and simplified."""

@@ -1,0 +1,223 @@
+"""``./xtdrone demo landing``: a UAV finds a ground robot that drives by its AprilTags, and lands on it.
+
+Exit status: 0 for a landing within 0.15 m of the middle of the tags, 1 for another one or a failed flight, 2 for a
+value that is not allowed, 128 + n when stopped by signal n.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import random
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from xtdrone_control.settings import Settings, setting
+from xtdrone_interaction import options
+from xtdrone_interaction.console import PatientConsole, run_reported
+from xtdrone_interaction.formation.distances import EVENTS_TOPIC, PROGRESS_TOPIC
+from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, escape, master_port, run_flight
+from xtdrone_interaction.metrics.missions.formation_metrics import write_report
+from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
+from xtdrone_interaction.monitoring.progress_display import Display
+from xtdrone_interaction.options import MachineSettings, seed_setting, speed_setting, web_setting
+from xtdrone_interaction.recording.recorded_flight import RecordError
+
+TYPE, ROBOT = "iris_landing_camera", "ugv_0"
+_SPAWN = (0.0, 3.0)  # m, of the UAV
+_AWAY = 11.0  # m, of the robot at the start: out of sight
+_ASIDE = 0.12  # rad, greatest angle between its heading and the UAV
+_START_LIMIT = 120.0  # s of wall time until the first progress message
+_WORDS = {
+    "tags found": "the platform is in sight: [bold]AUTO.PRECLAND[/bold]",
+    "no tags found": "[yellow]no tags found: landing here[/yellow]",
+    "landing given up": "[yellow]landing given up[/yellow]",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class LandingDemoSettings(Settings):
+    """Settings of the flight.
+
+    Attributes:
+        world: name, or absolute path of a file.
+        out: folder of the results.
+        master_port: TCP port of the flight's own ROS master; 0 for the running one of ROS_MASTER_URI.
+        instance: number of the simulation on this machine.
+    """
+
+    ugv_speed: float = setting(1.0, low=0.0, high=1.4, unit="m/s", metavar="V", text="speed of the robot")
+    ugv_turn: float = setting(0.0, low=-0.3, high=0.3, unit="rad/s", metavar="W", text="yaw rate of the robot")
+    speed: float = speed_setting()
+    seed: int = seed_setting("seed of all noise, and of the robot's place")
+    headless: bool = setting(False, text="print lines instead of a live display")
+    world: str = ""
+    out: Path = Path()
+    master_port: int = 0
+    instance: int = 0
+    web: bool = web_setting()
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.description = (
+        "Land on a driving robot: a UAV with a camera that looks down takes off, searches the robot's AprilTags and "
+        "lands on them by PX4's precision landing. Leaves runs/<time>/ with flight.bag, report.json, events.jsonl and "
+        "landing.png."
+    )
+    LandingDemoSettings.add_arguments(parser, ("ugv_speed", "ugv_turn", "seed", "speed", "headless", "web"))
+    options.add_world(parser)
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
+    options.add_master(parser)
+    options.add_instance(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Land and return the exit status."""
+    return run_reported(lambda: fly(settings_of(arguments), PatientConsole()))
+
+
+def settings_of(arguments: argparse.Namespace) -> LandingDemoSettings:
+    """Return the settings, after all checks that need no ROS.
+
+    Raises:
+        OptionError: a value is not allowed.
+    """
+    settings = LandingDemoSettings.from_arguments(arguments, world=options.world(arguments.world))
+    machine = MachineSettings.from_arguments(arguments)
+    return replace(
+        settings,
+        out=options.results_folder(arguments.out, recorded=True),
+        master_port=master_port(machine.master_port, use_running=arguments.use_master),
+        instance=options.take_instance(f"{TYPE}:1", machine.instance),
+    )
+
+
+def robot_start(seed: int) -> tuple[float, float, float]:
+    """Return where the robot starts, x, y, m, and yaw, rad: somewhere around the UAV, facing it roughly."""
+    generator = random.Random(seed)
+    bearing, aside = generator.uniform(-math.pi, math.pi), generator.uniform(-_ASIDE, _ASIDE)
+    x, y = _SPAWN[0] + _AWAY * math.cos(bearing), _SPAWN[1] + _AWAY * math.sin(bearing)
+    return round(x, 3), round(y, 3), round(math.remainder(bearing + math.pi + aside, math.tau), 4)
+
+
+def fly(settings: LandingDemoSettings, console: Console) -> int:
+    """Fly the landing and return the exit status."""
+    begin = time.monotonic()
+    return run_flight(
+        _flight(settings), console, lambda ended: _conclude(settings, console, time.monotonic() - begin, ended)
+    )
+
+
+def _flight(settings: LandingDemoSettings) -> Flight:
+    place = ", ".join(f"{value:g}" for value in robot_start(settings.seed))
+    return Flight(
+        file="landing.launch",
+        arguments={
+            "type": TYPE,
+            "robots": f"[{{name: {ROBOT}, type: ugv_tags, pose: [{place}]}}]",
+            "world": settings.world,
+            "ugv_speed": settings.ugv_speed,
+            "ugv_turn": settings.ugv_turn,
+            "seed": settings.seed,
+            "speed": settings.speed,
+            "out": settings.out,
+            **({"instance": settings.instance} if settings.instance else {}),
+            **({"web": "true"} if settings.web else {}),
+        },
+        out=settings.out,
+        bag="flight.bag",
+        master_port=settings.master_port,
+        headless=settings.headless,
+        instance=settings.instance,
+        start_limit=_START_LIMIT,
+        progress_topic=PROGRESS_TOPIC,
+        events_topic=EVENTS_TOPIC,
+        last_events=("finished",),
+        show_event=_show_event,
+    )
+
+
+def _show_event(event: dict[str, Any], display: Display) -> None:
+    words = _WORDS.get(event["event"])
+    if words is not None:
+        display.note(f"  {event['time']:6.1f} s  {words}")
+
+
+def _conclude(settings: LandingDemoSettings, console: Console, wall_time: float, ended_nodes: EndedNodes) -> int:
+    unstored = ("out", "master_port", "headless", "instance", "web")
+    stored = {key: value for key, value in asdict(settings).items() if key not in unstored}
+    report = report_of(settings.out / "flight.bag", {**stored, "wall_time": wall_time})
+    ended = [str(node) for node in ended_nodes.found.values() if node.matters]
+    report["shortcomings"] = [*ended, *report["shortcomings"]]
+    write_report(report, settings.out / "report.json")
+    print_landing(report, console)
+    for name in ("flight.bag", "report.json", "landing.png"):
+        console.print(f"  {settings.out / name}", highlight=False, soft_wrap=True)
+    return 1 if report["shortcomings"] else 0
+
+
+def report_of(bag: Path, settings: dict[str, Any]) -> dict[str, Any]:
+    """Return the report of a recorded landing, and draw landing.png beside the bag.
+
+    Raises:
+        DemoError: the bag is not the record of a landing.
+    """
+    from xtdrone_interaction.landing.figures import make_report, read_landing  # matplotlib takes a while to import
+    from xtdrone_interaction.pictures.landing_picture import save_landing
+
+    try:
+        record = read_landing(bag, f"{TYPE}_0", ROBOT)
+    except RecordError as error:
+        raise DemoError(str(error)) from error
+    report = make_report(record, settings)
+    save_landing(record, report, bag.parent / "landing.png")
+    return report
+
+
+def report_again(bag: Path, console: Console) -> int:
+    """Make the report of a recorded landing again and return the exit status.
+
+    Raises:
+        DemoError: it cannot be read.
+    """
+    file = bag.parent / "report.json"
+    try:
+        known = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        known = {}
+    report = report_of(bag, known.get("settings", {}))
+    write_report(report, file)
+    print_landing(report, console)
+    return 1 if report["shortcomings"] else 0
+
+
+def is_landing(bag: Path) -> bool:
+    """Return whether the events beside a bag are those of a landing."""
+    from xtdrone_interaction.formation.flight_events import EVENTS_FILE, read_events
+
+    try:
+        events = read_events(bag.parent / EVENTS_FILE)
+    except ValueError:
+        return False
+    return bool(events) and "ugv_speed" in events[0]
+
+
+def print_landing(report: dict[str, Any], console: Console) -> None:
+    """Print the figures of a landing."""
+    touch = report["touchdown"]
+    if touch is not None:
+        console.print(
+            f"Touchdown {touch['error']:.3f} m from the middle of the tags, {touch['horizontal_velocity']:.2f} m/s "
+            f"across and {-touch['vertical_velocity']:.2f} m/s down relative to the robot, "
+            f"{report['landing_time']:.1f} s after the tags were found; "
+            f"in sight in {100 * report['in_sight']:.0f} % of the pictures since.",
+            highlight=False, soft_wrap=True,
+        )  # fmt: skip
+    for text in report["shortcomings"]:
+        console.print(f"[red]Missed:[/red] {escape(text)}", highlight=False, soft_wrap=True)

@@ -1,0 +1,1 @@
+"""The cooperative search as a demo: preparation, flight, options."""

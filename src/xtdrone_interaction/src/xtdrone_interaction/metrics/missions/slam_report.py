@@ -1,0 +1,87 @@
+"""The report of a flight by odometry alone: drift, where it landed, and its map against the world."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from xtdrone_interaction.metrics.missions.odometry_errors import Trajectory, aligned, common, errors, pairs
+from xtdrone_interaction.recording.bag import read_bag
+from xtdrone_interaction.recording.recorded_flight import RecordError, Recording
+from xtdrone_interaction.recording.series import Array
+
+SOURCE = "lidar_odometry"
+_HOME_LIMIT = 0.5  # m
+_DRIFT_LIMIT = 0.5  # % of the way
+_VOXEL = 0.5  # m, of the joined map
+
+
+class ShownFlight(NamedTuple):
+    """What pictures of the flight need.
+
+    Attributes:
+        name: of vehicle and source.
+        found, true: poses at the same times, the former in the latter's frame.
+        points: (n, 3) m of the map, in the odometry's frame.
+    """
+
+    name: str
+    found: Trajectory
+    true: Trajectory
+    points: Array
+
+
+def slam_report(bag: Path) -> tuple[dict[str, Any], ShownFlight]:
+    """Return the report as plain data, and what its pictures need.
+
+    Raises:
+        RecordError: the bag has no odometry beside the truth.
+    """
+    maps = f"/{SOURCE}/local_map"
+    names = [topic.name for topic in read_bag([bag], wanted=lambda name: False).topics if topic.name.endswith(maps)]
+    recording = read_bag([bag], keep=names)
+    known = [pair for pair in pairs(recording) if pair[1] == SOURCE]
+    if not known:
+        raise RecordError(f"{bag}: no {SOURCE} beside the vehicle's true odometry")
+    vehicle, source, estimate, truth = known[0]
+    rows = [
+        {"vehicle": vehicle, "source": source, **asdict(row)}
+        for alignment in ("first", "umeyama")
+        if (row := errors(estimate, truth, alignment)) is not None
+    ]
+    if not rows:
+        raise RecordError(f"{bag}: {source} and the truth have no times in common")
+    found, true = common(estimate, truth)
+    miss = float(np.linalg.norm((truth.position[-1] - truth.position[0])[:2]))
+    points = _joined([message for name in names for _, message in recording.messages.get(name, [])])
+    report = {
+        "vehicle": vehicle,
+        "odometry": rows,
+        "home_miss": miss,
+        "map_points": len(points),
+        "shortcomings": _shortcomings(rows[0], miss, recording),
+    }
+    return report, ShownFlight(f"{vehicle} {source}", aligned(found, true, "first"), true, points)
+
+
+def _shortcomings(row: dict[str, Any], miss: float, recording: Recording) -> list[str]:
+    found = list(recording.collisions)
+    if miss > _HOME_LIMIT:
+        found.append(f"landed {miss:.2f} m from the start, more than {_HOME_LIMIT:g} m")
+    if row["drift"] is not None and row["drift"] > _DRIFT_LIMIT:
+        found.append(f"drift {row['drift']:.2f} % of the way, more than {_DRIFT_LIMIT:g} %")
+    return found
+
+
+def _joined(messages: list[Any]) -> Array:
+    """Return the points of several maps, one of each voxel, the latest."""
+    clouds = [np.frombuffer(bytes(message.data), "<f4").reshape(-1, 3) for message in reversed(messages)]
+    if not clouds:
+        return np.empty((0, 3))
+    points = np.concatenate(clouds).astype(float)
+    _, chosen = np.unique(np.floor(points / _VOXEL).astype(np.int64), axis=0, return_index=True)
+    joined: Array = points[np.sort(chosen)]
+    return joined

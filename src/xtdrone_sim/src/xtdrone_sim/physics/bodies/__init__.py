@@ -1,0 +1,1 @@
+"""Solid things beside the vehicles: obstacles, models that move, people."""

@@ -1,0 +1,463 @@
+"""Models that can change their place: those that fall and are pushed, and those moved or added by a request.
+
+A movable model is one rigid body of Bullet with the mass of all its links. At rest it sleeps: nothing integrates it
+until a vehicle or another moving body comes near. A body without mass stands where it is put. A held body stands too,
+until the time of the hold has passed. A driven body, a robot, moves as its drive determines: Bullet gets its velocity,
+so that it carries and pushes what touches it, and what stands stops it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_control.frames import to_xyzw
+from xtdrone_control.rotation import Vector
+from xtdrone_sim.kernel import kernel
+from xtdrone_sim.physics.bodies.mass_of_models import mass_of
+from xtdrone_sim.physics.bodies.obstacles import shape_array
+from xtdrone_sim.physics.contacts.sleeping import (
+    REST_SPEED,
+    REST_STEPS,
+)
+from xtdrone_sim.physics.quiet_pybullet import BulletClient, pybullet
+from xtdrone_sim.physics.vehicle_dynamics import ABSENT, FREE, TOUCHING
+from xtdrone_sim.shapes.pose_arithmetic import compose, inverse, rotate
+from xtdrone_sim.shapes.visual import Pose
+from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
+from xtdrone_sim.worlds.sdf.rigid_links import MOST_SHAPES
+from xtdrone_sim.worlds.sdf.world_records import SdfModel
+
+_NEAR = 0.1  # m between the boxes of two bodies below which a moving one wakes the other
+_ROLLING = 1e-3  # m, rolling and spinning friction: a ball comes to rest
+_LOST = 1e6  # m from the origin at which a body has left the world
+_TOUCH = 1e-3  # m of overlap from which on something stops a driven body
+_STEEP = 0.7  # vertical part of a normal above which a surface is floor or ceiling
+
+
+@kernel
+def mark_near_bodies(plant, models, boxes, speeds, moving, limits, horizon, wanted, near, hit):
+    """Set ``wanted`` to TOUCHING for every vehicle in flight that is near a body.
+
+    Vehicles are spheres, bodies boxes, both enlarged by the distance that they can travel until the next check.
+
+    Args:
+        plant: (n,) ``PLANT``.
+        models: (n,) ``MODEL``.
+        boxes: (k, 6) lowest and highest corner of each body, m.
+        speeds: (k,) m/s.
+        moving: (k,) non-zero if the body has moved lately.
+        limits: (2,) see ``mark_near_obstacles``.
+        horizon: time until the next check, s.
+        wanted: (n,) FREE, TOUCHING or ASLEEP; updated.
+        near: (k,) set to 1 for bodies that a moving vehicle is near to; updated.
+        hit: (n,) set to 1 for vehicles that a moving body is near to; updated.
+
+    Returns:
+        Number of vehicles near a body.
+    """
+    count = 0
+    for i in range(plant.shape[0]):
+        v = plant[i]
+        if v.contact == ABSENT:
+            continue
+        x, y, z = v.position[0], v.position[1], v.position[2]
+        speed = math.sqrt(v.velocity[0] ** 2 + v.velocity[1] ** 2 + v.velocity[2] ** 2)
+        own = models[i].radius + speed * horizon + (limits[0] if v.contact == FREE else limits[1])
+        found = False
+        for k in range(boxes.shape[0]):
+            b, reach = boxes[k], own + speeds[k] * horizon
+            dx = max(max(b[0] - x, x - b[3]), 0.0)
+            dy = max(max(b[1] - y, y - b[4]), 0.0)
+            dz = max(max(b[2] - z, z - b[5]), 0.0)
+            if not dx * dx + dy * dy + dz * dz < reach * reach:
+                continue
+            found = True
+            if v.contact == FREE or (v.contact == TOUCHING and v.still_steps < REST_STEPS):
+                near[k] = 1
+            if moving[k]:
+                hit[i] = 1
+        if found:
+            count += 1
+            if wanted[i] == FREE:
+                wanted[i] = TOUCHING
+    return count
+
+
+class Drive(Protocol):
+    """Moves a body along its own way; see ``robots.kinematics.Drive``.
+
+    Attributes:
+        yields: whether what stands stops it.
+    """
+
+    yields: bool
+
+    @property
+    def is_still(self) -> bool:
+        """Whether it stands and is to stand."""
+
+    def propose(self, dt: float) -> tuple[Pose, Vector, Vector]:
+        """Return pose, velocity, m/s, and spin, rad/s, of the model in the world for a step of ``dt``, s."""
+
+    def accept(self) -> None:
+        """Make the step that was proposed last."""
+
+    def block(self) -> None:
+        """Stop at once, without the step that was proposed last."""
+
+    def place(self, pose: Pose) -> None:
+        """Stand at a pose."""
+
+
+@dataclass(eq=False)
+class Body:
+    """A model in Bullet.
+
+    Attributes:
+        model: its description.
+        frame: principal axes at the centre of mass, in the model's frame; the model's frame of a body without mass.
+        mass: kg; 0: it stands.
+        weight: share of the mass that has weight.
+        shapes: Bullet's bodies; one of a body with mass, none if nothing of it collides.
+        box: lowest and highest corner (2, 3), m, in ``frame``.
+        pose: of the model in the world.
+        velocity: of the model's origin, m/s, world.
+        spin: rad/s, world.
+        held: step until which it stands where it was put.
+        still_steps: steps at rest.
+        drive: what moves it; None: forces.
+        way: pose, velocity and spin that the drive has proposed for the present step.
+    """
+
+    model: SdfModel
+    frame: Pose
+    mass: float
+    weight: float
+    shapes: list[int]
+    box: NDArray[np.float64]
+    pose: Pose
+    velocity: Vector = (0.0, 0.0, 0.0)
+    spin: Vector = (0.0, 0.0, 0.0)
+    held: int = 0
+    still_steps: int = 0
+    drive: Drive | None = None
+    way: tuple[Pose, Vector, Vector] = (Pose(), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    force: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    torque: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+
+    @property
+    def is_solid(self) -> bool:
+        """Whether Bullet can move it."""
+        return self.mass > 0.0 and bool(self.shapes)
+
+    @property
+    def centre(self) -> Vector:
+        """The centre of mass in the world, m."""
+        return compose(self.pose, self.frame).position
+
+
+class Bodies:
+    """All models of a world that can change their place.
+
+    Attributes:
+        by_number: by the model's number; see ``World.collisions``.
+        awake: numbers of the bodies that Bullet moves.
+        people: numbers of the bodies that are people.
+    """
+
+    def __init__(self, client: BulletClient, friction: float, restitution: float) -> None:
+        """Begin without bodies.
+
+        Args:
+            client: Bullet, without gravity.
+            friction, restitution: of all bodies.
+        """
+        self.by_number: dict[int, Body] = {}
+        self.awake: set[int] = set()
+        self.people: set[int] = set()
+        self._client = client
+        self._surface = {"lateralFriction": friction, "restitution": restitution}
+
+    @property
+    def models(self) -> dict[int, Body]:
+        """All bodies by number but people."""
+        if not self.people:
+            return self.by_number
+        return {number: body for number, body in self.by_number.items() if number not in self.people}
+
+    def add(self, number: int, model: SdfModel, pose: Pose, drive: Drive | None = None) -> Body:
+        """Create a body at a pose; one with mass is awake.
+
+        Args:
+            number: of its model.
+            model: its description; that of a driven body has its centre of mass at the origin.
+            pose: of the model in the world.
+            drive: what moves it; None: forces.
+
+        Raises:
+            SdfError: a mesh file cannot be read.
+        """
+        mass, frame, moments = (0.0, Pose(), np.zeros(3)) if model.static else mass_of(model)
+        back = inverse(frame)
+        placed = [
+            (shape.geometry, compose(back, compose(link.pose, shape.pose)))
+            for link in model.links
+            for shape in link.collisions
+        ]
+        corners = np.array([box_of(*shape) for shape in placed], float).reshape(-1, 2, 3)
+        box = np.array([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)]) if len(corners) else np.zeros((2, 3))
+        heavy = [link for link in model.links if link.gravity]
+        weight = len(heavy) / len(model.links) if model.links else 0.0
+        start = compose(pose, frame)
+        shapes = [
+            self._client.createMultiBody(
+                mass,
+                shape_array(self._client, placed[k : k + MOST_SHAPES], hollow=mass == 0.0),
+                basePosition=start.position,
+                baseOrientation=to_xyzw(start.orientation),
+            )
+            for k in range(0, len(placed), MOST_SHAPES)
+        ]
+        settings = dict(self._surface)
+        if mass > 0.0:
+            settings |= {"linearDamping": 0.0, "angularDamping": 0.0, "localInertiaDiagonal": moments.tolist()}
+            settings |= {"rollingFriction": _ROLLING, "spinningFriction": _ROLLING}
+            settings |= {"activationState": pybullet.ACTIVATION_STATE_DISABLE_SLEEPING}
+        for shape in shapes:
+            self._client.changeDynamics(shape, -1, **settings)
+        body = self.by_number[number] = Body(model, frame, mass, weight, shapes, box, pose, drive=drive)
+        if body.is_solid:
+            self.awake.add(number)
+        return body
+
+    def remove(self, number: int) -> None:
+        """Remove a body, and wake those that may rest on it."""
+        boxes, _ = self._bounds([number])
+        body = self.by_number.pop(number)
+        self.awake.discard(number)
+        for shape in body.shapes:
+            self._client.removeBody(shape)
+        self.wake_around(boxes)
+
+    def place(self, number: int, pose: Pose, velocity: Vector, spin: Vector, held: int = 0) -> None:
+        """Put a body somewhere.
+
+        Args:
+            number: of its model.
+            pose: of the model in the world.
+            velocity, spin: of the model, m/s and rad/s, world.
+            held: step until which it stands there.
+        """
+        body = self.by_number[number]
+        before, _ = self._bounds([number])
+        body.pose, body.velocity, body.spin, body.held, body.still_steps = pose, velocity, spin, held, 0
+        if body.drive is not None:
+            body.drive.place(pose)
+        self._reset(body, moving=not held)
+        self.awake.discard(number)
+        if body.is_solid and not held:
+            self.awake.add(number)
+        self.wake_around(before)
+
+    def _reset(self, body: Body, *, moving: bool) -> None:
+        centre = compose(body.pose, body.frame)
+        for shape in body.shapes:
+            self._client.resetBasePositionAndOrientation(shape, centre.position, to_xyzw(centre.orientation))
+        if body.is_solid:
+            still = (0.0, 0.0, 0.0)
+            velocity = _at(body.velocity, body.spin, _arm(body)) if moving else still
+            self._client.resetBaseVelocity(body.shapes[0], velocity, body.spin if moving else still)
+
+    def wake(self, number: int) -> None:
+        """Let Bullet move a body with mass again, at least until it is at rest."""
+        self.by_number[number].still_steps = 0
+        self.awake.add(number)
+
+    def check(
+        self,
+        plant: NDArray[np.void],
+        models: NDArray[np.void],
+        limits: NDArray[np.float64],
+        steps: tuple[int, int],
+        dt: float,
+        wanted: NDArray[np.int64],
+    ) -> tuple[int, NDArray[np.int64]]:
+        """Mark vehicles near bodies, wake bodies near to what moves, and end holds.
+
+        Args:
+            plant, models, limits, wanted: see ``mark_near_bodies``.
+            steps: number of the next step, and the steps until the next check.
+            dt: s.
+
+        Returns:
+            The number of vehicles near a body, and (n,) 1 for vehicles that a moving body is near to.
+        """
+        now, ahead = steps
+        numbers = list(self.by_number)
+        for number in numbers:
+            body = self.by_number[number]
+            if body.held and now >= body.held:
+                body.held = 0
+                self._reset(body, moving=True)
+                if body.is_solid:
+                    self.wake(number)
+            elif number not in self.awake:
+                body.still_steps += ahead
+        boxes, speeds = self._bounds(numbers)
+        moving = np.array([self.by_number[number].still_steps < REST_STEPS for number in numbers], np.int64)
+        near, hit = np.zeros(len(numbers), np.int64), np.zeros(len(plant), np.int64)
+        count = mark_near_bodies(plant, models, boxes, speeds, moving, limits, ahead * dt, wanted, near, hit)
+        self._wake_near(numbers, boxes, near)
+        return int(count), hit
+
+    def _bounds(self, numbers: list[int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the boxes (k, 6), m, and the greatest speeds (k,), m/s, of bodies."""
+        boxes, speeds = np.empty((len(numbers), 6)), np.empty(len(numbers))
+        for k, number in enumerate(numbers):
+            body = self.by_number[number]
+            frame = compose(body.pose, body.frame)
+            axes = [rotate(frame.orientation, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
+            turn = np.array(axes).T
+            middle = turn @ (0.5 * (body.box[0] + body.box[1])) + frame.position
+            half = np.abs(turn) @ (0.5 * (body.box[1] - body.box[0]))
+            boxes[k, :3], boxes[k, 3:] = middle - half, middle + half
+            speeds[k] = math.hypot(*body.velocity) + math.hypot(*body.spin) * float(np.linalg.norm(half))
+        return boxes, speeds
+
+    def _wake_near(self, numbers: list[int], boxes: NDArray[np.float64], near: NDArray[np.int64]) -> None:
+        """Wake sleeping bodies that a vehicle, or another body that moves, is near to."""
+        moves = [self.by_number[k].still_steps < (1 if k in self.awake else REST_STEPS) for k in numbers]
+        near = near | _meet(boxes[moves], boxes)
+        for k in np.flatnonzero(near):
+            self._wake_sleeper(numbers[k])
+
+    def wake_around(self, boxes: NDArray[np.float64]) -> None:
+        """Wake sleeping bodies near boxes (k, 6), m."""
+        numbers = list(self.by_number)
+        for k in np.flatnonzero(_meet(boxes, self._bounds(numbers)[0])):
+            self._wake_sleeper(numbers[k])
+
+    def _wake_sleeper(self, number: int) -> None:
+        body = self.by_number[number]
+        if body.is_solid and not body.held and number not in self.awake:
+            self.wake(number)
+
+    def push(self, gravity: float, dt: float) -> None:
+        """Apply weight, wrenches and drives for the next step of Bullet, of ``dt``, s."""
+        apply_force, apply_torque = self._client.applyExternalForce, self._client.applyExternalTorque
+        for number in sorted(self.awake):
+            body = self.by_number[number]
+            if body.drive is not None:
+                self._drive(body, body.drive, dt)
+                continue
+            fx, fy, fz = body.force
+            force = (fx, fy, fz - body.weight * body.mass * gravity)
+            apply_force(body.shapes[0], -1, force, body.centre, pybullet.WORLD_FRAME)
+            if any(body.torque):
+                apply_torque(body.shapes[0], -1, body.torque, pybullet.WORLD_FRAME)
+                body.torque = [0.0, 0.0, 0.0]
+            if any(body.force):
+                body.force = [0.0, 0.0, 0.0]
+
+    def read(self) -> None:
+        """Take over the motion from Bullet after its step, and let bodies at rest sleep."""
+        pose_of, velocity_of = self._client.getBasePositionAndOrientation, self._client.getBaseVelocity
+        for number, body in self.by_number.items():
+            if body.drive is not None:
+                self._follow(number, body, body.drive)
+        for number in sorted(self.awake):
+            body = self.by_number[number]
+            if body.drive is not None:
+                continue
+            position, (x, y, z, w) = pose_of(body.shapes[0])
+            velocity, spin = velocity_of(body.shapes[0])
+            if not max(map(abs, position)) < _LOST:  # also if it is not a number
+                self._lose(number, body)
+                continue
+            body.pose = compose(Pose(tuple(position), (w, x, y, z)), inverse(body.frame))
+            body.spin = tuple(spin)
+            x, y, z = _arm(body)
+            body.velocity = _at(velocity, body.spin, (-x, -y, -z))
+            speed = max(*(abs(value) for value in velocity), *(abs(value) for value in spin))
+            body.still_steps = body.still_steps + 1 if speed < REST_SPEED else 0
+            if body.still_steps >= REST_STEPS:
+                self._put_to_sleep(number, body)
+        for body in self.by_number.values():
+            if body.held:
+                self._reset(body, moving=False)
+
+    def _drive(self, body: Body, drive: Drive, dt: float) -> None:
+        """Give Bullet the velocity of a driven body for its next step."""
+        body.force, body.torque = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
+        _, velocity, spin = body.way = drive.propose(dt)
+        self._client.resetBaseVelocity(body.shapes[0], velocity, spin)
+
+    def _follow(self, number: int, body: Body, drive: Drive) -> None:
+        """Put a driven body where its drive has moved it in Bullet's last step, unless something stopped it."""
+        if number in self.awake:
+            if drive.yields and self._is_blocked(body):
+                drive.block()
+                body.velocity = body.spin = (0.0, 0.0, 0.0)
+            else:
+                drive.accept()
+                body.pose, body.velocity, body.spin = body.way
+            body.still_steps = body.still_steps + 1 if drive.is_still else 0
+            if body.still_steps >= REST_STEPS:
+                self._put_to_sleep(number, body)
+        self._reset(body, moving=True)
+
+    def _is_blocked(self, body: Body) -> bool:
+        """Return whether a driven body runs into something that stands or is driven itself."""
+        _, velocity, spin = body.way
+        own, origin = body.shapes[0], np.array(body.pose.position)
+        if not any(velocity) and not any(spin):
+            return False
+        for point in self._client.getContactPoints(own):
+            side = 1.0 if point[1] == own else -1.0
+            other = point[2] if point[1] == own else point[1]
+            normal = side * np.array(point[7])  # from the other to this body
+            if point[8] > -_TOUCH or abs(normal[2]) > _STEEP or not self._is_firm(other):
+                continue
+            arm = np.array(point[5] if point[1] == own else point[6]) - origin
+            if float((np.array(velocity) + np.cross(spin, arm)) @ normal) < 0.0:
+                return True
+        return False
+
+    def _is_firm(self, shape: int) -> bool:
+        driven = any(shape in body.shapes for body in self.by_number.values() if body.drive is not None)
+        return driven or self._client.getDynamicsInfo(shape, -1)[0] == 0.0
+
+    def _put_to_sleep(self, number: int, body: Body) -> None:
+        self.awake.discard(number)
+        body.velocity = body.spin = (0.0, 0.0, 0.0)
+        self._client.resetBaseVelocity(body.shapes[0], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+    def _lose(self, number: int, body: Body) -> None:
+        """Take a body out of Bullet that has left the world; it stays at its last place, without collisions."""
+        self._client.removeBody(body.shapes[0])
+        self.awake.discard(number)
+        body.shapes, body.mass = [], 0.0
+        body.velocity = body.spin = (0.0, 0.0, 0.0)
+
+
+def _meet(some: NDArray[np.float64], boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which of ``boxes`` (k, 6) are near ``some`` (j, 6)."""
+    low, high = some[:, None, :3] - _NEAR, some[:, None, 3:] + _NEAR
+    meets: NDArray[np.bool_] = ((low <= boxes[None, :, 3:]) & (boxes[None, :, :3] <= high)).all(axis=2).any(axis=0)
+    return meets
+
+
+def _arm(body: Body) -> Vector:
+    """Return the vector from the model's origin to the centre of mass, m, world."""
+    return rotate(body.pose.orientation, body.frame.position)
+
+
+def _at(velocity: Vector, spin: Vector, arm: Vector) -> Vector:
+    """Return the velocity of the point at ``arm`` of a body."""
+    sweep = np.cross(spin, arm).tolist()
+    return (velocity[0] + sweep[0], velocity[1] + sweep[1], velocity[2] + sweep[2])

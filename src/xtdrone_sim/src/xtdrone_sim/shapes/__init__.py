@@ -1,0 +1,1 @@
+"""Shapes as pictures, rays and physics need them: visuals, triangles, and arithmetic on their poses."""

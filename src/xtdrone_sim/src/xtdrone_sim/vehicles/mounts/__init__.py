@@ -1,0 +1,1 @@
+"""Sensors, gimbals and landing gear that a vehicle's YAML mounts on its links."""

@@ -1,0 +1,1 @@
+"""Geometry of SDF links: visuals and collisions, meshes, heightmaps, materials."""
