@@ -39,6 +39,7 @@ class Selection {
 export class Station {
   role = 'view';
   connected = false;
+  replaying = false; // a recording is shown
   fleet = null; // the last frame
   roster = { version: -1, vehicles: [], movers: [], places: {} };
   status = { vehicles: {} }; // the last fleet.status, its vehicles by name
@@ -88,6 +89,14 @@ export class Station {
     return this.#events.add('station.connect', f);
   }
 
+  /** Shows a recorded frame of the fleet in place of the flight's; null: the flight's again. */
+  replay(buffer) {
+    this.replaying = buffer !== null;
+    if (buffer === null) return;
+    this.fleet = readFleetFrame(buffer);
+    this.#binary.call(FLEET, buffer);
+  }
+
   /** Tells panels of this page something, as if the server had. */
   emit(event, data) { this.#events.call(event, data); }
 
@@ -112,6 +121,7 @@ export class Station {
   #received(data) {
     if (typeof data !== 'string') {
       const channel = new Uint8Array(data, 0, 1)[0];
+      if (channel === FLEET && this.replaying) return;
       if (channel === FLEET) this.fleet = readFleetFrame(data);
       this.#binary.call(channel, data);
       return;

@@ -4,6 +4,7 @@ import { panel as map } from './map.js';
 import { panel as scene } from './scene.js';
 import { panel as swarm } from './swarm.js';
 import { panel as time } from './time.js';
+import { tools } from './tools.js';
 import { panel as vehicles } from './vehicles.js';
 
-export const panels = [time, scene, map, vehicles, swarm];
+export const panels = [time, scene, map, vehicles, swarm, ...tools];

@@ -132,6 +132,11 @@ class Pilot:
         self._moving = moving
         return Setpoint(self.target, *self.speeds) if moving or was_moving else None
 
+    def steer(self, forward: float, left: float, up: float, turn: float) -> None:
+        """Set the speeds at once, as sticks do: m/s (m/s^2), turn in rad/s, to multiples of 0.01 within the limits."""
+        wanted = (round(value * STEPS) for value in (forward, left, up, turn))
+        self._counts = [max(-most, min(most, count)) for count, most in zip(wanted, _MOST, strict=True)]
+
     def stop(self) -> Setpoint | None:
         """Set all speeds to zero and return the setpoint that stops moving vehicles, or None."""
         self._counts = [0, 0, 0, 0]

@@ -33,27 +33,24 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import genpy
 import rosgraph
 import rospy
-from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from geometry_msgs.msg import PoseStamped, TwistStamped
 from mavros_msgs.msg import State
 from rosgraph.roslogging import RosStreamHandler
-from std_msgs.msg import String
 
-from xtdrone_control import lockstep
 from xtdrone_control.programs.program import ArgumentError, fleet_of, run_program
 from xtdrone_coordination.patterns import PatternError, Patterns
 
 from .arguments import USAGE, Request, parse_arguments
+from .command_topics import PERIOD, CommandTopics
 from .key_bindings import AXES, Command, Message, Pilot, Setpoint, Target, digits
 from .key_decoder import PAGE_DOWN, PAGE_UP, QUIT, REDRAW, KeyDecoder
 from .screen import SILENT, Layout, ScreenContent, VehicleStatus, frame, help_lines, layout, sentence
 from .terminal import ENDING, NoTerminalError, Signals, Terminal, TerminalGoneError
 
 NAME = "multirotor_keyboard_control"
-PERIOD = 0.1  # s of wall time: XTDrone's 10 Hz
 _WIDTH = 80  # columns of the help without redrawing
 _MASTER_PERIOD = 2.0  # s between two checks of the master
 _LEAVE_LIMIT = 3.0  # s for the master to unregister the node
-_KEPT = 10  # queue of a topic
 
 
 class _LatestMessage:
@@ -184,25 +181,6 @@ def _trouble_of_master() -> str:
     return ""
 
 
-class _CommandTopics:
-    """Command topics of a vehicle or the leader; publishing never blocks."""
-
-    def __init__(self, name: str, mode: str) -> None:
-        self._command = lockstep.UncountedPublisher(f"/xtdrone/{name}/cmd", String, queue_size=_KEPT)
-        self._steering = lockstep.UncountedPublisher(f"/xtdrone/{name}/cmd_{mode}_flu", Twist, queue_size=_KEPT)
-
-    @property
-    def has_subscriber(self) -> bool:
-        """Whether a node receives commands."""
-        return bool(self._command.get_num_connections())
-
-    def send_command(self, text: str) -> None:
-        self._command.publish(String(data=text))
-
-    def send_setpoint(self, twist: Twist) -> None:
-        self._steering.publish(twist)
-
-
 class _LogCapture(logging.Handler):
     """Captures log messages that would disturb the screen."""
 
@@ -253,8 +231,8 @@ class Keyboard:
         self._written: dict[str, object] = {}  # last written values, without redrawing
         self._notes = _LogCapture()
         self._lock = threading.RLock()  # for pilot and publishers
-        self._vehicles = {name: _CommandTopics(name, request.mode) for name in request.names}
-        self._leader = _CommandTopics("leader", request.mode)
+        self._vehicles = {name: CommandTopics(name, request.mode) for name in request.names}
+        self._leader = CommandTopics("leader", request.mode)
         rospy.on_shutdown(self._stop_for_good)  # rosnode kill: nothing can be published after the shutdown
 
     def run(self) -> None:
@@ -363,7 +341,7 @@ class Keyboard:
             elif message is not None:
                 self._send_setpoint(message)
 
-    def _topics_of(self, target: Target) -> dict[str, _CommandTopics]:
+    def _topics_of(self, target: Target) -> dict[str, CommandTopics]:
         return {"leader": self._leader} if target is Target.LEADER else self._vehicles
 
     def _send_command(self, message: Command) -> None:
@@ -378,11 +356,8 @@ class Keyboard:
                 self._pilot.note = f"{message.text}: no leader is running, start leader.py"
 
     def _send_setpoint(self, message: Setpoint) -> None:
-        twist = Twist()
-        twist.linear.x, twist.linear.y, twist.linear.z = message.forward, message.left, message.up
-        twist.angular.z = message.turn
         for topic in self._topics_of(message.target).values():
-            topic.send_setpoint(twist)
+            topic.send_setpoint(message)
 
     def _stop_for_good(self) -> None:
         """Stop the vehicles and ignore further keys; called in rospy's thread if it shuts the node down."""

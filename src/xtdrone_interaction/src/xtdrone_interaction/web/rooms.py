@@ -14,6 +14,7 @@ from xtdrone_interaction.web.map.plans import Plans
 from xtdrone_interaction.web.map.search_view import SearchView
 from xtdrone_interaction.web.server.methods import Method
 from xtdrone_interaction.web.station_settings import StationSettings
+from xtdrone_interaction.web.tool_rooms import tool_methods
 
 
 def methods_of_rooms(context: StationContext, settings: StationSettings) -> list[Method]:
@@ -30,4 +31,5 @@ def methods_of_rooms(context: StationContext, settings: StationSettings) -> list
         *TimeControl(context, fleet).methods(),
         *SearchView(context, fleet, world.datum).methods(),
         *Plans(context, fleet, world.datum).methods(),
+        *tool_methods(context, settings),
     ]

@@ -29,3 +29,4 @@ class StationSettings(Settings):
     token: str = setting("", check=_checked_token, metavar="TEXT", text="token to operate; empty: drawn where needed")
     view_only: bool = setting(False, text="no page may operate, all may only watch")
     rate: float = setting(10.0, low=0.5, high=30.0, unit="Hz", text="frames of the fleet in wall time", metavar="HZ")
+    recordings: str = setting("", metavar="FOLDER", text="folder of recordings; empty: runs in the workspace")

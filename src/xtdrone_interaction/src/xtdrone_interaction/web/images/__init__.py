@@ -1,0 +1,1 @@
+"""Images of camera topics."""

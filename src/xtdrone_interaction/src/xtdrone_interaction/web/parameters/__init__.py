@@ -1,0 +1,1 @@
+"""Parameters of ROS and of the vehicles."""

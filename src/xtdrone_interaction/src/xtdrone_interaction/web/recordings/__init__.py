@@ -1,0 +1,1 @@
+"""Recordings: started, stopped, opened and played."""

@@ -1,0 +1,100 @@
+"""The station's recorder: rosbag with a profile of ``./xtdrone record``, started and stopped by a page."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from xtdrone_interaction.bags.record import read_profile, rosbag_arguments
+from xtdrone_interaction.options import OptionError
+
+PROFILES = ("light", "full", "cameras")
+_STOP_LIMIT = 30.0  # s of wall time for rosbag to write what it has
+
+
+@dataclass(frozen=True)
+class _Running:
+    process: subprocess.Popen[bytes]
+    profile: str
+    name: str
+    began: float  # s of the monotonic clock
+
+
+class RecorderProcess:
+    """At most one rosbag, a plain subscriber out of the lockstep."""
+
+    def __init__(self, folder: Path, master: str) -> None:
+        """Record nothing yet.
+
+        Args:
+            folder: of the files.
+            master: URI of the ROS master.
+        """
+        self._folder = folder
+        self._master = master
+        self._running: _Running | None = None
+
+    def start(self, profile: str) -> None:
+        """Begin to record.
+
+        Raises:
+            OptionError: one is running already, the profile is not known, or rosbag is missing.
+        """
+        if self.state()["recording"]:
+            raise OptionError("record: one recording is running already; stop it first")
+        if profile not in PROFILES:
+            raise OptionError(f"profile: {str(profile)[:60]!r} is not allowed, one of {', '.join(PROFILES)}")
+        program = shutil.which("rosbag")
+        if program is None:
+            raise OptionError("record: rosbag is not installed; './xtdrone setup' installs it")
+        self._folder.mkdir(parents=True, exist_ok=True)
+        name = f"{time.strftime('%Y%m%d-%H%M%S')}-{profile}"
+        arguments = rosbag_arguments(read_profile(profile), str(self._folder / name))
+        process = subprocess.Popen(
+            [program, *arguments],
+            env={**os.environ, "ROS_MASTER_URI": self._master},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        self._running = _Running(process, profile, name, time.monotonic())
+
+    def stop(self) -> str:
+        """End the recording and return the files' name, once rosbag has closed them.
+
+        Raises:
+            OptionError: none is running.
+        """
+        running = self._running
+        if running is None:
+            raise OptionError("record: no recording is running")
+        if running.process.poll() is None:
+            os.killpg(running.process.pid, signal.SIGINT)
+            try:
+                running.process.wait(_STOP_LIMIT)
+            except subprocess.TimeoutExpired:
+                os.killpg(running.process.pid, signal.SIGKILL)
+                running.process.wait()
+        self._running = None
+        return running.name
+
+    def state(self) -> dict[str, Any]:
+        """Return whether a recording runs, its profile, name, size (bytes) and duration (s of wall time)."""
+        running = self._running
+        if running is None or running.process.poll() is not None:
+            return {"recording": False}
+        files = [*self._folder.glob(f"{running.name}*.bag*")]
+        return {
+            "recording": True,
+            "profile": running.profile,
+            "name": running.name,
+            "bytes": sum(file.stat().st_size for file in files if file.exists()),
+            "seconds": time.monotonic() - running.began,
+        }

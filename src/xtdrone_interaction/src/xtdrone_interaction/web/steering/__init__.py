@@ -1,0 +1,1 @@
+"""Keyboard and gamepad of a page, which fly vehicles or the leader."""

@@ -1,0 +1,61 @@
+// Choosing a topic and a field: shared by the panels that subscribe.
+
+/** Keeps a subscription of the server over reconnections. */
+export class Subscription {
+  #off;
+  number = null;
+
+  /**
+   * @param {import('./station.js').Station} station
+   * @param {string} method that opens it and answers {subscription}
+   * @param {object} params
+   * @param {string} closing method that ends it
+   * @param {(error: Error) => void} onError called if it is refused
+   */
+  constructor(station, method, params, closing, onError) {
+    this.station = station;
+    this.closing = closing;
+    this.closed = false;
+    this.#off = station.onConnect(() => {
+      station.call(method, params).then(({ subscription }) => {
+        this.number = subscription;
+        if (this.closed) this.#end();
+      }, (error) => { if (!this.closed) onError(error); });
+    });
+  }
+
+  close() {
+    this.closed = true;
+    this.#off();
+    if (this.number !== null) this.#end();
+  }
+
+  #end() {
+    this.station.call(this.closing, { subscription: this.number }).catch(() => {}); // a broken connection has ended it
+  }
+}
+
+/** Returns the topics whose names or types contain all words. */
+export function matching(topics, words) {
+  const wanted = words.toLowerCase().split(/\s+/).filter(Boolean);
+  return topics.filter(({ name, type }) => wanted.every((word) => `${name} ${type}`.toLowerCase().includes(word)));
+}
+
+/** Rates with as many digits as can be read. */
+export const rate = (value) => (value === undefined ? '' : value >= 100 ? value.toFixed(0) : value.toFixed(1));
+
+/** Bytes per s or bytes in readable units. */
+export function bytes(value) {
+  if (value === undefined) return '';
+  for (const [unit, size] of [['MB', 1e6], ['kB', 1e3]]) if (value >= size) return `${(value / size).toFixed(1)} ${unit}`;
+  return `${value.toFixed(0)} B`;
+}
+
+/** Saves text as a file of the user's. */
+export function save(name, text, type = 'text/csv') {
+  const link = document.createElement('a');
+  link.href = URL.createObjectURL(new Blob([text], { type }));
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+}

@@ -1,0 +1,196 @@
+"""The station's panels in a browser, on a real flight: topics, plots, console, parameters, nodes, images, keyboard,
+recordings."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import START_LIMIT, WALL_LIMIT, Graph, Stack, free_port, poll, wait_for_ports
+
+pytest.importorskip("playwright")
+pytest.importorskip("rospy")
+
+import rospy
+from darknet_ros_msgs.msg import BoundingBox, BoundingBoxes
+from mavros_msgs.srv import ParamGet
+from playwright import sync_api
+from web_browser import needs_chromium, station_page
+
+VEHICLE = "typhoon_h480_0"
+POSE = f"/{VEHICLE}/mavros/local_position/pose"
+CAMERA = f"/{VEHICLE}/cgo3_camera/image_raw"
+_MS = 1000.0 * WALL_LIMIT
+
+pytestmark = needs_chromium
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("recordings")
+
+
+@pytest.fixture(scope="module")
+def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory, recordings: Path) -> Iterator[Stack]:
+    wait_for_ports("typhoon_h480:1")
+    stack = Stack(graph, tmp_path_factory.mktemp("stack"), "typhoon_h480:1")
+    arguments = ("vehicles:=typhoon_h480:1", "cameras:=true", "camera_rate:=4", "speed:=2")
+    stack.launch("multi_vehicle.launch", *arguments)
+    stack.wait(lambda: stack.state(0) is not None, "the vehicle is there", wall=START_LIMIT)
+    stack.run("typhoon_communication", "xtdrone_control", "multirotor_communication.py", "typhoon_h480", "0")
+    rospy.set_param("/web_station/recordings", str(recordings))
+    yield stack
+    stack.stop()
+
+
+@pytest.fixture(scope="module")
+def page(stack: Stack) -> Iterator[Any]:
+    with station_page(stack, free_port(), width=1000, height=700) as opened:
+        yield opened.page
+        assert not opened.errors
+
+
+@pytest.fixture
+def panel(page: Any) -> Callable[[str], Any]:
+    def show(name: str) -> Any:
+        page.click(f"#dock-tabs button[data-panel={name}]")
+        return page.locator(f".mount[data-panel={name}]")
+
+    return show
+
+
+def test_topics_are_listed_measured_and_echoed(page: Any, panel: Callable[[str], Any]) -> None:
+    topics = panel("topics")
+    topics.locator("input[type=search]").fill("local_position pose")
+    row = topics.locator(f'tr[data-topic="{POSE}"]')
+    row.locator("td.link").click()
+    row.locator("input").check()
+    sync_api.expect(topics.locator("[data-role=echo]")).to_contain_text("position:\n    x: ")
+    sync_api.expect(row.locator("td").nth(2)).to_contain_text(".", timeout=_MS)
+    assert float(row.locator("td").nth(2).inner_text()) > 5.0
+
+
+def test_plots_draw_a_field_and_export_it(page: Any, panel: Callable[[str], Any]) -> None:
+    plots = panel("plots")
+    plots.locator("input[type=search]").fill(POSE)
+    plots.locator("div.link").first.click()
+    plots.locator("button", has_text="pose.position.z").click()
+    sync_api.expect(plots.locator(f'[data-curve="{POSE}/pose.position.z"]')).to_be_visible()
+    page.wait_for_timeout(1500)
+    with page.expect_download() as download:
+        plots.locator("button", has_text="CSV").click()
+    head, *lines = Path(download.value.path()).read_text().splitlines()
+    times = [float(line.split(",")[0]) for line in lines]
+    assert head == f"time_s,{POSE}/pose.position.z"
+    assert len(times) > 10
+    assert times == sorted(times)
+    assert plots.locator(".uplot canvas").count() == 1
+
+
+def test_the_console_shows_warnings_of_nodes(page: Any, panel: Callable[[str], Any]) -> None:
+    console = panel("console")
+    rospy.logwarn("the test's warning")
+    sync_api.expect(console.locator("tr[data-level=warn]", has_text="the test's warning")).to_be_visible()
+    console.locator("select").first.select_option("error")
+    sync_api.expect(console.locator("tr[data-level=warn]")).to_have_count(0)
+
+
+def test_a_parameter_is_set_in_the_vehicle_and_a_wrong_value_refused(
+    page: Any, panel: Callable[[str], Any], graph: Graph
+) -> None:
+    parameters = panel("parameters")
+    parameters.locator("[data-role=pull]").click()
+    sync_api.expect(parameters.get_by_text("856 read")).to_be_visible(timeout=2 * _MS)
+    parameters.locator("input[type=search]").fill("MPC_XY_VEL_MAX")
+    row = parameters.locator("tr[data-parameter=MPC_XY_VEL_MAX]")
+    for value in ("7.5", "700"):
+        row.locator(".link").click()
+        row.locator("[data-role=value]").fill(value)
+        row.locator("[data-role=set]").click()
+        if value == "7.5":
+            sync_api.expect(row.locator(".link")).to_have_text("7.5")
+    sync_api.expect(page.locator(".toast.bad")).to_contain_text("700 is not allowed, a number from 0 to 20 m/s")
+    page.locator(".toast.bad").click()
+    assert graph.call(f"/{VEHICLE}/mavros/param/get", ParamGet, param_id="MPC_XY_VEL_MAX").value.real == 7.5
+    parameters.locator("[data-role=ros]").click()
+    parameters.locator("input[type=search]").fill("simulator/speed")
+    sync_api.expect(parameters.locator('tr[data-parameter="/simulator/speed"]')).to_contain_text("real-time factor")
+
+
+def test_the_graph_shows_who_takes_part_in_the_lockstep(page: Any, panel: Callable[[str], Any]) -> None:
+    nodes = panel("nodes")
+    sync_api.expect(nodes.locator("g.node.participant[data-node='/mavros']")).to_be_visible()
+    sync_api.expect(nodes.locator("g.node.participant[data-node='/simulator']")).to_have_count(0)
+
+
+def test_images_come_with_the_boxes_of_a_detector(page: Any, panel: Callable[[str], Any], graph: Graph) -> None:
+    topic = f"/{VEHICLE}/tried/bounding_boxes"
+    publisher = rospy.Publisher(topic, BoundingBoxes, queue_size=1, latch=True)
+    box = BoundingBox(Class="person", probability=0.9, xmin=100, xmax=200, ymin=100, ymax=300)
+    publisher.publish(BoundingBoxes(bounding_boxes=[box]))
+    images = panel("images")
+    images.locator("[data-role=image]").select_option(CAMERA)
+    card = images.locator(f'[data-image="{CAMERA}"]')
+    sync_api.expect(card).to_contain_text("640×360 px", timeout=_MS)
+    sync_api.expect(card).to_contain_text("1 detections", timeout=_MS)
+    colours = card.locator("canvas").evaluate(
+        "c => { const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data; const n = new Set();"
+        " for (let i = 0; i < d.length; i += 4000) n.add(d[i] + ',' + d[i + 1] + ',' + d[i + 2]); return n.size; }"
+    )
+    assert colours > 1
+    publisher.unregister()
+
+
+def test_keys_fly_the_vehicle_and_the_flight_is_recorded_and_played(
+    page: Any, panel: Callable[[str], Any], stack: Stack, recordings: Path
+) -> None:
+    panel("recordings").locator("[data-role=record]").click()
+    page.wait_for_selector("[data-role=stop]")
+    steering = panel("steering")
+    steering.locator("[data-role=begin]").click()
+    page.wait_for_selector("[data-role=end]")
+    page.keyboard.press("t")
+    stack.wait_state(0, armed=True)
+    for _ in range(80):
+        page.keyboard.press("i")
+    sync_api.expect(steering.locator("[data-axis=up]")).to_have_text("0.80 m/s")
+    page.keyboard.press("b")
+    stack.wait(lambda: stack.height(0) > 2.0, "the vehicle climbs")
+    steering.locator("[data-role=end]").click()
+    stack.pass_time(3.0)
+    before = stack.height(0)
+    stack.pass_time(2.0)
+    assert abs(stack.height(0) - before) < 0.4  # at 0.8 m/s it would be 1.6 m
+    panel("recordings").locator("[data-role=stop]").click()
+    file = poll(lambda: next(recordings.glob("*.bag"), None), "the bag is whole")
+    row = page.locator(f'tr[data-file="{file.name}"] td.link')
+    row.click()
+    page.wait_for_selector("[data-role=player]")
+    page.select_option("[data-role=player] select", "30")
+    page.click("[data-role=play]")
+    page.wait_for_selector(f'#stage-body[data-recording="{file.name}"]')
+    poll(lambda: page.evaluate("station.replaying && station.fleet.vehicles[2] > 1.5"), "the recorded climb is shown")
+    page.click("[data-role=player] button:has-text('Back')")
+    assert page.evaluate("station.replaying") is False
+
+
+def test_a_cut_recording_and_one_that_is_none_say_what_is_wrong(
+    page: Any, panel: Callable[[str], Any], recordings: Path
+) -> None:
+    whole = next(recordings.glob("*.bag"))
+    (recordings / "cut.bag").write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    (recordings / "none.bag").write_bytes(os.urandom(1000))
+    rows = panel("recordings")
+    rows.locator("button", has_text="Refresh").click()
+    rows.locator('tr[data-file="none.bag"] td.link').click()
+    none = page.locator(".toast.bad", has_text="none.bag")
+    none.click()
+    sync_api.expect(none).to_have_count(0)
+    rows.locator('tr[data-file="cut.bag"] td.link').click()
+    # What is left of a short recording may be without a whole chunk: then it is refused.
+    told = page.locator("[data-role=player] .warn").or_(page.locator(".toast.bad", has_text="cut.bag"))
+    sync_api.expect(told.first).to_be_visible()
+    page.evaluate("station.call('recordings.state')")
