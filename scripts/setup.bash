@@ -225,6 +225,7 @@ build_workspace() {
   if [[ -f $root/build/CMakeCache.txt ]] && ! grep -qxF "CMAKE_HOME_DIRECTORY:INTERNAL=$root" "$root/build/CMakeCache.txt"; then
     rm -rf "$root/build" "$root/devel"
   fi
+  local sources; sources=$(built_from)  # of now: what changes during the build is built the next time
   rm -f "$state_dir/built"
   : >"$make_at_work"
   logged build configure_and_make || {
@@ -232,7 +233,7 @@ build_workspace() {
     grep -qE ' (Interrupt|Terminated|Killed|Hangup)$' "$state_dir/logs/build.log" || rm "$make_at_work"
     fail "the workspace could not be built"
   }
-  write_stamp "$state_dir/built" "$(built_from)"
+  write_stamp "$state_dir/built" "$sources"
   rm "$make_at_work"
   hand_over "$root/build" "$root/devel"
 }
