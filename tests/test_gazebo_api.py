@@ -19,7 +19,7 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3, Wrench
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Empty
 from xtdrone_msgs.msg import SceneModels, SceneState
-from xtdrone_msgs.srv import Step
+from xtdrone_msgs.srv import SetWind, Step
 
 FLEET = "iris:2,typhoon_h480:1"
 CUBE = "<geometry><box><size>1 1 1</size></box></geometry>"
@@ -307,6 +307,15 @@ def test_a_door_is_pushed_to_its_limit_and_deleted_with_its_frame(stack: Stack) 
     assert call(stack, "delete_model", srv.DeleteModel, model_name="door").success
     gone = call(stack, "get_model_state", srv.GetModelState, model_name="door::leaf", relative_entity_name="")
     assert not gone.success
+
+
+def test_the_wind_is_set_by_service_and_a_wrong_one_is_refused(stack: Stack) -> None:
+    for wind, success, words in (
+        (Vector3(3.0, -1.0, 0.0), True, "the wind blows with (3, -1, 0) m/s"),
+        (Vector3(math.nan, 0.0, 0.0), False, "wind: (nan, 0, 0) m/s is not allowed, at most 100 m/s"),
+    ):
+        answer = stack.graph.call("/simulator/set_wind", SetWind, velocity=wind)
+        assert (answer.success, words in answer.message) == (success, True)
 
 
 @pytest.mark.parametrize("number", range(len(BAD_SDF)))

@@ -269,3 +269,17 @@ def test_every_effect_of_the_table_has_its_name() -> None:
     assert {name: cls.name for name, cls in AIR.items()} == {name: name for name in AIR}
     with pytest.raises(SettingError):
         Dryden(speed="fast")
+
+
+def test_a_wind_set_in_flight_is_the_world_s_until_a_restart() -> None:
+    simulation = Simulation(parse_fleet("iris:2"))
+    own = simulation.world.plant["wind"].copy()
+    for wind in ((math.nan, 0.0, 0.0), (80.0, 80.0, 0.0), (0.0, math.inf, 0.0)):
+        with pytest.raises(ValueError, match=r"wind: .* is not allowed, at most 100 m/s"):
+            simulation.set_wind(wind)
+    np.testing.assert_array_equal(simulation.world.plant["wind"], own)
+    simulation.set_wind((3.0, -2.0, 0.5))
+    simulation.reset_vehicle(1)
+    np.testing.assert_array_equal(simulation.world.plant["wind"], [(3.0, -2.0, 0.5)] * 2)
+    simulation.restart()
+    np.testing.assert_array_equal(simulation.world.plant["wind"], own)

@@ -225,6 +225,14 @@ def _speed(master: str, arguments: argparse.Namespace) -> str:
     return _accepted(call(master, "/simulator/set_speed", SetSpeed, SetSpeedRequest(speed=arguments.factor)))
 
 
+def _wind(master: str, arguments: argparse.Namespace) -> str:
+    from geometry_msgs.msg import Vector3
+    from xtdrone_msgs.srv import SetWind, SetWindRequest
+
+    velocity = Vector3(arguments.east, arguments.north, arguments.up)
+    return _accepted(call(master, "/simulator/set_wind", SetWind, SetWindRequest(velocity=velocity)))
+
+
 def _reset(master: str, arguments: argparse.Namespace) -> str:
     from std_srvs.srv import Empty, EmptyRequest
 
@@ -419,6 +427,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                       help="a camera can be off")  # fmt: skip
     fail.add_argument("value", type=float, nargs="?", default=0.0,
                       help="biased: m added to every range; dropouts: share of the returns that are lost")  # fmt: skip
+    wind = add("wind", _wind, "set the world's wind, until it is set again or the world is reset")
+    for axis, text in (("east", "m/s towards the east"), ("north", "towards the north")):
+        wind.add_argument(axis, type=float, metavar=axis.upper(), help=text)
+    wind.add_argument("up", type=float, nargs="?", default=0.0, metavar="UP", help="upwards (0)")
     add("status", _status, "print the state of the simulation, and the participants it waits for")
 
 

@@ -7,11 +7,13 @@ samples and compute the next commands. After a step, truth, samples and estimate
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.fleet import StartPose, Vehicle, place_ids, start_poses, vehicle_named
+from xtdrone_control.rotation import Vector
 from xtdrone_sim.autopilots.builtin_autopilot import AutopilotFactory, BuiltinAutopilot
 from xtdrone_sim.physics.bodies.solid_people import SolidPeople
 from xtdrone_sim.physics.contacts.start_collisions import StartError
@@ -26,6 +28,9 @@ from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
 from xtdrone_sim.worlds.actors import actors_of
 
 from .effects import Effect, Effects
+
+STRONGEST_WIND = 100.0
+"""Greatest wind speed that a request may set, m/s."""
 
 
 class Simulation:
@@ -277,6 +282,21 @@ class Simulation:
         self.autopilots.reboot(index)
         self.gimbals.reset(index)
         self.landing_gears.reset(index)
+
+    def set_wind(self, velocity: Vector) -> None:
+        """Set the world's wind from now on, until the next restart, which brings back the world's own.
+
+        Args:
+            velocity: m/s, ENU, at most ``STRONGEST_WIND``.
+
+        Raises:
+            ValueError: the velocity is not finite or too large; nothing has changed then.
+        """
+        speed = math.hypot(*velocity)
+        if not speed <= STRONGEST_WIND:
+            x, y, z = velocity
+            raise ValueError(f"wind: ({x:g}, {y:g}, {z:g}) m/s is not allowed, at most {STRONGEST_WIND:g} m/s")
+        self.world.set_wind(velocity)
 
     def run_until(self, time_us: int) -> None:
         """Step until simulated time is at least ``time_us``."""

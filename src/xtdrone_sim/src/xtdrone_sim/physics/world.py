@@ -98,7 +98,7 @@ class World:
             self.models[i] = vehicle.record
         for v, m, pose in zip(self.plant, self.models, poses, strict=True):
             v["position"], v["q"] = body_pose(pose, float(m["box"][2]))
-        self.plant["wind"] = model.wind
+        self.set_wind(model.wind)
         self.plant["contact"] = TOUCHING
         for i in absent:
             self.plant[i] = _absent()
@@ -190,6 +190,11 @@ class World:
         )
         return int(body)
 
+    def set_wind(self, velocity: Sequence[float] | NDArray[np.float64]) -> None:
+        """Set the wind at all vehicles, m/s, ENU, and at those that join later."""
+        self._wind = np.array(velocity, float)
+        self.plant["wind"] = self._wind
+
     def check_starts(self, names: Sequence[str], which: Sequence[int] | None = None) -> None:
         """Check that the vehicles' places are free; see ``start_collisions.check_starts``.
 
@@ -225,7 +230,7 @@ class World:
         plant[i] = np.zeros(1, PLANT)[0]
         v: np.void = plant[i]
         v["position"], v["q"] = body_pose(pose, float(models[i]["box"][2]))
-        v["wind"], v["contact"] = self.model.wind, TOUCHING
+        v["wind"], v["contact"] = self._wind, TOUCHING
         owners = [model.name for model in self.model.models]
         check_starts(plant, models, names, self._obstacles, owners, [i])
         return v

@@ -16,6 +16,7 @@ from gazebo_msgs.msg import ModelStates
 from xtdrone_control.fleet import MAX_VEHICLES, StartPose, Vehicle, check_instance, fleet_text, parse_fleet, with_poses
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.mavlink.mavlink_server import MavlinkServer
+from xtdrone_control.rotation import Vector
 from xtdrone_control.settings import setting
 from xtdrone_sim.autopilots.builtin_autopilot import AutopilotFactory, BuiltinAutopilot
 from xtdrone_sim.autopilots.datagrams import Datagrams
@@ -325,6 +326,10 @@ class FullSimulation:
         """See ``SimulatorBackend``."""
         self._simulation.reset_vehicle(self._index(name), pose)
         self._mavlink.follow_reboots()
+
+    def set_wind(self, velocity: Vector) -> None:
+        """See ``SimulatorBackend``."""
+        self._simulation.set_wind(velocity)
 
     def _index(self, name: str) -> int:
         index_of(name, self.names)

@@ -9,6 +9,7 @@ from gazebo_msgs.msg import ModelStates
 
 from xtdrone_control.fleet import StartPose
 from xtdrone_control.lockstep.server import LockstepServer
+from xtdrone_control.rotation import Vector
 from xtdrone_sim.runtime.requests.mailbox import Mailbox
 
 Idle = Callable[[float], None]
@@ -124,6 +125,13 @@ class SimulatorBackend(Protocol):
 
         Raises:
             ValueError: there is no such vehicle, or it cannot leave.
+        """
+
+    def set_wind(self, velocity: Vector) -> None:
+        """Set the world's wind, m/s, ENU, until the next restart.
+
+        Raises:
+            ValueError: the value is not allowed, or there is no wind; nothing has changed then.
         """
 
     def close(self) -> None:

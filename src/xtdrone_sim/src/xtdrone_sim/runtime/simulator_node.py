@@ -32,6 +32,7 @@ from xtdrone_sim.runtime.requests.mailbox import Mailbox
 from xtdrone_sim.runtime.requests.pacing import Pacer
 from xtdrone_sim.runtime.requests.simulation_control import Control, Reset
 from xtdrone_sim.runtime.requests.vehicle_services import VehicleServices
+from xtdrone_sim.runtime.requests.wind_service import WindService
 from xtdrone_sim.runtime.simulator_interface import SimulatorBackend
 from xtdrone_sim.sensors.ground_truth import GroundTruth
 
@@ -207,6 +208,7 @@ class SimulatorNode:
             model_names=lambda: list(backend.model_states().name),
         )
         self._vehicle_services = VehicleServices(self._control, self._mailbox, backend, self._follow_vehicles)
+        self._wind_service = WindService(self._control, self._mailbox, backend)
         backend.open(self._server, self._mailbox, self._serve)
         self._poll = select.epoll()
         for descriptor in (self._mailbox.fileno(), self._server.fileno(), *backend.descriptors):

@@ -38,6 +38,7 @@ from xtdrone_control.geodesy.projection import GRAVITY
 from xtdrone_control.lockstep.protocol import Schedule
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.programs.program import ArgumentError, check_multirotor, parse_count
+from xtdrone_control.rotation import Vector
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_coordination.patterns import origin_columns
 from xtdrone_sim.runtime.requests.mailbox import Mailbox
@@ -323,6 +324,14 @@ class SimplifiedScene:
             _check_level(name, pose)
         self._vehicles.reset(index, None if pose is None else pose[:3], None if pose is None else pose.yaw)
         self._topics[index].restart()
+
+    def set_wind(self, velocity: Vector) -> None:
+        """Refuse: nothing blows on simplified vehicles.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError("wind: the simplified simulator has none; launch formation flies in wind")
 
     def add_vehicle(self, name: str, model: str, pose: StartPose | None) -> None:
         """Refuse: the vehicles of the simplified simulator are those of the start.

@@ -99,19 +99,20 @@ class VehicleServices:
 
     def _on_reset(self, request: Any) -> ResetVehicleResponse:
         return ResetVehicleResponse(
-            *_answered(lambda: self.reset_vehicle(request.name, _pose(request.pose), _caller(request)))
+            *answered(lambda: self.reset_vehicle(request.name, _pose(request.pose), caller_of(request)))
         )
 
     def _on_add(self, request: Any) -> AddVehicleResponse:
         return AddVehicleResponse(
-            *_answered(lambda: self.add_vehicle(request.name, request.model, _pose(request.pose), _caller(request)))
+            *answered(lambda: self.add_vehicle(request.name, request.model, _pose(request.pose), caller_of(request)))
         )
 
     def _on_remove(self, request: Any) -> RemoveVehicleResponse:
-        return RemoveVehicleResponse(*_answered(lambda: self.remove_vehicle(request.name, _caller(request))))
+        return RemoveVehicleResponse(*answered(lambda: self.remove_vehicle(request.name, caller_of(request))))
 
 
-def _answered(act: Callable[[], str]) -> tuple[bool, str]:
+def answered(act: Callable[[], str]) -> tuple[bool, str]:
+    """Return whether a change was made, and what was done or why not."""
     try:
         return True, act()
     except (ValueError, OSError, ControlError, ClosedError) as error:
@@ -122,5 +123,6 @@ def _pose(numbers: Sequence[float]) -> StartPose | None:
     return start_pose(list(numbers)) if numbers else None
 
 
-def _caller(request: Any) -> str:
+def caller_of(request: Any) -> str:
+    """Return the name of the node that calls a service."""
     return str(request._connection_header["callerid"])
