@@ -66,6 +66,7 @@ from xtdrone_sim.runtime.full_simulation import FullSettings
 from xtdrone_sim.runtime.simulator_node import NodeSettings
 from xtdrone_sim.topics.robot_tf import TfSettings
 from xtdrone_sim.uwb.uwb_node import UwbSettings
+from xtdrone_sim.vehicles.mounts.body_sensors import BodySensor
 from xtdrone_sim.vehicles.mounts.imu_mounts import ImuMount
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount
 from xtdrone_sim.vehicles.mounts.uwb_mounts import UwbMount
@@ -91,6 +92,7 @@ CLASSES: dict[str, type[Settings]] = {
         LidarSettings,
         LidarMount,
         UwbSettings,
+        BodySensor,
         UwbMount,
         ImuMount,
         DrydenSettings,

@@ -17,6 +17,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import fake_roslaunch
 import pytest
 import yaml
 from rich.console import Console
@@ -38,9 +39,6 @@ from benchmarks.programs import barrier
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_interaction import cli, machine_facts, options
 from xtdrone_interaction.launching import scripted_launch
-
-sys.path.append(str(options.repository() / "src" / "xtdrone_interaction" / "tests"))
-import fake_roslaunch
 
 TICKS = os.sysconf("SC_CLK_TCK")
 CORES = len(os.sched_getaffinity(0))

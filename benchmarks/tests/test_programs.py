@@ -12,13 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tiny_networks import write_darknet
 
 from benchmarks.programs import analysis, codecs, detector, drawing, program_frame, rays, simplified
 from xtdrone_interaction.options import repository
 from xtdrone_interaction.recording.bag import read_bag
-
-sys.path.append(str(repository() / "src" / "xtdrone_perception" / "tests"))
-from tiny_networks import write_darknet
 
 
 def test_a_picture_of_640_by_360_fits_into_each_input():

@@ -62,7 +62,7 @@ def test_attitude_conversion_is_its_own_inverse(q):
 )
 def test_heading_table(heading_ned_deg, yaw_enu_deg):
     heading, yaw = math.radians(heading_ned_deg), math.radians(yaw_enu_deg)
-    difference = frames.wrap_pi(frames.yaw_ned_to_enu(heading) - yaw)
+    difference = rotation.wrap_pi_by_remainder(frames.yaw_ned_to_enu(heading) - yaw)
     assert difference == pytest.approx(0.0, abs=1e-12)
     q = frames.attitude_ned_to_enu(*frames.quaternion_from_rpy(0.0, 0.0, heading))
     assert same_rotation(q, frames.quaternion_from_rpy(0.0, 0.0, yaw))
@@ -108,8 +108,9 @@ def test_rotation_keeps_length_and_is_inverted(q, v):
 
 
 @pytest.mark.parametrize("angle", [0.0, 3.0, -3.0, 7.0, -7.0, 100.0, math.pi, -math.pi])
-def test_wrapped_angle_is_in_range_and_congruent(angle):
-    wrapped = frames.wrap_pi(angle)
+@pytest.mark.parametrize("wrap", [rotation.wrap_pi, rotation.wrap_pi_by_remainder])
+def test_wrapped_angle_is_in_range_and_congruent(wrap, angle):
+    wrapped = wrap(angle)
     assert -math.pi <= wrapped < math.pi
     assert math.sin(wrapped) == pytest.approx(math.sin(angle), abs=1e-9)
     assert math.cos(wrapped) == pytest.approx(math.cos(angle), abs=1e-9)

@@ -11,10 +11,10 @@ No function uses numpy: for three floats plain Python is ten times faster.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import atan2, cos, degrees, fmod, hypot, pi, radians, sin, sqrt
+from math import atan2, cos, degrees, hypot, pi, radians, sin, sqrt
 
 from xtdrone_control import rotation
-from xtdrone_control.rotation import Quaternion, Vector
+from xtdrone_control.rotation import Quaternion, Vector, wrap_pi_by_remainder
 
 _HALF_SQRT = sqrt(0.5)
 _WGS84_A = 6378137.0  # m, equatorial radius
@@ -70,20 +70,14 @@ def from_upper_triangle(values: Sequence[float]) -> list[float]:
     return [values[starts[min(i, j)] + abs(i - j)] for i in range(6) for j in range(6)]
 
 
-def wrap_pi(angle: float) -> float:
-    """Wrap ``angle`` (rad, finite) to [-pi, pi); rounds differently from ``rotation.wrap_pi``, which kernels use."""
-    wrapped = fmod(angle + pi, 2.0 * pi)
-    return wrapped + pi if wrapped < 0.0 else wrapped - pi
-
-
 def yaw_enu_to_ned(yaw: float) -> float:
     """Return the NED heading (clockwise from north) of an ENU yaw (anticlockwise from east), in [-pi, pi)."""
-    return wrap_pi(0.5 * pi - yaw)
+    return wrap_pi_by_remainder(0.5 * pi - yaw)
 
 
 def yaw_ned_to_enu(yaw: float) -> float:
     """Return the ENU yaw of a NED heading, in [-pi, pi)."""
-    return wrap_pi(0.5 * pi - yaw)
+    return wrap_pi_by_remainder(0.5 * pi - yaw)
 
 
 def attitude_ned_to_enu(w: float, x: float, y: float, z: float) -> Quaternion:

@@ -18,6 +18,15 @@ def wrap_pi(angle: float) -> float:
     return angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
 
 
+def wrap_pi_by_remainder(angle: float) -> float:
+    """Return ``angle`` (rad, finite) wrapped to [-pi, pi), rounded otherwise than by ``wrap_pi``.
+
+    MAVROS's frames use this one and the autopilot the other: either's last bits decide how a flight goes on.
+    """
+    wrapped = math.fmod(angle + math.pi, 2.0 * math.pi)
+    return wrapped + math.pi if wrapped < 0.0 else wrapped - math.pi
+
+
 def constrain(value: float, low: float, high: float) -> float:
     """Return ``value`` limited to [``low``, ``high``]."""
     return min(max(value, low), high)

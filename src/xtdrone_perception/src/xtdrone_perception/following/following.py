@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from xtdrone_control.frames import wrap_pi
+from xtdrone_control.rotation import wrap_pi_by_remainder
 from xtdrone_control.settings import Settings, setting
 
 Vector = tuple[float, float, float]
@@ -215,9 +215,9 @@ class Following:
             self.state = LOST
             return Command(gimbal=(pitch, 0.0), order="HOVER")
         x, y, _ = self.expected(now)
-        beside = wrap_pi(yaw - math.atan2(y - position[1], x - position[0]))
+        beside = wrap_pi_by_remainder(yaw - math.atan2(y - position[1], x - position[0]))
         sweep = settings.sweep * math.sin(2.0 * math.pi * max(passed - _PAUSE, 0.0) / settings.sweep_period)
-        gimbal = (pitch, wrap_pi(beside + sweep))
+        gimbal = (pitch, wrap_pi_by_remainder(beside + sweep))
         if passed < _PAUSE:
             return Command(gimbal=gimbal)
         rising = position[2] - self._from_height < settings.rise

@@ -40,6 +40,7 @@ from xtdrone_sim.cameras.outputs import COSTLY, messages, topics_of
 from xtdrone_sim.cameras.rendering import BACKENDS
 from xtdrone_sim.cameras.shutter import RecentScenes, exposure_times, middle_us
 from xtdrone_sim.early_parameters import private_parameters
+from xtdrone_sim.sensors.measurement_times import rate_setting
 from xtdrone_sim.topics.scene_messages import scene_of
 from xtdrone_sim.worlds.scene_at import SceneAt
 
@@ -50,23 +51,12 @@ LEAST_RATE = 0.1  # Hz
 _NAME = "cameras"
 
 
-def _check_rate(rate: float) -> None:
-    if 0.0 < rate < LEAST_RATE:
-        raise ValueError
-
-
 @dataclass(frozen=True)
 class CameraSettings(Settings):
     """Private parameters of the node that determine when pictures are taken and how they are drawn."""
 
-    rate: float = setting(
-        0.0,
-        low=0.0,
-        high=MOST_TURNS,
-        unit="Hz",
-        check=_check_rate,
-        allowed=f"0, or {LEAST_RATE:g} to {MOST_TURNS:g} Hz",
-        text="pictures per second of each camera, 0 for the rate in its vehicle's file",
+    rate: float = rate_setting(
+        LEAST_RATE, MOST_TURNS, "pictures per second of each camera, 0 for the rate in its vehicle's file"
     )
     latency: float = setting(
         0.1, low=0.0, high=MOST_LATENCY, unit="s", text="simulated time from exposure to publication"

@@ -22,13 +22,12 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import rospy
 from sensor_msgs.msg import LaserScan, PointCloud2
 from xtdrone_msgs.msg import SceneModels, SceneState
-from xtdrone_msgs.srv import SetLidarFailure, SetLidarFailureRequest, SetLidarFailureResponse
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import Vehicle
@@ -37,10 +36,13 @@ from xtdrone_control.programs.program import ArgumentError, check_no_arguments, 
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.early_parameters import private_parameters
 from xtdrone_sim.lidars.lidar_messages import scan_message
-from xtdrone_sim.lidars.lidars import Failure, Lidar, lidars_of
+from xtdrone_sim.lidars.lidars import Lidar, lidars_of
 from xtdrone_sim.lidars.measuring import Motion, Scan, begin_us, cast_scan, end_us, measured
 from xtdrone_sim.lidars.patterns import read_pattern
 from xtdrone_sim.lidars.scene_history import SceneHistory
+from xtdrone_sim.sensors.measurement_times import Due, rate_setting
+from xtdrone_sim.sensors.ranging_failures import RangingFailure
+from xtdrone_sim.topics.failure_services import FailureServices
 from xtdrone_sim.topics.live_rays import LiveRays
 from xtdrone_sim.topics.scene_messages import scene_of
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LEAST_RATE, MOST_RATE, ROSETTE, LidarMount
@@ -52,23 +54,12 @@ _NAME = "lidars"
 _MOST_WORKERS = 4
 
 
-def _check_rate(rate: float) -> None:
-    if 0.0 < rate < LEAST_RATE:
-        raise ValueError
-
-
 @dataclass(frozen=True)
 class LidarSettings(Settings):
     """Private parameters of the node."""
 
-    rate: float = setting(
-        0.0,
-        low=0.0,
-        high=MOST_RATE,
-        unit="Hz",
-        check=_check_rate,
-        allowed=f"0, or {LEAST_RATE:g} to {MOST_RATE:g} Hz",
-        text="scans per second of each lidar, 0 for the rate in its vehicle's file",
+    rate: float = rate_setting(
+        LEAST_RATE, MOST_RATE, "scans per second of each lidar, 0 for the rate in its vehicle's file"
     )
     latency: float = setting(
         0.04, low=0.0, high=10.0, unit="s", text="simulated time from the end of a scan to its publication"
@@ -96,19 +87,16 @@ class _Done(NamedTuple):
 
 @dataclass
 class _State:
-    """State of a lidar: number of its next scan, failure, and latest scan."""
+    """State of a lidar: its scans that are due, and the latest scan."""
 
-    next: int | None = None
-    failure: Failure = field(default_factory=Failure)
+    due: Due
     last: Scan | None = None
 
 
-def _scanned(lidar: Lidar, number: int, motion: Motion, own: int, failure: Failure) -> _Done:
+def _scanned(lidar: Lidar, number: int, motion: Motion, own: int, failure: RangingFailure) -> _Done:
     """Cast and measure a scan; called in a thread of its own."""
     rays, hits = cast_scan(lidar.mount, number, motion, own)
-    bias = failure.value if failure.kind == "biased" else 0.0
-    lost = failure.value if failure.kind == "dropouts" else 0.0
-    scan = measured(lidar.mount, lidar.vehicle, number, rays, hits, bias, lost)
+    scan = measured(lidar.mount, lidar.vehicle, number, rays, hits, failure.bias, failure.dropouts)
     return _Done(scan, scan_message(lidar, number, scan))
 
 
@@ -128,11 +116,8 @@ class LidarNode:
             lockstep.Publisher(lidar.topic, LaserScan if lidar.mount.kind == "scan" else PointCloud2)
             for lidar in self._lidars
         ]
-        self._states = [_State() for _ in self._lidars]
-        self._services = [
-            rospy.Service(f"{lidar.topic}/failure", SetLidarFailure, lambda request, k=k: self._fail(k, request))
-            for k, lidar in enumerate(self._lidars)
-        ]
+        self._states = [_State(Due(lidar.mount.rate, int(lidar.mount.skew))) for lidar in self._lidars]
+        self._failures = FailureServices([lidar.topic for lidar in self._lidars])
         self._history = SceneHistory(round(1e6 * max(lidar.mount.duration for lidar in self._lidars)))
         self._rays = LiveRays(_NAME)
         self._deferred = Deferred(min(_MOST_WORKERS, len(os.sched_getaffinity(0))), wait=lockstep.is_active())
@@ -152,22 +137,13 @@ class LidarNode:
     def _take_scene(self, message: SceneState) -> None:
         self._history.add(message.header.stamp.to_nsec() // 1000, scene_of(message))
 
-    def _fail(self, k: int, request: SetLidarFailureRequest) -> SetLidarFailureResponse:
-        topic = self._lidars[k].topic
-        try:
-            failure = Failure.checked(request.failure, request.value)
-        except ValueError as error:
-            return SetLidarFailureResponse(False, f"{topic}: {error}")
-        self._states[k].failure = failure
-        rospy.loginfo(f"{topic}: {failure}")
-        return SetLidarFailureResponse(True, f"{topic}: {failure}")
-
     def _restart(self) -> None:
         """Discard the state from before a reset of simulated time, except failures."""
         self._deferred.clear()
         self._history.clear()
         for state in self._states:
-            state.next, state.last = None, None
+            state.due.restart()
+            state.last = None
 
     def step(self) -> None:
         """Publish the scans and cast those that are due."""
@@ -177,23 +153,11 @@ class LidarNode:
         last_us = self._history.last_us
         if last_us is None:
             return
-        for k, lidar in enumerate(self._lidars):
-            for number in self._due(k, last_us):
-                if self._publishers[k].get_num_connections() and self._states[k].failure.kind != "off":
-                    self._begin(k, lidar, number, now_us)
-
-    def _due(self, k: int, last_us: int) -> range:
-        """Return the scans of a lidar that end between the scene before and the latest."""
-        mount, state = self._lidars[k].mount, self._states[k]
         first_us = self._history.first_us or 0
-        if state.next is None:
-            state.next = max(0, int(first_us * 1e-6 * mount.rate) - 1)
-            while begin_us(mount, state.next) < first_us:
-                state.next += 1
-        first = state.next
-        while end_us(mount, state.next) <= last_us:
-            state.next += 1
-        return range(first, state.next)
+        for k, lidar in enumerate(self._lidars):
+            for number in self._states[k].due.numbers(first_us, last_us):
+                if self._publishers[k].get_num_connections() and self._failures[k].kind != "off":
+                    self._begin(k, lidar, number, now_us)
 
     def _begin(self, k: int, lidar: Lidar, number: int, now_us: int) -> None:
         rays = self._rays.scene()
@@ -205,15 +169,16 @@ class LidarNode:
             rospy.logwarn_throttle(10.0, f"/xtdrone/scene does not have {lidar.link}: no scans of its lidar")
             return
         own = rays.number(lidar.vehicle)
-        failure = self._states[k].failure
+        failure = self._failures[k]
         self._deferred.put(_Shot(k, number), now_us + self._latency_us, _scanned, lidar, number, motion, own, failure)
 
     def _publish(self, shot: _Shot, done: _Done) -> None:
         lidar, state = self._lidars[shot.lidar], self._states[shot.lidar]
-        if state.failure.kind == "off":
+        failure = self._failures[shot.lidar]
+        if failure.kind == "off":
             return
         message = done.message
-        if state.failure.kind == "frozen" and state.last is not None:
+        if failure.kind == "frozen" and state.last is not None:
             message = scan_message(lidar, shot.number, state.last)
         else:
             state.last = done.scan
@@ -221,8 +186,7 @@ class LidarNode:
 
     def close(self) -> None:
         """End the casting."""
-        for service in self._services:
-            service.shutdown()
+        self._failures.close()
         self._deferred.close()
 
 

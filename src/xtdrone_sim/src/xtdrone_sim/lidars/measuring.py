@@ -13,6 +13,7 @@ from xtdrone_sim.lidars.patterns import Rays, rays_of
 from xtdrone_sim.rays.casting import PLACE, place_rays
 from xtdrone_sim.rays.scene import Hits, Layout, cast
 from xtdrone_sim.rays.tree import NOTHING
+from xtdrone_sim.sensors.measurement_times import time_us
 from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount
 
@@ -59,7 +60,7 @@ class Scan:
 
 def begin_us(mount: LidarMount, number: int) -> int:
     """Return the time of a scan's first ray, microseconds."""
-    return round(number * 1e6 / mount.rate)
+    return time_us(mount.rate, number)
 
 
 def end_us(mount: LidarMount, number: int) -> int:

@@ -19,22 +19,22 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import rospy
 from xtdrone_msgs.msg import RelativeRanges, SceneModels, SceneState
-from xtdrone_msgs.srv import SetLidarFailure, SetLidarFailureRequest, SetLidarFailureResponse
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.programs.program import ArgumentError, check_no_arguments, fleet_of
-from xtdrone_control.settings import Settings, setting
+from xtdrone_control.settings import Settings
 from xtdrone_sim.early_parameters import private_parameters
-from xtdrone_sim.lidars.lidars import Failure
+from xtdrone_sim.sensors.measurement_times import Due, rate_setting, time_us
 from xtdrone_sim.shapes.pose_arithmetic import compose
 from xtdrone_sim.shapes.visual import Pose
+from xtdrone_sim.topics.failure_services import FailureServices
 from xtdrone_sim.topics.live_rays import LiveRays
 from xtdrone_sim.topics.scene_messages import scene_of
 from xtdrone_sim.uwb.antennas import Antenna, antennas_of, neighbours_of
@@ -50,38 +50,21 @@ TURNS = 50.0  # Hz, rate of /xtdrone/scene
 _NAME = "uwb"
 
 
-def _check_rate(rate: float) -> None:
-    if 0.0 < rate < LEAST_RATE:
-        raise ValueError
-
-
 @dataclass(frozen=True)
 class UwbSettings(Settings):
     """Private parameters of the node."""
 
-    rate: float = setting(
-        0.0,
-        low=0.0,
-        high=MOST_RATE,
-        unit="Hz",
-        check=_check_rate,
-        allowed=f"0, or {LEAST_RATE:g} to {MOST_RATE:g} Hz",
-        text="measurements per second of each UWB sensor, 0 for the rate in its vehicle's file",
+    rate: float = rate_setting(
+        LEAST_RATE, MOST_RATE, "measurements per second of each UWB sensor, 0 for the rate in its vehicle's file"
     )
 
 
 @dataclass
 class _State:
-    """State of a sensor: number of its next measurement, failure, and latest measurement."""
+    """State of a sensor: its measurements that are due, and the latest one."""
 
-    next: int | None = None
-    failure: Failure = field(default_factory=Failure)
+    due: Due
     last: Neighbours | None = None
-
-
-def time_us(rate: float, number: int) -> int:
-    """Return the time of a measurement, microseconds."""
-    return round(number * 1e6 / rate)
 
 
 class UwbNode:
@@ -100,11 +83,8 @@ class UwbNode:
         ]
         self._neighbours = [neighbours_of(k, self._antennas) for k in range(len(self._antennas))]
         self._publishers = [lockstep.Publisher(antenna.topic, RelativeRanges) for antenna in self._antennas]
-        self._states = [_State() for _ in self._antennas]
-        self._services = [
-            rospy.Service(f"{antenna.topic}/failure", SetLidarFailure, lambda request, k=k: self._fail(k, request))
-            for k, antenna in enumerate(self._antennas)
-        ]
+        self._states = [_State(Due(antenna.mount.rate)) for antenna in self._antennas]
+        self._failures = FailureServices([antenna.topic for antenna in self._antennas])
         self._rays = LiveRays(_NAME)
         self._scenes: list[tuple[int, SceneAt]] = []  # the last two, with their times in microseconds
         lockstep.Subscriber("/xtdrone/scene", SceneState, self._take_scene)
@@ -125,45 +105,24 @@ class UwbNode:
         if not self._scenes or now_us > self._scenes[-1][0]:
             self._scenes = [*self._scenes[-1:], (now_us, scene_of(message))]
 
-    def _fail(self, k: int, request: SetLidarFailureRequest) -> SetLidarFailureResponse:
-        topic = self._antennas[k].topic
-        try:
-            failure = Failure.checked(request.failure, request.value)
-        except ValueError as error:
-            return SetLidarFailureResponse(False, f"{topic}: {error}")
-        self._states[k].failure = failure
-        rospy.loginfo(f"{topic}: {failure}")
-        return SetLidarFailureResponse(True, f"{topic}: {failure}")
-
     def _restart(self) -> None:
         """Discard the state from before a reset of simulated time, except failures."""
         self._scenes.clear()
         for state in self._states:
-            state.next, state.last = None, None
+            state.due.restart()
+            state.last = None
 
     def step(self) -> None:
         """Publish the measurements between the last two scenes."""
+        if not self._scenes:
+            return
         due: dict[int, list[int]] = {}
         for k in range(len(self._antennas)):
-            for number in self._due(k):
-                if self._publishers[k].get_num_connections() and self._states[k].failure.kind != "off":
+            for number in self._states[k].due.numbers(self._scenes[0][0], self._scenes[-1][0]):
+                if self._publishers[k].get_num_connections() and self._failures[k].kind != "off":
                     due.setdefault(time_us(self._antennas[k].mount.rate, number), []).append(k)
         for now_us, sensors in sorted(due.items()):
             self._measure(now_us, sensors)
-
-    def _due(self, k: int) -> range:
-        """Return the measurements of a sensor from the first of the last two scenes, or after, to the second."""
-        if not self._scenes:
-            return range(0)
-        rate, state = self._antennas[k].mount.rate, self._states[k]
-        if state.next is None:
-            state.next = max(0, int(self._scenes[0][0] * 1e-6 * rate) - 1)
-            while time_us(rate, state.next) < self._scenes[0][0]:
-                state.next += 1
-        first = state.next
-        while time_us(rate, state.next) <= self._scenes[-1][0]:
-            state.next += 1
-        return range(first, state.next)
 
     def _measure(self, now_us: int, sensors: Sequence[int]) -> None:
         """Publish what sensors measure at one time."""
@@ -172,7 +131,7 @@ class UwbNode:
         bodies = {antenna.link: moment.pose(antenna.link) for antenna in self._antennas}
         poses = [_placed(bodies[antenna.link], antenna) for antenna in self._antennas]
         positions = np.array([pose.position if pose else (np.nan,) * 3 for pose in poses])
-        positions[[state.failure.kind == "off" for state in self._states]] = np.nan
+        positions[[self._failures[k].kind == "off" for k in range(len(self._antennas))]] = np.nan
         sights: Sights | None = None
         for k in sensors:
             pose, others = poses[k], list(self._neighbours[k])
@@ -196,19 +155,16 @@ class UwbNode:
         true.blocked[heard] = sights.blocked(self._antennas[k].vehicle, positions[k], names, positions[others])
 
     def _publish(self, k: int, now_us: int, true: Neighbours) -> None:
-        antenna, state = self._antennas[k], self._states[k]
-        if state.failure.kind != "frozen" or state.last is None:
+        antenna, state, failure = self._antennas[k], self._states[k], self._failures[k]
+        if failure.kind != "frozen" or state.last is None:
             number = round(now_us * 1e-6 * antenna.mount.rate)
-            bias = state.failure.value if state.failure.kind == "biased" else 0.0
-            lost = state.failure.value if state.failure.kind == "dropouts" else 0.0
-            state.last = measured(antenna.mount, antenna.vehicle, number, true, bias, lost)
+            state.last = measured(antenna.mount, antenna.vehicle, number, true, failure.bias, failure.dropouts)
         others = [self._antennas[other] for other in self._neighbours[k]]
         self._publishers[k].publish(ranges_message(antenna, others, now_us, state.last))
 
     def close(self) -> None:
         """End the services."""
-        for service in self._services:
-            service.shutdown()
+        self._failures.close()
 
 
 def _placed(body: Pose | None, antenna: Antenna) -> Pose | None:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
-from xtdrone_control.rotation import from_euler
-from xtdrone_control.settings import Settings, setting
-from xtdrone_sim.shapes.visual import Pose
+from xtdrone_control.settings import setting
+from xtdrone_sim.vehicles.mounts.body_sensors import BodySensor
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import check_sensor_name
 from xtdrone_sim.vehicles.mounts.sensor_lists import read_list, reader
 
@@ -17,15 +15,10 @@ MOST_RATE = 250.0
 
 
 @dataclass(frozen=True)
-class ImuMount(Settings):
+class ImuMount(BodySensor):
     """An IMU: an entry of the list ``imus:``. Noise densities are those of data sheets."""
 
     name: str = setting("imu_gazebo", check=check_sensor_name, text="the topic is ``/VEHICLE/NAME``, sensor_msgs/Imu")
-    frame_id: str = setting("", text="its frame, x ahead, ``VEHICLE/`` is prefixed; empty: NAME_frame")
-    position: tuple[float, float, float] = setting((0.0, 0.0, 0.0), low=-10.0, high=10.0, unit="m", text="in the body")
-    rpy: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.0), low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad", text="roll, pitch, yaw in the body"
-    )
     rate: float = setting(MOST_RATE, low=1.0, high=MOST_RATE, unit="Hz", text="samples per simulated second")
     gyro_noise: float = setting(0.0, low=0.0, high=1.0, unit="rad/s/√Hz", text="noise density of the gyroscope")
     gyro_walk: float = setting(0.0, low=0.0, high=1.0, unit="rad/s²/√Hz", text="random walk of its bias")
@@ -34,16 +27,6 @@ class ImuMount(Settings):
     accel_walk: float = setting(0.0, low=0.0, high=10.0, unit="m/s³/√Hz", text="random walk of its bias")
     accel_bias: float = setting(0.0, low=0.0, high=10.0, unit="m/s²", text="standard deviation of its first bias")
     seed: int = setting(0, low=0, high=2**31 - 1, text="of the noise, together with vehicle and name")
-
-    @property
-    def frame(self) -> str:
-        """Name of its frame without ``VEHICLE/``."""
-        return self.frame_id or f"{self.name.replace('/', '_')}_frame"
-
-    @property
-    def pose(self) -> Pose:
-        """Pose in the body."""
-        return Pose(self.position, from_euler(*self.rpy))
 
 
 def read_imus(imus: Any) -> tuple[ImuMount, ...]:

@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from xtdrone_control.rotation import from_euler
-from xtdrone_control.settings import Settings, setting
-from xtdrone_sim.shapes.visual import Pose
+from xtdrone_control.settings import setting
+from xtdrone_sim.vehicles.mounts.body_sensors import BodySensor
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import check_sensor_name
 from xtdrone_sim.vehicles.mounts.sensor_lists import read_list, reader
 
@@ -17,15 +16,10 @@ SIGHT_NEEDED, SIGHT_BIASED, SIGHT_IGNORED = "needed", "biased", "ignored"
 
 
 @dataclass(frozen=True)
-class UwbMount(Settings):
+class UwbMount(BodySensor):
     """A UWB sensor: an entry of the list ``uwb:``."""
 
     name: str = setting("uwb", check=check_sensor_name, text="the topic is ``/VEHICLE/NAME``")
-    frame_id: str = setting("", text="its frame, x ahead, ``VEHICLE/`` is prefixed; empty: NAME_frame")
-    position: tuple[float, float, float] = setting((0.0, 0.0, 0.0), low=-10.0, high=10.0, unit="m", text="in the body")
-    rpy: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.0), low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad", text="roll, pitch, yaw in the body"
-    )
     rate: float = setting(10.0, low=LEAST_RATE, high=MOST_RATE, unit="Hz", text="measurements per simulated second")
     range_max: float = setting(50.0, low=0.01, high=10_000.0, unit="m", text="farther neighbours are not measured")
     noise: float = setting(0.1, low=0.0, high=10.0, unit="m", text="standard deviation of a range, white")
@@ -52,16 +46,6 @@ class UwbMount(Settings):
         0.05, low=0.0, high=math.pi, unit="rad", text="standard deviation of azimuth and of elevation, white"
     )
     seed: int = setting(0, low=0, high=2**31 - 1, text="of all that is random, together with vehicle and name")
-
-    @property
-    def frame(self) -> str:
-        """Name of its frame without ``VEHICLE/``."""
-        return self.frame_id or f"{self.name.replace('/', '_')}_frame"
-
-    @property
-    def pose(self) -> Pose:
-        """Pose in the body."""
-        return Pose(self.position, from_euler(*self.rpy))
 
 
 def read_uwb(sensors: Any) -> tuple[UwbMount, ...]:

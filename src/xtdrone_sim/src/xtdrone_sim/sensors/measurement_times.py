@@ -1,0 +1,57 @@
+"""When sensors measure: the setting of their nodes' rates, and the measurements that are due."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from xtdrone_control.settings import setting
+
+
+def rate_setting(low: float, high: float, text: str) -> Any:
+    """Declare the rate of all sensors of a node: 0 for each one's own, or ``low`` to ``high``, Hz."""
+
+    def check(rate: float) -> None:
+        if 0.0 < rate < low:
+            raise ValueError
+
+    allowed = f"0, or {low:g} to {high:g} Hz"
+    return setting(0.0, low=0.0, high=high, unit="Hz", check=check, allowed=allowed, text=text)
+
+
+def time_us(rate: float, number: int) -> int:
+    """Return the time of measurement ``number`` at ``rate`` Hz, microseconds."""
+    return round(number * 1e6 / rate)
+
+
+class Due:
+    """Hands out each measurement of a sensor once, as soon as simulated time has covered it."""
+
+    def __init__(self, rate: float, periods: int = 0) -> None:
+        """Begin at the first time that is handed to ``numbers``.
+
+        Args:
+            rate: of the sensor, Hz.
+            periods: that a measurement lasts: 0 for one at an instant, 1 for one until the next begins.
+        """
+        self._rate, self._periods = rate, periods
+        self._next: int | None = None
+
+    def restart(self) -> None:
+        """Begin anew, after a reset of simulated time."""
+        self._next = None
+
+    def numbers(self, first_us: int, last_us: int) -> range:
+        """Return the measurements that have ended by ``last_us`` and have not been returned before.
+
+        Args:
+            first_us: no measurement begins before it in the first call, microseconds.
+            last_us: latest end, microseconds.
+        """
+        if self._next is None:
+            self._next = max(0, int(first_us * 1e-6 * self._rate) - 1)
+            while time_us(self._rate, self._next) < first_us:
+                self._next += 1
+        first = self._next
+        while time_us(self._rate, self._next + self._periods) <= last_us:
+            self._next += 1
+        return range(first, self._next)
