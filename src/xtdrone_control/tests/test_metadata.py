@@ -73,6 +73,7 @@ def test_only_texts_with_an_event_end_with_a_tab():
         "announcements",
         "ftp",
         "logger",
+        "parameter_file",  # between columns
     }
 
 
