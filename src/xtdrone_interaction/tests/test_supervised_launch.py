@@ -23,7 +23,7 @@ def made(folder: Path) -> supervised_launch.Watch:
     feed = SimpleNamespace(take=lambda _: [], lost=False)
     display = SimpleNamespace(note=lambda _: None, standstill=lambda _: None)
     return supervised_launch.Watch(
-        tree, SimpleNamespace(out=folder), feed, display, EndedNodes(folder / "roslaunch.log")
+        tree, SimpleNamespace(out=folder, arguments={}), feed, display, EndedNodes(folder / "roslaunch.log")
     )
 
 
