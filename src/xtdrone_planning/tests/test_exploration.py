@@ -161,7 +161,7 @@ def test_floors_are_explored_and_two_vehicles_are_faster() -> None:
 
 
 def test_a_vehicle_that_is_lost_does_not_keep_the_other_from_exploring_everything() -> None:
-    flight = ToyFloor(rooms(2, 18.0, 12.0), [(1.3, 5.0), (1.3, 7.0)], (0.0, 0.0, 18.0, 12.0), loss=0.2, dies=8.0)
+    flight = ToyFloor(rooms(2, 24.0, 18.0), [(1.3, 8.0), (1.3, 10.0)], (0.0, 0.0, 24.0, 18.0), loss=0.2, dies=8.0)
     flight.fly()
     assert flight.explorers[0].state == HOME
     assert flight.coverage() >= 0.95
