@@ -14,28 +14,17 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-import rospy
-
-from xtdrone_control import lockstep
-from xtdrone_control.programs.program import ArgumentError, run_program, served_vehicles
+from xtdrone_control.programs.program import run_program
 from xtdrone_perception.slam.laser.laser_odometry_node import LaserOdometryNode, read_settings
 from xtdrone_perception.slam.odometry_node import RATE
+from xtdrone_perception.slam.vehicle_program import serve_vehicle
 
 USAGE = "laser_odometry.py TYPE ID   (ID: a number, as 0)"
 
 
 def main(arguments: Sequence[str]) -> None:
     """Run the node for a vehicle until shutdown."""
-    _, ids, name = served_vehicles(arguments, rospy.get_param("/xtdrone/fleet", None))
-    if len(ids) != 1:
-        raise ArgumentError(f"id: {len(ids)} vehicles are not allowed, one for each node")
-    lockstep.init_node(f"{name}_laser_odometry", rate=RATE)
-    node = LaserOdometryNode(name, *read_settings())
-    try:
-        lockstep.start()
-        lockstep.spin(node.step)
-    finally:
-        node.close()
+    serve_vehicle(arguments, "laser_odometry", RATE, lambda name: LaserOdometryNode(name, *read_settings()))
 
 
 if __name__ == "__main__":

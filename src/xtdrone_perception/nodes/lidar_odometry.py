@@ -14,28 +14,17 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-import rospy
-
-from xtdrone_control import lockstep
-from xtdrone_control.programs.program import ArgumentError, run_program, served_vehicles
+from xtdrone_control.programs.program import run_program
 from xtdrone_perception.slam.lidar_odometry_node import LidarOdometryNode, read_settings
 from xtdrone_perception.slam.odometry_node import RATE
+from xtdrone_perception.slam.vehicle_program import serve_vehicle
 
 USAGE = "lidar_odometry.py TYPE ID   (ID: a number, as 0)"
 
 
 def main(arguments: Sequence[str]) -> None:
     """Run the node for a vehicle until shutdown."""
-    _, ids, name = served_vehicles(arguments, rospy.get_param("/xtdrone/fleet", None))
-    if len(ids) != 1:
-        raise ArgumentError(f"id: {len(ids)} vehicles are not allowed, one for each node")
-    lockstep.init_node(f"{name}_lidar_odometry", rate=RATE)
-    node = LidarOdometryNode(name, *read_settings())
-    try:
-        lockstep.start()
-        lockstep.spin(node.step)
-    finally:
-        node.close()
+    serve_vehicle(arguments, "lidar_odometry", RATE, lambda name: LidarOdometryNode(name, *read_settings()))
 
 
 if __name__ == "__main__":

@@ -14,27 +14,16 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-import rospy
-
-from xtdrone_control import lockstep
-from xtdrone_control.programs.program import ArgumentError, run_program, served_vehicles
+from xtdrone_control.programs.program import run_program
 from xtdrone_perception.slam.loops.loop_closure_node import RATE, VehicleLoops, read_settings
+from xtdrone_perception.slam.vehicle_program import serve_vehicle
 
 USAGE = "loop_closure.py TYPE ID   (ID: a number, as 0)"
 
 
 def main(arguments: Sequence[str]) -> None:
     """Run the node for a vehicle until shutdown."""
-    _, ids, name = served_vehicles(arguments, rospy.get_param("/xtdrone/fleet", None))
-    if len(ids) != 1:
-        raise ArgumentError(f"id: {len(ids)} vehicles are not allowed, one for each node")
-    lockstep.init_node(f"{name}_loop_closure", rate=RATE)
-    node = VehicleLoops(name, *read_settings())
-    try:
-        lockstep.start()
-        lockstep.spin(node.step)
-    finally:
-        node.close()
+    serve_vehicle(arguments, "loop_closure", RATE, lambda name: VehicleLoops(name, *read_settings()))
 
 
 if __name__ == "__main__":
