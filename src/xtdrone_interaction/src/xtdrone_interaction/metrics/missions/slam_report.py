@@ -17,6 +17,7 @@ SOURCES = ("lidar_odometry", "laser_odometry", "visual_odometry")
 _HOME_LIMIT = 0.5  # m
 _DRIFT_LIMITS = {"visual_odometry": 1.5}  # % of the way
 _DRIFT_LIMIT = 0.5  # % of the way, of the others
+_LEAST_WAY = 20.0  # m; on a shorter way the noise of the first pose, by which the flight is aligned, is not small
 _VOXEL = 0.5  # m, of the joined map
 
 
@@ -73,7 +74,7 @@ def _shortcomings(row: dict[str, Any], miss: float, recording: Recording) -> lis
     if miss > _HOME_LIMIT:
         found.append(f"landed {miss:.2f} m from the start, more than {_HOME_LIMIT:g} m")
     limit = _DRIFT_LIMITS.get(row["source"], _DRIFT_LIMIT)
-    if row["drift"] is not None and row["drift"] > limit:
+    if row["drift"] is not None and row["drift"] * row["way"] > limit * max(row["way"], _LEAST_WAY):
         found.append(f"drift {row['drift']:.2f} % of the way, more than {limit:g} %")
     return found
 
