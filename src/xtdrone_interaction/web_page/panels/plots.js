@@ -194,7 +194,10 @@ function mount(element, station) {
       <p class="soft">Drag to zoom, double click for the whole. Times are the messages' stamps.</p>`, controls);
   }
 
-  const list = () => station.call('topics.list').then(({ topics }) => { state.topics = topics; }, () => {});
+  const list = () => station.call('topics.list').then(({ topics }) => {
+    state.topics = topics;
+    if (state.words !== state.topic) drawControls(); // what is typed may match now
+  }, () => {});
   const all = () => axes.flatMap((axis) => axis.curves);
   const rebuild = () => axes.forEach(makePlot);
   const offs = [
