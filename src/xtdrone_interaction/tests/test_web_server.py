@@ -57,7 +57,7 @@ async def ask(connection: WebSocketClientConnection, method: Any, params: Any = 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A page's folder with neighbours that nobody may read."""
+    """A page's folder with neighbours that must not be served."""
     page = tmp_path / "page"
     (page / "panels").mkdir(parents=True)
     (page / "index.html").write_text("the page")

@@ -14,7 +14,7 @@ export class Trails {
   #time = -Infinity;
   #step = 0;
 
-  /** Begins anew for a number of vehicles; returns the lines. */
+  /** Restarts for a number of vehicles; returns the lines. */
   begin(count) {
     this.#count = count;
     this.#last = null;

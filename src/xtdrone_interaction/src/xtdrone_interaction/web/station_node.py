@@ -75,7 +75,7 @@ def main(arguments: Sequence[str]) -> None:
         if role == "operate" and not (settings.view_only or credentials.operate):
             rospy.set_param(URL_PARAMETER, url)  # without a token: parameters are everybody's
     if not is_loopback(settings.host):
-        rospy.logwarn("the station listens on %s: whoever has the token may fly the vehicles", settings.host)
+        rospy.logwarn("the station listens on %s: the token allows flying the vehicles", settings.host)
     rospy.on_shutdown(lambda: loop.add_callback(loop.stop))
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: loop.add_callback_from_signal(loop.stop))

@@ -37,7 +37,7 @@ class Due:
         self._next: int | None = None
 
     def restart(self) -> None:
-        """Begin anew, after a reset of simulated time."""
+        """Restart, after a reset of simulated time."""
         self._next = None
 
     def numbers(self, first_us: int, last_us: int) -> range:

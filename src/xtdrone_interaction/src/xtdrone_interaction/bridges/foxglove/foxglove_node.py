@@ -157,7 +157,7 @@ class FoxgloveBridge:
         self._server.publish_status(text, StatusLevel.Warning, id_)
 
     def tell_time(self) -> None:
-        """Tell clients the simulated time, if it has changed; after a reset they begin anew."""
+        """Tell clients the simulated time, if it has changed; after a reset they restart."""
         now = rospy.get_rostime().to_nsec()
         if now == self._time:
             return

@@ -113,7 +113,7 @@ class TopicChannels:
                     self._worker.submit(self._unlisten, topic, name)
 
     def _listen(self, name: str) -> None:
-        """Subscribe to a topic, anew for each client, so that this one gets the latched messages, too."""
+        """Subscribe to a topic once more for each client, so that it gets the latched messages, too."""
         topic = self._topics.get(name)
         if topic is None or self._clients[name] <= 0:
             return

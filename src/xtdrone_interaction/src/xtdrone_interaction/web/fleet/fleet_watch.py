@@ -65,7 +65,7 @@ class FleetWatch:
         return self.roster.describe(self.models)
 
     def _listen(self, wanted: bool) -> None:
-        """Subscribe while a page is open: nobody pays for what nobody sees."""
+        """Subscribe while a page is open, and only then."""
         if wanted and self._subscriber is None:
             self._subscriber = rospy.Subscriber(
                 "/gazebo/model_states", rospy.AnyMsg, self._on_states, queue_size=1, buff_size=1 << 20

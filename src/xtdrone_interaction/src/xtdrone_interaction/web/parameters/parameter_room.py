@@ -71,7 +71,7 @@ class ParameterRoom:
             prefix = f"{self._prefix(params)}/{_MIRROR}"
             values = await self._context.blocking(self._call, self._master.getParam, prefix)
         except CallError:
-            values = {}  # nobody has asked yet
+            values = {}  # before the first request
         return {"values": values if isinstance(values, dict) else {}}
 
     async def _pull(self, session: Session, params: Params) -> dict[str, Any]:

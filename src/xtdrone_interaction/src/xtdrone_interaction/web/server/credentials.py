@@ -43,7 +43,7 @@ class Credentials:
         Args:
             host: listening address.
             token: chosen by the user; empty: drawn if one is needed.
-            view_only: nobody may operate; ``operate`` is then a token that is told to no one.
+            view_only: no page may operate; ``operate`` is then a token that is not shown.
         """
         needs = bool(token) or not is_loopback(host)
         if view_only:

@@ -26,7 +26,7 @@ from .window_adjustment import WindowProblem, adjust
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 
-_MISSES = 2  # pictures without a pose after which odometry begins anew where it is predicted to be
+_MISSES = 2  # pictures without a pose after which odometry restarts where it is predicted to be
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ class VisualOdometry:
         self._misses = 0
 
     def register(self, picture: SeenPicture, predicted: Array) -> VisualEstimate:
-        """Return the pose of a picture; keyframes and ``pose`` do not change, unless odometry begins anew.
+        """Return the pose of a picture; keyframes and ``pose`` do not change, unless odometry restarts.
 
         Args:
             picture: the new one.
