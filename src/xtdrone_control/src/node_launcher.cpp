@@ -1,9 +1,10 @@
 // node_launcher SCRIPT ARGUMENT...: runs a Python node of a launch file as a fork of the launch's zygote.
 //
-// To be the launch-prefix of a node. The zygote (xtdrone_control/programs/zygote.py) is a process that has imported the nodes'
-// modules; there is one for each parent of launchers, that is for each roslaunch, started by the first of them. The
-// launcher stands for the node in roslaunch: it forwards signals to it and ends as the node does. A program that the
-// zygote cannot run (no Python script, another environment than the first node's) replaces the launcher, as without it.
+// To be the launch-prefix of a node. The zygote (xtdrone_control/programs/zygote.py) is a process that has imported the
+// nodes' modules; there is one for each parent of launchers, that is for each roslaunch, started by the first of them.
+// The launcher stands for the node in roslaunch: it forwards signals to it and ends as the node does. A program that
+// the zygote cannot run (no Python script, another environment than the first node's) replaces the launcher, as without
+// it.
 
 #include <fcntl.h>
 #include <poll.h>
