@@ -258,7 +258,7 @@ def test_a_client_that_takes_nothing_costs_nothing(stack: Stack) -> None:
     with connect(f"ws://127.0.0.1:{ROSBRIDGE}", ping_interval=None, max_queue=1) as socket:
         for topic in ("/gazebo/model_states", POSE, "/iris_0/mavros/imu/data", "/clock"):
             socket.send(json.dumps({"op": "subscribe", "topic": topic}))
-        stack.pass_time(5.0)  # nobody reads; time goes on
+        stack.pass_time(5.0)  # the client does not read, and simulated time still advances
         with connect(f"ws://127.0.0.1:{ROSBRIDGE}", ping_interval=None) as other:
             other.send(json.dumps({"op": "subscribe", "topic": POSE}))
             assert _operation(other, "publish")["topic"] == POSE

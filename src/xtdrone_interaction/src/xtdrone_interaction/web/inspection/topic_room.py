@@ -138,7 +138,7 @@ class TopicRoom:
         return {"subscribers": publisher.get_num_connections()}
 
     async def _publisher(self, topic: str, kind: type[Any]) -> Any:
-        """Return the publisher of a topic, connected to the subscribers that there are."""
+        """Return the publisher of a topic, connected to its present subscribers."""
         if topic not in self._publishers:
             if len(self._publishers) >= _MOST_PUBLISHERS:
                 raise CallError(f"topic: {topic!r} is one more than the {_MOST_PUBLISHERS} that the station publishes")
