@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-from pathlib import Path
 
 from xtdrone_interaction import options
 from xtdrone_interaction.console import PatientConsole, run_reported
+from xtdrone_interaction.demos.directed_flight import add_place_options, placed
 from xtdrone_interaction.demos.explore_demo import ExploreDemoSettings, run_explore
-from xtdrone_interaction.launching.supervised_launch import master_port
-from xtdrone_interaction.options import MachineSettings, add_instance, add_master, results_folder, take_instance
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,10 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--world", metavar="WORLD", help="another world, by name or file (default: a building of the seed)"
     )
-    settings(parser, ("bounds", "time_limit", "speed", "headless"))
-    parser.add_argument("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
-    add_master(parser)
-    add_instance(parser)
+    settings(parser, ("bounds", "time_limit", "speed", "headless", "web"))
+    add_place_options(parser)
 
 
 def settings_of(arguments: argparse.Namespace) -> ExploreDemoSettings:
@@ -39,13 +35,7 @@ def settings_of(arguments: argparse.Namespace) -> ExploreDemoSettings:
     """
     settings = ExploreDemoSettings.from_arguments(arguments, world="")
     settings = replace(settings, world=options.world(arguments.world or settings.generated_world))
-    machine = MachineSettings.from_arguments(arguments)
-    return replace(
-        settings,
-        out=results_folder(arguments.out, recorded=True),
-        master_port=master_port(machine.master_port, use_running=arguments.use_master),
-        instance=take_instance(settings.fleet, machine.instance),
-    )
+    return placed(settings, arguments, settings.fleet)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import time
 from collections.abc import Mapping
@@ -14,12 +13,16 @@ from rich.console import Console
 
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.settings import Settings, setting
-from xtdrone_interaction.demos.forest_demo import show_event
-from xtdrone_interaction.formation.distances import EVENTS_TOPIC, PROGRESS_TOPIC
+from xtdrone_interaction.demos.directed_flight import (
+    directed_flight,
+    planning_times,
+    show_landing,
+    stored_settings,
+)
 from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, run_flight
 from xtdrone_interaction.metrics.clearance import solids_of
 from xtdrone_interaction.metrics.missions.formation_metrics import write_report
-from xtdrone_interaction.options import seed_setting, speed_setting
+from xtdrone_interaction.options import seed_setting, speed_setting, web_setting
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.printed_results import print_exploration, print_paths
 from xtdrone_planning.exploration.settings import ExplorationSettings, parse_bounds
@@ -27,8 +30,6 @@ from xtdrone_planning.exploration.settings import ExplorationSettings, parse_bou
 _HEIGHT = 1.5  # m
 _START = (17.0, 5.0)  # before the entrance of generated buildings and mazes
 _APART = 2.0  # m between two vehicles at the start
-_START_LIMIT = 180.0  # s of wall time until the first progress message; kernels may have to be compiled
-_TIMINGS = "planning_times.json"
 _SETTINGS = "explore.json"  # in the results folder, for a report that is made again
 _RESULTS = ("flight.bag", "report.json", "floor.png")
 
@@ -64,6 +65,7 @@ class ExploreDemoSettings(Settings):
     master_port: int = 0
     headless: bool = setting(False, text="no live display: print a line of progress every few seconds")
     instance: int = 0
+    web: bool = web_setting()
 
     @property
     def fleet(self) -> str:
@@ -95,7 +97,7 @@ class ExploreDemoSettings(Settings):
 
     def stored(self) -> dict[str, Any]:
         """Return the settings stored in the report."""
-        unstored = ("out", "master_port", "headless", "instance")
+        unstored = ("out", "master_port", "headless", "instance", "web")
         stored = {key: value for key, value in asdict(self).items() if key not in unstored}
         return {**stored, "bounds": list(self.floor), "start": list(self.starts[0]), "fleet": self.fleet}
 
@@ -118,33 +120,16 @@ def run_explore(settings: ExploreDemoSettings, console: Console) -> int:
 
 def flight(settings: ExploreDemoSettings) -> Flight:
     """Return the launch file with its arguments."""
-    return Flight(
-        file="explore.launch",
-        arguments={
-            "vehicles": settings.fleet,
-            "poses": f"[{','.join(f'[{x:g},{y:g}]' for x, y in settings.starts)}]",
-            "homes": f"[{','.join(f'[{x:g},{y:g},{_HEIGHT:g}]' for x, y in settings.starts)}]",
-            "bounds": ",".join(f"{value:g}" for value in settings.floor),
-            **({"delay": settings.delay, "loss": settings.loss} if settings.n > 1 else {}),
-            "world": settings.world,
-            "speed_limit": settings.speed_limit,
-            "time_limit": settings.time_limit,
-            "seed": settings.seed,
-            "speed": settings.speed,
-            "out": settings.out,
-            **({"instance": settings.instance} if settings.instance else {}),
-        },
-        out=settings.out,
-        bag="flight.bag",
-        master_port=settings.master_port,
-        headless=settings.headless,
-        instance=settings.instance,
-        start_limit=_START_LIMIT,
-        progress_topic=PROGRESS_TOPIC,
-        events_topic=EVENTS_TOPIC,
-        last_events=("finished",),
-        show_event=show_event,
-    )
+    arguments = {
+        "vehicles": settings.fleet,
+        "poses": f"[{','.join(f'[{x:g},{y:g}]' for x, y in settings.starts)}]",
+        "homes": f"[{','.join(f'[{x:g},{y:g},{_HEIGHT:g}]' for x, y in settings.starts)}]",
+        "bounds": ",".join(f"{value:g}" for value in settings.floor),
+        **({"delay": settings.delay, "loss": settings.loss} if settings.n > 1 else {}),
+        "speed_limit": settings.speed_limit,
+        "time_limit": settings.time_limit,
+    }
+    return directed_flight(settings, "explore.launch", arguments, show_landing)
 
 
 def is_exploration(folder: Path) -> bool:
@@ -158,11 +143,7 @@ def report_again(bag: Path, console: Console) -> int:
     Raises:
         DemoError: it cannot be read.
     """
-    try:
-        settings = json.loads((bag.parent / _SETTINGS).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise DemoError(f"{bag.parent / _SETTINGS}: {error}") from error
-    return _report(bag.parent, settings, console)
+    return _report(bag.parent, stored_settings(bag.parent / _SETTINGS), console)
 
 
 def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
@@ -176,9 +157,6 @@ def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
     from xtdrone_interaction.recording.exploration_record import read_exploration
     from xtdrone_sim.worlds.catalogue import load_world
 
-    timings: dict[str, Any] = {}
-    with contextlib.suppress(FileNotFoundError, ValueError):
-        timings = json.loads((folder / _TIMINGS).read_text(encoding="utf-8"))
     try:
         names = [vehicle.name for vehicle in parse_fleet(str(settings["fleet"]))]
         record = read_exploration(folder / "flight.bag", names)
@@ -187,7 +165,7 @@ def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
         visible, solid = visible_cells(solids, exploration, tuple(settings["start"]))
     except (RecordError, ValueError, KeyError) as error:
         raise DemoError(str(error)) from error
-    report = make_report(record, solids, visible, settings, timings)
+    report = make_report(record, solids, visible, settings, planning_times(folder))
     write_report(report, folder / "report.json")
     save_floor(record, visible, solid, exploration, report, folder / "floor.png")
     print_exploration(report, console)

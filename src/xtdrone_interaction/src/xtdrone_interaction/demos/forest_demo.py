@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import time
@@ -16,12 +15,16 @@ from rich.console import Console
 
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.settings import Settings, setting
-from xtdrone_interaction.formation.distances import EVENTS_TOPIC, PROGRESS_TOPIC
-from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, escape, run_flight
+from xtdrone_interaction.demos.directed_flight import (
+    directed_flight,
+    planning_times,
+    show_landing,
+    stored_settings,
+)
+from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, run_flight
 from xtdrone_interaction.metrics.clearance import solids_of
 from xtdrone_interaction.metrics.missions.crossing_metrics import make_report
 from xtdrone_interaction.metrics.missions.formation_metrics import write_report
-from xtdrone_interaction.monitoring.progress_display import Display
 from xtdrone_interaction.options import seed_setting, speed_setting, web_setting
 from xtdrone_interaction.recording.crossing_record import read_crossing
 from xtdrone_interaction.recording.recorded_flight import RecordError
@@ -30,8 +33,6 @@ from xtdrone_interaction.report.printed_results import print_crossing, print_pat
 _TYPES = {"lidar": "iris_3d_lidar", "depth": "iris_depth_camera"}
 _HEIGHT = 2.0  # m
 _APART = 4.0  # m between the lines of several UAVs
-_START_LIMIT = 180.0  # s of wall time until the first progress message; kernels may have to be compiled
-_TIMINGS = "planning_times.json"
 _SETTINGS = "forest.json"  # in the results folder, for a report that is made again
 _RESULTS = ("flight.bag", "report.json", "map.png")
 
@@ -153,47 +154,23 @@ def run_forest(settings: ForestDemoSettings, console: Console) -> int:
 def flight(settings: ForestDemoSettings) -> Flight:
     """Return the launch file with its arguments."""
     starts, goals = settings.routes()
-    return Flight(
-        file="forest.launch",
-        arguments={
-            "vehicles": settings.fleet,
-            "sensor": settings.sensor,
-            "poses": _listed(starts),
-            "goals": _listed(goals),
-            **({"delay": settings.delay, "loss": settings.loss} if settings.n > 1 else {}),
-            "world": settings.world,
-            "speed_limit": settings.speed_limit,
-            "acceleration_limit": settings.acceleration_limit,
-            "highest": settings.highest,
-            "time_limit": settings.time_limit,
-            "seed": settings.seed,
-            "speed": settings.speed,
-            "out": settings.out,
-            **({"log": settings.out / "ulog"} if settings.logs else {}),
-            **({"instance": settings.instance} if settings.instance else {}),
-            **({"web": "true"} if settings.web else {}),
-        },
-        out=settings.out,
-        bag="flight.bag",
-        master_port=settings.master_port,
-        headless=settings.headless,
-        instance=settings.instance,
-        start_limit=_START_LIMIT,
-        progress_topic=PROGRESS_TOPIC,
-        events_topic=EVENTS_TOPIC,
-        last_events=("finished",),
-        show_event=show_event,
-    )
+    arguments = {
+        "vehicles": settings.fleet,
+        "sensor": settings.sensor,
+        "poses": _listed(starts),
+        "goals": _listed(goals),
+        **({"delay": settings.delay, "loss": settings.loss} if settings.n > 1 else {}),
+        "speed_limit": settings.speed_limit,
+        "acceleration_limit": settings.acceleration_limit,
+        "highest": settings.highest,
+        "time_limit": settings.time_limit,
+        **({"log": settings.out / "ulog"} if settings.logs else {}),
+    }
+    return directed_flight(settings, "forest.launch", arguments, show_landing)
 
 
 def _listed(places: Sequence[Sequence[float]]) -> str:
     return f"[{','.join('[' + ','.join(f'{value:g}' for value in place) + ']' for place in places)}]"
-
-
-def show_event(event: dict[str, Any], display: Display) -> None:
-    """Show an event of the director, if it is of interest to the user."""
-    if event.get("outcome") and event["event"] == "landing":
-        display.note(f"  {event['time']:6.1f} s  {event['vehicle']}: {escape(str(event['outcome']))}")
 
 
 def is_forest(folder: Path) -> bool:
@@ -207,11 +184,7 @@ def report_again(bag: Path, console: Console) -> int:
     Raises:
         DemoError: it cannot be read.
     """
-    try:
-        settings = json.loads((bag.parent / _SETTINGS).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise DemoError(f"{bag.parent / _SETTINGS}: {error}") from error
-    return _report(bag.parent, settings, console)
+    return _report(bag.parent, stored_settings(bag.parent / _SETTINGS), console)
 
 
 def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
@@ -223,16 +196,13 @@ def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
     from xtdrone_interaction.pictures.crossing_map import save_crossing_map  # matplotlib takes a while to import
     from xtdrone_sim.worlds.catalogue import load_world
 
-    timings: dict[str, Any] = {}
-    with contextlib.suppress(FileNotFoundError, ValueError):
-        timings = json.loads((folder / _TIMINGS).read_text(encoding="utf-8"))
     try:
         names = [vehicle.name for vehicle in parse_fleet(str(settings["fleet"]))]
         record = read_crossing(folder / "flight.bag", names)
         solids, _ = solids_of(load_world(str(settings["world"])).models)
     except (RecordError, ValueError) as error:
         raise DemoError(str(error)) from error
-    report = make_report(record, solids, settings, timings)
+    report = make_report(record, solids, settings, planning_times(folder))
     write_report(report, folder / "report.json")
     save_crossing_map(record, solids, folder / "map.png")
     print_crossing(report, console)

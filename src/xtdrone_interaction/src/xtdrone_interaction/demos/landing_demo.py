@@ -11,7 +11,7 @@ import json
 import math
 import random
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,19 +20,18 @@ from rich.console import Console
 from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction import options
 from xtdrone_interaction.console import PatientConsole, run_reported
-from xtdrone_interaction.formation.distances import EVENTS_TOPIC, PROGRESS_TOPIC
-from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, escape, master_port, run_flight
+from xtdrone_interaction.demos.directed_flight import add_place_options, directed_flight, placed
+from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, escape, run_flight
 from xtdrone_interaction.metrics.missions.formation_metrics import write_report
 from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
 from xtdrone_interaction.monitoring.progress_display import Display
-from xtdrone_interaction.options import MachineSettings, seed_setting, speed_setting, web_setting
+from xtdrone_interaction.options import seed_setting, speed_setting, web_setting
 from xtdrone_interaction.recording.recorded_flight import RecordError
 
 TYPE, ROBOT = "iris_landing_camera", "ugv_0"
 _SPAWN = (0.0, 3.0)  # m, of the UAV
 _AWAY = 11.0  # m, of the robot at the start: out of sight
 _ASIDE = 0.12  # rad, greatest angle between its heading and the UAV
-_START_LIMIT = 120.0  # s of wall time until the first progress message
 _WORDS = {
     "tags found": "the platform is in sight: [bold]AUTO.PRECLAND[/bold]",
     "no tags found": "[yellow]no tags found: landing here[/yellow]",
@@ -72,9 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     LandingDemoSettings.add_arguments(parser, ("ugv_speed", "ugv_turn", "seed", "speed", "headless", "web"))
     options.add_world(parser)
-    parser.add_argument("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
-    options.add_master(parser)
-    options.add_instance(parser)
+    add_place_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -89,13 +86,7 @@ def settings_of(arguments: argparse.Namespace) -> LandingDemoSettings:
         OptionError: a value is not allowed.
     """
     settings = LandingDemoSettings.from_arguments(arguments, world=options.world(arguments.world))
-    machine = MachineSettings.from_arguments(arguments)
-    return replace(
-        settings,
-        out=options.results_folder(arguments.out, recorded=True),
-        master_port=master_port(machine.master_port, use_running=arguments.use_master),
-        instance=options.take_instance(f"{TYPE}:1", machine.instance),
-    )
+    return placed(settings, arguments, f"{TYPE}:1")
 
 
 def robot_start(seed: int) -> tuple[float, float, float]:
@@ -116,31 +107,13 @@ def fly(settings: LandingDemoSettings, console: Console) -> int:
 
 def _flight(settings: LandingDemoSettings) -> Flight:
     place = ", ".join(f"{value:g}" for value in robot_start(settings.seed))
-    return Flight(
-        file="landing.launch",
-        arguments={
-            "type": TYPE,
-            "robots": f"[{{name: {ROBOT}, type: ugv_tags, pose: [{place}]}}]",
-            "world": settings.world,
-            "ugv_speed": settings.ugv_speed,
-            "ugv_turn": settings.ugv_turn,
-            "seed": settings.seed,
-            "speed": settings.speed,
-            "out": settings.out,
-            **({"instance": settings.instance} if settings.instance else {}),
-            **({"web": "true"} if settings.web else {}),
-        },
-        out=settings.out,
-        bag="flight.bag",
-        master_port=settings.master_port,
-        headless=settings.headless,
-        instance=settings.instance,
-        start_limit=_START_LIMIT,
-        progress_topic=PROGRESS_TOPIC,
-        events_topic=EVENTS_TOPIC,
-        last_events=("finished",),
-        show_event=_show_event,
-    )
+    arguments = {
+        "type": TYPE,
+        "robots": f"[{{name: {ROBOT}, type: ugv_tags, pose: [{place}]}}]",
+        "ugv_speed": settings.ugv_speed,
+        "ugv_turn": settings.ugv_turn,
+    }
+    return directed_flight(settings, "landing.launch", arguments, _show_event)
 
 
 def _show_event(event: dict[str, Any], display: Display) -> None:
