@@ -79,10 +79,14 @@ def test_plots_draw_a_field_and_export_it(page: Any, panel: Callable[[str], Any]
     plots.locator("div.link").first.click()
     plots.locator("button", has_text="pose.position.z").click()
     sync_api.expect(plots.locator(f'[data-curve="{POSE}/pose.position.z"]')).to_be_visible()
-    page.wait_for_timeout(1500)
-    with page.expect_download() as download:
-        plots.locator("button", has_text="CSV").click()
-    head, *lines = Path(download.value.path()).read_text().splitlines()
+
+    def exported() -> list[str]:
+        with page.expect_download() as download:
+            plots.locator("button", has_text="CSV").click()
+        return Path(download.value.path()).read_text().splitlines()
+
+    poll(lambda: len(exported()) > 11, "ten samples are drawn", WALL_LIMIT)
+    head, *lines = exported()
     times = [float(line.split(",")[0]) for line in lines]
     assert head == f"time_s,{POSE}/pose.position.z"
     assert len(times) > 10
