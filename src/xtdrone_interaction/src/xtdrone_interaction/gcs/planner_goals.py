@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-import time
+import threading
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -80,8 +80,12 @@ def _send(name: str, goal: Goal, planners: Sequence[str]) -> GcsError | None:
     place = message.pose.position
     place.x, place.y, place.z = goal
     message.pose.orientation.w = 1.0
-    publisher = rospy.Publisher(f"/{name}/planner/goal", PoseStamped, queue_size=1, latch=True)
-    if not _connected(publisher):
+    connected = threading.Event()
+    listener = rospy.SubscribeListener()
+    listener.peer_subscribe = lambda *_: connected.set()
+    topic = f"/{name}/planner/goal"
+    publisher = rospy.Publisher(topic, PoseStamped, listener, queue_size=1, latch=True)
+    if not connected.wait(_CONNECTIONS):
         return GcsError(f"{name}: {planners[0]} does not connect")
     publisher.publish(message)
     return None
@@ -95,14 +99,6 @@ def _settings_of(planner: str) -> PlannerSettings:
         return rospy.get_param(f"{planner}/{name.removeprefix('~')}", default)
 
     return PlannerSettings.from_parameters(get, names=("lowest", "highest"))
-
-
-def _connected(publisher: Any) -> bool:
-    """Wait until a publisher has a subscriber; return whether it has."""
-    end = time.monotonic() + _CONNECTIONS
-    while not publisher.get_num_connections() and time.monotonic() < end:
-        time.sleep(0.02)  # rospy has no event for it
-    return bool(publisher.get_num_connections())
 
 
 def _arguments(name: str) -> str:

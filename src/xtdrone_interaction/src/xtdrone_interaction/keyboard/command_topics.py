@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import threading
+
+import rospy
 from geometry_msgs.msg import Twist
 from std_msgs.msg import String
 
@@ -24,12 +27,20 @@ class CommandTopics:
             mode: ``vel`` or ``accel``.
         """
         self._command = lockstep.UncountedPublisher(f"/xtdrone/{name}/cmd", String, queue_size=_KEPT)
+        self._connected = threading.Event()
+        listener = rospy.SubscribeListener()
+        listener.peer_subscribe = lambda *_: self._connected.set()
+        self._command.impl.add_subscriber_listener(listener)
         self._steering = lockstep.UncountedPublisher(f"/xtdrone/{name}/cmd_{mode}_flu", Twist, queue_size=_KEPT)
 
     @property
     def has_subscriber(self) -> bool:
         """Whether a node receives commands."""
         return bool(self._command.get_num_connections())
+
+    def wait_for_subscriber(self, limit: float) -> bool:
+        """Wait until a node receives commands, at most ``limit`` s of wall time; return whether one does."""
+        return self.has_subscriber or self._connected.wait(max(limit, 0.0))
 
     def send_command(self, text: str) -> None:
         """Publish a command."""

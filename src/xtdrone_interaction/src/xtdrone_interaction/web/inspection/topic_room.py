@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from concurrent.futures import Future
 from typing import Any
 
 from xtdrone_control import lockstep
@@ -77,15 +78,21 @@ class TopicRoom:
             return await self._context.blocking(lambda: message.message_class)
 
     def _first_message(self, topic: str) -> RawMessage:
-        arrived: list[RawMessage] = []
-        listener = self._topics.listen(topic, arrived.append)
-        end = time.monotonic() + _FIRST_MESSAGE
-        while not arrived and time.monotonic() < end:
-            time.sleep(_POLL)
-        listener.close()
-        if not arrived:
-            raise CallError(f"topic: {topic!r} has a type that is not installed, and no message within 3 s to learn it")
-        return arrived[0]
+        arrived: Future[RawMessage] = Future()
+
+        def on_message(message: RawMessage) -> None:
+            if not arrived.done():
+                arrived.set_result(message)
+
+        listener = self._topics.listen(topic, on_message)
+        try:
+            return arrived.result(_FIRST_MESSAGE)
+        except TimeoutError:
+            raise CallError(
+                f"topic: {topic!r} has a type that is not installed, and no message within 3 s to learn it"
+            ) from None
+        finally:
+            listener.close()
 
     async def _list(self, _session: Session, _params: Params) -> dict[str, Any]:
         graph = await self.graph()

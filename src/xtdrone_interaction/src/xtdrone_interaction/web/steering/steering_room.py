@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import rospy
@@ -20,6 +21,7 @@ from xtdrone_interaction.web.steering.page_pilot import PagePilot
 MODES = ("vel", "accel")
 _NAME = re.compile(r"^[A-Za-z]\w*$", re.ASCII)
 _MOST_VEHICLES = 250
+_CONNECTING = 2.0  # s of wall time until subscribers have connected
 
 
 class SteeringRoom:
@@ -58,6 +60,7 @@ class SteeringRoom:
         for name in ("leader", *vehicles):
             if (name, mode) not in self._topics:
                 self._topics[name, mode] = await self._context.blocking(CommandTopics, name, mode)
+        deaf = await self._context.blocking(self._unconnected, vehicles, mode)
         self._end(session)
 
         def send(name: str, message: Message) -> None:
@@ -69,7 +72,13 @@ class SteeringRoom:
 
         self._pilots[session] = PagePilot(vehicles, params.get("leader") is True, _patterns(known), send)
         session.on_close(lambda: self._end(session))
-        return self._pilots[session].state
+        note = f"no node receives commands for {', '.join(deaf)}; start multirotor_communication.py" if deaf else ""
+        return {**self._pilots[session].state, "note": note}
+
+    def _unconnected(self, vehicles: Sequence[str], mode: str) -> list[str]:
+        """Wait for subscribers, so that the first key reaches them; return the vehicles without one."""
+        end = time.monotonic() + _CONNECTING
+        return [name for name in vehicles if not self._topics[name, mode].wait_for_subscriber(end - time.monotonic())]
 
     def _key(self, session: Session, params: Params) -> dict[str, Any]:
         pilot = self._pilot(session)
