@@ -193,8 +193,11 @@ class Host:
         return found
 
     def kill_all(self) -> None:
-        """Kill every process but the first; the network card stays, so that their connections are closed."""
-        for pid in self.processes():
+        """Kill every process but the first; the network card stays, so that their connections are closed.
+
+        The youngest die first: a node before its launcher and roslaunch, whose end would let it leave in order.
+        """
+        for pid in sorted(self.processes(), reverse=True):
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
 

@@ -7,6 +7,7 @@ import { bytes } from '../topic_choice.js';
 const HEADER = 24; // of the fleet's frame, see fleet.js
 const SPEEDS = [0.25, 0.5, 1, 2, 5, 10, 30];
 const STATE_PERIOD = 1000; // ms
+const LIST_PERIOD = 5000; // ms: demos and other programs record, too
 const KINDS = { mode: '', armed: 'warn', command: '', text: 'soft' };
 const EVENTS_SHOWN = 300;
 
@@ -175,11 +176,11 @@ function mount(element, station) {
 
   let request = requestAnimationFrame(tick);
   const offs = [station.onConnect(() => { list(); readState(); })];
-  const timer = setInterval(readState, STATE_PERIOD);
+  const timers = [setInterval(readState, STATE_PERIOD), setInterval(list, LIST_PERIOD)];
   draw();
   return () => {
     cancelAnimationFrame(request);
-    clearInterval(timer);
+    timers.forEach(clearInterval);
     offs.forEach((off) => off());
     close();
     render(null, element);

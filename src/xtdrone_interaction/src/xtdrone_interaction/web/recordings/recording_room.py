@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 from collections import OrderedDict
 from pathlib import Path
 from typing import Any
@@ -102,8 +103,9 @@ def listed(folder: Path) -> list[dict[str, Any]]:
     found = []
     for path in folder.rglob("*") if folder.is_dir() else ():
         if path.suffix in ENDINGS and path.is_file() and not path.is_symlink():
-            status = path.stat()
-            found.append((status.st_mtime, path.relative_to(folder).as_posix(), status.st_size))
+            with contextlib.suppress(FileNotFoundError):  # it has been renamed or removed since
+                status = path.stat()
+                found.append((status.st_mtime, path.relative_to(folder).as_posix(), status.st_size))
     found.sort(reverse=True)
     return [{"file": name, "bytes": size, "changed": changed} for changed, name, size in found[:_MOST_LISTED]]
 
