@@ -69,6 +69,13 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
         config.option.loadscopereorder = False
 
 
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Let parallel workers begin with tests of the whole system, so that short files are left for the end."""
+    if hasattr(config, "workerinput"):
+        whole_system = Path(__file__).resolve().parent / "tests"
+        items.sort(key=lambda item: item.path.parent != whole_system)
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Give a worker its network."""
     if not hasattr(config, "workerinput"):

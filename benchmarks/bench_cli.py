@@ -23,7 +23,7 @@ from benchmarks.measurement_runner import TYPE, Bench, Case, Length
 from benchmarks.measurement_table import MEASUREMENTS
 from benchmarks.printed_tables import print_results, short_result
 from benchmarks.progress_and_files import print_machine, progress, write_results
-from benchmarks.search_speed import SEARCHERS
+from benchmarks.search_flights import SEARCHERS
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.patterns import PatternError

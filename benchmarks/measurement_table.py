@@ -11,7 +11,11 @@ import statistics
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from benchmarks.flights import (
+from benchmarks.free_running_flights import measure_free
+from benchmarks.goals import goal_of
+from benchmarks.measurement_runner import Bench, Case, Flight, Program, Row
+from benchmarks.search_flights import SEARCHERS, search_arguments, search_figures
+from benchmarks.stack_and_formation_flights import (
     formation_arguments,
     formation_figures,
     formation_probe,
@@ -19,10 +23,6 @@ from benchmarks.flights import (
     stack_arguments,
     stack_figures,
 )
-from benchmarks.free_running import measure_free
-from benchmarks.goals import goal_of
-from benchmarks.measurement_runner import Bench, Case, Flight, Program, Row
-from benchmarks.search_speed import SEARCHERS, search_arguments, search_figures
 from benchmarks.table_columns import (
     DRAWING_PROGRAMS,
     Field,

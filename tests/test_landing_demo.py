@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from xtdrone_interaction import cli
-from xtdrone_interaction.demos.landing_demo import robot_start
+from xtdrone_interaction.landing.robot_start import robot_start
 from xtdrone_interaction.landing.search_path import Spiral
 
 pytest.importorskip("rospy")

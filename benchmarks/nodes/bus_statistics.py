@@ -76,7 +76,7 @@ def take(
     sent: dict[_Key, Connections] = {}
     times = {}
     for node, topics in roles.items():
-        answer = proxy(master.lookupNode(node)).getBusStats("/speed_probe")
+        answer = proxy(master.lookupNode(node)).getBusStats("/formation_speed_meter")
         times[node] = now()
         for topic, _, connections in answer[2][0]:
             if topic in topics:

@@ -19,8 +19,8 @@ from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import check_range
 from xtdrone_sim.lidars.lidar_messages import scan_message
-from xtdrone_sim.lidars.lidars import Lidar
-from xtdrone_sim.lidars.measuring import begin_us, cast_scan, end_us, measured
+from xtdrone_sim.lidars.lidars_of_fleet import Lidar
+from xtdrone_sim.lidars.scan_measurement import begin_us, cast_scan, end_us, measured
 from xtdrone_sim.lidars.scene_history import SceneHistory
 from xtdrone_sim.rays.scene import RayScene
 from xtdrone_sim.shapes.visual import Pose

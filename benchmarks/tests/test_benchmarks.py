@@ -26,15 +26,15 @@ from benchmarks import bench_cli as bench
 from benchmarks import (
     calibration,
     compare_with_commit,
-    flights,
-    free_running,
+    free_running_flights,
     measurement_runner,
     printed_tables,
     process_use,
-    search_speed,
+    search_flights,
+    stack_and_formation_flights,
 )
 from benchmarks.measurement_table import MEASUREMENTS
-from benchmarks.nodes import bus_statistics, search_probe, speed_search
+from benchmarks.nodes import bus_statistics, free_running_speeds, search_speed_meter
 from benchmarks.programs import barrier
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_interaction import cli, machine_facts, options
@@ -265,7 +265,7 @@ FORMATION = [
 
 
 def test_formation_figures() -> None:
-    assert flights.formation_figures(FORMATION, began=1000.0) == {
+    assert stack_and_formation_flights.formation_figures(FORMATION, began=1000.0) == {
         "real_time_factor": 4.0,
         "flight": {"simulated": 80.0, "elapsed": 20.0},
         "startup_seconds": 4.0,
@@ -275,18 +275,20 @@ def test_formation_figures() -> None:
 
 def test_missing_event_is_reported() -> None:
     with pytest.raises(measurement_runner.BenchError, match="no 'done' among start, phase, armed"):
-        flights.formation_figures(FORMATION[:3], 1000.0)
+        stack_and_formation_flights.formation_figures(FORMATION[:3], 1000.0)
 
 
 def test_probe_samples_cpu_from_arming_to_landing_and_memory_between(monkeypatch: pytest.MonkeyPatch) -> None:
     samples = iter([({1: ("leader", 1.0)}, 10.0), ({1: ("leader", 7.0)}, 20.0)])
-    monkeypatch.setattr(flights.CpuSample, "take", lambda root: process_use.CpuSample(*next(samples)))
-    monkeypatch.setattr(flights, "process_tree", lambda root: [root, 2, 3])
-    monkeypatch.setattr(flights, "memory", lambda pids: 1000 * len(pids))
-    probe = flights.FormationProbe("cube")
+    monkeypatch.setattr(
+        stack_and_formation_flights.CpuSample, "take", lambda root: process_use.CpuSample(*next(samples))
+    )
+    monkeypatch.setattr(stack_and_formation_flights, "process_tree", lambda root: [root, 2, 3])
+    monkeypatch.setattr(stack_and_formation_flights, "memory", lambda pids: 1000 * len(pids))
+    probe = stack_and_formation_flights.FormationProbe("cube")
     for event in FORMATION:
         probe(event, 1)
-    figures = flights.probe_figures(probe)
+    figures = stack_and_formation_flights.probe_figures(probe)
     assert figures["cpu_per_simulated_second"] == {"leader": pytest.approx(6.0 / 58.0)}
     assert figures["overlap"] == pytest.approx(6.0 / 16.0 / CORES)
     assert figures["others_cpu"] == pytest.approx(4.0 / 16.0)
@@ -304,7 +306,7 @@ def test_stack_figures() -> None:
         "processes": 6,
     }
     events = [_event("start", 0.0, 1002.0), _event("armed", 1.0, 1003.0), _event("window", 30.0, 1009.0, **window)]
-    assert flights.stack_figures(events, began=1000.0) == {
+    assert stack_and_formation_flights.stack_figures(events, began=1000.0) == {
         "real_time_factor": 5.0,
         "window": {"simulated": 20.0, "elapsed": 4.0},
         "messages_per_second": 155.0,
@@ -328,20 +330,20 @@ def _probed(
 ) -> tuple[int, list[dict[str, Any]]]:
     """Return the exit status and the events of a probe that measures 10 s; before each message two pictures came."""
     samples = iter([({1: ("yolo", 1.0)}, 10.0), ({1: ("yolo", 7.0)}, 20.0)])
-    monkeypatch.setattr(search_probe.CpuSample, "take", lambda root: process_use.CpuSample(*next(samples)))
-    monkeypatch.setattr(search_probe, "process_tree", lambda root: [root, 2, 3])
-    monkeypatch.setattr(search_probe, "memory", lambda pids: 1000 * len(pids))
-    pictures = search_probe.Pictures(FLYING)
+    monkeypatch.setattr(search_speed_meter.CpuSample, "take", lambda root: process_use.CpuSample(*next(samples)))
+    monkeypatch.setattr(search_speed_meter, "process_tree", lambda root: [root, 2, 3])
+    monkeypatch.setattr(search_speed_meter, "memory", lambda pids: 1000 * len(pids))
+    pictures = search_speed_meter.Pictures(FLYING)
 
-    def feed() -> Iterator[search_probe.Progress]:
+    def feed() -> Iterator[search_speed_meter.Progress]:
         for number, (sim_time, wall, phase, states) in enumerate(messages):
             for name in FLYING:
                 pictures.count(name, number // 2)
             said = {"sim_time": sim_time, "phase": phase, "vehicles": states, "covered_fraction": 0.5}
-            yield search_probe.Progress.read(json.dumps(said), wall)
+            yield search_speed_meter.Progress.read(json.dumps(said), wall)
 
     written = io.StringIO()
-    status = search_probe.SearchProbe(10.0, pictures, written).run(feed())
+    status = search_speed_meter.SearchProbe(10.0, pictures, written).run(feed())
     return status, [json.loads(line) for line in written.getvalue().splitlines()]
 
 
@@ -360,7 +362,7 @@ def test_search_is_measured_while_all_search(monkeypatch: pytest.MonkeyPatch) ->
     assert status == 0
     assert [event["event"] for event in events] == ["start", *["progress"] * 4, "window", "done"]
     assert [event.get("phase") for event in events[1:3]] == ["searching", "second look"]
-    assert search_speed.search_figures(events) == {
+    assert search_flights.search_figures(events) == {
         "real_time_factor": 2.5,
         "window": {"simulated": 10.0, "elapsed": 4.0},
         "pictures_per_simulated_second": 0.4,
@@ -398,8 +400,8 @@ def test_shares_of_the_cpu_time() -> None:
         "record": 1.0,
         "search_mission": 1.0,
     }
-    assert search_speed.shares(cpu) == {"cameras": 0.5, "yolo": 0.0, "simulator": 0.25, "mavros": 0.0, "others": 0.25}
-    assert sum(search_speed.shares({}).values()) == 0.0
+    assert search_flights.shares(cpu) == {"cameras": 0.5, "yolo": 0.0, "simulator": 0.25, "mavros": 0.0, "others": 0.25}
+    assert sum(search_flights.shares({}).values()) == 0.0
 
 
 def test_table_of_the_search() -> None:
@@ -499,12 +501,14 @@ def _marked(mark: str, word: str) -> list[str]:
 TURNS = {"commands": 1.0, "setpoints": 1.0, "poses": 1.0, "swarm": 0.9}
 
 
-def _search(exact: float, works: Callable[[float, int], bool], breaks: float = math.inf) -> list[speed_search.Trial]:
+def _search(
+    exact: float, works: Callable[[float, int], bool], breaks: float = math.inf
+) -> list[free_running_speeds.Trial]:
     """Run a search; ``works`` says whether nodes keep up at a speed in the trial of that number."""
-    trials: list[speed_search.Trial] = []
-    while (speed := speed_search.next_speed(exact, trials)) is not None:
+    trials: list[free_running_speeds.Trial] = []
+    while (speed := free_running_speeds.next_speed(exact, trials)) is not None:
         turns = TURNS | {"poses": 0.99 if works(speed, len(trials)) else 0.5}
-        trials.append(speed_search.Trial(speed, 0.0 if speed > breaks else speed, turns))
+        trials.append(free_running_speeds.Trial(speed, 0.0 if speed > breaks else speed, turns))
     return trials
 
 
@@ -512,24 +516,24 @@ def _search(exact: float, works: Callable[[float, int], bool], breaks: float = m
 @pytest.mark.parametrize("breaks", [1.5, math.inf])
 def test_search_finds_the_highest_speed_at_which_nodes_keep_up(limit: float, breaks: float) -> None:
     trials = _search(5.0, lambda speed, _: speed <= 5.0 * limit, 5.0 * max(limit, breaks))
-    top = speed_search.best(trials)
+    top = free_running_speeds.best(trials)
     assert top is not None
-    assert 5.0 * limit / speed_search.RESOLUTION / 1.02 <= top.speed <= 5.0 * limit
-    assert len(trials) <= speed_search.MAX_TRIALS
+    assert 5.0 * limit / free_running_speeds.RESOLUTION / 1.02 <= top.speed <= 5.0 * limit
+    assert len(trials) <= free_running_speeds.MAX_TRIALS
 
 
 def test_search_does_not_believe_a_single_failure() -> None:
     trials = _search(2.0, lambda speed, number: speed < 7.0 and number != 2)
-    top = speed_search.best(trials)
+    top = free_running_speeds.best(trials)
     assert top is not None
-    assert 7.0 / speed_search.RESOLUTION <= top.speed < 7.0
+    assert 7.0 / free_running_speeds.RESOLUTION <= top.speed < 7.0
     assert trials[2].speed == trials[3].speed
 
 
 def test_search_gives_up_where_nodes_keep_up_at_no_speed() -> None:
     trials = _search(2.0, lambda speed, _: False)
-    assert speed_search.best(trials) is None
-    assert len(trials) <= speed_search.MAX_TRIALS
+    assert free_running_speeds.best(trials) is None
+    assert len(trials) <= free_running_speeds.MAX_TRIALS
 
 
 @pytest.mark.parametrize(
@@ -543,7 +547,7 @@ def test_search_gives_up_where_nodes_keep_up_at_no_speed() -> None:
     ],
 )
 def test_good_is_speed_and_work(reached: float, turns: dict[str, float], good: bool) -> None:
-    assert speed_search.Trial(2.0, reached, turns).good == good
+    assert free_running_speeds.Trial(2.0, reached, turns).good == good
 
 
 class _Master:
@@ -612,10 +616,10 @@ def test_trial_that_broke_the_flight_off_is_one() -> None:
         _event("trying", 3.0, 3.0, speed=4.0),
         _event("failed", 4.0, 4.0, reason="iris_0: is armed in mode 'AUTO.LAND'"),
     ]
-    trials = free_running.new_trials(events)
+    trials = free_running_flights.new_trials(events)
     assert [(trial.speed, trial.good, trial.broken) for trial in trials] == [(2.0, True, False), (4.0, False, True)]
     with pytest.raises(measurement_runner.BenchError, match="before a speed was tried"):
-        free_running.new_trials(events[:1])
+        free_running_flights.new_trials(events[:1])
 
 
 def test_comparison_continues_after_an_aborted_flight(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -629,22 +633,22 @@ def test_comparison_continues_after_an_aborted_flight(tmp_path: Path, monkeypatc
         if "exact" not in plan:
             on_event(_event("window", 1.0, 1.0, real_time_factor=3.0, rates={"poses": 30.0}, cpu={}, others_cpu=0.0), 1)
             return
-        trials = [speed_search.Trial(**trial) for trial in plan["trials"]]
-        while (speed := speed_search.next_speed(plan["exact"]["real_time_factor"], trials)) is not None:
+        trials = [free_running_speeds.Trial(**trial) for trial in plan["trials"]]
+        while (speed := free_running_speeds.next_speed(plan["exact"]["real_time_factor"], trials)) is not None:
             on_event(_event("trying", 1.0, 1.0, speed=speed), 1)
             if speed > 4.0:
                 raise measurement_runner.BenchError("the flight has ended: failed")
-            trials.append(speed_search.Trial(speed, speed, TURNS))
+            trials.append(free_running_speeds.Trial(speed, speed, TURNS))
             on_event(_event("trial", 1.0, 1.0, **dataclasses.asdict(trials[-1])), 1)
 
-    monkeypatch.setattr(free_running, "fly", fly)
+    monkeypatch.setattr(free_running_flights, "fly", fly)
     with scripted_launch.StopRequest() as stop:
         shared = measurement_runner.Bench(tmp_path, stop, lambda text: None, bench.QUICK)
         (case,) = MEASUREMENTS["free"].cases("free", 9, ())
         row = MEASUREMENTS["free"].command(shared, case)
     assert [len(plan.get("trials", ())) for plan in flights] == [0, 0, 2]
     assert row["exact_real_time_factor"] == 3.0
-    assert 4.0 / speed_search.RESOLUTION <= row["free_real_time_factor"] <= 4.0
+    assert 4.0 / free_running_speeds.RESOLUTION <= row["free_real_time_factor"] <= 4.0
     assert row["exact_share"] == pytest.approx(3.0 / row["free_real_time_factor"])
     assert [trial["speed"] for trial in row["trials"] if not trial["good"]] == sorted(
         [trial["speed"] for trial in row["trials"] if not trial["good"]], reverse=True
@@ -685,7 +689,7 @@ def _core_row(vehicles: int, factor: float) -> dict[str, Any]:
 
 
 def _formation_row(factor: float) -> dict[str, Any]:
-    figures = flights.formation_figures(FORMATION, 1000.0)
+    figures = stack_and_formation_flights.formation_figures(FORMATION, 1000.0)
     return figures | {
         "vehicles": 9,
         "mode": "per_uav",

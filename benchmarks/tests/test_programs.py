@@ -116,7 +116,7 @@ def test_a_program_prints_a_table_and_writes_its_rows(
     assert ("count: at least 0" in said.err) == (status == 2)
 
 
-@pytest.mark.parametrize("name", ["offboard_hover", "speed_probe", "search_probe"])
+@pytest.mark.parametrize("name", ["offboard_hover", "formation_speed_meter", "search_speed_meter"])
 def test_one_launch_file_starts_each_node(name: str) -> None:
     node = repository() / "benchmarks" / "nodes" / f"{name}.py"
     assert node.stat().st_mode & 0o111

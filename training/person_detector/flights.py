@@ -266,7 +266,7 @@ def main() -> None:
     parser.add_argument("--look-pitch", type=float, default=-rule.look_pitch, help="of second looks (%(default)s)")
     parser.add_argument("--look-arc", type=float, default=rule.look_arc, help="deg on the circle (%(default)s)")
     parser.add_argument("--persons", type=int, default=3, help="in each scene (%(default)s)")
-    parser.add_argument("--people", type=Path, action="append", default=[], help="folder of figures.py")
+    parser.add_argument("--people", type=Path, action="append", default=[], help="folder of random_people.py")
     parser.add_argument("--confidence", type=float, default=0.5, help="least probability of a box (%(default)s)")
     least = rule.candidate_probability
     parser.add_argument("--candidate", type=float, default=least, help="least mean of a candidate's (%(default)s)")

@@ -10,10 +10,8 @@ import math
 
 import torch
 from network import Head
+from target_assignment import RANGES, closest_anchor, responsible_cells
 from torch.nn import functional
-
-# Heads by stride: heights (px) of the people that a head must find, and of those that it may find.
-RANGES = {4: ((0.0, 28.0), (0.0, 44.0)), 8: ((18.0, 1e6), (13.0, 1e6)), 16: ((60.0, 1e6), (45.0, 1e6))}
 
 
 def complete_iou(one: torch.Tensor, other: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -36,20 +34,6 @@ def decode(head: Head, raw: torch.Tensor, anchor: torch.Tensor, cells: torch.Ten
     """Return boxes (n, 4), x, y, w, h in px, of raw outputs (n, 4+) in cells (n, 2) x, y."""
     middle = (torch.sigmoid(raw[:, :2]) * head.scale - 0.5 * (head.scale - 1) + cells) * head.stride
     return torch.cat([middle, anchor * torch.exp(raw[:, 2:4].clamp(-4, 4))], 1)
-
-
-def _positives(head: Head, people: torch.Tensor, grid: tuple[int, int]) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the responsible cells for a head's people: indices into people, and cells (n, 2) x, y."""
-    height, width = grid
-    place = people[:, 1:3] / head.stride
-    cell = place.floor()
-    aside = torch.where(place - cell > 0.5, 1.0, -1.0)
-    zero = torch.zeros_like(aside[:, 0])
-    shifts = [torch.stack([zero, zero], 1), torch.stack([aside[:, 0], zero], 1), torch.stack([zero, aside[:, 1]], 1)]
-    cells = torch.cat([cell + shift for shift in shifts])
-    index = torch.arange(len(people)).repeat(3)
-    inside = (cells[:, 0] >= 0) & (cells[:, 0] < width) & (cells[:, 1] >= 0) & (cells[:, 1] < height)
-    return index[inside], cells[inside]
 
 
 def detection_loss(
@@ -83,10 +67,10 @@ def detection_loss(
             weight[crop, :, int(top) : math.ceil(bottom), int(left) : math.ceil(right)] = 0.0
         chosen = rows[mine]
         if len(chosen):
-            index, cells = _positives(head, chosen, (height, width))
+            index, cells = responsible_cells(head, chosen, (height, width))
             want = chosen[index]
             crop, x, y = want[:, 0].long(), cells[:, 0].long(), cells[:, 1].long()
-            which = _anchor(head, want)
+            which = closest_anchor(head, want)
             raw = output[crop, which, y, x]
             iou, complete = complete_iou(decode(head, raw, head.anchors[which], cells), want[:, 1:5])
             box_loss = box_loss + (1 - complete).sum()
@@ -107,11 +91,3 @@ def detection_loss(
         "object": float(object_loss.detach()) / count,
         "iou": overlap / count,
     }
-
-
-def _anchor(head: Head, want: torch.Tensor) -> torch.Tensor:
-    """Return the anchor closest in size for each person."""
-    if len(head.anchors) == 1:
-        return torch.zeros(len(want), dtype=torch.long)
-    ratio = (want[:, None, 3:5] / head.anchors[None]).log().abs().sum(2)
-    return ratio.argmin(1)

@@ -342,7 +342,7 @@ def main() -> None:
         "--crowd", type=int, default=16, help="people to a scene; 3 and more in a picture (%(default)s)"
     )
     parser.add_argument("--empty", type=float, default=0.15, help="part of pictures without people (%(default)s)")
-    parser.add_argument("--people", type=Path, action="append", default=[], help="folder of figures.py")
+    parser.add_argument("--people", type=Path, action="append", default=[], help="folder of random_people.py")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2, help="processes (%(default)s)")
     parser.add_argument("--backend", default="auto")

@@ -9,7 +9,7 @@ from autopilot_fakes import Flight
 
 from xtdrone_control.autopilot.commander.commander import Result
 from xtdrone_control.autopilot.commander.failsafe import BATTERY_CRITICAL, BATTERY_EMERGENCY, BATTERY_LOW, BATTERY_OK
-from xtdrone_control.autopilot.commander.health_and_arming_checks.battery import BatteryEstimate
+from xtdrone_control.autopilot.commander.health_and_arming_checks.battery_estimate import BatteryEstimate
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 
 STEP_US = 100_000

@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from service_fakes import SYSTEM, Served
 
 from xtdrone_control import frames
-from xtdrone_control.autopilot.navigator.gimbal import NEUTRAL, YAW_LOCK, GimbalManager
+from xtdrone_control.autopilot.navigator.gimbal_manager import NEUTRAL, YAW_LOCK, GimbalManager
 from xtdrone_control.mavros.plugins import PLUGINS
 
 NAN = math.nan

@@ -112,7 +112,7 @@ def taker(file: str, freeze: str, thaw: str) -> None:
 def slow(file: str) -> None:
     """The cameras' node; each picture, of no content, takes a line of standard input."""
     from xtdrone_sim.cameras.camera_node import CameraNode, CameraSettings
-    from xtdrone_sim.cameras.cameras import cameras_of
+    from xtdrone_sim.cameras.cameras_of_fleet import cameras_of
 
     out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from xtdrone_control.cameras import Equidistant, PlumbBob, drawing_of
 from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_sim.cameras.cameras import Camera
+from xtdrone_sim.cameras.cameras_of_fleet import Camera
 from xtdrone_sim.cameras.colours import through_lens
 from xtdrone_sim.cameras.drawn_scene import View
 from xtdrone_sim.cameras.outputs import camera_info, messages, topics_of

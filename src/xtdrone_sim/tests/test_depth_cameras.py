@@ -16,7 +16,7 @@ from sensor_msgs.msg import PointField
 
 from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.rotation import from_euler
-from xtdrone_sim.cameras.cameras import Camera, cameras_of
+from xtdrone_sim.cameras.cameras_of_fleet import Camera, cameras_of
 from xtdrone_sim.cameras.drawn_scene import DrawnScene, View
 from xtdrone_sim.cameras.outputs import measured, messages, noise_of, topics_of
 from xtdrone_sim.cameras.rendering import Renderer, RendererError

@@ -16,7 +16,7 @@ from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.cameras.camera_worker import DrawingError, DrawingProcess, Drawn
-from xtdrone_sim.cameras.cameras import Exposures, cameras_of, turn_rate
+from xtdrone_sim.cameras.cameras_of_fleet import Exposures, cameras_of, turn_rate
 from xtdrone_sim.cameras.drawn_scene import View
 from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.worlds.scene_at import SceneAt

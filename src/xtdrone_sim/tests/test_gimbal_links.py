@@ -18,7 +18,7 @@ from xtdrone_sim.physics.vehicle_dynamics import PLANT
 from xtdrone_sim.shapes.pose_arithmetic import compose, rotate
 from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.vehicles.gimbal import Gimbals
+from xtdrone_sim.vehicles.gimbal_joints import Gimbals
 from xtdrone_sim.vehicles.landing_gear import LandingGears
 from xtdrone_sim.vehicles.link_poses import Links
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle

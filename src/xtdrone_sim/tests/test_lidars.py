@@ -11,8 +11,8 @@ import pytest
 
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.rotation import from_euler
-from xtdrone_sim.lidars.measuring import begin_us, cast_scan, end_us, measured
 from xtdrone_sim.lidars.patterns import PatternError, rays_of, read_pattern
+from xtdrone_sim.lidars.scan_measurement import begin_us, cast_scan, end_us, measured
 from xtdrone_sim.lidars.scene_history import SceneHistory
 from xtdrone_sim.rays.scene import Hits, RayScene
 from xtdrone_sim.shapes.visual import Box, Pose, Visual
@@ -238,7 +238,7 @@ def test_dropouts_bias_resolution_and_limits():
 def test_messages_have_the_scan_s_times_and_limits_and_points_only_where_there_is_a_return():
     pytest.importorskip("rospy")
     from xtdrone_sim.lidars.lidar_messages import POINT, scan_message
-    from xtdrone_sim.lidars.lidars import Lidar
+    from xtdrone_sim.lidars.lidars_of_fleet import Lidar
 
     mount = LidarMount(kind="scan", samples=5, angle_min=-1.0, angle_max=1.0, rate=3.0, frame_id="laser")
     rays = rays_of(mount, 2)

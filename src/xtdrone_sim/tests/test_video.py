@@ -25,7 +25,7 @@ try:
     import rospy
     from sensor_msgs.msg import Image
 
-    from xtdrone_sim.cameras.cameras import cameras_of
+    from xtdrone_sim.cameras.cameras_of_fleet import cameras_of
     from xtdrone_sim.video.camera_component import CameraComponent
     from xtdrone_sim.video.encoder import Encoder, EncoderError
     from xtdrone_sim.video.streams import streams_of

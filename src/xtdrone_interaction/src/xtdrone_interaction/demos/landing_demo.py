@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
-import random
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,6 +19,7 @@ from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction import options
 from xtdrone_interaction.console import PatientConsole, run_reported
 from xtdrone_interaction.demos.directed_flight import add_place_options, directed_flight, placed
+from xtdrone_interaction.landing.robot_start import robot_start
 from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, escape, run_flight
 from xtdrone_interaction.metrics.missions.formation_metrics import write_report
 from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
@@ -29,9 +28,6 @@ from xtdrone_interaction.options import seed_setting, speed_setting, web_setting
 from xtdrone_interaction.recording.recorded_flight import RecordError
 
 TYPE, ROBOT = "iris_landing_camera", "ugv_0"
-_SPAWN = (0.0, 3.0)  # m, of the UAV
-_AWAY = 11.0  # m, of the robot at the start: out of sight
-_ASIDE = 0.12  # rad, greatest angle between its heading and the UAV
 _WORDS = {
     "tags found": "the platform is in sight: [bold]AUTO.PRECLAND[/bold]",
     "no tags found": "[yellow]no tags found: landing here[/yellow]",
@@ -89,14 +85,6 @@ def settings_of(arguments: argparse.Namespace) -> LandingDemoSettings:
     return placed(settings, arguments, f"{TYPE}:1")
 
 
-def robot_start(seed: int) -> tuple[float, float, float]:
-    """Return where the robot starts, x, y, m, and yaw, rad: somewhere around the UAV, facing it roughly."""
-    generator = random.Random(seed)
-    bearing, aside = generator.uniform(-math.pi, math.pi), generator.uniform(-_ASIDE, _ASIDE)
-    x, y = _SPAWN[0] + _AWAY * math.cos(bearing), _SPAWN[1] + _AWAY * math.sin(bearing)
-    return round(x, 3), round(y, 3), round(math.remainder(bearing + math.pi + aside, math.tau), 4)
-
-
 def fly(settings: LandingDemoSettings, console: Console) -> int:
     """Fly the landing and return the exit status."""
     begin = time.monotonic()
@@ -141,7 +129,10 @@ def report_of(bag: Path, settings: dict[str, Any]) -> dict[str, Any]:
     Raises:
         DemoError: the bag is not the record of a landing.
     """
-    from xtdrone_interaction.landing.figures import make_report, read_landing  # matplotlib takes a while to import
+    from xtdrone_interaction.landing.landing_accuracy import (  # matplotlib takes a while to import
+        make_report,
+        read_landing,
+    )
     from xtdrone_interaction.pictures.landing_picture import save_landing
 
     try:

@@ -12,7 +12,7 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 from matplotlib.patches import Rectangle
 
-from xtdrone_interaction.landing.figures import LandingRecord
+from xtdrone_interaction.landing.landing_accuracy import LandingRecord
 
 _DPI = 130
 _HALF = 0.7  # m, of the platform

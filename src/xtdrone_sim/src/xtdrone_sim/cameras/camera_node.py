@@ -34,7 +34,7 @@ from xtdrone_control.lockstep.deferred_work import Deferred
 from xtdrone_control.programs.program import ArgumentError, check_no_arguments, fleet_of
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.cameras.camera_worker import Changes, DrawingProcess, Drawn
-from xtdrone_sim.cameras.cameras import MOST_TURNS, Camera, Exposures, cameras_of, turn_rate
+from xtdrone_sim.cameras.cameras_of_fleet import MOST_TURNS, Camera, Exposures, cameras_of, turn_rate
 from xtdrone_sim.cameras.drawn_scene import View
 from xtdrone_sim.cameras.outputs import COSTLY, messages, topics_of
 from xtdrone_sim.cameras.rendering import BACKENDS

@@ -42,7 +42,7 @@ from xtdrone_control import lockstep
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_sim.gazebo.joints import set_joints
 from xtdrone_sim.gazebo.limits import LONGEST_TEXT, RequestError
-from xtdrone_sim.gazebo.models import Change, Models
+from xtdrone_sim.gazebo.models_by_name import Change, Models
 from xtdrone_sim.gazebo.queries import Queries
 from xtdrone_sim.gazebo.refused_services import advertise_refused
 from xtdrone_sim.gazebo.request_messages import microseconds, read_pose, read_state, read_wrench
@@ -53,6 +53,7 @@ from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.worlds.sdf import SdfError, SdfModel, read_model
 
 _WARNING_PERIOD = 5.0  # wall s between two equal warnings
+_HOLD_STEPS = 125  # a model or disarmed vehicle stands where /gazebo/set_model_states has put it
 
 Plan = Callable[[], Change]
 """Checks a request against the present state, and returns the change; raises RequestError."""
@@ -249,7 +250,7 @@ class GazeboServices:
         for name, pose, twist in zip(message.name, message.pose, message.twist, strict=True):
 
             def plan(name: str = name, pose: Any = pose, twist: Any = twist) -> Change:
-                return self._models.moving(name, read_state(pose, twist), "", hold=True)
+                return self._models.moving(name, read_state(pose, twist), "", hold_steps=_HOLD_STEPS)
 
             self._heed(topic, name, message, plan)
 

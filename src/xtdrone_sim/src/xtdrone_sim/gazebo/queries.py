@@ -12,7 +12,7 @@ from std_msgs.msg import Header
 
 from xtdrone_sim.gazebo.frames import seen_from
 from xtdrone_sim.gazebo.limits import RequestError, unknown
-from xtdrone_sim.gazebo.models import Models
+from xtdrone_sim.gazebo.models_by_name import Models
 from xtdrone_sim.gazebo.request_messages import pose_message, twist_message
 from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.simulation import Simulation

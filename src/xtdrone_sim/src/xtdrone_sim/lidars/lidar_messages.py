@@ -6,8 +6,8 @@ import numpy as np
 from rospy import Time
 from sensor_msgs.msg import LaserScan, PointCloud2, PointField
 
-from xtdrone_sim.lidars.lidars import Lidar
-from xtdrone_sim.lidars.measuring import Scan, begin_us
+from xtdrone_sim.lidars.lidars_of_fleet import Lidar
+from xtdrone_sim.lidars.scan_measurement import Scan, begin_us
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount
 
 POINT = np.dtype(

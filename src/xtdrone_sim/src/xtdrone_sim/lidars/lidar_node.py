@@ -36,9 +36,9 @@ from xtdrone_control.programs.program import ArgumentError, check_no_arguments, 
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.early_parameters import private_parameters
 from xtdrone_sim.lidars.lidar_messages import scan_message
-from xtdrone_sim.lidars.lidars import Lidar, lidars_of
-from xtdrone_sim.lidars.measuring import Motion, Scan, begin_us, cast_scan, end_us, measured
+from xtdrone_sim.lidars.lidars_of_fleet import Lidar, lidars_of
 from xtdrone_sim.lidars.patterns import read_pattern
+from xtdrone_sim.lidars.scan_measurement import Motion, Scan, begin_us, cast_scan, end_us, measured
 from xtdrone_sim.lidars.scene_history import SceneHistory
 from xtdrone_sim.sensors.measurement_times import Due, rate_setting
 from xtdrone_sim.sensors.ranging_failures import RangingFailure

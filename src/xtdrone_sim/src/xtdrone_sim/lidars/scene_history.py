@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_sim.lidars.measuring import Motion, link_places
+from xtdrone_sim.lidars.scan_measurement import Motion, link_places
 from xtdrone_sim.rays.scene import Layout, RayScene
 from xtdrone_sim.worlds.scene_at import SceneAt
 

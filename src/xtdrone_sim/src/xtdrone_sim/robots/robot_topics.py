@@ -37,7 +37,7 @@ from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import lockstep
 from xtdrone_control.frames import to_xyzw
-from xtdrone_sim.gazebo.models import Models
+from xtdrone_sim.gazebo.models_by_name import Models
 from xtdrone_sim.gazebo.scene_topics import ModelTopics
 from xtdrone_sim.physics.contacts.start_collisions import StartError, check_height
 from xtdrone_sim.rays.solid_ground import SolidGround, shapes_of

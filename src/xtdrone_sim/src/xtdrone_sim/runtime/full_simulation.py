@@ -23,7 +23,7 @@ from xtdrone_sim.autopilots.datagrams import Datagrams
 from xtdrone_sim.autopilots.hil import Hil
 from xtdrone_sim.effects import Effect, load_effects
 from xtdrone_sim.gazebo.model_services import GazeboServices
-from xtdrone_sim.gazebo.models import Models
+from xtdrone_sim.gazebo.models_by_name import Models
 from xtdrone_sim.gazebo.scene_topics import ModelTopics
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT
 from xtdrone_sim.robots.listing import Robot, parse_robots

@@ -13,7 +13,7 @@ from xtdrone_sim.physics.world import World
 from xtdrone_sim.rays.casting import PLACE, THING
 from xtdrone_sim.rays.scene import RayScene
 from xtdrone_sim.rays.tree import NODE, NOTHING, SURFACE
-from xtdrone_sim.sensors.others import Others
+from xtdrone_sim.sensors.vehicles_and_people_below import Others
 from xtdrone_sim.shapes.pose_arithmetic import compose
 from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.worlds.scene_at import SceneAt

@@ -24,7 +24,7 @@ from xtdrone_sim.physics.world import World
 from xtdrone_sim.rays.casting import distance_along
 from xtdrone_sim.sensors.failure_injection import Failing
 from xtdrone_sim.sensors.models_below import Below
-from xtdrone_sim.sensors.others import Others
+from xtdrone_sim.sensors.vehicles_and_people_below import Others
 
 STEPS = 250  # IMU samples per block of one second
 MAG_EVERY = 5  # steps: 50 Hz

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from xtdrone_control.fleet import Vehicle
-from xtdrone_sim.cameras.cameras import Camera
+from xtdrone_sim.cameras.cameras_of_fleet import Camera
 
 FIRST_COMPONENT = 100
 """MAV_COMP_ID_CAMERA; a vehicle's cameras have this id and the next ones."""

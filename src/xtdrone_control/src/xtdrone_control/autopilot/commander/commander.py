@@ -15,7 +15,7 @@ from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.commander.failsafe import Action, Failsafe, Flags, Outcome, can_run
 from xtdrone_control.autopilot.commander.flight_commands import FlightCommands, Result
 from xtdrone_control.autopilot.commander.health_and_arming_checks.arming_checks import ArmingChecks
-from xtdrone_control.autopilot.commander.health_and_arming_checks.battery import BatteryEstimate
+from xtdrone_control.autopilot.commander.health_and_arming_checks.battery_estimate import BatteryEstimate
 from xtdrone_control.autopilot.commander.health_and_arming_checks.health import Health
 from xtdrone_control.autopilot.commander.manual_control import ManualControl, Request, Sticks
 from xtdrone_control.autopilot.commander.manual_flight import MANUAL_THRUST, ManualFlight

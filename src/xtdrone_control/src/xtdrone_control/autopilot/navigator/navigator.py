@@ -14,7 +14,7 @@ from xtdrone_control.autopilot.flight_tasks.orbit import Orbit
 from xtdrone_control.autopilot.modes import Mode
 from xtdrone_control.autopilot.navigator import feasibility, geofence, plan
 from xtdrone_control.autopilot.navigator.geofence import Fence
-from xtdrone_control.autopilot.navigator.gimbal import NO_CONTROLLER
+from xtdrone_control.autopilot.navigator.gimbal_manager import NO_CONTROLLER
 from xtdrone_control.autopilot.navigator.mission import Mission
 from xtdrone_control.autopilot.navigator.payload import Payload
 from xtdrone_control.autopilot.navigator.plan import PlanItem, Plans

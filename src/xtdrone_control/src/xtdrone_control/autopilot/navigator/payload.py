@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from xtdrone_control.autopilot.navigator import plan
-from xtdrone_control.autopilot.navigator.gimbal import GimbalManager
+from xtdrone_control.autopilot.navigator.gimbal_manager import GimbalManager
 from xtdrone_control.autopilot.vehicle_view import Vector, VehicleView
 
 _MAX_WAITING = 64

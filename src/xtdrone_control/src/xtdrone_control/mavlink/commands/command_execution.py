@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.commander.commander import CRITICAL, Result
 from xtdrone_control.autopilot.events.announcements import INFO
-from xtdrone_control.autopilot.navigator.gimbal import GimbalManager
+from xtdrone_control.autopilot.navigator.gimbal_manager import GimbalManager
 from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.mavlink.client_link import Link
 from xtdrone_control.mavlink.commands import failure_injection

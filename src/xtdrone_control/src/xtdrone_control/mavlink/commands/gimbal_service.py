@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
-from xtdrone_control.autopilot.navigator.gimbal import GimbalManager
+from xtdrone_control.autopilot.navigator.gimbal_manager import GimbalManager
 from xtdrone_control.mavlink.client_link import Link
 from xtdrone_control.mavlink.service_base import Service, Vehicle
 from xtdrone_control.mavlink.streams.rare_telemetry import GIMBAL_CAPABILITIES, GIMBAL_DEVICE, GIMBAL_RANGE

@@ -15,7 +15,7 @@ from xtdrone_control import frames
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.commander.manual_control import CHANNELS
-from xtdrone_control.autopilot.navigator import gimbal
+from xtdrone_control.autopilot.navigator import gimbal_manager
 from xtdrone_control.autopilot.state import TASK_GOTO, TASK_LAND
 from xtdrone_control.geodesy import projection
 from xtdrone_control.mavlink.streams.telemetry import EPOCH_US, Content, Telemetry, Values
@@ -266,10 +266,10 @@ class VehicleTelemetry(Telemetry):
         if attitude is None:
             return None
         flags, heading = payload.gimbal_manager.flags, self._commander.view.yaw
-        locked = bool(flags & gimbal.YAW_LOCK)
+        locked = bool(flags & gimbal_manager.YAW_LOCK)
         roll, pitch, yaw = attitude
         q = frames.quaternion_from_rpy(roll, pitch, yaw + heading if locked else yaw)
-        flags |= gimbal.YAW_IN_EARTH_FRAME if locked else gimbal.YAW_IN_VEHICLE_FRAME
+        flags |= gimbal_manager.YAW_IN_EARTH_FRAME if locked else gimbal_manager.YAW_IN_VEHICLE_FRAME
         return self.time_ms, *q, _NAN, _NAN, _NAN, 0, flags, 0, 0, heading, _NAN, GIMBAL_DEVICE
 
     def gimbal_manager_status(self) -> Values | None:

@@ -11,22 +11,18 @@ from __future__ import annotations
 import enum
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from xtdrone_sim.runtime.requests.mailbox import ClosedError
 from xtdrone_sim.runtime.requests.pacing import Pacer, SpeedMeter
+from xtdrone_sim.runtime.requests.slow_participants import Barrier, SlowParticipants
 from xtdrone_sim.runtime.requests.stepping import Goal, Outcome, StepError, Stepper
 
 PATIENCE = 10.0
 """Longest wait of a step or a reset for the end of the current tick, wall s."""
-
-_REPORTED = 0.5  # wall s of waiting for a participant after which the status names it
-_FIRST_WARNING = 5.0  # wall s of waiting after which the log names it
-_WARNING_PERIOD = 30.0  # wall s between two such warnings
-_ALIVE_LIMIT = 3.0  # wall s since the last keep-alive, sent every second, within which a process counts as alive
 
 
 class ControlError(RuntimeError):
@@ -52,28 +48,6 @@ class Change:
 
     what: str
     make: Callable[[], Any]
-
-
-class Participant(Protocol):
-    """The view of a lockstep participant that ``Control`` needs, see ``LockstepServer.participants``."""
-
-    waiting: bool
-    asked: float
-
-    @property
-    def heard(self) -> float:
-        """Monotonic wall time in seconds at which data was last received from it."""
-
-
-class Barrier(Protocol):
-    """The view of the lockstep server that ``Control`` needs."""
-
-    @property
-    def participants(self) -> Mapping[str, Participant]:
-        """Participants by node name."""
-
-    def missing(self, expected: int | Iterable[str] = 0) -> str:
-        """Return which participants are missing, as text; "" for none."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +169,6 @@ class Control:
         self.held: int | Sequence[str] | None = 0
         self._barrier = barrier
         self._now_us = now_us
-        self._hang_limit = hang_limit
         self._info = info
         self._warn = warn
         self._wall = wall
@@ -204,7 +177,7 @@ class Control:
         self._asked: deque[_Asked] = deque()
         self._step_answer: Future[Any] | None = None
         self._names: tuple[str, ...] = ()
-        self._next_warning = 0.0
+        self._slow = SlowParticipants(barrier, hang_limit, warn)
 
     # pace
 
@@ -407,7 +380,7 @@ class Control:
         if names != self._names:
             self._names = names
             self.changed = True
-        self._report_waiting(now)
+        self._slow.report(now)
 
     def close(self) -> None:
         """Answer all pending requests with a ClosedError."""
@@ -421,7 +394,7 @@ class Control:
     def status(self) -> Status:
         """Return the current status."""
         now = self._wall()
-        waiting = self._waiting(now, _REPORTED)
+        waiting = self._slow.waiting(now)
         return Status(
             time_us=self._now_us(),
             tick=self.ticks,
@@ -439,42 +412,14 @@ class Control:
         participant = self._barrier.participants.get(name)
         return participant is not None and participant.waiting
 
-    def _waiting(self, now: float, least: float) -> dict[str, float]:
-        """Return the participants that have held up the world for at least ``least`` wall s, with the wall s so far."""
-        return {
-            name: now - participant.asked
-            for name, participant in self._barrier.participants.items()
-            if participant.waiting and now - participant.asked >= least
-        }
-
     def _standstill(self, now: float) -> str:
         """Return why the world stands still; "" while it moves."""
         if self.held is not None:
             return f"time has not started: {self._barrier.missing(self.held)}"
-        waiting = self._waiting(now, _REPORTED)
+        waiting = self._slow.waiting(now)
         if waiting:
             return "waiting for " + ", ".join(f"{name} ({seconds:.1f} s)" for name, seconds in waiting.items())
         missing = self._barrier.missing()
         if missing:
             return missing
         return "paused" if not self._stepper.moving else ""
-
-    def _report_waiting(self, now: float) -> None:
-        """Log the participants that hold up the world, so that a breakpoint is not mistaken for a failure."""
-        waiting = self._waiting(now, _FIRST_WARNING)
-        if not waiting:
-            self._next_warning = 0.0
-            return
-        if now < self._next_warning:
-            return
-        self._next_warning = now + _WARNING_PERIOD
-        parts = []
-        for name, seconds in waiting.items():
-            silent = now - self._barrier.participants[name].heard
-            how = "it lives; is it at a breakpoint?" if silent < _ALIVE_LIMIT else self._silence(silent)
-            parts.append(f"{name} for {seconds:.0f} s ({how})")
-        self._warn(f"the world stands still, waiting for {', '.join(parts)}")
-
-    def _silence(self, silent: float) -> str:
-        end = f"dropped after {self._hang_limit:g} s" if self._hang_limit else "hang_limit is 0: never dropped"
-        return f"silent for {silent:.0f} s; {end}"

@@ -9,7 +9,7 @@ import numpy as np
 
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.commander.failsafe import Flags
-from xtdrone_control.autopilot.commander.health_and_arming_checks.battery import BatteryEstimate
+from xtdrone_control.autopilot.commander.health_and_arming_checks.battery_estimate import BatteryEstimate
 from xtdrone_control.autopilot.commander.health_and_arming_checks.failure_detector import FailureDetector
 from xtdrone_control.autopilot.commander.manual_control import ManualControl
 from xtdrone_control.autopilot.commander.offboard_setpoint import OffboardSetpoint

@@ -2,8 +2,8 @@
 """Node that measures how fast a formation flight can be simulated, in lockstep or free-running.
 
 A plain rospy node outside the lockstep. It waits until the formation flies, then measures windows of wall time: in
-lockstep one, at unlimited speed; free-running one for each speed of the search (:mod:`benchmarks.nodes.speed_search`),
-set by /simulator/set_speed.
+lockstep one, at unlimited speed; free-running one for each speed of the search
+(:mod:`benchmarks.nodes.free_running_speeds`), set by /simulator/set_speed.
 
 Parameters:
     ~plan: JSON file with the plan: ``window`` (s of wall time) and, free-running only, ``exact`` (``real_time_factor``
@@ -12,7 +12,7 @@ Parameters:
 
 events.jsonl has the director's format: ``start``, then ``window`` (``real_time_factor``, ``rates``: messages per
 simulated s by role, ``cpu``: CPU s per simulated s by program, ``others_cpu``) or, for each speed, ``trying``
-(``speed``) and ``trial`` (the fields of :class:`~benchmarks.nodes.speed_search.Trial`), and finally ``done`` or
+(``speed``) and ``trial`` (the fields of :class:`~benchmarks.nodes.free_running_speeds.Trial`), and finally ``done`` or
 ``failed`` (``reason``).
 
 Exit status: 0 after a measurement, 1 after a failed one.
@@ -36,7 +36,7 @@ from std_msgs.msg import String
 from xtdrone_msgs.srv import SetSpeed
 
 from benchmarks.nodes import bus_statistics
-from benchmarks.nodes.speed_search import Trial, next_speed
+from benchmarks.nodes.free_running_speeds import Trial, next_speed
 from benchmarks.process_use import CpuSample
 from xtdrone_interaction.formation.distances import EVENTS_TOPIC
 
@@ -188,7 +188,7 @@ class SpeedProbe:
 
 def main() -> int:
     """Run the node and return its exit status."""
-    rospy.init_node("speed_probe")
+    rospy.init_node("formation_speed_meter")
     plan = json.loads(Path(rospy.get_param("~plan")).read_text(encoding="utf-8"))
     out = Path(rospy.get_param("~out"))
     with (out / "events.jsonl").open("w", encoding="utf-8") as events:

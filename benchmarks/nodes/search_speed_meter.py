@@ -170,7 +170,7 @@ class SearchProbe:
 
 def main() -> int:
     """Run the node and return its exit status."""
-    rospy.init_node("search_probe", disable_rostime=True)
+    rospy.init_node("search_speed_meter", disable_rostime=True)
     try:
         names = [vehicle.name for vehicle in parse_fleet(str(rospy.get_param("/xtdrone/fleet")))]
         window, out = float(rospy.get_param("~window")), Path(rospy.get_param("~out"))
@@ -212,4 +212,4 @@ if __name__ == "__main__":
     except rospy.ROSInterruptException:
         sys.exit(1)
     except rospy.ROSInitException as error:
-        sys.exit(f"search_probe: {error}")
+        sys.exit(f"search_speed_meter: {error}")

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from typing import Any
 
 from benchmarks.measurement_runner import TYPE, Bench, BenchError, Case, Event, Row, find, fly, fresh_folder
-from benchmarks.nodes.speed_search import Trial, best, next_speed
+from benchmarks.nodes.free_running_speeds import Trial, best, next_speed
 
 _FLIGHTS = 4  # maximum of free-running flights: far too high a speed aborts a flight
 _ROUNDS = 20  # of the patterns, so that a flight is longer than its measurement
@@ -19,7 +19,8 @@ def measure_free(bench: Bench, case: Case) -> Row:
     """Measure how fast the formation flight is in lockstep, and how fast its nodes can follow without it.
 
     A process per UAV, recorder included, in the climb and the pattern flights. Free-running, the simulator accepts any
-    speed; the result is the highest one at which the nodes complete nearly all their cycles, see ``speed_search``.
+    speed; the result is the highest one at which the nodes complete nearly all their cycles; see
+    ``free_running_speeds``.
 
     Returns:
         load_before, and the figures of :func:`free_figures`.
@@ -44,7 +45,7 @@ def free_figures(exact: Event, trials: Sequence[Trial]) -> Row:
 
     Returns:
         exact_real_time_factor, free_real_time_factor (0 if no speed was good), exact_share (their ratio; None without),
-        rates (messages per simulated s by role, in lockstep), trials (see ``speed_search.Trial``, with ``good``),
+        rates (messages per simulated s by role, in lockstep), trials (``free_running_speeds.Trial``, with ``good``),
         exact_cpu and free_cpu (CPU s per simulated s by program, the latter at the best speed), others_cpu (cores used
         by other programs, maximum of the flight in lockstep and the best speed).
     """
