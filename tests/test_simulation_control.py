@@ -453,10 +453,10 @@ def test_the_command_line_rejects(stack: Stack) -> None:
         assert (done.returncode, done.stdout) == (1, "")
         assert words in done.stderr
     for arguments, words in (
-        (["speed", "0.001"], "speed: '0.001' is not allowed"),
-        (["speed", "fast"], "speed: 'fast' is not allowed"),
-        (["step", "0"], "ticks: '0' is not allowed"),
-        (["step", "--for", "-1"], "for: '-1' is not allowed"),
+        (["speed", "0.001"], "FACTOR: '0.001' is not allowed"),
+        (["speed", "fast"], "FACTOR: 'fast' is not allowed"),
+        (["step", "0"], "TICKS: '0' is not allowed"),
+        (["step", "--for", "-1"], "--for: '-1' is not allowed"),
         (["status", "--master", "here"], "master: 'here' is not allowed"),
     ):
         done = sim(stack, *arguments)

@@ -25,12 +25,13 @@ from validation.soak.verdict import (
     judge,
 )
 from xtdrone_control.fleet import FleetError, parse_fleet
+from xtdrone_control.lockstep.simulation_speed import speed_setting
 from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction import options
 from xtdrone_interaction.console import PatientConsole
 from xtdrone_interaction.launching.scripted_launch import LaunchError, Stopped, StopRequest
 from xtdrone_interaction.machine_facts import machine_facts
-from xtdrone_interaction.options import OptionError, seed_setting, speed_setting, vehicles_setting
+from xtdrone_interaction.options import OptionError, seed_setting, vehicles_setting
 from xtdrone_interaction.sim_cli import SimError
 
 _JUDGE_LIMIT = 1800.0  # s of wall time to judge the remaining files at the end

@@ -177,6 +177,33 @@ def test_help_states_range_unit_and_default() -> None:
     assert "lost part, 5 % or more" in text
 
 
+@dataclass(frozen=True)
+class Wind(Settings):
+    """Settings that a command line gives by their places."""
+
+    east: float = setting(..., low=-50.0, high=50.0, unit="m/s", text="towards the east", positional=True)
+    up: float = setting(0.0, low=-5.0, high=5.0, unit="m/s", text="upwards", metavar="RISE", positional=True)
+
+
+def test_positional_arguments(capsys: pytest.CaptureFixture[str]) -> None:
+    parser = ArgumentParser()
+    Wind.add_arguments(parser)
+    assert Wind.from_arguments(parser.parse_args(["-3", "1.5"])) == Wind(-3.0, 1.5)
+    assert Wind.from_arguments(parser.parse_args(["2"])) == Wind(2.0)
+    assert "towards the east, -50 to 50 m/s\n" in parser.format_help()
+    assert "upwards, -5 to 5 m/s (default: 0)\n" in parser.format_help()
+    for given, said in (
+        (["60"], "argument EAST: '60' is not allowed, -50 to 50 m/s"),
+        (["1", "up"], "argument RISE: 'up' is not allowed, -5 to 5 m/s"),
+        ([], "the following arguments are required: EAST"),
+    ):
+        with pytest.raises(SystemExit):
+            parser.parse_args(given)
+        assert said in capsys.readouterr().err
+    with pytest.raises(SettingError, match="east: None is not allowed, -50 to 50 m/s"):
+        Wind()
+
+
 def test_table() -> None:
     rows = Example.table().splitlines()
     assert rows[0] == "| name | default | range | unit | meaning |"

@@ -58,7 +58,7 @@ def test_times_beyond_the_range_of_ros_are_rejected(option, value, end, capsys):
         cli.main(["sim", "step", option, value])
     assert ended.value.code == 2
     said = capsys.readouterr().err
-    assert f"{value!r} is not allowed; a number of seconds above 0 and below {end}" in said
+    assert f"{value!r} is not allowed, above 0 and below {end} s" in said
 
 
 def test_a_flight_elsewhere_is_found_until_it_ends(tmp_path):

@@ -56,6 +56,7 @@ class _Declaration(NamedTuple):
     ros: str | None
     option: str | None
     metavar: str | None
+    positional: bool
 
     @property
     def infinite(self) -> bool:
@@ -99,11 +100,12 @@ def setting(
     ros: str | None = None,
     option: str | None = None,
     metavar: str | None = None,
+    positional: bool = False,
 ) -> Any:
     """Declare a field of a class of settings.
 
     Args:
-        default: value of a setting that is not given.
+        default: value of a setting that is not given; ``...`` if it has to be given.
         low, high: inclusive limits; an infinite one permits infinity, which is an error otherwise.
         above, below: exclusive limits.
         choices: the allowed values.
@@ -116,10 +118,25 @@ def setting(
         allowed: what is allowed, for messages and documentation, where type and limits do not describe it.
         ros: name of the ROS parameter; the field's name by default.
         option: command-line option; the field's name with hyphens by default, ``--no-NAME`` for a flag that is true.
-        metavar: placeholder of the option's value in the help text.
+        metavar: placeholder of the option's value in the help text; that of a positional argument, which messages
+            name, is the field's name in capitals by default.
+        positional: whether the command line gives it by its place, not by an option.
     """
     declaration = _Declaration(
-        low, high, above, below, tuple(choices or ()), unit, text, check, parse, allowed, ros, option, metavar
+        low,
+        high,
+        above,
+        below,
+        tuple(choices or ()),
+        unit,
+        text,
+        check,
+        parse,
+        allowed,
+        ros,
+        option,
+        metavar,
+        positional,
     )
     return field(default=default, metadata={_KEY: declaration})
 
@@ -174,7 +191,7 @@ class _Setting(NamedTuple):
         if value is None and self.optional:
             return None
         if not self._is_allowed(value):
-            raise SettingError(self.name, value, self.allowed())
+            raise SettingError(self.name, None if value is ... else value, self.allowed())
         value = self._converted(value)
         if self.declared.check is not None:
             try:
@@ -241,27 +258,43 @@ class _Setting(NamedTuple):
             raise ArgumentTypeError(f"{text!r} is not allowed, {allowed}") from error
 
     def add_to(self, parser: ArgumentParser | _ArgumentGroup) -> Action:
-        """Add the command-line option."""
+        """Add the command-line option, or the positional argument."""
         hyphened = self.name.replace("_", "-")
+        if self.declared.positional:
+            return parser.add_argument(
+                self.name,
+                type=self.parsed,
+                nargs=None if self.default is ... else "?",
+                default=self.default,
+                metavar=self.declared.metavar or self.name.upper(),
+                help=self._help(),
+            )
         if self.kind == "bool":
             option = self.declared.option or (f"--no-{hyphened}" if self.default else f"--{hyphened}")
             action = "store_false" if self.default else "store_true"
             return parser.add_argument(
                 option, action=action, dest=self.name, default=SUPPRESS, help=_escaped(self.declared.text)
             )
-        choices = self.declared.choices if self.declared.parse is None else ()
-        limits = self.declared.allowed or ("" if choices else self.allowed() if self.declared.range() else "")
-        words = [self.declared.text, limits or self.declared.unit]
-        shown = self.declared.parse is None and self.default not in (None, "")
         return parser.add_argument(
             self.declared.option or f"--{hyphened}",
             type=self.parsed,
-            choices=choices or None,
+            choices=self._choices() or None,
             dest=self.name,
             default=SUPPRESS,
             metavar=self.declared.metavar,
-            help=_escaped(", ".join(filter(None, words)) + f" (default: {format_value(self.default)})" * shown),
+            help=self._help(),
         )
+
+    def _choices(self) -> tuple[Any, ...]:
+        """Return the allowed values that a command line has literally."""
+        return self.declared.choices if self.declared.parse is None else ()
+
+    def _help(self) -> str:
+        """Return the help text of an argument: meaning, range with unit, default."""
+        limits = self.allowed() if self.declared.range() and not self._choices() else ""
+        words = [self.declared.text, self.declared.allowed or limits or self.declared.unit]
+        shown = self.declared.parse is None and self.default not in (None, "", ...)
+        return _escaped(", ".join(filter(None, words)) + f" (default: {format_value(self.default)})" * shown)
 
     def row(self) -> str:
         """Return the row of the Markdown table."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import errno
-import math
 import shutil
 import socket
 import time
@@ -25,7 +24,6 @@ from xtdrone_control.fleet import (
     check_instance,
     parse_fleet,
 )
-from xtdrone_control.lockstep.simulation_speed import LEAST_SPEED
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.patterns import Patterns, absolute_name
 from xtdrone_interaction.formation.distances import ORIGIN
@@ -54,15 +52,6 @@ def repository() -> Path:
     return Path(__file__).resolve().parents[4]
 
 
-def _parse_speed(text: object) -> float:
-    if text == "unlimited":
-        return 0.0
-    value = float(text) if isinstance(text, (str, int, float)) else math.nan
-    if not (math.isfinite(value) and value >= LEAST_SPEED):
-        raise ValueError
-    return value
-
-
 def _parse_patterns(text: str) -> list[str]:
     names = [name.strip() for name in text.split(",")]
     if not all(names):
@@ -85,17 +74,6 @@ def parse_instance(text: object) -> int:
 def seed_setting(text: str = "seed of all noise") -> Any:
     """Declare a seed, within the range of a ROS parameter."""
     return setting(0, low=0, high=2**31 - 1, metavar="SEED", text=text)
-
-
-def speed_setting(text: str = "target speed (default: unlimited)") -> Any:
-    """Declare a target real-time factor; 0 for ``unlimited``."""
-    return setting(
-        0.0,
-        parse=_parse_speed,
-        allowed=f"a real-time factor of at least {LEAST_SPEED}, or 'unlimited'",
-        metavar="FACTOR",
-        text=text,
-    )
 
 
 def patterns_setting() -> Any:

@@ -13,17 +13,18 @@ from __future__ import annotations
 
 import argparse
 import http.client
-import math
 import os
 import sys
 import xml.parsers.expat
 import xmlrpc.client
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlparse
 
-from xtdrone_control.lockstep.simulation_speed import LEAST_SPEED
+from xtdrone_control.lockstep.simulation_speed import speed_setting
+from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction.service_client import ServiceError, ServiceRefusedError, call_service
 
 DEFAULT_MASTER = "http://localhost:11311"
@@ -41,6 +42,55 @@ _DURATION_END = float(1 << 31)  # s; a ROS duration is less
 _NAMES_SHOWN = 8
 _RESETS = ("simulation", "world")
 NO_XMLRPC = (xmlrpc.client.Error, http.client.HTTPException, xml.parsers.expat.ExpatError)
+
+
+@dataclass(frozen=True)
+class StepOptions(Settings):
+    """Arguments of ``step``, of which one may be given."""
+
+    ticks: int | None = setting(None, low=1, high=_MOST_TICKS, text="number of ticks (default: 1)", positional=True)
+    until: float | None = setting(
+        None,
+        above=0.0,
+        below=_TIME_END,
+        unit="s",
+        text="to the first tick at or after this simulated time",
+        metavar="T",
+    )
+    seconds: float | None = setting(
+        None,
+        above=0.0,
+        below=_DURATION_END,
+        unit="s",
+        text="to the first tick after this much simulated time",
+        option="--for",
+        metavar="S",
+    )
+
+
+@dataclass(frozen=True)
+class SpeedOptions(Settings):
+    """Argument of ``speed``."""
+
+    factor: float = speed_setting("target speed", default=..., positional=True)
+
+
+@dataclass(frozen=True)
+class WindOptions(Settings):
+    """Arguments of ``wind``: the air's velocity, ENU."""
+
+    east: float = setting(..., unit="m/s", text="towards the east", positional=True)
+    north: float = setting(..., unit="m/s", text="towards the north", positional=True)
+    up: float = setting(0.0, unit="m/s", text="upwards", positional=True)
+
+
+@dataclass(frozen=True)
+class FailureOptions(Settings):
+    """Argument of ``fail``."""
+
+    value: float = setting(
+        0.0, text="biased: m added to every range; dropouts: share of the returns that are lost", positional=True
+    )
 
 
 class SimError(RuntimeError):
@@ -207,11 +257,12 @@ def _step(master: str, arguments: argparse.Namespace) -> str:
     import genpy
     from xtdrone_msgs.srv import Step, StepRequest
 
-    request = StepRequest(ticks=arguments.ticks or 0)
-    if arguments.until is not None:
-        request.until = genpy.Time.from_sec(arguments.until)
-    if arguments.seconds is not None:
-        request.duration = genpy.Duration.from_sec(arguments.seconds)
+    options = StepOptions.from_arguments(arguments)
+    request = StepRequest(ticks=options.ticks or 0)
+    if options.until is not None:
+        request.until = genpy.Time.from_sec(options.until)
+    if options.seconds is not None:
+        request.duration = genpy.Duration.from_sec(options.seconds)
     try:
         return _accepted(call(master, "/simulator/step", Step, request, limit=None))
     except KeyboardInterrupt:
@@ -332,36 +383,6 @@ def _accepted(response: Any) -> str:
 # ---- the command line
 
 
-def _seconds(thing: str, end: float, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 < value < end:
-        raise argparse.ArgumentTypeError(
-            f"{thing}: {text!r} is not allowed; a number of seconds above 0 and below {end:.0f}"
-        )
-    return value
-
-
-def _ticks(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= _MOST_TICKS:
-        raise argparse.ArgumentTypeError(f"ticks: {text!r} is not allowed; a whole number from 1 to {_MOST_TICKS}")
-    return int(text)
-
-
-def _factor(text: str) -> float:
-    try:
-        value = 0.0 if text == "unlimited" else float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value) or (value != 0.0 and value < LEAST_SPEED):
-        raise argparse.ArgumentTypeError(
-            f"speed: {text!r} is not allowed; a real-time factor of at least {LEAST_SPEED}, or 'unlimited' (0)"
-        )
-    return value
-
-
 def master_uri(text: str) -> str:
     """Return the URI of a ROS master that an argument names by its port on this machine, or by its URI.
 
@@ -402,13 +423,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("resume", _trigger("resume"), "continue simulated time")
     step = add("step", _step, "advance by one or more ticks, then pause")
     goal = step.add_mutually_exclusive_group()
-    goal.add_argument("ticks", type=_ticks, nargs="?", default=None, metavar="N", help="number of ticks (1)")
-    goal.add_argument("--until", type=lambda text: _seconds("until", _TIME_END, text), metavar="T",
-                      help="to the first tick at or after this simulated time, s")  # fmt: skip
-    goal.add_argument("--for", dest="seconds", type=lambda text: _seconds("for", _DURATION_END, text), metavar="S",
-                      help="to the first tick after this much simulated time, s")  # fmt: skip
+    StepOptions.add_arguments(goal)
     speed = add("speed", _speed, "set the target real-time factor")
-    speed.add_argument("factor", type=_factor, metavar="FACTOR", help=f"at least {LEAST_SPEED}, or 'unlimited'")
+    SpeedOptions.add_arguments(speed)
     reset = add("reset", _reset, "move all vehicles, or one, back to their initial positions, as after a start")
     reset.add_argument("what", nargs="?", default="simulation", metavar="world|simulation|VEHICLE",
                        help="simulation: time restarts at 0 (default); world: time continues; VEHICLE, as iris_3: only "
@@ -425,12 +442,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     fail.add_argument("sensor", metavar="VEHICLE/NAME", help="as iris_2d_lidar_0/scan")
     fail.add_argument("failure", choices=("off", "frozen", "biased", "dropouts", "ok"),
                       help="a camera can be off")  # fmt: skip
-    fail.add_argument("value", type=float, nargs="?", default=0.0,
-                      help="biased: m added to every range; dropouts: share of the returns that are lost")  # fmt: skip
+    FailureOptions.add_arguments(fail)
     wind = add("wind", _wind, "set the world's wind, until it is set again or the world is reset")
-    for axis, text in (("east", "m/s towards the east"), ("north", "towards the north")):
-        wind.add_argument(axis, type=float, metavar=axis.upper(), help=text)
-    wind.add_argument("up", type=float, nargs="?", default=0.0, metavar="UP", help="upwards (0)")
+    WindOptions.add_arguments(wind)
     add("status", _status, "print the state of the simulation, and the participants it waits for")
 
 

@@ -12,6 +12,7 @@ from typing import Any
 from rich.console import Console
 
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_control.lockstep.simulation_speed import speed_setting
 from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction.demos.directed_flight import (
     directed_flight,
@@ -22,7 +23,7 @@ from xtdrone_interaction.demos.directed_flight import (
 from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, run_flight
 from xtdrone_interaction.metrics.clearance import solids_of
 from xtdrone_interaction.metrics.missions.formation_metrics import write_report
-from xtdrone_interaction.options import seed_setting, speed_setting, web_setting
+from xtdrone_interaction.options import seed_setting, web_setting
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.printed_results import print_exploration, print_paths
 from xtdrone_planning.exploration.settings import ExplorationSettings, parse_bounds

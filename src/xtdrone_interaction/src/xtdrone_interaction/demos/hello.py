@@ -13,6 +13,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.syntax import Syntax
 
+from xtdrone_control.lockstep.simulation_speed import speed_setting
 from xtdrone_control.settings import Settings
 from xtdrone_interaction import options
 from xtdrone_interaction.console import PatientConsole, run_reported
@@ -25,7 +26,7 @@ from xtdrone_interaction.launching.supervised_launch import (
     watching,
 )
 from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
-from xtdrone_interaction.options import MachineSettings, OptionError, seed_setting, speed_setting, web_setting
+from xtdrone_interaction.options import MachineSettings, OptionError, seed_setting, web_setting
 
 FLEET = "iris:1"
 SCRIPT = options.repository() / "src" / "xtdrone_control" / "examples" / "hello.py"

@@ -15,6 +15,7 @@ from typing import Any
 
 from rich.console import Console
 
+from xtdrone_control.lockstep.simulation_speed import speed_setting
 from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction import options
 from xtdrone_interaction.console import PatientConsole, run_reported
@@ -24,7 +25,7 @@ from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, e
 from xtdrone_interaction.metrics.missions.formation_metrics import write_report
 from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
 from xtdrone_interaction.monitoring.progress_display import Display
-from xtdrone_interaction.options import seed_setting, speed_setting, web_setting
+from xtdrone_interaction.options import seed_setting, web_setting
 from xtdrone_interaction.recording.recorded_flight import RecordError
 
 TYPE, ROBOT = "iris_landing_camera", "ugv_0"

@@ -14,6 +14,7 @@ from typing import Any
 
 from rich.console import Console
 
+from xtdrone_control.lockstep.simulation_speed import speed_setting
 from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction import options
 from xtdrone_interaction.console import PatientConsole, run_reported
@@ -22,7 +23,7 @@ from xtdrone_interaction.launching.supervised_launch import DemoError, Launch, m
 from xtdrone_interaction.metrics.missions.formation_metrics import write_report
 from xtdrone_interaction.metrics.missions.slam_report import slam_report
 from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
-from xtdrone_interaction.options import MachineSettings, OptionError, seed_setting, speed_setting, web_setting
+from xtdrone_interaction.options import MachineSettings, OptionError, seed_setting, web_setting
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.report_tables import odometry_table, print_table
 

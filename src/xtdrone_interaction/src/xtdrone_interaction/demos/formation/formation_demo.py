@@ -13,6 +13,7 @@ from typing import Any
 
 from rich.console import Console
 
+from xtdrone_control.lockstep.simulation_speed import speed_setting
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.leader import Leader
 from xtdrone_interaction.formation.distances import EVENTS_TOPIC, PROGRESS_TOPIC
@@ -25,7 +26,6 @@ from xtdrone_interaction.options import (
     clearance_setting,
     patterns_setting,
     seed_setting,
-    speed_setting,
     vehicles_setting,
     waive_setting,
     web_setting,

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
-from xtdrone_control.settings import SettingError, Settings, check_range, setting
+from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction.gcs.commands.terminal_output import Display
 
 from ..exchanges import flight
@@ -21,10 +22,31 @@ _FAR = 100_000.0  # m
 _PLACES = "X Y Z, m, or --lat, --lon and one of --alt and --height"
 
 
+def _coordinate(text: str) -> Any:
+    return setting(None, low=-_FAR, high=_FAR, unit="m", text=text, positional=True)
+
+
+@dataclass(frozen=True)
+class TakeoffOptions(Settings):
+    """Arguments of ``takeoff``."""
+
+    height: float = setting(
+        ...,
+        low=0.1,
+        high=_FAR,
+        unit="m",
+        text="above the ground; PX4 accepts NAV_MC_ALT_RAD below that as reached",
+        positional=True,
+    )
+
+
 @dataclass(frozen=True)
 class GotoOptions(Settings):
-    """Options of ``goto``; lat, lon and one of alt and height give the target unless the command has X Y Z."""
+    """Arguments of ``goto``; lat, lon and one of alt and height give the target unless the command has X Y Z."""
 
+    x: float | None = _coordinate("east of the local frame's origin (the simulator's map frame)")
+    y: float | None = _coordinate("north of it")
+    z: float | None = _coordinate("above it")
     lat: float | None = setting(None, low=-90.0, high=90.0, unit="degrees", text="latitude", metavar="DEG")
     lon: float | None = setting(None, low=-180.0, high=180.0, unit="degrees", text="longitude", metavar="DEG")
     alt: float | None = setting(None, low=-_FAR, high=_FAR, unit="m", text="altitude above sea level", metavar="M")
@@ -40,19 +62,6 @@ class GotoOptions(Settings):
         text="for several vehicles: height of each one above the one before",
         metavar="M",
     )
-
-
-def _metres(name: str, low: float, high: float) -> Callable[[str], float]:
-    """Return the type of a positional argument in metres."""
-
-    def parse(text: str) -> float:
-        try:
-            return check_range(name, float(text), low, high, "m")
-        except ValueError as error:  # SettingError, too
-            limits = error.allowed if isinstance(error, SettingError) else f"{low:g} to {high:g} m"
-            raise argparse.ArgumentTypeError(f"{text!r} is not allowed, {limits}") from error
-
-    return parse
 
 
 Action = Callable[[Heartbeat], Exchange[None]]
@@ -90,7 +99,7 @@ def _takeoff(arguments: argparse.Namespace) -> int:
 
 def _goto(arguments: argparse.Namespace) -> int:
     options = GotoOptions.from_arguments(arguments)
-    target = _target(arguments.place, options)
+    target = _target(options)
     peers = select_vehicles(arguments)
     if len(peers) > 1 and options.spacing is None:
         raise UsageError(
@@ -121,18 +130,15 @@ def _plan(arguments: argparse.Namespace, target: Target, heights: Mapping[Peer, 
     return display.results(list(heights), results, lambda *_: "its planner flies there")
 
 
-def _target(place: Sequence[float], options: GotoOptions) -> Target:
+def _target(options: GotoOptions) -> Target:
     """Return the target of ``goto``.
-
-    Args:
-        place: X Y Z of the command line, m ENU; empty without.
-        options: its options.
 
     Raises:
         UsageError: the target is incomplete or ambiguous.
     """
     given = [f"--{name}" for name in ("lat", "lon", "alt", "height") if getattr(options, name) is not None]
     speed = math.nan if options.speed is None else options.speed
+    place = [value for value in (options.x, options.y, options.z) if value is not None]
     if place:
         if len(place) != 3 or given:
             words = " and ".join([f"{len(place)} of X Y Z", *given])
@@ -156,11 +162,8 @@ def add_to(add: Adder) -> None:
     force = "disarm also in flight: the motors stop and the vehicle falls"
     add("disarm", _disarm, "disarm").add_argument("--force", action="store_true", help=force)
     takeoff = add("takeoff", _takeoff, "arm and climb straight up")
-    reached = "m above the ground; PX4 accepts NAV_MC_ALT_RAD below that as reached"
-    takeoff.add_argument("height", type=_metres("height", 0.1, _FAR), help=reached)
+    TakeoffOptions.add_arguments(takeoff)
     goto = add("goto", _goto, "go to a position and hold there; the vehicle has to be in the air")
-    goto.add_argument("place", nargs="*", type=_metres("place", -_FAR, _FAR), metavar="X Y Z",
-                      help="m east, north, up from the local frame's origin (the simulator's map frame)")  # fmt: skip
     GotoOptions.add_arguments(goto)
     goto.add_argument("--avoid", action="store_true",
                       help="by the vehicle's planner, round what its sensor sees: planner.py has to run")  # fmt: skip
