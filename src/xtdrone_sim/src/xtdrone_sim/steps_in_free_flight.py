@@ -19,7 +19,7 @@ import numpy as np
 from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
 from xtdrone_control.autopilot.autopilot import step_vehicle as control
 from xtdrone_control.autopilot.state import N_STATES
-from xtdrone_sim.kernel import kernel, kernel_for_threads
+from xtdrone_sim.kernel import kernel, kernel_for_threads, kernel_that_allocates
 from xtdrone_sim.physics.contacts.contact_states import (
     sort_contacts,
 )
@@ -70,7 +70,7 @@ def _advance(
             control(s, estimator[i], setpoint[i], c, params[i], mix[i], unmix[i], rotors[i], dt, work)
 
 
-@kernel
+@kernel_that_allocates
 def _advance_alone(most, step, time_us, plant, models, field, place, gravity, dt, *records):
     """Advance all vehicles by up to ``most`` steps, until a contact check finds a change; return the number of steps.
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from xtdrone_control.rotation_kernels import rotate, rotate_inverse
-from xtdrone_sim.kernel import kernel, kernel_for_threads
+from xtdrone_sim.kernel import kernel, kernel_for_threads, kernel_that_allocates, kernel_that_allocates_for_threads
 from xtdrone_sim.rays.tree import DEPTH, NOTHING, nearest, normal_at
 
 THING = np.dtype(
@@ -86,7 +86,7 @@ def _cast(nodes, surfaces, has_ground, things, before, after, share, skip, o, d,
     return best, owner, cosine
 
 
-@kernel_for_threads
+@kernel_that_allocates_for_threads
 def cast_rays(
     nodes, surfaces, has_ground, things, places, segments, shares, skip, origins, directions, most, ranges, owners,
     cosines,
@@ -150,7 +150,7 @@ def place_rays(places, segments, shares, mount, turn, local, origins, directions
         directions[i, 0], directions[i, 1], directions[i, 2] = u, v, w
 
 
-@kernel
+@kernel_that_allocates
 def distance_along(nodes, surfaces, things, places, skip, position, direction, most):
     """Return the distance, m, to the nearest surface along a unit vector, the plane z = 0 excepted, and its owner.
 

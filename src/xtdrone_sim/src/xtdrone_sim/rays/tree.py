@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_sim.kernel import kernel
+from xtdrone_sim.kernel import kernel, kernel_that_allocates
 
 TRIANGLE, BOX, SPHERE, CYLINDER = range(4)
 NOTHING = -1  # as surface: the ray meets none
@@ -78,7 +78,7 @@ def _half_area(low, high):
     return x * y + y * z + z * x
 
 
-@kernel
+@kernel_that_allocates
 def _best_split(low, high, order, first, last, axis, least, most):
     """Return cost and bin of the best split of ``order[first:last]`` along an axis; see ``_build``."""
     counts = np.zeros(_BINS, np.int64)
@@ -128,7 +128,7 @@ def _divide(low, high, order, first, last, axis, least, most, where):
     return middle
 
 
-@kernel
+@kernel_that_allocates
 def _build(low, high, nodes, order):
     """Fill ``nodes`` (2 n,) and ``order`` (n,) of a tree over boxes ``low``, ``high`` (n, 3); return the nodes' number.
 

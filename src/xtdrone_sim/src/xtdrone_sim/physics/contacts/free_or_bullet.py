@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from xtdrone_sim.kernel import kernel
+from xtdrone_sim.kernel import kernel, kernel_that_allocates
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT, FREE, TOUCHING
 
 CHECK_STEPS = 5  # steps between two updates of the contact states; margins cover the motion in between
@@ -67,7 +67,7 @@ def _most_acceleration(v, m, gravity):
     return _CAUTION * (gravity + (thrust + drag * math.sqrt(ax * ax + ay * ay + az * az)) / m.mass)
 
 
-@kernel
+@kernel_that_allocates
 def stay_free(plant, models, steps, gravity, dt):
     """Return whether all vehicles are free and no contact check of the next ``steps``, 0.1 s at most, finds a change.
 
