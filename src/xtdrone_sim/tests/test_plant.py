@@ -57,7 +57,7 @@ def test_rotor_lag_is_first_order(iris):
     m = iris[0]
     steps = 3
     for _ in range(steps):
-        vehicle_dynamics.advance_rotors(state[0], m, np.full(8, 0.5), 1, DT)
+        vehicle_dynamics.advance_rotors(state[0], m, vehicle_dynamics.rotor_lag(m, DT), np.full(8, 0.5), 1)
     expected = 600.0 * (1.0 - math.exp(-steps * DT / m["time_constant_up"]))
     np.testing.assert_allclose(state["rotor_speed"][0, :4], expected, rtol=1e-12)
 

@@ -37,7 +37,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.programs.user_module import import_user_module
-from xtdrone_sim.physics.vehicle_dynamics import ABSENT, ASLEEP, FREE, advance_rotors, integrate_free, rotor_wrench
+from xtdrone_sim.physics.vehicle_dynamics import (
+    ABSENT,
+    ASLEEP,
+    FREE,
+    advance_rotors,
+    integrate_free,
+    rotor_lag,
+    rotor_wrench,
+)
 
 from .air import AIR
 from .kernel import kernel
@@ -60,7 +68,7 @@ def drive_rotors(plant, models, actuators, armed, dt):
         v, m = plant[i], models[i]
         if v.contact == ABSENT or (v.contact == ASLEEP and not armed[i]):
             continue
-        advance_rotors(v, m, actuators[i], armed[i], dt)
+        advance_rotors(v, m, rotor_lag(m, dt), actuators[i], armed[i])
         rotor_wrench(v, m)
 
 

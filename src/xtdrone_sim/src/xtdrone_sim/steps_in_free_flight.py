@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import threading
 import weakref
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from queue import SimpleQueue
 from typing import Any
@@ -24,7 +25,7 @@ from xtdrone_sim.physics.contacts.contact_states import (
     sort_contacts,
 )
 from xtdrone_sim.physics.contacts.free_or_bullet import CHECK_STEPS
-from xtdrone_sim.physics.vehicle_dynamics import ASLEEP, TOUCHING
+from xtdrone_sim.physics.vehicle_dynamics import ASLEEP, TOUCHING, rotor_lag
 from xtdrone_sim.physics.vehicle_dynamics import step_vehicle as move
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.sensors.sensor_models import FLOW_EVERY, STEPS, Sensors, sample_vehicle
@@ -32,6 +33,8 @@ from xtdrone_sim.sensors.sensor_models import FLOW_EVERY, STEPS, Sensors, sample
 _VEHICLES_PER_THREAD = 12  # fewer are done sooner than another thread starts
 _MOST_THREADS = 8
 _LONGEST = 25  # steps without a check of the contacts
+
+_Call = tuple[Callable[..., object], tuple[Any, ...]]
 
 
 @kernel
@@ -60,14 +63,16 @@ def _advance(
         sensors, estimator, setpoint, control_records, params, mix, unmix, rotors, work: see ``autopilot.step_all``.
     """
     for i in range(first, last):
-        v, m, s, c = plant[i], models[i], sensors[i], control_records[i]
+        v, m, s = plant[i], models[i], sensors[i]
+        e, goal, c, p = estimator[i], setpoint[i], control_records[i], params[i]
+        lag = rotor_lag(m, dt)
         for k in range(steps):
-            move(v, m, c.actuators, setpoint[i].armed, gravity, dt)
+            move(v, m, lag, c.actuators, goal.armed, gravity, dt)
             sample_vehicle(
                 i, s, v, m, bias[i], fast[i], slow[i], down[i], below,
                 step + k, time_us + (k + 1) * STEP_US, field, place, gravity, dt,
             )  # fmt: skip
-            control(s, estimator[i], setpoint[i], c, params[i], mix[i], unmix[i], rotors[i], dt, work)
+            control(s, e, goal, c, p, mix[i], unmix[i], rotors[i], dt, work)
 
 
 @kernel_that_allocates
@@ -97,19 +102,19 @@ def _advance_alone(most, step, time_us, plant, models, field, place, gravity, dt
 
 
 class _Thread:
-    """A thread that calls ``_advance``; it ends with this object."""
+    """A thread that calls functions without results; it ends with this object."""
 
     def __init__(self, number: int) -> None:
         """Start the thread."""
-        self._calls: SimpleQueue[tuple[Any, ...] | None] = SimpleQueue()
+        self._calls: SimpleQueue[_Call | None] = SimpleQueue()
         self._ends: SimpleQueue[BaseException | None] = SimpleQueue()
         arguments = self._calls, self._ends
         threading.Thread(target=_serve, args=arguments, name=f"free_flight_{number}", daemon=True).start()
         weakref.finalize(self, self._calls.put, None)
 
-    def begin(self, *arguments: Any) -> None:
+    def begin(self, function: Callable[..., object], arguments: tuple[Any, ...]) -> None:
         """Begin a call."""
-        self._calls.put(arguments)
+        self._calls.put((function, arguments))
 
     def wait(self) -> None:
         """Wait for its end; raise what it has raised."""
@@ -118,10 +123,11 @@ class _Thread:
             raise error
 
 
-def _serve(calls: SimpleQueue[tuple[Any, ...] | None], ends: SimpleQueue[BaseException | None]) -> None:
-    while (arguments := calls.get()) is not None:
+def _serve(calls: SimpleQueue[_Call | None], ends: SimpleQueue[BaseException | None]) -> None:
+    while (call := calls.get()) is not None:
+        function, arguments = call
         try:
-            _advance(*arguments)
+            function(*arguments)
             ends.put(None)
         except BaseException as error:
             ends.put(error)
@@ -209,23 +215,26 @@ class FreeFlight:
         steps = self._possible_steps(most)
         if not steps:
             return 0
-        self.sensors.draw(step)
+        if step % STEPS == 0:
+            self._on_all_threads(self.sensors.draw_block, self._limits)
         if not self.sensors.below.sees_others:
             self.sensors.below.update(time_us)
         self._share_out()
         if self._checks_inside:
             steps = int(_advance_alone(most, step, time_us, *self._shares[0][2]))
         else:
-            self._advance_shares(steps, step, time_us)
+            calls = [(first, last, steps, step, time_us, *records) for first, last, records in self._shares]
+            self._on_all_threads(_advance, calls)
         self._world.count_steps(steps)
         return steps
 
-    def _advance_shares(self, steps: int, step: int, time_us: int) -> None:
-        (first, last, records), *others = self._shares
-        for thread, (begin, end, own) in zip(self._threads, others, strict=True):
-            thread.begin(begin, end, steps, step, time_us, *own)
+    def _on_all_threads(self, function: Callable[..., object], calls: Sequence[tuple[Any, ...]]) -> None:
+        """Call ``function`` with the arguments of each thread's call, the first on this thread, and wait for all."""
+        first, *others = calls
+        for thread, arguments in zip(self._threads, others, strict=True):
+            thread.begin(function, arguments)
         try:
-            _advance(first, last, steps, step, time_us, *records)
+            function(*first)
         finally:
             for thread in self._threads:
                 thread.wait()

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 
 Vector = tuple[float, float, float]
 
+_OFFSETS = {name: SETPOINT.fields[name][1] for name in SETPOINT.names or ()}
+_TRAJECTORY = slice(_OFFSETS["position"], _OFFSETS["attitude_q"])  # bytes of SETPOINT
+
 
 def cell(records: np.ndarray, index: int, *names: str) -> memoryview:
     """Return a view of one scalar field of the record ``index``, whose only element is read and written by ``[0]``.
@@ -34,7 +37,8 @@ class VehicleView:
 
     Attributes:
         sensors, estimator, setpoint, control, failures: the vehicle's elements of the record arrays.
-        setpoint_fields: name of a setpoint field to an array over it, for frequent writes.
+        setpoint_fields: name of a setpoint field to an array over it, for frequent writes; ``trajectory`` is position,
+            velocity, acceleration, yaw and yaw rate in one.
     """
 
     def __init__(self, autopilot: Autopilot, index: int) -> None:
@@ -56,6 +60,7 @@ class VehicleView:
         self._position, self._velocity = self.estimator["position"], self.estimator["velocity"]
         element = autopilot.setpoint[index : index + 1]
         self.setpoint_fields = {name: element[name].reshape(-1) for name in SETPOINT.names or ()}
+        self.setpoint_fields["trajectory"] = element.view(np.uint8)[_TRAJECTORY].view(np.float64)
         assert all(np.shares_memory(field, element) for field in self.setpoint_fields.values())
 
     @property

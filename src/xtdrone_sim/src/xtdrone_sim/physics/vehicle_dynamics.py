@@ -39,9 +39,18 @@ PLANT = np.dtype(
 
 
 @kernel
-def advance_rotors(v, m, actuators, armed, dt):
-    """Advance the rotor speeds by ``dt`` towards the motor commands (0..1); motors run down if disarmed or at NaN."""
-    keep_up, keep_down = math.exp(-dt / m.time_constant_up), math.exp(-dt / m.time_constant_down)
+def rotor_lag(m, dt):
+    """Return the share of the difference to a higher and to a lower wanted speed that a rotor keeps over ``dt``."""
+    return math.exp(-dt / m.time_constant_up), math.exp(-dt / m.time_constant_down)
+
+
+@kernel
+def advance_rotors(v, m, lag, actuators, armed):
+    """Advance the rotor speeds towards the motor commands (0..1); motors run down if disarmed or at NaN.
+
+    ``lag``: of one step, see ``rotor_lag``.
+    """
+    keep_up, keep_down = lag
     for i in range(m.rotor_count):
         runs = armed and not math.isnan(actuators[i])
         wanted = min(m.input_scaling * actuators[i] + m.idle_speed, m.max_speed) if runs else 0.0
@@ -110,11 +119,11 @@ def integrate_free(v, m, gravity, dt):
 
 
 @kernel
-def step_vehicle(v, m, actuators, armed, gravity, dt):
-    """Advance one vehicle; return 1 if Bullet must integrate its motion, else 0. See ``step_all``."""
+def step_vehicle(v, m, lag, actuators, armed, gravity, dt):
+    """Advance one vehicle; return 1 if Bullet must integrate its motion, else 0. See ``step_all``, ``rotor_lag``."""
     if v.contact == ABSENT or (v.contact == ASLEEP and not armed):
         return 0
-    advance_rotors(v, m, actuators, armed, dt)
+    advance_rotors(v, m, lag, actuators, armed)
     rotor_wrench(v, m)
     if v.contact != FREE:
         return 1
@@ -139,5 +148,6 @@ def step_all(plant, models, actuators, armed, gravity, dt):
     """
     touching = 0
     for i in range(plant.shape[0]):
-        touching += step_vehicle(plant[i], models[i], actuators[i], armed[i], gravity, dt)
+        m = models[i]
+        touching += step_vehicle(plant[i], m, rotor_lag(m, dt), actuators[i], armed[i], gravity, dt)
     return touching

@@ -27,7 +27,7 @@ from xtdrone_sim.sensors.models_below import Below
 from xtdrone_sim.sensors.vehicles_and_people_below import Others
 
 STEPS = 250  # IMU samples per block of one second
-MAG_EVERY = 5  # steps: 50 Hz
+MAG_EVERY = 5  # steps: 50 Hz; the other periods are multiples of it and divide STEPS
 BARO_EVERY = 10  # 25 Hz
 GPS_EVERY = 25  # 10 Hz
 FLOW_EVERY = 10  # 25 Hz, optical flow and range
@@ -208,20 +208,21 @@ def sample_vehicle(own, s, v, m, b, fast, slow, down, below, step, time_us, fiel
     if v.contact == ABSENT:
         return
     k = step % STEPS
-    slot = k // MAG_EVERY
     s.time_us = time_us
     s.mag_fresh = 0
     s.baro_fresh = 0
     s.gps_fresh = 0
     _imu(s, v, m, b, fast[k], gravity, dt)
-    if step % MAG_EVERY == 0:
-        _walk_imu_biases(m, b, slow[slot], dt * MAG_EVERY)
-        _magnetometer(s, v, m, b, slow[slot], field)
-    if step % BARO_EVERY == 0:
-        _barometer(s, v, m, b, slow[slot], place[2], dt * BARO_EVERY)
-    if step % GPS_EVERY == 0:
-        _gps(s, v, m, b, slow[slot], place[0], place[1], place[2], dt * GPS_EVERY)
-    if step % FLOW_EVERY == 0 and (m.range_fitted or m.flow_fitted):
+    if k % MAG_EVERY:
+        return
+    noise = slow[k // MAG_EVERY]
+    _walk_imu_biases(m, b, noise, dt * MAG_EVERY)
+    _magnetometer(s, v, m, b, noise, field)
+    if k % BARO_EVERY == 0:
+        _barometer(s, v, m, b, noise, place[2], dt * BARO_EVERY)
+    if k % GPS_EVERY == 0:
+        _gps(s, v, m, b, noise, place[0], place[1], place[2], dt * GPS_EVERY)
+    if k % FLOW_EVERY == 0 and (m.range_fitted or m.flow_fitted):
         _look_down(own, s, v, m, down[k // FLOW_EVERY], below)
 
 
@@ -326,7 +327,12 @@ class Sensors:
     def draw(self, step: int) -> None:
         """Draw the noise of the next second if a block begins at step number ``step``."""
         if step % STEPS == 0:
-            for i in self._streams:
+            self.draw_block(0, len(self._bias))
+
+    def draw_block(self, first: int, last: int) -> None:
+        """Draw the noise of the next second of the vehicles ``first`` to ``last`` (excluded)."""
+        for i in range(first, last):
+            if i in self._streams:
                 self._draw(i)
 
     def _draw(self, i: int) -> None:

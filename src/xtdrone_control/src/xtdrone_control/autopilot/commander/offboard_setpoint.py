@@ -11,7 +11,7 @@ from xtdrone_control.autopilot.vehicle_view import Vector, VehicleView
 
 _NAN = math.nan
 _UNSET = (_NAN, _NAN, _NAN)
-_STOP = (0.0, 0.0, 0.0)
+_HOLD = (*_UNSET, 0.0, 0.0, 0.0, *_UNSET, _NAN, _NAN)  # of ``VehicleView.setpoint_fields["trajectory"]``
 _NEVER_US = -(1 << 60)
 
 
@@ -24,12 +24,12 @@ def _finite(value: float) -> float:
     return value if math.isfinite(value) else _NAN
 
 
-def _can_be_flown(parts: Sequence[Sequence[float]]) -> bool:
+def _can_be_flown(given: Sequence[bool]) -> bool:
     """Return whether position, velocity and acceleration together control every axis, with x and y only in pairs.
 
-    Source: PX4 ``PositionControl::_inputValid``.
+    Source: PX4 ``PositionControl::_inputValid``. ``given``: of each of their 9 values.
     """
-    x, y, z = ([not math.isnan(value) for value in axis] for axis in zip(*parts, strict=True))
+    x, y, z = given[0::3], given[1::3], given[2::3]
     return x == y and any(x) and any(z)
 
 
@@ -137,22 +137,17 @@ class OffboardSetpoint:
         Raises:
             SetpointError: position, velocity and acceleration are all NaN.
         """
-        given = (position, velocity, acceleration)
-        if all(math.isnan(value) for part in given for value in part):
+        sent = (*position, *velocity, *acceleration)
+        given = [math.isfinite(value) for value in sent]
+        if not any(given) and all(map(math.isnan, sent)):
             raise SetpointError("neither position nor velocity nor acceleration is given")
-        parts = [tuple(map(_finite, part)) for part in given]
-        incomplete = not _can_be_flown(parts)
+        incomplete = not _can_be_flown(given)
         if incomplete:
-            parts = [_UNSET, _STOP, _UNSET]
-            yaw = yaw_rate = _NAN
-        self._store(
-            TASK_TRAJECTORY,
-            position=parts[0],
-            velocity=parts[1],
-            acceleration=parts[2],
-            yaw=_finite(yaw),
-            yaw_rate=_finite(yaw_rate),
-        )
+            trajectory = _HOLD
+        else:
+            values = [value if finite else _NAN for value, finite in zip(sent, given, strict=True)]
+            trajectory = (*values, _finite(yaw), _finite(yaw_rate))
+        self._store(TASK_TRAJECTORY, trajectory=trajectory)
         self.incomplete = incomplete
 
     def set_attitude(self, attitude: Sequence[float], yaw_rate: float, thrust: float) -> None:

@@ -110,7 +110,7 @@ def _gain_to_limits(u, direction, count, low, high):
 def _desaturate(u, direction, count, low, high, only_decrease):
     """Move ``u`` along ``direction`` to reduce saturation, in a full and a half step, as in PX4."""
     k = _gain_to_limits(u, direction, count, low, high)
-    if only_decrease and k > 0.0:
+    if k == 0.0 or (only_decrease and k > 0.0):  # within the limits: most calls
         return
     for i in range(count):
         u[i] += k * direction[i]

@@ -220,6 +220,8 @@ class Navigator:
 
     def mission_denial(self) -> str:
         """Return the reason why AUTO.MISSION cannot be flown, or an empty string."""
+        if not self.plans.mission:
+            return _NO_MISSION
         self._check()
         return "" if self._valid else _NO_MISSION
 

@@ -50,9 +50,10 @@ class FailureDetector:
         # views of the record fields, cached because every update reads them
         self._q = view.estimator["q"]
         self._failed_rotors = view.cell("setpoint", "failed_rotors")
-        self._currents, self._commands = view.sensors["esc_current"], view.control["actuators"]
-        self._roll, self._pitch = _Hysteresis(), _Hysteresis()
         self._rotors = view.rotor_count
+        self._currents = view.sensors["esc_current"][: self._rotors]
+        self._commands = view.control["actuators"][: self._rotors]
+        self._roll, self._pitch = _Hysteresis(), _Hysteresis()
         self._low_current_us: dict[int, int] = {}  # motor index to the time since which its current has been too low
         self._measured: set[int] = set()
         self.roll = self.pitch = False
@@ -108,8 +109,8 @@ class FailureDetector:
             self._measured.update([motor for motor, current in enumerate(currents) if current > 0.0])
         low = [
             motor
-            for motor, command in enumerate(self._commands.tolist())
-            if not (command <= min_command or currents[motor] >= slope * command)
+            for motor, (current, command) in enumerate(zip(currents, self._commands.tolist(), strict=True))
+            if not (command <= min_command or current >= slope * command)
         ]
         if not (low or self._low_current_us):
             return

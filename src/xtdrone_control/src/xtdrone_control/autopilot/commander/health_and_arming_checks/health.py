@@ -124,25 +124,25 @@ class Health:
         limit = get("COM_OF_LOSS_T")
         longest = get("COM_FLT_TIME_MAX")
         check_battery = int(get("CBRK_SUPPLY_CHK")) != _SUPPLY_KEY
-        self.flags = Flags(
-            attitude_invalid=not view.initialised,
-            altitude_invalid=altitude_invalid,
-            position_invalid=position_invalid,
-            relaxed_position_invalid=relaxed_position_invalid,
-            home_missing=self._navigator.home is None,
-            mission_missing=not self._in_mission and bool(self._navigator.mission_denial()),
-            offboard_lost=self._offboard_lost(limit, relaxed_position_invalid),
-            manual_lost=self._manual_lost,
-            gcs_lost=self._gcs_lost,
-            geofence=bool(self.breach),
-            battery=self._warning if check_battery else 0,
-            battery_unhealthy=check_battery and not self.battery.connected,
-            attitude_failure=self.detector.attitude,
-            motor_failure=bool(self.detector.motors),
-            flight_time_exceeded=(
-                longest > 0 and self._takeoff_us is not None and now_us - self._takeoff_us > longest * 1e6
-            ),
+        flags = (  # of ``Flags``, in its order, which is created only if one has changed
+            not view.initialised,
+            altitude_invalid,
+            position_invalid,
+            relaxed_position_invalid,
+            self._navigator.home is None,
+            not self._in_mission and bool(self._navigator.mission_denial()),
+            self._offboard_lost(limit, relaxed_position_invalid),
+            self._manual_lost,
+            self._gcs_lost,
+            bool(self.breach),
+            self._warning if check_battery else 0,
+            check_battery and not self.battery.connected,
+            self.detector.attitude,
+            bool(self.detector.motors),
+            longest > 0 and self._takeoff_us is not None and now_us - self._takeoff_us > longest * 1e6,
         )
+        if flags != self.flags:
+            self.flags = Flags(*flags)
         return self.flags
 
     def _positions(self, now_us: int, delay_us: float) -> tuple[bool, bool, bool]:
