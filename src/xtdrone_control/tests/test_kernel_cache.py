@@ -1,12 +1,14 @@
-"""Which sources the kernel cache hangs on."""
+"""Which sources the kernel cache hangs on, and which kernels can create arrays."""
 
 from __future__ import annotations
 
 import ast
 from pathlib import Path
 
+import numpy as np
 import pytest
 from numba.core import event
+from numba.core.errors import NumbaError
 
 from xtdrone_control import kernel
 
@@ -73,3 +75,14 @@ def test_compilation_is_announced_and_cached_where_possible(tmp_path, monkeypatc
             assert kernel.compiler(tmp_path)(half)(3.0) == 1.5
     assert told == ["test_kernel_cache.half", ("test_kernel_cache.half", True)] * times
     assert ("cannot be written" in kernel.cache_words()) == bool(place)
+
+
+def ones(n):
+    return np.ones(n)
+
+
+def test_only_kernels_with_reference_counts_create_arrays(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert kernel.compiler(tmp_path)(ones)(3).tolist() == [1.0, 1.0, 1.0]
+    with pytest.raises(NumbaError):
+        kernel.compiler(tmp_path, allocates=False)(ones)(3)

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import gc
+
 import numpy as np
 import pytest
+from numba.core.datamodel import default_manager
+from numba.core.dispatcher import Dispatcher
 
 from xtdrone_control.autopilot.state import TASK_RATES
 from xtdrone_control.fleet import parse_fleet
@@ -112,3 +116,17 @@ def test_vehicles_near_each_other_or_spinning_are_checked(simulate):
     world.plant["rates"][2] = 0.0
     world.plant["position"][1] = world.plant["position"][0] + (1.5, 0.0, 0.0)
     assert world.steps_apart(25) == 0
+
+
+def test_kernels_without_reference_counts_return_no_arrays(simulate):
+    """Their caller would count down a reference that they have not counted up."""
+    simulation = simulate(aligned=True)
+    _power(simulation)
+    simulation.run_until(simulation.time_us + 400_000)
+    simulation.step()
+    kernels = [
+        one for one in gc.get_objects() if isinstance(one, Dispatcher) and not one.targetoptions.get("_nrt", True)
+    ]
+    returned = {signature.return_type for one in kernels for signature in one.nopython_signatures}
+    assert len(returned) > 3
+    assert not [one for one in returned if default_manager[one].contains_nrt_meminfo()]

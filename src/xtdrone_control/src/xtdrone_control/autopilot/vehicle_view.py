@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 Vector = tuple[float, float, float]
 
-_OFFSETS = {name: SETPOINT.fields[name][1] for name in SETPOINT.names or ()}
+_OFFSETS = {name: field[1] for name, field in (SETPOINT.fields or {}).items()}
 _TRAJECTORY = slice(_OFFSETS["position"], _OFFSETS["attitude_q"])  # bytes of SETPOINT
 
 

@@ -142,12 +142,9 @@ class OffboardSetpoint:
         if not any(given) and all(map(math.isnan, sent)):
             raise SetpointError("neither position nor velocity nor acceleration is given")
         incomplete = not _can_be_flown(given)
-        if incomplete:
-            trajectory = _HOLD
-        else:
-            values = [value if finite else _NAN for value, finite in zip(sent, given, strict=True)]
-            trajectory = (*values, _finite(yaw), _finite(yaw_rate))
-        self._store(TASK_TRAJECTORY, trajectory=trajectory)
+        values = [value if finite else _NAN for value, finite in zip(sent, given, strict=True)]
+        trajectory = [*values, _finite(yaw), _finite(yaw_rate)]
+        self._store(TASK_TRAJECTORY, trajectory=_HOLD if incomplete else trajectory)
         self.incomplete = incomplete
 
     def set_attitude(self, attitude: Sequence[float], yaw_rate: float, thrust: float) -> None:

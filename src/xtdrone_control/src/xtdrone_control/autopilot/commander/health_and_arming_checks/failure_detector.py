@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from xtdrone_control import rotation
 from xtdrone_control.autopilot.vehicle_view import VehicleView
@@ -28,6 +28,15 @@ class _Hysteresis:
         if self._since_us is None:
             self._since_us = now_us
         return now_us - self._since_us >= delay_us
+
+
+def _motors_below(currents: Sequence[float], commands: Sequence[float], min_command: float, slope: float) -> list[int]:
+    """Return the motors with a command above ``min_command`` whose current, A, is below ``slope`` times the command."""
+    return [
+        motor
+        for motor, (current, command) in enumerate(zip(currents, commands, strict=True))
+        if not (command <= min_command or current >= slope * command)
+    ]
 
 
 class FailureDetector:
@@ -104,14 +113,11 @@ class FailureDetector:
         get = self._get
         min_command, slope = get("FD_ACT_MOT_THR"), get("FD_ACT_MOT_C2T")
         timeout_us = get("FD_ACT_MOT_TOUT") * 1e3
-        currents = self._currents.tolist()
+        currents, commands = self._currents.tolist(), self._commands.tolist()
         if len(self._measured) < self._rotors:
             self._measured.update([motor for motor, current in enumerate(currents) if current > 0.0])
-        low = [
-            motor
-            for motor, (current, command) in enumerate(zip(currents, self._commands.tolist(), strict=True))
-            if not (command <= min_command or current >= slope * command)
-        ]
+        all_draw_enough = slope >= 0.0 and min(currents) >= slope * max(commands)
+        low = [] if all_draw_enough else _motors_below(currents, commands, min_command, slope)
         if not (low or self._low_current_us):
             return
         before = self._low_current_us
