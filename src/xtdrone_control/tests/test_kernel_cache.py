@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -81,8 +82,9 @@ def ones(n):
     return np.ones(n)
 
 
-def test_only_kernels_with_reference_counts_create_arrays(tmp_path, monkeypatch):
+@pytest.mark.parametrize("allocates", [True, False])
+def test_only_kernels_with_reference_counts_create_arrays(tmp_path, monkeypatch, allocates):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert kernel.compiler(tmp_path)(ones)(3).tolist() == [1.0, 1.0, 1.0]
-    with pytest.raises(NumbaError):
-        kernel.compiler(tmp_path, allocates=False)(ones)(3)
+    compiled = kernel.compiler(tmp_path, allocates=allocates)(ones)
+    with nullcontext() if allocates else pytest.raises(NumbaError):
+        assert compiled(3).tolist() == [1.0, 1.0, 1.0]
