@@ -81,7 +81,7 @@ NB_MODULE(lockstep_io, module) {
            nb::arg("topics"), nb::arg("tick"), nb::arg("time_us"))
       .def("add_input", &Turns::addInput, nb::arg("topic"), nb::arg("channel"), nb::arg("sock"), nb::arg("splitter"),
            nb::arg("taken"))
-      .def("add_output", &Turns::addOutput, nb::arg("sequence"), nb::arg("add_to_digest"))
+      .def("add_output", &Turns::addOutput, nb::arg("sequence"), nb::arg("add_to_digest").none())
       .def("add_connection", &Turns::addConnection, nb::arg("topic"), nb::arg("number"), nb::arg("count"),
            nb::arg("sock"))
       .def("run", &Turns::run, nb::arg("program"), nb::arg("until_us"), nb::arg("timeout"))
