@@ -1,8 +1,8 @@
 """A stock follower's turns in compiled code, with the commands of its vehicle if the process carries these out too.
 
 The program ``follower_turn`` computes what :class:`~xtdrone_coordination.follower.Follower` and
-``MultirotorCommunication`` do while nothing changes but positions and velocity commands, bit-identical to them. A follower
-that overrides a method of the turn keeps its Python.
+``MultirotorCommunication`` do while nothing changes but positions and velocity commands, bit-identical to them. A
+follower that overrides a method of the turn keeps its Python.
 """
 
 from __future__ import annotations
@@ -39,9 +39,7 @@ _ATTRIBUTES = ("id", "count", "offsets", "weights", "options", "swarm", "avoidan
 
 def is_stock(follower: Follower) -> bool:
     """Return whether a follower has the inherited turn: no method of it is overridden by its class or in the object."""
-    methods = all(
-        getattr(getattr(follower, name), "__func__", None) is getattr(Follower, name) for name in _METHODS
-    )
+    methods = all(getattr(getattr(follower, name), "__func__", None) is getattr(Follower, name) for name in _METHODS)
     attributes = any(hasattr(type(follower), name) for name in _ATTRIBUTES)
     return methods and not attributes and type(follower.swarm) is SwarmState
 
@@ -72,7 +70,7 @@ class CompiledFollower:
             repeated: returns the numbers of the last messages of pattern and topology.
             communication: carries out the vehicle's commands in this process; None if another node does.
         """
-        self.received = [rospy.resolve_name(name) for name in received]
+        self.received: Sequence[str] = [rospy.resolve_name(name) for name in received]
         self.published = published
         self._follower = follower
         self._repeated = repeated
@@ -118,7 +116,8 @@ class CompiledFollower:
         follower.swarm.ticks += program.turns - 1
         follower.swarm.hear_states(program.states)
         follower.swarm.tick()
-        follower.avoidance_vector = tuple(program.avoidance)
+        x, y, z = program.avoidance
+        follower.avoidance_vector = (x, y, z)
         for _ in range(min(program.turns, 2)):  # without problems
             follower.problem_log.begin_update()
         if self._communication is not None:

@@ -238,9 +238,7 @@ class FollowerNode:
         received += [f"{mavros}/local_position/pose", f"/xtdrone/{vehicle}/cmd_vel_enu"]
         published = [] if communication is None else [communication.publisher]
         published += [self._commands[follower.id], *self._avoidances.values()]
-        return CompiledFollower(
-            follower, received, published, lambda: (self._pattern, self._topology), communication
-        )
+        return CompiledFollower(follower, received, published, lambda: (self._pattern, self._topology), communication)
 
     def _on_pattern(self, message: Float32MultiArray) -> None:
         """Store the leader's pattern; most messages are repetitions."""
@@ -333,6 +331,17 @@ class NeighbourSettings(Settings):
     )
 
 
+@dataclass(frozen=True)
+class TurnSettings(Settings):
+    """How a follower's process takes its turns."""
+
+    compiled: bool = setting(
+        True,
+        text="take the usual turns of a single follower that overrides none of its methods in compiled code, to the "
+        "same bits; false: all in Python, to see them in a debugger",
+    )
+
+
 def follower_nodes(kind: str, followers: Sequence[Follower], *, estimated: bool) -> list[FollowerNode]:
     """Return the nodes of the followers: one for all, or with estimates, of which each has its own, one each."""
     if not estimated:
@@ -360,6 +369,7 @@ def run_follower(cls: type[Follower] = Follower, *, mode_argument: bool = False)
         given = {"mode": mode[0]} if mode else {}
         settings = options(FollowerOptions, given)
         communication = options(HostedCommunication, {})
+        compiled = options(TurnSettings, {}).compiled
         chosen = class_parameter(cls, Follower)
         estimated = options(NeighbourSettings, {}).neighbours == "estimated"
         swarm = None if estimated else make_swarm(count, len(ids))
@@ -376,7 +386,7 @@ def run_follower(cls: type[Follower] = Follower, *, mode_argument: bool = False)
             for node in nodes:
                 node.step()
 
-        single = len(nodes) == 1 and len(hosted) <= 1
+        single = compiled and len(nodes) == 1 and len(hosted) <= 1
         try:
             lockstep.start()
             lockstep.spin(step, nodes[0].compiled(hosted[0] if hosted else None) if single else None)

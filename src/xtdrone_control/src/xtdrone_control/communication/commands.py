@@ -196,9 +196,7 @@ class MultirotorCore:
         """
         if self._idle or (self._accepted_at is not None and not self._confirmed):
             return None
-        return Steady(
-            self._hover_speed, self._cmd_timeout, self.hovering, self._moving_since, self._mode, self.armed
-        )
+        return Steady(self._hover_speed, self._cmd_timeout, self.hovering, self._moving_since, self._mode, self.armed)
 
     # vehicle state
 

@@ -41,6 +41,29 @@ void carryOut(FollowerTurn& turn, double hover_speed, double timeout, bool hover
   turn.carryOut(commands, std::move(state));
 }
 
+/// Take a turn with the messages of each topic; return the packet of each topic to be published, None if it is refused.
+nb::object take(FollowerTurn& turn, std::int64_t time_us, const std::vector<std::vector<nb::bytes>>& received,
+                const std::vector<std::uint32_t>& sequences) {
+  std::vector<xtdrone_control::Messages> messages(received.size());
+  for (std::size_t i = 0; i < received.size(); ++i) {
+    for (const nb::bytes& message : received[i]) {
+      messages[i].emplace_back(message.c_str(), message.size());
+    }
+  }
+  std::vector<xtdrone_control::Publication> published(sequences.size());
+  for (std::size_t i = 0; i < sequences.size(); ++i) {
+    published[i].sequence = sequences[i];
+  }
+  if (!turn.turn(time_us, messages, published)) {
+    return nb::none();
+  }
+  nb::list packets;
+  for (const auto& [sequence, packet] : published) {
+    packets.append(nb::bytes(packet.data(), packet.size()));
+  }
+  return packets;
+}
+
 /// Return a capsule of the program, which keeps its object alive.
 nb::object program(nb::handle self) {
   auto* work = static_cast<TurnProgram*>(nb::cast<FollowerTurn*>(self));
@@ -90,6 +113,7 @@ NB_MODULE(follower_turn, module) {
       .def("carry_out", &carryOut, nb::arg("hover_speed"), nb::arg("timeout"), nb::arg("hovering"),
            nb::arg("moving_since"), nb::arg("packet"), nb::arg("mode").none(), nb::arg("armed"))
       .def("program", &program)
+      .def("take", &take, nb::arg("time_us"), nb::arg("received"), nb::arg("sequences"))
       .def_ro("turns", &FollowerTurn::turns)
       .def_ro("states", &FollowerTurn::states)
       .def_ro("pose", &FollowerTurn::pose)
