@@ -10,15 +10,16 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import rospy
 from xtdrone_native.follower_turn import FollowerTurn, Settings
 
-from xtdrone_control import lockstep
-from xtdrone_control.communication.multirotor import MultirotorCommunication
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.known_swarm_state import SwarmState
+
+if TYPE_CHECKING:
+    from xtdrone_control import lockstep
+    from xtdrone_control.communication.multirotor import MultirotorCommunication
 
 _METHODS = (
     "update",
@@ -64,13 +65,14 @@ class CompiledFollower:
 
         Args:
             follower: one that :func:`is_stock`.
-            received: topics of pattern, topology, states of all vehicles, mavros/state, own pose and velocity command.
+            received: resolved names of the topics of pattern, topology, states of all vehicles, mavros/state, own pose
+                and velocity command.
             published: publishers of the setpoint (with ``communication``), the velocity command, and the avoidance
                 (unless it is off).
             repeated: returns the numbers of the last messages of pattern and topology.
             communication: carries out the vehicle's commands in this process; None if another node does.
         """
-        self.received: Sequence[str] = [rospy.resolve_name(name) for name in received]
+        self.received = received
         self.published = published
         self._follower = follower
         self._repeated = repeated

@@ -238,6 +238,7 @@ class FollowerNode:
         received += [f"{mavros}/local_position/pose", f"/xtdrone/{vehicle}/cmd_vel_enu"]
         published = [] if communication is None else [communication.publisher]
         published += [self._commands[follower.id], *self._avoidances.values()]
+        received = [rospy.resolve_name(name) for name in received]
         return CompiledFollower(follower, received, published, lambda: (self._pattern, self._topology), communication)
 
     def _on_pattern(self, message: Float32MultiArray) -> None:

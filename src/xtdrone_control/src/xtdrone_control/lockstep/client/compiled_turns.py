@@ -126,7 +126,7 @@ class CompiledTurns:
         inputs: _Inputs = []
         for topic, name in enumerate(self._work.received):
             channels = self._deliveries.channels_of(name)
-            if len(channels) > 1:
+            if len(channels) > 1 or (channels and self._node.ends[name].statistics_logger):
                 return None
             inputs += [(topic, channel, inbox) for channel, inbox in channels]
         plain = all(
