@@ -9,7 +9,7 @@ import pytest
 
 from xtdrone_control.communication.commands import CommandSettings
 from xtdrone_control.settings import Settings
-from xtdrone_coordination.follower_nodes import HostedCommunication, NeighbourSettings
+from xtdrone_coordination.follower_nodes import HostedCommunication, NeighbourSettings, TurnSettings
 from xtdrone_coordination.network import NetworkOptions
 from xtdrone_coordination.search.search_settings import MissionSettings
 from xtdrone_interaction.bridges.foxglove.foxglove_node import FoxgloveSettings
@@ -87,6 +87,7 @@ CLASSES: dict[str, type[Settings]] = {
         SimplifiedSettings,
         CommandSettings,
         HostedCommunication,
+        TurnSettings,
         CameraSettings,
         VideoSettings,
         LidarSettings,

@@ -10,17 +10,14 @@ import itertools
 import math
 import os
 import shutil
-import socket
-import subprocess
 import sys
-import time
-import xmlrpc.client
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from ros_graph import PATIENCE, ROSMASTER, Graph
 
 from xtdrone_control import lockstep
 from xtdrone_control.lockstep.server import LockstepServer
@@ -33,7 +30,6 @@ try:
 except ImportError:
     rospy = None
 
-PATIENCE = 120.0  # s of wall time; bounds a broken run
 PREFIXES = [prefix for prefix in os.environ.get("CMAKE_PREFIX_PATH", "").split(os.pathsep) if prefix]
 LIBRARY = next(filter(Path.exists, (Path(prefix) / "lib/libavoidance_for_test.so" for prefix in PREFIXES)), None)
 PROGRAMS = {
@@ -41,7 +37,6 @@ PROGRAMS = {
     for name in ("avoid.py", "avoid_cpp")
 }
 COUNT = 30
-ROSMASTER = shutil.which("rosmaster")
 
 needs_library = pytest.mark.skipif(LIBRARY is None, reason="needs the built workspace (avoidance_for_test)")
 needs_ros = pytest.mark.skipif(
@@ -96,45 +91,6 @@ def test_equals_the_python_function_to_the_last_bit(positions: np.ndarray, radiu
 
 
 # ---- the node ----
-
-
-class Graph:
-    """A master of its own and the processes that a test starts; the test plays the simulator."""
-
-    def __init__(self, folder: Path) -> None:
-        with socket.socket() as sock:
-            sock.bind(("127.0.0.1", 0))
-            port = sock.getsockname()[1]
-        uri = f"http://127.0.0.1:{port}"
-        self.folder = folder
-        self.env = {**os.environ, "ROS_MASTER_URI": uri, "ROS_HOSTNAME": "127.0.0.1", "ROS_HOME": str(folder)}
-        self.processes: list[subprocess.Popen] = []
-        self.start(str(ROSMASTER), "--core", "-p", str(port))
-        self.master = xmlrpc.client.ServerProxy(uri)
-        end = time.monotonic() + PATIENCE
-        while not self._answers():
-            assert time.monotonic() < end, "the master does not answer"
-            time.sleep(0.02)
-
-    def _answers(self) -> bool:
-        try:
-            return self.master.getPid("/test")[0] == 1
-        except OSError:
-            return False
-
-    def start(self, *command: str) -> subprocess.Popen:
-        with open(self.folder / "output", "a") as out:
-            self.processes.append(subprocess.Popen(command, env=self.env, stdout=out, stderr=subprocess.STDOUT))
-        return self.processes[-1]
-
-    def run(self, *command: str) -> subprocess.CompletedProcess:
-        return subprocess.run(command, env=self.env, capture_output=True, text=True, timeout=PATIENCE, check=False)
-
-    def stop(self) -> None:
-        for process in self.processes:
-            process.kill()
-        for process in self.processes:
-            process.wait()
 
 
 @pytest.fixture

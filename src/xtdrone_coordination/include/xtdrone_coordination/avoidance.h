@@ -11,10 +11,10 @@
 #include <optional>
 #include <vector>
 
+#include "xtdrone_coordination/consensus.h"
+
 namespace xtdrone_coordination {
 
-/// x, y, z; m or m/s, ENU.
-using Vector = std::array<double, 3>;
 /// Of all vehicles by number, m, ENU in one frame; empty where unknown. Known ones are finite.
 using Positions = std::vector<std::optional<Vector>>;
 
@@ -69,6 +69,68 @@ inline Vector avoid(std::size_t index, const Positions& positions, double radius
     }
   }
   return sum;
+}
+
+/// A near vehicle: its number, and its position relative to this vehicle, m.
+struct Near {
+  std::size_t id;
+  Vector place;
+};
+
+/// Sets `near` to the vehicles within `radius`, m, of vehicle `index`; all positions are known.
+inline void findNear(std::size_t index, const std::vector<Vector>& positions, double radius, std::vector<Near>& near) {
+  const auto [px, py, pz] = positions[index];
+  const double square = radius * radius;
+  near.clear();
+  for (std::size_t j = 0; j < positions.size(); ++j) {
+    const double x = positions[j][0] - px, y = positions[j][1] - py, z = positions[j][2] - pz;
+    if (j != index && x * x + y * y + z * z < square) {
+      near.push_back({j, {x, y, z}});
+    }
+  }
+}
+
+/// Returns the avoidance velocity of vehicle `index`, m/s ENU, from the vehicles within `radius`.
+inline Vector avoidNear(std::size_t index, const std::vector<Near>& near, double radius,
+                        double gain = AVOIDANCE_GAIN) {
+  Vector sum{0.0, 0.0, 0.0};
+  for (const auto& [id, place] : near) {
+    const auto [dx, dy, dz] = contribution(place, radius, gain, index < id);
+    sum = {sum[0] + dx, sum[1] + dy, sum[2] + dz};
+  }
+  return sum;
+}
+
+/// Returns a velocity, m/s, with its component towards one near vehicle reduced.
+///
+/// @param r          From this vehicle to the other, m; shorter than `radius`.
+/// @param clearance  Below `radius`, m.
+inline Vector yielding(const Vector& r, const Vector& velocity, double radius, double clearance) {
+  constexpr double COINCIDENT_SQUARE = 1e-6 * 1e-6;  // m^2
+  const auto [x, y, z] = r;
+  const auto [vx, vy, vz] = velocity;
+  const double square = x * x + y * y + z * z;
+  const double towards = x * vx + y * vy + z * vz;
+  if (towards <= 0.0 || square <= COINCIDENT_SQUARE) {
+    return velocity;
+  }
+  double remains = (std::sqrt(square) - clearance) / (radius - clearance);
+  if (!(remains > 0.0)) {
+    remains = 0.0;
+  }
+  const double k = (1.0 - remains * remains) * towards / square;
+  return {vx - k * x, vy - k * y, vz - k * z};
+}
+
+/// Returns a velocity, m/s ENU, reduced towards the near vehicles; clearance above 0.
+inline Vector giveWayTo(const std::vector<Near>& near, Vector velocity, double radius, double clearance) {
+  constexpr int ROUNDS = 2;
+  for (int round = 0; round < ROUNDS; ++round) {
+    for (const Near& other : near) {
+      velocity = yielding(other.place, velocity, radius, clearance);
+    }
+  }
+  return velocity;
 }
 
 }  // namespace xtdrone_coordination

@@ -46,6 +46,7 @@ from xtdrone_control.programs.program import (
     run_program,
 )
 from xtdrone_control.settings import Settings, setting
+from xtdrone_coordination.compiled_follower import CompiledFollower, is_stock
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions
 from xtdrone_coordination.known_swarm_state import STATE_FIELDS, ArraySwarm, SwarmState, number_list
 from xtdrone_coordination.laws import avoidance
@@ -73,7 +74,7 @@ def subscribe_swarm(
     velocities: bool = False,
     on_leader_pose: Callable[[PoseStamped], None] | None = None,
     estimates_of: int | None = None,
-) -> None:
+) -> str:
     """Subscribe to the positions of all vehicles of a type.
 
     The parameter ``/xtdrone/swarm_topic`` names a topic with all states in one message, as published by this
@@ -85,6 +86,9 @@ def subscribe_swarm(
         velocities: whether to subscribe to velocities too.
         on_leader_pose: called with vehicle 0's whole pose.
         estimates_of: vehicle whose own estimates of the others are received instead, as of relative localisation.
+
+    Returns:
+        The topic with all states; empty if there is none.
     """
 
     def on_pose(index: int, message: PoseStamped) -> None:
@@ -110,12 +114,13 @@ def subscribe_swarm(
         lockstep.Subscriber(topic, Float64MultiArray, on_swarm)
         if on_leader_pose is not None:
             lockstep.Subscriber(f"/{kind}_0/mavros/local_position/pose", PoseStamped, on_leader_pose)
-        return
+        return topic
     for i in range(swarm.count):
         base = f"/{kind}_{i}/mavros/local_position"
         lockstep.Subscriber(f"{base}/pose", PoseStamped, partial(on_pose, i))
         if velocities:
             lockstep.Subscriber(f"{base}/velocity_local", TwistStamped, partial(on_velocity, i))
+    return ""
 
 
 class OneByOne:
@@ -165,6 +170,7 @@ class FollowerNode:
             followers: at least one, all with the same options and the same ``swarm``; with ``estimated`` one.
             estimated: whether the positions are the follower's own estimates.
         """
+        self.kind = kind
         self.followers = followers
         self._all = together(followers)
         self.swarm = followers[0].swarm
@@ -181,7 +187,7 @@ class FollowerNode:
         lockstep.Subscriber(TOPOLOGY_TOPIC, Int32MultiArray, self._on_topology)
         velocities = options.mode == "accel" or followers[0].uses_velocities
         own = followers[0].id if estimated else None
-        subscribe_swarm(kind, self.swarm, velocities=velocities, estimates_of=own)
+        self._swarm_topic = subscribe_swarm(kind, self.swarm, velocities=velocities, estimates_of=own)
         for follower in followers:
             base = f"/xtdrone/{kind}_{follower.id}"
             self._commands[follower.id] = lockstep.Publisher(f"{base}/cmd_{options.mode}_enu", Twist)
@@ -216,6 +222,24 @@ class FollowerNode:
                 self._vector.x, self._vector.y, self._vector.z = follower.avoidance_vector
                 publisher.publish(self._vector)
         self.swarm.tick()
+
+    def compiled(self, communication: MultirotorCommunication | None) -> CompiledFollower | None:
+        """Return the compiled turn of a single stock follower that receives all states in one message, else None.
+
+        Args:
+            communication: the follower's vehicle's, if it is in this process too: its step comes first in the turn.
+        """
+        follower = self.followers[0]
+        if len(self.followers) > 1 or not self._swarm_topic or not is_stock(follower):
+            return None
+        vehicle = f"{self.kind}_{follower.id}"
+        mavros = f"/{vehicle}/mavros"
+        received = [PATTERN_TOPIC, TOPOLOGY_TOPIC, self._swarm_topic, f"{mavros}/state"]
+        received += [f"{mavros}/local_position/pose", f"/xtdrone/{vehicle}/cmd_vel_enu"]
+        published = [] if communication is None else [communication.publisher]
+        published += [self._commands[follower.id], *self._avoidances.values()]
+        received = [rospy.resolve_name(name) for name in received]
+        return CompiledFollower(follower, received, published, lambda: (self._pattern, self._topology), communication)
 
     def _on_pattern(self, message: Float32MultiArray) -> None:
         """Store the leader's pattern; most messages are repetitions."""
@@ -308,6 +332,17 @@ class NeighbourSettings(Settings):
     )
 
 
+@dataclass(frozen=True)
+class TurnSettings(Settings):
+    """How a follower's process takes its turns."""
+
+    compiled: bool = setting(
+        True,
+        text="take the usual turns of a single follower that overrides none of its methods in compiled code, to the "
+        "same bits; false: all in Python, to see them in a debugger",
+    )
+
+
 def follower_nodes(kind: str, followers: Sequence[Follower], *, estimated: bool) -> list[FollowerNode]:
     """Return the nodes of the followers: one for all, or with estimates, of which each has its own, one each."""
     if not estimated:
@@ -335,6 +370,7 @@ def run_follower(cls: type[Follower] = Follower, *, mode_argument: bool = False)
         given = {"mode": mode[0]} if mode else {}
         settings = options(FollowerOptions, given)
         communication = options(HostedCommunication, {})
+        compiled = options(TurnSettings, {}).compiled
         chosen = class_parameter(cls, Follower)
         estimated = options(NeighbourSettings, {}).neighbours == "estimated"
         swarm = None if estimated else make_swarm(count, len(ids))
@@ -351,9 +387,10 @@ def run_follower(cls: type[Follower] = Follower, *, mode_argument: bool = False)
             for node in nodes:
                 node.step()
 
+        single = compiled and len(nodes) == 1 and len(hosted) <= 1
         try:
             lockstep.start()
-            lockstep.spin(step)
+            lockstep.spin(step, nodes[0].compiled(hosted[0] if hosted else None) if single else None)
         finally:
             for vehicle in hosted:
                 vehicle.close()

@@ -11,6 +11,22 @@ namespace {
 
 std::size_t sizeOf(PyObject* dict) { return dict == nullptr ? 0 : static_cast<std::size_t>(PyDict_GET_SIZE(dict)); }
 
+/// Append a frame up to its pairs, and return the place for these.
+char* packHead(std::string& frames, Kind kind, std::uint64_t tick, std::int64_t time_us, std::size_t channels,
+               std::size_t ports) {
+  const std::size_t start = frames.size();
+  const std::size_t size = HEAD + BARRIER + PAIR * (channels + ports);
+  frames.resize(start + size);
+  char* to = frames.data() + start;
+  store(to, static_cast<std::uint32_t>(size - 4));
+  store(to, kind);
+  store(to, tick);
+  store(to, time_us);
+  store(to, static_cast<std::uint32_t>(channels));
+  store(to, static_cast<std::uint32_t>(ports));
+  return to;
+}
+
 void packPairs(char*& to, PyObject* dict) {
   PyObject* key;
   PyObject* value;
@@ -47,19 +63,18 @@ PyObject* pairsOf(const Barrier& barrier, std::size_t begin, std::size_t end) {
 
 void pack(std::string& frames, Kind kind, std::uint64_t tick, std::int64_t time_us, PyObject* channels,
           PyObject* ports) {
-  const std::size_t pairs = sizeOf(channels) + sizeOf(ports);
-  const std::size_t start = frames.size();
-  const std::size_t size = HEAD + BARRIER + PAIR * pairs;
-  frames.resize(start + size);
-  char* to = frames.data() + start;
-  store(to, static_cast<std::uint32_t>(size - 4));
-  store(to, kind);
-  store(to, tick);
-  store(to, time_us);
-  store(to, static_cast<std::uint32_t>(sizeOf(channels)));
-  store(to, static_cast<std::uint32_t>(sizeOf(ports)));
+  char* to = packHead(frames, kind, tick, time_us, sizeOf(channels), sizeOf(ports));
   packPairs(to, channels);
   packPairs(to, ports);
+}
+
+void packDone(std::string& frames, std::uint64_t tick, std::int64_t time_us,
+              const std::vector<std::pair<std::uint32_t, std::uint64_t>>& channels) {
+  char* to = packHead(frames, Kind::DONE, tick, time_us, channels.size(), 0);
+  for (const auto& [id, count] : channels) {
+    store(to, id);
+    store(to, count);
+  }
 }
 
 }  // namespace xtdrone_control::lockstep_io

@@ -8,6 +8,8 @@
 #include <cstring>
 #include <optional>
 #include <string>
+#include <utility>
+#include <vector>
 
 namespace xtdrone_control::lockstep_io {
 
@@ -71,6 +73,10 @@ PyObject* pairsOf(const Barrier& barrier, std::size_t begin, std::size_t end);
 /// Append a complete frame. The dictionaries are {id: count}; a number out of range raises Python's OverflowError.
 void pack(std::string& frames, Kind kind, std::uint64_t tick, std::int64_t time_us, PyObject* channels,
           PyObject* ports);
+
+/// Append a complete DONE with counts of channels alone.
+void packDone(std::string& frames, std::uint64_t tick, std::int64_t time_us,
+              const std::vector<std::pair<std::uint32_t, std::uint64_t>>& channels);
 
 /// Set ``dict[key] = value``; return false with an exception set.
 bool setNumber(PyObject* dict, PyObject* key, std::uint64_t value);

@@ -9,6 +9,8 @@
 #include "exchange.h"
 #include "frames.h"
 #include "splitter.h"
+#include "ticks.h"
+#include "turns.h"
 #include "waiting.h"
 
 namespace nb = nanobind;
@@ -16,16 +18,6 @@ namespace nb = nanobind;
 namespace xtdrone_control::lockstep_io {
 
 namespace {
-
-nb::tuple toTuple(const Barrier& barrier) {
-  const std::size_t all = std::size_t{barrier.channels} + barrier.ports;
-  const nb::object channels = nb::steal(pairsOf(barrier, 0, barrier.channels));
-  const nb::object ports = channels.is_valid() ? nb::steal(pairsOf(barrier, barrier.channels, all)) : nb::object();
-  if (!ports.is_valid()) {
-    throw nb::python_error();
-  }
-  return nb::make_tuple(barrier.tick, barrier.time_us, channels, ports);
-}
 
 /// Return the content of a payload, None if it is malformed.
 nb::object unpack(nb::bytes payload) {
@@ -58,32 +50,11 @@ nb::bytes sendDone(int descriptor, std::uint64_t tick, std::int64_t time_us, nb:
   return nb::bytes(frame.data() + kept, frame.size() - kept);
 }
 
-/// Wait for the simulator's next data.
-///
-/// @param whole  Whether its next byte is the first of a frame.
-/// @return  The content of one TICK that has arrived alone; other bytes, empty at the end of the connection; or a list
-/// of
-///          the descriptors that are ready if there are others than the simulator's.
+/// Wait for the simulator's next data, see `awaitTick`; return a TICK as a tuple.
 nb::object receive(int epoll, int descriptor, double timeout, bool whole) {
-  Events events;
-  const int count = await(epoll, events, Limit(timeout));
-  if (count != 1 || events[0].data.fd != descriptor) {
-    nb::list others;
-    for (int i = 0; i < count; ++i) {
-      others.append(static_cast<int>(events[static_cast<std::size_t>(i)].data.fd));
-    }
-    return others;
-  }
   std::array<char, LONGEST_READ> data;
-  const ssize_t size = recv(descriptor, data.data(), data.size(), MSG_DONTWAIT);
-  if (size < 0) {
-    if (errno == EAGAIN || errno == EINTR) {
-      return nb::list();
-    }
-    raiseErrno();
-  }
-  const auto tick = whole ? readWhole(data.data(), static_cast<std::size_t>(size), Kind::TICK) : std::nullopt;
-  return tick ? nb::object(toTuple(*tick)) : nb::bytes(data.data(), static_cast<std::size_t>(size));
+  const Arrival arrival = awaitTick(epoll, descriptor, timeout, whole, data.data());
+  return arrival.tick ? nb::object(toTuple(*arrival.tick)) : arrival.other;
 }
 
 }  // namespace
@@ -102,7 +73,24 @@ NB_MODULE(lockstep_io, module) {
       .def("read", &Splitter::read, nb::arg("sock"), nb::arg("size"))
       .def(
           "cut", [](Splitter& splitter, nb::bytes data) { return splitter.cut(data.c_str(), data.size()); },
-          nb::arg("data"));
+          nb::arg("data"))
+      .def("put_back", &Splitter::putBack, nb::arg("messages"));
+  nb::class_<Turns>(module, "Turns")
+      .def(nb::init<int, int, nb::object, nb::object, nb::object, std::size_t, std::uint64_t, std::int64_t>(),
+           nb::arg("epoll"), nb::arg("descriptor"), nb::arg("acquire"), nb::arg("release"), nb::arg("send_all"),
+           nb::arg("topics"), nb::arg("tick"), nb::arg("time_us"))
+      .def("add_input", &Turns::addInput, nb::arg("topic"), nb::arg("channel"), nb::arg("sock"), nb::arg("splitter"),
+           nb::arg("taken"))
+      .def("add_output", &Turns::addOutput, nb::arg("sequence"), nb::arg("add_to_digest").none())
+      .def("add_connection", &Turns::addConnection, nb::arg("topic"), nb::arg("number"), nb::arg("count"),
+           nb::arg("sock"))
+      .def("run", &Turns::run, nb::arg("program"), nb::arg("until_us"), nb::arg("timeout"))
+      .def("stop", &Turns::stop)
+      .def_prop_ro("tick", &Turns::tick)
+      .def_prop_ro("time_us", &Turns::timeUs)
+      .def_prop_ro("inputs", &Turns::inputs)
+      .def_prop_ro("outputs", &Turns::outputs)
+      .def_prop_ro("connections", &Turns::connections);
   nb::class_<Exchange>(module, "Exchange")
       .def(nb::init<int>(), nb::arg("epoll"))
       .def("add", &Exchange::add, nb::arg("descriptor"), nb::arg("routes"), nb::arg("closing"))

@@ -73,6 +73,7 @@ void Splitter::cut(const char* data, std::size_t size, nb::list& messages) {
       break;
     }
     messages.append(nb::bytes(data + start + LENGTH, end - start - LENGTH));
+    ++returned_;
     start = end;
   }
   if (is_whole) {
@@ -80,6 +81,48 @@ void Splitter::cut(const char* data, std::size_t size, nb::list& messages) {
   } else {
     rest_.erase(0, start);
   }
+}
+
+void Splitter::putBack(const nb::list& messages) {
+  std::string data;
+  for (nb::handle message : messages) {
+    const auto bytes = nb::cast<nb::bytes>(message);
+    const auto length = static_cast<std::uint32_t>(bytes.size());
+    data.append(reinterpret_cast<const char*>(&length), sizeof length);
+    data.append(bytes.c_str(), bytes.size());
+  }
+  rest_.insert(0, data);
+}
+
+std::size_t Splitter::append(int descriptor) {
+  const std::size_t size = std::max(LONGEST_READ, std::min(needed_, LONGEST_RECEIVE));
+  std::string& data = buffer(size);
+  const ssize_t received = recv(descriptor, data.data(), size, MSG_DONTWAIT);
+  if (received <= 0) {
+    return 0;
+  }
+  rest_.append(data.data(), static_cast<std::size_t>(received));
+  return static_cast<std::size_t>(received);
+}
+
+void Splitter::view(std::size_t count, Messages& into) const {
+  into.clear();
+  for (std::size_t start = 0; into.size() < count && rest_.size() - start >= LENGTH;) {
+    const std::size_t length = load<std::uint32_t>(rest_.data() + start);
+    if (rest_.size() - start - LENGTH < length) {
+      return;
+    }
+    into.emplace_back(rest_.data() + start + LENGTH, length);
+    start += LENGTH + length;
+  }
+}
+
+void Splitter::drop(std::size_t count) {
+  std::size_t start = 0;
+  for (; count > 0; --count) {
+    start += LENGTH + load<std::uint32_t>(rest_.data() + start);
+  }
+  rest_.erase(0, start);
 }
 
 }  // namespace xtdrone_control::lockstep_io

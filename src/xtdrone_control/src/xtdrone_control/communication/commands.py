@@ -95,6 +95,27 @@ class Request:
         return "mavros/set_mode" if self.arm is None else "mavros/cmd/arming"
 
 
+@dataclass(frozen=True)
+class Steady:
+    """State of a core whose setpoint changes by velocity and acceleration commands alone; poses only update its pose.
+
+    Attributes:
+        hover_speed: m/s, see :class:`CommandSettings`.
+        cmd_timeout: s, see :class:`CommandSettings`.
+        hovering: whether the setpoint is a captured pose.
+        moving_since: time of the last velocity or acceleration, s; None while the setpoint is neither.
+        mode: flight mode in mavros/state; None before the first message.
+        armed: arming state in mavros/state.
+    """
+
+    hover_speed: float
+    cmd_timeout: float
+    hovering: bool
+    moving_since: float | None
+    mode: str | None
+    armed: bool
+
+
 class MultirotorCore:
     """Setpoint and commands of one multirotor.
 
@@ -167,6 +188,15 @@ class MultirotorCore:
     def holding(self) -> bool:
         """Whether the vehicle is holding position rather than following a commanded setpoint."""
         return self.hovering or (self._idle and self._pose is not None)
+
+    def steady(self) -> Steady | None:
+        """Return the state if nothing but velocity and acceleration commands can change the setpoint now, else None.
+
+        While ``mavros/state`` repeats mode and arming state, the core then ignores it.
+        """
+        if self._idle or (self._accepted_at is not None and not self._confirmed):
+            return None
+        return Steady(self._hover_speed, self._cmd_timeout, self.hovering, self._moving_since, self._mode, self.armed)
 
     # vehicle state
 

@@ -18,6 +18,7 @@ topic                                  type                        meaning
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from concurrent.futures import Future
 from functools import partial
 from queue import SimpleQueue
@@ -29,8 +30,9 @@ from mavros_msgs.srv import CommandBool, SetMode
 from std_msgs.msg import String
 
 from xtdrone_control import lockstep
-from xtdrone_control.communication.commands import HOVER_SPEED, MultirotorCore, Request
+from xtdrone_control.communication.commands import HOVER_SPEED, MultirotorCore, Request, Steady
 from xtdrone_control.communication.setpoint import Setpoint, Vector
+from xtdrone_control.ros_codec import compile_class
 
 RATE = 30  # Hz
 _ANSWER_LIMIT = 100.0  # s of wall time; the simulator drops a MAVROS layer that hangs before
@@ -70,6 +72,11 @@ class MavrosServices:
             self._queue = SimpleQueue()
             # One thread: calls are made in the order of the commands. A daemon also works while the program exits.
             threading.Thread(target=self._work, args=(self._queue,), name=f"{vehicle} services", daemon=True).start()
+
+    @property
+    def busy(self) -> bool:
+        """Whether a call is in progress, or its result has not been returned by :meth:`finished`."""
+        return bool(self._calls)
 
     def submit(self, request: Request) -> None:
         """Start a call; :meth:`finished` returns its result."""
@@ -166,6 +173,24 @@ class MavrosLink:
         self._message.header.stamp = now
         self._output.publish(self._message)
 
+    @property
+    def publisher(self) -> lockstep.Publisher:
+        """The publisher of the setpoint."""
+        return self._output
+
+    def steady(self) -> tuple[Steady, bytes] | None:
+        """Return the state in which only velocity and acceleration commands change the setpoint; None in others.
+
+        Returns:
+            The core's state, and the serialised setpoint behind its length.
+        """
+        state = None if self._services.busy else self.core.steady()
+        codec = compile_class(PositionTarget)
+        if state is None or codec is None or self._encoded is not self.core.setpoint:
+            return None
+        packet = codec.packet(self._message, self._message.header.seq)
+        return None if packet is None else (state, packet)
+
     def close(self) -> None:
         """Cancel pending service calls."""
         self._services.close()
@@ -223,6 +248,20 @@ class MultirotorCommunication(MavrosLink):
         now = rospy.Time.now().to_sec()
         vector = (linear.x, linear.y, linear.z)
         self.core.on_target_velocity(topic, vector, message.angular.z, now, body=body)
+
+    def catch_up(self, pose: Sequence[float], command: Sequence[float]) -> None:
+        """Apply what compiled code has received in turns that it has taken, see :meth:`steady`.
+
+        Args:
+            pose: the last pose: position, m ENU, and quaternion (x, y, z, w); empty without one.
+            command: the last velocity command beyond the dead zone: m/s ENU, rad/s, and its time, s; empty without one.
+        """
+        if pose:
+            x, y, z, *quaternion = pose
+            self.core.on_pose((x, y, z), (quaternion[0], quaternion[1], quaternion[2], quaternion[3]))
+        if command:
+            vx, vy, vz, yaw_rate, time = command
+            self.core.on_target_velocity("", (vx, vy, vz), yaw_rate, time, body=False)
 
     def _on_target_acceleration(self, topic: str, body: bool, message: Twist) -> None:
         linear = message.linear

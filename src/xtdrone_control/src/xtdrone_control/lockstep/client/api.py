@@ -31,6 +31,7 @@ from ..transport import local_topics
 from ..transport.rospy_internals import handle_signal, set_time_us
 from ..transport.rospy_internals import registering_together as registering_together
 from . import joining
+from .compiled_turns import CompiledWork
 from .host import Host
 from .joining import future_name
 from .node_state import Serve, this_node
@@ -230,13 +231,17 @@ def sleep(seconds: float) -> None:
             return
 
 
-def spin(step: Callable[[], None] | None = None) -> None:
+def spin(step: Callable[[], None] | None = None, compiled: CompiledWork | None = None) -> None:
     """Call ``step`` once per turn until the node is shut down.
 
     Args:
         step: Work of one turn; None for a node that works in callbacks only.
+        compiled: The same work, callbacks included, as a compiled program, which in lockstep takes the turns in which
+            nothing unusual happens.
     """
     rate = Rate()
+    if compiled is not None and _session.client is not None:
+        _session.client.compile(compiled)
     with contextlib.suppress(rospy.ROSInterruptException):
         while not rospy.is_shutdown():
             if step is not None:

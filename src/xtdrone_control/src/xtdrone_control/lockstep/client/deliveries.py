@@ -46,6 +46,10 @@ class Deliveries:
         self._lost += [channel for channel in news["lost"] if channel in self._inboxes]
         self._void += [(channel, count) for channel, count in news.get("void", ()) if channel in self._inboxes]
 
+    def channels_of(self, topic: str) -> list[tuple[int, Inbox]]:
+        """Return the connections from participants to a topic of this process, with their numbers."""
+        return [(channel, inbox) for channel, inbox in self._inboxes.items() if self._topics[channel] == topic]
+
     def fetch(self, counts: Mapping[int, int]) -> None:
         """Read the messages due by now, waiting for those that have not arrived; discard void and closed ones.
 

@@ -179,7 +179,7 @@ class Node:
     def dispatch(self) -> None:
         """Run the callbacks by subscriber (in order of declaration), publisher's name, and order of sending."""
         ready: dict[int, list[Any]] = {}
-        for entry, inboxes in self._connected_subscribers():
+        for entry, inboxes in self.connected_subscribers():
             impl = entry.impl
             if impl is None:  # unregistered by an earlier callback
                 continue
@@ -197,7 +197,7 @@ class Node:
             for message in messages:
                 entry.invoke(message)
 
-    def _connected_subscribers(self) -> list[tuple[Subscription, tuple[Inbox, ...]]]:
+    def connected_subscribers(self) -> list[tuple[Subscription, tuple[Inbox, ...]]]:
         """Return the subscribers that may have messages, with their inboxes; most of a fleet node's have none."""
         if self.reader.inboxes_changed or self._subscribers_changed:
             self.reader.inboxes_changed = self._subscribers_changed = False

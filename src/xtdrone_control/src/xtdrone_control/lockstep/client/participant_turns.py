@@ -28,6 +28,7 @@ from ..protocol import (
 )
 from ..transport.outlets import Outlet
 from ..transport.rospy_internals import set_time_us
+from .compiled_turns import CompiledTurns, CompiledWork
 from .deliveries import Deliveries
 from .node_state import Node, Serve
 from .server_link import Connection, reason_of
@@ -74,6 +75,7 @@ class Client:
         self._reported_datagrams: dict[int, int] = {}
         self._digest_period = -1
         self._was_reset = False
+        self._compiled: CompiledTurns | None = None
 
     # ---- joining and leaving ----
 
@@ -145,6 +147,9 @@ class Client:
         self._reader.wake()
 
     def _leave(self) -> None:
+        last = self._compiled and self._compiled.stop()
+        if last:
+            self.tick, self.time_us = last
         crash = self._node.crash
         reason = f"it crashed: {printable(crash)}" if crash else "shut down"
         leave = pack_object(Kind.LEAVE, {"reason": reason, "failed": bool(crash)})
@@ -184,6 +189,8 @@ class Client:
 
     def outlet_made(self, outlet: Outlet) -> None:
         """Announce a new connection; called in rospy's threads."""
+        if self._compiled is not None:
+            self._compiled.stop()
         if not self._joined:
             return
         with self._connection.lock:
@@ -192,6 +199,8 @@ class Client:
 
     def outlet_lost(self, outlet: Outlet) -> None:
         """Report that a connection is closed; called in any thread."""
+        if self._compiled is not None:
+            self._compiled.stop()
         if not self._joined:
             return
         with self._connection.lock:
@@ -256,7 +265,23 @@ class Client:
                 failure = str(error)
         if failure:
             self._lose_simulator(failure)
-        self._enter(self._await_tick())
+        self._enter(self._carry() or self._await_tick())
+
+    def compile(self, work: CompiledWork) -> None:
+        """Take turns by a compiled program wherever possible, see ``compiled_turns``."""
+        self._compiled = CompiledTurns(self._node, self._connection, self._deliveries, work)
+
+    def _carry(self) -> Barrier | None:
+        """Take compiled turns; return the TICK that ends them if it has arrived already."""
+        if self._compiled is None or self._connection.pending:
+            return None
+        try:
+            found, self.tick, self.time_us = self._compiled.carry(self.tick, self.time_us)
+        except (OSError, ProtocolError) as error:
+            self._lose_simulator(str(error))
+        if rospy.core.is_shutdown_requested():
+            raise rospy.ROSInterruptException("ROS shutdown request")
+        return found
 
     def _done_frame(self) -> bytes:
         return pack_barrier(Kind.DONE, self.tick, self.time_us, *self._take_counts())

@@ -114,7 +114,42 @@ class Connection:
             OSError: The connection is closed.
             ProtocolError: The data is invalid.
         """
-        received = reader.receive(self._descriptor, timeout, whole=not self._frame_reader)
+        return self._sort(reader.receive(self._descriptor, timeout, whole=not self._frame_reader))
+
+    @property
+    def pending(self) -> bool:
+        """Whether data has been received that is not handled."""
+        return bool(self.frames or self._frame_reader)
+
+    def compiled_turns(self, reader: Reader, topics: int, tick: int, time_us: int) -> lockstep_io.Turns:
+        """Return an object that takes turns over this connection; ``carry`` runs it.
+
+        Args:
+            reader: The reader given to ``watch``.
+            topics: Number of topics that its program receives.
+            tick: Number of the last turn.
+            time_us: Simulation time of the last turn in microseconds.
+        """
+        lock, sock = self.lock, self._connected()
+        return lockstep_io.Turns(
+            reader.descriptor, self._descriptor, lock.acquire, lock.release, sock.sendall, topics, tick, time_us
+        )
+
+    def carry(
+        self, reader: Reader, turns: lockstep_io.Turns, program: Any, until_us: int, timeout: float
+    ) -> Barrier | None:
+        """Take turns without Python, then handle what has ended them; returns and raises as ``await_frames``.
+
+        Args:
+            reader: The reader given to ``watch``.
+            turns: Takes the turns.
+            program: Capsule of the ``TurnProgram``.
+            until_us: Simulation time in microseconds from which on Python has the turns.
+            timeout: Longest wait in wall seconds.
+        """
+        return self._sort(reader.sort(turns.run(program, until_us, timeout)))
+
+    def _sort(self, received: bytes | tuple[int, int, dict[int, int], dict[int, int]] | None) -> Barrier | None:
         if isinstance(received, tuple):
             return Barrier._make(received)
         if received is not None:

@@ -196,6 +196,37 @@ class Feed:
             self._close_connection()
         return False
 
+    def lend(self) -> lockstep_io.Splitter:
+        """Return the splitter, with all messages that are not dispatched yet, to compiled code that reads the socket.
+
+        ``take_back`` ends this.
+        """
+        inbox = self.inbox
+        with self._lock:
+            count = len(inbox.messages)
+            self._splitter.put_back(list(inbox.messages))
+            inbox.messages.clear()
+            inbox.received -= count
+            self._connection.stat_num_msg -= count
+        return self._splitter
+
+    def take_back(self, taken: int, size: int) -> None:
+        """Record what compiled code has read and dispatched.
+
+        Args:
+            taken: Number of messages dispatched since the connection was made.
+            size: Bytes read.
+        """
+        inbox = self.inbox
+        with self._lock:
+            count = taken - inbox.taken
+            inbox.received += count
+            inbox.taken = taken
+            inbox.target = max(inbox.target or 0, taken + inbox.given_up)
+            self._connection.stat_num_msg += count
+            self._connection.stat_bytes += size
+            self._store(self._splitter.cut(b""))
+
     def close(self) -> None:
         """Read the data at hand and close the connection; replaces the transport's ``close``."""
         if not rospy.core.is_shutdown_requested():

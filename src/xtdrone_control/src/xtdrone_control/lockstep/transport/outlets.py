@@ -114,6 +114,30 @@ class Outlet:
             self._ledger.dirty.append(self)
         return True
 
+    @property
+    def sock(self) -> socket.socket | None:
+        """The socket, for compiled code that sends in this object's place; None while a thread sends, or if closed."""
+        transport = self._transport
+        return None if self._draining or self.closed or transport.done else transport.socket
+
+    def record(self, count: int, size: int, rest: bytes, failure: int) -> None:
+        """Record what compiled code has sent over the socket.
+
+        Args:
+            count: Messages sent or queued since the connection was made.
+            size: Their bytes since the last record.
+            rest: Bytes of the last message that the kernel has not accepted.
+            failure: errno if the connection is broken, else 0.
+        """
+        transport = self._transport
+        transport.stat_num_msg += count - self.count
+        transport.stat_bytes += size
+        self.count = count
+        if rest and transport.socket is not None:
+            self._begin_draining(transport.socket, rest)
+        if failure:
+            transport.close()
+
     def _begin_draining(self, sock: socket.socket, rest: bytes) -> None:
         """Send the rest of a message in a thread: the subscriber does not keep up, and this node must not block."""
         self._draining = True

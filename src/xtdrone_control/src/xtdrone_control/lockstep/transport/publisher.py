@@ -111,6 +111,17 @@ class CountingPublisher(PublisherImpl):
                 connection.close()
         return True
 
+    def compiled_outlets(self) -> list[Outlet] | None:
+        """Return the connections over which compiled code may send now; None if only ``publish`` can."""
+        outlets = list(self.outlets.values())
+        plain = all(type(outlet) is Outlet and outlet.number and outlet.sock is not None for outlet in outlets)
+        return None if self.closed or self.is_latch or not plain else outlets
+
+    def record(self, count: int, size: int) -> None:
+        """Record messages that compiled code has published: their number and bytes."""
+        self.seq += count
+        self.message_data_sent += size
+
     def _encode(self, buffer: BytesIO, message: rospy.Message) -> bytes:
         data = None if self._packet is None else self._packet(message, self.seq)
         if data is not None:

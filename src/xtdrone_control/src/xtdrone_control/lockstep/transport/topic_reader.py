@@ -90,11 +90,25 @@ class Reader:
         Raises:
             OSError: The connection to the simulator is broken.
         """
-        received = lockstep_io.receive(self._epoll.fileno(), descriptor, timeout, whole)
+        return self.sort(lockstep_io.receive(self._epoll.fileno(), descriptor, timeout, whole))
+
+    def sort(
+        self, received: bytes | tuple[int, int, dict[int, int], dict[int, int]] | list[int]
+    ) -> bytes | tuple[int, int, dict[int, int], dict[int, int]] | None:
+        """Handle what a wait has ended with, unless it is data of the simulator alone; see ``receive``.
+
+        Args:
+            received: The result of ``lockstep_io``: data, or the descriptors that are ready.
+        """
         if not isinstance(received, list):
             return received
         self._handle(received)
         return None
+
+    @property
+    def descriptor(self) -> int:
+        """Descriptor of the set in which an active reader waits."""
+        return self._epoll.fileno()
 
     def _handle(self, descriptors: Iterable[int]) -> None:
         for descriptor in descriptors:

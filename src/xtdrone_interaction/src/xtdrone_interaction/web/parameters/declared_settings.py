@@ -17,7 +17,7 @@ _CLASSES: dict[str, tuple[str, ...]] = {
     r"simulator": ("NodeSettings", "FullSettings"),
     r"simplified_simulator": ("NodeSettings", "SimplifiedSettings"),
     r"\w+_communication": ("CommandSettings",),
-    r"follower_\d+": ("NeighbourSettings", "HostedCommunication"),
+    r"follower_\d+": ("NeighbourSettings", "HostedCommunication", "TurnSettings"),
     r"leader": ("NeighbourSettings", "HostedCommunication"),
     r"cameras": ("CameraSettings",),
     r"lidars": ("LidarSettings",),

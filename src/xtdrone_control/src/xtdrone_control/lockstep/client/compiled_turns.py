@@ -1,0 +1,175 @@
+"""Turns of a node in compiled code, between those in which anything unusual happens.
+
+``lockstep_io.Turns`` has the inner loop: wait for TICK, read the due messages of certain topics, call the node's
+program, send what it publishes, and DONE. Python has the turn in which anything else arrives or which the program
+refuses, and finds its objects as if it had taken all turns itself. A compiled turn touches a few kilobytes; the
+interpreter's working set, of which each process of a fleet has its own, does not stay in the caches from turn to turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from xtdrone_native import lockstep_io
+
+from ..protocol import DIGEST_PERIOD_US, Barrier
+from ..transport.inbox import Inbox
+from ..transport.outlets import Outlet
+from ..transport.publisher import CountingPublisher
+from .deliveries import Deliveries
+from .node_state import Node
+from .server_link import Connection
+from .topics import Publisher
+
+_FAR_US = 1 << 62  # no end of the turns
+_LONGEST_WAIT = 1.0  # s of wall time
+
+_Inputs = list[tuple[int, int, Inbox]]
+"""Topic, channel and inbox."""
+_Outputs = list[tuple[CountingPublisher, list[Outlet]]]
+"""Publishing end and its connections."""
+
+
+class CompiledWork(Protocol):
+    """The work of a node's turn as a compiled program (``xtdrone_control/turn_program.h``).
+
+    Attributes:
+        received: Resolved names of the topics that the program receives, in its order. Of a latched topic it accepts
+            repetitions only.
+        published: The publishers of what it publishes, in its order.
+    """
+
+    received: Sequence[str]
+    published: Sequence[Publisher]
+
+    def begin(self) -> Any:
+        """Return the program's capsule with the present state; None if Python must take the next turn."""
+
+    def end(self) -> None:
+        """Bring the Python objects up to date with the program."""
+
+
+class CompiledTurns:
+    """Takes turns of a participant by a compiled program."""
+
+    def __init__(self, node: Node, connection: Connection, deliveries: Deliveries, work: CompiledWork) -> None:
+        """Prepare nothing yet; ``carry`` takes turns.
+
+        Args:
+            node: The participant's node.
+            connection: Its connection to the simulator.
+            deliveries: The connections to its subscribers.
+            work: The work of its turns.
+        """
+        self._node = node
+        self._connection = connection
+        self._deliveries = deliveries
+        self._work = work
+        self._turns: lockstep_io.Turns | None = None
+
+    def stop(self) -> tuple[int, int] | None:
+        """Leave the next turn to Python; may be called in any thread.
+
+        Returns:
+            Number and time in microseconds of the last compiled turn; None if none is to come.
+        """
+        turns = self._turns
+        if turns is None:
+            return None
+        turns.stop()
+        return turns.tick, turns.time_us
+
+    def carry(self, tick: int, time_us: int) -> tuple[Barrier | None, int, int]:
+        """Take turns as long as possible.
+
+        Args:
+            tick: Number of the last turn.
+            time_us: Its simulation time in microseconds.
+
+        Returns:
+            The TICK of Python's turn, None if it is still to be awaited; number and time of the last turn taken.
+
+        Raises:
+            OSError: The connection to the simulator is broken.
+            ProtocolError: Its data is invalid.
+        """
+        program = self._work.begin()
+        if program is None or not self._nothing_waits():
+            return None, tick, time_us
+        node, work = self._node, self._work
+        # From here on a new or closed connection stops the turns, so that they neither miss nor outlive one.
+        turns = self._turns = self._connection.compiled_turns(node.reader, len(work.received), tick, time_us)
+        inputs, outputs = self._inputs(), self._outputs()
+        if inputs is None or outputs is None:
+            self._turns = None
+            return None, tick, time_us
+        self._connect(turns, inputs, outputs)
+        until_us = _FAR_US if node.digests is None else (time_us // DIGEST_PERIOD_US + 1) * DIGEST_PERIOD_US
+        try:
+            found = self._connection.carry(node.reader, turns, program, until_us, _LONGEST_WAIT)
+        finally:
+            self._turns = None
+            self._take_back(turns, inputs, outputs)
+            work.end()
+        return found, turns.tick, turns.time_us
+
+    def _nothing_waits(self) -> bool:
+        """Return whether no message is to be dispatched in the next turn whatever its TICK says."""
+        return not any(
+            entry.pending or any(inbox.target is None and inbox.messages for inbox in inboxes)
+            for entry, inboxes in self._node.connected_subscribers()
+        )
+
+    def _inputs(self) -> _Inputs | None:
+        """Return the connections to the program's topics; None if compiled code cannot read one."""
+        inputs: _Inputs = []
+        for topic, name in enumerate(self._work.received):
+            channels = self._deliveries.channels_of(name)
+            if len(channels) > 1 or (channels and self._node.ends[name].statistics_logger):
+                return None
+            inputs += [(topic, channel, inbox) for channel, inbox in channels]
+        plain = all(
+            inbox.feed is not None and not (inbox.closed or inbox.lost or inbox.given_up or inbox.dropped)
+            for _, _, inbox in inputs
+        )
+        return inputs if plain else None
+
+    def _outputs(self) -> _Outputs | None:
+        """Return the program's publishing ends; None if only Python can publish on one, or has not yet with digests."""
+        digests = self._node.digests
+        outputs: _Outputs = []
+        for publisher in self._work.published:
+            end = publisher.impl
+            outlets = None if end is None else end.compiled_outlets()
+            if outlets is None or (digests is not None and publisher.resolved_name not in digests):
+                return None
+            outputs.append((end, outlets))
+        return outputs
+
+    def _connect(self, turns: lockstep_io.Turns, inputs: _Inputs, outputs: _Outputs) -> None:
+        for topic, channel, inbox in inputs:
+            if inbox.feed is not None:
+                turns.add_input(topic, channel, inbox.feed.sock, inbox.feed.lend(), inbox.taken)
+        digests = self._node.digests
+        for topic, (end, outlets) in enumerate(outputs):
+            turns.add_output(end.seq, None if digests is None else digests[end.resolved_name].add)
+            for outlet in outlets:
+                sock = outlet.sock
+                if sock is None:  # closed since
+                    turns.stop()
+                else:
+                    turns.add_connection(topic, outlet.number, outlet.count, sock)
+
+    @staticmethod
+    def _take_back(turns: lockstep_io.Turns, inputs: _Inputs, outputs: _Outputs) -> None:
+        for (_, _, inbox), (_, taken, size) in zip(inputs, turns.inputs, strict=True):
+            if inbox.feed is not None:
+                inbox.feed.take_back(taken, size)
+        sent = {number: (total, rest, failure) for number, total, rest, failure in turns.connections}
+        for (end, outlets), (count, size) in zip(outputs, turns.outputs, strict=True):
+            end.record(count, size)
+            for outlet in outlets:
+                if outlet.number in sent:
+                    total, rest, failure = sent[outlet.number]
+                    outlet.record(total, size, rest, failure)
