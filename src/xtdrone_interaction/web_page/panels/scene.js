@@ -19,7 +19,7 @@ import { WorldMeshes } from '../scene/world_meshes.js';
 
 const FLEET = 1;
 const PICK = 26; // px
-const MOST_NAMES = 100;
+const MOST_NAMES = 40;
 const GROUND = 2000; // m
 const SLOW = 20; // frames a second below which less is drawn
 const FAST = 40;

@@ -92,15 +92,15 @@ class FramesInMap:
         """Take transforms of /tf."""
         with self._lock:
             for entry in _usable(message.transforms):
-                self._told.add(entry.child_frame_id)
                 self._known.pop(entry.child_frame_id, None)
+                self._note(entry.child_frame_id)
                 self._buffer.set_transform(entry, _AUTHORITY)
 
     def hear_static(self, message: TFMessage) -> None:
         """Take transforms of /tf_static."""
         with self._lock:
             for entry in _usable(message.transforms):
-                self._told.add(entry.child_frame_id)
+                self._note(entry.child_frame_id)
                 self._known[entry.child_frame_id] = entry
                 self._buffer.set_transform_static(entry, _AUTHORITY)
 
@@ -132,6 +132,12 @@ class FramesInMap:
 
     def _has(self, name: str) -> bool:
         return bool(name) and name in self._told
+
+    def _note(self, child: str) -> None:
+        """Note that TF has a frame; what else was known of its poses no longer counts."""
+        if child not in self._told:
+            self._told.add(child)
+            self._restart()
 
     def _restart(self) -> None:
         """Forget all poses but the fixed ones."""
