@@ -46,9 +46,9 @@ def web_figures(events: Sequence[Event]) -> Row:
     """Return the figures of a flight's windows.
 
     Returns:
-        real_time_factor (with clients), alone (without), kept (their ratio), station_cores (CPU s of the station per s of
-        wall time with clients), station_cpu (CPU s per simulated s), idle_cores (without clients), frame_rate (frames a
-        client received, Hz of wall time), frame_bytes, others_cpu (cores used by other programs, greatest).
+        real_time_factor (with clients), alone (without), kept (their ratio), station_cores (CPU s of the station per s
+        of wall time with clients), station_cpu (CPU s per simulated s), idle_cores (without clients), frame_rate
+        (frames a client received, Hz of wall time), frame_bytes, others_cpu (cores used by other programs, greatest).
 
     Raises:
         BenchError: there is no window of either kind.

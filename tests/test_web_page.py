@@ -186,7 +186,10 @@ def test_a_layer_that_cannot_be_shown_says_why_and_the_others_go_on(station: Sta
     lost = Path(poses=[PoseStamped()])
     lost.header.frame_id = "nowhere"
     graph.say_latched("/wrong/path", lost)
-    for topic, text in (("/wrong/points", "12 bytes are too few for 100 points"), ("/wrong/path", "frame_id: 'nowhere'")):
+    for topic, text in (
+        ("/wrong/points", "12 bytes are too few for 100 points"),
+        ("/wrong/path", "frame_id: 'nowhere'"),
+    ):
         page.check(f"[data-layer='{topic}']")
         page.wait_for_selector(f"[data-fault='{topic}']:has-text(\"{text}\")")
         page.uncheck(f"[data-layer='{topic}']")

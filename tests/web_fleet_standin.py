@@ -127,9 +127,7 @@ class FleetStandIn:
             return
         self._time += 1.0 / _RATE
         number = round(self._time * _RATE)
-        frame = pack_fleet_frame(
-            circling(len(self.names), self._time), np.empty((0, COLUMNS)), self._time, 1, number
-        )
+        frame = pack_fleet_frame(circling(len(self.names), self._time), np.empty((0, COLUMNS)), self._time, 1, number)
         for session in list(self._server.sessions.values()):
             session.push_latest(CHANNEL, frame)
             if number % 10 == 0:

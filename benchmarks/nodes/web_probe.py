@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
 """Node that measures what the station costs a formation flight: windows with browsers and without, alternately.
 
-A plain rospy node outside the lockstep, with the parameters, events and exit status of ``speed_probe.py``; ``~plan`` has
-``window`` (s of wall time), ``clients`` and ``rounds``. It writes ``window`` for each window: ``clients`` (0 or the plan's),
-``real_time_factor``, ``station`` (CPU s of the station), ``simulated`` and ``elapsed`` (s), ``others_cpu`` (cores); and after one
-with clients ``received``: ``clients``, ``frames`` and ``bytes`` of the fleet's frames, ``elapsed`` (s).
+A plain rospy node outside the lockstep, with the parameters, events and exit status of ``speed_probe.py``; ``~plan``
+has ``window`` (s of wall time), ``clients`` and ``rounds``. It writes ``window`` for each window: ``clients`` (0 or the
+plan's), ``real_time_factor``, ``station`` (CPU s of the station), ``simulated`` and ``elapsed`` (s), ``others_cpu``
+(cores); and after one with clients ``received``: ``clients``, ``frames`` and ``bytes`` of the fleet's frames,
+``elapsed`` (s).
 """
 
 from __future__ import annotations

@@ -77,7 +77,9 @@ def sent(content: Content, pose: Any = None, number: int = 7) -> dict[str, Any]:
     return read_as_the_page(bytes([CHANNEL]) + pack_layer(number, content, packed))
 
 
-@given(arrays.arrays(np.float64, st.tuples(st.integers(0, 30), st.just(3)), elements=st.floats(-500.0, 500.0, width=32)))
+@given(
+    arrays.arrays(np.float64, st.tuples(st.integers(0, 30), st.just(3)), elements=st.floats(-500.0, 500.0, width=32))
+)
 @settings(max_examples=40, deadline=None)
 def test_points_are_sent_in_the_map_frame_to_within_their_steps(points: Any) -> None:
     turned = np.array([[0.0, -1.0, 0.0, 5.0], [1.0, 0.0, 0.0, -3.0], [0.0, 0.0, 1.0, 2.0], [0.0, 0.0, 0.0, 1.0]])
@@ -146,7 +148,7 @@ def test_a_long_path_keeps_its_ends_and_one_with_nan_is_refused() -> None:
     assert len(frame["places"]) <= 1001
     assert np.allclose(frame["places"][[0, -1]], [places[0], places[-1]], atol=0.1)
     assert sent(content_of("nav_msgs/Path", path_of([]), MOST))["total"] == 0
-    with pytest.raises(LayerError, match="poses: .*nan.* is not allowed"):
+    with pytest.raises(LayerError, match=r"poses: .*nan.* is not allowed"):
         content_of("nav_msgs/Path", path_of([(0.0, 0.0, 0.0), (math.nan, 0.0, 0.0)]), MOST)
 
 
@@ -242,7 +244,7 @@ def test_tf_counts_more_than_the_simulator_s_poses(frames: FramesInMap) -> None:
 
 def test_an_unknown_frame_is_refused(frames: FramesInMap) -> None:
     for frame in ("nowhere", "iris_3d_lidar_1/base_link", "a frame"):
-        with pytest.raises(LayerError, match="frame_id: .* is not allowed, one that TF leads from to 'map'"):
+        with pytest.raises(LayerError, match=r"frame_id: .* is not allowed, one that TF leads from to 'map'"):
             frames.pose(frame, "/nowhere/points", STAMP)
     frames.hear(told("map", "nowhere", math.nan))
     with pytest.raises(LayerError, match="frame_id"):

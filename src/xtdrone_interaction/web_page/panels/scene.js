@@ -164,6 +164,10 @@ class View {
       this.#marks.group.visible = button.classList.toggle('on');
       this.#dirty = true;
     }).classList.add('on');
+    add('World', 'show or hide models and people', (button) => {
+      this.#world.group.visible = button.classList.toggle('on');
+      this.#dirty = true;
+    }).classList.add('on');
     this.#element.append(box);
   }
 

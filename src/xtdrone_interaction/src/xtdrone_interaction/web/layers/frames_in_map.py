@@ -128,7 +128,9 @@ class FramesInMap:
             try:
                 return _matrix(self._buffer.lookup_transform_core(MAP, name, rospy.Time()).transform)
             except (tf2_py.TransformException, ValueError):
-                raise LayerError(f"frame_id: {frame[:80]!r} is not allowed, one that TF leads from to {MAP!r}") from None
+                raise LayerError(
+                    f"frame_id: {frame[:80]!r} is not allowed, one that TF leads from to {MAP!r}"
+                ) from None
 
     def _has(self, name: str) -> bool:
         return bool(name) and name in self._told

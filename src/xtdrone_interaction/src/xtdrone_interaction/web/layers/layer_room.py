@@ -49,9 +49,7 @@ class Shown(NamedTuple):
 class LayerRoom:
     """Sends layers to the pages that show them."""
 
-    def __init__(
-        self, context: StationContext, topics: TopicRoom, pages: PageSubscriptions, fleet: FleetWatch
-    ) -> None:
+    def __init__(self, context: StationContext, topics: TopicRoom, pages: PageSubscriptions, fleet: FleetWatch) -> None:
         """Take what the rooms share."""
         self._context = context
         self._topics = topics
