@@ -48,9 +48,9 @@ def starting(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator
         "world:=outdoor",
         "lidars:=true",
         "lidar_rate:=2",
-        "speed:=3",
     )
-    stack.run("communication", "xtdrone_control", "multirotor_communication.py", "iris", "all")
+    # by number: "all" needs the parameter of the fleet, which the launch has not set yet
+    stack.run("communication", "xtdrone_control", "multirotor_communication.py", "iris", "0-1")
     yield stack
     stack.stop()
 

@@ -3,7 +3,7 @@ import { html, render } from '../vendor/preact_htm.js';
 
 const PERIOD = 3000; // ms between two looks at the topics, while the list is open
 const TITLES = { 'nav_msgs/Path': 'Paths', 'sensor_msgs/PointCloud2': 'Clouds', 'sensor_msgs/LaserScan': 'Scans', 'nav_msgs/OccupancyGrid': 'Maps' };
-const RATES = { 'nav_msgs/Path': 4, 'sensor_msgs/PointCloud2': 4, 'sensor_msgs/LaserScan': 5, 'nav_msgs/OccupancyGrid': 1 };
+const RATES = { 'nav_msgs/Path': 2, 'sensor_msgs/PointCloud2': 4, 'sensor_msgs/LaserScan': 5, 'nav_msgs/OccupancyGrid': 1 };
 const STORED = 'xtdrone-layers';
 
 // Returns the name under which vehicles' topics are together, a star for the vehicle, and the others alone.

@@ -17,7 +17,7 @@ from xtdrone_perception.slam.scan_points import read_cloud
 
 MOST_POSES = 100_000  # of a path that is read
 MOST_CORNERS = 1000  # of a line that is sent
-MOST_CELLS = 16_000_000  # of a grid that is read
+MOST_CELLS = 4_000_000  # of a grid that is read
 MOST_SIDE = 512  # cells along a side of a grid that is sent
 FARTHEST = 1e5  # m, of a place from the origin of its frame
 UNKNOWN = 255

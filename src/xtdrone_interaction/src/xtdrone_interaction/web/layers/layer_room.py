@@ -28,8 +28,9 @@ from xtdrone_interaction.web.server.session import Session
 
 RATE = 2.0  # Hz, by default
 MOST_RATE = 10.0  # Hz
-MOST_BYTES = 64 << 20
-"""Bytes of a message that is read."""
+MOST_BYTES = {"sensor_msgs/PointCloud2": 64 << 20}
+"""Bytes of a message that is read; ``MOST_BYTES_OF_OTHERS`` of other types, whose elements become objects of Python."""
+MOST_BYTES_OF_OTHERS = 4 << 20
 MOST_POINTS = 20_000
 """Points of a cloud that are sent to a page."""
 MOST_POINTS_OF_A_PAGE = 60_000
@@ -153,8 +154,9 @@ class LayerRoom:
             cached = self._cache.get(key)
         if cached is not None and cached.message is message:
             return cached
-        if len(message.data) > MOST_BYTES:
-            raise LayerError(f"message: {len(message.data)} bytes are not allowed, at most {MOST_BYTES}")
+        largest = MOST_BYTES.get(message.type, MOST_BYTES_OF_OTHERS)
+        if len(message.data) > largest:
+            raise LayerError(f"message: {len(message.data)} bytes are not allowed, at most {largest}")
         header = message.message.header
         content = content_of(message.type, message.message, most)
         pose = self._frames.pose(header.frame_id, message.topic, header.stamp)
