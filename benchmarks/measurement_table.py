@@ -33,7 +33,7 @@ from benchmarks.table_columns import (
     share,
     spread,
 )
-from benchmarks.web_cost import CLIENTS, measure_web
+from benchmarks.web_flights import CLIENTS, measure_web
 from xtdrone_control.fleet import MAX_VEHICLES
 
 _MESSAGES = ("PositionTarget", "PoseStamped", "Imu", "Odometry", "TFMessage", "ModelStates")

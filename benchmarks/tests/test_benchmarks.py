@@ -37,7 +37,7 @@ from benchmarks import (
     process_use,
     search_flights,
     stack_and_formation_flights,
-    web_cost,
+    web_flights,
 )
 from benchmarks.measurement_table import MEASUREMENTS
 from benchmarks.nodes import bus_statistics, free_running_speeds, search_speed_meter
@@ -675,14 +675,14 @@ def test_the_station_s_cost_is_that_of_windows_with_clients() -> None:
 
     received = _event("received", 2.0, 2.0, clients=3, frames=150, bytes=150_000, elapsed=5.0)
     events = [window(0, 4.0, 0.05), window(3, 3.9, 0.3), received, window(0, 4.0, 0.05), window(3, 3.9, 0.2), received]
-    figures = web_cost.web_figures(events)
+    figures = web_flights.web_figures(events)
     assert figures["kept"] == pytest.approx(0.975)
     assert figures["station_cores"] == pytest.approx(0.05)
     assert figures["station_cpu"] == pytest.approx(0.5 / 39.0)
     assert figures["idle_cores"] == pytest.approx(0.01)
     assert (figures["frame_rate"], figures["frame_bytes"]) == (pytest.approx(10.0), pytest.approx(1000.0))
     with pytest.raises(measurement_runner.BenchError, match="web: 0 windows with clients, 1 without, 0 with frames"):
-        web_cost.web_figures(events[:1])
+        web_flights.web_figures(events[:1])
     row = figures | {"vehicles": 30}
     assert printed_tables.short_result("web", row) == "0.050 cores, 0.97 of the real-time factor"
     printed = _printed({"machine": {"load_before": [0.1] * 3}, "web": [row]})
@@ -695,7 +695,7 @@ def test_the_station_s_readers_count_frames_of_the_fleet() -> None:
     """A server that sends what the station does; the readers are the program that the probe starts."""
     frame = pack_fleet_frame(np.zeros((30, COLUMNS)), np.zeros((0, COLUMNS)), 1.0, 1, 1)
     with _station_that_sends(frame) as url:
-        command = [sys.executable, "-m", "benchmarks.nodes.web_readers", url, "2"]
+        command = [sys.executable, "-m", "benchmarks.nodes.web_clients", url, "2"]
         readers = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=options.repository()
         )
@@ -744,7 +744,7 @@ def test_the_probe_is_launched_beside_a_flight_with_its_page(tmp_path: Path) -> 
     )
     assert float(parameters["/simulator/speed"]) == 0.0
     assert parameters["/web_station/host"] == "127.0.0.1"
-    assert parameters["/web_probe/plan"] == f"{tmp_path}/plan.json"
+    assert parameters["/web_station_meter/plan"] == f"{tmp_path}/plan.json"
 
 
 # ---- calibration

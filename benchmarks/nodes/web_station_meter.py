@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
 """Node that measures what the station costs a formation flight: windows with browsers and without, alternately.
 
-A plain rospy node outside the lockstep, with the parameters, events and exit status of ``speed_probe.py``; ``~plan``
-has ``window`` (s of wall time), ``clients`` and ``rounds``. It writes ``window`` for each window: ``clients`` (0 or the
-plan's), ``real_time_factor``, ``station`` (CPU s of the station), ``simulated`` and ``elapsed`` (s), ``others_cpu``
-(cores); and after one with clients ``received``: ``clients``, ``frames`` and ``bytes`` of the fleet's frames,
-``elapsed`` (s).
+A plain rospy node outside the lockstep, with the parameters, events and exit status of
+``formation_speed_meter.py``; ``~plan`` has ``window`` (s of wall time), ``clients`` and ``rounds``. It writes
+``window`` for each window: ``clients`` (0 or the plan's), ``real_time_factor``, ``station`` (CPU s of the station),
+``simulated`` and ``elapsed`` (s), ``others_cpu`` (cores); and after one with clients ``received``: ``clients``,
+``frames`` and ``bytes`` of the fleet's frames, ``elapsed`` (s).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pathlib import Path
 
 import rospy
 
-from benchmarks.nodes.speed_probe import SETTLING, ProbeError, SpeedProbe
+from benchmarks.nodes.formation_speed_meter import SETTLING, ProbeError, SpeedProbe
 from benchmarks.process_use import CpuSample
 from xtdrone_interaction.web.station_node import NAME, URL_PARAMETER
 
@@ -31,7 +31,7 @@ class Browsers:
 
     def __init__(self, url: str, number: int) -> None:
         """Connect; returns when all receive frames."""
-        command = [sys.executable, "-m", "benchmarks.nodes.web_readers", url, str(number)]
+        command = [sys.executable, "-m", "benchmarks.nodes.web_clients", url, str(number)]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         assert self._process.stdout is not None
         if self._process.stdout.readline().strip() != "reading":
@@ -94,7 +94,7 @@ class WebProbe(SpeedProbe):
 
 def main() -> int:
     """Run the node and return its exit status."""
-    rospy.init_node("web_probe")
+    rospy.init_node("web_station_meter")
     plan = json.loads(Path(rospy.get_param("~plan")).read_text(encoding="utf-8"))
     out = Path(rospy.get_param("~out"))
     with (out / "events.jsonl").open("w", encoding="utf-8") as events:

@@ -1,6 +1,6 @@
 """Program that reads the station's frames as browsers do: WebSocket clients that only receive.
 
-Usage: ``python -m benchmarks.nodes.web_readers URL NUMBER``. It prints ``reading`` when all clients receive frames of
+Usage: ``python -m benchmarks.nodes.web_clients URL NUMBER``. It prints ``reading`` when all clients receive frames of
 the fleet, reads until its standard input ends, and prints JSON: ``clients``, ``frames`` and ``bytes`` of the fleet's
 frames from then on, and ``elapsed`` (s).
 """
