@@ -7,12 +7,13 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from conftest import Graph, Stack, free_port, wait_for_ports
+from conftest import Graph, Stack, free_port, poll, wait_for_ports
 
 pytest.importorskip("rospy")
 pytest.importorskip("playwright")
 
 import numpy as np
+import rosgraph
 import rospy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
@@ -49,8 +50,9 @@ def starting(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator
         "lidars:=true",
         "lidar_rate:=2",
     )
-    # by number: "all" needs the parameter of the fleet, which the launch has not set yet
-    stack.run("communication", "xtdrone_control", "multirotor_communication.py", "iris", "0-1")
+    # without it communication takes no part in the lockstep, and the simulator waits 120 s for it
+    poll(lambda: rosgraph.Master("/system_tests").hasParam("/lockstep/uri"), "roslaunch starts a simulator")
+    stack.run("communication", "xtdrone_control", "multirotor_communication.py", "iris", "all")
     yield stack
     stack.stop()
 
