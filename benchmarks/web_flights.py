@@ -28,6 +28,7 @@ def measure_web(bench: Bench, case: Case) -> Row:
     vehicles = case.known["vehicles"]
     row = {"load_before": os.getloadavg()[0]}
     folder = fresh_folder(bench, case.folder)
+    (folder / "flight").mkdir(exist_ok=True)  # the recorder may begin before the director makes it
     file = folder / "plan.json"
     plan = {"window": bench.length.free_window, "clients": CLIENTS, "rounds": _ROUNDS}
     file.write_text(json.dumps(plan), encoding="utf-8")

@@ -119,7 +119,13 @@ def test_time_is_paused_stepped_and_resumed(station: StationPage, stack: Stack, 
     page = station.page
     page.click("[data-time=pause]")
     station.until("document.querySelector('[data-cell=time-state]').textContent === 'paused'")
-    stack.wait(lambda: status.last and status.last.paused, "it is paused")
+
+    def held() -> bool:
+        """Whether it has been paused for two messages: the first may be of the tick before the last one."""
+        last = status.messages[-2:]
+        return len(last) == 2 and all(message.paused for message in last) and last[0].tick == last[1].tick
+
+    stack.wait(held, "it is paused at a tick")
     tick = status.last.tick
     page.click("[data-time=step]")
     stack.wait(lambda: status.last.tick == tick + 1 and not status.last.stepping, "one tick passes")

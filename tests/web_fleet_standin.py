@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -20,7 +20,8 @@ from xtdrone_interaction.web.fleet.fleet_frame import CHANNEL, pack_fleet_frame
 from xtdrone_interaction.web.fleet.model_states_bytes import COLUMNS
 from xtdrone_interaction.web.fleet.shapes_for_page import ShapeStore, describe_vehicle
 from xtdrone_interaction.web.server.credentials import Credentials
-from xtdrone_interaction.web.server.methods import Method
+from xtdrone_interaction.web.server.methods import Method, Params
+from xtdrone_interaction.web.server.session import Session
 from xtdrone_interaction.web.server.station_server import Address, StationServer
 from xtdrone_interaction.web.station_node import PAGE
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
@@ -114,7 +115,7 @@ class FleetStandIn:
             "time.status": None,
             "swarm.patterns": {},
         }
-        plain = [Method(name, lambda _session, _params, value=value: value) for name, value in answers.items()]
+        plain = [Method(name, _answering(value)) for name, value in answers.items()]
         return [
             *plain,
             Method("world.vehicle", lambda _s, params: describe_vehicle(load_vehicle(params["model"]), self._store)),
@@ -132,6 +133,10 @@ class FleetStandIn:
             session.push_latest(CHANNEL, frame)
             if number % 10 == 0:
                 session.push("fleet.status", {"vehicles": dict.fromkeys(self.names, _STATUS), "trouble": ""})
+
+
+def _answering(value: Any) -> Callable[[Session, Params], Any]:
+    return lambda _session, _params: value
 
 
 @contextmanager
