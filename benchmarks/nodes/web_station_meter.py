@@ -47,12 +47,14 @@ class WebProbe(SpeedProbe):
     """Measurement of one flight."""
 
     def _measure(self) -> None:
-        url = str(rospy.get_param(f"/{NAME}/{URL_PARAMETER.removeprefix('~')}"))
         self._await(self._flying)
+        url = rospy.get_param(f"/{NAME}/{URL_PARAMETER.removeprefix('~')}", None)  # the station sets it when it listens
+        if url is None:
+            raise ProbeError("the station has not begun to listen")
         self._wait(SETTLING)
         for _ in range(int(self._plan["rounds"])):
             self._measure_without()
-            self._measure_with(url, int(self._plan["clients"]))
+            self._measure_with(str(url), int(self._plan["clients"]))
 
     def _measure_without(self) -> None:
         self._wait(SETTLING)

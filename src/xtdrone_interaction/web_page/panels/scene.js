@@ -173,7 +173,9 @@ class View {
 
   async #setRoster(roster) {
     const count = roster.vehicles.length;
-    if (roster.movers.join() !== this.#moved) { this.#moved = roster.movers.join(); this.#loadWorld(); }
+    const moved = roster.movers.join();
+    if (moved !== this.#moved && !this.#world.moves(roster.movers)) this.#loadWorld();
+    this.#moved = moved;
     this.#numbers = new Map(roster.vehicles.map(({ name }, i) => [name, i]));
     await this.#vehicles.build(roster).catch(report);
     if (this.#trails.count !== count) {

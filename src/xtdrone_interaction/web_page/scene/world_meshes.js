@@ -50,6 +50,9 @@ export class WorldMeshes {
     this.group.add(group);
   }
 
+  /** Tells whether all models of these names can be moved. */
+  moves(names) { return names.every((name) => this.#parts.has(name)); }
+
   async #material({ colour, texture }) {
     const material = new MeshLambertMaterial({ opacity: colour[3], transparent: colour[3] < 1 });
     if (texture !== null) material.map = await this.#shapes.texture(texture).catch(() => null);
