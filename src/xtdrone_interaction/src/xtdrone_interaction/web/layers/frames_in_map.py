@@ -48,7 +48,7 @@ class FramesInMap:
         self._bodies: list[str] = []
         self._known: dict[str, TransformStamped] = {}  # fixed frames by child; TF's replace the descriptions'
         self._told: set[str] = set()  # children whose poses come from TF
-        self._time = 0.0
+        self._time = -1.0  # of the newest poses of vehicles, s
         self._buffer = tf2_py.BufferCore(rospy.Duration.from_sec(_MEMORY))
 
     def set_fleet(self, fleet: Sequence[Vehicle]) -> None:
@@ -80,6 +80,8 @@ class FramesInMap:
             time: s of ROS time.
         """
         with self._lock:
+            if time == self._time:  # tf2 would warn of poses at the same time
+                return
             if time < self._time:  # a reset
                 self._restart()
             self._time = time
