@@ -33,7 +33,8 @@ from xtdrone_interaction.machine_facts import machine_facts
 from xtdrone_interaction.options import OptionError
 
 SCHEMA = 1  # of the JSON file
-_FLOWN = ("stack", "formation", "free")
+_FLOWN = ("stack", "formation", "free", "web")
+_FORMATIONS = ("formation", "free", "web")
 _MODES = {
     "all": ("per_uav", "merged", "shared"),
     "per-uav": ("per_uav",),
@@ -137,7 +138,7 @@ def bench_settings(arguments: argparse.Namespace) -> BenchSettings:
     settings = BenchSettings.from_arguments(
         arguments, vehicles=vehicles, json=_result_file(arguments.json), baseline=trees
     )
-    for count in {*vehicles.get("formation", ()), *vehicles.get("free", ())}:
+    for count in {count for part in _FORMATIONS for count in vehicles.get(part, ())}:
         options.swarm_patterns(count, list(settings.length.patterns))
     flown = max((count for part in _FLOWN for count in vehicles.get(part, ())), default=0)
     if "search" in vehicles:

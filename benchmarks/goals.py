@@ -33,6 +33,7 @@ GOALS = {
         ("vehicles", "mode"), {(9, "per_uav"): 3.0, (30, "per_uav"): 1.0, (9, "merged"): 9.0, (30, "merged"): 3.0}
     ),
     "search": Goal(("camera_rate",), {(2,): 1.0}),
+    "web": Goal(("vehicles",), {(30,): 0.95}, "{:.2f}"),
     "free": Goal(("vehicles",), {(9,): 0.7}, "{:.2f}"),
 }
 

@@ -55,7 +55,8 @@ class Length:
         telemetry_seconds: simulated time of one telemetry measurement, s.
         window: measured simulated time of the stack, s.
         patterns: flown by the formation.
-        free_window: wall time for which each speed of the free-running flight is measured, s.
+        free_window: wall time for which each speed of the free-running flight, and the station with or without
+            clients, is measured, s.
         search_window: measured simulated time of the search, s.
     """
 

@@ -33,6 +33,7 @@ from benchmarks.table_columns import (
     share,
     spread,
 )
+from benchmarks.web_flights import CLIENTS, measure_web
 from xtdrone_control.fleet import MAX_VEHICLES
 
 _MESSAGES = ("PositionTarget", "PoseStamped", "Imu", "Odometry", "TFMessage", "ModelStates")
@@ -157,6 +158,10 @@ def _picture_summary(row: Row) -> str:
 def _free_summary(row: Row) -> str:
     exact, free = row["exact_real_time_factor"], row["free_real_time_factor"]
     return f"{exact:.2f} x real time, free-running {free:.2f} x"
+
+
+def _web_summary(row: Row) -> str:
+    return f"{row['station_cores']:.3f} cores, {row['kept']:.2f} of the real-time factor"
 
 
 def _analysis_summary(row: Row) -> str:
@@ -469,6 +474,24 @@ _TABLE = (
             goal_of("free"),
         ),
         summary=_free_summary,
+    ),
+    Measurement(
+        name="web",
+        title=f"Station in the browser with {CLIENTS} clients, and without, in a formation flight",
+        command=measure_web,
+        numbers=(30,),
+        limits=(2, MAX_VEHICLES),
+        fields=(
+            ("with\nclients", spread("real_time_factor", " x")),
+            ("without", spread("alone", " x")),
+            ("share", spread("kept")),
+            goal_of("web"),
+            ("station\ncores", median("station_cores", ".3f")),
+            ("CPU s a\nsimulated s", median("station_cpu", ".3f")),
+            ("frames/s", median("frame_rate", ".1f")),
+            ("bytes", median("frame_bytes", ".0f")),
+        ),
+        summary=_web_summary,
     ),
 )
 MEASUREMENTS: dict[str, Measurement] = {measurement.name: measurement for measurement in _TABLE}

@@ -151,6 +151,14 @@ class Graph:
         poll(mouth.get_num_connections, f"a subscriber of {topic}")
         mouth.publish(message)
 
+    def say_latched(self, topic: str, message: Any) -> None:
+        """Publish a message to present and future subscribers."""
+        import rospy
+
+        if topic not in self._mouths:
+            self._mouths[topic] = rospy.Publisher(topic, type(message), queue_size=1, latch=True)
+        self._mouths[topic].publish(message)
+
     def call(self, service: str, kind: type, **fields: Any) -> Any:
         """Call a service and return its response."""
         import rospy

@@ -7,36 +7,67 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from conftest import Graph, Stack, free_port, wait_for_ports
+from conftest import Graph, Stack, free_port, poll, wait_for_ports
 
 pytest.importorskip("rospy")
 pytest.importorskip("playwright")
 
+import numpy as np
+import rosgraph
+import rospy
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
+from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from web_browser import StationPage, needs_chromium, station_page
 from xtdrone_msgs.msg import SimulationStatus
 
+from xtdrone_control.cameras.pinhole import Pinhole
+from xtdrone_coordination.search.coverage_map import CoverageMap
+from xtdrone_coordination.search.planning.region import make_region
+from xtdrone_coordination.search_node import coverage_message
+from xtdrone_planning.trajectories.trajectory_messages import path_message
+from xtdrone_planning.trajectories.uniform_spline import UniformSpline
+
 pytestmark = needs_chromium
-FLEET = "iris:3"
-COUNT = 3
+FLEET = "iris:2,iris_3d_lidar:1"
+NAMES = ("iris_0", "iris_1", "iris_3d_lidar_0")
+COUNT = len(NAMES)
+CLOUD = "/iris_3d_lidar_0/velodyne_points"
+PATH = "/iris_1/planner/path"
 
 
 @pytest.fixture(scope="module")
-def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    """Three vehicles that take XTDrone's commands."""
+def starting(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
+    """Three vehicles that take XTDrone's commands, one with a lidar; the simulator starts."""
     wait_for_ports(FLEET)
     stack = Stack(graph, tmp_path_factory.mktemp("web"), FLEET)
-    stack.launch("multi_vehicle.launch", f"vehicles:={FLEET}", "participants:=/mavros,/communication", "world:=outdoor")
+    stack.launch(
+        "multi_vehicle.launch",
+        f"vehicles:={FLEET}",
+        "participants:=/mavros,/communication,/lidars",
+        "world:=outdoor",
+        "lidars:=true",
+        "lidar_rate:=2",
+    )
+    # without it communication takes no part in the lockstep, and the simulator waits 120 s for it
+    poll(lambda: rosgraph.Master("/system_tests").hasParam("/lockstep/uri"), "roslaunch starts a simulator")
     stack.run("communication", "xtdrone_control", "multirotor_communication.py", "iris", "all")
-    stack.wait(lambda: stack.pose(COUNT - 1), "the vehicles have poses", wall=300.0)
     yield stack
     stack.stop()
 
 
 @pytest.fixture(scope="module")
-def station(stack: Stack) -> Iterator[StationPage]:
-    with station_page(stack, free_port()) as page:
+def station(starting: Stack) -> Iterator[StationPage]:
+    """The page, whose station and browser start while the simulator does."""
+    with station_page(starting, free_port()) as page:
         yield page
+
+
+@pytest.fixture(scope="module")
+def stack(starting: Stack, station: StationPage) -> Stack:
+    starting.wait(lambda: starting.pose(COUNT - 1), "the vehicles have poses", wall=300.0)
+    return starting
 
 
 @pytest.fixture(scope="module")
@@ -54,15 +85,14 @@ def all_ready() -> str:
 def test_a_click_lets_all_take_off_and_is_published(station: StationPage, stack: Stack, actions: Any) -> None:
     page = station.page
     station.until(all_ready())
-    assert page.inner_text("tr[data-vehicle=iris_2] [data-cell=state]") == "ready"
+    assert page.inner_text("tr[data-vehicle=iris_1] [data-cell=state]") == "ready"
     page.click("[data-action=all]")
     page.click("[data-action=takeoff]")
     stack.wait(lambda: min(stack.height(i) for i in range(COUNT)) > 2.2, "all climb", sim=60.0)
     station.until("Object.values(station.status.vehicles).every(v => v.armed)")
     (action,) = [json.loads(message.data) for message in actions.messages]
-    names = [f"iris_{i}" for i in range(COUNT)]
     assert action["method"] == "vehicles.command"
-    assert action["params"] == {"vehicles": names, "action": "takeoff", "height": 3}
+    assert action["params"] == {"vehicles": list(NAMES), "action": "takeoff", "height": 3}
     assert station.page.evaluate("station.view.frames") > 0
 
 
@@ -89,7 +119,13 @@ def test_time_is_paused_stepped_and_resumed(station: StationPage, stack: Stack, 
     page = station.page
     page.click("[data-time=pause]")
     station.until("document.querySelector('[data-cell=time-state]').textContent === 'paused'")
-    stack.wait(lambda: status.last and status.last.paused, "it is paused")
+
+    def held() -> bool:
+        """Whether it has been paused for two messages: the first may be of the tick before the last one."""
+        last = status.messages[-2:]
+        return len(last) == 2 and all(message.paused for message in last) and last[0].tick == last[1].tick
+
+    stack.wait(held, "it is paused at a tick")
     tick = status.last.tick
     page.click("[data-time=step]")
     stack.wait(lambda: status.last.tick == tick + 1 and not status.last.stepping, "one tick passes")
@@ -126,6 +162,65 @@ def test_a_drawn_region_is_planned_and_uploaded(station: StationPage) -> None:
     page.click("[data-map=upload]")
     station.told("3 vehicles have stored their plan")
     station.picture("map")
+    page.click("#stage-tabs [data-panel=scene]")
+
+
+def test_a_lidar_s_cloud_and_a_planned_path_are_layers(station: StationPage, stack: Stack, graph: Graph) -> None:
+    page = station.page
+    spline = UniformSpline(0.0, 0.5, np.array([[float(n), 2.0, 3.0 + 0.2 * n] for n in range(12)]))
+    graph.say_latched(PATH, path_message(spline, rospy.Time.now(), "map"))
+    page.click("[data-layers=list]")
+    for topic in (CLOUD, PATH):
+        page.check(f"[data-layer='{topic}']")
+        station.until(f"station.view.layer('{topic}')?.count > 20")
+    cloud, path = (page.evaluate(f"station.view.layer('{topic}')") for topic in (CLOUD, PATH))
+    assert (cloud["kind"], path["kind"]) == ("points", "line")
+    assert path["origin"] == pytest.approx([1.0, 2.0, 3.2], abs=0.01)  # where the spline's first three points lead
+    assert path["extent"][0] == pytest.approx(9.0, abs=0.1)
+    vehicle = stack.pose(2).position  # the lidar sees the ground around it, in the map frame
+    middle = [low + 0.5 * extent for low, extent in zip(cloud["origin"], cloud["extent"], strict=True)]
+    assert abs(middle[0] - vehicle.x) < 25.0
+    assert abs(middle[1] - vehicle.y) < 25.0
+    assert abs(cloud["origin"][2]) < 1.0
+    station.picture("layers")
+    page.uncheck(f"[data-layer='{CLOUD}']")
+    station.until(f"station.view.layer('{CLOUD}') === undefined")
+
+
+def test_a_layer_that_cannot_be_shown_says_why_and_the_others_go_on(station: StationPage, graph: Graph) -> None:
+    page = station.page
+    wrong = PointCloud2(height=1, width=100, point_step=12, data=bytes(12))
+    graph.say_latched("/wrong/points", wrong)
+    lost = Path(poses=[PoseStamped()])
+    lost.header.frame_id = "nowhere"
+    graph.say_latched("/wrong/path", lost)
+    for topic, text in (
+        ("/wrong/points", "12 bytes are too few for 100 points"),
+        ("/wrong/path", "frame_id: 'nowhere'"),
+    ):
+        page.check(f"[data-layer='{topic}']")
+        page.wait_for_selector(f"[data-fault='{topic}']:has-text(\"{text}\")")
+        page.uncheck(f"[data-layer='{topic}']")
+    assert page.evaluate(f"station.view.layer('{PATH}').count") > 20
+    page.click("[data-layers=list]")
+
+
+def test_the_map_shows_what_a_search_has_seen(station: StationPage, graph: Graph) -> None:
+    page = station.page
+    coverage = CoverageMap(make_region([(0, 0), (40, 0), (40, 30), (0, 30)]), Pinhole(100, 100, 50.0, 50.0, 50.0, 50.0))
+    graph.say_latched("/xtdrone/search/coverage", coverage_message(coverage.grid(), 0.0, rospy.Time.now()))
+    progress = {"sim_time": 1.0, "phase": "searching", "text": "covered 0 %, 3 of 3 flying", "covered_fraction": 0.0}
+    page.click("#stage-tabs [data-panel=map]")
+    graph.say("/xtdrone/search/progress", String(json.dumps(progress)))
+    station.until("station.map.coverage.unseen === 1200")
+    assert page.evaluate("station.map.coverage.seen") == 0
+    down = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    coverage.add_picture(np.array([20.0, 15.0, 12.0]), down)
+    graph.say_latched("/xtdrone/search/coverage", coverage_message(coverage.grid(), 0.0, rospy.Time.now()))
+    seen = round(1200 * coverage.fraction)
+    assert seen > 100
+    station.until(f"station.map.coverage.seen === {seen}")
+    station.picture("coverage")
     page.click("#stage-tabs [data-panel=scene]")
 
 

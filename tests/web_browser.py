@@ -47,7 +47,6 @@ class StationPage:
         self.errors: list[str] = []
         self._stack = stack
         self._port = port
-        page.set_default_timeout(_MS)
         page.on("pageerror", lambda error: self.errors.append(str(error)))
         page.on("console", lambda message: self._note(message))
 
@@ -96,6 +95,16 @@ def station_page(stack: Stack, port: int, **sizes: int) -> Iterator[StationPage]
         port: TCP port of the station.
         sizes: width and height of the window, px.
     """
+    with open_page(**sizes) as page:
+        opened = StationPage(stack, page, port)
+        opened.start_station()
+        opened.open()
+        yield opened
+
+
+@contextlib.contextmanager
+def open_page(**sizes: int) -> Iterator[Any]:
+    """Open an empty page of playwright's, as wide and high (px) as given, in a browser with an empty profile."""
     from playwright.sync_api import sync_playwright
 
     size = {"width": 1400, "height": 850, **sizes}
@@ -103,8 +112,6 @@ def station_page(stack: Stack, port: int, **sizes: int) -> Iterator[StationPage]
         context = playwright.chromium.launch_persistent_context(
             profile, executable_path=CHROMIUM, args=list(_FLAGS), viewport=size
         )
-        opened = StationPage(stack, context.pages[0], port)
-        opened.start_station()
-        opened.open()
-        yield opened
+        context.pages[0].set_default_timeout(_MS)
+        yield context.pages[0]
         context.close()

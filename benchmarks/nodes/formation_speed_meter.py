@@ -42,7 +42,7 @@ from xtdrone_interaction.formation.distances import EVENTS_TOPIC
 
 _FIRST_PHASE = "climb"  # from this phase on all followers publish commands
 _ENDS = {"failed", "giving up", "interrupted", "done"}
-_SETTLING = 1.0  # s of wall time between a change of speed and the measurement
+SETTLING = 1.0  # s of wall time between a change of speed and the measurement
 _APPROACH = 0.7  # of the speed in lockstep: speed of the takeoff of a free-running flight
 _SLICE = 0.2  # s of wall time between checks for a shutdown
 
@@ -111,7 +111,7 @@ class SpeedProbe:
         exact = self._plan.get("exact")
         if exact is None:
             self._await(self._flying)
-            self._wait(_SETTLING)
+            self._wait(SETTLING)
             self._event("window", **asdict(self._measure_window()))
             return
         trials = [Trial(**trial) for trial in self._plan["trials"]]
@@ -124,7 +124,7 @@ class SpeedProbe:
     def _try(self, speed: float, exact_rates: Mapping[str, float]) -> Trial:
         self._event("trying", speed=speed)
         self._change_speed(speed)
-        self._wait(_SETTLING)
+        self._wait(SETTLING)
         window = self._measure_window()
         turns = {role: window.rates.get(role, 0.0) / rate for role, rate in exact_rates.items()}
         trial = Trial(speed, window.real_time_factor, turns, window.cpu, window.others_cpu)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import dataclasses
 import io
 import json
@@ -11,16 +12,20 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import fake_roslaunch
+import numpy as np
 import pytest
 import yaml
 from rich.console import Console
+from tornado.ioloop import IOLoop, PeriodicCallback
 
 from benchmarks import bench_cli as bench
 from benchmarks import (
@@ -32,6 +37,7 @@ from benchmarks import (
     process_use,
     search_flights,
     stack_and_formation_flights,
+    web_flights,
 )
 from benchmarks.measurement_table import MEASUREMENTS
 from benchmarks.nodes import bus_statistics, free_running_speeds, search_speed_meter
@@ -39,6 +45,10 @@ from benchmarks.programs import barrier
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_interaction import cli, machine_facts, options
 from xtdrone_interaction.launching import scripted_launch
+from xtdrone_interaction.web.fleet.fleet_frame import CHANNEL, pack_fleet_frame
+from xtdrone_interaction.web.fleet.model_states_bytes import COLUMNS
+from xtdrone_interaction.web.server.credentials import Credentials
+from xtdrone_interaction.web.server.station_server import Address, StationServer
 
 TICKS = os.sysconf("SC_CLK_TCK")
 CORES = len(os.sched_getaffinity(0))
@@ -54,7 +64,7 @@ PATIENCE = 120.0  # s of wall time; bounds a broken test
         (
             ["--only", "core,wings"],
             "part 'wings' is unknown; there are: core, simplified, drawing, sweep, detector, renderer, rays, rviz, "
-            "analyse, codecs, barrier, telemetry, stack, formation, search, free",
+            "analyse, codecs, barrier, telemetry, stack, formation, search, free, web",
         ),
         (["--vehicles", "0"], "vehicles of core: '0' is not allowed; 1 to 250"),
         (["--vehicles", "10000"], "vehicles of core: '10000' is not allowed; 1 to 250"),
@@ -653,6 +663,88 @@ def test_comparison_continues_after_an_aborted_flight(tmp_path: Path, monkeypatc
     assert [trial["speed"] for trial in row["trials"] if not trial["good"]] == sorted(
         [trial["speed"] for trial in row["trials"] if not trial["good"]], reverse=True
     )
+
+
+# ---- the station in the browser
+
+
+def test_the_station_s_cost_is_that_of_windows_with_clients() -> None:
+    def window(clients: int, factor: float, station: float) -> dict[str, Any]:
+        figures = {"station": station, "simulated": 5.0 * factor, "elapsed": 5.0, "others_cpu": 0.1}
+        return _event("window", 1.0, 1.0, clients=clients, real_time_factor=factor, **figures)
+
+    received = _event("received", 2.0, 2.0, clients=3, frames=150, bytes=150_000, elapsed=5.0)
+    events = [window(0, 4.0, 0.05), window(3, 3.9, 0.3), received, window(0, 4.0, 0.05), window(3, 3.9, 0.2), received]
+    figures = web_flights.web_figures(events)
+    assert figures["kept"] == pytest.approx(0.975)
+    assert figures["station_cores"] == pytest.approx(0.05)
+    assert figures["station_cpu"] == pytest.approx(0.5 / 39.0)
+    assert figures["idle_cores"] == pytest.approx(0.01)
+    assert (figures["frame_rate"], figures["frame_bytes"]) == (pytest.approx(10.0), pytest.approx(1000.0))
+    with pytest.raises(measurement_runner.BenchError, match="web: 0 windows with clients, 1 without, 0 with frames"):
+        web_flights.web_figures(events[:1])
+    row = figures | {"vehicles": 30}
+    assert printed_tables.short_result("web", row) == "0.050 cores, 0.97 of the real-time factor"
+    printed = _printed({"machine": {"load_before": [0.1] * 3}, "web": [row]})
+    assert ["30", "3.90 x", "4.00 x", "0.97", "0.95", "0.050", "0.013", "10.0", "1000"] in [
+        [cell.strip() for cell in line.strip("│").split("│")] for line in printed.splitlines() if "│" in line
+    ]
+
+
+def test_the_station_s_readers_count_frames_of_the_fleet() -> None:
+    """A server that sends what the station does; the readers are the program that the probe starts."""
+    frame = pack_fleet_frame(np.zeros((30, COLUMNS)), np.zeros((0, COLUMNS)), 1.0, 1, 1)
+    with _station_that_sends(frame) as url:
+        command = [sys.executable, "-m", "benchmarks.nodes.web_clients", url, "2"]
+        readers = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=options.repository()
+        )
+        assert readers.stdout is not None
+        assert readers.stdout.readline() == "reading\n"
+        output, _ = readers.communicate("", timeout=PATIENCE)
+    received = json.loads(output)
+    assert received["clients"] == 2
+    assert received["bytes"] == received["frames"] * (1 + len(frame))
+    assert received["elapsed"] > 0.0
+
+
+@contextmanager
+def _station_that_sends(frame: bytes) -> Iterator[str]:
+    """Serve the station's protocol in a thread, with a frame every 20 ms; yield the URL."""
+    ready = threading.Event()
+    found: list[Any] = []
+
+    def serve() -> None:
+        asyncio.set_event_loop(asyncio.new_event_loop())
+        server = StationServer(Address("127.0.0.1", 0, Credentials("a-token-to-use")), options.repository(), ())
+        url = server.address.urls(server.start())["operate"]
+        timer = PeriodicCallback(
+            lambda: [session.push_latest(CHANNEL, frame) for session in server.sessions.values()], 20.0
+        )
+        timer.start()
+        found.extend([url, IOLoop.current()])
+        ready.set()
+        IOLoop.current().start()
+        timer.stop()
+        server.stop()
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    assert ready.wait(PATIENCE)
+    yield found[0]
+    found[1].add_callback(found[1].stop)
+    thread.join(PATIENCE)
+
+
+def test_the_probe_is_launched_beside_a_flight_with_its_page(tmp_path: Path) -> None:
+    words = ["n:=2", f"plan:={tmp_path}/plan.json", f"out:={tmp_path}"]
+    command = ["roslaunch", "--dump-params", str(options.repository() / "launch" / "bench_web.launch"), *words]
+    parameters = yaml.safe_load(
+        subprocess.run(command, check=True, capture_output=True, text=True, timeout=PATIENCE).stdout
+    )
+    assert float(parameters["/simulator/speed"]) == 0.0
+    assert parameters["/web_station/host"] == "127.0.0.1"
+    assert parameters["/web_station_meter/plan"] == f"{tmp_path}/plan.json"
 
 
 # ---- calibration

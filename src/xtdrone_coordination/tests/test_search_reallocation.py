@@ -11,7 +11,7 @@ import pytest
 from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_coordination.search.assigned_mission import AssignedMission
-from xtdrone_coordination.search.coverage_map import CoverageMap
+from xtdrone_coordination.search.coverage_map import OUTSIDE, SEEN, UNSEEN, CoverageMap
 from xtdrone_coordination.search.losses.reallocation import cut, share_out
 from xtdrone_coordination.search.people.candidates import Candidate, Evidence, nearest
 from xtdrone_coordination.search.planning.coverage_path import Waypoint, length
@@ -88,6 +88,21 @@ def test_the_coverage_map_marks_the_ground_below_a_camera_pointing_down() -> Non
     before = coverage.area
     coverage.add_picture(np.array([0.0, 0.0, 10.0]), down)
     assert coverage.area == before
+
+
+def test_the_grid_of_a_coverage_map_has_its_cells() -> None:
+    region = make_region([(0.0, 0.0), (10.0, 0.0), (0.0, 6.0)])  # a triangle: some cells are outside
+    coverage = CoverageMap(region, Pinhole(100, 100, 50.0, 50.0, 50.0, 50.0), pixels=0.0)
+    corner, cell, values = coverage.grid()
+    assert (corner, cell, values.shape) == ((0.0, 0.0), 1.0, (10, 6))
+    assert (values[0, 0], values[9, 5]) == (UNSEEN, OUTSIDE)
+    down = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
+    coverage.add_picture(np.array([0.0, 0.0, 5.0]), down)
+    seen = coverage.grid().values
+    assert seen[0, 0] == seen[2, 2] == SEEN
+    assert seen[7, 0] == UNSEEN  # 3.3 m around the camera are shown with head and foot
+    assert np.array_equal(seen == OUTSIDE, values == OUTSIDE)
+    assert coverage.fraction == np.mean(seen[seen != OUTSIDE] == SEEN)
 
 
 def test_a_path_without_headings_looks_ahead() -> None:

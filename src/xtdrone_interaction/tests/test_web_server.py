@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import gzip
 import json
+import re
 import socket
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from tornado.httpclient import HTTPClientError, HTTPRequest
+from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import WebSocketClientConnection, websocket_connect
 
 from xtdrone_interaction.web.server import session as sessions
@@ -19,6 +21,7 @@ from xtdrone_interaction.web.server.methods import Method, MethodTable
 from xtdrone_interaction.web.server.session import Session, encode
 from xtdrone_interaction.web.server.station_server import MOST_CALLS, MOST_MESSAGE, Address, StationServer
 
+PAGE = Path(__file__).parents[1] / "web_page"
 TOKENS = Credentials("operate-token", "view-token")
 
 
@@ -108,6 +111,34 @@ def test_only_the_files_of_the_page_are_served(folder: Path) -> None:
         station.server.stop()
 
     run(test)
+
+
+def test_files_are_sent_packed_once_and_then_only_if_they_have_changed() -> None:
+    async def test() -> None:
+        station = Station(PAGE)
+
+        async def fetched(**headers: str) -> Any:
+            url = f"http://127.0.0.1:{station.port}/vendor/three.js"
+            request = HTTPRequest(url, headers=headers, decompress_response=False)
+            return await AsyncHTTPClient().fetch(request, raise_error=False)
+
+        first = await fetched(**{"Accept-Encoding": "gzip"})
+        assert first.headers["Content-Encoding"] == "gzip"
+        whole = (PAGE / "vendor" / "three.js").read_bytes()
+        assert gzip.decompress(first.body) == whole
+        assert len(first.body) < 0.4 * len(whole)
+        assert (await fetched(**{"If-None-Match": first.headers["Etag"]})).code == 304
+        assert (await fetched()).body == whole
+        station.server.stop()
+
+    run(test)
+
+
+def test_all_modules_of_the_page_are_asked_for_at_once() -> None:
+    """Otherwise a browser learns of a module only when it has read the one that imports it."""
+    modules = {str(path.relative_to(PAGE)) for path in PAGE.rglob("*.js")} - {"app.js", "vendor/three_names.js"}
+    text = (PAGE / "index.html").read_text(encoding="utf-8")
+    assert set(re.findall(r'<link rel="modulepreload" href="([^"]+)">', text)) == modules
 
 
 def test_a_stranger_can_do_nothing(folder: Path) -> None:

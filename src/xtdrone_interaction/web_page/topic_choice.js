@@ -11,15 +11,16 @@ export class Subscription {
    * @param {object} params
    * @param {string} closing method that ends it
    * @param {(error: Error) => void} onError called if it is refused
+   * @param {(number: number) => void} onOpen called with its number, after each connection
    */
-  constructor(station, method, params, closing, onError) {
+  constructor(station, method, params, closing, onError, onOpen = () => {}) {
     this.station = station;
     this.closing = closing;
     this.closed = false;
     this.#off = station.onConnect(() => {
       station.call(method, params).then(({ subscription }) => {
         this.number = subscription;
-        if (this.closed) this.#end();
+        if (this.closed) this.#end(); else onOpen(subscription);
       }, (error) => { if (!this.closed) onError(error); });
     });
   }

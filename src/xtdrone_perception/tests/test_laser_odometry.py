@@ -10,7 +10,7 @@ from sensor_msgs.msg import LaserScan
 
 from xtdrone_perception.slam.deskewing import motion_of
 from xtdrone_perception.slam.laser.laser_odometry import LaserEstimate, LaserOdometry, LaserSweep, ScanMatchSettings
-from xtdrone_perception.slam.laser.laser_odometry_node import read_scan
+from xtdrone_perception.slam.laser.laser_scans import read_scan
 from xtdrone_perception.slam.laser.scan_matching import normals_of
 from xtdrone_perception.slam.odometry_health import Fault, HealthLimits, fault_of, figures_of
 from xtdrone_perception.slam.poses import distance_between, inverse, moved, pose_of

@@ -19,6 +19,8 @@ topic or service                    type                           meaning
 /T/mavros/param/set                 ParamSet                       called: height of the return
 /xtdrone/search/event               std_msgs/String                out: JSON, see ``search.reports``
 /xtdrone/search/progress            std_msgs/String                out: JSON, once a second
+/xtdrone/search/coverage            nav_msgs/OccupancyGrid         out while it is subscribed to, once a second: 100
+                                                                   seen, 0 not seen, -1 outside the region
 ==================================  =============================  ====================================================
 """
 
@@ -37,6 +39,7 @@ import rospy
 from geometry_msgs.msg import Pose, PoseStamped
 from mavros_msgs.msg import MountControl, ParamValue, State, Waypoint, WaypointList, WaypointReached
 from mavros_msgs.srv import CommandBool, ParamSet, SetMode, WaypointPull, WaypointPush, WaypointSetCurrent
+from nav_msgs.msg import OccupancyGrid
 from std_msgs.msg import Bool, Int32, String
 from xtdrone_msgs.msg import ObjectsOnGround
 
@@ -51,6 +54,7 @@ from xtdrone_control.programs.under_roslaunch import end_launch
 
 from .search import actions
 from .search.actions import Action
+from .search.coverage_map import CoverageGrid
 from .search.mission_control import SearchMission
 from .search.people.candidates import Sighting
 from .search.planning.plans import DatumSettings
@@ -60,6 +64,7 @@ from .search.searching_vehicle import State as VehicleState
 
 EVENT_TOPIC = "/xtdrone/search/event"
 PROGRESS_TOPIC = "/xtdrone/search/progress"
+COVERAGE_TOPIC = "/xtdrone/search/coverage"
 RATE = 10  # Hz
 _PULL_PERIOD = 2.0  # s between requests for the mission of a vehicle that has none yet
 _PROGRESS_PERIOD = 1.0  # s
@@ -185,6 +190,18 @@ class VehicleLink:
             return False, f"{error}; is MAVROS running?"
 
 
+def coverage_message(grid: CoverageGrid, height: float, stamp: rospy.Time) -> OccupancyGrid:
+    """Return a coverage grid at a height, m, as a message in the map frame."""
+    message = OccupancyGrid()
+    message.header.stamp, message.header.frame_id = stamp, "map"
+    message.info.resolution = grid.cell
+    message.info.width, message.info.height = grid.values.shape
+    message.info.origin.position.x, message.info.origin.position.y = grid.corner
+    message.info.origin.position.z, message.info.origin.orientation.w = height, 1.0
+    message.data = grid.values.T.ravel().tolist()
+    return message
+
+
 class SearchNode:
     """The mission control with its topics and services. Call :meth:`step` at 10 Hz."""
 
@@ -211,6 +228,7 @@ class SearchNode:
         self._links = {name: VehicleLink(name, self, in_lockstep=in_lockstep) for name in self.control.vehicles}
         self._event = lockstep.Publisher(EVENT_TOPIC, String)
         self._progress = lockstep.Publisher(PROGRESS_TOPIC, String)
+        self._coverage = lockstep.Publisher(COVERAGE_TOPIC, OccupancyGrid)
         self._pulled = -math.inf
         self._progress_published = -math.inf
         self._steps_left = _FINAL_STEPS
@@ -240,6 +258,9 @@ class SearchNode:
         if now - self._progress_published >= _PROGRESS_PERIOD - 1e-6:
             self._progress_published = now
             self._progress.publish(String(data=json.dumps(self.control.progress())))
+            if self._coverage.get_num_connections():
+                height = self.control.settings.ground
+                self._coverage.publish(coverage_message(self.control.coverage.grid(), height, rospy.Time.now()))
 
     def close(self) -> None:
         """Cancel all service calls that have not begun."""

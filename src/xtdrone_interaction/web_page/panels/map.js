@@ -1,6 +1,8 @@
-// The map: vehicles from above, search with region, finds and progress, missions, and plans that are drawn and uploaded.
+// The map: vehicles from above, search with region, coverage, finds and progress, missions, and plans that are drawn and uploaded.
 import { html, render } from '../vendor/preact_htm.js';
 import { COLUMNS } from '../fleet.js';
+import { LayerFeed } from '../layers/layer_feed.js';
+import { UNKNOWN } from '../layers/layer_frame.js';
 import { colourOf } from '../scene/vehicle_meshes.js';
 import { toast } from '../station.js';
 
@@ -8,6 +10,9 @@ const FLEET = 1;
 const CLICK = 4; // px between press and release
 const CLOSE = 12; // px to the first corner that closes a polygon
 const SIGMA = 2; // of a find's ellipse
+const COVERAGE = '/xtdrone/search/coverage';
+const SEEN = [44, 123, 229, 255]; // colour of a cell
+const COVERAGE_RATE = 2; // Hz of wall time
 
 class Map2D {
   #station;
@@ -26,6 +31,8 @@ class Map2D {
   #framed = false;
   #down = null;
   #style = {};
+  #feed;
+  #coverage = null; // the newest frame of the layer, with its cells as a picture
 
   constructor(element, station) {
     this.#station = station;
@@ -38,18 +45,27 @@ class Map2D {
     this.#offs = [
       () => resized.disconnect(),
       station.onBinary(FLEET, () => this.#draw()),
-      station.on('map.search', (search) => { this.#search = search; this.#draw(); }),
+      station.on('map.search', (search) => {
+        this.#search = search;
+        if (search.progress) this.#feed.open(COVERAGE, COVERAGE_RATE);
+        this.#draw();
+      }),
       station.on('map.missions', () => this.#load()),
       station.on('station.theme', () => this.#draw()),
       station.selection.onChange(() => { this.#draw(); this.#drawTools(); }),
       station.onConnect(() => this.#load()),
     ];
+    this.#feed = new LayerFeed(station, (_topic, frame) => {
+      this.#coverage = { ...frame, picture: pictureOf(frame) };
+      this.#draw();
+    });
     this.#listen();
     this.#drawTools();
   }
 
   end() {
     this.#offs.forEach((off) => off());
+    this.#feed.end();
     render(null, this.#tools);
     this.#canvas.parentElement?.replaceChildren();
   }
@@ -58,6 +74,7 @@ class Map2D {
     try {
       this.#search = await this.#station.call('map.search');
       this.#missions = await this.#station.call('map.missions');
+      if (this.#search.progress) this.#feed.open(COVERAGE, COVERAGE_RATE);
       if (this.#search.trouble) toast(this.#search.trouble, 'bad');
     } catch (error) { toast(error.message, 'bad'); }
     this.#draw();
@@ -209,6 +226,7 @@ class Map2D {
     context.fillStyle = this.#style['--earth'];
     context.fillRect(0, 0, this.#canvas.clientWidth, this.#canvas.clientHeight);
     this.#drawGrid(context);
+    if (this.#coverage) this.#drawCoverage(context, this.#coverage);
     if (this.#search.region) this.#drawRegion(context, this.#search.region, this.#style['--good']);
     if (this.#region) this.#drawRegion(context, this.#region, this.#style['--accent']);
     this.#drawWays(context);
@@ -250,6 +268,20 @@ class Map2D {
     places.forEach((place, i) => context[i ? 'lineTo' : 'moveTo'](...this.#pixel(place)));
     context.stroke();
     if (dots) places.forEach((place) => { const [x, y] = this.#pixel(place); context.fillRect(x - 4, y - 4, 8, 8); });
+  }
+
+  /** Cells that the cameras have shown; others of the region stay as they are. */
+  #drawCoverage(context, { picture, origin, side, columns, rows, orientation }) {
+    const [x, y] = this.#pixel(origin);
+    const [w, , , qz] = orientation;
+    context.save();
+    context.translate(x, y);
+    context.rotate(-2 * Math.atan2(qz, w));
+    context.imageSmoothingEnabled = false;
+    context.globalAlpha = 0.42;
+    context.scale(this.#scale * side, -this.#scale * side);
+    context.drawImage(picture, 0, 0, columns, rows);
+    context.restore();
   }
 
   #drawRegion(context, { region, holes }, colour) {
@@ -330,8 +362,26 @@ class Map2D {
     context.fillText(`${name}  ${row[2].toFixed(1)} m`, x, y - 13);
   }
 
+  /** Returns the numbers of cells of the search that are seen and not seen; for tests. */
+  get coverage() {
+    const cells = this.#coverage?.cells ?? [];
+    return { seen: cells.filter((cell) => cell !== UNKNOWN && cell > 0).length, unseen: cells.filter((cell) => cell === 0).length };
+  }
+
   /** Returns where a place (m) is drawn, px; for tests. */
   pixelOf(place) { return this.#pixel(place); }
+}
+
+/** Returns the cells of a grid that are seen as a picture, its first row the first one of the grid. */
+function pictureOf({ cells, columns, rows }) {
+  const picture = document.createElement('canvas');
+  [picture.width, picture.height] = [columns, rows];
+  const content = new ImageData(columns, rows);
+  for (let i = 0; i < cells.length; i++) {
+    if (cells[i] !== UNKNOWN && cells[i] > 0) content.data.set(SEEN, 4 * i);
+  }
+  picture.getContext('2d').putImageData(content, 0, 0);
+  return picture;
 }
 
 function mount(element, station) {

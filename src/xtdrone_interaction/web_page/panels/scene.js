@@ -1,14 +1,19 @@
-// The 3D view: vehicles, world, trails, formation; cameras, picking, and the goal of "go to" by a click.
+// The 3D view: vehicles, world, trails, formation, layers; cameras, picking, and the goal of "go to" by a click.
 import {
-  Color, DirectionalLight, GridHelper, HemisphereLight, MapControls, Mesh, MeshBasicMaterial, PerspectiveCamera, Plane, PlaneGeometry,
-  Raycaster, Scene, SRGBColorSpace, Vector2, Vector3, WebGLRenderer,
+  Color, DirectionalLight, GridHelper, HemisphereLight, MapControls, Matrix4, Mesh, MeshBasicMaterial, PerspectiveCamera, Plane,
+  PlaneGeometry, Raycaster, Scene, SRGBColorSpace, Vector2, Vector3, WebGLRenderer,
 } from '../vendor/three.js';
 import { COLUMNS } from '../fleet.js';
+import { LayerFeed } from '../layers/layer_feed.js';
+import { LayerList } from '../layers/layer_list.js';
 import { toast } from '../station.js';
+import { FrameCosts } from '../scene/frame_costs.js';
 import { FormationMarks } from '../scene/formation_marks.js';
+import { LayerObjects } from '../scene/layer_objects.js';
 import { Motion } from '../scene/motion.js';
 import { Shapes } from '../scene/shapes.js';
 import { Trails } from '../scene/trails.js';
+import { VehicleLabels } from '../scene/vehicle_labels.js';
 import { VehicleMeshes } from '../scene/vehicle_meshes.js';
 import { WorldMeshes } from '../scene/world_meshes.js';
 
@@ -19,6 +24,8 @@ const GROUND = 2000; // m
 const SLOW = 20; // frames a second below which less is drawn
 const FAST = 40;
 const LEAST_DETAIL = 0.4;
+const SOFTWARE_PERIOD = 30; // ms between two frames without a GPU: about 30 frames a second, the rest is the flight's
+const STILL = 1000; // ms without a frame after which rotors stand: time is paused
 
 class View {
   #station;
@@ -27,7 +34,14 @@ class View {
   #scene = new Scene();
   #camera = new PerspectiveCamera(50, 1, 0.1, 5000);
   #controls;
-  #names = document.createElement('canvas');
+  #labels = new VehicleLabels();
+  #layers = new LayerObjects();
+  #feed;
+  #list;
+  #moved = ''; // names of the models that can be moved
+  #numbers = new Map(); // of the vehicles, by name
+  #seen = new Matrix4(); // from the world to the camera's cube
+  #software = drawsInSoftware();
   #motion = new Motion();
   #movers = new Motion();
   #trails = new Trails();
@@ -38,7 +52,7 @@ class View {
   #framed = false;
   #follow = null;
   #drawn = performance.now();
-  #now = new Float32Array(0);
+  #now = null; // rows as they are drawn
   #dirty = true;
   #ended = false;
   #ground;
@@ -46,14 +60,14 @@ class View {
   #detail = 1; // pixels drawn for a pixel of the screen, along an edge
   #second = { begin: 0, count: 0, busy: false };
   frames = 0; // drawn so far
+  costs = new FrameCosts();
 
   constructor(element, station) {
     this.#station = station;
     this.#element = element;
     element.style.overflow = 'hidden';
-    this.#renderer = new WebGLRenderer({ antialias: !drawsInSoftware(), powerPreference: 'high-performance' });
-    this.#names.style.cssText = 'position:absolute;inset:0;pointer-events:none';
-    element.append(this.#renderer.domElement, this.#names);
+    this.#renderer = new WebGLRenderer({ antialias: !this.#software, powerPreference: 'high-performance' });
+    element.append(this.#renderer.domElement, this.#labels.canvas);
     this.#camera.up.set(0, 0, 1);
     this.#camera.position.set(-12, -16, 12);
     this.#controls = new MapControls(this.#camera, this.#renderer.domElement);
@@ -67,8 +81,9 @@ class View {
     const sun = new DirectionalLight(0xffffff, 2.2);
     sun.position.set(-40, -30, 80);
     this.#scene.add(new HemisphereLight(0xffffff, 0x99a08c, 1.9), sun, this.#ground);
-    this.#scene.add(this.#vehicles.group, this.#world.group, this.#marks.group);
+    this.#scene.add(this.#vehicles.group, this.#world.group, this.#marks.group, this.#layers.group);
     this.#buttons();
+    this.#openLayers();
     this.#listen();
     this.#paint();
     requestAnimationFrame((time) => this.#draw(time));
@@ -77,6 +92,8 @@ class View {
   end() {
     this.#ended = true;
     this.#offs.forEach((off) => off());
+    this.#feed.end();
+    this.#list.end();
     this.#controls.dispose();
     this.#renderer.dispose();
     this.#renderer.forceContextLoss();
@@ -94,7 +111,8 @@ class View {
       station.on('fleet.formation', (formation) => this.#setFormation(formation)),
       station.on('world.changed', () => this.#loadWorld()),
       station.on('station.theme', () => this.#paint()),
-      station.selection.onChange(() => { this.#dirty = true; }),
+      station.on('fleet.status', () => { this.#vehicles.note(); this.#dirty = true; }),
+      station.selection.onChange(() => { this.#vehicles.note(); this.#dirty = true; }),
       station.onConnect(() => {
         this.#setRoster(station.roster);
         this.#loadWorld();
@@ -108,6 +126,20 @@ class View {
       if (down && Math.hypot(event.clientX - down[0], event.clientY - down[1]) < 4) this.#clicked(event);
     });
   }
+
+  #openLayers() {
+    this.#feed = new LayerFeed(this.#station, (topic, frame) => {
+      this.#layers.set(topic, frame);
+      this.#dirty = true;
+    }, (topic, text) => this.#list.fault(topic, text));
+    this.#list = new LayerList(this.#element, this.#station, this.#feed, (topic, on) => {
+      if (!on) this.#layers.remove(topic);
+      this.#dirty = true;
+    });
+  }
+
+  /** Returns what is shown of a layer, for tests. */
+  layer(topic) { return this.#layers.describe(topic); }
 
   #buttons() {
     const box = document.createElement('div');
@@ -132,11 +164,19 @@ class View {
       this.#marks.group.visible = button.classList.toggle('on');
       this.#dirty = true;
     }).classList.add('on');
+    add('World', 'show or hide models and people', (button) => {
+      this.#world.group.visible = button.classList.toggle('on');
+      this.#dirty = true;
+    }).classList.add('on');
     this.#element.append(box);
   }
 
   async #setRoster(roster) {
     const count = roster.vehicles.length;
+    const moved = roster.movers.join();
+    if (moved !== this.#moved && !this.#world.moves(roster.movers)) this.#loadWorld();
+    this.#moved = moved;
+    this.#numbers = new Map(roster.vehicles.map(({ name }, i) => [name, i]));
     await this.#vehicles.build(roster).catch(report);
     if (this.#trails.count !== count) {
       this.#trails.count = count;
@@ -155,7 +195,7 @@ class View {
     try {
       const world = await this.#station.call('world.describe');
       if (world.trouble) toast(`world ${world.name} is not shown: ${world.trouble}`, 'bad');
-      await this.#world.build(world, this.#station.roster.places);
+      await this.#world.build(world, this.#station.roster);
       this.#dirty = true;
     } catch (error) { report(error); }
   }
@@ -175,33 +215,38 @@ class View {
   #draw(time) {
     if (this.#ended) return;
     requestAnimationFrame((next) => this.#draw(next));
+    if (this.#software && time - this.#drawn < SOFTWARE_PERIOD) return;
     if (this.#renderer.domElement.width < 2) this.#resize();
     this.#controls.update();
-    const moving = this.#station.connected && (this.#station.roster.movers.length || this.#anyArmed());
-    if (!this.#dirty && !moving) return;
-    const rows = this.#motion.rows;
-    if (rows) {
-      if (this.#now.length !== rows.length) this.#now = new Float32Array(rows.length);
-      this.#motion.now(performance.now(), this.#now);
-      this.#followOne();
-      const distance = this.#camera.position.distanceTo(this.#controls.target);
-      this.#vehicles.update(this.#now, Math.min((time - this.#drawn) / 1000, 0.1), distance);
-      this.#marks.update(this.#now);
-      this.#moveOthers();
-    }
+    const begin = performance.now();
+    if (!this.#dirty && !this.#moves(begin)) return;
+    const settles = this.#motion.moves(begin) || this.#movers.moves(begin);
+    if (this.#motion.rows) this.#update(begin, Math.min((time - this.#drawn) / 1000, 0.1));
     this.#drawn = time;
-    this.#dirty = false;
+    this.#dirty = settles; // one more frame, at the end of the motion
+    const middle = performance.now();
     this.#renderer.render(this.#scene, this.#camera);
+    const end = performance.now();
     this.#writeNames();
     this.frames += 1;
+    const { calls, triangles } = this.#renderer.info.render;
+    this.costs.note(middle - begin + performance.now() - end, end - middle, calls, triangles, this.#now !== null && this.#vehicles.shown);
     this.#adaptDetail(time);
   }
 
-  #anyArmed() { return Object.values(this.#station.status.vehicles).some(({ armed }) => armed); }
+  /** Tells whether something moves: vehicles between two frames, or rotors while time passes. */
+  #moves(now) {
+    if (this.#motion.moves(now) || this.#movers.moves(now)) return true;
+    return this.#vehicles.anyArmed && this.#station.connected && this.#motion.silence(now) < STILL;
+  }
 
-  #moveOthers() {
-    const rows = this.#movers.rows;
-    if (rows) this.#world.move(this.#station.roster.movers, this.#movers.now(performance.now(), new Float32Array(rows.length)));
+  #update(now, seconds) {
+    this.#now = this.#motion.now(now);
+    this.#followOne();
+    const distance = this.#camera.position.distanceTo(this.#controls.target);
+    this.#vehicles.update(this.#now, seconds, this.#camera.position, distance);
+    this.#marks.update(this.#now);
+    if (this.#movers.rows) this.#world.move(this.#station.roster.movers, this.#movers.now(now));
   }
 
   /** Draws fewer pixels where the machine cannot keep up, and more again where it can. */
@@ -213,17 +258,16 @@ class View {
     const before = this.#detail;
     if (this.#second.busy && rate < SLOW) this.#detail = Math.max(LEAST_DETAIL, 0.8 * before);
     else if (rate > FAST) this.#detail = Math.min(1, 1.1 * before);
-    this.#second = { begin: time, count: 0, busy: this.#anyArmed() };
+    this.#second = { begin: time, count: 0, busy: this.#vehicles.anyArmed };
     if (this.#detail !== before) this.#resize();
   }
 
   #resize() {
     const { clientWidth: width, clientHeight: height } = this.#element;
     if (!width || !height) return;
-    this.#renderer.setPixelRatio(this.#detail * Math.min(devicePixelRatio, 2));
+    this.#renderer.setPixelRatio(this.#detail * Math.min(devicePixelRatio, this.#software ? 1 : 2));
     this.#renderer.setSize(width, height);
-    this.#names.width = width;
-    this.#names.height = height;
+    this.#labels.resize(width, height);
     this.#camera.aspect = width / height;
     this.#camera.updateProjectionMatrix();
     this.#dirty = true;
@@ -290,8 +334,8 @@ class View {
   }
 
   #placeOf(name) {
-    const i = this.#station.roster.vehicles.findIndex((vehicle) => vehicle.name === name) * COLUMNS;
-    return i >= 0 && !Number.isNaN(this.#now[i] ?? NaN) ? new Vector3(this.#now[i], this.#now[i + 1], this.#now[i + 2]) : null;
+    const i = (this.#numbers.get(name) ?? -1) * COLUMNS;
+    return i >= 0 && !Number.isNaN(this.#now?.[i] ?? NaN) ? new Vector3(this.#now[i], this.#now[i + 1], this.#now[i + 2]) : null;
   }
 
   // ---- picking
@@ -302,7 +346,7 @@ class View {
     if (!place) return null;
     const seen = place.project(this.#camera);
     if (seen.z > 1) return null;
-    return [(0.5 + 0.5 * seen.x) * this.#names.width, (0.5 - 0.5 * seen.y) * this.#names.height];
+    return [(0.5 + 0.5 * seen.x) * this.#labels.canvas.width, (0.5 - 0.5 * seen.y) * this.#labels.canvas.height];
   }
 
   #clicked(event) {
@@ -327,24 +371,16 @@ class View {
   }
 
   #writeNames() {
-    const context = this.#names.getContext('2d');
-    context.clearRect(0, 0, this.#names.width, this.#names.height);
-    const vehicles = this.#station.roster.vehicles;
-    context.font = '12px system-ui, sans-serif';
-    context.textAlign = 'center';
-    context.lineWidth = 3;
-    const dark = document.documentElement.dataset.theme === 'dark';
-    for (const { name } of vehicles) {
-      if (vehicles.length > MOST_NAMES && !this.#station.selection.has(name)) continue;
-      const place = this.screenPlace(name);
-      if (!place) continue;
-      context.strokeStyle = dark ? '#11161dcc' : '#ffffffcc';
-      context.fillStyle = dark ? '#e9eef5' : '#1a2330';
-      context.strokeText(name, place[0], place[1] - 14);
-      context.fillText(name, place[0], place[1] - 14);
-    }
+    if (!this.#now) return;
+    const { vehicles } = this.#station.roster;
+    this.#seen.multiplyMatrices(this.#camera.projectionMatrix, this.#camera.matrixWorldInverse);
+    this.#labels.draw(vehicles, this.#now, this.#seen.elements, vehicles.length > MOST_NAMES ? this.#isSelected : anyName);
   }
+
+  #isSelected = (name) => this.#station.selection.has(name);
 }
+
+const anyName = () => true;
 
 /** Tells whether the browser draws on the processor, where smooth edges cost most. */
 function drawsInSoftware() {

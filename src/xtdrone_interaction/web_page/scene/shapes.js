@@ -61,25 +61,28 @@ export class Shapes {
     return texture;
   }
 
-  /** Returns shapes as one geometry with colours at its corners. */
-  async merged(shapes) {
-    const parts = [];
-    for (const shape of shapes) {
-      const geometry = (await this.geometry(shape)).toNonIndexed().applyMatrix4(matrixOf(shape.pose, shape.size));
-      parts.push({ geometry, colour: new Color().setRGB(...shape.colour.slice(0, 3), SRGBColorSpace) });
-    }
+  /** Returns shapes, each with the matrix of its pose and size, as one geometry with colours at its corners. */
+  async merged(placed) {
+    const parts = await Promise.all(placed.map(async ({ shape, matrix }) => ({
+      geometry: plain(await this.geometry(shape)).applyMatrix4(matrix),
+      colour: new Color().setRGB(...shape.colour.slice(0, 3), SRGBColorSpace),
+    })));
     const count = parts.reduce((sum, { geometry }) => sum + geometry.attributes.position.count, 0);
-    const arrays = { position: new Float32Array(3 * count), normal: new Float32Array(3 * count), color: new Float32Array(3 * count) };
+    const arrays = { position: new Float32Array(3 * count), normal: new Float32Array(3 * count), color: new Float32Array(3 * count), uv: new Float32Array(2 * count) };
     let at = 0;
     for (const { geometry, colour } of parts) {
       const size = geometry.attributes.position.count;
       arrays.position.set(geometry.attributes.position.array, 3 * at);
       arrays.normal.set(geometry.attributes.normal.array, 3 * at);
+      if (geometry.attributes.uv) arrays.uv.set(geometry.attributes.uv.array, 2 * at);
       for (let i = at; i < at + size; i++) colour.toArray(arrays.color, 3 * i);
       at += size;
     }
     const whole = new BufferGeometry();
-    for (const [name, array] of Object.entries(arrays)) whole.setAttribute(name, new BufferAttribute(array, 3));
+    for (const [name, array] of Object.entries(arrays)) whole.setAttribute(name, new BufferAttribute(array, name === 'uv' ? 2 : 3));
     return whole;
   }
 }
+
+/** Returns a copy without an index. */
+function plain(geometry) { return geometry.index ? geometry.toNonIndexed() : geometry.clone(); }

@@ -3,7 +3,8 @@ import { BufferAttribute, BufferGeometry, DynamicDrawUsage, LineBasicMaterial, L
 import { COLUMNS } from '../fleet.js';
 import { colourOf } from './vehicle_meshes.js';
 
-const STEPS = 240;
+const STEPS = 240; // of a trail; fewer of many vehicles
+const MOST = 12000; // segments of all trails
 const PERIOD = 0.25; // s of simulated time between two points
 const JUMP = 5; // m; a vehicle that moves more has been put there
 
@@ -13,16 +14,18 @@ export class Trails {
   #last = null;
   #time = -Infinity;
   #step = 0;
+  #steps = STEPS;
 
   /** Restarts for a number of vehicles; returns the lines. */
   begin(count) {
     this.#count = count;
+    this.#steps = Math.min(STEPS, Math.floor(MOST / Math.max(count, 1)));
     this.#last = null;
     this.#step = 0;
     const geometry = new BufferGeometry();
-    geometry.setAttribute('position', new BufferAttribute(new Float32Array(6 * count * STEPS), 3).setUsage(DynamicDrawUsage));
-    const colours = new Float32Array(6 * count * STEPS);
-    for (let i = 0; i < 2 * count * STEPS; i++) colourOf(Math.floor(i / 2) % count).toArray(colours, 3 * i);
+    geometry.setAttribute('position', new BufferAttribute(new Float32Array(6 * count * this.#steps), 3).setUsage(DynamicDrawUsage));
+    const colours = new Float32Array(6 * count * this.#steps);
+    for (let i = 0; i < 2 * count * this.#steps; i++) colourOf(Math.floor(i / 2) % count).toArray(colours, 3 * i);
     geometry.setAttribute('color', new BufferAttribute(colours, 3));
     geometry.setDrawRange(0, 0);
     this.lines = new LineSegments(geometry, new LineBasicMaterial({ vertexColors: true, transparent: true, opacity: 0.75 }));
@@ -43,7 +46,7 @@ export class Trails {
   #write(rows) {
     const attribute = this.lines.geometry.attributes.position;
     const size = 6 * this.#count;
-    const start = (this.#step % STEPS) * size;
+    const start = (this.#step % this.#steps) * size;
     for (let i = 0; i < this.#count; i++) {
       const jumped = !(distance(rows, this.#last, i * COLUMNS) < JUMP);
       for (let k = 0; k < 3; k++) {
@@ -54,7 +57,7 @@ export class Trails {
     attribute.addUpdateRange(start, size);
     attribute.needsUpdate = true;
     this.#step += 1;
-    this.lines.geometry.setDrawRange(0, 2 * this.#count * Math.min(this.#step, STEPS));
+    this.lines.geometry.setDrawRange(0, 2 * this.#count * Math.min(this.#step, this.#steps));
   }
 }
 

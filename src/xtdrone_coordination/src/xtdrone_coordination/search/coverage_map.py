@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import shapely
 from numpy.typing import NDArray
@@ -12,6 +14,22 @@ from xtdrone_control.cameras.pinhole import Pinhole
 from .planning.coverage_path import PERSON
 
 _MAX_CELLS = 40_000  # a larger region gets wider cells
+SEEN, UNSEEN, OUTSIDE = 100, 0, -1
+"""Values of a coverage grid's cells."""
+
+
+class CoverageGrid(NamedTuple):
+    """A coverage map as cells.
+
+    Attributes:
+        corner: x and y of the first cell's lowest corner, m ENU.
+        cell: side of a cell, m.
+        values: (columns along x, rows along y), int8: 100 seen, 0 not seen, -1 outside the region.
+    """
+
+    corner: tuple[float, float]
+    cell: float
+    values: NDArray[np.int8]
 
 
 class CoverageMap:
@@ -41,9 +59,11 @@ class CoverageMap:
         )
         inside = shapely.contains_xy(region, x, y)
         places = np.column_stack([x[inside], y[inside]])
+        self._corner, self._cell, self._inside = (float(low_x), float(low_y)), float(cell), inside
         if not len(places):  # a sliver between the places of the grid
             point = region.representative_point()
             places = np.array([[point.x, point.y]])
+            self._corner, self._inside = (point.x - 0.5 * cell, point.y - 0.5 * cell), np.ones((1, 1), bool)
         self._feet = np.column_stack([places, np.full(len(places), ground)])
         self._camera = camera
         self._pixels = pixels
@@ -59,6 +79,12 @@ class CoverageMap:
         left = np.flatnonzero(~self._seen)
         shown = shows(self._camera, position, rotation, self._feet[left], self._pixels)
         self._seen[left[shown]] = True
+
+    def grid(self) -> CoverageGrid:
+        """Return the places as cells."""
+        values = np.full(self._inside.shape, OUTSIDE, np.int8)
+        values[self._inside] = np.where(self._seen, SEEN, UNSEEN)
+        return CoverageGrid(self._corner, self._cell, values)
 
     @property
     def fraction(self) -> float:

@@ -31,5 +31,5 @@ def methods_of_rooms(context: StationContext, settings: StationSettings) -> list
         *TimeControl(context, fleet).methods(),
         *SearchView(context, fleet, world.datum).methods(),
         *Plans(context, fleet, world.datum).methods(),
-        *tool_methods(context, settings),
+        *tool_methods(context, settings, fleet),
     ]

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import rospy
 from gazebo_msgs.msg import ModelStates
+from numpy.typing import NDArray
 
 from xtdrone_control.fleet import FleetError, parse_fleet
 from xtdrone_interaction.web.context import StationContext
@@ -26,6 +29,7 @@ class FleetWatch:
     Attributes:
         roster: the vehicles.
         models: newest states; None before the first.
+        watchers: called with the vehicles' rows of each frame and its time, s, in the event loop.
     """
 
     def __init__(self, context: StationContext, rate: float) -> None:
@@ -37,6 +41,7 @@ class FleetWatch:
         """
         self.roster = Roster()
         self.models: ModelRows | None = None
+        self.watchers: list[Callable[[NDArray[np.float64], float], None]] = []
         self._context = context
         self._packed: bytes | None = None
         self._number = 0
@@ -94,6 +99,9 @@ class FleetWatch:
             self._told = self.roster.version
             self._context.push_all("fleet.roster", self.roster.describe(self.models))
         self._number += 1
-        frame = pack_fleet_frame(vehicles, movers, rospy.get_time(), self.roster.version, self._number)
+        now = rospy.get_time()
+        for watch in self.watchers:
+            watch(vehicles, now)
+        frame = pack_fleet_frame(vehicles, movers, now, self.roster.version, self._number)
         for session in sessions:
             session.push_latest(CHANNEL, frame)

@@ -112,6 +112,7 @@ class StationServer:
             websocket_ping_interval=_PING_PERIOD,
             websocket_ping_timeout=_PING_PERIOD,
             log_function=lambda handler: None,
+            compress_response=True,
         )
         bound = bind_sockets(self.address.port, self.address.host)
         self._http = HTTPServer(application, max_body_size=1 << 16, max_header_size=1 << 14, idle_connection_timeout=60)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import zlib
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import rospy
@@ -30,11 +30,10 @@ from xtdrone_perception.slam.odometry_health import HealthLimits
 from xtdrone_perception.slam.odometry_node import Job, OdometryNode, OdometryOptions, Source
 
 from .laser_odometry import LaserEstimate, LaserOdometry, LaserSweep, ScanMatchSettings
+from .laser_scans import ReadScan, read_scan
 
 _KNOTS = 6  # attitudes in a scan
 _LEAST_DURATION = 0.01  # s
-_MOST_RAYS = 100_000
-_LONGEST = 1.0  # s, of a scan
 _OLD_NS = 300_000_000  # ns after which a range says nothing
 
 Array = NDArray[np.float64]
@@ -52,35 +51,6 @@ class LaserOdometryOptions(OdometryOptions):
         0.05, low=-10.0, high=10.0, unit="m", text="of the range finder below base_link's origin"
     )
     map_rate: float = setting(1.0, low=0.0, high=10.0, unit="Hz", text="of the local map; 0: none")
-
-
-class ReadScan(NamedTuple):
-    """The returns of a laser scan: (n, 2) m in its plane, and times (n,) s after the stamp; the scan's duration."""
-
-    points: Array
-    times: Array
-    duration: float
-
-
-def read_scan(message: Any) -> ReadScan:
-    """Return the returns of a sensor_msgs/LaserScan, whose others are infinite or out of range (REP 117).
-
-    Raises:
-        ValueError: angles, times or number of rays are not allowed; the text names them.
-    """
-    ranges = np.asarray(message.ranges, float)
-    if not 1 < len(ranges) <= _MOST_RAYS:
-        raise ValueError(f"ranges: {len(ranges)} are not allowed, 2 to {_MOST_RAYS}")
-    duration = message.time_increment * (len(ranges) - 1)
-    if not (np.isfinite([message.angle_min, message.angle_increment]).all() and 0.0 <= duration <= _LONGEST):
-        raise ValueError(
-            f"angle_min {message.angle_min}, angle_increment {message.angle_increment}, time_increment "
-            f"{message.time_increment}: not finite, or longer than {_LONGEST:g} s"
-        )
-    index = np.flatnonzero(np.isfinite(ranges) & (ranges >= message.range_min) & (ranges <= message.range_max))
-    angle = message.angle_min + message.angle_increment * index
-    points = ranges[index, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return ReadScan(points, message.time_increment * index, float(duration))
 
 
 class LaserOdometryNode(OdometryNode):
