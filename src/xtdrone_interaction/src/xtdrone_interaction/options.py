@@ -289,11 +289,24 @@ def leader_class(text: str | None) -> str:
     Raises:
         OptionError: the file does not exist.
     """
+    return _class_option("leader", text)
+
+
+def follower_class(text: str | None) -> str:
+    """Return the absolute file of the user's follower class, with ``:Class`` if given; "" for None.
+
+    Raises:
+        OptionError: the file does not exist.
+    """
+    return _class_option("follower", text)
+
+
+def _class_option(name: str, text: str | None) -> str:
     if text is None:
         return ""
     found = _class_file(text)
     if found is None:
-        raise OptionError(f"leader: {text!r} is no FILE.py[:CLASS]")
+        raise OptionError(f"{name}: {text!r} is no FILE.py[:CLASS]")
     return found
 
 

@@ -47,7 +47,7 @@ def settings_of(arguments: argparse.Namespace) -> ForestDemoSettings:
     settings = replace(settings, world=options.world(arguments.world or settings.generated_world))
     settings = replace(
         settings,
-        follower_class=options.follower_program(arguments.follower)[1] if arguments.follower else "",
+        follower_class=options.follower_class(arguments.follower),
         leader_class=options.leader_class(arguments.leader),
     )
     _check_formation(settings)

@@ -117,6 +117,11 @@ class ForestDemoSettings(Settings):
         return f"{_TYPES[self.sensor]}:{self.n}"
 
     @property
+    def greatest_speed(self) -> float:
+        """Speed limit of the vehicles that fly to a goal, m/s."""
+        return self.leader_speed if self.formation else self.speed_limit
+
+    @property
     def generated_world(self) -> str:
         """The forest of the seed: bare trunks on 40 x 40 m between start and goal."""
         length = _FORMATION_LENGTH if self.formation else _LENGTH
@@ -153,7 +158,8 @@ class ForestDemoSettings(Settings):
     def stored(self) -> dict[str, Any]:
         """Return the settings stored in the report."""
         unstored = ("out", "master_port", "headless", "instance", "web")
-        return {key: value for key, value in asdict(self).items() if key not in unstored}
+        stored = {key: value for key, value in asdict(self).items() if key not in unstored}
+        return {**stored, "speed_limit": self.greatest_speed}
 
 
 def run_forest(settings: ForestDemoSettings, console: Console) -> int:
@@ -182,7 +188,7 @@ def flight(settings: ForestDemoSettings) -> Flight:
         "goals": _listed(goals),
         **({"delay": settings.delay, "loss": settings.loss} if settings.n > 1 else {}),
         **_formation_arguments(settings),
-        "speed_limit": settings.leader_speed if settings.formation else settings.speed_limit,
+        "speed_limit": settings.greatest_speed,
         "acceleration_limit": settings.acceleration_limit,
         "highest": settings.highest,
         "time_limit": settings.time_limit,

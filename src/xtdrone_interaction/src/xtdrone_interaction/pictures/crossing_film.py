@@ -22,7 +22,7 @@ _RATE = 15  # frames a second
 _SPEED = 8.0  # least speed of the film, relative to the flight
 _LENGTH = 60.0  # s, at most
 _TRAIL = 5.0  # s
-_SIZE = (1280, 480)  # pixels
+_SIZE = (1280, 420)  # pixels
 _DPI = 100
 
 
