@@ -7,7 +7,7 @@ subscribed
 /xtdrone/formation_pattern                Float32MultiArray        slots that the leader has assigned
 published
 /xtdrone/leader/cmd                       String                   name of the pattern
-/T/planner/goal                           PoseStamped              the leader's goal; each follower's slot, to begin with
+/T/planner/goal                           PoseStamped              the leader's goal; each follower's first slot
 ========================================  =======================  ====================================================
 """
 

@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     settings(parser, ("formation", "leader_speed"))
     parser.add_argument(
         "--follower", metavar="FILE.py[:CLASS]",
-        help="your own follower class (default: FeedForwardFollower of the examples, which keeps up with the leader)",
+        help="your own follower class (default: ForestFollower of the examples, which keeps up with the leader)",
     )  # fmt: skip
     parser.add_argument("--leader", metavar="FILE.py:CLASS", help="your own leader class (default: the shipped one)")
     settings(parser, ("start", "goal", "highest", "time_limit", "speed", "headless", "logs", "web"))

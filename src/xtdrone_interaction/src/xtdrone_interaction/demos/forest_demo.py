@@ -34,7 +34,7 @@ from xtdrone_interaction.report.printed_results import print_crossing, print_pat
 _TYPES = {"lidar": "iris_3d_lidar", "depth": "iris_depth_camera"}
 _HEIGHT = 2.0  # m
 _APART = 4.0  # m between the lines of several UAVs
-_ROW, _SPACING = 3, 3.0  # vehicles beside each other behind the leader of a formation before takeoff, and m between them
+_ROW, _SPACING = 3, 3.0  # vehicles in a row behind the leader of a formation before takeoff, and m between them
 _LENGTH, _FORMATION_LENGTH = 73, 68  # m of the forest: a formation's slots at the goal are behind the trees
 _SETTINGS = "forest.json"  # in the results folder, for a report that is made again
 _RESULTS = ("flight.bag", "report.json", "map.png", "flight.mp4", "flight.gif")
@@ -130,8 +130,8 @@ class ForestDemoSettings(Settings):
     def routes(self) -> tuple[list[tuple[float, ...]], list[tuple[float, ...]]]:
         """Return starts (x, y) and goals (x, y, z), m in map.
 
-        A formation stands behind its leader, whose goal is the only one that counts. Other UAVs stand in pairs on lines from start to goal, beside each other; of a pair each flies to the other's
-        place.
+        A formation stands behind its leader, whose goal is the only one that counts. Other UAVs stand in pairs on lines
+        from start to goal, beside each other; of a pair each flies to the other's place.
         """
         if self.n == 1:
             return [self.start], [self.goal]

@@ -223,7 +223,8 @@ class Explorer:
     def _give_up(self, now: float, position: Array, planner: str) -> None:
         """Give up the target's frontier if it cannot be reached, or is still there after it was viewed.
 
-        It is viewed as well where the planner has ended less than ``_NEW_GOAL`` m from the view: nearer goals are not given.
+        It is viewed as well where the planner has ended less than ``_NEW_GOAL`` m from the view, as it gets no nearer
+        goal.
         """
         target = next((f for f in self.frontiers if f.centre == self._target), None)
         is_near = target is not None and (self._stays or target.way < 2.0 * self.floor.cell)

@@ -20,9 +20,9 @@ topic                               type                            meaning
 /diagnostics                        diagnostic_msgs/DiagnosticArray out: once a second, and on change
 ==================================  ==============================  ==================================================
 
-With ``~carry`` the planner takes the communication node's place for velocities: it flies along them, round obstacles and
-other vehicles. The goal is where the velocity would lead in that time. A goal on /T/planner/goal begins this, and when
-another mode than OFFBOARD is chosen, it ends.
+With ``~carry`` the planner takes the communication node's place for velocities: it flies along them, round obstacles
+and other vehicles. The goal is where the velocity would lead in that time. A goal on /T/planner/goal begins this, and
+when another mode than OFFBOARD is chosen, it ends.
 """
 
 from __future__ import annotations

@@ -17,8 +17,8 @@ def formation_figures(record: CrossingRecord) -> dict[str, Any] | None:
 
     Returns:
         None for a flight without a formation; else ``pattern``, ``offsets`` (m, as assigned), ``formed_after`` and
-        ``formed_again_after`` (s, None if it was not), and ``before``, ``during`` and ``after``: ``mean`` and ``most`` of
-        the followers' distances from their slots (m), None where that part was not flown.
+        ``formed_again_after`` (s, None if it was not), and ``before``, ``during`` and ``after``: ``mean`` and ``most``
+        of the followers' distances from their slots (m), None where that part was not flown.
     """
     assigned = [event for event in record.events if event["event"] == "assigned"]
     if not assigned:
