@@ -44,6 +44,28 @@ def test_a_uav_flies_through_trees_and_the_report_says_how(tmp_path: Path) -> No
     assert "arrived" in output
 
 
+def test_a_formation_passes_trees_and_forms_again(tmp_path: Path) -> None:
+    wait_for_ports("iris:1")
+    status, output = fly(
+        tmp_path / "run", "--formation", "circle", "--n", "3", "--leader-speed", "2", "--seed", "1", "--goal", "38,5",
+        "--world", "forest:seed=1,density=0.1,length=16,width=24,trunks=true",
+    )  # fmt: skip
+    assert status == 0, output
+    report = json.loads((tmp_path / "run" / "report.json").read_text())
+    assert [vehicle["outcome"] for vehicle in report["vehicles"].values()] == ["arrived"] * 3
+    assert min(vehicle["clearance"] for vehicle in report["vehicles"].values()) > RADIUS
+    assert report["least_distance"] > 2 * RADIUS
+    assert report["collisions"] == report["shortcomings"] == []
+    formation = report["formation"]
+    assert formation["pattern"] == "circle"
+    assert formation["before"]["mean"] < 0.2
+    assert 0.1 < formation["during"]["mean"] < 2.0
+    assert formation["after"]["mean"] < 0.2
+    assert formation["after"]["most"] < 0.4
+    assert any(file.stat().st_size > 10_000 for file in (tmp_path / "run").glob("flight.*") if file.suffix != ".bag")
+    assert "Formation circle, error: before the way" in output
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -52,6 +74,10 @@ def test_a_uav_flies_through_trees_and_the_report_says_how(tmp_path: Path) -> No
         (["--sensor", "radar"], "radar"),
         (["--speed-limit", "0"], "0.2 to 15 m/s"),
         (["--world", "forrest"], "'forrest' is unknown"),
+        (["--formation", "circle"], "n: 1 is not allowed with --formation, 2 to 12"),
+        (["--formation", "hexagon", "--n", "3"], "hexagon"),
+        (["--formation", "pyramid", "--n", "3"], "its slots are at 0 to 0 m; 0.8 to 5 m (--highest)"),
+        (["--formation", "circle", "--n", "3", "--follower", "mine.py"], "follower: 'mine.py' is no FILE.py[:CLASS]"),
     ],
 )
 def test_values_that_are_not_allowed_are_named(

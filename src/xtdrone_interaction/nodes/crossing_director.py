@@ -20,6 +20,7 @@ from xtdrone_control import lockstep
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.programs.under_roslaunch import end_launch
 from xtdrone_interaction.crossing.director import RATE, CrossingDirector, parse_goals
+from xtdrone_interaction.crossing.formation_director import FormationCrossingDirector
 from xtdrone_interaction.crossing.mission import CrossingSettings
 
 RECORDER_LIMIT = 30.0  # s of wall time
@@ -33,7 +34,7 @@ def main() -> int:
         goals = rospy.get_param("~goals")
         settings = CrossingSettings.from_parameters(rospy.get_param)
         parsed = parse_goals(yaml.safe_load(goals) if isinstance(goals, str) else goals, names)
-        director = CrossingDirector(parsed, settings)
+        director = (FormationCrossingDirector if settings.pattern else CrossingDirector)(parsed, settings)
     except KeyError as error:
         rospy.logfatal("crossing_director: parameter %s is not set", error)
         return 1

@@ -9,7 +9,7 @@ import pytest
 from toy_floor import ToyFloor, rooms
 
 from xtdrone_control.settings import SettingError
-from xtdrone_planning.exploration.explorer import HOME
+from xtdrone_planning.exploration.explorer import AT_GOAL, HOME, Explorer
 from xtdrone_planning.exploration.floor_map import FLOWN, FREE, OCCUPIED, UNKNOWN, FloorMap
 from xtdrone_planning.exploration.frontiers import Ways, find_frontiers
 from xtdrone_planning.exploration.settings import ExplorationSettings
@@ -158,6 +158,25 @@ def test_floors_are_explored_and_two_vehicles_are_faster() -> None:
             assert all(explorer.state == HOME for explorer in flight.explorers)
             times.append(next(time for time, share in flight.curve if share >= 0.95))
     assert sum(two) <= 0.65 * sum(one), (one, two)
+
+
+@pytest.mark.parametrize("bearing", np.linspace(0.0, 2.0 * math.pi, 8, endpoint=False))
+def test_a_frontier_that_stays_is_given_up_though_the_planner_ends_beside_the_view(bearing: float) -> None:
+    aside = 0.28 * np.array([math.cos(bearing), math.sin(bearing)])  # m; less than what makes a new goal
+    explorer = Explorer(SMALL, "uav_0", ["uav_0"])
+    explorer.floor.own[:40] = FREE  # and nothing more is ever seen
+    explorer.floor.own[:, 0] = explorer.floor.own[:, -1] = OCCUPIED
+    explorer.start(np.array([1.0, 3.0]))
+    position, planner, still = np.array([1.0, 3.0]), "waiting", 0
+    for turn in range(200):
+        decision = explorer.step(0.5 * turn, position, planner)
+        if decision.goal is not None:
+            position, planner, still = decision.goal + aside, AT_GOAL, 0
+        still += 1
+        if explorer.state in ("returning", HOME):
+            return
+        assert still < 8, "it hovers"
+    pytest.fail("it does not end")
 
 
 def test_a_vehicle_that_is_lost_does_not_keep_the_other_from_exploring_everything() -> None:

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +24,14 @@ from xtdrone_control.fleet import (
     check_instance,
     parse_fleet,
 )
+from xtdrone_control.programs.program import ArgumentError
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.patterns import Patterns, absolute_name
+from xtdrone_coordination.user_classes import load_class
 from xtdrone_interaction.formation.distances import ORIGIN
 from xtdrone_interaction.formation.flight_criteria import CRITERIA, parse_criteria
+
+_Base = TypeVar("_Base")
 
 DEFAULT_FOLLOWER = "follower_consensus.py"
 MAX_SWARM = 10_000  # vehicles in one process; the topology is a matrix of N x N
@@ -285,12 +289,35 @@ def leader_class(text: str | None) -> str:
     Raises:
         OptionError: the file does not exist.
     """
+    return _class_option("leader", text)
+
+
+def follower_class(text: str | None) -> str:
+    """Return the absolute file of the user's follower class, with ``:Class`` if given; "" for None.
+
+    Raises:
+        OptionError: the file does not exist.
+    """
+    return _class_option("follower", text)
+
+
+def _class_option(name: str, text: str | None) -> str:
     if text is None:
         return ""
     found = _class_file(text)
     if found is None:
-        raise OptionError(f"leader: {text!r} is no FILE.py[:CLASS]")
+        raise OptionError(f"{name}: {text!r} is no FILE.py[:CLASS]")
     return found
+
+
+def checked_class(text: str, base: type[_Base], what: str) -> type[_Base]:
+    """Return the user's class, imported before the start so that an error in it is reported here, or ``base``."""
+    if not text:
+        return base
+    try:
+        return load_class(text, base, what)
+    except ArgumentError as error:
+        raise OptionError(str(error)) from error
 
 
 def _class_file(text: str) -> str | None:

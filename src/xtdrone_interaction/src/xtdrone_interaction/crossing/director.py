@@ -79,8 +79,7 @@ class CrossingDirector:
         Raises:
             OSError: the events file cannot be written.
         """
-        task = TASKS[settings.task]
-        self._crossings = [Crossing(name, goal, settings.time_limit, task) for name, goal in goals.items()]
+        self._crossings = self._crossings_to(goals, settings)
         self._positions: dict[str, Goal] = {}
         self._events = EventsFile(Path(settings.out) / EVENTS_FILE, rospy.logwarn) if settings.out else None
         self._event_publisher = lockstep.Publisher(EVENTS_TOPIC, String)
@@ -89,6 +88,11 @@ class CrossingDirector:
         self._services: dict[str, MavrosServices] = {}
         for crossing in self._crossings:
             self._declare(crossing)
+
+    def _crossings_to(self, goals: Mapping[str, Goal], settings: CrossingSettings) -> Sequence[Crossing]:
+        """Return the flight of each vehicle."""
+        task = TASKS[settings.task]
+        return [Crossing(name, goal, settings.time_limit, task) for name, goal in goals.items()]
 
     def _declare(self, crossing: Crossing) -> None:
         name, reports = crossing.name, crossing.reports
@@ -121,6 +125,7 @@ class CrossingDirector:
         while not rospy.is_shutdown() and not all(crossing.is_over for crossing in self._crossings):
             for crossing in self._crossings:
                 self._advance(crossing)
+            self._advance_together()
             if tick % _PROGRESS_TICKS == 0:
                 self._publish_progress()
             tick += 1
@@ -139,11 +144,14 @@ class CrossingDirector:
         for services in self._services.values():
             services.close()
 
+    def _advance_together(self) -> None:
+        """Do what concerns all vehicles, at the end of each turn: nothing, as each flies for itself."""
+
     def _advance(self, crossing: Crossing) -> None:
         phase = crossing.phase
         for command in crossing.step(rospy.get_time()):
             if command == "GOAL":
-                self._send_goal(crossing)
+                self._send_goal(crossing, crossing.goal)
             else:
                 self._services[crossing.name].submit(Request(command, True if command == "ARM" else None))
         for request, accepted, reason in self._services[crossing.name].finished():
@@ -155,11 +163,11 @@ class CrossingDirector:
                 begun=crossing.begun, ended=crossing.ended,
             )  # fmt: skip
 
-    def _send_goal(self, crossing: Crossing) -> None:
+    def _send_goal(self, crossing: Crossing, goal: Goal) -> None:
         message = PoseStamped()
         message.header.stamp, message.header.frame_id = rospy.Time.now(), "map"
         place = message.pose.position
-        place.x, place.y, place.z = crossing.goal
+        place.x, place.y, place.z = goal
         message.pose.orientation.w = 1.0
         self._goals[crossing.name].publish(message)
 

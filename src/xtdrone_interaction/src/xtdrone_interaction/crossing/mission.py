@@ -40,6 +40,9 @@ class CrossingSettings(Settings):
         180.0, low=10.0, high=3600.0, unit="s", text="simulated time after which a vehicle that has not arrived lands"
     )
     task: str = setting("goal", choices=tuple(TASKS), text="fly to the goals, or explore a floor and then fly there")
+    pattern: str = setting(
+        "", text="formation in which the vehicles follow the first one to its goal; empty: each flies for itself"
+    )
     out: str = setting("", text="folder for events.jsonl, empty for none")
     recorder: str = setting("", text="node that records the flight; time starts when it has subscribed, or after 30 s")
 

@@ -5,24 +5,34 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 
+from xtdrone_coordination.follower import Follower
+from xtdrone_coordination.leader import Leader
 from xtdrone_interaction import options
 from xtdrone_interaction.console import PatientConsole, run_reported
 from xtdrone_interaction.demos.directed_flight import add_place_options, placed
 from xtdrone_interaction.demos.forest_demo import ForestDemoSettings, run_forest
+from xtdrone_interaction.options import OptionError
+from xtdrone_planning.replanning.situation import PlannerSettings
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.description = (
         "Fly a UAV through a forest that it does not know, by lidar or depth camera: it maps what it sees, plans a "
-        "smooth trajectory through it and replans as it sees more. Leaves runs/<time>/ with flight.bag, report.json "
-        "and map.png."
+        "smooth trajectory through it and replans as it sees more. With --formation several pass it behind their "
+        "leader, and form again. Leaves runs/<time>/ with flight.bag, report.json and map.png, and in formation a film."
     )
     settings = ForestDemoSettings.add_arguments
     settings(parser, ("n", "sensor", "delay", "loss", "speed_limit", "acceleration_limit", "density", "seed"))
     parser.add_argument(
         "--world", metavar="WORLD", help="another world, by name or file (default: a forest of the seed)"
     )
+    settings(parser, ("formation", "leader_speed"))
+    parser.add_argument(
+        "--follower", metavar="FILE.py[:CLASS]",
+        help="your own follower class (default: ForestFollower of the examples, which keeps up with the leader)",
+    )  # fmt: skip
+    parser.add_argument("--leader", metavar="FILE.py:CLASS", help="your own leader class (default: the shipped one)")
     settings(parser, ("start", "goal", "highest", "time_limit", "speed", "headless", "logs", "web"))
     add_place_options(parser)
 
@@ -35,7 +45,34 @@ def settings_of(arguments: argparse.Namespace) -> ForestDemoSettings:
     """
     settings = ForestDemoSettings.from_arguments(arguments, world="")
     settings = replace(settings, world=options.world(arguments.world or settings.generated_world))
+    settings = replace(
+        settings,
+        follower_class=options.follower_class(arguments.follower),
+        leader_class=options.leader_class(arguments.leader),
+    )
+    _check_formation(settings)
     return placed(settings, arguments, settings.fleet)
+
+
+def _check_formation(settings: ForestDemoSettings) -> None:
+    """Check what a formation needs.
+
+    Raises:
+        OptionError, PatternError: a value is not allowed.
+    """
+    if not settings.formation:
+        return
+    if settings.n < 2:
+        raise OptionError(f"n: {settings.n} is not allowed with --formation, 2 to 12")
+    heights = settings.goal[2] + options.swarm_patterns(settings.n, [settings.formation])[settings.formation][:, 2]
+    lowest = PlannerSettings().lowest
+    if heights.min() < lowest or heights.max() > settings.highest:
+        raise OptionError(
+            f"formation: {settings.formation!r} is not allowed, its slots are at {heights.min():g} to "
+            f"{heights.max():g} m; {lowest:g} to {settings.highest:g} m (--highest)"
+        )
+    options.checked_class(settings.follower_class, Follower, "follower")
+    options.checked_class(settings.leader_class, Leader, "leader")
 
 
 def run(arguments: argparse.Namespace) -> int:

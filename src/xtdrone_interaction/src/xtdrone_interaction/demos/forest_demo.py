@@ -22,20 +22,22 @@ from xtdrone_interaction.demos.directed_flight import (
     show_landing,
     stored_settings,
 )
-from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, run_flight
-from xtdrone_interaction.metrics.clearance import solids_of
+from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, escape, run_flight
+from xtdrone_interaction.metrics.clearance import Solid, solids_of
 from xtdrone_interaction.metrics.missions.crossing_metrics import make_report
 from xtdrone_interaction.metrics.missions.formation_metrics import write_report
 from xtdrone_interaction.options import seed_setting, web_setting
-from xtdrone_interaction.recording.crossing_record import read_crossing
+from xtdrone_interaction.recording.crossing_record import CrossingRecord, read_crossing
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.printed_results import print_crossing, print_paths
 
 _TYPES = {"lidar": "iris_3d_lidar", "depth": "iris_depth_camera"}
 _HEIGHT = 2.0  # m
 _APART = 4.0  # m between the lines of several UAVs
+_ROW, _SPACING = 3, 3.0  # vehicles in a row behind the leader of a formation before takeoff, and m between them
+_LENGTH, _FORMATION_LENGTH = 73, 68  # m of the forest: a formation's slots at the goal are behind the trees
 _SETTINGS = "forest.json"  # in the results folder, for a report that is made again
-_RESULTS = ("flight.bag", "report.json", "map.png")
+_RESULTS = ("flight.bag", "report.json", "map.png", "flight.mp4", "flight.gif")
 
 
 def _numbers(text: object, counts: tuple[int, ...], example: str) -> tuple[float, ...]:
@@ -74,6 +76,14 @@ class ForestDemoSettings(Settings):
         0.0, low=0.0, high=2.0, unit="s", metavar="S", text="delay of the radio between several UAVs"
     )
     loss: float = setting(0.0, low=0.0, high=0.5, metavar="PART", text="probability that a message by radio is lost")
+    formation: str = setting(
+        "", metavar="PATTERN", text="follow the first UAV in this formation, as circle or grid:spacing=4; needs --n"
+    )
+    follower_class: str = ""
+    leader_class: str = ""
+    leader_speed: float = setting(
+        1.5, low=0.2, high=3.0, unit="m/s", metavar="M/S", text="greatest speed of a formation's leader"
+    )
     speed_limit: float = setting(4.5, low=0.2, high=15.0, unit="m/s", metavar="M/S", text="greatest speed")
     acceleration_limit: float = setting(
         3.0, low=0.3, high=8.0, unit="m/s²", metavar="M/S2", text="greatest acceleration"
@@ -107,18 +117,26 @@ class ForestDemoSettings(Settings):
         return f"{_TYPES[self.sensor]}:{self.n}"
 
     @property
+    def greatest_speed(self) -> float:
+        """Speed limit of the vehicles that fly to a goal, m/s."""
+        return self.leader_speed if self.formation else self.speed_limit
+
+    @property
     def generated_world(self) -> str:
         """The forest of the seed: bare trunks on 40 x 40 m between start and goal."""
-        return f"forest:seed={self.seed},density={self.density:g},length=73,width=40,trunks=true"
+        length = _FORMATION_LENGTH if self.formation else _LENGTH
+        return f"forest:seed={self.seed},density={self.density:g},length={length},width=40,trunks=true"
 
     def routes(self) -> tuple[list[tuple[float, ...]], list[tuple[float, ...]]]:
         """Return starts (x, y) and goals (x, y, z), m in map.
 
-        Several UAVs stand in pairs on lines from start to goal, beside each other; of a pair each flies to the other's
-        place.
+        A formation stands behind its leader, whose goal is the only one that counts. Other UAVs stand in pairs on lines
+        from start to goal, beside each other; of a pair each flies to the other's place.
         """
         if self.n == 1:
             return [self.start], [self.goal]
+        if self.formation:
+            return self._rows(), [self.goal] * self.n
         start, goal = np.array([*self.start, self.goal[2]]), np.array(self.goal)
         along = (goal - start)[:2] / max(float(np.linalg.norm((goal - start)[:2])), 1e-9)
         starts, goals = [], []
@@ -130,10 +148,18 @@ class ForestDemoSettings(Settings):
             goals.append(tuple(map(float, there + aside)))
         return starts, goals
 
+    def _rows(self) -> list[tuple[float, ...]]:
+        """Return the starts of a formation, x and y, m: the leader, and the others in rows behind it."""
+        x, y = self.start
+        places = [divmod(k, _ROW) for k in range(self.n - 1)]
+        behind = [(x - _SPACING * (row + 1), y + _SPACING * (column - (_ROW - 1) / 2)) for row, column in places]
+        return [self.start, *behind]
+
     def stored(self) -> dict[str, Any]:
         """Return the settings stored in the report."""
         unstored = ("out", "master_port", "headless", "instance", "web")
-        return {key: value for key, value in asdict(self).items() if key not in unstored}
+        stored = {key: value for key, value in asdict(self).items() if key not in unstored}
+        return {**stored, "speed_limit": self.greatest_speed}
 
 
 def run_forest(settings: ForestDemoSettings, console: Console) -> int:
@@ -161,13 +187,22 @@ def flight(settings: ForestDemoSettings) -> Flight:
         "poses": _listed(starts),
         "goals": _listed(goals),
         **({"delay": settings.delay, "loss": settings.loss} if settings.n > 1 else {}),
-        "speed_limit": settings.speed_limit,
+        **_formation_arguments(settings),
+        "speed_limit": settings.greatest_speed,
         "acceleration_limit": settings.acceleration_limit,
         "highest": settings.highest,
         "time_limit": settings.time_limit,
         **({"log": settings.out / "ulog"} if settings.logs else {}),
     }
     return directed_flight(settings, "forest.launch", arguments, show_landing)
+
+
+def _formation_arguments(settings: ForestDemoSettings) -> dict[str, Any]:
+    if not settings.formation:
+        return {}
+    classes = {"follower_class": settings.follower_class, "leader_class": settings.leader_class}
+    given = {name: value for name, value in classes.items() if value}
+    return {"pattern": settings.formation, "follower_speed": 2.0 * settings.leader_speed, **given}
 
 
 def _listed(places: Sequence[Sequence[float]]) -> str:
@@ -188,6 +223,18 @@ def report_again(bag: Path, console: Console) -> int:
     return _report(bag.parent, stored_settings(bag.parent / _SETTINGS), console)
 
 
+def _film(record: CrossingRecord, solids: Sequence[Solid], folder: Path, console: Console) -> None:
+    """Film the flight, or print why there is no film."""
+    from xtdrone_interaction.pictures.crossing_film import save_crossing_film  # imports Matplotlib
+    from xtdrone_interaction.pictures.formation_film import default_file
+    from xtdrone_swarm.view import FilmError
+
+    try:
+        save_crossing_film(record, solids, default_file(folder))
+    except FilmError as error:
+        console.print(f"[yellow]no film:[/yellow] {escape(str(error))}", highlight=False, soft_wrap=True)
+
+
 def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
     """Write report.json and map.png, print the figures, and return the exit status.
 
@@ -206,6 +253,8 @@ def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
     report = make_report(record, solids, settings, planning_times(folder))
     write_report(report, folder / "report.json")
     save_crossing_map(record, solids, folder / "map.png")
+    if report["formation"] is not None:
+        _film(record, solids, folder, console)
     print_crossing(report, console)
     print_paths((folder / name for name in _RESULTS if (folder / name).exists()), console)
     return 1 if report["shortcomings"] else 0

@@ -17,6 +17,7 @@ from matplotlib.patches import Circle, Polygon
 
 from xtdrone_interaction.metrics.clearance import Solid
 from xtdrone_interaction.recording.crossing_record import CrossingRecord
+from xtdrone_interaction.recording.series import Array
 from xtdrone_sim.shapes.pose_arithmetic import rotate
 from xtdrone_sim.shapes.visual import Box, Cylinder
 
@@ -26,12 +27,9 @@ _MARGIN = 4.0  # m around the paths
 
 def save_crossing_map(record: CrossingRecord, solids: Sequence[Solid], file: Path) -> Path:
     """Draw the map of a flight and return its file, a PNG."""
-    places = record.position.reshape(-1, 3)
-    low, high = places.min(axis=0) - _MARGIN, places.max(axis=0) + _MARGIN
-    high[1], low[1] = max(high[1], low[1] + 16.0), low[1]
+    low, high = view_of(record)
     figure, axes = plt.subplots(figsize=(11, 3.2 + 0.03 * (high[1] - low[1])), layout="constrained")
-    flown = record.position[..., 2][record.position[..., 2] > 1.0]
-    _draw_solids(axes, solids, float(np.median(flown)) if len(flown) else 2.0)
+    draw_solids(axes, solids, height_of_flight(record))
     shades = plt.get_cmap("tab10").colors
     for index, name in enumerate(record.names):
         track, shade = record.position[:, index], shades[index % 10]
@@ -49,7 +47,21 @@ def save_crossing_map(record: CrossingRecord, solids: Sequence[Solid], file: Pat
     return file
 
 
-def _draw_solids(axes: Axes, solids: Sequence[Solid], height: float) -> None:
+def view_of(record: CrossingRecord) -> tuple[Array, Array]:
+    """Return the lowest and the highest corner, (3,) m, of a box around the paths."""
+    places = record.position.reshape(-1, 3)
+    low, high = places.min(axis=0) - _MARGIN, places.max(axis=0) + _MARGIN
+    high[1] = max(high[1], low[1] + 16.0)
+    return low, high
+
+
+def height_of_flight(record: CrossingRecord) -> float:
+    """Return the median height of the vehicles in the air, m."""
+    flown = record.position[..., 2][record.position[..., 2] > 1.0]
+    return float(np.median(flown)) if len(flown) else 2.0
+
+
+def draw_solids(axes: Axes, solids: Sequence[Solid], height: float) -> None:
     """Draw what stands at a height, m."""
     patches = []
     for solid in solids:

@@ -128,8 +128,20 @@ def print_crossing(report: dict[str, Any], console: Console) -> None:
                 )
     if report["least_distance"] is not None:
         console.print(f"Least distance of two vehicles {report['least_distance']:.2f} m.", highlight=False)
+    if report["formation"] is not None:
+        _print_formation_errors(report["formation"], console)
     for text in report["shortcomings"]:
         console.print(f"[red]Missed:[/red] {escape(text)}", highlight=False, soft_wrap=True)
+
+
+def _print_formation_errors(figures: dict[str, Any], console: Console) -> None:
+    parts = []
+    for key, words in (("before", "before the way"), ("during", "on it"), ("after", "formed again")):
+        if figures[key] is not None:
+            parts.append(f"{words} {figures[key]['mean']:.2f} m on average, at most {figures[key]['most']:.2f} m")
+    if figures["formed_again_after"] is not None:
+        parts.append(f"{figures['formed_again_after']:.1f} s after the leader's arrival")
+    console.print(f"Formation {figures['pattern']}, error: {'; '.join(parts)}.", highlight=False, soft_wrap=True)
 
 
 def print_exploration(report: dict[str, Any], console: Console) -> None:

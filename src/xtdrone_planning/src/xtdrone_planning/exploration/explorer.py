@@ -88,6 +88,7 @@ class Explorer:
         self._given_up = np.zeros(self.floor.own.shape, np.bool_)
         self._tried_again = False
         self._goal: Array | None = None
+        self._stays = False  # whether the last turn had a target, and no goal other than the one given before
         self._viewed_since: float | None = None
         self._bare_since: float | None = None
         self._cut_off_since: float | None = None
@@ -128,6 +129,7 @@ class Explorer:
             if target is not None:
                 route = self._places(ways.route(target))
                 goal = self._next_goal(route, position)
+            self._stays = target is not None and goal is None
             self._arrive(now, ways, position, planner)
         active: frozenset[int] = frozenset() if self.state == HOME else self._regions.active(self.frontiers)
         aim = position if self._target is None else floor.middle(self._target)
@@ -219,9 +221,14 @@ class Explorer:
         return place
 
     def _give_up(self, now: float, position: Array, planner: str) -> None:
-        """Give up the target's frontier if it cannot be reached, or is still there after it was viewed."""
+        """Give up the target's frontier if it cannot be reached, or is still there after it was viewed.
+
+        It is viewed as well where the planner has ended less than ``_NEW_GOAL`` m from the view, as it gets no nearer
+        goal.
+        """
         target = next((f for f in self.frontiers if f.centre == self._target), None)
-        is_there = planner == AT_GOAL and target is not None and target.way < 2.0 * self.floor.cell
+        is_near = target is not None and (self._stays or target.way < 2.0 * self.floor.cell)
+        is_there = planner == AT_GOAL and is_near
         if not is_there:
             self._viewed_since = None
         elif self._viewed_since is None:

@@ -237,10 +237,12 @@ class HoveringAtGoal(FlightState):
         self._goal_number = goal_number
 
     def step(self, planner: _Planner, now: Situation) -> FlightState:
-        """Begin with another goal."""
+        """Begin with another goal, or follow one that has moved."""
         if planner.goal is None:
             return Hovering()
-        return self if planner.goal_number == self._goal_number else Planning(now.time, planner.goal_number)
+        assert planner.trajectory is not None
+        stays = planner.goal_number == self._goal_number and planner.is_at_goal(planner.trajectory.points[-1])
+        return self if stays else Planning(now.time, planner.goal_number)
 
     def report(self, planner: _Planner, now: Situation) -> tuple[int, str]:
         """Return level and text; nothing is flown, so a failed sensor is only a warning."""

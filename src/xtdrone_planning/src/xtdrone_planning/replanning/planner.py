@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from xtdrone_control.rotation import wrap_pi
 from xtdrone_planning.mapping.voxel_grid import VoxelGrid
+from xtdrone_planning.paths.clear_place import nearest_clear
 from xtdrone_planning.paths.grid_search import BLOCKED, REACHED
 from xtdrone_planning.paths.local_path import LocalPath, PathSearch
 from xtdrone_planning.replanning.flight_states import FlightState, Planning, Waiting
@@ -25,6 +26,7 @@ Array = NDArray[np.float64]
 
 _LOOK_AHEAD = 0.6  # s: the yaw looks where the vehicle is then
 _SLOW = 0.3  # m in that time: the yaw is kept
+_AT_MOVED_GOAL = 0.05  # m; a voxel would be a formation's error
 LEAST_WAY = 0.6
 """A shorter seen path is not worth flying, unless it ends at the goal, m."""
 
@@ -68,6 +70,7 @@ class Planner:
         self.state: FlightState = Waiting()
         self.goal: Array | None = None
         self.goal_number = 0
+        self._goal_moves = False
         self.trajectory: UniformSpline | None = None
         self.number = 0
         self.path: LocalPath | None = None
@@ -87,6 +90,20 @@ class Planner:
         self.settings.check_goal(goal)
         self.goal = np.array(goal, float)
         self.goal_number += 1
+        self._goal_moves = False
+
+    def move_goal(self, goal: Array) -> None:
+        """Move the present goal to (3,) m in map; without one, as after the pilot has taken over, nothing happens.
+
+        The vehicle does not stop for it. Where the goal is too near to an obstacle, the nearest clear place counts.
+
+        Raises:
+            GoalError: see ``PlannerSettings.check_goal``; the present goal stays.
+        """
+        self.settings.check_goal(goal)
+        if self.goal is not None:
+            self.goal = nearest_clear(self.grid, goal, self.limits.clearance(self.grid.resolution))
+            self._goal_moves = True
 
     def cancel(self) -> None:
         """Drop the goal; in flight the vehicle brakes on its path and hovers."""
@@ -179,7 +196,8 @@ class Planner:
 
     def is_at_goal(self, position: Array) -> bool:
         """Return whether a position is the goal."""
-        return self.goal is not None and float(np.sqrt(((position - self.goal) ** 2).sum())) < self.grid.resolution
+        near = _AT_MOVED_GOAL if self._goal_moves else self.grid.resolution
+        return self.goal is not None and float(np.sqrt(((position - self.goal) ** 2).sum())) < near
 
     def is_astray(self, now: Situation) -> bool:
         """Return whether the vehicle is too far from where it should be by now."""

@@ -7,6 +7,7 @@ topic                               type                            meaning
 ==================================  ==============================  ==================================================
 /T/planner/goal                     geometry_msgs/PoseStamped       in: goal in map; its orientation is not used
 /move_base_simple/goal              geometry_msgs/PoseStamped       in: rviz's 2D Nav Goal, at the vehicle's height
+/xtdrone/T/cmd_vel_enu              geometry_msgs/Twist             in, with ``~carry``: moves the goal
 /T/planner/cancel                   std_msgs/Empty                  in: drop the goal, brake and hover
 /T/mavros/local_position/pose       geometry_msgs/PoseStamped       in, as velocity_local (TwistStamped)
 /T/mavros/state, extended_state     mavros_msgs/State, ...          in: mode; whether it is armed and in the air
@@ -18,6 +19,10 @@ topic                               type                            meaning
 /T/map/slice                        nav_msgs/OccupancyGrid          out, while subscribed: the layer of flight
 /diagnostics                        diagnostic_msgs/DiagnosticArray out: once a second, and on change
 ==================================  ==============================  ==================================================
+
+With ``~carry`` the planner takes the communication node's place for velocities: it flies along them, round obstacles
+and other vehicles. The goal is where the velocity would lead in that time. A goal on /T/planner/goal begins this, and
+when another mode than OFFBOARD is chosen, it ends.
 """
 
 from __future__ import annotations
@@ -30,7 +35,7 @@ from pathlib import Path as FilePath
 import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, PoseStamped, TwistStamped, Vector3
+from geometry_msgs.msg import Point, PoseStamped, Twist, TwistStamped, Vector3
 from mavros_msgs.msg import ExtendedState, PositionTarget, State
 from nav_msgs.msg import OccupancyGrid, Path
 from sensor_msgs.msg import PointCloud2
@@ -162,6 +167,8 @@ class VehiclePlanner:
         self._diagnostics = lockstep.Publisher("/diagnostics", DiagnosticArray)
         lockstep.Subscriber(f"/{name}/planner/goal", PoseStamped, self._on_goal)
         lockstep.Subscriber(f"/{name}/planner/cancel", Empty, lambda _: self.planner.cancel())
+        if settings.planner.carry > 0.0:
+            lockstep.Subscriber(f"/xtdrone/{name}/cmd_vel_enu", Twist, self._on_wanted_velocity)
         if rviz_goal:
             lockstep.Subscriber("/move_base_simple/goal", PoseStamped, self._on_level_goal)
         lockstep.Subscriber(f"{base}/local_position/pose", PoseStamped, self._on_pose)
@@ -214,6 +221,16 @@ class VehiclePlanner:
     def _on_level_goal(self, message: PoseStamped) -> None:
         if self._pose is not None:
             self._set_goal(message, self._pose.pose.position.z)
+
+    def _on_wanted_velocity(self, message: Twist) -> None:
+        if self._pose is None:
+            return
+        place, velocity, ahead = self._pose.pose.position, message.linear, self._settings.planner.carry
+        goal = np.array([place.x + ahead * velocity.x, place.y + ahead * velocity.y, place.z + ahead * velocity.z])
+        try:
+            self.planner.move_goal(goal)
+        except GoalError as error:
+            rospy.logwarn_throttle_identical(5.0, f"{self.name}: wanted velocity: {error}; ignored")
 
     def _set_goal(self, message: PoseStamped, height: float) -> None:
         if message.header.frame_id.lstrip("/") not in ("", FRAME):

@@ -44,6 +44,11 @@ class PlannerSettings(Settings):
         1.0, low=0.1, high=10.0, unit="m", text="deviation from the trajectory beyond which the vehicle replans"
     )
     yaw_rate: float = setting(1.5, low=0.1, high=6.0, unit="rad/s", text="greatest yaw rate")
+    carry: float = setting(
+        0.0, low=0.0, high=10.0, unit="s",
+        text="velocities on /xtdrone/VEHICLE/cmd_vel_enu keep the goal so much ahead of the vehicle, as those of a "
+        "follower; 0: they are not used",
+    )  # fmt: skip
     offboard: bool = setting(True, text="request OFFBOARD for a new goal; false: wait for the pilot to do so")
 
     def check_goal(self, goal: Array) -> None:

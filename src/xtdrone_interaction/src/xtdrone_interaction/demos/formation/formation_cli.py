@@ -5,21 +5,16 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
 
 from xtdrone_control.fleet import parse_fleet, with_poses
-from xtdrone_control.programs.program import ArgumentError
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
-from xtdrone_coordination.user_classes import load_class
 from xtdrone_interaction import options
 from xtdrone_interaction.console import PatientConsole, run_reported
 from xtdrone_interaction.demos.formation.formation_demo import DemoSettings, run_demo, waived_criteria
 from xtdrone_interaction.launching.supervised_launch import master_port
 from xtdrone_interaction.options import DEFAULT_FOLLOWER, MachineSettings, OptionError
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-
-_Base = TypeVar("_Base")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -80,8 +75,8 @@ def demo_settings(arguments: argparse.Namespace) -> DemoSettings:
     fleet = f"{settings.type}:{settings.n}"
     with_poses(parse_fleet(fleet), settings.poses)
     options.swarm_patterns(settings.n, settings.patterns, settings.pattern_file or None)
-    _checked_class(settings.follower_class, Follower, "follower")
-    leader = _checked_class(settings.leader_class, Leader, "leader")
+    options.checked_class(settings.follower_class, Follower, "follower")
+    leader = options.checked_class(settings.leader_class, Leader, "leader")
     machine = MachineSettings.from_arguments(arguments)
     return replace(
         settings,
@@ -90,13 +85,3 @@ def demo_settings(arguments: argparse.Namespace) -> DemoSettings:
         master_port=master_port(machine.master_port, use_running=arguments.use_master),
         instance=options.take_instance(fleet, machine.instance),
     )
-
-
-def _checked_class(text: str, base: type[_Base], what: str) -> type[_Base]:
-    """Return the user's class, imported before the start so that an error in it is reported here, or ``base``."""
-    if not text:
-        return base
-    try:
-        return load_class(text, base, what)
-    except ArgumentError as error:
-        raise OptionError(str(error)) from error

@@ -10,6 +10,7 @@ import numpy as np
 
 from xtdrone_interaction.formation.distances import least_distances
 from xtdrone_interaction.metrics.clearance import Solid, least_distances_to
+from xtdrone_interaction.metrics.missions.formation_crossing_metrics import formation_figures
 from xtdrone_interaction.metrics.missions.formation_metrics import versions
 from xtdrone_interaction.recording.crossing_record import CrossingRecord
 
@@ -28,6 +29,7 @@ def make_report(
     report = {
         "vehicles": {name: _vehicle(record, n, solids, settings) for n, name in enumerate(record.names)},
         "least_distance": float(least_distances(record.position).min()) if len(record.names) > 1 else None,
+        "formation": formation_figures(record),
         "collisions": record.collisions,
         "simulated_time": float(record.time[-1]),
         "timings": dict(timings),
