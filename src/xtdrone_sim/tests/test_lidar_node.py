@@ -87,8 +87,12 @@ def taker(file: str) -> None:
     del keep
 
 
-def inviter() -> None:
-    """Publisher of the vehicles' places; in its second flight a vehicle joins at 0.31 s and leaves at 0.91 s."""
+def inviter(unusable: str) -> None:
+    """Publisher of the vehicles' places; in its second flight two vehicles join at 0.32 s and leave at 0.92 s.
+
+    Args:
+        unusable: description of the second one, which nobody sees.
+    """
     lockstep.init_node("inviter", rate=50.0)
     publisher = lockstep.Publisher("/xtdrone/scene", SceneState)
     vehicles = lockstep.Publisher("/xtdrone/vehicles", String, latch=True)
@@ -102,7 +106,10 @@ def inviter() -> None:
         if len(flights) == 2 and 320 <= ms < 920:
             places.append(GUEST)
         if len(flights) == 2 and ms in (320, 920):
-            vehicles.publish(String("iris_2d_lidar:3" if ms == 320 else "iris_2d_lidar:2"))
+            fleet = [{"name": f"iris_2d_lidar_{k}"} for k in range(len(places))]
+            vehicles.publish(
+                String(json.dumps([*fleet, {"name": "iris_9", "model": unusable}] if ms == 320 else fleet))
+            )
         message = SceneState(links=[f"iris_2d_lidar_{k}::base_link" for k in range(len(places))])
         message.header.stamp = now
         message.poses = [Pose(Point(*place), Quaternion(0.0, 0.0, 0.0, 1.0)) for place in places]
@@ -113,7 +120,10 @@ def inviter() -> None:
 
 
 def watcher(file: str) -> None:
-    """Writes down the scans of three vehicles, a JSON line each, and when it is connected to the third."""
+    """Writes down the scans of three vehicles, a JSON line each, and when it is connected to the third.
+
+    In its second flight it makes calls that are refused.
+    """
     lockstep.init_node("watcher", rate=50.0)
     out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process
 
@@ -123,10 +133,20 @@ def watcher(file: str) -> None:
         print(json.dumps(note), file=out)
 
     keep = [lockstep.Subscriber(f"/iris_2d_lidar_{k}/scan", LaserScan, on_scan, k) for k in range(3)]
-    lockstep.add_reset_hook(lambda: print(json.dumps({"back": keep[2].get_num_connections()}), file=out))
+    flights = [0]
+
+    def come_back() -> None:
+        flights.append(0)
+        print(json.dumps({"back": keep[2].get_num_connections()}), file=out)
+
+    lockstep.add_reset_hook(come_back)
     lockstep.start()
+    fail = rospy.ServiceProxy("/iris_2d_lidar_0/scan/failure", SetLidarFailure)
 
     def step() -> None:
+        if rospy.Time.now() == rospy.Time.from_sec(0.6) and len(flights) == 2:
+            refused = fail("broken", 0.0), fail("biased", math.nan), fail("dropouts", 1.5)
+            assert not any(answer.success for answer in refused)
         if rospy.Time.now() == rospy.Time.from_sec(0.8):
             print(json.dumps({"connected": keep[2].get_num_connections()}), file=out)
 
@@ -182,7 +202,10 @@ def test_a_vehicle_that_joins_scans_and_is_seen_until_it_leaves(graph: Graph, se
     graph.set_param("/xtdrone/fleet", "iris_2d_lidar:2")
     file = graph.folder / "watcher.json"
     graph.start("lidars", sys.executable, str(NODE))
-    graph.role(__file__, "inviter")
+    unusable = graph.folder / "unusable.yaml"
+    (graph.folder / "pattern.csv").write_text("time,azimuth,zenith\n0,0,90\n0.1,nan,90\n")
+    unusable.write_text("extends: iris\nlidars: [{name: livox, kind: pattern, pattern: pattern.csv}]\n")
+    graph.role(__file__, "inviter", str(unusable))
     graph.role(__file__, "watcher", str(file))
     names = ["/lidars", "/inviter", "/watcher"]
     wait_for_nodes(graph, server, names)
@@ -208,7 +231,11 @@ def test_a_vehicle_that_joins_scans_and_is_seen_until_it_leaves(graph: Graph, se
         before, after = np.array(note["ranges"]), np.array(joined[key]["ranges"])
         nearer = after != before
         assert np.all(after[nearer] < before[nearer])  # the guest, and no other bit
-        assert nearer.any() == (300_000 <= key[1] <= 900_000), key
+        # Neither the vehicle that cannot be served nor refused calls change anything.
+        assert nearer.any() == (key[0] == 0 and 300_000 <= key[1] <= 800_000), key  # the second looks over it
+    said = graph.output()
+    assert "iris_9 is not served by /lidars" in said
+    assert "pattern.csv: line 3: '0.1,nan,90' is not allowed, three numbers" in said
 
 
 def test_a_fleet_without_lidars_is_reported(graph: Graph) -> None:
