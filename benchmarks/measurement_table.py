@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from benchmarks.free_running_flights import measure_free
 from benchmarks.goals import goal_of
 from benchmarks.measurement_runner import Bench, Case, Flight, Program, Row
-from benchmarks.search_flights import SEARCHERS, search_arguments, search_figures
 from benchmarks.programs.effects import EFFECTS
+from benchmarks.search_flights import SEARCHERS, search_arguments, search_figures
 from benchmarks.sensing_flights import SENSORS, limiting, sensing_arguments, sensing_figures
 from benchmarks.stack_and_formation_flights import (
     formation_arguments,

@@ -9,8 +9,8 @@ from typing import Any
 
 import yaml
 
-from benchmarks.stack_and_formation_flights import stack_figures
 from benchmarks.measurement_runner import TYPE, Bench, Event, Row, find
+from benchmarks.stack_and_formation_flights import stack_figures
 
 LIDARS = "lidars 16x512"
 SENSORS = (LIDARS, "depth 320x240", "depth 640x480")
