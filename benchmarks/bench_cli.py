@@ -33,7 +33,7 @@ from xtdrone_interaction.machine_facts import machine_facts
 from xtdrone_interaction.options import OptionError
 
 SCHEMA = 1  # of the JSON file
-_FLOWN = ("stack", "formation", "free", "web")
+_FLOWN = ("stack", "sensing", "formation", "free", "web")
 _FORMATIONS = ("formation", "free", "web")
 _MODES = {
     "all": ("per_uav", "merged", "shared"),

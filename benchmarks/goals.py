@@ -29,6 +29,7 @@ GOALS = {
     "rays": Goal(("lidars", "kind"), {(6, "spinning"): 1.0}),
     "analyse": Goal(("megabytes",), {(1000,): 100.0}, "{:g}"),
     "stack": Goal(("vehicles",), {(9,): 10.0}),
+    "sensing": Goal(("vehicles", "sensors"), {(6, "lidars 16x512"): 1.0}),
     "formation": Goal(
         ("vehicles", "mode"), {(9, "per_uav"): 3.0, (30, "per_uav"): 1.0, (9, "merged"): 9.0, (30, "merged"): 3.0}
     ),

@@ -47,13 +47,13 @@ class Length:
     """Lengths of the measurements.
 
     Attributes:
-        core_seconds: minimum wall time of one core, simplified, drawing, detector, renderer, rays or rviz
-            measurement, s.
+        core_seconds: minimum wall time of one core, simplified, drawing, detector, renderer, rays, effects or
+            rviz measurement, s.
         sweep_seconds: minimum wall time of a sweep's measurement with one worker, and of that with all workers, s.
         barrier_seconds: minimum wall time of one barrier measurement, s.
         barrier_ticks: minimum number of ticks of one barrier measurement.
         telemetry_seconds: simulated time of one telemetry measurement, s.
-        window: measured simulated time of the stack, s.
+        window: measured simulated time of the stack, with and without sensors, s.
         patterns: flown by the formation.
         free_window: wall time for which each speed of the free-running flight, and the station with or without
             clients, is measured, s.

@@ -14,7 +14,9 @@ from dataclasses import dataclass
 from benchmarks.free_running_flights import measure_free
 from benchmarks.goals import goal_of
 from benchmarks.measurement_runner import Bench, Case, Flight, Program, Row
+from benchmarks.programs.effects import EFFECTS
 from benchmarks.search_flights import SEARCHERS, search_arguments, search_figures
+from benchmarks.sensing_flights import SENSORS, limiting, sensing_arguments, sensing_figures
 from benchmarks.stack_and_formation_flights import (
     formation_arguments,
     formation_figures,
@@ -81,6 +83,17 @@ def _lidars(part: str, count: int, modes: Sequence[str]) -> Iterator[Case]:
         yield Case(part, f"{count} {kind}", {"lidars": count, "kind": kind}, f"{count}-{kind}")
 
 
+def _effects(part: str, count: int, modes: Sequence[str]) -> Iterator[Case]:
+    for effect in EFFECTS:
+        yield Case(part, f"{_title(count)}, {effect}", {"vehicles": count, "effect": effect}, f"{count}-{effect}")
+
+
+def _sensors(part: str, count: int, modes: Sequence[str]) -> Iterator[Case]:
+    for sensors in SENSORS:
+        known = {"vehicles": count, "sensors": sensors}
+        yield Case(part, f"{_title(count)}, {sensors}", known, f"{count}-{sensors.replace(' ', '')}")
+
+
 def _films(part: str, count: int, modes: Sequence[str]) -> Iterator[Case]:
     for width, height, smooth in _FILMS:
         known = {"vehicles": count, "width": width, "height": height, "antialiasing": smooth}
@@ -131,6 +144,14 @@ def _film_label(row: Row) -> str:
     return f"{row['vehicles']} vehicles, {size}{'' if row['antialiasing'] else ', rough'}"
 
 
+def _effect_label(row: Row) -> str:
+    return f"{row['vehicles']} {row['effect']}"
+
+
+def _sensors_label(row: Row) -> str:
+    return f"{row['vehicles']} {row['sensors']}"
+
+
 def _formation_label(row: Row) -> str:
     return f"{row['vehicles']} {row['mode'].replace('_', '-')}"
 
@@ -171,6 +192,11 @@ def _analysis_summary(row: Row) -> str:
 def _per_participant(rows: Sequence[Row]) -> str:
     count = rows[0]["participants"]
     return f"{statistics.median(row['median_us'] for row in rows) / count:.2f}" if count else ""
+
+
+def _per_second(rows: Sequence[Row], milliseconds: str) -> str:
+    """Return how many a second follow from the median of a time."""
+    return f"{1e3 / statistics.median(row[milliseconds] for row in rows):.0f}"
 
 
 _VEHICLES = _first("vehicles", _vehicle_label)
@@ -302,8 +328,8 @@ _TABLE = (
         fields=(
             ("CPU\nms/picture", spread("milliseconds")),
             ("wall\nms/picture", spread("wall_milliseconds")),
-            ("with\ndepth ms", spread("depth_milliseconds")),
-            ("stereo\npair ms", spread("stereo_milliseconds")),
+            ("depth\n1/s", lambda rows: _per_second(rows, "depth_milliseconds")),
+            ("stereo\npairs/s", lambda rows: _per_second(rows, "stereo_milliseconds")),
         ),
         summary=_picture_summary,
         cases=_pictures,
@@ -327,6 +353,22 @@ _TABLE = (
         label=lambda row: f"{row['lidars']} {row['kind']}",
         first=_first("lidars", lambda row: f"{row['lidars']} {row['kind']}"),
         counted="lidars",
+    ),
+    Measurement(
+        name="effects",
+        title="Air: each effect on vehicles in flight; us per vehicle and step of 4 ms",
+        command=Program("effects", _CORE_SECONDS),
+        numbers=(1, 6, 30),
+        limits=(1, MAX_VEHICLES),
+        fields=(
+            ("the\neffect", spread("effect_microseconds")),
+            ("the whole\nflight", spread("microseconds_per_vehicle_step")),
+            _SPEED,
+        ),
+        summary=lambda row: f"{row['effect_microseconds']:.2f} us per vehicle and step",
+        cases=_effects,
+        label=_effect_label,
+        first=_first("vehicles", _effect_label),
     ),
     Measurement(
         name="rviz",
@@ -427,6 +469,23 @@ _TABLE = (
             _OVERLAP,
             *_PROCESSES,
         ),
+    ),
+    Measurement(
+        name="sensing",
+        title="Stack with a sensor on each vehicle, 10 Hz, world outdoor",
+        command=Flight("bench.launch", sensing_arguments, sensing_figures),
+        numbers=(6,),
+        limits=(1, MAX_VEHICLES),
+        fields=(
+            _SPEED,
+            goal_of("sensing"),
+            ("frames a\nsim. s", median("frames_per_simulated_second", ".1f")),
+            _OVERLAP,
+            ("most\ncores", limiting),
+        ),
+        cases=_sensors,
+        label=_sensors_label,
+        first=_first("vehicles", _sensors_label),
     ),
     Measurement(
         name="formation",

@@ -128,7 +128,7 @@ def _cpu_groups(results: dict[str, Any]) -> list[tuple[str, list[Row]]]:
     """Return heading and rows with ``cpu_per_simulated_second`` of each flight or stack that was measured."""
     groups = [
         (f"{prefix}{MEASUREMENTS[part].label(rows[0])}", rows)
-        for part, prefix in (("stack", "stack "), ("formation", ""), ("search", "search "))
+        for part, prefix in (("stack", "stack "), ("sensing", ""), ("formation", ""), ("search", "search "))
         for group in grouped(MEASUREMENTS[part], results.get(part, []))
         if (rows := [row for row in group if "cpu_per_simulated_second" in row])
     ]

@@ -15,6 +15,8 @@ from gazebo_msgs.msg import ContactsState, ModelStates
 from mavros_msgs.msg import State
 from mavros_msgs.srv import CommandBool, SetMode
 from nav_msgs.msg import Odometry
+from sensor_msgs.msg import LaserScan
+from tf2_msgs.msg import TFMessage
 from xtdrone_msgs.srv import AddVehicle, GetStatus, RemoveVehicle
 
 FLEET = "iris:1"
@@ -26,7 +28,7 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
     wait_for_ports("iris:3")
     stack = Stack(graph, tmp_path_factory.mktemp("join"), FLEET)
     try:
-        stack.launch("multi_vehicle.launch", f"vehicles:={FLEET}", "reserve:=1", "speed:=5")
+        stack.launch("multi_vehicle.launch", f"vehicles:={FLEET}", "reserve:=1", "speed:=5", "lidars:=true", "tf:=true")
         poll(lambda: _is_offered("/simulator/add_vehicle"), "the simulator offers its services")
         yield stack
     finally:
@@ -55,14 +57,20 @@ def test_a_vehicle_joins_flies_and_leaves(stack: Stack) -> None:
     state = stack.graph.hear("/iris_1/mavros/state", State)
     truth = stack.graph.hear("/xtdrone/iris_1/ground_truth/odom", Odometry)
     bumper = stack.graph.hear("/iris_1/benchmarker/collision", ContactsState)
-    guest = invite(stack, "iris_1", "pose:=[4, 1, 0, 0, 0, 1.5]", "communication:=true")
+    scans = stack.graph.hear("/iris_1/scan", LaserScan)
+    frames = stack.graph.hear("/tf_static", TFMessage)
+    guest = invite(stack, "iris_1", "model:=iris_2d_lidar", "pose:=[4, 1, 0, 0, 0, 1.5]", "communication:=true")
     stack.wait(lambda: models.last and "iris_1" in models.last.name, "iris_1 is in the world", sim=300.0)
     stack.wait(lambda: state.last and state.last.system_status == STANDBY, "iris_1 is ready", sim=300.0)
-    assert {"/mavros", "/iris_1/mavros"} <= participants(stack)
+    assert {"/mavros", "/lidars", "/robot_tf", "/iris_1/mavros"} <= participants(stack)
+    stack.wait(lambda: scans.last, "iris_1's lidar scans, although the fleet of the start has none")
+    assert scans.last.header.frame_id == "iris_1/laser_2d"
+    assert "iris_1/laser_2d" in {transform.child_frame_id for transform in frames.last.transforms}
     stack.wait(lambda: bumper.last and bumper.last.states, "iris_1 touches the ground")
     assert bumper.last.states[0].collision2_name == "ground_plane::link::collision"
     assert stack.graph.call("/iris_1/mavros/set_mode", SetMode, custom_mode="AUTO.TAKEOFF").mode_sent
-    assert stack.graph.call("/iris_1/mavros/cmd/arming", CommandBool, value=True).success
+    arming = "/iris_1/mavros/cmd/arming"  # refused until the estimate of its place is valid
+    stack.wait(lambda: stack.graph.call(arming, CommandBool, value=True).success, "iris_1 arms")
     stack.wait(lambda: truth.last and truth.last.pose.pose.position.z > 1.0, "iris_1 flies")
     stack.wait(lambda: not bumper.last.states, "iris_1 touches nothing")
     place = truth.last.pose.pose.position
@@ -71,7 +79,8 @@ def test_a_vehicle_joins_flies_and_leaves(stack: Stack) -> None:
     guest.process.send_signal(signal.SIGINT)
     assert guest.end() == 0
     stack.wait(lambda: models.last.name == ["ground_plane", "iris_0"], "iris_1 has left")
-    assert participants(stack) == {"/mavros"}
+    assert participants(stack) == {"/mavros", "/lidars", "/robot_tf"}
+    stack.wait(lambda: not _is_offered("/iris_1/scan/failure"), "its lidar's service has ended")
     assert rosgraph.Master("/system_tests").getParam("/xtdrone/fleet") == FLEET
 
 

@@ -87,10 +87,28 @@ def test_a_ugv_and_a_car_drive_by_cmd_vel(stack: Stack, start: Start, tmp_path: 
     stack.wait(lambda: "ugv_0" not in states.last.name, "the UGV is gone")
 
 
+def test_a_boat_sails_on_waves_by_cmd_vel(stack: Stack, start: Start, tmp_path: Path) -> None:
+    (tmp_path / "boat.yaml").write_text("extends: boat\nlimits: {timeout: 0}\n")
+    start(f"[{{name: boat_0, type: {tmp_path}/boat.yaml, pose: [10, 0, 1.57]}}]")
+    graph = stack.graph
+    odometry, fixed = graph.hear("/boat_0/odom", Odometry), graph.hear("/tf_static", TFMessage)
+    joints = graph.hear("/boat_0/joint_states", JointState)
+    poll(lambda: odometry.messages, "odometry", START_LIMIT)
+    graph.say("/boat_0/cmd_vel", Twist(linear=Vector3(x=1.0)))
+    stack.wait(lambda: odometry.last.pose.pose.position.x > 3.0, "the boat has gone ahead")
+    assert (odometry.last.header.frame_id, odometry.last.child_frame_id) == ("boat_0/odom", "boat_0/base_link")
+    assert odometry.last.pose.pose.position.z != 0.0  # on waves
+    assert joints.last.name == []
+    assert {frame.child_frame_id for frame in fixed.last.transforms} >= {"boat_0/odom", "boat_0/platform"}
+    assert "platform" in rospy.get_param("/boat_0/robot_description")
+    graph.call("/gazebo/reset_world", Empty)
+    stack.wait(lambda: abs(odometry.last.pose.pose.position.x) < 0.5, "the boat is back where it started")
+
+
 @pytest.mark.parametrize(
     ("robots", "words"),
     [
-        ("tank:1", "robots: type 'tank' is not known; there are car, ugv"),
+        ("tank:1", "robots: type 'tank' is not known; there are boat, car, ugv"),
         ("[{name: iris_0, type: ugv}]", "robots: 'iris_0' is the name of a vehicle or of a model in the world"),
         ("[{name: ugv_0, type: ugv, pose: [0, 3]}]", "ugv_0: the start at 0 3 m is not free: it is 0."),
     ],

@@ -60,8 +60,10 @@ from xtdrone_sim.air.ground_effect import GroundSettings
 from xtdrone_sim.air.wind_region import RegionSettings
 from xtdrone_sim.cameras.camera_node import CameraSettings
 from xtdrone_sim.lidars.lidar_node import LidarSettings
+from xtdrone_sim.robots.floating import BoatLimits, HullSettings
 from xtdrone_sim.robots.kinematics import AckermannLimits, DifferentialLimits, DriveLimits
 from xtdrone_sim.robots.robot_model import BodySettings, PlatformSettings
+from xtdrone_sim.robots.waves import WaveSettings
 from xtdrone_sim.runtime.full_simulation import FullSettings
 from xtdrone_sim.runtime.simulator_node import NodeSettings
 from xtdrone_sim.topics.robot_tf import TfSettings
@@ -124,6 +126,9 @@ CLASSES: dict[str, type[Settings]] = {
         AckermannLimits,
         BodySettings,
         PlatformSettings,
+        HullSettings,
+        BoatLimits,
+        WaveSettings,
         GimbalOptions,
         DetectionOptions,
         GroundOptions,

@@ -9,6 +9,7 @@ subscribed
 /T/mavros/local_position/velocity_local TwistStamped
 /T/mavros/imu/data                      sensor_msgs/Imu
 /T/mavros/state                         mavros_msgs/State
+/T/TOPIC                                any type                        each of ~topics, counted
 published
 /T/mavros/setpoint_raw/local            mavros_msgs/PositionTarget      30 Hz, a position above the spawn position
 ======================================  ==============================  ===============================================
@@ -19,6 +20,7 @@ Parameters:
     /xtdrone/fleet (as ``iris:9``): the vehicles.
     ~window (s, default 20.0): minimum simulated time of the measurement, once all vehicles are airborne.
     ~height (m, default 3.0): height held above the ground.
+    ~topics (default empty): further topics of each vehicle, comma-separated, e.g. ``scan``.
     ~out (default empty): folder for events.jsonl.
 
 events.jsonl has the formation director's format: one JSON object per line with ``event``, ``time`` (simulated s) and
@@ -79,13 +81,14 @@ class _Vehicle:
         position: m, ENU; None before the first message.
     """
 
-    def __init__(self, name: str, height: float, received: Counter[str]) -> None:
+    def __init__(self, name: str, height: float, received: Counter[str], topics: Sequence[str]) -> None:
         """Declare the topics.
 
         Args:
             name: as ``iris_0``.
             height: of the position to hold, m above the arming position.
             received: message counters by topic.
+            topics: further ones below its name.
         """
         self.name = name
         self.connected = False
@@ -103,6 +106,7 @@ class _Vehicle:
             lockstep.Subscriber(f"{base}/local_position/velocity_local", TwistStamped, self._count, "velocity_local"),
             lockstep.Subscriber(f"{base}/imu/data", Imu, self._count, "imu/data"),
             lockstep.Subscriber(f"{base}/state", State, self._on_state),
+            *(lockstep.Subscriber(f"/{name}/{topic}", rospy.AnyMsg, self._count, topic) for topic in topics),
         ]
         self._set_mode = rospy.ServiceProxy(f"{base}/set_mode", SetMode)
         self._arm = rospy.ServiceProxy(f"{base}/cmd/arming", CommandBool)
@@ -158,7 +162,9 @@ class OffboardClient:
     Create it between ``lockstep.init_node`` and ``lockstep.start``, then call :meth:`run`.
     """
 
-    def __init__(self, names: Sequence[str], window: float, height: float, events: TextIO | None = None) -> None:
+    def __init__(
+        self, names: Sequence[str], window: float, height: float, events: TextIO | None, topics: Sequence[str] = ()
+    ) -> None:
         """Declare the topics.
 
         Args:
@@ -166,9 +172,10 @@ class OffboardClient:
             window: minimum length of the measurement, simulated s.
             height: to hold, m above the ground.
             events: receives the events as JSON lines.
+            topics: further ones of each vehicle.
         """
         self._received: Counter[str] = Counter()
-        self._vehicles = [_Vehicle(name, height, self._received) for name in names]
+        self._vehicles = [_Vehicle(name, height, self._received, topics) for name in names]
         self._window = window
         self._events = events
 
@@ -300,7 +307,8 @@ def main() -> int:
 
 
 def _run(names: Sequence[str], window: float, height: float, events: TextIO | None) -> int:
-    client = OffboardClient(names, window, height, events)
+    topics = [topic for topic in str(rospy.get_param("~topics", "")).split(",") if topic]
+    client = OffboardClient(names, window, height, events, topics)
     lockstep.start()
     return client.run()
 

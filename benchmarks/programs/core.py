@@ -10,12 +10,13 @@ import math
 import statistics
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from benchmarks.programs.program_frame import Column, Row, run
 from xtdrone_control.autopilot import modes
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_sim.effects import Effect
 from xtdrone_sim.simulation import Simulation
 
 _ALIGN_US = 2_000_000
@@ -36,9 +37,8 @@ def measure(vehicles: int, seconds: float, repeats: int = 3) -> dict[str, Any]:
     Returns:
         vehicles, real_time_factor, vehicle_steps_per_second, microseconds_per_vehicle_step.
     """
-    simulation = Simulation(parse_fleet(f"iris:{vehicles}"), rows=max(1, math.isqrt(vehicles)))
-    _take_off(simulation)
-    rates = [_rate(simulation, seconds) for _ in range(repeats)]
+    simulation = flying(vehicles)
+    rates = [speed_of(simulation, seconds) for _ in range(repeats)]
     simulation.close()
     rate = statistics.median(rates)
     steps = rate / (simulation.step_us * 1e-6) * vehicles
@@ -48,6 +48,13 @@ def measure(vehicles: int, seconds: float, repeats: int = 3) -> dict[str, Any]:
         "vehicle_steps_per_second": steps,
         "microseconds_per_vehicle_step": 1e6 / steps,
     }
+
+
+def flying(vehicles: int, effects: Sequence[Effect] = ()) -> Simulation:
+    """Return a simulation with ``vehicles`` iris that circle at 10 m in OFFBOARD, under ``effects``."""
+    simulation = Simulation(parse_fleet(f"iris:{vehicles}"), rows=max(1, math.isqrt(vehicles)), effects=effects)
+    _take_off(simulation)
+    return simulation
 
 
 def _take_off(simulation: Simulation) -> None:
@@ -70,7 +77,7 @@ def _steer(simulation: Simulation) -> None:
         commander.offboard_trajectory(_UNSET, velocity, _UNSET, math.nan, 0.0)
 
 
-def _rate(simulation: Simulation, seconds: float) -> float:
+def speed_of(simulation: Simulation, seconds: float) -> float:
     """Return simulated seconds per wall second while the vehicles circle in OFFBOARD, steered at 2 Hz, PX4's least."""
     start_us, start = simulation.time_us, time.perf_counter()
     while time.perf_counter() - start < seconds:

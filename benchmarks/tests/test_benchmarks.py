@@ -36,12 +36,14 @@ from benchmarks import (
     printed_tables,
     process_use,
     search_flights,
+    sensing_flights,
     stack_and_formation_flights,
     web_flights,
 )
 from benchmarks.measurement_table import MEASUREMENTS
 from benchmarks.nodes import bus_statistics, free_running_speeds, search_speed_meter
 from benchmarks.programs import barrier
+from xtdrone_control.fleet import read_fleet_file
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_interaction import cli, machine_facts, options
 from xtdrone_interaction.launching import scripted_launch
@@ -49,6 +51,7 @@ from xtdrone_interaction.web.fleet.fleet_frame import CHANNEL, pack_fleet_frame
 from xtdrone_interaction.web.fleet.model_states_bytes import COLUMNS
 from xtdrone_interaction.web.server.credentials import Credentials
 from xtdrone_interaction.web.server.station_server import Address, StationServer
+from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
 TICKS = os.sysconf("SC_CLK_TCK")
 CORES = len(os.sched_getaffinity(0))
@@ -63,8 +66,8 @@ PATIENCE = 120.0  # s of wall time; bounds a broken test
     [
         (
             ["--only", "core,wings"],
-            "part 'wings' is unknown; there are: core, simplified, drawing, sweep, detector, renderer, rays, rviz, "
-            "analyse, codecs, barrier, telemetry, stack, formation, search, free, web",
+            "part 'wings' is unknown; there are: core, simplified, drawing, sweep, detector, renderer, rays, effects, "
+            "rviz, analyse, codecs, barrier, telemetry, stack, sensing, formation, search, free, web",
         ),
         (["--vehicles", "0"], "vehicles of core: '0' is not allowed; 1 to 250"),
         (["--vehicles", "10000"], "vehicles of core: '10000' is not allowed; 1 to 250"),
@@ -79,6 +82,8 @@ PATIENCE = 120.0  # s of wall time; bounds a broken test
         (["--vehicles", "detector=100"], "widths of detector: 100 is not allowed; multiples of 32"),
         (["--vehicles", "detector=0"], "widths of detector: '0' is not allowed; 32 to 2048"),
         (["--vehicles", "search=11"], "rates of search: '11' is not allowed; 1 to 10"),
+        (["--vehicles", "effects=0"], "vehicles of effects: '0' is not allowed; 1 to 250"),
+        (["--vehicles", "sensing=251"], "vehicles of sensing: '251' is not allowed; 1 to 250"),
         (["--vehicles", "stack=9,many"], "vehicles of stack: 'many' is not allowed; 1 to 250"),
         (["--vehicles", "formation=1"], "vehicles of formation: '1' is not allowed; 2 to 250"),
         (
@@ -131,10 +136,12 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
             "sweep": (2,),
             "detector": (640,),
             "renderer": (640,),
+            "effects": (6,),
             "rviz": (30,),
             "analyse": (100,),
             "barrier": (0, 9),
             "telemetry": (30,),
+            "sensing": (6,),
             "formation": (9, 100),
             "search": (5,),
             "free": (9,),
@@ -163,6 +170,22 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
         "renderer, 640 x 480 px, egl, 2 of 2",
         "renderer, 640 x 480 px, tiny, 1 of 2",
         "renderer, 640 x 480 px, tiny, 2 of 2",
+        "effects, 6 vehicles, none, 1 of 2",
+        "effects, 6 vehicles, none, 2 of 2",
+        "effects, 6 vehicles, wind, 1 of 2",
+        "effects, 6 vehicles, wind, 2 of 2",
+        "effects, 6 vehicles, dryden, 1 of 2",
+        "effects, 6 vehicles, dryden, 2 of 2",
+        "effects, 6 vehicles, wind_region, 1 of 2",
+        "effects, 6 vehicles, wind_region, 2 of 2",
+        "effects, 6 vehicles, wind_field, 1 of 2",
+        "effects, 6 vehicles, wind_field, 2 of 2",
+        "effects, 6 vehicles, ground_effect, 1 of 2",
+        "effects, 6 vehicles, ground_effect, 2 of 2",
+        "effects, 6 vehicles, downwash, 1 of 2",
+        "effects, 6 vehicles, downwash, 2 of 2",
+        "effects, 6 vehicles, body_drag, 1 of 2",
+        "effects, 6 vehicles, body_drag, 2 of 2",
         "rviz, 30 vehicles, 1280 x 720 px, 1 of 2",
         "rviz, 30 vehicles, 1280 x 720 px, 2 of 2",
         "rviz, 30 vehicles, 1280 x 720 px, rough, 1 of 2",
@@ -179,6 +202,12 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
         "barrier, 9 participants, cpp, 2 of 2",
         "telemetry, 30 vehicles, 1 of 2",
         "telemetry, 30 vehicles, 2 of 2",
+        "sensing, 6 vehicles, lidars 16x512, 1 of 2",
+        "sensing, 6 vehicles, lidars 16x512, 2 of 2",
+        "sensing, 6 vehicles, depth 320x240, 1 of 2",
+        "sensing, 6 vehicles, depth 320x240, 2 of 2",
+        "sensing, 6 vehicles, depth 640x480, 1 of 2",
+        "sensing, 6 vehicles, depth 640x480, 2 of 2",
         "formation, 9 vehicles, processes per uav, 1 of 2",
         "formation, 9 vehicles, processes per uav, 2 of 2",
         "formation, 9 vehicles, processes merged, 1 of 2",
@@ -196,7 +225,7 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
     assert known[-3] == {"vehicles": 6, "repeat": 2, "camera_rate": 5}
     assert known[-5] == {"vehicles": 100, "repeat": 2, "mode": "shared"}
     assert known[7] == {"workers": 2, "repeat": 2}
-    assert known[31] == {"participants": 9, "repeat": 2, "kind": "cpp"}
+    assert known[47] == {"participants": 9, "repeat": 2, "kind": "cpp"}
 
 
 # ---- /proc
@@ -888,12 +917,58 @@ def test_table_of_the_detector() -> None:
 
 def test_table_of_the_renderer() -> None:
     row = {"width": 640, "height": 360, "backend": "egl", "milliseconds": 30.0, "wall_milliseconds": 24.5,
-           "depth_milliseconds": 26.0, "stereo_milliseconds": 49.0}  # fmt: skip
+           "depth_milliseconds": 25.0, "stereo_milliseconds": 49.0}  # fmt: skip
     results = {"machine": {"load_before": [0.1, 0.1, 0.1]}, "renderer": [row, row | {"backend": "tiny"}]}
     text = _printed(results)
     lines = [[cell.strip() for cell in line.strip("│").split("│")] for line in text.splitlines() if "│" in line]
-    assert ["640 x 360 px, egl", "30.00", "24.50", "26.00", "49.00"] in lines
-    assert ["640 x 360 px, tiny", "30.00", "24.50", "26.00", "49.00"] in lines
+    assert ["640 x 360 px, egl", "30.00", "24.50", "40", "20"] in lines
+    assert ["640 x 360 px, tiny", "30.00", "24.50", "40", "20"] in lines
+
+
+def test_table_of_the_effects() -> None:
+    row = {"vehicles": 6, "effect": "dryden", "effect_microseconds": 0.5, "microseconds_per_vehicle_step": 4.25,
+           "real_time_factor": 160.0}  # fmt: skip
+    text = _printed({"machine": {"load_before": [0.1, 0.1, 0.1]}, "effects": [row]})
+    lines = [[cell.strip() for cell in line.strip("│").split("│")] for line in text.splitlines() if "│" in line]
+    assert ["6 dryden", "0.50", "4.25", "160.00 x"] in lines
+    assert printed_tables.short_result("effects", row) == "0.50 us per vehicle and step"
+
+
+def test_fleets_with_sensors_are_flown_by_one_launch_file(tmp_path: Path) -> None:
+    shared: Any = SimpleNamespace(length=bench.QUICK)
+    cases: list[tuple[str, str, str, Callable[[Any], tuple[int, int]], tuple[int, int]]] = [
+        ("lidars 16x512", "lidars", "points", lambda one: (one.channels, one.samples), (16, 512)),
+        ("depth 640x480", "cameras", "depth_camera/depth/image_raw",
+         lambda one: (one.pinhole.width, one.pinhole.height), (640, 480)),
+    ]  # fmt: skip
+    for sensors, key, topic, size, numbers in cases:
+        arguments = sensing_flights.sensing_arguments(shared, {"vehicles": 2, "sensors": sensors}, tmp_path)
+        assert (arguments["lidars"], arguments["cameras"]) == (
+            str(key == "lidars").lower(),
+            str(key == "cameras").lower(),
+        )
+        assert (arguments["topics"], arguments["participants"]) == (topic, 3)
+        fleet = read_fleet_file(arguments["fleet"])
+        assert [vehicle.name for vehicle in fleet] == ["iris_0", "iris_1"]
+        (mount,) = getattr(load_vehicle(fleet[1].model), key)
+        assert (mount.rate, topic.split("/")[0]) == (10.0, mount.name)
+        assert size(mount) == numbers
+
+
+def test_fleets_with_sensors_are_limited_by_the_program_with_most_cores() -> None:
+    window = {"simulated": 10.0, "elapsed": 8.0, "received": {"pose": 600, "depth_camera/depth/image_raw": 600},
+              "cpu": {"xtdrone_sim.cameras.camera_worker": 6.0, "simulator": 2.0}, "others": 0.5, "memory": 5,
+              "processes": 6}  # fmt: skip
+    events = [_event("armed", 1.0, 1003.0), _event("window", 30.0, 1009.0, **window)]
+    row = {"vehicles": 6, "sensors": "depth 640x480"} | sensing_flights.sensing_figures(events, 1000.0)
+    assert (row["real_time_factor"], row["frames_per_simulated_second"]) == (1.25, 60.0)
+    assert row["cores"] == {"camera_worker": 0.75, "simulator": 0.25}
+    lidars = row | {"sensors": "lidars 16x512", "overlap": 0.5}
+    text = _printed({"machine": {"load_before": [0.1, 0.1, 0.1]}, "sensing": [row | {"overlap": 0.5}, lidars]})
+    lines = [[cell.strip() for cell in line.strip("│").split("│")] for line in text.splitlines() if "│" in line]
+    assert ["6 depth 640x480", "1.25 x", "", "60.0", "50%", "camera_worker 0.75"] in lines
+    assert ["6 lidars 16x512", "1.25 x", "1 x", "60.0", "50%", "camera_worker 0.75"] in lines
+    assert "…" not in text  # it fits a terminal of 80 columns
 
 
 def test_table_of_films() -> None:

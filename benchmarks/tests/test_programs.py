@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 from tiny_networks import write_darknet
 
-from benchmarks.programs import analysis, codecs, detector, drawing, program_frame, rays, simplified
+from benchmarks.programs import analysis, codecs, detector, drawing, effects, program_frame, rays, simplified
 from xtdrone_interaction.options import repository
 from xtdrone_interaction.recording.bag import read_bag
+from xtdrone_sim.air import AIR
 
 
 def test_a_picture_of_640_by_360_fits_into_each_input():
@@ -58,6 +59,13 @@ def test_rays_are_measured() -> None:
     row = rays.measure(1, "scan", 0.01)
     assert row["rays"] == 512
     assert row["real_time_factor"] == pytest.approx(row["million_rays_per_second"] * 1e6 / 5120)
+
+
+def test_effects_are_measured() -> None:
+    row = effects.measure(2, "wind_region", 0.01)
+    assert 0.0 < row["effect_microseconds"] < row["microseconds_per_vehicle_step"] * 10.0  # medians, one of few steps
+    assert row["real_time_factor"] * row["microseconds_per_vehicle_step"] * 2 == pytest.approx(4000.0)
+    assert set(effects.EFFECTS) > set(AIR)
 
 
 def test_the_codecs_are_measured() -> None:

@@ -1043,6 +1043,17 @@ def test_the_simulators_own_messages_are_counted(server):
         server.attach_host(link)
 
 
+def test_a_topic_that_the_simulator_gives_up_is_not_waited_for(server):
+    link = Link()
+    server.attach_host(link)
+    a = FakeParticipant(server, "/a", subscriptions=[["/models", "T"]])
+    joined(server, a)
+    link.news.append(({"publications": []}, [], [1], {}))
+    with Running(server, 0):
+        a.done(a.tick())
+    assert server.missing() == ""
+
+
 def test_port_in_use_raises(server):
     with pytest.raises(OSError, match="in use"):
         LockstepServer(port=int(server.uri.rsplit(":", 1)[1]))

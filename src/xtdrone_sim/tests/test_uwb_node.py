@@ -1,6 +1,7 @@
 """The UWB sensors' node with a real master in lockstep; this file plays the simulator.
 
-Called as a program this file is one of the other nodes: ``teller`` (of the scene) or ``taker`` (of ranges).
+Called as a program this file is one of the other nodes: ``teller`` (of the scene), ``taker`` (of ranges), ``inviter``
+(of a vehicle that joins and leaves) or ``watcher`` (of everyone's ranges).
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from xtdrone_control.lockstep.server import LockstepServer
 try:
     import rospy
     from geometry_msgs.msg import Point, Pose, Quaternion
+    from std_msgs.msg import String
     from xtdrone_msgs.msg import RelativeRanges, SceneState
     from xtdrone_msgs.srv import SetLidarFailure
 except ImportError:
@@ -88,6 +90,46 @@ def taker(file: str) -> None:
     del keep
 
 
+def inviter() -> None:
+    """Publisher of the vehicles' places; in its second flight the third joins at 0.32 s and leaves at 0.92 s."""
+    lockstep.init_node("inviter", rate=50.0)
+    publisher = lockstep.Publisher("/xtdrone/scene", SceneState)
+    vehicles = lockstep.Publisher("/xtdrone/vehicles", String, latch=True)
+    flights = [0]
+    lockstep.add_reset_hook(lambda: flights.append(0))
+
+    def step() -> None:
+        now = rospy.Time.now()
+        ms = now.to_nsec() // 1_000_000
+        there = NAMES[: 3 if len(flights) == 2 and 320 <= ms < 920 else 2]
+        if len(flights) == 2 and ms in (320, 920):
+            vehicles.publish(String(f"iris_uwb_bearing:{len(there)}"))
+        message = SceneState(links=[f"{name}::base_link" for name in there])
+        message.header.stamp = now
+        spots = [(0.0, 0.0, 2.0), (10.0, 10.0, 2.0), (0.0, 7.0, 2.0)]
+        message.poses = [Pose(Point(*spots[k]), Quaternion(0.0, 0.0, 0.0, 1.0)) for k in range(len(there))]
+        publisher.publish(message)
+
+    lockstep.start()
+    lockstep.spin(step)
+
+
+def watcher(file: str) -> None:
+    """Writes down the ranges of all vehicles, a JSON line each."""
+    lockstep.init_node("watcher", rate=50.0)
+    out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process
+
+    def on_ranges(message: RelativeRanges) -> None:
+        ranges = {r.vehicle: [r.range, r.azimuth, r.elevation] for r in message.ranges}
+        stamp = message.header.stamp.to_nsec() // 1000
+        print(json.dumps({"vehicle": message.vehicle, "stamp": stamp, "ranges": ranges}), file=out)
+
+    keep = [lockstep.Subscriber(f"/{name}/uwb", RelativeRanges, on_ranges) for name in NAMES]
+    lockstep.add_reset_hook(lambda: print(json.dumps({"back": keep[2].get_num_connections()}), file=out))
+    lockstep.start()
+    lockstep.spin()
+
+
 @pytest.fixture
 def graph(tmp_path: Path) -> Iterator[Graph]:
     yield from running_graph(tmp_path)
@@ -135,6 +177,41 @@ def test_ranges_have_exact_times_fail_on_request_and_repeat_after_a_reset(graph:
     assert words[2] == f"/{NAMES[0]}/uwb: biased 5"
 
 
+def test_a_vehicle_that_joins_measures_and_is_measured_until_it_leaves(graph: Graph, server: LockstepServer) -> None:
+    graph.set_param("/xtdrone/fleet", "iris_uwb_bearing:2")
+    graph.set_param("/uwb/rate", RATE)
+    file = graph.folder / "watcher.json"
+    graph.start("uwb", sys.executable, str(NODE))
+    graph.role(__file__, "inviter")
+    graph.role(__file__, "watcher", str(file))
+    names = ["/uwb", "/inviter", "/watcher"]
+    wait_for_nodes(graph, server, names)
+    for _ in range(2):
+        run_ticks(graph, server, 0, 1_300_000, len(names))
+        server.reset_time(0)
+    run_ticks(graph, server, 0, 40_000, len(names))
+    notes = read_notes(file)
+    assert [note["back"] for note in notes if "back" in note] == [0, 0]  # the topic has ended
+    back = next(k for k, note in enumerate(notes) if "back" in note)
+    alone, joined = (
+        {(note["vehicle"], note["stamp"]): note["ranges"] for note in part if "vehicle" in note}
+        for part in (notes[:back], notes[back:])
+    )
+    stamps = [375_000, 500_000, 625_000, 750_000, 875_000]
+    guests = {key: ranges for key, ranges in joined.items() if key[0] == NAMES[2]}
+    assert [stamp for _, stamp in guests] == stamps
+    for ranges in guests.values():
+        assert list(ranges) == list(NAMES[:2])
+        assert ranges[NAMES[0]][0] == pytest.approx(7.0, abs=0.5)  # noise of 0.1 m
+        assert ranges[NAMES[1]][0] == pytest.approx(math.hypot(10.0, 3.0), abs=0.5)
+    measured = {key: ranges.pop(NAMES[2]) for key, ranges in joined.items() if NAMES[2] in ranges}
+    assert sorted(measured) == sorted((name, stamp) for name in NAMES[:2] for stamp in stamps)
+    assert {key: ranges for key, ranges in joined.items() if key not in guests} == alone  # to the last bit
+    found = [ranges[0] for (name, _), ranges in measured.items() if name == NAMES[0]]
+    assert found == pytest.approx([7.0] * len(stamps), abs=0.5)
+    assert len(set(found)) == len(stamps)
+
+
 def test_a_fleet_without_sensors_is_reported(graph: Graph) -> None:
     graph.set_param("/uwb/fleet", "iris:2")
     node = graph.start("uwb", sys.executable, str(NODE))
@@ -143,4 +220,4 @@ def test_a_fleet_without_sensors_is_reported(graph: Graph) -> None:
 
 
 if __name__ == "__main__":
-    {"teller": teller, "taker": taker}[sys.argv[1]](*sys.argv[2:])
+    {"teller": teller, "taker": taker, "inviter": inviter, "watcher": watcher}[sys.argv[1]](*sys.argv[2:])

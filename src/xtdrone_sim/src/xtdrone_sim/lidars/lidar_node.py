@@ -8,13 +8,15 @@ topic or service                   type                          content
 /T/NAME/failure                    xtdrone_msgs/SetLidarFailure  lets the lidar fail
 /xtdrone/scene (subscribed)        xtdrone_msgs/SceneState       poses of links and actors
 /xtdrone/models (subscribed)       xtdrone_msgs/SceneModels      models added and deleted since the start
+/xtdrone/vehicles (subscribed)     std_msgs/String               vehicles that join and leave
 =================================  ============================  ======================================================
 
 T is a vehicle, e.g. ``iris_0``, NAME the name of its lidar, e.g. ``scan``.
 
 Scan k of a lidar begins at k / rate s. It is cast in the turn in which the scene has come that covers its last ray, by
 another thread, and published a fixed simulated time later; simulated time continues meanwhile and waits only then.
-Lidars without subscribers cast no rays.
+Lidars without subscribers cast no rays. Those of a vehicle that joins scan from the first scene with it on; when it
+leaves, the scan that has begun is lost and its topics end.
 """
 
 from __future__ import annotations
@@ -43,6 +45,7 @@ from xtdrone_sim.lidars.scene_history import SceneHistory
 from xtdrone_sim.sensors.measurement_times import Due, rate_setting
 from xtdrone_sim.sensors.ranging_failures import RangingFailure
 from xtdrone_sim.topics.failure_services import FailureServices
+from xtdrone_sim.topics.fleet_changes import FleetChanges, vehicles_may_join
 from xtdrone_sim.topics.live_rays import LiveRays
 from xtdrone_sim.topics.scene_messages import scene_of
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LEAST_RATE, MOST_RATE, ROSETTE, LidarMount
@@ -71,13 +74,6 @@ class LidarSettings(Settings):
         return replace(mount, rate=self.rate or mount.rate, skew=mount.skew and self.skew)
 
 
-class _Shot(NamedTuple):
-    """A scan in progress: index of its lidar and number."""
-
-    lidar: int
-    number: int
-
-
 class _Done(NamedTuple):
     """A scan and its message."""
 
@@ -85,12 +81,26 @@ class _Done(NamedTuple):
     message: LaserScan | PointCloud2
 
 
-@dataclass
-class _State:
-    """State of a lidar: its scans that are due, and the latest scan."""
+@dataclass(eq=False)
+class _Station:
+    """A lidar with its topic, its scans that are due, and the latest scan.
 
+    Attributes:
+        joins: whether its vehicle has joined in flight and has not been in a scene yet.
+    """
+
+    lidar: Lidar
+    publisher: lockstep.Publisher
     due: Due
+    joins: bool
     last: Scan | None = None
+
+
+class _Shot(NamedTuple):
+    """A scan in progress and its number."""
+
+    station: _Station
+    number: int
 
 
 def _scanned(lidar: Lidar, number: int, motion: Motion, own: int, failure: RangingFailure) -> _Done:
@@ -103,36 +113,53 @@ def _scanned(lidar: Lidar, number: int, motion: Motion, own: int, failure: Rangi
 class LidarNode:
     """Casts and publishes scans, turn by turn."""
 
-    def __init__(self, lidars: Sequence[Lidar], settings: LidarSettings) -> None:
+    def __init__(self, fleet: Sequence[Vehicle], settings: LidarSettings) -> None:
         """Advertise topics and services.
 
         Args:
-            lidars: all lidars of the node.
+            fleet: all vehicles, whose lidars are served.
             settings: see ``LidarSettings``.
+
+        Raises:
+            ValueError: a vehicle type or a pattern cannot be used.
         """
-        self._lidars = [replace(lidar, mount=settings.applied(lidar.mount)) for lidar in lidars]
+        self._settings = settings
         self._latency_us = round(settings.latency * 1e6)
-        self._publishers = [
-            lockstep.Publisher(lidar.topic, LaserScan if lidar.mount.kind == "scan" else PointCloud2)
-            for lidar in self._lidars
-        ]
-        self._states = [_State(Due(lidar.mount.rate, int(lidar.mount.skew))) for lidar in self._lidars]
-        self._failures = FailureServices([lidar.topic for lidar in self._lidars])
-        self._history = SceneHistory(round(1e6 * max(lidar.mount.duration for lidar in self._lidars)))
+        self._stations: list[_Station] = []
+        self._failures = FailureServices()
+        self._history = SceneHistory(0)
         self._rays = LiveRays(_NAME)
         self._deferred = Deferred(min(_MOST_WORKERS, len(os.sched_getaffinity(0))), wait=lockstep.is_active())
+        for lidar in usable_lidars(fleet):
+            self._serve(lidar, joins=False)
         lockstep.Subscriber("/xtdrone/scene", SceneState, self._take_scene)
         lockstep.Subscriber("/xtdrone/models", SceneModels, self._rays.change)
+        self._changes = FleetChanges(fleet, self._join, self._leave)
         lockstep.add_reset_hook(self._restart)
 
-    def begin(self, world: str, fleet: Sequence[Vehicle]) -> None:
-        """Start scanning.
+    def begin(self, world: str) -> None:
+        """Start scanning in a world, given by name or file."""
+        self._rays.begin(world, self._changes.fleet)
 
-        Args:
-            world: name or file.
-            fleet: all vehicles, which rays meet.
-        """
-        self._rays.begin(world, fleet)
+    def _serve(self, lidar: Lidar, *, joins: bool) -> None:
+        lidar = replace(lidar, mount=self._settings.applied(lidar.mount))
+        publisher = lockstep.Publisher(lidar.topic, LaserScan if lidar.mount.kind == "scan" else PointCloud2)
+        self._failures.add(lidar.topic)
+        self._history.reach_back(round(1e6 * lidar.mount.duration))
+        self._stations.append(_Station(lidar, publisher, Due(lidar.mount.rate, int(lidar.mount.skew)), joins))
+
+    def _join(self, vehicle: Vehicle) -> None:
+        lidars = usable_lidars([vehicle])
+        self._rays.add_vehicle(vehicle)
+        for lidar in lidars:
+            self._serve(lidar, joins=True)
+
+    def _leave(self, vehicle: Vehicle) -> None:
+        self._rays.remove_vehicle(vehicle)
+        for station in [station for station in self._stations if station.lidar.vehicle == vehicle.name]:
+            self._stations.remove(station)
+            self._failures.remove(station.lidar.topic)
+            station.publisher.unregister()
 
     def _take_scene(self, message: SceneState) -> None:
         self._history.add(message.header.stamp.to_nsec() // 1000, scene_of(message))
@@ -141,26 +168,30 @@ class LidarNode:
         """Discard the state from before a reset of simulated time, except failures."""
         self._deferred.clear()
         self._history.clear()
-        for state in self._states:
-            state.due.restart()
-            state.last = None
+        for station in self._stations:
+            station.due.restart()
+            station.last = None
 
     def step(self) -> None:
         """Publish the scans and cast those that are due."""
         now_us = rospy.Time.now().to_nsec() // 1000
         for shot, done in self._deferred.ready(now_us):
-            self._publish(shot, done)
+            if shot.station in self._stations:
+                self._publish(shot, done)
         last_us = self._history.last_us
         if last_us is None:
             return
-        first_us = self._history.first_us or 0
-        for k, lidar in enumerate(self._lidars):
-            for number in self._states[k].due.numbers(first_us, last_us):
-                if self._publishers[k].get_num_connections() and self._failures[k].kind != "off":
-                    self._begin(k, lidar, number, now_us)
+        for station in self._stations:
+            first_us = self._history.first_with(station.lidar.link) if station.joins else self._history.first_us
+            if first_us is None:
+                continue
+            station.joins = False
+            for number in station.due.numbers(first_us, last_us):
+                if station.publisher.get_num_connections() and self._failures[station.lidar.topic].kind != "off":
+                    self._begin(station, number, now_us)
 
-    def _begin(self, k: int, lidar: Lidar, number: int, now_us: int) -> None:
-        rays = self._rays.scene()
+    def _begin(self, station: _Station, number: int, now_us: int) -> None:
+        rays, lidar = self._rays.scene(), station.lidar
         if rays is None:
             return
         begin, end = begin_us(lidar.mount, number), end_us(lidar.mount, number)
@@ -168,26 +199,39 @@ class LidarNode:
         if motion is None:
             rospy.logwarn_throttle(10.0, f"/xtdrone/scene does not have {lidar.link}: no scans of its lidar")
             return
-        own = rays.number(lidar.vehicle)
-        failure = self._failures[k]
-        self._deferred.put(_Shot(k, number), now_us + self._latency_us, _scanned, lidar, number, motion, own, failure)
+        own, failure = rays.number(lidar.vehicle), self._failures[lidar.topic]
+        shot = _Shot(station, number)
+        self._deferred.put(shot, now_us + self._latency_us, _scanned, lidar, number, motion, own, failure)
 
     def _publish(self, shot: _Shot, done: _Done) -> None:
-        lidar, state = self._lidars[shot.lidar], self._states[shot.lidar]
-        failure = self._failures[shot.lidar]
+        station = shot.station
+        failure = self._failures[station.lidar.topic]
         if failure.kind == "off":
             return
         message = done.message
-        if failure.kind == "frozen" and state.last is not None:
-            message = scan_message(lidar, shot.number, state.last)
+        if failure.kind == "frozen" and station.last is not None:
+            message = scan_message(station.lidar, shot.number, station.last)
         else:
-            state.last = done.scan
-        self._publishers[shot.lidar].publish(message)
+            station.last = done.scan
+        station.publisher.publish(message)
 
     def close(self) -> None:
         """End the casting."""
         self._failures.close()
         self._deferred.close()
+
+
+def usable_lidars(fleet: Sequence[Vehicle]) -> tuple[Lidar, ...]:
+    """Return all lidars of vehicles, after reading their patterns.
+
+    Raises:
+        ValueError: a vehicle type or a pattern cannot be used.
+    """
+    lidars = lidars_of(fleet)
+    for lidar in lidars:
+        if lidar.mount.kind == "pattern" and lidar.mount.pattern != ROSETTE:
+            read_pattern(lidar.mount.pattern_file)
+    return lidars
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -202,19 +246,16 @@ def main(arguments: Sequence[str]) -> None:
     fleet = fleet_of(text) or ()
     try:
         settings = LidarSettings.from_parameters(lambda name, default: parameters.get(name[1:], default))
-        lidars = lidars_of(fleet)
-        for lidar in lidars:
-            if lidar.mount.kind == "pattern" and lidar.mount.pattern != ROSETTE:
-                read_pattern(lidar.mount.pattern_file)
+        lidars = usable_lidars(fleet)
     except ValueError as error:
         raise ArgumentError(str(error)) from error
-    if not lidars:
+    if not lidars and not vehicles_may_join():
         raise ArgumentError(f"/xtdrone/fleet: no vehicle of {text!r} has a lidar")
     lockstep.init_node(_NAME, rate=TURNS)
-    node = LidarNode(lidars, settings)
+    node = LidarNode(fleet, settings)
     try:
         lockstep.start()  # returns when the simulator is running and has set the world
-        node.begin(str(rospy.get_param("~world", rospy.get_param("/xtdrone/world", "empty"))), fleet)
+        node.begin(str(rospy.get_param("~world", rospy.get_param("/xtdrone/world", "empty"))))
         lockstep.spin(node.step)
     finally:
         node.close()

@@ -35,6 +35,14 @@ class SceneHistory:
         self._longest_us = longest_us
         self._samples: deque[_Sample] = deque()
 
+    def reach_back(self, longest_us: int) -> None:
+        """Keep scenes for scans that reach as far back, microseconds; what has been dropped stays so."""
+        self._longest_us = max(self._longest_us, longest_us)
+
+    def first_with(self, link: str) -> int | None:
+        """Return the time of the earliest scene with a link, microseconds; None without one."""
+        return next((sample.time_us for sample in self._samples if link in sample.scene.links), None)
+
     def clear(self) -> None:
         """Forget all, as after a reset of simulated time."""
         self._samples.clear()

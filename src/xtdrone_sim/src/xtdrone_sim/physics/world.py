@@ -405,6 +405,9 @@ class World:
             SdfError: a mesh file cannot be read.
         """
         body = self.bodies.add(number, model, pose, drive)
+        if drive is not None and drive.floats:
+            for shape in body.shapes:
+                self._bullet.setCollisionFilterPair(shape, self._ground, -1, -1, 0)
         self._index_of.update((shape, len(self._bodies) + number) for shape in body.shapes)
 
     def overlaps(self, number: int) -> list[tuple[int, float]]:

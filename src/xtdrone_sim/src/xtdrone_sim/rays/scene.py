@@ -87,6 +87,7 @@ class RayScene:
         self._loose: set[str] = set()  # models of the file whose links have trees of their own
         self._deleted: frozenset[str] = frozenset()
         self._trees: dict[str, list[Trees]] = {}  # of each thing that moves, by the name of its link or actor
+        self._parts: dict[tuple[str, str], NDArray[np.void]] = {}  # surfaces by vehicle type and link
         self._added: dict[str, SdfModel] = {}
         self._add_fleet(fleet)
         self._add_actors(actors)
@@ -115,18 +116,35 @@ class RayScene:
             )
 
     def _add_fleet(self, fleet: Sequence[Vehicle]) -> None:
-        types = {kind: load_vehicle(kind) for kind in dict.fromkeys(vehicle.model for vehicle in fleet)}
-        parts = {
-            (kind, link.name): surfaces_of(seen(link.visuals, link.collisions), 0)
-            for kind, model in types.items()
-            for link in model.urdf.moving
-        }
         for vehicle in fleet:
-            for link in types[vehicle.model].urdf.moving:
-                surfaces = parts[vehicle.model, link.name]
-                if len(surfaces):
-                    self._trees[f"{vehicle.name}::{link.name}"] = [build(surfaces)]
+            for link in load_vehicle(vehicle.model).urdf.moving:
+                part = vehicle.model, link.name
+                if part not in self._parts:
+                    self._parts[part] = surfaces_of(seen(link.visuals, link.collisions), 0)
+                if len(self._parts[part]):
+                    self._trees[f"{vehicle.name}::{link.name}"] = [build(self._parts[part])]
             self.number(vehicle.name)
+
+    def add_vehicle(self, vehicle: Vehicle) -> None:
+        """Let rays meet one more vehicle.
+
+        Raises:
+            SceneError: too many triangles; nothing has changed then.
+            ValueError: an invalid mesh or vehicle type.
+        """
+        before = dict(self._trees)
+        self._add_fleet([vehicle])
+        try:
+            self._check_size()
+        except SceneError:
+            self._trees = before
+            raise
+        self._layout = None
+
+    def remove_vehicle(self, name: str) -> None:
+        """Let rays meet a vehicle no more."""
+        self._trees = {link: trees for link, trees in self._trees.items() if link.partition("::")[0] != name}
+        self._layout = None
 
     def _add_actors(self, actors: Sequence[SdfActor]) -> None:
         skins = people.skins([actor.skin for actor in actors])

@@ -124,6 +124,7 @@ class Drive(ABC):
 
     limits: DriveLimits
     yields = True  # to what stands
+    floats = False
 
     def __init__(self, pose: Pose = Pose()) -> None:  # noqa: B008, immutable
         """Stand at a pose, of which the yaw counts."""
@@ -166,6 +167,11 @@ class Drive(ABC):
                 raise SettingError(name, value, "a finite number")
         self._linear, self._angular = _clipped(linear, self.limits.speed), angular
         self._left_us = round(self.limits.timeout * 1e6) if self.limits.timeout else _NEVER
+
+    @property
+    def twist(self) -> tuple[Vector, Vector]:
+        """Velocity, m/s, and spin, rad/s, both along the robot's axes."""
+        return (self.state.speed, 0.0, 0.0), (0.0, 0.0, self.state.rate)
 
     @property
     def is_level(self) -> bool:

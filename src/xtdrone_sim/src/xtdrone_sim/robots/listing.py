@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from xtdrone_control.bounded_file import ContentError, load_yaml
 from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import SettingError, check_range
-from xtdrone_sim.robots.robot_model import RobotModel, load_robot
+from xtdrone_sim.robots.robot_model import AnyRobot, load_robot
 from xtdrone_sim.shapes.visual import Pose
 
 MOST_ROBOTS = 50
@@ -31,7 +31,7 @@ class Robot(NamedTuple):
     """
 
     name: str
-    model: RobotModel
+    model: AnyRobot
     pose: Pose
     has_height: bool = False
 
@@ -51,7 +51,7 @@ def parse_robots(text: str) -> tuple[Robot, ...]:
     entries = _listed(text) if text.lstrip().startswith("[") else _counted(text)
     if len(entries) > MOST_ROBOTS:
         raise SettingError("robots", text[:60], f"at most {MOST_ROBOTS} robots")
-    models: dict[str, RobotModel] = {}
+    models: dict[str, AnyRobot] = {}
     robots: list[Robot] = []
     for number, entry in enumerate(entries):
         name, kind = _name(entry, number), str(entry.get("type", ""))

@@ -1,4 +1,4 @@
-"""Descriptions of ground robots: ``config/robots/TYPE.yaml``, or a file of one's own."""
+"""Descriptions of robots on the ground and on water: ``config/robots/TYPE.yaml``, or a file of one's own."""
 
 from __future__ import annotations
 
@@ -13,16 +13,19 @@ from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_control.tag_boards import TagBoard, boards_of
 from xtdrone_sim.descriptions import ModelError, available, read_description
 from xtdrone_sim.robots import tag_visuals
+from xtdrone_sim.robots.floating import Boat, BoatLimits, HullSettings
 from xtdrone_sim.robots.kinematics import Ackermann, AckermannLimits, Differential, DifferentialLimits, Drive
 from xtdrone_sim.robots.rolling import Footprint, Ground
+from xtdrone_sim.robots.waves import WaveSettings
 from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Pose, Visual
 from xtdrone_sim.vehicles.urdf import Inertial
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
 
 LINK = "base_link"
-DRIVES = ("differential", "ackermann")
+DRIVES = ("differential", "ackermann", "boat")
 
 _FIELDS = ("drive", "limits", "body", "platform")
+_BOAT_FIELDS = ("drive", "limits", "hull", "waves", "platform")
 _LEAST_CLEARANCE = 0.05  # m: bodies do not touch the ground, on which the wheels roll without being simulated
 _HEAVY = 1e5  # kg and kg m^2: Bullet's solver then moves what touches the robot, as its motors would
 _TYRE = (0.08, 0.08, 0.08, 1.0)
@@ -92,6 +95,11 @@ class RobotModel:
     limits: DifferentialLimits | AckermannLimits
     body: BodySettings
     platform: PlatformSettings | None
+
+    @property
+    def ahead(self) -> float:
+        """m, of the platform's middle before the origin."""
+        return self.body.ahead
 
     def drive(self, pose: Pose, ground: Ground | None = None) -> Drive:
         """Return wheels and motors that stand at a pose, on ``ground`` if it is not level."""
@@ -165,6 +173,57 @@ class RobotModel:
         ]
 
 
+@dataclass(frozen=True)
+class BoatModel:
+    """A type of boat; its origin is the middle of the hull, at the waterline.
+
+    Attributes:
+        limits: thrusters and drag.
+        hull: its hull.
+        waves: of the water on which it floats.
+        platform: its platform, whose height counts from the waterline; None without one.
+    """
+
+    limits: BoatLimits
+    hull: HullSettings
+    waves: WaveSettings
+    platform: PlatformSettings | None
+    ahead = 0.0
+    """m, of the platform's middle before the origin."""
+    wheels: tuple[()] = ()
+
+    def drive(self, pose: Pose, ground: Ground | None = None) -> Boat:
+        """Return the boat at the place and heading of a pose, at rest; ground does not matter."""
+        return Boat(self.hull, self.limits, self.waves, pose)
+
+    def model(self, name: str, pose: Pose, *, wheels: bool = True) -> SdfModel:
+        """Return what the world has of it: one link with hull, bow, thrusters and platform."""
+        hull = self.hull
+        trunk = Box((hull.length, hull.width, hull.depth))
+        place = Pose((0.0, 0.0, 0.5 * hull.depth - hull.draught))
+        paint = (*hull.colour, 1.0)
+        visuals, collisions = [Visual(trunk, place, paint)], [Collision(trunk, place)]
+        mark = Box((0.15 * hull.length, 0.35 * hull.width, 0.02))
+        top = hull.depth - hull.draught
+        visuals.append(Visual(mark, Pose((0.4 * hull.length, 0.0, top + 0.01)), _MARK))
+        for side in (0.5, -0.5):
+            pod = Pose((-0.5 * hull.length, side * self.limits.apart, 0.0))
+            visuals.append(Visual(Box((0.08 * hull.length, 0.1 * hull.width, hull.depth)), pod, _TYRE))
+        if self.platform is not None:
+            plate = Box((self.platform.length, self.platform.width, _PLATE))
+            collisions.append(Collision(plate, Pose((0.0, 0.0, self.platform.height - 0.5 * _PLATE))))
+            visuals += _deck(self.platform, 0.0)
+            post = self.platform.height - _PLATE - top
+            if post > 0.0:
+                visuals.append(Visual(Cylinder(0.08, post), Pose((0.0, 0.0, top + 0.5 * post)), _TYRE))
+        inertial = Inertial(_HEAVY, Pose(), (_HEAVY, _HEAVY, _HEAVY, 0.0, 0.0, 0.0))
+        link = SdfLink(LINK, visuals=tuple(visuals), collisions=tuple(collisions), inertial=inertial)
+        return SdfModel(name, pose, False, (link,))
+
+
+AnyRobot = RobotModel | BoatModel
+
+
 def _deck(deck: PlatformSettings, ahead: float) -> list[Visual]:
     """Return the plate of a platform with its cross, or with its tags."""
     board = deck.board
@@ -186,7 +245,7 @@ def robot_types() -> list[str]:
     return available("robots")
 
 
-def load_robot(name: str) -> RobotModel:
+def load_robot(name: str) -> AnyRobot:
     """Return a type of robot.
 
     Args:
@@ -200,19 +259,34 @@ def load_robot(name: str) -> RobotModel:
             f"robots: type {name[:60]!r} is not known; there are {', '.join(robot_types())}, or a YAML file"
         )
     given = read_description("robots", str(Path(name).expanduser()) if name.endswith((".yaml", ".yml")) else name)
+    known = _BOAT_FIELDS if given.get("drive") == "boat" else _FIELDS
     for field in given:
-        if field not in _FIELDS:
-            raise ModelError(f"robot {name}: field {str(field)[:60]!r} is not known; there are {', '.join(_FIELDS)}")
+        if field not in known:
+            raise ModelError(f"robot {name}: field {str(field)[:60]!r} is not known; there are {', '.join(known)}")
     try:
-        return _checked(given)
+        return _checked_boat(given) if given.get("drive") == "boat" else _checked(given)
     except SettingError as error:
         raise ModelError(f"robot {name}: {error}") from error
+
+
+def _checked_boat(given: Mapping[str, object]) -> BoatModel:
+    limits = BoatLimits.from_mapping(given.get("limits", {}), "limits")
+    hull = HullSettings.from_mapping(given.get("hull", {}), "hull")
+    waves = WaveSettings.from_mapping(given.get("waves", {}), "waves")
+    deck = given.get("platform")
+    platform = None if deck is None else PlatformSettings.from_mapping(deck, "platform")
+    top = hull.depth - hull.draught + _PLATE
+    if platform is not None and platform.height < top:
+        raise SettingError("platform height", platform.height, f"at least hull and plate, {top:g} m above the water")
+    if platform is not None:
+        _deck(platform, 0.0)
+    return BoatModel(limits, hull, waves, platform)
 
 
 def _checked(given: Mapping[str, object]) -> RobotModel:
     kind = given.get("drive")
     if kind not in DRIVES:
-        raise SettingError("drive", kind, " or ".join(DRIVES))
+        raise SettingError("drive", kind, f"{', '.join(DRIVES[:-1])} or {DRIVES[-1]}")
     settings = AckermannLimits if kind == "ackermann" else DifferentialLimits
     limits = settings.from_mapping(given.get("limits", {}), "limits")
     body = BodySettings.from_mapping(given.get("body", {}), "body")

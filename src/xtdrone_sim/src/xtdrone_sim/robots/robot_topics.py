@@ -1,4 +1,4 @@
-"""Topics of the ground robots, NAME standing for a robot's, as ugv_0.
+"""Topics of the robots, NAME standing for a robot's, as ugv_0; boats have no joints.
 
 ==========================  ===========================  ==============================================================
 NAME/cmd_vel (in)           geometry_msgs/Twist          linear.x: speed, m/s; angular.z: yaw rate, rad/s, of a car the
@@ -41,9 +41,10 @@ from xtdrone_sim.gazebo.models_by_name import Models
 from xtdrone_sim.gazebo.scene_topics import ModelTopics
 from xtdrone_sim.physics.contacts.start_collisions import StartError, check_height
 from xtdrone_sim.rays.solid_ground import SolidGround, shapes_of
+from xtdrone_sim.robots.floating import Boat
 from xtdrone_sim.robots.kinematics import Drive
 from xtdrone_sim.robots.listing import Robot
-from xtdrone_sim.robots.robot_model import LINK
+from xtdrone_sim.robots.robot_model import LINK, BoatModel
 from xtdrone_sim.robots.robot_urdf import urdf_of, wheel_frames
 from xtdrone_sim.shapes.pose_arithmetic import compose, inverse
 from xtdrone_sim.shapes.visual import Pose
@@ -71,7 +72,7 @@ class RobotTopics:
             ValueError: a name is taken, or a place is not free.
         """
         self._robots, self._simulation, self._models, self._shown = robots, simulation, models, shown
-        self._drives: dict[str, Drive] = {}
+        self._drives: dict[str, Drive | Boat] = {}
         self._numbers: dict[str, int] = {}
         self._published_us = -1
         for robot in robots:
@@ -98,8 +99,13 @@ class RobotTopics:
         ground = SolidGround(shapes_of(world.model.models)) if self._robots else None
         self._starts: dict[str, Pose] = {}
         for robot in self._robots:
-            start = _on_terrain(robot, ground) if ground is not None and ground.has_terrain else robot.pose
+            is_boat = isinstance(robot.model, BoatModel)
+            has_terrain = ground is not None and ground.has_terrain and not is_boat
+            start = _on_terrain(robot, ground) if has_terrain and ground is not None else robot.pose
             drive = robot.model.drive(start, None if ground is None or ground.is_level else ground)
+            if isinstance(drive, Boat):
+                start = drive.state.pose
+                drive.follow_clock(lambda: self._simulation.time_us * 1e-6)
             pose = self._starts[robot.name] = start if drive.is_level else drive.state.pose
             self._drives[robot.name] = drive
             self._numbers[robot.name] = self._models.enter(robot.model.model(robot.name, pose), drive)
@@ -162,7 +168,8 @@ class RobotTopics:
             if self._odometry[robot.name].get_num_connections():
                 self._odometry[robot.name].publish(_odometry(stamp, robot.name, pose, drive))
             if self._joints[robot.name].get_num_connections():
-                names, angles, rates = (list(column) for column in zip(*drive.joints(), strict=True))
+                joints = drive.joints()
+                names, angles, rates = ([joint[k] for joint in joints] for k in range(3))
                 self._joints[robot.name].publish(JointState(Header(stamp=stamp), names, angles, rates, []))
         if self._tf.get_num_connections():
             self._tf.publish(TFMessage(frames))
@@ -173,7 +180,7 @@ class RobotTopics:
             frames.append(_transform(rospy.Time(), "map", f"{robot.name}/odom", self._starts[robot.name]))
             deck = robot.model.platform
             if deck is not None:
-                place = Pose((robot.model.body.ahead, 0.0, deck.height))
+                place = Pose((robot.model.ahead, 0.0, deck.height))
                 frames.append(_transform(rospy.Time(), f"{robot.name}/{LINK}", f"{robot.name}/platform", place))
         return frames
 
@@ -197,9 +204,10 @@ def _transform(stamp: rospy.Time, parent: str, child: str, pose: Pose) -> Transf
     return TransformStamped(Header(stamp=stamp, frame_id=parent), child, Transform(Vector3(*pose.position), turn))
 
 
-def _odometry(stamp: rospy.Time, name: str, pose: Pose, drive: Drive) -> Odometry:
+def _odometry(stamp: rospy.Time, name: str, pose: Pose, drive: Drive | Boat) -> Odometry:
     placed = PoseMessage(Point(*pose.position), Quaternion(*to_xyzw(pose.orientation)))
-    twist = Twist(Vector3(drive.state.speed, 0.0, 0.0), Vector3(0.0, 0.0, drive.state.rate))
+    velocity, spin = drive.twist
+    twist = Twist(Vector3(*velocity), Vector3(*spin))
     exact = [_EXACT if k % 7 == 0 else 0.0 for k in range(36)]
     header = Header(stamp=stamp, frame_id=f"{name}/odom")
     return Odometry(header, f"{name}/{LINK}", PoseWithCovariance(placed, exact), TwistWithCovariance(twist, exact))

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 from xtdrone_control.rotation import Vector, to_euler
 from xtdrone_sim.robots.kinematics import Joint
-from xtdrone_sim.robots.robot_model import LINK, RobotModel
+from xtdrone_sim.robots.robot_model import LINK, AnyRobot, BoatModel
 from xtdrone_sim.shapes.pose_arithmetic import from_axis_angle
 from xtdrone_sim.shapes.visual import Box, Cylinder, Pose, Visual
 
@@ -33,8 +33,10 @@ class WheelJoint(NamedTuple):
     axis: Vector
 
 
-def wheel_joints(model: RobotModel) -> list[WheelJoint]:
+def wheel_joints(model: AnyRobot) -> list[WheelJoint]:
     """Return the joints of a type, those of ``Drive.joints``, parents first."""
+    if isinstance(model, BoatModel):
+        return []
     height, joints = model.limits.wheel_radius, []
     for name, x, y, is_steered in model.wheels:
         parent, place = LINK, (x, y, height)
@@ -45,7 +47,7 @@ def wheel_joints(model: RobotModel) -> list[WheelJoint]:
     return joints
 
 
-def wheel_frames(model: RobotModel, states: Sequence[Joint]) -> list[tuple[str, str, Pose]]:
+def wheel_frames(model: AnyRobot, states: Sequence[Joint]) -> list[tuple[str, str, Pose]]:
     """Return parent, child and pose in the parent of each wheel's frames.
 
     Args:
@@ -59,17 +61,18 @@ def wheel_frames(model: RobotModel, states: Sequence[Joint]) -> list[tuple[str, 
     ]
 
 
-def urdf_of(name: str, model: RobotModel) -> str:
+def urdf_of(name: str, model: AnyRobot) -> str:
     """Return the description of a robot: ``base_link``, wheels, steering, and ``platform`` if it has one."""
     root = ElementTree.Element("robot", name=name)
     base = model.model(name, Pose(), wheels=False).links[0]
     _link(root, LINK, base.visuals)
     for joint in wheel_joints(model):
+        assert not isinstance(model, BoatModel)
         _link(root, joint.child, (model.wheel,) if joint.axis == _LEFT else ())
         _joint(root, joint.name, "continuous", joint.parent, joint.child, joint.position, joint.axis)
     if model.platform is not None:
         _link(root, "platform", ())
-        place = (model.body.ahead, 0.0, model.platform.height)
+        place = (model.ahead, 0.0, model.platform.height)
         _joint(root, "platform_joint", "fixed", LINK, "platform", place)
     return ElementTree.tostring(root, encoding="unicode")
 

@@ -34,6 +34,7 @@ from xtdrone_sim.runtime.simulator_interface import HEAD_START, Idle, index_of
 from xtdrone_sim.runtime.simulator_node import NodeSettings, close_all, log, run_node
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.topics.contact_topics import ContactTopics
+from xtdrone_sim.topics.fleet_changes import FleetTopic
 from xtdrone_sim.topics.imu_topics import ImuTopics
 from xtdrone_sim.topics.link_topics import LinkTopics
 from xtdrone_sim.topics.model_states import ModelStatesMessage
@@ -233,6 +234,7 @@ class FullSimulation:
         self._topics.states_providers.append(self._changes.add_to_links)
         self._contacts = ContactTopics(self._simulation, lambda: models.names)
         self._imus = ImuTopics(self._simulation)
+        self._fleet_topic = FleetTopic()
         self._robots = RobotTopics(self._listed, self._simulation, models, self._changes)
         self._gazebo = GazeboServices(self._simulation, models, self._changes, server)
         self._gazebo.open(mailbox)
@@ -375,6 +377,7 @@ class FullSimulation:
         self._contacts.update_vehicles()
         self._imus.update_vehicles()
         rospy.set_param("/xtdrone/fleet", fleet_text(simulation.fleet))
+        self._fleet_topic.publish(simulation.fleet)
 
     def close(self) -> None:
         """Close the ports, and release the autopilots and the physics engine."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import rospy
 from xtdrone_msgs.srv import SetLidarFailure, SetLidarFailureRequest, SetLidarFailureResponse
 
@@ -11,35 +9,38 @@ from xtdrone_sim.sensors.ranging_failures import RangingFailure
 
 
 class FailureServices:
-    """Lets the sensors of a node fail; index k gives the failure of sensor k."""
+    """Lets the sensors of a node fail; the failure of each is found by its topic."""
 
-    def __init__(self, topics: Sequence[str]) -> None:
-        """Advertise the services; all sensors are well.
+    def __init__(self) -> None:
+        """Begin without sensors."""
+        self._failures: dict[str, RangingFailure] = {}
+        self._services: dict[str, rospy.Service] = {}
 
-        Args:
-            topics: of the sensors.
-        """
-        self._topics = tuple(topics)
-        self._failures = [RangingFailure() for _ in self._topics]
-        self._services = [
-            rospy.Service(f"{topic}/failure", SetLidarFailure, lambda request, k=k: self._fail(k, request))
-            for k, topic in enumerate(self._topics)
-        ]
+    def add(self, topic: str) -> None:
+        """Advertise the service of a sensor, which is well."""
+        self._failures[topic] = RangingFailure()
+        self._services[topic] = rospy.Service(
+            f"{topic}/failure", SetLidarFailure, lambda request: self._fail(topic, request)
+        )
 
-    def __getitem__(self, k: int) -> RangingFailure:
-        return self._failures[k]
+    def remove(self, topic: str) -> None:
+        """End the service of a sensor."""
+        self._services.pop(topic).shutdown()
+        del self._failures[topic]
 
-    def _fail(self, k: int, request: SetLidarFailureRequest) -> SetLidarFailureResponse:
-        topic = self._topics[k]
+    def __getitem__(self, topic: str) -> RangingFailure:
+        return self._failures[topic]
+
+    def _fail(self, topic: str, request: SetLidarFailureRequest) -> SetLidarFailureResponse:
         try:
             failure = RangingFailure.checked(request.failure, request.value)
         except ValueError as error:
             return SetLidarFailureResponse(False, f"{topic}: {error}")
-        self._failures[k] = failure
+        self._failures[topic] = failure
         rospy.loginfo(f"{topic}: {failure}")
         return SetLidarFailureResponse(True, f"{topic}: {failure}")
 
     def close(self) -> None:
         """End the services."""
-        for service in self._services:
+        for service in self._services.values():
             service.shutdown()

@@ -37,6 +37,22 @@ class LiveRays:
         """
         self._world, self._fleet = world, fleet
 
+    def add_vehicle(self, vehicle: Vehicle) -> None:
+        """Let rays meet a vehicle that has joined.
+
+        Raises:
+            ValueError: it cannot be met.
+        """
+        if self._rays is not None:
+            self._rays.add_vehicle(vehicle)
+        self._fleet = [*self._fleet, vehicle]
+
+    def remove_vehicle(self, vehicle: Vehicle) -> None:
+        """Let rays meet a vehicle that has left no more."""
+        if self._rays is not None:
+            self._rays.remove_vehicle(vehicle.name)
+        self._fleet = [other for other in self._fleet if other.name != vehicle.name]
+
     def change(self, message: SceneModels) -> None:
         """Follow models added and deleted since the start; called with each message of /xtdrone/models."""
         self._models = message

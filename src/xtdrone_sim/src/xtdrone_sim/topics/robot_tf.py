@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import rospy
 from geometry_msgs.msg import PoseStamped, Quaternion, Transform, TransformStamped, Vector3
@@ -13,12 +14,14 @@ from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import lockstep
+from xtdrone_control.fleet import Vehicle
 from xtdrone_control.frames import to_xyzw
 from xtdrone_control.programs.program import ArgumentError, check_no_arguments, needed_fleet
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.descriptions import ModelError
+from xtdrone_sim.topics.fleet_changes import FleetChanges
 from xtdrone_sim.topics.robot_frames import Frame, RobotFrames
-from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
+from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
 
 @dataclass(frozen=True)
@@ -37,30 +40,62 @@ def transform(frame: Frame, stamp: rospy.Time) -> TransformStamped:
     return TransformStamped(header, frame.child, Transform(Vector3(*frame.pose.position), turn))
 
 
+class _Robot(NamedTuple):
+    """Frames and topics of a vehicle."""
+
+    frames: RobotFrames
+    subscribers: list[lockstep.Subscriber]
+
+
 class RobotTf:
     """Collects the messages received in a turn and publishes them as one TF message."""
 
-    def __init__(self, models: dict[str, VehicleModel], settings: TfSettings) -> None:
+    def __init__(self, fleet: Sequence[Vehicle], settings: TfSettings) -> None:
         """Advertise and subscribe.
 
         Args:
-            models: models by vehicle name.
+            fleet: the vehicles.
             settings: of the node.
+
+        Raises:
+            ValueError: a vehicle type cannot be used.
         """
         self._frame_id, self._body = settings.frame_id, settings.body
         self._new: dict[str, TransformStamped] = {}
         self._told: set[RobotFrames] = set()  # vehicles whose joint states have been received; others are at 0
         self._publisher = lockstep.Publisher("/tf", TFMessage)
         self._static = lockstep.Publisher("/tf_static", TFMessage, latch=True)
-        fixed = []
-        for name, model in models.items():
-            frames = RobotFrames(name, model)
-            fixed += [transform(frame, rospy.Time()) for frame in frames.fixed]
-            pose_topic = f"/{name}/mavros/local_position/pose"
-            lockstep.Subscriber(pose_topic, PoseStamped, partial(self._on_pose, frames))
-            if model.gimbal is not None or model.landing_gear:
-                lockstep.Subscriber(f"/{name}/joint_states", JointState, partial(self._on_joints, frames))
+        self._robots: dict[str, _Robot] = {}
+        for vehicle in fleet:
+            self._serve(vehicle)
+        self._publish_fixed()
+        FleetChanges(fleet, self._join, self._leave)
+
+    def _serve(self, vehicle: Vehicle) -> None:
+        name, model = vehicle.name, load_vehicle(vehicle.model)
+        frames = RobotFrames(name, model)
+        pose_topic = f"/{name}/mavros/local_position/pose"
+        subscribers = [lockstep.Subscriber(pose_topic, PoseStamped, partial(self._on_pose, frames))]
+        if model.gimbal is not None or model.landing_gear:
+            joints_topic = f"/{name}/joint_states"
+            subscribers.append(lockstep.Subscriber(joints_topic, JointState, partial(self._on_joints, frames)))
+        self._robots[name] = _Robot(frames, subscribers)
+
+    def _publish_fixed(self) -> None:
+        """Publish the fixed frames of all vehicles, as a latched topic keeps one message."""
+        fixed = [transform(frame, rospy.Time()) for robot in self._robots.values() for frame in robot.frames.fixed]
         self._static.publish(TFMessage(fixed))
+
+    def _join(self, vehicle: Vehicle) -> None:
+        self._serve(vehicle)
+        self._publish_fixed()
+
+    def _leave(self, vehicle: Vehicle) -> None:
+        robot = self._robots.pop(vehicle.name)
+        for subscriber in robot.subscribers:
+            subscriber.unregister()
+        self._told.discard(robot.frames)
+        self._publish_fixed()
 
     def step(self) -> None:
         """Publish what has come since the last turn."""
@@ -95,12 +130,13 @@ def main(arguments: Sequence[str]) -> None:
     check_no_arguments(arguments)
     fleet = needed_fleet(rospy.get_param("/xtdrone/fleet", None))
     try:
-        types = {vehicle.model: load_vehicle(vehicle.model) for vehicle in fleet}
+        for model in {vehicle.model for vehicle in fleet}:
+            load_vehicle(model)
         settings = TfSettings.from_parameters(rospy.get_param, f"{lockstep.future_name('robot_tf')}/", names=("rate",))
     except (ModelError, ValueError) as error:
         raise ArgumentError(str(error)) from error
     lockstep.init_node("robot_tf", rate=settings.rate)
     settings = TfSettings.from_parameters(rospy.get_param)
-    node = RobotTf({vehicle.name: types[vehicle.model] for vehicle in fleet}, settings)
+    node = RobotTf(fleet, settings)
     lockstep.start()
     lockstep.spin(node.step)

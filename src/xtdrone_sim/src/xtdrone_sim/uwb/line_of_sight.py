@@ -31,7 +31,7 @@ class Moment(NamedTuple):
     share: float
 
     def pose(self, link: str) -> Pose | None:
-        """Return the pose of a link; None if it is missing in a scene. See ``lidars.measuring.cast_scan``."""
+        """Return the pose of a link; None if it is missing in a scene. See ``lidars.scan_measurement.cast_scan``."""
         ends = self.before.links.get(link), self.after.links.get(link)
         if ends[0] is None or ends[1] is None:
             return None

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,12 +65,19 @@ def seen_from(sensor: Pose, positions: Array, range_max: float) -> Neighbours:
 
 
 def measured(
-    mount: UwbMount, vehicle: str, number: int, true: Neighbours, bias: float = 0.0, lost: float = 0.0
+    mount: UwbMount,
+    vehicle: str,
+    number: int,
+    true: Neighbours,
+    bias: float = 0.0,
+    lost: float = 0.0,
+    joined: Sequence[str] = (),
 ) -> Neighbours:
     """Return the measurement of neighbours: with bias, noise, outliers and dropouts.
 
     The random numbers depend on seed, vehicle, name, number of the measurement and place of the neighbour in the fleet
-    only.
+    only; for a neighbour that has joined in flight on its name in place of its place, so that it changes those of no
+    other.
 
     Args:
         mount: the sensor.
@@ -78,13 +86,13 @@ def measured(
         true: all neighbours, in the fleet's order.
         bias: m, added to every range.
         lost: further share of the ranges that are lost, 0..1.
+        joined: names of the last neighbours, which have joined in flight.
     """
-    n = len(true.ranges)
     key = zlib.crc32(f"{vehicle}/{mount.name}".encode()), number
-    generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(mount.seed, spawn_key=key)))
-    white = generator.standard_normal((4, n))  # of range, blocked range, azimuth, elevation
-    chance = generator.random((2, n))  # of dropouts, outliers
-    excess = mount.outlier_excess * generator.standard_exponential(n)
+    draws = _draws(mount.seed, key, len(true.ranges) - len(joined))
+    for name in joined:
+        draws = np.hstack((draws, _draws(mount.seed, (*key, zlib.crc32(name.encode())), 1)))
+    white, chance, excess = draws[:4], draws[4:6], mount.outlier_excess * draws[6]
     ranges = true.ranges + mount.bias + bias + mount.noise * white[0]
     if mount.line_of_sight == SIGHT_BIASED:
         ranges += np.where(true.blocked, mount.blocked_bias + mount.blocked_noise * white[1], 0.0)
@@ -96,3 +104,14 @@ def measured(
     azimuths = turn - 2.0 * math.pi * np.floor((turn + math.pi) / (2.0 * math.pi))
     elevations = np.clip(true.elevations + mount.bearing_noise * white[3], -0.5 * math.pi, 0.5 * math.pi)
     return Neighbours(np.maximum(ranges, 0.0), azimuths, elevations, true.blocked, heard)
+
+
+def _draws(seed: int, key: tuple[int, ...], n: int) -> Array:
+    """Return random numbers (7, n) for n neighbours.
+
+    The first four are normal: of range, blocked range, azimuth, elevation; two uniform: of dropouts, outliers; one
+    exponential: of the outlier's excess.
+    """
+    generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
+    white, chance = generator.standard_normal((4, n)), generator.random((2, n))
+    return np.vstack((white, chance, generator.standard_exponential(n)))

@@ -279,8 +279,8 @@ class Channels:
         if reader is None:
             return
         reader.news.lost.append(channel.id)
-        still_published = self._topics.publishes(name, topic) and name in self._participants
-        required = (still_published or self._is_host(name)) and self._topics.subscribes(reader.name, topic)
+        is_there = name in self._participants or self._is_host(name)
+        required = is_there and self._topics.publishes(name, topic) and self._topics.subscribes(reader.name, topic)
         if required and channel.pair not in self._live:
             self.missing.add(channel.pair, time.monotonic() + self._connect_limit)
 

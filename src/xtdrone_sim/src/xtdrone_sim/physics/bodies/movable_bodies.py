@@ -94,9 +94,11 @@ class Drive(Protocol):
 
     Attributes:
         yields: whether what stands stops it.
+        floats: whether the plane z = 0 is no ground to it.
     """
 
     yields: bool
+    floats: bool
 
     @property
     def is_still(self) -> bool:

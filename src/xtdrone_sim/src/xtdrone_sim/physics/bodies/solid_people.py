@@ -29,6 +29,7 @@ class Walk:
     """The way of a person as a drive of its body; see ``bodies.Drive``."""
 
     yields = False
+    floats = False
 
     def __init__(self, actors: Actors, number: int, now_us: Callable[[], int]) -> None:
         """Follow a person.
