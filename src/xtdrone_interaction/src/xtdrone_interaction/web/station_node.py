@@ -15,12 +15,13 @@ import rospy
 from tornado.ioloop import IOLoop
 
 from xtdrone_control.programs.program import check_no_arguments
+from xtdrone_interaction.server_port import port_here
 from xtdrone_interaction.web.actions.operator_actions import OperatorActions
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.rooms import methods_of_rooms
 from xtdrone_interaction.web.server.credentials import Credentials, is_loopback
 from xtdrone_interaction.web.server.station_server import Address, StationServer
-from xtdrone_interaction.web.station_settings import StationSettings
+from xtdrone_interaction.web.station_settings import DEFAULT_PORT, StationSettings
 
 NAME = "web_station"
 URL_PARAMETER = "~url"
@@ -43,7 +44,7 @@ def main(arguments: Sequence[str]) -> None:
     context.act = OperatorActions(context).carry_out
     credentials = Credentials.for_host(settings.host, settings.token, settings.view_only)
     server = StationServer(
-        Address(settings.host, settings.port, credentials),
+        Address(settings.host, port_here(settings.port, DEFAULT_PORT), credentials),
         PAGE,
         methods_of_rooms(context, settings),
         operate=context.act,
@@ -77,7 +78,10 @@ def _listen(server: StationServer) -> int:
     for port in range(wished, wished + (_PORTS_TRIED if wished else 1)):
         server.address = replace(server.address, port=port)
         try:
-            return server.start()
+            listening = server.start()
+            if port != wished:
+                print(f"station: port {wished} is in use, it listens on {port}", flush=True)
+            return listening
         except OSError as error:
             if error.errno != errno.EADDRINUSE:
                 raise SystemExit(
