@@ -1,29 +1,33 @@
-"""A session with clicks is recorded, and its actions, repeated on another simulation, give the same flight."""
+"""A session on the page is recorded, and its actions, repeated on another simulation, give the same flight."""
 
 from __future__ import annotations
 
+import itertools
+import json
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
-from conftest import START_LIMIT, Graph, Stack, free_port, poll, wait_for_ports
+from conftest import START_LIMIT, WALL_LIMIT, Graph, Stack, free_port, poll, wait_for_ports
 
 pytest.importorskip("rospy")
-pytest.importorskip("playwright")
+pytest.importorskip("websockets")
 
 import rospy
-from web_browser import StationPage, needs_chromium, station_page
+from websockets.sync.client import connect
 
 from validation.replay.digests import Digests, compare, read_digests
 from xtdrone_interaction.web.actions.recorded_actions import read_actions
 
-pytestmark = needs_chromium
 FLEET = "iris:2"
+URL = re.compile(r"station \(operate\): (\S+)")
 
 
-def fly(graph: Graph, folder: Path, operate: Callable[[Stack], None], *options: str) -> Digests:
-    """Fly while ``operate`` acts, and return the digests; ``options`` are of the launch file."""
+def fly(graph: Graph, folder: Path, act: Callable[[Stack], None], *options: str) -> Digests:
+    """Fly while ``act`` acts, and return the digests; ``options`` are of the launch file."""
     folder.mkdir()
     wait_for_ports(FLEET)
     stack = Stack(graph, folder, FLEET)
@@ -33,44 +37,70 @@ def fly(graph: Graph, folder: Path, operate: Callable[[Stack], None], *options: 
         stack.launch("multi_vehicle.launch", *arguments)
         poll(lambda: rospy.has_param("/lockstep/uri"), "the simulator offers its lockstep", START_LIMIT)
         stack.run("communication", "xtdrone_control", "multirotor_communication.py", "iris", "0-1")
-        operate(stack)
+        act(stack)
     finally:
         stack.stop()
     graph.forget()
     return read_digests(file)
 
 
-def click_through(page: StationPage, stack: Stack) -> None:
-    """Fly by clicks and keys: take off, go to, steer, land."""
-    browser = page.page
-    page.until("Object.values(station.status.vehicles).filter(v => v.link && v.estimator?.length === 0).length === 2")
-    browser.click("[data-action=all]")
-    browser.click("[data-action=takeoff]")
+class Page:
+    """What a page sends for a user's clicks and keys."""
+
+    def __init__(self, url: str) -> None:
+        self._socket = connect(url.replace("http", "ws") + "ws", max_size=None)
+        self._numbers = itertools.count(1)
+        self.call("hello", token="")
+
+    def call(self, method: str, **params: Any) -> Any:
+        """Return the result of a method."""
+        number = next(self._numbers)
+        self._socket.send(json.dumps({"id": number, "method": method, "params": params}))
+        while True:
+            message = self._socket.recv(timeout=WALL_LIMIT)
+            answer = json.loads(message) if isinstance(message, str) else {}
+            if answer.get("id") == number:
+                assert "error" not in answer, answer
+                return answer["result"]
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+def operate(page: Page, stack: Stack) -> None:
+    """Take off, go to a place as a group, hover, steer by keys, land."""
+    names = [vehicle.name for vehicle in stack.vehicles]
+
+    def command(action: str, **params: Any) -> bool:
+        results = page.call("vehicles.command", vehicles=names, action=action, **params).values()
+        return all(result["ok"] for result in results)
+
+    stack.wait(lambda: command("takeoff"), "they take off", sim=60.0)
     stack.wait(lambda: stack.height(1) > 1.0, "they climb", sim=60.0)
-    browser.evaluate(
-        "station.call('vehicles.command', {vehicles: ['iris_0', 'iris_1'], action: 'goto', place: [4, 2, 3]})"
-    )
-    browser.click("#dock-tabs [data-panel=swarm]")
-    browser.click("text=2 selected")
-    browser.click("[data-command=HOVER]")
-    browser.click("#dock-tabs [data-panel=steering]")
-    browser.click("[data-role=begin]")
-    browser.wait_for_selector("[data-role=end]")
-    for key in "iiw":
-        browser.keyboard.press(key)
+    assert command("goto", place=[4, 2, 3])
     stack.pass_time(0.5)
-    browser.click("#dock-tabs [data-panel=vehicles]")
-    browser.click("[data-action=land]")
+    page.call("swarm.command", text="HOVER", vehicles=names)
+    page.call("steering.open", vehicles=names)
+    for key in "iiw":
+        page.call("steering.key", key=key)
+    stack.pass_time(0.5)
+    page.call("steering.close")
+    assert command("land")
     stack.pass_time(2.0)
 
 
 def test_a_recorded_session_is_repeated_to_the_last_bit(graph: Graph, tmp_path: Path) -> None:
     def recorded(stack: Stack) -> None:
         rospy.set_param("/web_station/recordings", str(tmp_path))
-        with station_page(stack, free_port()) as page:
-            page.page.evaluate("station.call('recordings.start', {profile: 'light'})")
-            click_through(page, stack)
-            page.page.evaluate("station.call('recordings.stop')")
+        station = stack.run("web_station", "xtdrone_interaction", "web_station.py", f"_port:={free_port()}")
+        url = poll(lambda: URL.search(station.output), "the station prints its URL")[1]
+        poll(lambda: rospy.get_param("/xtdrone/fleet", ""), "the fleet is known")
+        page = Page(url)
+        poll(lambda: page.call("fleet.roster")["vehicles"], "the station knows the fleet")
+        page.call("recordings.start", profile="light")
+        operate(page, stack)
+        page.call("recordings.stop")
+        page.close()
 
     def repeated(stack: Stack) -> None:
         arguments = ("-m", "xtdrone_interaction", "replay-actions", str(bag))
@@ -86,5 +116,5 @@ def test_a_recorded_session_is_repeated_to_the_last_bit(graph: Graph, tmp_path: 
     assert all(action.exact for action in actions)
     second = fly(graph, tmp_path / "repeated", repeated, "speed:=0", "paused:=true")
     result = compare(first, second, first.end // 1_000_000 * 1_000_000 - 1_000_000)
-    assert result.time > actions[-1].time
     assert result.same, result
+    assert result.time > actions[-1].time

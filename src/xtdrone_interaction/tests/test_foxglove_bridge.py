@@ -58,7 +58,7 @@ KEYS = {
     "imageMode": {"imageTopic"},
     "foxglove.Grid": {"layerId", "visible", "frameId", "size", "divisions"},
 }  # fmt: skip
-"""Keys by panel, as Lichtblick's source of August 2026 declares them (packages/suite-base/src/panels, commit 66adecb99)."""
+"""Keys by panel, as Lichtblick's source declares them (packages/suite-base/src/panels, commit 66adecb99, August 2026)."""
 
 
 @pytest.mark.parametrize("view", VIEWS)

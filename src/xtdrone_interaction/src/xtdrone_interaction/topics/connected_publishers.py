@@ -44,10 +44,17 @@ class ConnectedPublishers:
         Raises:
             TooManyTopicsError: the topic is one too many.
         """
-        with self._lock:
-            publisher = self._publishers.get(topic) or self._connected(topic, type(message))
+        publisher = self._publisher(topic, type(message))
         publisher.publish(message)
         return int(publisher.get_num_connections())
+
+    def connect(self, topic: str, kind: type[genpy.Message]) -> int:
+        """Connect to the subscribers without publishing; as ``publish``."""
+        return int(self._publisher(topic, kind).get_num_connections())
+
+    def _publisher(self, topic: str, kind: type[genpy.Message]) -> Any:
+        with self._lock:
+            return self._publishers.get(topic) or self._connected(topic, kind)
 
     def _connected(self, topic: str, kind: type[genpy.Message]) -> Any:
         if len(self._publishers) >= self._most:

@@ -38,7 +38,10 @@ class FoxgloveSettings(BridgeSettings):
     """Private parameters of the node."""
 
     port: int = setting(
-        PORT, low=0, high=65535, text="TCP port; 0: any free one, which the log names; 8765 is 540 N higher for instance N"
+        PORT,
+        low=0,
+        high=65535,
+        text="TCP port; 0: any free one, which the log names; 8765 is 540 N higher for instance N",
     )
     send_buffer_limit: int = setting(
         1024,

@@ -57,7 +57,9 @@ def _interface(value: str) -> None:
 class Ros2Settings(Settings):
     """Private parameters of the node."""
 
-    domain_id: int = setting(-1, low=-1, high=232, text="DDS domain, ROS 2's ROS_DOMAIN_ID; -1: that variable's value, or the instance")
+    domain_id: int = setting(
+        -1, low=-1, high=232, text="DDS domain, ROS 2's ROS_DOMAIN_ID; -1: that variable's value, or the instance"
+    )
     interface: str = setting(
         "lo",
         check=_interface,

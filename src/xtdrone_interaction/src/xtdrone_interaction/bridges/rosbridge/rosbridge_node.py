@@ -33,7 +33,10 @@ class RosbridgeSettings(BridgeSettings):
     """Private parameters of the node, by the names of rosbridge_server where it has them."""
 
     port: int = setting(
-        PORT, low=0, high=65535, text="TCP port; 0: any free one, which the log names; 9090 is 540 N higher for instance N"
+        PORT,
+        low=0,
+        high=65535,
+        text="TCP port; 0: any free one, which the log names; 9090 is 540 N higher for instance N",
     )
     max_message_size: int = setting(
         10_000_000, low=1000, high=1_000_000_000, unit="bytes", text="longest frame of a client; a longer one ends it"

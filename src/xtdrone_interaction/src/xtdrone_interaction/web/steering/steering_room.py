@@ -9,11 +9,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import rospy
+from geometry_msgs.msg import Twist, Vector3
+from std_msgs.msg import String
 
 from xtdrone_control.fleet import FleetError, parse_fleet
 from xtdrone_coordination.patterns import Patterns
-from xtdrone_interaction.keyboard.command_topics import PERIOD, CommandTopics
-from xtdrone_interaction.keyboard.key_bindings import MAX_SPEED, MAX_TURN, Command, Message, Setpoint, Target, digits
+from xtdrone_interaction.keyboard.command_topics import PERIOD
+from xtdrone_interaction.keyboard.key_bindings import MAX_SPEED, MAX_TURN, Command, Message, digits
+from xtdrone_interaction.topics.connected_publishers import ConnectedPublishers
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.server.methods import CallError, Method, Params, needed
 from xtdrone_interaction.web.server.session import Session
@@ -24,7 +27,6 @@ _NAME = re.compile(r"^[A-Za-z]\w*$", re.ASCII)
 _TEXT = re.compile(r"^[ -~]{1,200}$", re.ASCII)
 _LIMITS = (MAX_SPEED, MAX_SPEED, MAX_SPEED, MAX_TURN)
 _MOST_VEHICLES = 250
-_CONNECTING = 2.0  # s of wall time until subscribers have connected
 
 
 class SteeringRoom:
@@ -34,7 +36,7 @@ class SteeringRoom:
         """Begin the cycle of the setpoints."""
         self._context = context
         self._pilots: dict[Session, PagePilot] = {}
-        self._topics: dict[tuple[str, str], CommandTopics] = {}
+        self._topics = ConnectedPublishers(context.master)
         self._waiting: dict[Session, list[dict[str, Any]]] = {}
         self._send_method = Method("steering.send", self._send, "operate")
         self._sending: asyncio.Task[None] | None = None
@@ -64,9 +66,6 @@ class SteeringRoom:
         mode = params.get("mode", "vel")
         if mode not in MODES:
             raise CallError(f"mode: {str(mode)[:20]!r} is not allowed, vel or accel")
-        for name in ("leader", *vehicles):
-            if (name, mode) not in self._topics:
-                self._topics[name, mode] = await self._context.blocking(CommandTopics, name, mode)
         deaf = await self._context.blocking(self._unconnected, vehicles, mode)
         self._end(session)
 
@@ -79,9 +78,11 @@ class SteeringRoom:
         return {**self._pilots[session].state, "note": note}
 
     def _unconnected(self, vehicles: Sequence[str], mode: str) -> list[str]:
-        """Wait for subscribers, so that the first key reaches them; return the vehicles without one."""
-        end = time.monotonic() + _CONNECTING
-        return [name for name in vehicles if not self._topics[name, mode].wait_for_subscriber(end - time.monotonic())]
+        """Connect to the subscribers, so that the first key reaches them; return the vehicles without one."""
+        for name in ("leader", *vehicles):
+            self._topics.connect(_setpoint_topic(name, mode), Twist)
+            self._topics.connect(_command_topic(name), String)
+        return [name for name in vehicles if not self._topics.connect(_command_topic(name), String)]
 
     def _key(self, session: Session, params: Params) -> dict[str, Any]:
         pilot = self._pilot(session)
@@ -138,24 +139,30 @@ class SteeringRoom:
             await self._context.act(self._send_method, session, {"messages": self._waiting.pop(session)})
 
     async def _send(self, _session: Session, params: Params) -> None:
-        """Publish messages of a page's pilot; also of a recorded one, which has opened nothing here."""
+        """Publish messages of a page's pilot; also of a recorded one."""
         messages = checked_messages(params.get("messages"))
-        new = {(message["to"], message["mode"]) for message in messages} - set(self._topics)
-        known = await self._context.blocking(_fleet) if new else []
-        for name, mode in sorted(new):
-            if name not in ("leader", *known):
-                raise CallError(f"to: {name[:60]!r} is not allowed, leader or one of {', '.join(known)}")
-            topics = self._topics[name, mode] = await self._context.blocking(CommandTopics, name, mode)
-            await self._context.blocking(topics.wait_for_subscriber, _CONNECTING)
-        self._publish(messages)
+        known = await self._context.blocking(_fleet)
+        for message in messages:
+            if known and message["to"] not in ("leader", *known):
+                raise CallError(f"to: {message['to'][:60]!r} is not allowed, leader or one of {', '.join(known)}")
+        await self._context.blocking(self._publish, messages)
 
     def _publish(self, messages: Sequence[Mapping[str, Any]]) -> None:
         for message in messages:
-            topics = self._topics[message["to"], message["mode"]]
             if "text" in message:
-                topics.send_command(message["text"])
+                self._topics.publish(_command_topic(message["to"]), String(message["text"]))
             else:
-                topics.send_setpoint(Setpoint(Target.ALL, *message["speeds"]))
+                forward, left, up, turn = message["speeds"]
+                twist = Twist(Vector3(forward, left, up), Vector3(0.0, 0.0, turn))
+                self._topics.publish(_setpoint_topic(message["to"], message["mode"]), twist)
+
+
+def _command_topic(name: str) -> str:
+    return f"/xtdrone/{name}/cmd"
+
+
+def _setpoint_topic(name: str, mode: str) -> str:
+    return f"/xtdrone/{name}/cmd_{mode}_flu"
 
 
 def _as_json(message: Message) -> dict[str, Any]:
@@ -177,7 +184,9 @@ def checked_messages(messages: object) -> list[dict[str, Any]]:
 
 
 def _is_message(message: object) -> bool:
-    if not isinstance(message, dict) or message.get("mode") not in MODES or not isinstance(message.get("to"), str):
+    if not isinstance(message, dict) or message.get("mode") not in MODES:
+        return False
+    if not isinstance(message.get("to"), str) or not _NAME.match(message["to"]):
         return False
     if "text" in message:
         return isinstance(message["text"], str) and bool(_TEXT.match(message["text"]))
