@@ -19,7 +19,7 @@ from conftest import WALL_LIMIT, Stack, poll
 
 CHROMIUM = shutil.which("chromium") or ""
 needs_chromium = pytest.mark.skipif(not CHROMIUM, reason="chromium is not installed")
-_FLAGS = (
+FLAGS = (
     "--no-sandbox",
     "--disable-quic",
     "--no-first-run",
@@ -101,7 +101,7 @@ def station_page(stack: Stack, port: int, **sizes: int) -> Iterator[StationPage]
     size = {"width": 1400, "height": 850, **sizes}
     with tempfile.TemporaryDirectory() as profile, sync_playwright() as playwright:
         context = playwright.chromium.launch_persistent_context(
-            profile, executable_path=CHROMIUM, args=list(_FLAGS), viewport=size
+            profile, executable_path=CHROMIUM, args=list(FLAGS), viewport=size
         )
         opened = StationPage(stack, context.pages[0], port)
         opened.start_station()

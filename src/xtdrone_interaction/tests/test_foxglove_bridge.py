@@ -58,7 +58,7 @@ KEYS = {
     "imageMode": {"imageTopic"},
     "foxglove.Grid": {"layerId", "visible", "frameId", "size", "divisions"},
 }  # fmt: skip
-"""Keys by panel, as Lichtblick's source declares them (packages/suite-base/src/panels, commit 66adecb99, August 2026)."""
+"""Keys by panel, as Lichtblick's source declares them (packages/suite-base/src/panels, of August 2026, 66adecb99)."""
 
 
 @pytest.mark.parametrize("view", VIEWS)

@@ -43,7 +43,7 @@ _COMMANDS = ("/xtdrone/*/cmd*", "*/mavros/setpoint_*")
 
 
 def _domain() -> int:
-    """Return ROS_DOMAIN_ID; if it is none, the number of the instance: fleets of two simulations have the same topics."""
+    """Return ROS_DOMAIN_ID; without it the number of the instance, as two simulations have topics of the same names."""
     text = os.environ.get("ROS_DOMAIN_ID", "")
     return int(text) if text.isdigit() and int(text) <= 232 else instance_here()
 
