@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import START_LIMIT, Graph, Stack, free_port, poll
+from conftest import START_LIMIT, Graph, Stack, poll
 
 pytest.importorskip("rospy")
 pytest.importorskip("playwright")
@@ -35,12 +35,14 @@ void 0;  // a function would be called
 
 @pytest.fixture(scope="module")
 def server(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
-    """The rosbridge server on a master without a flight."""
-    port = free_port()
+    """The rosbridge server and the station beside the second simulation of a machine, here without it."""
     stack = Stack(graph, tmp_path_factory.mktemp("roslibjs"))
-    stack.run("rosbridge_websocket", "xtdrone_interaction", "rosbridge_websocket.py", f"_port:={port}")
+    rospy.set_param("/xtdrone/instance", 1)
+    stack.run("rosbridge_websocket", "xtdrone_interaction", "rosbridge_websocket.py")
+    station = stack.run("web_station", "xtdrone_interaction", "web_station.py")
     poll(lambda: rospy.has_param("/rosbridge_websocket/actual_port"), "it listens", START_LIMIT)
-    yield port
+    poll(lambda: "(operate): http://127.0.0.1:9182/" in station.output, "the station listens 540 ports higher")
+    yield rospy.get_param("/rosbridge_websocket/actual_port")
     stack.stop()
 
 
@@ -62,6 +64,10 @@ def page(server: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]
         yield opened
         browser.close()
     files.shutdown()
+
+
+def test_the_second_simulation_of_a_machine_has_ports_of_its_own(server: int) -> None:
+    assert server == 9090 + 540
 
 
 @pytest.mark.parametrize("compression", ["none", "png", "cbor"])
