@@ -1,4 +1,4 @@
-"""The rosbridge server with roslibjs in a browser, as pages use it: topics in every compression, services, parameters."""
+"""The rosbridge server with roslibjs in a browser, as pages use it: topics, compressions, services, parameters."""
 
 from __future__ import annotations
 

@@ -29,7 +29,8 @@ POSE = f"/{VEHICLE}/mavros/local_position/pose"
 CAMERA = f"/{VEHICLE}/cgo3_camera/image_raw"
 _MS = 1000.0 * WALL_LIMIT
 TOO_WIDE = """m => m.scrollWidth <= m.clientWidth ? [] :
-  [...m.querySelectorAll('*')].filter(e => e.getBoundingClientRect().right > m.clientWidth).map(e => e.outerHTML.slice(0, 150))"""
+  [...m.querySelectorAll('*')].filter(e => e.getBoundingClientRect().right > m.clientWidth)
+  .map(e => e.outerHTML.slice(0, 150))"""
 """What makes a panel scroll sideways."""
 
 pytestmark = needs_chromium
