@@ -18,7 +18,7 @@ from xtdrone_interaction.web.actions.operator_actions import OperatorActions
 from xtdrone_interaction.web.actions.recorded_actions import ActionError, RecordedAction
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.rooms import methods_of_rooms
-from xtdrone_interaction.web.server.methods import CallError, MethodTable
+from xtdrone_interaction.web.server.methods import CallError, MethodTable, invoke
 from xtdrone_interaction.web.server.session import Session
 from xtdrone_interaction.web.station_settings import StationSettings
 
@@ -81,7 +81,12 @@ async def _replay(context: StationContext, actions: Sequence[RecordedAction], te
 
 
 def _session(number: int) -> Session:
-    return Session(number, "operate", _NoPage(), asyncio.get_running_loop().call_soon_threadsafe)
+    loop = asyncio.get_running_loop()
+
+    def in_loop(action: Callable[[], None]) -> None:
+        loop.call_soon_threadsafe(action)
+
+    return Session(number, "operate", _NoPage(), in_loop)
 
 
 def _check_start(status: SimulationStatus, first: RecordedAction) -> None:
@@ -98,7 +103,7 @@ async def _fleet_is_known(methods: MethodTable, session: Session) -> None:
     """Wait until the rooms, which read the fleet's parameter now and then, know it."""
     roster = methods.find("fleet.roster", "operate")
     end = asyncio.get_running_loop().time() + _FLEET_LIMIT
-    while not roster.call(session, {})["vehicles"]:
+    while not (await invoke(roster, session, {}))["vehicles"]:
         if asyncio.get_running_loop().time() > end:
             raise ActionError("simulation: no fleet is known, parameter /xtdrone/fleet")
         await asyncio.sleep(_LOOK)
