@@ -4,6 +4,9 @@ recordings."""
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -19,11 +22,16 @@ from darknet_ros_msgs.msg import BoundingBox, BoundingBoxes
 from mavros_msgs.srv import ParamGet
 from playwright import sync_api
 from web_browser import needs_chromium, station_page
+from xtdrone_msgs.msg import SimulationStatus
 
 VEHICLE = "typhoon_h480_0"
 POSE = f"/{VEHICLE}/mavros/local_position/pose"
 CAMERA = f"/{VEHICLE}/cgo3_camera/image_raw"
 _MS = 1000.0 * WALL_LIMIT
+TOO_WIDE = """m => m.scrollWidth <= m.clientWidth ? [] :
+  [...m.querySelectorAll('*')].filter(e => e.getBoundingClientRect().right > m.clientWidth)
+  .map(e => e.outerHTML.slice(0, 150))"""
+"""What makes a panel scroll sideways."""
 
 pytestmark = needs_chromium
 
@@ -198,3 +206,101 @@ def test_a_cut_recording_and_one_that_is_none_say_what_is_wrong(
     told = page.locator("[data-role=player] .warn").or_(page.locator(".toast.bad", has_text="cut.bag"))
     sync_api.expect(told.first).to_be_visible()
     page.evaluate("station.call('recordings.state')")
+
+
+def test_a_recording_is_opened_with_the_report_that_analyse_leaves(
+    page: Any, panel: Callable[[str], Any], recordings: Path
+) -> None:
+    bag = next(path for path in recordings.glob("*.bag") if path.stem not in ("cut", "none"))
+    subprocess.run([sys.executable, "-m", "xtdrone_interaction", "analyse", str(bag)], check=True, capture_output=True)
+    rows = panel("recordings")
+    rows.locator("button", has_text="Refresh").click()
+    row = rows.locator(f'tr[data-file="{bag.name}"]')
+    sync_api.expect(row.locator(".pill")).to_have_text("report")
+    row.locator("td.link").click()
+    report = page.locator("[data-role=report]")
+    report.locator("summary").click()
+    sync_api.expect(report.locator("[data-figure=messages] .num")).to_have_text(str(_messages(bag)))
+    pictures = report.locator("img")
+    expected = sorted(path.name for path in bag.with_name(f"{bag.stem}-analysis").glob("*.png"))
+    assert expected
+    sync_api.expect(pictures).to_have_count(len(expected), timeout=_MS)
+    shown = pictures.evaluate_all("all => all.map(i => [i.alt.split('/').pop(), i.naturalWidth > 100])")
+    assert shown == [[name, True] for name in expected]
+    assert "is not allowed, a picture below" in page.evaluate(
+        "station.call('recordings.picture', {file: '../secret.png'}).catch(error => error.message)"
+    )
+    page.click("[data-role=player] button:has-text('Back')")
+
+
+def _messages(bag: Path) -> int:
+    import rosbag
+
+    with rosbag.Bag(str(bag)) as opened:
+        return int(opened.get_message_count())
+
+
+def test_a_phone_shows_every_panel_without_scrolling_sideways(page: Any, panel: Callable[[str], Any]) -> None:
+    page.set_viewport_size({"width": 390, "height": 844})
+    try:
+        for theme in ("light", "dark"):
+            page.evaluate(
+                f"document.documentElement.dataset.theme === '{theme}' || document.getElementById('theme').click()"
+            )
+            assert page.evaluate("getComputedStyle(document.documentElement).colorScheme") == theme
+            for name in page.eval_on_selector_all("#dock-tabs button", "all => all.map(b => b.dataset.panel)"):
+                mount = panel(name)
+                assert (name, mount.evaluate(TOO_WIDE)) == (name, [])
+        assert page.evaluate("document.getElementById('bar').offsetHeight") <= 90
+        table = panel("vehicles").locator("table")
+        assert table.evaluate("t => t.getBoundingClientRect().top") < 600, "the table is in sight without scrolling"
+    finally:
+        page.set_viewport_size({"width": 1000, "height": 700})
+
+
+def test_speed_step_and_the_one_that_holds_the_tick(page: Any, stack: Stack, graph: Graph) -> None:
+    def state() -> str:
+        return str(page.inner_text("[data-cell=time-state]"))
+
+    def pick(selector: str, value: str) -> None:
+        page.eval_on_selector(
+            selector, f"e => {{ e.value = '{value}'; e.dispatchEvent(new Event('change', {{bubbles: true}})); }}"
+        )
+
+    status = graph.hear("/simulator/status", SimulationStatus)
+    pick("[data-time=speed]", "3")
+    stack.wait(lambda: status.last and status.last.speed == 1.0, "the slider sets the speed")
+    sync_api.expect(page.locator("[data-cell=speed]")).to_have_text("1×")
+    page.click("[data-time=pause]")
+    stack.wait(lambda: status.last.paused and not status.last.stepping, "it is paused")
+    tick = status.last.tick
+    pick("#time select", "10")
+    page.click("[data-time=step]")
+    stack.wait(lambda: status.last.tick == tick + 10 and not status.last.stepping, "ten ticks pass")
+    page.click("[data-time=pause]")
+    poll(lambda: state() == "running", "it runs")
+    holder = stack.programs["typhoon_communication"].process
+    holder.send_signal(signal.SIGSTOP)
+    try:
+        poll(lambda: state() == "held by /typhoon_communication", "the page names the one that holds the tick")
+    finally:
+        holder.send_signal(signal.SIGCONT)
+    poll(lambda: state() == "running", "it runs again")
+
+
+def test_one_vehicle_and_all_are_reset(
+    page: Any, panel: Callable[[str], Any], stack: Stack, recordings: Path, graph: Graph
+) -> None:
+    vehicles = panel("vehicles")
+    page.click("[data-action=all]")
+    before = stack.time
+    vehicles.locator("[data-action=reset]").click()
+    sync_api.expect(page.locator(".toast", has_text=VEHICLE).last).to_be_visible(timeout=_MS)
+    stack.wait_state(0, armed=False)
+    stack.wait(lambda: stack.height(0) < 0.5, "it stands at its place")
+    assert stack.time >= before
+    page.click("[data-time=reset]")
+    page.click("#question .sure")
+    stack.wait(lambda: stack.time < before, "time is set back")
+    sync_api.expect(page.locator(".toast", has_text="simulated time is 0")).to_be_visible(timeout=_MS)
+    assert not page.locator(".toast.bad").count()

@@ -19,7 +19,7 @@ from conftest import WALL_LIMIT, Stack, poll
 
 CHROMIUM = shutil.which("chromium") or ""
 needs_chromium = pytest.mark.skipif(not CHROMIUM, reason="chromium is not installed")
-_FLAGS = (
+FLAGS = (
     "--no-sandbox",
     "--disable-quic",
     "--no-first-run",
@@ -110,7 +110,7 @@ def open_page(**sizes: int) -> Iterator[Any]:
     size = {"width": 1400, "height": 850, **sizes}
     with tempfile.TemporaryDirectory() as profile, sync_playwright() as playwright:
         context = playwright.chromium.launch_persistent_context(
-            profile, executable_path=CHROMIUM, args=list(_FLAGS), viewport=size
+            profile, executable_path=CHROMIUM, args=list(FLAGS), viewport=size
         )
         context.pages[0].set_default_timeout(_MS)
         yield context.pages[0]

@@ -167,3 +167,17 @@ def test_publishing_a_wrong_value_names_it(monkeypatch: pytest.MonkeyPatch) -> N
         published(PointStamped, PointStamped(point=Point(x="far")), monkeypatch)
     with pytest.raises(TypeError, match="expected"):
         published(PointStamped, Point(), monkeypatch)
+
+
+def test_a_connection_that_ends_after_the_topic_was_closed_is_removed() -> None:
+    ends = socket.socketpair()
+    impl = CountingPublisher("/topic", PointStamped, Node())
+    transport = transport_over(ends[0])
+    transport.fileno, transport.close = ends[0].fileno, ends[0].close
+    impl.close()
+    impl.outlets[transport] = outlet = Outlet("/topic", transport, 1, Node())  # as a thread that is adding it
+    impl.remove_connection(transport)
+    assert outlet.closed
+    assert not impl.outlets
+    for end in ends:
+        end.close()

@@ -56,7 +56,7 @@ def test_help_of_a_group_lists_its_members() -> None:
 @pytest.mark.parametrize(
     ("line", "offered"),
     [
-        ("xtdrone re", {"report", "record", "record-view", "replay-check"}),
+        ("xtdrone re", {"report", "record", "record-view", "replay-actions", "replay-check"}),
         ("xtdrone demo ", {"hello", "formation", "simplified", "search", "forest", "explore", "slam", "landing"}),
         ("xtdrone demo formation --contr", {"--control"}),
         ("xtdrone demo formation --control ", {"vel", "accel"}),

@@ -40,6 +40,45 @@ def test_every_panel_has_its_window_once(view: str, fleet: str) -> None:
     json.dumps(made, allow_nan=False)
 
 
+_PATH = {"value", "enabled", "timestampMethod", "label", "color"}
+_VIEW = {"cameraState", "followMode", "followTf", "scene", "publish", "transforms", "topics", "layers", "imageMode"}
+_TITLES = {"foxglovePanelTitle", "lichtblickPanelTitle"}
+KEYS = {
+    "3D": _VIEW,
+    "Image": _VIEW,
+    "Plot": {"paths", "showLegend", "legendDisplay", "showXAxisLabels", "showYAxisLabels", "isSynced", "xAxisVal"}
+    | {"followingViewWidth"} | _TITLES,
+    "StateTransitions": {"paths", "isSynced"},
+    "RosOut": {"searchTerms", "minLogLevel", "topicToRender"},
+    "RawMessages": {"topicPath", "diffEnabled"},
+    "Publish": {"topicName", "datatype", "buttonText", "buttonTooltip", "advancedView", "value"},
+    "cameraState": {"distance", "perspective", "phi", "target", "targetOffset", "targetOrientation", "thetaOffset"}
+    | {"fovy", "near", "far"},
+    "publish": {"type", "poseTopic", "pointTopic"},
+    "imageMode": {"imageTopic"},
+    "foxglove.Grid": {"layerId", "visible", "frameId", "size", "divisions"},
+}  # fmt: skip
+"""Keys by panel, as Lichtblick's source declares them (packages/suite-base/src/panels, of August 2026, 66adecb99)."""
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_the_programs_know_every_key_of_the_panels(view: str) -> None:
+    made = layout(view, parse_fleet(FLEETS[view]))
+    assert set(made) == {"configById", "layout", "globalVariables", "userNodes", "playbackConfig"}
+    for name, config in made["configById"].items():
+        kind = name.partition("!")[0]
+        assert set(config) <= KEYS[kind], name
+        for part in ("cameraState", "publish", "imageMode"):
+            assert set(config.get(part, {})) <= KEYS[part], name
+        for layer in config.get("layers", {}).values():
+            assert set(layer) <= KEYS[layer["layerId"]], name
+        for path in config.get("paths", []):
+            assert set(path) <= _PATH, name
+            assert path["timestampMethod"] in ("receiveTime", "headerStamp")
+        assert config.get("followMode", "follow-none") in ("follow-pose", "follow-position", "follow-none")
+        assert config.get("publish", {}).get("type", "point") in ("pose_estimate", "pose", "point")
+
+
 class _Master:
     """A parameter server."""
 

@@ -300,3 +300,23 @@ def test_a_mute_master_is_rejected(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         monkeypatch.setenv("ROS_MASTER_URI", uri)
         with pytest.raises(options.OptionError, match=re.escape(uri)):
             master_port(None, use_running=True)
+
+
+WITHOUT_PAGE = {
+    "bench.launch": "measures speed",
+    "bench_free.launch": "measures speed",
+    "bench_search.launch": "measures speed",
+    "bridges.launch": "beside a running flight, as web.launch",
+    "mavros.launch": "a part of a flight, on another machine",
+    "record.launch": "beside a running flight",
+    "rviz.launch": "beside a running flight",
+    "vehicle.launch": "one more vehicle in a running flight, whose page shows it",
+    "web.launch": "the page itself",
+}
+"""Launch files without ``web:=true``, and why."""
+
+
+def test_each_flight_has_its_page() -> None:
+    files = sorted((options.repository() / "launch").glob("*.launch"))
+    without = {file.name for file in files if 'file="$(dirname)/web.launch"' not in file.read_text(encoding="utf-8")}
+    assert without == set(WITHOUT_PAGE)

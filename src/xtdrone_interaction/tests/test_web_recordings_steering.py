@@ -18,6 +18,7 @@ from xtdrone_interaction.recording.series import Series
 from xtdrone_interaction.web.recordings.playable_flight import playable
 from xtdrone_interaction.web.recordings.recorder_process import RecorderProcess
 from xtdrone_interaction.web.recordings.recording_room import allowed_file, listed
+from xtdrone_interaction.web.recordings.results import read_results
 from xtdrone_interaction.web.server.methods import CallError
 from xtdrone_interaction.web.steering.page_pilot import SILENCE, PagePilot
 
@@ -84,6 +85,27 @@ def test_the_recorder_refuses_what_it_cannot_do(tmp_path: Path) -> None:
     with pytest.raises(OptionError, match="no recording is running"):
         recorder.stop()
     assert recorder.state() == {"recording": False}
+
+
+def test_results_are_those_of_analyse_else_of_the_demo_s_folder(tmp_path: Path) -> None:
+    bag = tmp_path / "flight.bag"
+    assert read_results(bag) is None
+    (tmp_path / "report.json").write_text(
+        '{"outcome": "landed", "series": [1, 2], "iris_0": {"way": 4.5, "deep": {"n": 1}}}'
+    )
+    (tmp_path / "way.png").write_bytes(b"x")
+    found = read_results(bag)
+    assert found is not None
+    assert [path.name for path in found.pictures] == ["way.png"]
+    assert found.figures == (("outcome", "landed"), ("iris_0.way", 4.5), ("iris_0.deep.n", 1))
+    analysis = tmp_path / "flight-analysis"
+    analysis.mkdir()
+    (analysis / "report.json").write_text("{")
+    (analysis / "out.png").symlink_to(tmp_path / "way.png")
+    found = read_results(bag)
+    assert found is not None
+    assert (found.folder, found.pictures, found.figures) == (analysis, (), ())
+    assert "report.json cannot be read" in found.trouble
 
 
 # ---- keyboard and gamepad

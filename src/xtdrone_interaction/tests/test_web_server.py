@@ -17,7 +17,7 @@ from tornado.websocket import WebSocketClientConnection, websocket_connect
 
 from xtdrone_interaction.web.server import session as sessions
 from xtdrone_interaction.web.server.credentials import Credentials, is_own_origin
-from xtdrone_interaction.web.server.methods import Method, MethodTable
+from xtdrone_interaction.web.server.methods import Method, MethodTable, Params, invoke
 from xtdrone_interaction.web.server.session import Session, encode
 from xtdrone_interaction.web.server.station_server import MOST_CALLS, MOST_MESSAGE, Address, StationServer
 
@@ -38,10 +38,12 @@ class Station:
             Method("fail", lambda *_: 1 / 0),
             Method("hang", lambda *_: self.go.wait()),
         ]
-        self.server = StationServer(
-            Address(host, 0, credentials), page, methods, lambda _, name, params: self.actions.append((name, params))
-        )
+        self.server = StationServer(Address(host, 0, credentials), page, methods, self._operate)
         self.port = self.server.start()
+
+    async def _operate(self, method: Method, session: Session, params: Params) -> Any:
+        self.actions.append((method.name, params))
+        return await invoke(method, session, params)
 
     async def connect(self, **headers: str) -> WebSocketClientConnection:
         return await websocket_connect(HTTPRequest(f"ws://127.0.0.1:{self.port}/ws", headers=headers))

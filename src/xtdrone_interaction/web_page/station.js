@@ -5,6 +5,7 @@ const FLEET = 1; // channel of the fleet's frames
 const FIRST_WAIT = 300; // ms between two attempts to connect; doubled up to the last
 const LAST_WAIT = 4000;
 const ANSWER_LIMIT = 60000; // ms
+const MOST_CALLS = 24; // unanswered ones; the station refuses more than 32
 
 /** Functions by name, which a panel adds and removes. */
 class Listeners {
@@ -48,6 +49,7 @@ export class Station {
   #binary = new Listeners();
   #socket = null;
   #calls = new Map();
+  #waiting = []; // calls that are sent when others have been answered
   #next = 1;
   #wait = FIRST_WAIT;
   #token = new URLSearchParams(location.hash.slice(1)).get('token') ?? '';
@@ -102,11 +104,16 @@ export class Station {
 
   #request(method, params) {
     return new Promise((resolve, reject) => {
-      const id = this.#next++;
-      const limit = setTimeout(() => this.#settle(id, { error: `${method}: no answer within 60 s` }), ANSWER_LIMIT);
-      this.#calls.set(id, { resolve, reject, limit });
-      this.#socket.send(JSON.stringify({ id, method, params }));
+      const call = { id: this.#next++, method, params, resolve, reject };
+      if (this.#calls.size < MOST_CALLS) this.#send(call);
+      else this.#waiting.push(call);
     });
+  }
+
+  #send({ id, method, params, resolve, reject }) {
+    const limit = setTimeout(() => this.#settle(id, { error: `${method}: no answer within 60 s` }), ANSWER_LIMIT);
+    this.#calls.set(id, { resolve, reject, limit });
+    this.#socket.send(JSON.stringify({ id, method, params }));
   }
 
   #settle(id, answer) {
@@ -116,6 +123,7 @@ export class Station {
     clearTimeout(call.limit);
     if ('error' in answer) call.reject(new Error(answer.error));
     else call.resolve(answer.result);
+    if (this.#waiting.length && this.connected) this.#send(this.#waiting.shift());
   }
 
   #received(data) {
@@ -144,6 +152,7 @@ export class Station {
   #closed({ code }) {
     this.connected = false;
     for (const id of [...this.#calls.keys()]) this.#settle(id, { error: 'the connection broke' });
+    this.#waiting.splice(0).forEach(({ reject }) => reject(new Error('the connection broke')));
     const refused = code === 4401;
     this.emit('station.state', { connected: false, refused });
     if (refused) return; // another token needs another URL

@@ -72,7 +72,7 @@ function mount(element, station) {
     const grid = { stroke: style('--line'), width: 1 };
     const side = { stroke: style('--soft'), grid, ticks: grid };
     axis.plot = new uPlot({
-      width: Math.max(axis.holder.clientWidth, 240),
+      width: Math.max(axis.holder.clientWidth - 20, 240),
       height: HEIGHT,
       cursor: { sync: { key: 'plots' }, drag: { x: true, y: true, uni: 30 } },
       legend: { live: true },

@@ -11,6 +11,9 @@ const LIST_PERIOD = 5000; // ms: demos and other programs record, too
 const KINDS = { mode: '', armed: 'warn', command: '', text: 'soft' };
 const EVENTS_SHOWN = 300;
 
+/** Shows a number as people read it. */
+const figure = (value) => (typeof value === 'number' ? (Number.isInteger(value) ? String(value) : value.toPrecision(4)) : String(value));
+
 /** Packs rows as a frame of the fleet, as xtdrone_interaction/web/fleet/fleet_frame.py does. */
 export function fleetFrame(rows, count, time, roster, number) {
   const buffer = new ArrayBuffer(HEADER + 4 * rows.length);
@@ -36,7 +39,7 @@ export function rowsOf(text) {
 /** A recorded flight of which the frames arrive while it is shown. */
 class Flight {
   constructor(file, about) {
-    Object.assign(this, { file, ...about, loaded: 0, rows: new Float32Array(about.frames * about.vehicles.length * COLUMNS) });
+    Object.assign(this, { file, ...about, loaded: 0, shown: new Map(), rows: new Float32Array(about.frames * about.vehicles.length * COLUMNS) });
   }
 
   get size() { return this.vehicles.length * COLUMNS; }
@@ -134,6 +137,25 @@ function mount(element, station) {
     draw();
   };
 
+  /** Loads the pictures of a report one after the other. */
+  const loadPictures = async (flight) => {
+    if (flight.loading || !flight.results) return;
+    flight.loading = true;
+    for (const file of flight.results.pictures) {
+      if (flight.closed) return;
+      try { flight.shown.set(file, (await station.call('recordings.picture', { file })).png); } catch (error) { fail(error); }
+      draw();
+    }
+  };
+
+  const report = (flight) => html`<details class="report" data-role="report" ontoggle=${(event) => event.target.open && loadPictures(flight)}>
+    <summary>Report of ${flight.results.folder}: ${flight.results.figures.length} figures, ${flight.results.pictures.length} pictures</summary>
+    ${flight.results.trouble ? html`<p class="warn">${flight.results.trouble}</p>` : ''}
+    <div class="figures"><table><tbody>${flight.results.figures.map(([name, value]) => html`<tr data-figure=${name}><td class="mono text">${name}</td>
+      <td class="num">${figure(value)}</td></tr>`)}</tbody></table></div>
+    ${[...flight.shown].map(([file, png]) => html`<figure key=${file}><figcaption class="soft">${file.split('/').pop()}</figcaption>
+      <img alt=${file} data-picture=${file} src=${`data:image/png;base64,${png}`}/></figure>`)}</details>`;
+
   const player = ({ flight }) => html`<div class="card" data-role="player"><div class="row"><b class="mono">${flight.file}</b><span class="grow"></span>
       <button onclick=${close}>Back to the flight</button></div>
     ${flight.notes.map((note) => html`<p class="warn">${note}</p>`)}
@@ -151,7 +173,8 @@ function mount(element, station) {
         title=${`${stamp(event.time)} ${event.vehicle} ${event.text}`}></i>`)}</div>
     <details><summary>${flight.events.length} events</summary><table><tbody>${flight.events.slice(0, EVENTS_SHOWN).map((event) => html`<tr
       class="link ${event.time <= state.time ? '' : 'soft'}" onclick=${() => seek(event.time)}><td class="num mono">${stamp(event.time)}</td><td>${event.vehicle}</td>
-      <td class=${KINDS[event.kind]}>${event.kind}</td><td class="text">${event.text}</td></tr>`)}</tbody></table></details></div>`;
+      <td class=${KINDS[event.kind]}>${event.kind}</td><td class="text">${event.text}</td></tr>`)}</tbody></table></details>
+    ${flight.results ? report(flight) : ''}</div>`;
 
   const recorder = () => (state.recorder.recording
     ? html`<span class="pill bad">● recording</span><span class="mono">${state.recorder.name}</span>
@@ -167,9 +190,9 @@ function mount(element, station) {
       ${state.flight ? player(state) : ''}
       <div class="row"><input type="search" placeholder="filter recordings of runs/" style="flex:1" value=${state.words}
         oninput=${(event) => { state.words = event.target.value; draw(); }}/><button onclick=${list}>Refresh</button></div>
-      <table><thead><tr><th>recording</th><th class="num">size</th><th>changed</th></tr></thead><tbody>
-      ${files.map(({ file, bytes: size, changed }) => html`<tr key=${file} data-file=${file} class=${state.flight?.file === file ? 'selected' : ''}>
-        <td class="text link mono" onclick=${() => open(file)}>${file}${state.opening === file ? ' opening…' : ''}</td><td class="num">${bytes(size)}</td>
+      <table><thead><tr><th>recording</th><th></th><th class="num">size</th><th>changed</th></tr></thead><tbody>
+      ${files.map(({ file, bytes: size, changed, report: analysed }) => html`<tr key=${file} data-file=${file} class=${state.flight?.file === file ? 'selected' : ''}>
+        <td class="text link mono" onclick=${() => open(file)}>${file}${state.opening === file ? ' opening…' : ''}</td><td>${analysed ? html`<span class="pill" title="with a report">report</span>` : ''}</td><td class="num">${bytes(size)}</td>
         <td class="soft">${new Date(1000 * changed).toLocaleString()}</td></tr>`)}</tbody></table>
       ${files.length ? '' : html`<p class="soft">No recordings yet.</p>`}`, element);
   }

@@ -24,7 +24,7 @@ function mount(element, station) {
   let ticks = TICKS[0];
   const control = (params) => station.call('time.control', params).then((text) => toast(text), (error) => toast(error.message, 'bad'));
   const reset = async () => {
-    if (await confirmed('Set all vehicles back to their start places, and time to 0?', 'Reset')) control({ action: 'reset' });
+    if (await confirmed('Set all vehicles back to their start places, and time to 0?', 'Reset')) station.call('time.reset').then((text) => toast(text), (error) => toast(error.message, 'bad'));
   };
   const show = () => {
     const [kind, text] = stateOf(status);

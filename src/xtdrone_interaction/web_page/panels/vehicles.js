@@ -117,7 +117,7 @@ class Table {
 
   async #reset() {
     for (const vehicle of this.#station.selection.names) {
-      await this.#station.call('time.control', { action: 'reset_vehicle', vehicle }).then(toast, (error) => toast(error.message, 'bad'));
+      await this.#station.call('time.reset', { vehicle }).then(toast, (error) => toast(error.message, 'bad'));
     }
   }
 

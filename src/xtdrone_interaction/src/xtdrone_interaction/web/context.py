@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 from tornado.ioloop import IOLoop, PeriodicCallback
 
+from xtdrone_interaction.web.server.methods import Method, Params, invoke
 from xtdrone_interaction.web.server.session import Session
 
 _THREADS = 8
@@ -24,12 +25,14 @@ class StationContext:
     Attributes:
         master: URI of the ROS master.
         sessions: the connected pages by number; changed by the server.
+        act: carries out a call of the role ``operate``.
         name: of the station's node, as ``/web_station``.
     """
 
     master: str
     name: str
     sessions: dict[int, Session] = field(default_factory=dict)
+    act: Callable[[Method, Session, Params], Awaitable[Any]] = invoke
     _pool: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(_THREADS, "web"))
     _timers: list[PeriodicCallback] = field(default_factory=list)
 

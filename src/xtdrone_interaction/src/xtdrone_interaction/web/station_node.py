@@ -3,49 +3,30 @@
 from __future__ import annotations
 
 import errno
-import json
 import logging
 import signal
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import rosgraph
 import rospy
-from std_msgs.msg import String
 from tornado.ioloop import IOLoop
 
-from xtdrone_control import lockstep
 from xtdrone_control.programs.program import check_no_arguments
+from xtdrone_interaction.server_port import port_here
+from xtdrone_interaction.web.actions.operator_actions import OperatorActions
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.rooms import methods_of_rooms
 from xtdrone_interaction.web.server.credentials import Credentials, is_loopback
-from xtdrone_interaction.web.server.session import Session
 from xtdrone_interaction.web.server.station_server import Address, StationServer
-from xtdrone_interaction.web.station_settings import StationSettings
+from xtdrone_interaction.web.station_settings import DEFAULT_PORT, StationSettings
 
 NAME = "web_station"
-ACTIONS_TOPIC = "/xtdrone/operator_actions"
 URL_PARAMETER = "~url"
 PAGE = Path(__file__).resolve().parents[3] / "web_page"
 _PORTS_TRIED = 20
-_LONGEST_ACTION = 4096  # characters of an action's parameters on the topic
-
-
-class ActionTopic:
-    """Publishes what the pages' users do, as JSON with session, method and parameters."""
-
-    def __init__(self) -> None:
-        self._publisher = lockstep.UncountedPublisher(ACTIONS_TOPIC, String, queue_size=100)
-
-    def publish(self, session: Session, method: str, params: Mapping[str, Any]) -> None:
-        """Publish an action."""
-        text = json.dumps(params, sort_keys=True)
-        shown: Any = params if len(text) <= _LONGEST_ACTION else f"{text[:_LONGEST_ACTION]} ..."
-        content = {"time": rospy.get_time(), "page": session.number, "method": method, "params": shown}
-        self._publisher.publish(String(json.dumps(content, sort_keys=True)))
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -60,13 +41,13 @@ def main(arguments: Sequence[str]) -> None:
     settings = StationSettings.from_parameters(rospy.get_param)
     loop = IOLoop.current()
     context = StationContext(rosgraph.get_master_uri(), rospy.get_name())
-    actions = ActionTopic()
+    context.act = OperatorActions(context).carry_out
     credentials = Credentials.for_host(settings.host, settings.token, settings.view_only)
     server = StationServer(
-        Address(settings.host, settings.port, credentials),
+        Address(settings.host, port_here(settings.port, DEFAULT_PORT), credentials),
         PAGE,
         methods_of_rooms(context, settings),
-        on_operate=actions.publish,
+        operate=context.act,
         sessions=context.sessions,
     )
     port = _listen(server)
@@ -97,7 +78,10 @@ def _listen(server: StationServer) -> int:
     for port in range(wished, wished + (_PORTS_TRIED if wished else 1)):
         server.address = replace(server.address, port=port)
         try:
-            return server.start()
+            listening = server.start()
+            if port != wished:
+                print(f"station: port {wished} is in use, it listens on {port}", flush=True)
+            return listening
         except OSError as error:
             if error.errno != errno.EADDRINUSE:
                 raise SystemExit(

@@ -24,7 +24,11 @@ class StationSettings(Settings):
         text="listening address; 127.0.0.1: this machine only; another one, as 0.0.0.0, needs the token of the URL",
     )
     port: int = setting(
-        DEFAULT_PORT, low=0, high=65535, metavar="PORT", text="TCP port; 0: any free one; a used one: the next free one"
+        DEFAULT_PORT,
+        low=0,
+        high=65535,
+        metavar="PORT",
+        text="TCP port; 0: any free one; a used one: the next free one; the default is 540 N higher for instance N",
     )
     token: str = setting("", check=_checked_token, metavar="TEXT", text="token to operate; empty: drawn where needed")
     view_only: bool = setting(False, text="no page may operate, all may only watch")

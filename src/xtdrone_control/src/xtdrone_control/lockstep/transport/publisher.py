@@ -137,7 +137,11 @@ class CountingPublisher(PublisherImpl):
         if outlet is None:
             return
         outlet.closed = True
-        super().remove_connection(connection)
+        try:
+            super().remove_connection(connection)
+        except TypeError:
+            if self.subscriber_listeners is not None:  # else rospy's close, in another thread, has taken them away
+                raise
         self._ledger.outlet_lost(outlet)
 
 

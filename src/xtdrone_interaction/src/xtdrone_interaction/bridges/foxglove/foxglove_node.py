@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import foxglove
@@ -22,10 +22,12 @@ from xtdrone_interaction.bridges.foxglove.client_topics import ENCODINGS, Client
 from xtdrone_interaction.bridges.foxglove.parameter_values import ParameterError, RosParameters
 from xtdrone_interaction.bridges.foxglove.service_offers import ServiceOffers
 from xtdrone_interaction.bridges.foxglove.topic_channels import TopicChannels
+from xtdrone_interaction.server_port import port_here
 from xtdrone_interaction.topics.discovery import UNKNOWN_TYPE, MasterError
 from xtdrone_interaction.topics.raw_subscriptions import RawSubscriptions
 
 NAME = "foxglove_bridge"
+PORT = 8765
 _CLOCK_PERIOD = 0.05  # s of wall time between two times told to clients
 _GRAPH_PERIOD = 1.0  # s between two looks at the graph
 _PARAMETER_PERIOD = 2.0  # s between two looks at the parameters that clients watch
@@ -35,7 +37,12 @@ _PARAMETER_PERIOD = 2.0  # s between two looks at the parameters that clients wa
 class FoxgloveSettings(BridgeSettings):
     """Private parameters of the node."""
 
-    port: int = setting(8765, low=0, high=65535, text="TCP port; 0: any free one, which the log names")
+    port: int = setting(
+        PORT,
+        low=0,
+        high=65535,
+        text="TCP port; 0: any free one, which the log names; 8765 is 540 N higher for instance N",
+    )
     send_buffer_limit: int = setting(
         1024,
         low=16,
@@ -226,6 +233,7 @@ def main(arguments: Sequence[str]) -> None:
     check_no_arguments(arguments)
     rospy.init_node(NAME)
     settings = FoxgloveSettings.from_parameters(rospy.get_param)
+    settings = replace(settings, port=port_here(settings.port, PORT))
     bridge_settings.warn_of_network(settings, NAME)
     try:
         bridge = FoxgloveBridge(settings)

@@ -157,6 +157,7 @@ def _plot(title: str, lines: Sequence[tuple[str, str]]) -> Panel:
     ]
     return {
         "foxglovePanelTitle": title,
+        "lichtblickPanelTitle": title,
         "paths": paths,
         "showXAxisLabels": True,
         "showYAxisLabels": True,

@@ -31,6 +31,7 @@ from xtdrone_interaction.bridges.ros2.dds_participant import (
 )
 from xtdrone_interaction.bridges.ros2.message_conversion import ConversionError, Converter, converter
 from xtdrone_interaction.bridges.ros_publications import PublicationError
+from xtdrone_interaction.server_port import instance_here
 from xtdrone_interaction.topics.discovery import UNKNOWN_TYPE, MasterError, TopicGraph
 from xtdrone_interaction.topics.message_classes import MessageTypeError, decode, installed_class
 from xtdrone_interaction.topics.raw_subscriptions import Listener, RawMessage, RawSubscriptions
@@ -42,9 +43,9 @@ _COMMANDS = ("/xtdrone/*/cmd*", "*/mavros/setpoint_*")
 
 
 def _domain() -> int:
-    """Return ROS_DOMAIN_ID; 0 if it is none."""
-    text = os.environ.get("ROS_DOMAIN_ID", "0")
-    return int(text) if text.isdigit() and int(text) <= 232 else 0
+    """Return ROS_DOMAIN_ID; without it the number of the instance, as two simulations have topics of the same names."""
+    text = os.environ.get("ROS_DOMAIN_ID", "")
+    return int(text) if text.isdigit() and int(text) <= 232 else instance_here()
 
 
 def _interface(value: str) -> None:
@@ -56,7 +57,9 @@ def _interface(value: str) -> None:
 class Ros2Settings(Settings):
     """Private parameters of the node."""
 
-    domain_id: int = setting(-1, low=-1, high=232, text="DDS domain, ROS 2's ROS_DOMAIN_ID; -1: that variable's value")
+    domain_id: int = setting(
+        -1, low=-1, high=232, text="DDS domain, ROS 2's ROS_DOMAIN_ID; -1: that variable's value, or the instance"
+    )
     interface: str = setting(
         "lo",
         check=_interface,

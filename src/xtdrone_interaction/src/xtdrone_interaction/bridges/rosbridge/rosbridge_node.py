@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import rosgraph
@@ -19,9 +19,11 @@ from xtdrone_interaction.bridges.rosbridge.rosapi import Rosapi
 from xtdrone_interaction.bridges.rosbridge.session import Bridge
 from xtdrone_interaction.bridges.rosbridge.subscriptions import Encoder
 from xtdrone_interaction.bridges.rosbridge.websocket_server import WebSocketServer
+from xtdrone_interaction.server_port import port_here
 from xtdrone_interaction.topics.raw_subscriptions import RawSubscriptions
 
 NAME = "rosbridge_websocket"
+PORT = 9090
 _CALLS = 64  # service calls at a time, of all clients
 _LOOK = 0.2  # s between looks at whether the node is to end
 
@@ -30,7 +32,12 @@ _LOOK = 0.2  # s between looks at whether the node is to end
 class RosbridgeSettings(BridgeSettings):
     """Private parameters of the node, by the names of rosbridge_server where it has them."""
 
-    port: int = setting(9090, low=0, high=65535, text="TCP port; 0: any free one, which the log names")
+    port: int = setting(
+        PORT,
+        low=0,
+        high=65535,
+        text="TCP port; 0: any free one, which the log names; 9090 is 540 N higher for instance N",
+    )
     max_message_size: int = setting(
         10_000_000, low=1000, high=1_000_000_000, unit="bytes", text="longest frame of a client; a longer one ends it"
     )
@@ -94,6 +101,7 @@ def main(arguments: Sequence[str]) -> None:
     check_no_arguments(arguments)
     rospy.init_node(NAME)
     settings = RosbridgeSettings.from_parameters(rospy.get_param)
+    settings = replace(settings, port=port_here(settings.port, PORT))
     bridge_settings.warn_of_network(settings, NAME)
     try:
         asyncio.run(_serve(settings))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from std_msgs.msg import String
 
 from xtdrone_coordination.patterns import PatternError, Patterns
-from xtdrone_interaction.web.commands.command_topics import CommandTopics
+from xtdrone_interaction.topics.connected_publishers import ConnectedPublishers
 from xtdrone_interaction.web.commands.vehicle_commands import chosen_vehicles
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.fleet.fleet_watch import FleetWatch
@@ -33,7 +33,7 @@ class SwarmCommands:
     def __init__(self, context: StationContext, fleet: FleetWatch) -> None:
         self._context = context
         self._fleet = fleet
-        self._topics = CommandTopics()
+        self._topics = ConnectedPublishers(context.master)
         self._drawn = itertools.count(1)
 
     def methods(self) -> list[Method]:
@@ -63,7 +63,9 @@ class SwarmCommands:
 
     def _send(self, names: Sequence[str], text: str) -> None:
         for name in names:
-            self._topics.publish(f"/xtdrone/{name}/cmd", String(text))
+            topic = f"/xtdrone/{name}/cmd"
+            if not self._topics.publish(topic, String(text)):
+                raise CallError(f"topic: no node subscribes to {topic}; ./xtdrone doctor names what is missing")
 
     async def _draw(self, _session: Session, params: Params) -> str:
         """Fly the pattern that a page has drawn: a slot for each follower, m ENU from the leader."""

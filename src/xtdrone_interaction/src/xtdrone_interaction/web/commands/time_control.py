@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,12 +27,9 @@ _STEP_LIMIT = 50.0  # s of wall time; a page waits 60 s
 class TimeCommand(Settings):
     """A command to the simulator."""
 
-    action: str = setting(
-        "", choices=("pause", "resume", "step", "speed", "reset", "reset_vehicle"), text="what it does"
-    )
+    action: str = setting("", choices=("pause", "resume", "step", "speed"), text="what it does")
     ticks: int = setting(1, low=1, high=100_000, text="ticks of a step")
     factor: float = setting(1.0, low=0.0, high=1000.0, text="target real-time factor; 0: as fast as it goes")
-    vehicle: str = setting("", text="that is reset alone")
 
 
 class TimeControl:
@@ -45,7 +43,11 @@ class TimeControl:
 
     def methods(self) -> list[Method]:
         """Return the methods of a page."""
-        return [Method("time.status", self._describe), Method("time.control", self._control, "operate")]
+        return [
+            Method("time.status", self._describe),
+            Method("time.control", self._control, "operate", "time"),
+            Method("time.reset", self._reset, "operate"),
+        ]
 
     def _on_status(self, message: SimulationStatus) -> None:
         self._status = status_for_page(message)
@@ -56,12 +58,20 @@ class TimeControl:
 
     async def _control(self, _session: Session, params: Params) -> str:
         command = TimeCommand.from_mapping(dict(params), "command")
-        if command.action == "reset_vehicle":
-            chosen_vehicles([command.vehicle], self._fleet.roster.vehicles)
         if command.action == "speed" and 0.0 < command.factor < LEAST_SPEED:
             raise CallError(f"factor: {command.factor} is not allowed, 0 or at least {LEAST_SPEED}")
+        return await self._asked(self._ask, command)
+
+    async def _reset(self, _session: Session, params: Params) -> str:
+        """Reset a vehicle, or all and time."""
+        vehicle = params.get("vehicle", "")
+        if vehicle:
+            chosen_vehicles([vehicle], self._fleet.roster.vehicles)
+        return await self._asked(self._set_back, vehicle)
+
+    async def _asked(self, ask: Callable[..., str], argument: Any) -> str:
         try:
-            return await self._context.blocking(self._ask, command)
+            return await self._context.blocking(ask, argument)
         except SimError as error:
             raise CallError(str(error)) from error
 
@@ -71,10 +81,12 @@ class TimeControl:
             return _accepted(call(master, f"/simulator/{command.action}", Trigger, TriggerRequest()))
         if command.action == "step":
             return _accepted(call(master, "/simulator/step", Step, StepRequest(ticks=command.ticks), _STEP_LIMIT))
-        if command.action == "speed":
-            return _accepted(call(master, "/simulator/set_speed", SetSpeed, SetSpeedRequest(speed=command.factor)))
-        if command.action == "reset_vehicle":
-            request = ResetVehicleRequest(command.vehicle, [])
+        return _accepted(call(master, "/simulator/set_speed", SetSpeed, SetSpeedRequest(speed=command.factor)))
+
+    def _set_back(self, vehicle: str) -> str:
+        master = self._context.master
+        if vehicle:
+            request = ResetVehicleRequest(vehicle, [])
             return _accepted(call(master, "/simulator/reset_vehicle", ResetVehicle, request))
         call(master, "/gazebo/reset_simulation", Empty, EmptyRequest())
         return "reset: vehicles are at their places, simulated time is 0"

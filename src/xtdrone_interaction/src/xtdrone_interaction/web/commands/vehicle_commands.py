@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any
 
 import rospy
+from gazebo_msgs.srv import GetModelState, GetModelStateRequest
 
 from xtdrone_control.fleet import FleetError, Vehicle, parse_fleet
 from xtdrone_control.settings import SettingError, Settings, setting
@@ -16,6 +17,7 @@ from xtdrone_interaction.gcs import station
 from xtdrone_interaction.gcs.exchanges import flight
 from xtdrone_interaction.gcs.exchanges.flight import Target
 from xtdrone_interaction.gcs.vehicle_addresses import GcsError, Peer
+from xtdrone_interaction.sim_cli import SimError, call
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.fleet.fleet_watch import FleetWatch
 from xtdrone_interaction.web.server.methods import CallError, Method, Params
@@ -63,8 +65,9 @@ class VehicleCommands:
         given = dict(params)
         vehicles = chosen_vehicles(given.pop("vehicles", None), self._fleet.roster.vehicles)
         command = VehicleCommand.from_mapping(given, "command")
-        places = {name: self._place(name) for name in vehicles}
-        goals = goals_of(command.place, places) if command.place is not None else {}
+        goals: Mapping[str, Sequence[float]] = {}
+        if command.place is not None:
+            goals = goals_of(command.place, await self._context.blocking(self._places, vehicles))
         results = await self._context.blocking(self._run, vehicles, command, goals)
         return {name: {"ok": not isinstance(result, GcsError), "text": str(result)} for name, result in results.items()}
 
@@ -76,11 +79,18 @@ class VehicleCommands:
         done = {"takeoff": "climbs to {:g} m"}.get(command.action, command.action)
         return {name: r if isinstance(r, GcsError) else done.format(r) for name, r in results.items()}
 
+    def _places(self, names: Sequence[str]) -> dict[str, tuple[float, ...] | None]:
+        """Return where vehicles are, m ENU: as the simulator answers, for the pages' frame is of some moment before."""
+        return {name: self._place(name) for name in names} if len(names) > 1 else dict.fromkeys(names)
+
     def _place(self, name: str) -> tuple[float, ...] | None:
-        models = self._fleet.models
-        if models is None or name not in models.names:
+        request = GetModelStateRequest(name, "")
+        try:
+            answer = call(self._context.master, "/gazebo/get_model_state", GetModelState, request)
+        except SimError:
             return None
-        return tuple(models.rows[models.names.index(name), :3].tolist())
+        at = answer.pose.position
+        return (at.x, at.y, at.z) if answer.success else None
 
 
 def chosen_vehicles(names: object, fleet: Sequence[Vehicle]) -> list[str]:

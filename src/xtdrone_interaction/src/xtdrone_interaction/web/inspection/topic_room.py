@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
-import time
 from concurrent.futures import Future
 from typing import Any
 
-from xtdrone_control import lockstep
+from xtdrone_interaction.topics.connected_publishers import ConnectedPublishers
 from xtdrone_interaction.topics.discovery import UNKNOWN_TYPE, MasterError, Topic, TopicGraph, read_topics
 from xtdrone_interaction.topics.field_paths import fields_of
 from xtdrone_interaction.topics.message_classes import MessageTypeError, installed_class
@@ -22,9 +20,6 @@ ECHO_RATE = 5.0  # Hz, by default
 _LONGEST = 64  # elements of an array that are echoed, by default
 _MOST_LONGEST = 10_000
 _FIRST_MESSAGE = 3.0  # s of wall time to learn a foreign type
-_CONNECTING = 2.0  # s of wall time until subscribers of a new publisher have connected
-_POLL = 0.02  # s
-_KEPT = 10  # queue of a publisher
 _MOST_PUBLISHERS = 50
 
 
@@ -36,7 +31,7 @@ class TopicRoom:
         self._context = context
         self._topics = topics
         self._pages = pages
-        self._publishers: dict[str, Any] = {}
+        self._publishers = ConnectedPublishers(context.master, _MOST_PUBLISHERS)
 
     def methods(self) -> list[Method]:
         """Return the methods of a page."""
@@ -140,22 +135,7 @@ class TopicRoom:
         registered = (await self.graph()).topics.get(topic)
         if registered is not None and registered.type not in (UNKNOWN_TYPE, kind._type):
             raise CallError(f"type: {kind._type} is not allowed on {topic}, {registered.type}")
-        publisher = await self._publisher(topic, kind)
-        publisher.publish(message)
-        return {"subscribers": publisher.get_num_connections()}
-
-    async def _publisher(self, topic: str, kind: type[Any]) -> Any:
-        """Return the publisher of a topic, connected to its present subscribers."""
-        if topic not in self._publishers:
-            if len(self._publishers) >= _MOST_PUBLISHERS:
-                raise CallError(f"topic: {topic!r} is one more than the {_MOST_PUBLISHERS} that the station publishes")
-            self._publishers[topic] = await self._context.blocking(
-                lambda: lockstep.UncountedPublisher(topic, kind, queue_size=_KEPT)
-            )
-            end = time.monotonic() + _CONNECTING
-            while not self._publishers[topic].get_num_connections() and time.monotonic() < end:
-                await asyncio.sleep(_POLL)
-        return self._publishers[topic]
+        return {"subscribers": await self._context.blocking(self._publishers.publish, topic, message)}
 
 
 def _echoed(message: RawMessage, longest: int) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from typing import Any
 
 from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.plans import qgc_plan
 from xtdrone_control.plans.qgc_plan import Plan
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.search.planning.plans import SearchOptions, VehiclePlan, plan_search, to_plan
@@ -52,7 +53,10 @@ class Plans:
 
     def methods(self) -> list[Method]:
         """Return the methods of a page."""
-        return [Method("map.plan", self._plan), Method("map.upload", self._upload, "operate")]
+        return [
+            Method("map.plan", self._plan),
+            Method("map.upload", self._upload, "operate", recorded=self._recorded),
+        ]
 
     async def _plan(self, _session: Session, params: Params) -> dict[str, Any]:
         """Return the number of a plan, and the way of each vehicle."""
@@ -96,8 +100,8 @@ class Plans:
         return x, y
 
     async def _upload(self, _session: Session, params: Params) -> dict[str, Any]:
-        """Upload a plan to its vehicles; return for each whether it has stored the plan."""
-        files = self._made.get(params.get("plan"))  # type: ignore[arg-type]
+        """Upload a plan made here, or ``files`` by vehicle; return for each vehicle whether it has stored its plan."""
+        files = self._files(params)
         if files is None:
             raise CallError(f"plan: {str(params.get('plan'))[:40]!r} is not allowed, the number of a plan made here")
         results = await self._context.blocking(_send, files)
@@ -105,6 +109,18 @@ class Plans:
             name: {"ok": not isinstance(result, GcsError), "text": str(result or "stored")}
             for name, result in results.items()
         }
+
+    def _files(self, params: Params) -> Mapping[str, Plan] | None:
+        given = params.get("files")
+        if not isinstance(given, dict):
+            return self._made.get(params.get("plan"))  # type: ignore[arg-type]
+        names = chosen_vehicles(list(given), self._fleet.roster.vehicles)
+        return {name: qgc_plan.parse(str(given[name]), f"plan of {name}") for name in names}
+
+    def _recorded(self, params: Params) -> Params:
+        """Return the plans' texts in place of a number that only this station knows."""
+        files = self._files(params)
+        return params if files is None else {"files": {name: qgc_plan.text_of(plan) for name, plan in files.items()}}
 
 
 def _send(files: Mapping[str, Plan]) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from xtdrone_interaction.recording.ulog import LogError
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.recordings.playable_flight import PlayableFlight, playable
 from xtdrone_interaction.web.recordings.recorder_process import PROFILES, RecorderProcess
+from xtdrone_interaction.web.recordings.results import MOST_PICTURE, PICTURES, Results, read_results, results_folder
 from xtdrone_interaction.web.server.methods import CallError, Method, Params, needed
 from xtdrone_interaction.web.server.session import Session
 
@@ -41,9 +42,10 @@ class RecordingRoom:
             Method("recordings.list", self._list),
             Method("recordings.open", self._open),
             Method("recordings.frames", self._frames),
+            Method("recordings.picture", self._picture),
             Method("recordings.state", self._state),
-            Method("recordings.start", self._start, "operate"),
-            Method("recordings.stop", self._stop, "operate"),
+            Method("recordings.start", self._start, "operate", "nothing"),
+            Method("recordings.stop", self._stop, "operate", "nothing"),
         ]
 
     async def _list(self, _session: Session, _params: Params) -> dict[str, Any]:
@@ -53,7 +55,7 @@ class RecordingRoom:
         name = needed(params, "file", str, "a file of recordings.list")
         path = allowed_file(self._folder, name)
         try:
-            recording, flight = await self._context.blocking(_read, path)
+            recording, flight, results = await self._context.blocking(_read, path)
         except (BagError, LogError, RecordError, OSError) as error:
             raise CallError(str(error)) from error
         self._open_flights[name] = flight
@@ -68,7 +70,22 @@ class RecordingRoom:
             "events": flight.events,
             "cut": bool(recording.cut),
             "notes": list(recording.notes),
+            "results": None if results is None else self._about(results),
         }
+
+    def _about(self, results: Results) -> dict[str, Any]:
+        """Return results for the page, pictures by their names below the folder of recordings."""
+        root = self._folder.resolve()
+        pictures = [path.resolve().relative_to(root).as_posix() for path in results.pictures]
+        folder = results.folder.resolve().relative_to(root).as_posix()
+        return {"folder": folder, "pictures": pictures, "figures": results.figures, "trouble": results.trouble}
+
+    async def _picture(self, _session: Session, params: Params) -> dict[str, Any]:
+        path = allowed_file(self._folder, needed(params, "file", str, "a picture of recordings.open"), (PICTURES,))
+        data = await self._context.blocking(path.read_bytes)
+        if len(data) > MOST_PICTURE:
+            raise CallError(f"file: {path.name!r} of {len(data)} bytes is not allowed, at most {MOST_PICTURE}")
+        return {"png": base64.b64encode(data).decode("ascii")}
 
     def _frames(self, _session: Session, params: Params) -> dict[str, Any]:
         flight = self._open_flights.get(needed(params, "file", str, "a file that is open"))
@@ -107,10 +124,13 @@ def listed(folder: Path) -> list[dict[str, Any]]:
                 status = path.stat()
                 found.append((status.st_mtime, path.relative_to(folder).as_posix(), status.st_size))
     found.sort(reverse=True)
-    return [{"file": name, "bytes": size, "changed": changed} for changed, name, size in found[:_MOST_LISTED]]
+    return [
+        {"file": name, "bytes": size, "changed": changed, "report": results_folder(folder / name) is not None}
+        for changed, name, size in found[:_MOST_LISTED]
+    ]
 
 
-def allowed_file(folder: Path, name: str) -> Path:
+def allowed_file(folder: Path, name: str, endings: tuple[str, ...] = ENDINGS) -> Path:
     """Return the path of a recording.
 
     Raises:
@@ -118,11 +138,12 @@ def allowed_file(folder: Path, name: str) -> Path:
     """
     path = folder / name
     inside = "\0" not in name and path.resolve().is_relative_to(folder.resolve())
-    if not inside or path.suffix not in ENDINGS or not path.is_file():
-        raise CallError(f"file: {name[:100]!r} is not allowed, a recording below {folder.name} ({', '.join(ENDINGS)})")
+    if not inside or path.suffix not in endings or not path.is_file():
+        kind = "a recording" if endings == ENDINGS else "a picture"
+        raise CallError(f"file: {name[:100]!r} is not allowed, {kind} below {folder.name} ({', '.join(endings)})")
     return path
 
 
-def _read(path: Path) -> tuple[Recording, PlayableFlight]:
+def _read(path: Path) -> tuple[Recording, PlayableFlight, Results | None]:
     recording = open_recording([path])
-    return recording, playable(recording)
+    return recording, playable(recording), read_results(path)

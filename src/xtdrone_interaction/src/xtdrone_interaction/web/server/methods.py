@@ -5,12 +5,14 @@ from __future__ import annotations
 import inspect
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from xtdrone_interaction.web.server.roles import Role
 from xtdrone_interaction.web.server.session import Session
 
 Params = Mapping[str, Any]
+Touches = Literal["flight", "time", "nothing"]
+"""What a call of role ``operate`` changes: the flight, how simulated time runs, or neither of them."""
 
 
 class CallError(ValueError):
@@ -26,11 +28,15 @@ class Method:
         call: function of the session and the parameters, or a coroutine function; returns what JSON can hold. Its
             ``ValueError`` is the answer to the page. It runs in the event loop and must not block.
         role: needed to call it; the calls of ``operate`` are published as operator actions.
+        touches: what a call of ``operate`` changes; one that touches the flight acts between two ticks.
+        recorded: returns what is published in place of the parameters, so that a replay needs nothing else.
     """
 
     name: str
     call: Callable[[Session, Params], Any | Awaitable[Any]]
     role: Role = "view"
+    touches: Touches = "flight"
+    recorded: Callable[[Params], Params] | None = None
 
 
 class MethodTable:

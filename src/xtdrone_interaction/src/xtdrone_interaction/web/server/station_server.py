@@ -11,7 +11,7 @@ import contextlib
 import json
 import logging
 import socket as sockets
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,11 @@ from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
 from tornado.iostream import StreamClosedError
 from tornado.netutil import bind_sockets
-from tornado.web import Application, HTTPError, StaticFileHandler
+from tornado.web import Application, HTTPError, RequestHandler, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from xtdrone_interaction.web.server.credentials import Credentials, is_loopback, is_own_host, is_own_origin
-from xtdrone_interaction.web.server.methods import CallError, Method, MethodTable, checked_params, invoke
+from xtdrone_interaction.web.server.methods import CallError, Method, MethodTable, Params, checked_params, invoke
 from xtdrone_interaction.web.server.session import Session
 
 MOST_MESSAGE = 1 << 20
@@ -80,7 +80,7 @@ class StationServer:
         address: where it listens.
         page: folder of the page's files.
         methods: of all rooms.
-        on_operate: called with session, method and parameters before a call of the role ``operate``.
+        operate: carries out a call of the role ``operate`` and returns its result.
         welcome: what ``hello`` answers beside the role.
         sessions: the connected pages, after their ``hello``, in order.
     """
@@ -88,7 +88,7 @@ class StationServer:
     address: Address
     page: Path
     methods: Iterable[Method]
-    on_operate: Callable[[Session, str, Mapping[str, Any]], None] = lambda *_: None
+    operate: Callable[[Method, Session, Params], Awaitable[Any]] = invoke
     on_connect: Callable[[Session], None] = lambda *_: None
     welcome: Callable[[], dict[str, Any]] = dict
     sessions: dict[int, Session] = field(default_factory=dict)
@@ -104,10 +104,7 @@ class StationServer:
         self.connections = 0
         self.open_sockets = 0
         application = Application(
-            [
-                ("/ws", _PageSocket, {"server": self}),
-                ("/(.*)", _PageFile, {"path": str(self.page), "default_filename": "index.html", "server": self}),
-            ],
+            routes(self),
             websocket_max_message_size=MOST_MESSAGE,
             websocket_ping_interval=_PING_PERIOD,
             websocket_ping_timeout=_PING_PERIOD,
@@ -129,6 +126,14 @@ class StationServer:
         """Send an event to all pages; in the event loop."""
         for session in list(self.sessions.values()):
             session.push(event, data)
+
+
+def routes(server: StationServer) -> list[tuple[str, type[RequestHandler], dict[str, Any]]]:
+    """Return all that the server answers to: pattern of the path, handler and the handler's arguments."""
+    return [
+        ("/ws", _PageSocket, {"server": server}),
+        ("/(.*)", _PageFile, {"path": str(server.page), "default_filename": "index.html", "server": server}),
+    ]
 
 
 class _PageFile(StaticFileHandler):
@@ -210,9 +215,8 @@ class _PageSocket(WebSocketHandler):
 
     async def _call(self, session: Session, number: Any, method: Method, params: dict[str, Any]) -> None:
         try:
-            if method.role == "operate":
-                self._server.on_operate(session, method.name, params)
-            session.answer({"id": number, "result": await invoke(method, session, params)})
+            carry_out = self._server.operate if method.role == "operate" else invoke
+            session.answer({"id": number, "result": await carry_out(method, session, params)})
         except (ValueError, TimeoutError) as error:
             session.answer({"id": number, "error": str(error) or type(error).__name__})
         except Exception as error:  # a fault of ours harms this call alone

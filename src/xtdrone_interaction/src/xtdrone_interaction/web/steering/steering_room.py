@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import rospy
+from geometry_msgs.msg import Twist, Vector3
+from std_msgs.msg import String
 
 from xtdrone_control.fleet import FleetError, parse_fleet
 from xtdrone_coordination.patterns import Patterns
-from xtdrone_interaction.keyboard.command_topics import PERIOD, CommandTopics
-from xtdrone_interaction.keyboard.key_bindings import Command, Message, digits
+from xtdrone_interaction.keyboard.command_topics import PERIOD
+from xtdrone_interaction.keyboard.key_bindings import MAX_SPEED, MAX_TURN, Command, Message, digits
+from xtdrone_interaction.topics.connected_publishers import ConnectedPublishers
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.server.methods import CallError, Method, Params, needed
 from xtdrone_interaction.web.server.session import Session
@@ -20,8 +24,9 @@ from xtdrone_interaction.web.steering.page_pilot import PagePilot
 
 MODES = ("vel", "accel")
 _NAME = re.compile(r"^[A-Za-z]\w*$", re.ASCII)
+_TEXT = re.compile(r"^[ -~]{1,200}$", re.ASCII)
+_LIMITS = (MAX_SPEED, MAX_SPEED, MAX_SPEED, MAX_TURN)
 _MOST_VEHICLES = 250
-_CONNECTING = 2.0  # s of wall time until subscribers have connected
 
 
 class SteeringRoom:
@@ -31,16 +36,20 @@ class SteeringRoom:
         """Begin the cycle of the setpoints."""
         self._context = context
         self._pilots: dict[Session, PagePilot] = {}
-        self._topics: dict[tuple[str, str], CommandTopics] = {}
+        self._topics = ConnectedPublishers(context.master)
+        self._waiting: dict[Session, list[dict[str, Any]]] = {}
+        self._send_method = Method("steering.send", self._send, "operate")
+        self._sending: asyncio.Task[None] | None = None
         context.every(PERIOD, self._cycle)
 
     def methods(self) -> list[Method]:
         """Return the methods of a page; a page that flies nothing cannot call ``alive`` with effect."""
         return [
-            Method("steering.open", self._open, "operate"),
-            Method("steering.key", self._key, "operate"),
-            Method("steering.sticks", self._sticks, "operate"),
-            Method("steering.close", self._close, "operate"),
+            Method("steering.open", self._open, "operate", "nothing"),
+            Method("steering.key", self._key, "operate", "nothing"),
+            Method("steering.sticks", self._sticks, "operate", "nothing"),
+            Method("steering.close", self._close, "operate", "nothing"),
+            self._send_method,
             Method("steering.alive", self._alive),
         ]
 
@@ -57,18 +66,11 @@ class SteeringRoom:
         mode = params.get("mode", "vel")
         if mode not in MODES:
             raise CallError(f"mode: {str(mode)[:20]!r} is not allowed, vel or accel")
-        for name in ("leader", *vehicles):
-            if (name, mode) not in self._topics:
-                self._topics[name, mode] = await self._context.blocking(CommandTopics, name, mode)
         deaf = await self._context.blocking(self._unconnected, vehicles, mode)
         self._end(session)
 
         def send(name: str, message: Message) -> None:
-            topics = self._topics[name, mode]
-            if isinstance(message, Command):
-                topics.send_command(message.text)
-            else:
-                topics.send_setpoint(message)
+            self._waiting.setdefault(session, []).append({"to": name, "mode": mode, **_as_json(message)})
 
         self._pilots[session] = PagePilot(vehicles, params.get("leader") is True, _patterns(known), send)
         session.on_close(lambda: self._end(session))
@@ -76,13 +78,16 @@ class SteeringRoom:
         return {**self._pilots[session].state, "note": note}
 
     def _unconnected(self, vehicles: Sequence[str], mode: str) -> list[str]:
-        """Wait for subscribers, so that the first key reaches them; return the vehicles without one."""
-        end = time.monotonic() + _CONNECTING
-        return [name for name in vehicles if not self._topics[name, mode].wait_for_subscriber(end - time.monotonic())]
+        """Connect to the subscribers, so that the first key reaches them; return the vehicles without one."""
+        for name in ("leader", *vehicles):
+            self._topics.connect(_setpoint_topic(name, mode), Twist)
+            self._topics.connect(_command_topic(name), String)
+        return [name for name in vehicles if not self._topics.connect(_command_topic(name), String)]
 
     def _key(self, session: Session, params: Params) -> dict[str, Any]:
         pilot = self._pilot(session)
         pilot.press(needed(params, "key", str, "a key"), time.monotonic())
+        self._send_waiting()
         return pilot.state
 
     def _sticks(self, session: Session, params: Params) -> dict[str, Any]:
@@ -108,11 +113,89 @@ class SteeringRoom:
         pilot = self._pilots.pop(session, None)
         if pilot is not None:
             pilot.end()
+            self._send_waiting()
 
     def _cycle(self) -> None:
         now = time.monotonic()
         for pilot in list(self._pilots.values()):
             pilot.cycle(now)
+        self._send_waiting()
+
+    def _send_waiting(self) -> None:
+        """Send what the pilots want sent, as an action of their page; without one where the station ends."""
+        try:
+            asyncio.get_running_loop()
+        except RuntimeError:
+            for messages in self._waiting.values():
+                self._publish(messages)
+            self._waiting.clear()
+            return
+        if self._waiting and (self._sending is None or self._sending.done()):
+            self._sending = asyncio.ensure_future(self._send_in_order())
+
+    async def _send_in_order(self) -> None:
+        while self._waiting:
+            session = next(iter(self._waiting))
+            await self._context.act(self._send_method, session, {"messages": self._waiting.pop(session)})
+
+    async def _send(self, _session: Session, params: Params) -> None:
+        """Publish messages of a page's pilot; also of a recorded one."""
+        messages = checked_messages(params.get("messages"))
+        known = await self._context.blocking(_fleet)
+        for message in messages:
+            if known and message["to"] not in ("leader", *known):
+                raise CallError(f"to: {message['to'][:60]!r} is not allowed, leader or one of {', '.join(known)}")
+        await self._context.blocking(self._publish, messages)
+
+    def _publish(self, messages: Sequence[Mapping[str, Any]]) -> None:
+        for message in messages:
+            if "text" in message:
+                self._topics.publish(_command_topic(message["to"]), String(message["text"]))
+            else:
+                forward, left, up, turn = message["speeds"]
+                twist = Twist(Vector3(forward, left, up), Vector3(0.0, 0.0, turn))
+                self._topics.publish(_setpoint_topic(message["to"], message["mode"]), twist)
+
+
+def _command_topic(name: str) -> str:
+    return f"/xtdrone/{name}/cmd"
+
+
+def _setpoint_topic(name: str, mode: str) -> str:
+    return f"/xtdrone/{name}/cmd_{mode}_flu"
+
+
+def _as_json(message: Message) -> dict[str, Any]:
+    if isinstance(message, Command):
+        return {"text": message.text}
+    return {"speeds": [message.forward, message.left, message.up, message.turn]}
+
+
+def checked_messages(messages: object) -> list[dict[str, Any]]:
+    """Return a pilot's messages.
+
+    Raises:
+        CallError: one is neither a text nor four speeds within the limits, to a vehicle or the leader.
+    """
+    if not isinstance(messages, list) or not all(map(_is_message, messages)):
+        allowed = "a list of {to, mode, text} or {to, mode, speeds}"
+        raise CallError(f"messages: {str(messages)[:80]} is not allowed, {allowed}")
+    return messages
+
+
+def _is_message(message: object) -> bool:
+    if not isinstance(message, dict) or message.get("mode") not in MODES:
+        return False
+    if not isinstance(message.get("to"), str) or not _NAME.match(message["to"]):
+        return False
+    if "text" in message:
+        return isinstance(message["text"], str) and bool(_TEXT.match(message["text"]))
+    speeds = message.get("speeds")
+    return (
+        isinstance(speeds, list)
+        and len(speeds) == len(_LIMITS)
+        and all(type(v) in (int, float) and abs(v) <= most for v, most in zip(speeds, _LIMITS, strict=True))
+    )
 
 
 def _patterns(known: list[str]) -> dict[str, str]:

@@ -1,0 +1,81 @@
+"""Stop simulated time between two ticks while an operator's action acts, so that it acts at a known tick.
+
+A command of a program outside the lockstep acts in the tick in which it arrives, which depends on wall time. While time
+stands still between two ticks, all of it arrives before the next one. A step of one tick, after which the simulator
+pauses, changes no result of a flight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from std_srvs.srv import Trigger, TriggerRequest
+from xtdrone_msgs.msg import SimulationStatus
+from xtdrone_msgs.srv import GetStatus, GetStatusRequest, Step, StepRequest
+
+from xtdrone_interaction.sim_cli import SimError, call, parameter
+
+_STEP_LIMIT = 2.0  # s of wall time for a tick; a participant at a breakpoint takes longer
+_AUTOPILOT = "/simulator/autopilot"
+_NEEDS_TIME = "hil"  # an external PX4 answers only while time advances
+
+
+@dataclass(frozen=True)
+class Instant:
+    """Where simulated time is when an action acts.
+
+    Attributes:
+        tick: number of ticks since the simulator started; None without a simulator.
+        time: simulated time, s.
+        held: whether time stands still between two ticks.
+        stopped: whether it does because of the action, and is to go on after it.
+    """
+
+    tick: int | None = None
+    time: float = 0.0
+    held: bool = False
+    stopped: bool = False
+
+
+def hold(master: str) -> Instant:
+    """Let time stand still between two ticks, if there is a simulator that can; blocks.
+
+    Args:
+        master: URI of the ROS master.
+    """
+    try:
+        status = status_of(master)
+        if parameter(master, _AUTOPILOT) == _NEEDS_TIME or status.stepping:
+            return _instant(status, held=False, stopped=False)
+        if status.paused or status.tick == 0:
+            return _instant(status, held=True, stopped=False)
+    except (SimError, OSError):  # a real vehicle
+        return Instant()
+    try:
+        done = call(master, "/simulator/step", Step, StepRequest(ticks=1), _STEP_LIMIT).success
+        return _instant(status_of(master), held=bool(done), stopped=True)
+    except SimError:
+        return _instant(status, held=False, stopped=True)  # go on: the step may still come
+
+
+def let_go(master: str, instant: Instant) -> None:
+    """Let time go on after an action, if the action has stopped it; blocks."""
+    if not instant.stopped:
+        return
+    try:
+        call(master, "/simulator/resume", Trigger, TriggerRequest())
+    except SimError:
+        return  # the simulator has ended
+
+
+def status_of(master: str) -> SimulationStatus:
+    """Return the simulator's status.
+
+    Raises:
+        SimError: there is no simulator.
+    """
+    return call(master, "/simulator/get_status", GetStatus, GetStatusRequest()).status
+
+
+def _instant(status: SimulationStatus, *, held: bool, stopped: bool) -> Instant:
+    return Instant(int(status.tick), status.sim_time.to_sec(), held, stopped)

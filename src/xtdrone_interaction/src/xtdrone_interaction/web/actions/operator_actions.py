@@ -1,0 +1,97 @@
+"""Carry out what only operators may do: published, one after the other, and on the flight between two ticks.
+
+A subscriber of the topic first receives all actions on the flight so far: the bag of a recorder that is started late
+has all that a replay needs.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import rospy
+from std_msgs.msg import String
+
+from xtdrone_control import lockstep
+from xtdrone_interaction.web.actions.held_time import Instant, hold, let_go
+from xtdrone_interaction.web.actions.recorded_actions import LET_GO, TOPIC
+from xtdrone_interaction.web.context import StationContext
+from xtdrone_interaction.web.server.methods import Method, Params, invoke
+from xtdrone_interaction.web.server.session import Session
+
+_KEPT = 10_000  # actions
+LONGEST_HOLD = 3.0
+"""s of wall time that an action may let simulated time stand still."""
+
+
+class OperatorActions:
+    """Publishes and carries out the calls of role ``operate``; used in the event loop."""
+
+    def __init__(self, context: StationContext) -> None:
+        """Advertise the topic."""
+        self._context = context
+        self._so_far: list[String] = []
+        self._station = time.time_ns()
+        self._number = 0
+        self._publisher = lockstep.UncountedPublisher(TOPIC, String, queue_size=_KEPT)
+        listener = rospy.SubscribeListener()
+        listener.peer_subscribe = self._tell_newcomer
+        self._publisher.impl.add_subscriber_listener(listener)
+        self._one_at_a_time = asyncio.Lock()
+
+    async def carry_out(self, method: Method, session: Session, params: Params) -> Any:
+        """Publish a call, carry it out and return its result; its errors are the caller's."""
+        if method.touches == "nothing":
+            self._publish(method, session, params, Instant())
+            return await invoke(method, session, params)
+        async with self._one_at_a_time:
+            if method.touches == "time":
+                self._publish(method, session, params, Instant())
+                return await invoke(method, session, params)
+            call = await self._begin(method, session, params)
+        return await call
+
+    async def _begin(self, method: Method, session: Session, params: Params) -> asyncio.Future[Any]:
+        """Start a call while time stands still; return it when it has ended, or has taken too long for that."""
+        instant = await self._context.blocking(hold, self._context.master)
+        try:
+            recorded = params if method.recorded is None else method.recorded(params)
+            number = self._publish(method, session, recorded, instant)
+            call = asyncio.ensure_future(invoke(method, session, params))
+            await asyncio.wait({call}, timeout=LONGEST_HOLD if instant.held else 0.0)
+            if instant.held and not call.done():
+                self._tell({"station": self._station, "method": LET_GO, "params": {"number": number}}, keep=True)
+        finally:
+            await self._context.blocking(let_go, self._context.master, instant)
+        return call
+
+    def _publish(self, method: Method, session: Session, params: Params, instant: Instant) -> int:
+        on_flight = method.touches == "flight"
+        self._number += on_flight
+        self._tell(
+            {
+                "station": self._station,
+                "number": self._number if on_flight else 0,
+                "tick": instant.tick,
+                "time": instant.time,
+                "held": instant.held,
+                "page": session.number,
+                "method": method.name,
+                "params": params,
+            },
+            keep=on_flight,
+        )
+        return self._number
+
+    def _tell(self, content: Mapping[str, Any], *, keep: bool) -> None:
+        message = String(json.dumps(content, sort_keys=True))
+        if keep and len(self._so_far) < _KEPT:
+            self._so_far.append(message)
+        self._publisher.publish(message)
+
+    def _tell_newcomer(self, _topic: str, _publish: Any, publish_to: Callable[[String], None]) -> None:
+        for message in list(self._so_far):
+            publish_to(message)

@@ -1,0 +1,121 @@
+"""Read the operators' actions of a recorded session from its bag."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from xtdrone_interaction.bags.bag_kinds import Layouts, by_connection, large_batches, open_sources
+
+TOPIC = "/xtdrone/operator_actions"
+LET_GO = "actions.let_go"
+"""Method on the topic: an action took so long that time went on before its end; ``number`` in its parameters."""
+
+
+class ActionError(ValueError):
+    """A bag without actions that can be replayed."""
+
+
+@dataclass(frozen=True)
+class RecordedAction:
+    """One action on the flight.
+
+    Attributes:
+        number: of the actions of its station, from 1.
+        tick: at which it acted.
+        time: simulated time at which it acted, s.
+        exact: whether all of it acted between this tick and the next.
+        page: number of the page.
+        method: name, as ``vehicles.command``.
+        params: of the method.
+    """
+
+    number: int
+    tick: int
+    time: float
+    exact: bool
+    page: int
+    method: str
+    params: Mapping[str, Any]
+
+
+def read_actions(paths: Iterable[Path]) -> list[RecordedAction]:
+    """Return the actions on the flight in bags, in their order.
+
+    Raises:
+        ActionError: there are none, earlier ones are missing, or an entry is none of this project's stations.
+        BagError: a file is no bag.
+    """
+    return parse_actions(_texts(list(paths)))
+
+
+def parse_actions(texts: Iterable[str]) -> list[RecordedAction]:
+    """Return the actions on the flight of the topic's texts.
+
+    Raises:
+        ActionError: as ``read_actions``.
+    """
+    actions: list[RecordedAction] = []
+    station, last = 0, 0
+    for text in texts:
+        entry = _entry(text)
+        if entry["station"] != station:
+            station, last = entry["station"], 0
+        if entry["method"] == LET_GO:
+            late = entry["params"].get("number")
+            actions[-1:] = [replace(a, exact=a.exact and a.number != late) for a in actions[-1:]]
+            continue
+        if entry["number"] <= last:  # of no effect on the flight, or told to a new subscriber a second time
+            continue
+        if entry["number"] != last + 1:
+            raise ActionError(f"bag: action {last + 1} is missing, the next one in it is {entry['number']}")
+        last = entry["number"]
+        if entry["tick"] is not None:
+            names = ("number", "tick", "time", "held", "page", "method", "params")
+            actions.append(RecordedAction(*(entry[name] for name in names)))
+    if not actions:
+        raise ActionError(f"bag: no action of an operator on the flight is in it ({TOPIC})")
+    return actions
+
+
+def _texts(paths: list[Path]) -> Iterable[str]:
+    source = open_sources(paths)
+    layouts = Layouts()
+    for batch in large_batches(source):
+        for number, part in by_connection(batch):
+            connection = source.connections[number]
+            layout = layouts.of(connection) if connection.topic == TOPIC else None
+            if layout is not None:
+                yield from layout.decode(part.data, part.offset, part.length, ["data"]).texts("data")
+
+
+_KINDS: Mapping[str, type | tuple[type, ...]] = {
+    "station": int,
+    "number": int,
+    "tick": (int, type(None)),
+    "time": (int, float),
+    "held": bool,
+    "page": int,
+    "method": str,
+    "params": dict,
+}
+
+
+_LET_GO_KINDS = {name: _KINDS[name] for name in ("station", "method", "params")}
+
+
+def _entry(text: str) -> dict[str, Any]:
+    try:
+        entry = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ActionError(f"bag: {text[:80]!r} is no action: {error}") from error
+    kinds = _KINDS if isinstance(entry, dict) and entry.get("method") != LET_GO else _LET_GO_KINDS
+    if not isinstance(entry, dict):
+        raise ActionError(f"bag: {text[:80]!r} is no action, an object is needed")
+    for name, kind in kinds.items():
+        if name not in entry or not isinstance(entry[name], kind):
+            raise ActionError(f"bag: {name} of the action {text[:80]!r} is not allowed or missing")
+    return entry

@@ -1,0 +1,162 @@
+"""Operators' actions without ROS master: what is read of a bag, how they are carried out, and ports of instances."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rospy")
+
+from xtdrone_interaction import server_port
+from xtdrone_interaction.web import station_node
+from xtdrone_interaction.web.actions import operator_actions
+from xtdrone_interaction.web.actions.held_time import Instant
+from xtdrone_interaction.web.actions.operator_actions import OperatorActions
+from xtdrone_interaction.web.actions.recorded_actions import LET_GO, ActionError, parse_actions
+from xtdrone_interaction.web.context import StationContext
+from xtdrone_interaction.web.server.credentials import Credentials
+from xtdrone_interaction.web.server.methods import CallError, Method
+from xtdrone_interaction.web.server.session import Session
+from xtdrone_interaction.web.server.station_server import Address, StationServer
+
+
+def entry(number: int, station: int = 1, **changed: Any) -> str:
+    content = {"station": station, "number": number, "tick": 10 * number, "time": 0.1 * number, "held": True, "page": 2}
+    return json.dumps({**content, "method": "vehicles.command", "params": {"n": number}, **changed})
+
+
+def let_go(number: int, station: int = 1) -> str:
+    return json.dumps({"station": station, "method": LET_GO, "params": {"number": number}})
+
+
+# ---- what a bag has
+
+
+def test_actions_are_read_in_order_once_and_of_each_start_of_the_station() -> None:
+    texts = [entry(1), entry(0, method="recordings.start"), entry(1), entry(2), let_go(2), entry(3, held=False)]
+    actions = parse_actions([*texts, entry(1, station=9), entry(2, station=9, tick=None)])
+    assert [(action.number, action.tick, action.exact) for action in actions] == [
+        (1, 10, True), (2, 20, False), (3, 30, False), (1, 10, True),
+    ]  # fmt: skip
+    assert actions[1].params == {"n": 2}
+
+
+@pytest.mark.parametrize(
+    ("texts", "reason"),
+    [
+        ([], "no action of an operator on the flight is in it"),
+        ([entry(0)], "no action of an operator"),
+        ([entry(2)], "action 1 is missing, the next one in it is 2"),
+        ([entry(1), entry(3)], "action 2 is missing"),
+        (["{"], "is no action"),
+        (["[1]"], "an object is needed"),
+        ([entry(1, tick="x")], "tick of the action"),
+        ([entry(1, params=3)], "params of the action"),
+        (['{"method": "vehicles.command"}'], "station of the action"),
+        ([json.dumps({"station": 1, "method": LET_GO})], "params of the action"),
+    ],
+)
+def test_what_cannot_be_repeated_is_refused(texts: list[str], reason: str) -> None:
+    with pytest.raises(ActionError, match=reason):
+        parse_actions(texts)
+
+
+# ---- how they are carried out
+
+
+class Station:
+    """Operators' actions on a simulator that is made up."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, instant: Instant) -> None:
+        self.log: list[Any] = []
+        monkeypatch.setattr(operator_actions, "hold", lambda _: self.log.append("hold") or instant)
+        monkeypatch.setattr(operator_actions, "let_go", lambda *_: self.log.append("let go"))
+        monkeypatch.setattr(operator_actions, "LONGEST_HOLD", 0.05)
+        self.context = StationContext("http://127.0.0.1:9", "/web_station")
+        self.actions = OperatorActions(self.context)
+        monkeypatch.setattr(self.actions, "_publisher", self)
+        self.session = Session(3, "operate", None, lambda f: f())  # type: ignore[arg-type]
+
+    def publish(self, message: Any) -> None:
+        self.log.append(json.loads(message.data))
+
+    def do(self, method: Method, **params: Any) -> Any:
+        return self.actions.carry_out(method, self.session, params)
+
+
+def test_an_action_on_the_flight_acts_while_time_stands_still(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def test() -> None:
+        station = Station(monkeypatch, Instant(7, 0.5, True, True))
+        fly = Method("fly", lambda _, params: station.log.append("fly") or params["x"], "operate",
+                     recorded=lambda params: {"all of": params["x"]})  # fmt: skip
+        assert await station.do(fly, x=4) == 4
+        held, told, *rest = station.log
+        assert (held, rest) == ("hold", ["fly", "let go"])
+        assert {k: told[k] for k in ("number", "tick", "time", "held", "page", "method", "params")} == {
+            "number": 1, "tick": 7, "time": 0.5, "held": True, "page": 3, "method": "fly", "params": {"all of": 4},
+        }  # fmt: skip
+        station.context.close()
+
+    asyncio.run(test())
+
+
+def test_time_goes_on_after_a_failed_and_during_a_long_action(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def test() -> None:
+        station = Station(monkeypatch, Instant(7, 0.5, True, True))
+
+        def refuse(*_: Any) -> None:
+            raise CallError("refused")
+
+        with pytest.raises(CallError, match="refused"):
+            await station.do(Method("refuse", refuse, "operate"))
+        assert station.log.pop() == "let go"
+        ready = asyncio.Event()
+        long = asyncio.ensure_future(station.do(Method("long", lambda *_: ready.wait(), "operate")))
+        while station.log[-1] != "let go":
+            await asyncio.sleep(0.01)
+        assert (station.log[-2]["method"], station.log[-2]["params"]) == (LET_GO, {"number": 2})
+        assert await station.do(Method("short", lambda *_: 1, "operate")) == 1  # it does not wait for the long one
+        ready.set()
+        assert await long is True
+        station.context.close()
+
+    asyncio.run(test())
+
+
+def test_what_does_not_touch_the_flight_holds_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def test() -> None:
+        station = Station(monkeypatch, Instant(7, 0.5, True, True))
+        for touches in ("time", "nothing"):
+            assert await station.do(Method("m", lambda *_: 1, "operate", touches)) == 1  # type: ignore[arg-type]
+        assert [told["number"] for told in station.log] == [0, 0]
+        station.context.close()
+
+    asyncio.run(test())
+
+
+# ---- ports
+
+
+def test_the_usual_port_moves_with_the_instance_and_a_chosen_one_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    for instance, port in ((0, 8642), (2, 8642 + 1080), ("x", 8642)):
+        monkeypatch.setattr(server_port.rospy, "get_param", lambda *_, i=instance: i)
+        assert server_port.port_here(8642, 8642) == port
+        assert server_port.port_here(9000, 8642) == 9000
+
+
+def test_a_busy_port_gives_the_next_free_one_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    async def test() -> None:
+        with socket.create_server(("127.0.0.1", 0)) as other:
+            busy = other.getsockname()[1]
+            server = StationServer(Address("127.0.0.1", busy, Credentials()), tmp_path, [])
+            port = station_node._listen(server)
+            assert busy < port <= busy + 20
+            assert f"port {busy} is in use, it listens on {port}" in capsys.readouterr().out
+            server.stop()
+
+    asyncio.run(test())
