@@ -114,6 +114,7 @@ def test_a_uav_and_a_robot_go_through_rooms(graph: Graph, stack: Stack) -> None:
     assert uav.end() == (GoalStatus.REJECTED, "goal: the vehicle is not flying")
     stack.wait(lambda: graph.call(f"/{UAV}/mavros/cmd/arming", CommandBool, value=True).success, "armed")
     graph.call(f"/{UAV}/mavros/set_mode", SetMode, base_mode=0, custom_mode="AUTO.TAKEOFF")
+    stack.wait(lambda: stack.height(0) > 2.0, "the UAV has taken off")
     stack.wait_state(0, mode="AUTO.LOITER")
     begin = len(states.messages)
     uav.go(*UAV_GOAL)

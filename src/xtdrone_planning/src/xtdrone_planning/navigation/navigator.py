@@ -85,7 +85,8 @@ class Navigator:
 
     def restart(self) -> None:
         """Forget the goal, as simulated time was set back."""
-        self.state, self.goal, self.outcome, self.reason = WAITING, None, "", ""
+        self.state, self.outcome, self.reason = WAITING, "", ""
+        self.goal: Array | None = None
         self.path: Array = np.empty((0, 2))
         self.command = AT_REST
         self._search = GlobalSearch()
@@ -238,9 +239,9 @@ class Navigator:
         turned_by = abs(wrap_pi(float(now.pose[2] - self._place[2])))
         if moved_by > _PROGRESS or (turned_by > _PROGRESS and self._recoveries == 0):
             self._place, self._since = now.pose, now.time
-        if self._recovered_at is not None:
-            if math.hypot(*(now.pose[:2] - self._recovered_at[:2]).tolist()) > _RECOVERED:
-                self._recoveries, self._recovered_at = 0, None
+        since = self._recovered_at
+        if since is not None and math.hypot(*(now.pose[:2] - since[:2]).tolist()) > _RECOVERED:
+            self._recoveries, self._recovered_at = 0, None
 
     def _expected(self, now: Turn) -> Array:
         """Return the pose in which the next command acts."""

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 import rospy
-from geometry_msgs.msg import PoseStamped, Quaternion, Twist, Vector3
+from geometry_msgs.msg import Point, PoseStamped, Quaternion, Twist, Vector3
 from mavros_msgs.msg import ExtendedState, PositionTarget, State
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ _CLIMB_GAIN, _MOST_CLIMB = 1.0, 0.5  # 1/s, m/s, towards the height of flight
 _HOLD_GAIN, _MOST_HOLD = 0.8, 0.5  # 1/s, m/s, towards the place where the vehicle came to rest
 _STREAM_LEAD = 0.5  # s of setpoints before OFFBOARD is requested; PX4 rejects it without a stream
 _REQUEST_SPACING = 2.0  # s between requests
+_LEAST_NORM = 0.1  # of a quaternion
 
 
 @dataclass(frozen=True)
@@ -78,10 +79,10 @@ class PoseFeed(Protocol):
         """Receive a pose: x, y, z, m in map, and quaternion w, x, y, z."""
 
 
-def _entry(position: object, orientation: Quaternion) -> Array | None:
-    p, q = position, orientation
-    entry = np.array([p.x, p.y, p.z, q.w, q.x, q.y, q.z], float)  # type: ignore[attr-defined]
-    usable = np.isfinite(entry).all() and float(np.linalg.norm(entry[3:])) > 0.1
+def _entry(p: Point | Vector3, q: Quaternion) -> Array | None:
+    """Return an entry of the pose history, None for numbers that are not finite or no rotation."""
+    entry: Array = np.array([p.x, p.y, p.z, q.w, q.x, q.y, q.z])
+    usable = np.isfinite(entry).all() and float(np.linalg.norm(entry[3:])) > _LEAST_NORM
     return entry if usable else None
 
 

@@ -157,14 +157,14 @@ class Planner:
     def _find_path(self, start: Array, distance: NDArray[np.float32] | None = None) -> LocalPath:
         """Search a path to the goal; ``distance`` in place of the map's, see ``PathSearch.find``."""
         assert self.goal is not None
-        heights = (self.settings.lowest, self.settings.highest)
+        heights = self.settings.heights
         clearance, radius = self.limits.clearance(self.grid.resolution), self.limits.radius
         return self._search.find(
             self.grid, start, self.goal, clearance, radius, heights, self.settings.horizon, distance
         )
 
     def _trajectory_along(self, corners: Array, start: State, time: float) -> UniformSpline | None:
-        return plan_along(self.grid, corners, start, time, self.limits)
+        return plan_along(self.grid, corners, start, time, self.limits, heights=self.settings.heights)
 
     def brake(self, time: float) -> None:
         """Stop on the present path."""

@@ -46,6 +46,11 @@ class PlannerSettings(Settings):
     yaw_rate: float = setting(1.5, low=0.1, high=6.0, unit="rad/s", text="greatest yaw rate")
     offboard: bool = setting(True, text="request OFFBOARD for a new goal; false: wait for the pilot to do so")
 
+    @property
+    def heights(self) -> tuple[float, float]:
+        """Lowest and highest flight, m in map."""
+        return self.lowest, self.highest
+
     def check_goal(self, goal: Array) -> None:
         """Check a goal, (3,) m in map.
 
