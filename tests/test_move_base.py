@@ -112,9 +112,10 @@ def test_a_uav_and_a_robot_go_through_rooms(graph: Graph, stack: Stack) -> None:
 
     uav.go(*UAV_GOAL)
     assert uav.end() == (GoalStatus.REJECTED, "goal: the vehicle is not flying")
-    stack.wait(lambda: graph.call(f"/{UAV}/mavros/cmd/arming", CommandBool, value=True).success, "armed")
     graph.call(f"/{UAV}/mavros/set_mode", SetMode, base_mode=0, custom_mode="AUTO.TAKEOFF")
-    stack.wait(lambda: stack.height(0) > 2.0, "the UAV has taken off")
+    stack.wait_state(0, mode="AUTO.TAKEOFF")
+    stack.wait(lambda: graph.call(f"/{UAV}/mavros/cmd/arming", CommandBool, value=True).success, "armed")
+    stack.wait(lambda: stack.height(0) > 1.5, "the UAV has taken off")
     stack.wait_state(0, mode="AUTO.LOITER")
     begin = len(states.messages)
     uav.go(*UAV_GOAL)
@@ -127,7 +128,8 @@ def test_a_uav_and_a_robot_go_through_rooms(graph: Graph, stack: Stack) -> None:
     assert stack.height(0) == pytest.approx(1.5, abs=0.15)
     distances = least_distances(states.since(begin), {UAV: 1.4, UGV: 0.2})
     assert all(distances[name] > RADII[name] for name in RADII), distances
-    assert len(plans.last.poses) > 2
+    assert max(len(plan.poses) for plan in plans.messages) > 50
+    assert not plans.last.poses  # reached: rviz shows none
     assert len(local.messages) > 20
     assert {100, 99} <= set(costs.last.data)
 
