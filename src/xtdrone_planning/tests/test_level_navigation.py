@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from xtdrone_control.settings import SettingError
 from xtdrone_planning.navigation import action_goals
 from xtdrone_planning.navigation.action_goals import ActionGoals
 from xtdrone_planning.navigation.dynamic_window import AT_REST, Motion, choose, moved, window
@@ -14,7 +15,13 @@ from xtdrone_planning.navigation.global_path import GlobalSearch, PathError
 from xtdrone_planning.navigation.level_map import INSCRIBED, LETHAL, UNKNOWN, LevelMap, MapError
 from xtdrone_planning.navigation.navigator import ABORTED, SUCCEEDED, WAITING, Navigator, Turn
 from xtdrone_planning.navigation.scan_rays import ScanRays
-from xtdrone_planning.navigation.settings import CostmapSettings, GoalError, NavigatorSettings, WindowSettings
+from xtdrone_planning.navigation.settings import (
+    CostmapSettings,
+    GoalError,
+    NavigatorSettings,
+    WindowSettings,
+    check_reach,
+)
 
 CELL, SIDE, TURN = 0.1, 200, 0.05
 LIMITS = WindowSettings()
@@ -258,6 +265,12 @@ def test_a_map_of_other_cells_is_refused():
     with pytest.raises(MapError, match=r"cells of 0.05 m are not allowed, 0.1 m \(cell\)"):
         level.take(np.zeros((10, 10), np.int8), np.zeros(2), 0.05)
     assert not level.is_ready
+
+
+def test_an_inflation_below_the_vehicles_size_is_refused():
+    check_reach(CostmapSettings(), LIMITS)
+    with pytest.raises(SettingError, match="inflation: 0.8 is not allowed, at least radius and margin, 1.1 m"):
+        check_reach(CostmapSettings(), WindowSettings(radius=1.0))
 
 
 def test_action_goals_follow_each_other_as_actionlib_says():

@@ -50,7 +50,13 @@ from xtdrone_planning.navigation.level_map import LevelMap, MapError
 from xtdrone_planning.navigation.navigator import ABORTED as GAVE_UP
 from xtdrone_planning.navigation.navigator import PLANNING, Navigator, Turn
 from xtdrone_planning.navigation.scan_rays import ScanRays
-from xtdrone_planning.navigation.settings import CostmapSettings, GoalError, NavigatorSettings, WindowSettings
+from xtdrone_planning.navigation.settings import (
+    CostmapSettings,
+    GoalError,
+    NavigatorSettings,
+    WindowSettings,
+    check_reach,
+)
 from xtdrone_planning.navigation.vehicle_drives import DriveSettings, drive_of
 from xtdrone_planning.replanning.stopwatch import Stopwatch, write_summaries
 
@@ -92,6 +98,7 @@ class VehicleNavigation:
         self._costs = CostmapSettings.from_parameters(rospy.get_param)
         self._limits = WindowSettings.from_parameters(rospy.get_param)
         names = NavigationSettings.from_parameters(rospy.get_param)
+        check_reach(self._costs, self._limits)
         self.level = LevelMap(self._costs)
         self.navigator = Navigator(self.level, NavigatorSettings.from_parameters(rospy.get_param), self._limits)
         self._watch = SensorWatch(WatchSettings.from_parameters(rospy.get_param))

@@ -43,7 +43,7 @@ class CostmapSettings(Settings):
         low=0.1,
         high=2.0,
         unit="m",
-        text="distance up to which obstacles cost; the largest sum of radius and margin",
+        text="distance up to which obstacles cost; at least radius and margin",
     )
 
     def __post_init__(self) -> None:
@@ -82,3 +82,14 @@ class NavigatorSettings(Settings):
     )
     tolerance: float = setting(0.2, low=0.02, high=5.0, unit="m", text="distance from a goal at which it is reached")
     yaw_tolerance: float = setting(0.15, low=0.01, high=3.2, unit="rad", text="of the yaw at a goal")
+
+
+def check_reach(costs: CostmapSettings, limits: WindowSettings) -> None:
+    """Check that distances are known up to where paths may be.
+
+    Raises:
+        SettingError: inflation is below radius and margin.
+    """
+    if costs.inflation < limits.radius + limits.margin:
+        least = limits.radius + limits.margin
+        raise SettingError("inflation", costs.inflation, f"at least radius and margin, {least:g} m")

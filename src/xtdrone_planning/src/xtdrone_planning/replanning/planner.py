@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from xtdrone_control.rotation import wrap_pi
 from xtdrone_planning.mapping.voxel_grid import VoxelGrid
 from xtdrone_planning.paths.grid_search import BLOCKED, REACHED
-from xtdrone_planning.paths.local_path import LocalPath, PathSearch
+from xtdrone_planning.paths.local_path import LocalPath, PathSearch, Search
 from xtdrone_planning.replanning.flight_states import FlightState, Planning, Waiting
 from xtdrone_planning.replanning.situation import Command, PlannerSettings, Situation
 from xtdrone_planning.trajectories.local_trajectory import State, TrajectorySettings, conflict_time, plan_along
@@ -72,7 +72,7 @@ class Planner:
         self.number = 0
         self.path: LocalPath | None = None
         self.searched = ""
-        self._search = PathSearch(self.settings.voxels)
+        self._search = _search_of(self.settings)
         self._yaw: float | None = None
         self._yaw_time = 0.0
         self._was_offboard = False
@@ -225,3 +225,12 @@ class Planner:
             there = self.path.ahead
         x, y = float(there[0] - here[0]), float(there[1] - here[1])
         return math.atan2(y, x) if math.hypot(x, y) > _SLOW else None
+
+
+def _search_of(settings: PlannerSettings) -> Search:
+    """Return the search for paths that the settings name."""
+    if settings.global_planner == "astar":
+        return PathSearch(settings.voxels)
+    from xtdrone_planning.paths.sampled_path import SampledSearch  # OMPL is loaded only where it is used
+
+    return SampledSearch(settings.global_planner, settings.iterations, settings.sampling_seed)
