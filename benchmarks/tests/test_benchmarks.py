@@ -53,8 +53,8 @@ PATIENCE = 120.0  # s of wall time; bounds a broken test
     [
         (
             ["--only", "core,wings"],
-            "part 'wings' is unknown; there are: core, simplified, drawing, sweep, detector, renderer, rays, rviz, "
-            "analyse, codecs, barrier, telemetry, stack, formation, search, free",
+            "part 'wings' is unknown; there are: core, simplified, drawing, sweep, detector, renderer, rays, planning, "
+            "rviz, analyse, codecs, barrier, telemetry, stack, formation, search, free",
         ),
         (["--vehicles", "0"], "vehicles of core: '0' is not allowed; 1 to 250"),
         (["--vehicles", "10000"], "vehicles of core: '10000' is not allowed; 1 to 250"),

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from tiny_networks import write_darknet
 
-from benchmarks.programs import analysis, codecs, detector, drawing, program_frame, rays, simplified
+from benchmarks.programs import analysis, codecs, detector, drawing, planning, program_frame, rays, simplified
 from xtdrone_interaction.options import repository
 from xtdrone_interaction.recording.bag import read_bag
 
@@ -58,6 +58,13 @@ def test_rays_are_measured() -> None:
     row = rays.measure(1, "scan", 0.01)
     assert row["rays"] == 512
     assert row["real_time_factor"] == pytest.approx(row["million_rays_per_second"] * 1e6 / 5120)
+
+
+def test_planning_is_measured() -> None:
+    row = planning.measure(1, 0.01)
+    assert row["plans"] > 5
+    assert 0.0 < row["plan_milliseconds"] <= row["plan_p95"]
+    assert 0.0 < row["map_milliseconds"] <= row["map_p95"]
 
 
 def test_the_codecs_are_measured() -> None:
