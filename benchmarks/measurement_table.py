@@ -337,6 +337,7 @@ _TABLE = (
             goal_of("planning"),
         ),
         summary=lambda row: f"{row['plan_milliseconds']:.1f} ms a plan, {row['map_milliseconds']:.1f} ms a map update",
+        counted="planners",
     ),
     Measurement(
         name="rviz",

@@ -74,12 +74,12 @@ from xtdrone_sim.vehicles.mounts.imu_mounts import ImuMount
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount
 from xtdrone_sim.vehicles.mounts.uwb_mounts import UwbMount
 from xtdrone_sim.video.video_node import VideoSettings
+from xtdrone_sim.worlds.floor_plan import FloorPlanSettings
 from xtdrone_sim.worlds.generated.city import CitySettings
 from xtdrone_sim.worlds.generated.countryside import CountrysideSettings
 from xtdrone_sim.worlds.generated.forest import ForestSettings
 from xtdrone_sim.worlds.generated.indoor import IndoorSettings
 from xtdrone_sim.worlds.generated.maze import MazeSettings
-from xtdrone_sim.worlds.floor_plan import FloorPlanSettings
 from xtdrone_swarm.simplified.simplified_node import SimplifiedSettings
 
 PAGE = Path(__file__).parents[1] / "docs" / "settings.md"

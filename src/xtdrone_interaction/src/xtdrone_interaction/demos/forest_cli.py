@@ -15,8 +15,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.description = (
         "Fly a UAV through a forest that it does not know, by lidar or depth camera: it maps what it sees, plans a "
-        "smooth trajectory through it and replans as it sees more. Leaves runs/<time>/ with flight.bag, report.json "
-        "and map.png."
+        "smooth trajectory through it and replans as it sees more. Leaves runs/<time>/ with flight.bag, report.json, "
+        "map.png and a film."
     )
     settings = ForestDemoSettings.add_arguments
     settings(parser, ("n", "sensor", "delay", "loss", "speed_limit", "acceleration_limit", "density", "seed"))
@@ -24,6 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--world", metavar="WORLD", help="another world, by name or file (default: a forest of the seed)"
     )
     settings(parser, ("start", "goal", "highest", "time_limit", "speed", "headless", "logs", "web"))
+    parser.add_argument(
+        "--no-film", dest="film", action="store_false", help="no film of the flight, flight.mp4, after its end"
+    )
     add_place_options(parser)
 
 
@@ -33,7 +36,7 @@ def settings_of(arguments: argparse.Namespace) -> ForestDemoSettings:
     Raises:
         OptionError: a value is not allowed.
     """
-    settings = ForestDemoSettings.from_arguments(arguments, world="")
+    settings = ForestDemoSettings.from_arguments(arguments, world="", film=arguments.film)
     settings = replace(settings, world=options.world(arguments.world or settings.generated_world))
     return placed(settings, arguments, settings.fleet)
 

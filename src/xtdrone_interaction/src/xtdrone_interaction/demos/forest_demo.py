@@ -22,12 +22,12 @@ from xtdrone_interaction.demos.directed_flight import (
     show_landing,
     stored_settings,
 )
-from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, run_flight
-from xtdrone_interaction.metrics.clearance import solids_of
+from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, escape, run_flight
+from xtdrone_interaction.metrics.clearance import Solid, solids_of
 from xtdrone_interaction.metrics.missions.crossing_metrics import make_report
 from xtdrone_interaction.metrics.missions.formation_metrics import write_report
 from xtdrone_interaction.options import seed_setting, web_setting
-from xtdrone_interaction.recording.crossing_record import read_crossing
+from xtdrone_interaction.recording.crossing_record import CrossingRecord, read_crossing
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.printed_results import print_crossing, print_paths
 
@@ -66,6 +66,7 @@ class ForestDemoSettings(Settings):
         out: folder of the results.
         master_port: TCP port of the flight's own ROS master; 0 for the running one of ROS_MASTER_URI.
         instance: number of the simulation on this machine.
+        film: film the flight from its record afterwards.
     """
 
     sensor: str = setting("lidar", choices=tuple(_TYPES), text="what the UAV sees by")
@@ -100,6 +101,7 @@ class ForestDemoSettings(Settings):
     logs: bool = setting(False, text="write the vehicle's flight log (PX4's ULog)")
     instance: int = 0
     web: bool = web_setting()
+    film: bool = False
 
     @property
     def fleet(self) -> str:
@@ -132,7 +134,7 @@ class ForestDemoSettings(Settings):
 
     def stored(self) -> dict[str, Any]:
         """Return the settings stored in the report."""
-        unstored = ("out", "master_port", "headless", "instance", "web")
+        unstored = ("out", "master_port", "headless", "instance", "web", "film")
         return {key: value for key, value in asdict(self).items() if key not in unstored}
 
 
@@ -147,7 +149,10 @@ def run_forest(settings: ForestDemoSettings, console: Console) -> int:
     def conclude(_: object) -> int:
         stored = {**settings.stored(), "fleet": settings.fleet, "wall_time": time.monotonic() - begin}
         (settings.out / _SETTINGS).write_text(json.dumps(stored, indent=2) + "\n", encoding="utf-8")
-        return _report(settings.out, stored, console)
+        status = _report(settings.out, stored, console)
+        if settings.film:
+            _film(settings.out, stored, console)
+        return status
 
     return run_flight(flight(settings), console, conclude)
 
@@ -195,6 +200,22 @@ def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
         DemoError: the bag is not the record of such a flight.
     """
     from xtdrone_interaction.pictures.crossing_map import save_crossing_map  # matplotlib takes a while to import
+
+    record, solids = _record(folder, settings)
+    report = make_report(record, solids, settings, planning_times(folder))
+    write_report(report, folder / "report.json")
+    save_crossing_map(record, solids, folder / "map.png")
+    print_crossing(report, console)
+    print_paths((folder / name for name in _RESULTS if (folder / name).exists()), console)
+    return 1 if report["shortcomings"] else 0
+
+
+def _record(folder: Path, settings: Mapping[str, Any]) -> tuple[CrossingRecord, list[Solid]]:
+    """Return the record of a flight, and what stands in its world.
+
+    Raises:
+        DemoError: the bag is not the record of such a flight.
+    """
     from xtdrone_sim.worlds.catalogue import load_world
 
     try:
@@ -203,9 +224,17 @@ def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
         solids, _ = solids_of(load_world(str(settings["world"])).models)
     except (RecordError, ValueError) as error:
         raise DemoError(str(error)) from error
-    report = make_report(record, solids, settings, planning_times(folder))
-    write_report(report, folder / "report.json")
-    save_crossing_map(record, solids, folder / "map.png")
-    print_crossing(report, console)
-    print_paths((folder / name for name in _RESULTS if (folder / name).exists()), console)
-    return 1 if report["shortcomings"] else 0
+    return record, list(solids)
+
+
+def _film(folder: Path, settings: Mapping[str, Any], console: Console) -> None:
+    """Film the flight beside its bag; print the path, or why there is no film."""
+    from xtdrone_interaction.pictures.crossing_film import make_crossing_film  # imports Matplotlib
+    from xtdrone_interaction.pictures.formation_film import default_file
+    from xtdrone_swarm.view import FilmError
+
+    record, solids = _record(folder, settings)
+    try:
+        print_paths([make_crossing_film(record, solids, default_file(folder))], console)
+    except FilmError as error:
+        console.print(f"[yellow]no film:[/yellow] {escape(str(error))}", highlight=False, soft_wrap=True)

@@ -13,6 +13,7 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
+from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
 from xtdrone_interaction.metrics.clearance import Solid
@@ -26,27 +27,40 @@ _MARGIN = 4.0  # m around the paths
 
 def save_crossing_map(record: CrossingRecord, solids: Sequence[Solid], file: Path) -> Path:
     """Draw the map of a flight and return its file, a PNG."""
+    figure, axes = map_of(record, solids)
+    for index, name in enumerate(record.names):
+        track, shade = record.position[:, index], shade_of(index)
+        axes.plot(track[:, 0], track[:, 1], color=shade, linewidth=1.6, label=name)
+    axes.set_title("Paths over the ground (square: start, star: goal), and what stands at their height")
+    axes.legend(loc="upper left", fontsize=8)
+    figure.savefig(file, dpi=_DPI)
+    plt.close(figure)
+    return file
+
+
+def map_of(record: CrossingRecord, solids: Sequence[Solid]) -> tuple[Figure, Axes]:
+    """Return a figure with what stands at the height of a flight, its starts and its goals; the caller closes it."""
     places = record.position.reshape(-1, 3)
     low, high = places.min(axis=0) - _MARGIN, places.max(axis=0) + _MARGIN
     high[1], low[1] = max(high[1], low[1] + 16.0), low[1]
     figure, axes = plt.subplots(figsize=(11, 3.2 + 0.03 * (high[1] - low[1])), layout="constrained")
     flown = record.position[..., 2][record.position[..., 2] > 1.0]
     _draw_solids(axes, solids, float(np.median(flown)) if len(flown) else 2.0)
-    shades = plt.get_cmap("tab10").colors
     for index, name in enumerate(record.names):
-        track, shade = record.position[:, index], shades[index % 10]
-        axes.plot(track[:, 0], track[:, 1], color=shade, linewidth=1.6, label=name)
-        axes.plot(*track[0, :2], "s", color=shade, markersize=5)
+        shade = shade_of(index)
+        axes.plot(*record.position[0, index, :2], "s", color=shade, markersize=5)
         goal = record.crossing_of(name)["goal"]
         if goal is not None:
             axes.plot(goal[0], goal[1], "*", color=shade, markersize=11)
     axes.set_aspect("equal")
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x, east (m)", ylabel="y, north (m)")
-    axes.set_title("Paths over the ground (square: start, star: goal), and what stands at their height")
-    axes.legend(loc="upper left", fontsize=8)
-    figure.savefig(file, dpi=_DPI)
-    plt.close(figure)
-    return file
+    return figure, axes
+
+
+def shade_of(index: int) -> tuple[float, float, float]:
+    """Return the colour of a vehicle."""
+    red, green, blue = plt.get_cmap("tab10").colors[index % 10]
+    return red, green, blue
 
 
 def _draw_solids(axes: Axes, solids: Sequence[Solid], height: float) -> None:
