@@ -269,7 +269,7 @@ def test_a_map_of_other_cells_is_refused():
 
 def test_an_inflation_below_the_vehicles_size_is_refused():
     check_reach(CostmapSettings(), LIMITS)
-    with pytest.raises(SettingError, match="inflation: 0.8 is not allowed, at least radius and margin, 1.1 m"):
+    with pytest.raises(SettingError, match=r"inflation: 0\.8 is not allowed, at least radius and margin, 1\.1 m"):
         check_reach(CostmapSettings(), WindowSettings(radius=1.0))
 
 

@@ -7,6 +7,8 @@ search is seeded anew and ends after a number of iterations, never by time: it i
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 from ompl import base, geometric, util
@@ -147,7 +149,7 @@ def _nearest_within(
 def _dense(corners: Array, spacing: float) -> Array:
     """Return points on the lines between corners, at most ``spacing`` m apart."""
     parts = [corners[:1]]
-    for a, b in zip(corners[:-1], corners[1:], strict=True):
+    for a, b in itertools.pairwise(corners):
         count = max(1, int(np.ceil(np.linalg.norm(b - a) / spacing)))
         parts.append(a + (b - a) * (np.arange(1, count + 1) / count)[:, None])
     return np.vstack(parts)
