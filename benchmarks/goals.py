@@ -27,6 +27,7 @@ GOALS = {
     "drawing": Goal(("vehicles",), {(100,): 15.0}, "{:g}"),
     "sweep": Goal(("workers",), {(2,): 1.7}),
     "rays": Goal(("lidars", "kind"), {(6, "spinning"): 1.0}),
+    "planning": Goal(("vehicles",), {(1,): 20.0, (4,): 20.0}, "{:g} ms"),
     "analyse": Goal(("megabytes",), {(1000,): 100.0}, "{:g}"),
     "stack": Goal(("vehicles",), {(9,): 10.0}),
     "sensing": Goal(("vehicles", "sensors"), {(6, "lidars 16x512"): 1.0}),

@@ -371,6 +371,22 @@ _TABLE = (
         first=_first("vehicles", _effect_label),
     ),
     Measurement(
+        name="planning",
+        title="Planning in a forest, a lidar of 32 x 512 rays; CPU ms of one vehicle",
+        command=Program("planning", _CORE_SECONDS),
+        numbers=(1, 4),
+        limits=(1, 10),
+        fields=(
+            ("a plan\nms", spread("plan_milliseconds")),
+            ("95 %\nms", spread("plan_p95")),
+            ("a map\nupdate ms", spread("map_milliseconds")),
+            ("95 %\nms", spread("map_p95")),
+            goal_of("planning"),
+        ),
+        summary=lambda row: f"{row['plan_milliseconds']:.1f} ms a plan, {row['map_milliseconds']:.1f} ms a map update",
+        counted="planners",
+    ),
+    Measurement(
         name="rviz",
         title="Films of rviz without a screen, the formation's view; CPU ms per frame",
         command=Program("rviz", _CORE_SECONDS),

@@ -1,4 +1,5 @@
-"""A lockstep participant for tests: takes iris_3d_lidar_0 off, sends goals to its planner, and lets its lidar fail.
+"""A lockstep participant for tests: takes iris_3d_lidar_0 off, stands for EGO-Planner, sends goals to its planner, lets
+its lidar fail, and has ``./xtdrone gcs goto --avoid`` send the last goal.
 
 Writes the planner's states and its reports on /diagnostics, as they change, with the simulated time, and ends.
 """
@@ -6,6 +7,8 @@ Writes the planner's states and its reports on /diagnostics, as they change, wit
 from __future__ import annotations
 
 import json
+import math
+import subprocess
 import sys
 from collections.abc import Iterator
 
@@ -13,6 +16,7 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from mavros_msgs.msg import State
+from quadrotor_msgs.msg import PositionCommand
 from std_msgs.msg import String
 from xtdrone_msgs.msg import SplineTrajectory
 from xtdrone_msgs.srv import SetLidarFailure
@@ -24,6 +28,8 @@ from xtdrone_control.communication.multirotor import MavrosServices
 RATE = 20.0
 VEHICLE = "iris_3d_lidar_0"
 GOAL = (40.0, 5.0, 2.0)
+LAST_GOAL = (36.0, 3.0, 2.5)  # by the ground station
+EGO_WAY, EGO_TIME = 3.0, 4.0  # m to the north, s: as EGO-Planner would send it, from rest to rest
 LIMIT = 60.0  # s for each thing that is waited for
 
 
@@ -32,10 +38,14 @@ class Pilot:
         self._out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process
         self._services = MavrosServices(VEHICLE, in_lockstep=True)
         self._goal = lockstep.Publisher(f"/{VEHICLE}/planner/goal", PoseStamped)
+        self._commands = lockstep.Publisher(f"/xtdrone/{VEHICLE}/planning/pos_cmd", PositionCommand)
         self._mavros = State()
+        self._pose = self._camera = PoseStamped()
         self._planner = ""
         self._report = (-1, "")
         lockstep.Subscriber(f"/{VEHICLE}/mavros/state", State, self._on_state)
+        lockstep.Subscriber(f"/{VEHICLE}/mavros/local_position/pose", PoseStamped, self._on_pose)
+        lockstep.Subscriber(f"/{VEHICLE}/camera_pose", PoseStamped, self._on_camera)
         lockstep.Subscriber(f"/{VEHICLE}/planner/state", String, self._on_planner)
         lockstep.Subscriber(f"/{VEHICLE}/planner/trajectory", SplineTrajectory, self._on_trajectory)
         lockstep.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics)
@@ -45,6 +55,12 @@ class Pilot:
 
     def _on_state(self, message: State) -> None:
         self._mavros = message
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        self._pose = message
+
+    def _on_camera(self, message: PoseStamped) -> None:
+        self._camera = message
 
     def _on_planner(self, message: String) -> None:
         self._planner = message.data
@@ -83,8 +99,52 @@ class Pilot:
         while rospy.get_time() < end:
             yield
 
+    def _follow_commands(self) -> Iterator[None]:
+        """Fly commands of another planner, which ego_transfer.py passes on; note how far the vehicle was off."""
+        start, begun, most = self._pose.pose.position, rospy.get_time(), 0.0
+        while rospy.get_time() - begun < EGO_TIME + 3.0:
+            since = rospy.get_time() - begun
+            if self._mavros.mode != "OFFBOARD" and since > 1.0:
+                self._services.submit(Request("OFFBOARD", None))
+            turned = math.pi * min(1.0, max(0.0, since - 2.0) / EGO_TIME)
+            rate, half = math.pi / EGO_TIME * (0.0 < turned < math.pi), 0.5 * EGO_WAY
+            command = PositionCommand(trajectory_flag=PositionCommand.TRAJECTORY_STATUS_READY)
+            command.header.stamp, command.header.frame_id = rospy.Time.now(), "world"
+            command.position.x, command.position.z = start.x, start.z
+            command.position.y = start.y + half * (1.0 - math.cos(turned))
+            command.velocity.y, command.acceleration.y = (
+                half * rate * math.sin(turned),
+                half * rate**2 * math.cos(turned),
+            )
+            self._commands.publish(command)
+            yield
+            place = self._pose.pose.position
+            most = max(most, math.dist((place.x, place.y), (command.position.x, command.position.y)))
+        turn, place = self._camera.pose.orientation, self._camera.pose.position
+        self._note(
+            "ego",
+            mode=self._mavros.mode,
+            off=most,
+            north=self._pose.pose.position.y - start.y,
+            frame=self._camera.header.frame_id,
+            camera=[turn.x, turn.y, turn.z, turn.w],
+            lag=math.dist((place.x, place.y), (self._pose.pose.position.x, self._pose.pose.position.y)),
+        )
+        self._services.submit(Request("AUTO.LOITER", None))
+        while self._mavros.mode != "AUTO.LOITER":
+            yield
+
+    def _by_ground_station(self) -> Iterator[None]:
+        goal = [str(value) for value in LAST_GOAL]
+        command = [sys.executable, "-m", "xtdrone_interaction", "gcs", "goto", *goal, "--avoid", "--vehicle", VEHICLE]
+        station = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        while station.poll() is None:
+            yield
+        assert station.stdout is not None
+        self._note("station", status=station.returncode, text=station.stdout.read())
+
     def fly(self) -> Iterator[None]:
-        """Take off; goals that are not allowed; a lidar that freezes, then one that is silent; arrive."""
+        """Take off; another planner; goals that are not allowed; a lidar that freezes, then is silent; arrive twice."""
         yield from self._wait(1.0)
         self._send(GOAL)  # on the ground: dropped
         yield from self._wait(4.0)
@@ -95,6 +155,7 @@ class Pilot:
         yield from self._wait(2.0)
         while self._mavros.mode != "AUTO.LOITER":
             yield
+        yield from self._follow_commands()
         self._send((40.0, 5.0, 50.0))  # too high: ignored
         yield from self._wait(0.5)
         self._send(GOAL)
@@ -108,6 +169,9 @@ class Pilot:
             self._fail("ok")
             yield from self._until("following")
             yield from self._wait(1.0)
+        yield from self._until("hovering at the goal")
+        yield from self._by_ground_station()
+        yield from self._until("following")
         yield from self._until("hovering at the goal")
         self._note("end")
 

@@ -41,7 +41,9 @@ def test_a_uav_flies_through_trees_and_the_report_says_how(tmp_path: Path) -> No
     assert report["collisions"] == report["shortcomings"] == []
     assert report["timings"]["iris_3d_lidar_0"]["plan"]["count"] > 5
     assert (tmp_path / "run" / "map.png").stat().st_size > 10_000
+    assert (tmp_path / "run" / "flight.mp4").stat().st_size > 10_000
     assert "arrived" in output
+    assert "flight.mp4" in output
 
 
 def test_a_formation_passes_trees_and_forms_again(tmp_path: Path) -> None:

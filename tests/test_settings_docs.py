@@ -47,6 +47,9 @@ from xtdrone_planning.mapping.map_feed import SensorChoice
 from xtdrone_planning.mapping.range_images import DepthMapping, LidarMapping
 from xtdrone_planning.mapping.sensor_watch import WatchSettings
 from xtdrone_planning.mapping.voxel_grid import MapSettings
+from xtdrone_planning.navigation.navigation_node import NavigationSettings
+from xtdrone_planning.navigation.settings import CostmapSettings, NavigatorSettings, WindowSettings
+from xtdrone_planning.navigation.vehicle_drives import DriveSettings
 from xtdrone_planning.replanning.ego_transfer_node import TransferSettings
 from xtdrone_planning.replanning.planner_node import TimingSettings
 from xtdrone_planning.replanning.situation import PlannerSettings
@@ -73,6 +76,7 @@ from xtdrone_sim.vehicles.mounts.imu_mounts import ImuMount
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount
 from xtdrone_sim.vehicles.mounts.uwb_mounts import UwbMount
 from xtdrone_sim.video.video_node import VideoSettings
+from xtdrone_sim.worlds.floor_plan import FloorPlanSettings
 from xtdrone_sim.worlds.generated.city import CitySettings
 from xtdrone_sim.worlds.generated.countryside import CountrysideSettings
 from xtdrone_sim.worlds.generated.forest import ForestSettings
@@ -153,6 +157,12 @@ CLASSES: dict[str, type[Settings]] = {
         TrajectorySettings,
         AgreementSettings,
         ExplorationSettings,
+        NavigationSettings,
+        DriveSettings,
+        CostmapSettings,
+        WindowSettings,
+        NavigatorSettings,
+        FloorPlanSettings,
         SensorChoice,
         LidarMapping,
         DepthMapping,

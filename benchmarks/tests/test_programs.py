@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from tiny_networks import write_darknet
 
-from benchmarks.programs import analysis, codecs, detector, drawing, effects, program_frame, rays, simplified
+from benchmarks.programs import analysis, codecs, detector, drawing, effects, planning, program_frame, rays, simplified
 from xtdrone_interaction.options import repository
 from xtdrone_interaction.recording.bag import read_bag
 from xtdrone_sim.air import AIR
@@ -66,6 +66,13 @@ def test_effects_are_measured() -> None:
     assert 0.0 < row["effect_microseconds"] < row["microseconds_per_vehicle_step"] * 10.0  # medians, one of few steps
     assert row["real_time_factor"] * row["microseconds_per_vehicle_step"] * 2 == pytest.approx(4000.0)
     assert set(effects.EFFECTS) > set(AIR)
+
+
+def test_planning_is_measured() -> None:
+    row = planning.measure(1, 0.01)
+    assert row["plans"] > 5
+    assert 0.0 < row["plan_milliseconds"] <= row["plan_p95"]
+    assert 0.0 < row["map_milliseconds"] <= row["map_p95"]
 
 
 def test_the_codecs_are_measured() -> None:

@@ -29,6 +29,20 @@ def test_it_flies_through_a_forest_without_a_touch_and_within_its_limits(seed):
     assert max(speeds) > 0.8 * LIMITS.speed
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_it_keeps_within_its_heights(seed):
+    settings = PlannerSettings(lead=0.0, lowest=1.9, highest=2.1)
+    flight = ToyFlight(forest(seed), settings=settings)
+    flight.position = np.array([0.0, 0.0, 1.95])
+    for goal in (np.array([28.0, 0.0, 2.1]), np.array([0.0, 0.0, 1.9])):
+        flight.planner.set_goal(goal)
+        flight.run(30.0, ARRIVED)
+        assert flight.planner.state.name == ARRIVED
+    heights = [command.position[2] for command in flight.commands]
+    assert min(heights) >= settings.lowest - 0.02
+    assert max(heights) <= settings.highest + 0.02
+
+
 def test_setpoints_are_continuous_over_new_plans():
     flight = ToyFlight(forest(5))
     flight.planner.set_goal(GOAL)

@@ -41,6 +41,19 @@ def test_greatest_speed_and_acceleration_are_exact(seed):
     assert spline.greatest_acceleration() == pytest.approx(acceleration, rel=2e-3)
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_the_lowest_and_highest_points_are_exact(seed):
+    points = np.random.default_rng(seed).normal(0.0, 1.0, (9, 3))
+    if seed == 0:
+        points[:, 2] = np.arange(9.0)  # a line: nowhere does it turn
+    spline = UniformSpline(0.0, 0.3, points)
+    heights = spline.positions(np.linspace(0.0, spline.end, 6001))[:, 2]
+    low, high = spline.heights()
+    assert low <= heights.min() + 1e-12
+    assert high >= heights.max() - 1e-12
+    assert (low, high) == pytest.approx((heights.min(), heights.max()), abs=1e-5)
+
+
 def test_a_resting_vehicle_rests():
     spline = resting(np.array([1.0, 2.0, 3.0]), 5.0)
     for time in (0.0, 5.0, 5.5, 100.0):

@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Fly a UAV through a forest that it does not know, by lidar or depth camera: it maps what it sees, plans a "
         "smooth trajectory through it and replans as it sees more. With --formation several pass it behind their "
-        "leader, and form again. Leaves runs/<time>/ with flight.bag, report.json and map.png, and in formation a film."
+        "leader, and form again. Leaves runs/<time>/ with flight.bag, report.json, map.png and a film."
     )
     settings = ForestDemoSettings.add_arguments
     settings(parser, ("n", "sensor", "delay", "loss", "speed_limit", "acceleration_limit", "density", "seed"))
@@ -34,6 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--leader", metavar="FILE.py:CLASS", help="your own leader class (default: the shipped one)")
     settings(parser, ("start", "goal", "highest", "time_limit", "speed", "headless", "logs", "web"))
+    parser.add_argument(
+        "--no-film", dest="film", action="store_false", help="no film of the flight, flight.mp4, after its end"
+    )
     add_place_options(parser)
 
 
@@ -43,7 +46,7 @@ def settings_of(arguments: argparse.Namespace) -> ForestDemoSettings:
     Raises:
         OptionError: a value is not allowed.
     """
-    settings = ForestDemoSettings.from_arguments(arguments, world="")
+    settings = ForestDemoSettings.from_arguments(arguments, world="", film=arguments.film)
     settings = replace(settings, world=options.world(arguments.world or settings.generated_world))
     settings = replace(
         settings,

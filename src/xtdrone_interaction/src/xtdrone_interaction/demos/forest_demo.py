@@ -68,6 +68,7 @@ class ForestDemoSettings(Settings):
         out: folder of the results.
         master_port: TCP port of the flight's own ROS master; 0 for the running one of ROS_MASTER_URI.
         instance: number of the simulation on this machine.
+        film: film the flight from its record afterwards.
     """
 
     sensor: str = setting("lidar", choices=tuple(_TYPES), text="what the UAV sees by")
@@ -110,6 +111,7 @@ class ForestDemoSettings(Settings):
     logs: bool = setting(False, text="write the vehicle's flight log (PX4's ULog)")
     instance: int = 0
     web: bool = web_setting()
+    film: bool = False
 
     @property
     def fleet(self) -> str:
@@ -157,7 +159,7 @@ class ForestDemoSettings(Settings):
 
     def stored(self) -> dict[str, Any]:
         """Return the settings stored in the report."""
-        unstored = ("out", "master_port", "headless", "instance", "web")
+        unstored = ("out", "master_port", "headless", "instance", "web", "film")
         stored = {key: value for key, value in asdict(self).items() if key not in unstored}
         return {**stored, "speed_limit": self.greatest_speed}
 
@@ -173,7 +175,10 @@ def run_forest(settings: ForestDemoSettings, console: Console) -> int:
     def conclude(_: object) -> int:
         stored = {**settings.stored(), "fleet": settings.fleet, "wall_time": time.monotonic() - begin}
         (settings.out / _SETTINGS).write_text(json.dumps(stored, indent=2) + "\n", encoding="utf-8")
-        return _report(settings.out, stored, console)
+        status = _report(settings.out, stored, console)
+        if settings.film:
+            _film(*_record(settings.out, stored), settings.out, console)
+        return status
 
     return run_flight(flight(settings), console, conclude)
 
@@ -223,18 +228,6 @@ def report_again(bag: Path, console: Console) -> int:
     return _report(bag.parent, stored_settings(bag.parent / _SETTINGS), console)
 
 
-def _film(record: CrossingRecord, solids: Sequence[Solid], folder: Path, console: Console) -> None:
-    """Film the flight, or print why there is no film."""
-    from xtdrone_interaction.pictures.crossing_film import save_crossing_film  # imports Matplotlib
-    from xtdrone_interaction.pictures.formation_film import default_file
-    from xtdrone_swarm.view import FilmError
-
-    try:
-        save_crossing_film(record, solids, default_file(folder))
-    except FilmError as error:
-        console.print(f"[yellow]no film:[/yellow] {escape(str(error))}", highlight=False, soft_wrap=True)
-
-
 def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
     """Write report.json and map.png, print the figures, and return the exit status.
 
@@ -242,6 +235,22 @@ def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
         DemoError: the bag is not the record of such a flight.
     """
     from xtdrone_interaction.pictures.crossing_map import save_crossing_map  # matplotlib takes a while to import
+
+    record, solids = _record(folder, settings)
+    report = make_report(record, solids, settings, planning_times(folder))
+    write_report(report, folder / "report.json")
+    save_crossing_map(record, solids, folder / "map.png")
+    print_crossing(report, console)
+    print_paths((folder / name for name in _RESULTS if (folder / name).exists()), console)
+    return 1 if report["shortcomings"] else 0
+
+
+def _record(folder: Path, settings: Mapping[str, Any]) -> tuple[CrossingRecord, list[Solid]]:
+    """Return the record of a flight, and what stands in its world.
+
+    Raises:
+        DemoError: the bag is not the record of such a flight.
+    """
     from xtdrone_sim.worlds.catalogue import load_world
 
     try:
@@ -250,11 +259,16 @@ def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
         solids, _ = solids_of(load_world(str(settings["world"])).models)
     except (RecordError, ValueError) as error:
         raise DemoError(str(error)) from error
-    report = make_report(record, solids, settings, planning_times(folder))
-    write_report(report, folder / "report.json")
-    save_crossing_map(record, solids, folder / "map.png")
-    if report["formation"] is not None:
-        _film(record, solids, folder, console)
-    print_crossing(report, console)
-    print_paths((folder / name for name in _RESULTS if (folder / name).exists()), console)
-    return 1 if report["shortcomings"] else 0
+    return record, list(solids)
+
+
+def _film(record: CrossingRecord, solids: Sequence[Solid], folder: Path, console: Console) -> None:
+    """Film the flight beside its bag; print the path, or why there is no film."""
+    from xtdrone_interaction.pictures.crossing_film import save_crossing_film  # imports Matplotlib
+    from xtdrone_interaction.pictures.formation_film import default_file
+    from xtdrone_swarm.view import FilmError
+
+    try:
+        print_paths([save_crossing_film(record, solids, default_file(folder))], console)
+    except FilmError as error:
+        console.print(f"[yellow]no film:[/yellow] {escape(str(error))}", highlight=False, soft_wrap=True)

@@ -18,7 +18,8 @@ REACHED, BLOCKED, UNDECIDED = 1, 0, 2
 
 _FREE_TO = -30  # see voxel_grid
 _WEIGHT = 1.2  # of the estimate
-_STEEP = 2.0  # cost of a metre up or down, in level metres: lidars and cameras see best ahead
+STEEP = 2.0
+"""Cost of a metre up or down, in level metres: lidars and cameras see best ahead."""
 _UNKNOWN = 1.0  # additional cost of a metre through unknown space
 _NEAR, _NEAR_COST = 0.4, 1.5  # m beyond the clearance within which obstacles cost, and how much at most
 
@@ -98,7 +99,7 @@ def search(
 @kernel
 def _way(di, dj, dk):
     """Return the cost of a straight way in free space, in voxels."""
-    return math.sqrt(di * di + dj * dj + _STEEP * _STEEP * dk * dk)
+    return math.sqrt(di * di + dj * dj + STEEP * STEEP * dk * dk)
 
 
 @kernel

@@ -33,6 +33,28 @@ def is_open(distance, evidence, corner, resolution, a, b, clearance, radius):
 
 
 @kernel
+def is_clear(distance, corner, resolution, a, b, clearance):
+    """Return whether a straight line is clear of obstacles; where it begins too near to one, it may leave.
+
+    Args:
+        distance, corner, resolution: the map.
+        a, b: (3,) ends, m.
+        clearance: least distance to an obstacle, m.
+    """
+    length = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
+    steps = max(1, math.ceil(2.0 * length / resolution))
+    before = clearance
+    for n in range(steps + 1):
+        part = n / steps
+        x, y, z = a[0] + part * (b[0] - a[0]), a[1] + part * (b[1] - a[1]), a[2] + part * (b[2] - a[2])
+        away = distance_at(distance, corner, resolution, x, y, z)[0]
+        if away < clearance and (away <= 0.0 or (n > 0 and away < before)):
+            return False
+        before = min(clearance, away)
+    return True
+
+
+@kernel
 def seen_count(evidence, corner, resolution, points, radius, exempt, farthest):
     """Return how many of the first points were seen, each with a disc around it.
 

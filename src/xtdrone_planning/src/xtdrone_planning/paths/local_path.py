@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,23 @@ class LocalPath:
     points: Array
     ahead: Array
     is_whole: bool
+
+
+class Search(Protocol):
+    """What searches paths."""
+
+    def find(
+        self,
+        grid: VoxelGrid,
+        start: Array,
+        goal: Array,
+        clearance: float,
+        radius: float,
+        heights: tuple[float, float],
+        farthest: float,
+        distance: NDArray[np.float32] | None = None,
+    ) -> LocalPath:
+        """Search a path; see ``PathSearch.find``."""
 
 
 class PathSearch:
@@ -84,11 +102,7 @@ class PathSearch:
         points[0] = start
         if outcome == REACHED and grid.is_inside(goal) and heights[0] <= goal[2] <= heights[1]:
             points = np.vstack([points[:-1] if len(points) > 1 else points, goal])
-        seen = max(1, seen_count(grid.evidence, grid.corner, grid.resolution, points, radius, 2.0 * radius, farthest))
-        ahead = points[min(len(points) - 1, round(3.0 / grid.resolution))]
-        is_whole = outcome == REACHED and seen == len(points) and bool(np.allclose(points[-1], goal))
-        kept = without_corners(distance, grid.evidence, grid.corner, grid.resolution, points[:seen], clearance, radius)
-        return LocalPath(int(outcome), kept, ahead, is_whole)
+        return seen_path(grid, distance, int(outcome), points, goal, clearance, radius, farthest)
 
     def _prepare(self, grid: VoxelGrid) -> None:
         if self._size != grid.evidence.size:
@@ -102,4 +116,30 @@ class PathSearch:
         self._stamp += 1
 
 
-__all__ = ["BLOCKED", "REACHED", "UNDECIDED", "LocalPath", "PathSearch"]
+def seen_path(
+    grid: VoxelGrid,
+    distance: NDArray[np.float32],
+    outcome: int,
+    points: Array,
+    goal: Array,
+    clearance: float,
+    radius: float,
+    farthest: float,
+) -> LocalPath:
+    """Return the seen part of a path, without needless corners.
+
+    Args:
+        grid: the map.
+        distance: distances to obstacles, m.
+        outcome: of the search.
+        points: (n, 3) m in map, at most a voxel's diagonal apart.
+        goal, clearance, radius, farthest: see ``PathSearch.find``.
+    """
+    seen = max(1, seen_count(grid.evidence, grid.corner, grid.resolution, points, radius, 2.0 * radius, farthest))
+    ahead = points[min(len(points) - 1, round(3.0 / grid.resolution))]
+    is_whole = outcome == REACHED and seen == len(points) and bool(np.allclose(points[-1], goal))
+    kept = without_corners(distance, grid.evidence, grid.corner, grid.resolution, points[:seen], clearance, radius)
+    return LocalPath(outcome, kept, ahead, is_whole)
+
+
+__all__ = ["BLOCKED", "REACHED", "UNDECIDED", "LocalPath", "PathSearch", "Search", "seen_path"]

@@ -14,7 +14,7 @@ from xtdrone_control.rotation import wrap_pi
 from xtdrone_planning.mapping.voxel_grid import VoxelGrid
 from xtdrone_planning.paths.clear_place import nearest_clear
 from xtdrone_planning.paths.grid_search import BLOCKED, REACHED
-from xtdrone_planning.paths.local_path import LocalPath, PathSearch
+from xtdrone_planning.paths.local_path import LocalPath, PathSearch, Search
 from xtdrone_planning.replanning.flight_states import FlightState, Planning, Waiting
 from xtdrone_planning.replanning.situation import Command, PlannerSettings, Situation
 from xtdrone_planning.trajectories.local_trajectory import State, TrajectorySettings, conflict_time, plan_along
@@ -75,7 +75,7 @@ class Planner:
         self.number = 0
         self.path: LocalPath | None = None
         self.searched = ""
-        self._search = PathSearch(self.settings.voxels)
+        self._search = _search_of(self.settings)
         self._yaw: float | None = None
         self._yaw_time = 0.0
         self._was_offboard = False
@@ -174,14 +174,14 @@ class Planner:
     def _find_path(self, start: Array, distance: NDArray[np.float32] | None = None) -> LocalPath:
         """Search a path to the goal; ``distance`` in place of the map's, see ``PathSearch.find``."""
         assert self.goal is not None
-        heights = (self.settings.lowest, self.settings.highest)
+        heights = self.settings.heights
         clearance, radius = self.limits.clearance(self.grid.resolution), self.limits.radius
         return self._search.find(
             self.grid, start, self.goal, clearance, radius, heights, self.settings.horizon, distance
         )
 
     def _trajectory_along(self, corners: Array, start: State, time: float) -> UniformSpline | None:
-        return plan_along(self.grid, corners, start, time, self.limits)
+        return plan_along(self.grid, corners, start, time, self.limits, heights=self.settings.heights)
 
     def brake(self, time: float) -> None:
         """Stop on the present path."""
@@ -243,3 +243,12 @@ class Planner:
             there = self.path.ahead
         x, y = float(there[0] - here[0]), float(there[1] - here[1])
         return math.atan2(y, x) if math.hypot(x, y) > _SLOW else None
+
+
+def _search_of(settings: PlannerSettings) -> Search:
+    """Return the search for paths that the settings name."""
+    if settings.global_planner == "astar":
+        return PathSearch(settings.voxels)
+    from xtdrone_planning.paths.sampled_path import SampledSearch  # OMPL is loaded only where it is used
+
+    return SampledSearch(settings.global_planner, settings.iterations, settings.sampling_seed)

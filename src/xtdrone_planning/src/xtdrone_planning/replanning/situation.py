@@ -33,6 +33,13 @@ class PlannerSettings(Settings):
     )
     retry: float = setting(2.0, low=0.1, high=60.0, unit="s", text="time between attempts at an unreachable goal")
     voxels: int = setting(25000, low=100, high=10_000_000, text="voxels that a search opens at most, bounds its time")
+    global_planner: str = setting(
+        "astar",
+        choices=("astar", "rrt_star", "bit_star", "informed_rrt_star"),
+        text="search for the path: A*, or OMPL's",
+    )
+    iterations: int = setting(400, low=10, high=100_000, text="iterations of OMPL's planners in a search")
+    sampling_seed: int = setting(1, low=1, high=2**31 - 1, text="seed of each search of OMPL's planners")
     lead: float = setting(
         0.2,
         low=0.0,
@@ -50,6 +57,11 @@ class PlannerSettings(Settings):
         "follower; 0: they are not used",
     )  # fmt: skip
     offboard: bool = setting(True, text="request OFFBOARD for a new goal; false: wait for the pilot to do so")
+
+    @property
+    def heights(self) -> tuple[float, float]:
+        """Lowest and highest flight, m in map."""
+        return self.lowest, self.highest
 
     def check_goal(self, goal: Array) -> None:
         """Check a goal, (3,) m in map.

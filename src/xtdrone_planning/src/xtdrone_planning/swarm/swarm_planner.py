@@ -116,7 +116,7 @@ class SwarmPlanner(Planner):
 
     def _trajectory_along(self, corners: Array, start: State, time: float) -> UniformSpline | None:
         others = self._others(None)
-        found = plan_along(self.grid, corners, start, time, self.limits, others)
+        found = plan_along(self.grid, corners, start, time, self.limits, others, self.settings.heights)
         return found if found is not None or not len(others) else self._trajectory_round(others, start, time)
 
     def _trajectory_round(self, others: MovingVehicles, start: State, time: float) -> UniformSpline | None:
@@ -128,7 +128,7 @@ class SwarmPlanner(Planner):
         self.path = path = self._find_path(start.position, others.near_rest(self.grid, clearance))
         if length_of(path.points) < LEAST_WAY and not path.is_whole:
             return None
-        return plan_along(self.grid, path.points, start, time, self.limits, others)
+        return plan_along(self.grid, path.points, start, time, self.limits, others, self.settings.heights)
 
     def _fly(self, trajectory: UniformSpline) -> None:
         """Propose what begins later; what begins at once is flown."""

@@ -18,7 +18,7 @@ from xtdrone_control.settings import Settings, setting
 from xtdrone_planning.mapping.voxel_grid import VoxelGrid
 from xtdrone_planning.trajectories.clearance_check import first_conflict
 from xtdrone_planning.trajectories.moving_vehicles import NO_VEHICLES, MovingVehicles
-from xtdrone_planning.trajectories.spline_cost import SAMPLES, optimise
+from xtdrone_planning.trajectories.spline_cost import FIXED, SAMPLES, optimise
 from xtdrone_planning.trajectories.time_law import TimeLaw, length_of, points_along
 from xtdrone_planning.trajectories.uniform_spline import UniformSpline, first_points
 
@@ -34,6 +34,7 @@ _SLOW_SPEED, _SLOW_ACCELERATION = 0.8, 0.5  # m/s, m/s^2: close to the path itse
 _SLOW_WAY = 6.0  # m
 _AT_REST = 0.05  # m/s
 _TOLERANCE = 1e-6
+_HEIGHT_TOLERANCE = 0.02  # m: what the speed at the start may need to turn
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,7 @@ def plan_along(
     time: float,
     settings: TrajectorySettings,
     others: MovingVehicles = NO_VEHICLES,
+    heights: tuple[float, float] = (-math.inf, math.inf),
 ) -> UniformSpline | None:
     """Return a trajectory along a path, or None if no attempt has held all limits.
 
@@ -78,11 +80,17 @@ def plan_along(
         time: of the start, s of ROS time.
         settings: limits.
         others: vehicles to keep clear of.
+        heights: lowest and highest flight, m in map; from outside of them the trajectory may come back.
     """
     length = length_of(corners)
     if len(corners) < 2 or length < _TOLERANCE:
         return None
     ahead = corners[1] - corners[0]
+    height = float(state.position[2])  # within the tolerance the limits stay, so that no plan goes lower than the last
+    heights = (
+        heights[0] if height >= heights[0] - _HEIGHT_TOLERANCE else height,
+        heights[1] if height <= heights[1] + _HEIGHT_TOLERANCE else height,
+    )
     speed = max(0.0, float(state.velocity @ ahead) / max(float(np.linalg.norm(ahead)), _TOLERANCE))
     for pace in _PACES:
         law = TimeLaw.along(length, speed, pace * settings.speed, 0.7 * pace * settings.acceleration)
@@ -90,7 +98,7 @@ def plan_along(
         interval = max(law.duration / (segments - 2), 0.05)
         reference = points_along(corners, law.way((np.arange(segments + 3) - 1.0) * interval))
         for weight in _WEIGHTS:
-            spline = _attempt(grid, reference, interval, state, time, weight, settings, others)
+            spline = _attempt(grid, reference, interval, state, time, weight, settings, others, heights)
             if spline is None or not is_flyable(grid, spline, time, settings):
                 continue
             if math.isinf(others.conflict_time(spline, time)):
@@ -157,8 +165,13 @@ def _attempt(
     weight: float,
     settings: TrajectorySettings,
     others: MovingVehicles,
+    heights: tuple[float, float],
 ) -> UniformSpline | None:
-    """Optimise, and slow down until the limits hold; None if they do not."""
+    """Optimise, and slow down until the limits hold; None if they do not.
+
+    A spline stays in the hull of its control points, so those that are free are kept within the heights. The first
+    three follow from the state at the start; whether the spline leaves the heights there is computed exactly.
+    """
     points = reference.copy()
     points[-3:] = reference[-1]
     comfort = settings.clearance(grid.resolution) + settings.comfort
@@ -172,7 +185,11 @@ def _attempt(
             0.97 * settings.speed, 0.92 * settings.acceleration, others.places(samples),
             others.apart, _ITERATIONS,
         )  # fmt: skip
+        np.clip(points[FIXED:-FIXED, 2], *heights, out=points[FIXED:-FIXED, 2])
         spline = UniformSpline(time, interval, points)
+        lowest, highest = spline.heights()
+        if lowest < heights[0] - _HEIGHT_TOLERANCE or highest > heights[1] + _HEIGHT_TOLERANCE:
+            return None  # another attempt follows
         excess = max(
             spline.greatest_speed() / most_speed, math.sqrt(spline.greatest_acceleration() / most_acceleration)
         )

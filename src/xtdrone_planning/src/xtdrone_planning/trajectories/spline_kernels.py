@@ -82,6 +82,30 @@ def greatest_speed(points, interval):
 
 
 @kernel
+def extremes(points, axis):
+    """Return the least and the greatest coordinate of a spline along an axis, m: at a knot, or where it turns."""
+    least, most = math.inf, -math.inf
+    for k in range(len(points) - 3):
+        a, b, c, d = points[k, axis], points[k + 1, axis], points[k + 2, axis], points[k + 3, axis]
+        if min(a, b, c, d) >= least and max(a, b, c, d) <= most:
+            continue  # the segment is in the hull of its control points
+        # position ((d - 3c + 3b - a) u^3 + 3 (a - 2b + c) u^2 + 3 (c - a) u + a + 4b + c) / 6
+        cubic, square, line = (d - 3.0 * c + 3.0 * b - a) / 6.0, 0.5 * (a - 2.0 * b + c), 0.5 * (c - a)
+        flat = (a + 4.0 * b + c) / 6.0
+        places = np.array([0.0, 1.0, 0.0, 0.0])
+        root = square * square - 3.0 * cubic * line
+        if root > 0.0:
+            # the roots of 3 cubic u^2 + 2 square u + line, without a division by a small number
+            q = -(square + math.copysign(math.sqrt(root), square))
+            places[2] = min(1.0, max(0.0, q / (3.0 * cubic))) if cubic != 0.0 else 0.0
+            places[3] = min(1.0, max(0.0, line / q)) if q != 0.0 else 0.0
+        for u in places:
+            value = ((cubic * u + square) * u + line) * u + flat
+            least, most = min(least, value), max(most, value)
+    return least, most
+
+
+@kernel
 def _value(cubic, u):
     return ((cubic[3] * u + cubic[2]) * u + cubic[1]) * u + cubic[0]
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_planning.trajectories.spline_kernels import greatest_acceleration, greatest_speed, spline_at
+from xtdrone_planning.trajectories.spline_kernels import extremes, greatest_acceleration, greatest_speed, spline_at
 
 Array = NDArray[np.float64]
 
@@ -60,6 +60,11 @@ class UniformSpline:
     def greatest_acceleration(self) -> float:
         """Return the greatest acceleration, m/s^2, exactly."""
         return float(greatest_acceleration(self.points, self.interval))
+
+    def heights(self) -> tuple[float, float]:
+        """Return the lowest and the highest point, m, exactly."""
+        low, high = extremes(self.points, 2)
+        return float(low), float(high)
 
 
 def resting(position: Array, time: float) -> UniformSpline:

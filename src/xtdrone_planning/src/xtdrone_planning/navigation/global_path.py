@@ -1,0 +1,64 @@
+"""The global path on the map of a level, by A*."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_planning.navigation.level_map import LevelMap
+from xtdrone_planning.paths.grid_search import REACHED, search
+
+Array = NDArray[np.float64]
+
+_ENTRIES_PER_CELL = 2  # of the search's heap
+
+
+class PathError(ValueError):
+    """There is no path; the message gives the reason."""
+
+
+class GlobalSearch:
+    """Searches paths; has the work space of the search."""
+
+    def __init__(self) -> None:
+        """Prepare."""
+        self._size = self._stamp = 0
+
+    def find(self, level: LevelMap, start: Array, goal: Array, clearance: float) -> Array:
+        """Return the path (n, 2), m in map, from start to goal.
+
+        Args:
+            level: the map, with all its distances.
+            start, goal: (2,) m in map.
+            clearance: least distance between path and occupied cells, m; near the start less, as long as it grows.
+
+        Raises:
+            PathError: there is none.
+        """
+        for what, place in (("vehicle", start), ("goal", goal)):
+            if not level.is_inside(place):
+                raise PathError(f"the {what} is outside of the map")
+        away = level.away(goal)
+        if away < clearance:
+            raise PathError(f"the goal is {away:.1f} m from an obstacle, {clearance:.1f} m are needed")
+        self._prepare(level.evidence.size)
+        first = np.array([*level.index(start), 0], np.int64)
+        last = np.array([*level.index(goal), 0], float) + 0.5
+        outcome, cells = search(
+            level.distance, level.evidence, clearance, first, last, 0, 0, level.evidence.size,
+            self._costs, self._parents, self._stamps, self._stamp, self._heap, self._keys,
+        )  # fmt: skip
+        if outcome != REACHED:
+            raise PathError("there is no way to the goal on the map")
+        points = level.middle(cells)
+        points[0] = start[:2]
+        return np.vstack([points[:-1] if len(points) > 1 else points, goal[:2]])
+
+    def _prepare(self, size: int) -> None:
+        if self._size != size:
+            self._size, self._stamp = size, 0
+            self._costs = np.zeros(size, np.float32)
+            self._parents, self._stamps = np.zeros(size, np.int32), np.zeros(size, np.int32)
+            entries = _ENTRIES_PER_CELL * size + 64
+            self._heap, self._keys = np.zeros(entries, np.int32), np.zeros(entries, np.float32)
+        self._stamp += 1

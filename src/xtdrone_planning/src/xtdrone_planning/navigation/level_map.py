@@ -1,0 +1,168 @@
+"""The map of a level: what a given map says and what a 2D lidar sees, with distances to obstacles and costs.
+
+Evidence is that of ``voxel_grid``, in a single layer. The costs are those of costmap_2d (D. Lu, D. Hershberger,
+W. Smart, Layered costmaps for context-sensitive navigation, IROS 2014) as its publisher scales them.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_planning.mapping.distance_field import distance_field
+from xtdrone_planning.mapping.ray_casting import cast_rays
+from xtdrone_planning.mapping.voxel_grid import FREE_TO, MOST, OCCUPIED_FROM
+from xtdrone_planning.navigation.settings import CostmapSettings
+
+Array = NDArray[np.float64]
+
+LETHAL, INSCRIBED, UNKNOWN = 100, 99, -1
+"""Costs of an obstacle, of where the vehicle's middle may not be, and of what is unknown."""
+
+_STEEPNESS = 3.0  # 1/m, how fast costs fall with the distance
+_GIVEN_FROM = 65  # percent, from which a cell of a given map is occupied, as map_server's
+_GIVEN_FREE_TO = 20
+
+
+class MapError(ValueError):
+    """A given map that cannot be used; the message names what is wrong."""
+
+
+class LevelMap:
+    """A level.
+
+    Attributes:
+        cell: side of a cell, m.
+        corner: (3,) number of the lowest cell on the lattice whose cell 0 begins at the origin of map; the last is 0.
+        evidence: (nx, ny, 1) int16, log-odds in hundredths; see ``voxel_grid``.
+        distance: (nx, ny, 1) float32, m to the nearest occupied cell, at most ``farthest``.
+        farthest: m.
+        is_ready: whether there is a map.
+    """
+
+    def __init__(self, settings: CostmapSettings) -> None:
+        """Start without a map."""
+        self.settings = settings
+        self.cell = settings.cell
+        self.farthest = settings.inflation + 2.0 * settings.cell
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the map."""
+        self.is_ready = False
+        self._resize(np.zeros(2, np.int64), np.zeros((2, 2), np.int16))
+        self.is_ready = False
+
+    def _resize(self, first: NDArray[np.int64], evidence: NDArray[np.int16]) -> None:
+        self.corner = np.array([*first.tolist(), 0], np.int64)
+        self.evidence = np.ascontiguousarray(evidence[:, :, None])
+        self._given = self.evidence.copy()
+        self.distance = np.empty(self.evidence.shape, np.float32)
+        self._marks = np.zeros(self.evidence.shape, np.int32)
+        self._mark = 0
+        self.is_ready = True
+        self.update_distance()
+
+    def begin_around(self, position: Array) -> None:
+        """Begin an unknown map around a position, (2,) or longer, m in map."""
+        count = round(self.settings.side / self.cell)
+        first = np.floor(np.asarray(position)[:2] / self.cell).astype(np.int64) - count // 2
+        self._resize(first, np.zeros((count, count), np.int16))
+
+    def take(self, values: NDArray[np.int8], origin: Array, cell: float) -> None:
+        """Begin with a given map; what was seen before is forgotten.
+
+        Args:
+            values: (nx, ny) percent of occupation, -1 unknown.
+            origin: (2,) lowest corner, m in map; it is moved to the nearest corner of a cell.
+            cell: side of its cells, m.
+
+        Raises:
+            MapError: another size of cells, or no cells.
+        """
+        if abs(cell - self.cell) > 1e-4:
+            raise MapError(f"map: cells of {cell:g} m are not allowed, {self.cell:g} m (cell)")
+        if values.size == 0 or not np.isfinite(origin).all():
+            raise MapError("map: an empty map or an origin that is not finite is not allowed")
+        evidence = np.zeros(values.shape, np.int16)
+        evidence[values >= _GIVEN_FROM] = MOST
+        evidence[(values >= 0) & (values <= _GIVEN_FREE_TO)] = 2 * FREE_TO
+        self._resize(np.rint(np.asarray(origin)[:2] / self.cell).astype(np.int64), evidence)
+
+    def enter(self, origins: Array, ends: Array, hits: NDArray[np.bool_]) -> None:
+        """Enter the rays of a scan; call ``update_distance`` afterwards.
+
+        Args:
+            origins, ends: (n, 2) or longer, m in map; beyond the map is allowed.
+            hits: (n,) whether something was met at the end.
+        """
+        self._mark += 2
+        middle = 0.5 * self.cell  # all rays run in the single layer
+        rays = [np.column_stack([places[:, :2], np.full(len(places), middle)]) for places in (origins, ends)]
+        cast_rays(self.evidence, self._marks, self._mark, self.corner, self.cell, *rays, hits)
+        np.copyto(self.evidence, self._given, where=self._given >= OCCUPIED_FROM)
+
+    def forget_around(self, position: Array) -> None:
+        """Forget what was seen in the local costmap around a position, (2,) or longer, m in map."""
+        part = self.local(position)
+        self.evidence[part] = self._given[part]
+        self.update_distance()
+
+    def update_distance(self) -> None:
+        """Compute all distances."""
+        distance_field(self.evidence, OCCUPIED_FROM, self.cell, self.farthest, self.distance)
+
+    def update_distance_around(self, position: Array) -> None:
+        """Compute the distances in the local costmap around a position, (2,) or longer, m in map."""
+        inner, reach = self.local(position), math.ceil(self.farthest / self.cell)
+        outer = tuple(slice(max(0, part.start - reach), part.stop + reach) for part in inner)
+        evidence = np.ascontiguousarray(self.evidence[outer])
+        distance = np.empty(evidence.shape, np.float32)
+        distance_field(evidence, OCCUPIED_FROM, self.cell, self.farthest, distance)
+        within = tuple(slice(a.start - b.start, a.stop - b.start) for a, b in zip(inner, outer, strict=True))
+        self.distance[inner] = distance[within]
+
+    def local(self, position: Array) -> tuple[slice, slice]:
+        """Return which cells, along x and y, are in the local costmap around a position, (2,) or longer, m in map."""
+        half = round(0.5 * self.settings.local_side / self.cell)
+        i, j = self.index(position)
+        nx, ny, _ = self.evidence.shape
+        spans = [(min(max(k - half, 0), n), min(max(k + half, 0), n)) for k, n in ((i, nx), (j, ny))]
+        return slice(*spans[0]), slice(*spans[1])
+
+    def index(self, position: Array) -> tuple[int, int]:
+        """Return the cell of a position, (2,) or longer, m in map; it may be outside."""
+        i, j = (np.floor(np.asarray(position)[:2] / self.cell).astype(np.int64) - self.corner[:2]).tolist()
+        return i, j
+
+    def is_inside(self, position: Array) -> bool:
+        """Return whether a position, (2,) or longer, m in map, is on the map."""
+        i, j = self.index(position)
+        nx, ny, _ = self.evidence.shape
+        return 0 <= i < nx and 0 <= j < ny
+
+    def away(self, position: Array) -> float:
+        """Return the distance of a position on the map to the nearest obstacle, m."""
+        i, j = self.index(position)
+        return float(self.distance[i, j, 0])
+
+    def middle(self, cells: NDArray[np.int64]) -> Array:
+        """Return the middles (n, 2) of cells, (n, 2) or longer, m in map."""
+        return np.asarray((cells[:, :2] + self.corner[:2] + 0.5) * self.cell, float)
+
+    def costs(self, part: tuple[slice, slice], radius: float) -> NDArray[np.int8]:
+        """Return the costs of some cells, (nx, ny): 100, 99, 98 to 0 with the distance, -1 where unknown.
+
+        Args:
+            part: which cells.
+            radius: of the vehicle, m.
+        """
+        distance, evidence = self.distance[part][:, :, 0], self.evidence[part][:, :, 0]
+        costs = np.floor(98.0 * np.exp(-_STEEPNESS * np.maximum(0.0, distance - radius))).astype(np.int8)
+        costs[distance >= self.farthest] = 0
+        costs[(evidence > FREE_TO) & (costs == 0)] = UNKNOWN
+        costs[distance < radius] = INSCRIBED
+        costs[evidence >= OCCUPIED_FROM] = LETHAL
+        return costs

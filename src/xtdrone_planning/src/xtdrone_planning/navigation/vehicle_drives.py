@@ -1,0 +1,260 @@
+"""What a navigation moves: a ground robot, or a UAV at a fixed height by MAVROS's or XTDrone's velocity setpoints."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import rospy
+from geometry_msgs.msg import Point, PoseStamped, Quaternion, Twist, Vector3
+from mavros_msgs.msg import ExtendedState, PositionTarget, State
+from nav_msgs.msg import Odometry
+from numpy.typing import NDArray
+from tf2_msgs.msg import TFMessage
+
+from xtdrone_control import lockstep
+from xtdrone_control.communication.commands import Request
+from xtdrone_control.communication.multirotor import MavrosServices
+from xtdrone_control.communication.setpoint import IGNORE_ACCELERATION, IGNORE_POSITION, IGNORE_YAW
+from xtdrone_control.rotation import multiply, rotate, yaw_of
+from xtdrone_control.settings import Settings, setting
+from xtdrone_planning.navigation.dynamic_window import AT_REST, Motion
+
+Array = NDArray[np.float64]
+
+_CLIMB_GAIN, _MOST_CLIMB = 1.0, 0.5  # 1/s, m/s, towards the height of flight
+_HOLD_GAIN, _MOST_HOLD = 0.8, 0.5  # 1/s, m/s, towards the place where the vehicle came to rest
+_STREAM_LEAD = 0.5  # s of setpoints before OFFBOARD is requested; PX4 rejects it without a stream
+_REQUEST_SPACING = 2.0  # s between requests
+_LEAST_NORM = 0.1  # of a quaternion
+
+
+@dataclass(frozen=True)
+class DriveSettings(Settings):
+    """What is moved, and how."""
+
+    drive: str = setting(
+        "auto",
+        choices=("auto", "mavros", "xtdrone", "ground"),
+        text="mavros: setpoint_raw/local; xtdrone: cmd_vel_flu of a communication node; ground: cmd_vel of a robot; "
+        "auto: mavros for the fleet's vehicles, ground for others",
+    )
+    height: float = setting(
+        0.0, low=0.0, high=1000.0, unit="m", text="height of flight; 0: that at which a goal is received"
+    )
+    offboard: bool = setting(True, text="request OFFBOARD for a goal (of drive mavros); false: wait for the pilot")
+
+
+class Drive(Protocol):
+    """A vehicle."""
+
+    def restart(self) -> None:
+        """Forget everything, as simulated time was set back."""
+
+    def obstacle_to_goals(self) -> str:
+        """Return why goals cannot be accepted; empty if they can."""
+
+    def begin(self) -> None:
+        """Begin with a goal."""
+
+    def obeys(self) -> bool:
+        """Return whether the vehicle moves as commanded."""
+
+    def is_lost(self) -> bool:
+        """Return whether a pilot or another program has taken the vehicle over since ``begin``."""
+
+    def command(self, motion: Motion, stamp: rospy.Time, *, active: bool) -> None:
+        """Command a motion; ``active``: there is a goal, or the vehicle still moves."""
+
+    def close(self) -> None:
+        """Cancel what is pending."""
+
+
+class PoseFeed(Protocol):
+    """Receives the poses of a vehicle."""
+
+    def __call__(self, stamp: rospy.Time, entry: Array) -> None:
+        """Receive a pose: x, y, z, m in map, and quaternion w, x, y, z."""
+
+
+def _entry(p: Point | Vector3, q: Quaternion) -> Array | None:
+    """Return an entry of the pose history, None for numbers that are not finite or no rotation."""
+    entry: Array = np.array([p.x, p.y, p.z, q.w, q.x, q.y, q.z])
+    usable = np.isfinite(entry).all() and float(np.linalg.norm(entry[3:])) > _LEAST_NORM
+    return entry if usable else None
+
+
+class GroundDrive:
+    """A robot: its odometry from its start pose, which is on /tf_static, and ``cmd_vel``."""
+
+    def __init__(self, name: str, feed: PoseFeed) -> None:
+        """Declare the topics."""
+        self._odom, self._feed = f"{name}/odom", feed
+        self._publisher = lockstep.Publisher(f"/{name}/cmd_vel", Twist)
+        lockstep.Subscriber("/tf_static", TFMessage, self._on_frames)
+        lockstep.Subscriber(f"/{name}/odom", Odometry, self._on_odometry)
+        self._start: Array | None = None
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the last command; the start pose stays."""
+        self._was_active = False
+
+    def _on_frames(self, message: TFMessage) -> None:
+        for frame in message.transforms:
+            if frame.child_frame_id == self._odom and frame.header.frame_id == "map":
+                self._start = _entry(frame.transform.translation, frame.transform.rotation)
+
+    def _on_odometry(self, message: Odometry) -> None:
+        found = _entry(message.pose.pose.position, message.pose.pose.orientation)
+        if found is None or self._start is None:
+            return
+        turn = tuple(self._start[3:].tolist())
+        place = self._start[:3] + np.array(rotate(turn, *found[:3].tolist()))
+        self._feed(message.header.stamp, np.array([*place, *multiply(turn, tuple(found[3:].tolist()))]))
+
+    def obstacle_to_goals(self) -> str:
+        """Return why goals cannot be accepted."""
+        return "" if self._start is not None else f"no transform from map to {self._odom} on /tf_static"
+
+    def begin(self) -> None:
+        """Begin with a goal."""
+
+    def obeys(self) -> bool:
+        """Return True."""
+        return True
+
+    def is_lost(self) -> bool:
+        """Return False."""
+        return False
+
+    def command(self, motion: Motion, stamp: rospy.Time, *, active: bool) -> None:
+        """Publish the command; at the end one of rest, then nothing."""
+        if active or self._was_active:
+            self._publisher.publish(Twist(linear=Vector3(x=motion.speed), angular=Vector3(z=motion.rate)))
+        self._was_active = active
+
+    def close(self) -> None:
+        """Nothing is pending."""
+
+
+class UavDrive:
+    """A UAV at a fixed height: MAVROS's estimate in, velocity setpoints out."""
+
+    def __init__(self, name: str, settings: DriveSettings, feed: PoseFeed) -> None:
+        """Declare the topics."""
+        self._settings, self._feed = settings, feed
+        self._by_mavros = settings.drive != "xtdrone"
+        if self._by_mavros:
+            self._publisher = lockstep.Publisher(f"/{name}/mavros/setpoint_raw/local", PositionTarget)
+        else:
+            self._publisher = lockstep.Publisher(f"/xtdrone/{name}/cmd_vel_flu", Twist)
+        self._services = MavrosServices(name, in_lockstep=lockstep.is_active())
+        self._name = name
+        lockstep.Subscriber(f"/{name}/mavros/local_position/pose", PoseStamped, self._on_pose)
+        lockstep.Subscriber(f"/{name}/mavros/state", State, self._on_state)
+        lockstep.Subscriber(f"/{name}/mavros/extended_state", ExtendedState, self._on_extended_state)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the estimate and the last commands."""
+        self._pose: Array | None = None
+        self._armed = self._in_air = self._offboard = self._streams = self._was_offboard = False
+        self._streaming_since = self._requested = -math.inf
+        self._height = self._settings.height
+        self._hold: Array | None = None
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        entry = _entry(message.pose.position, message.pose.orientation)
+        if entry is not None:
+            self._pose = entry
+            self._feed(message.header.stamp, entry)
+
+    def _on_state(self, message: State) -> None:
+        self._armed, self._offboard = message.armed, message.armed and message.mode == "OFFBOARD"
+        self._was_offboard = self._was_offboard or self._offboard
+
+    def _on_extended_state(self, message: ExtendedState) -> None:
+        self._in_air = message.landed_state != ExtendedState.LANDED_STATE_ON_GROUND
+
+    def obstacle_to_goals(self) -> str:
+        """Return why goals cannot be accepted."""
+        if self._pose is None:
+            return "no position from the autopilot"
+        return "" if self._armed and self._in_air else "the vehicle is not flying"
+
+    def begin(self) -> None:
+        """Begin with a goal, at the present height if none is given."""
+        assert self._pose is not None
+        self._height = self._settings.height or float(self._pose[2])
+        if not self._streams:
+            self._streaming_since, self._was_offboard = rospy.get_time(), self._offboard
+        self._streams = True
+
+    def obeys(self) -> bool:
+        """Return whether the vehicle is in OFFBOARD."""
+        return self._offboard
+
+    def is_lost(self) -> bool:
+        """Return whether OFFBOARD has ended since it began, or the vehicle is on the ground."""
+        return self._streams and not (self._armed and self._in_air and (self._offboard or not self._was_offboard))
+
+    def command(self, motion: Motion, stamp: rospy.Time, *, active: bool) -> None:
+        """Publish velocity and yaw rate; once the vehicle is at rest, it stays where it is until it is taken over."""
+        if self.is_lost() and not active:
+            self._streams = False
+        if not self._streams or self._pose is None:
+            return
+        climb = _limited(_CLIMB_GAIN * (self._height - float(self._pose[2])), _MOST_CLIMB)
+        if self._by_mavros:
+            east, north = self._level_velocity(motion, yaw_of(self._pose[3:].tolist()))
+            self._publish_target((east, north, climb), motion.rate, stamp)
+            self._request_offboard(stamp.to_sec())
+        else:
+            self._publisher.publish(
+                Twist(linear=Vector3(motion.speed, 0.0, climb), angular=Vector3(0.0, 0.0, motion.rate))
+            )
+
+    def _level_velocity(self, motion: Motion, yaw: float) -> tuple[float, float]:
+        """Return the velocity, m/s east and north, of a motion; at rest that towards where the vehicle stopped."""
+        assert self._pose is not None
+        if motion.speed != AT_REST.speed:
+            self._hold = None
+            return motion.speed * math.cos(yaw), motion.speed * math.sin(yaw)
+        if self._hold is None:
+            self._hold = self._pose[:2].copy()
+        off = _HOLD_GAIN * (self._hold - self._pose[:2])
+        return _limited(float(off[0]), _MOST_HOLD), _limited(float(off[1]), _MOST_HOLD)
+
+    def _publish_target(self, velocity: tuple[float, float, float], rate: float, stamp: rospy.Time) -> None:
+        message = PositionTarget(coordinate_frame=PositionTarget.FRAME_LOCAL_NED)
+        message.header.stamp, message.header.frame_id = stamp, "map"
+        message.type_mask = IGNORE_POSITION | IGNORE_ACCELERATION | IGNORE_YAW
+        message.velocity, message.yaw_rate = Vector3(*velocity), rate
+        self._publisher.publish(message)
+
+    def _request_offboard(self, now: float) -> None:
+        for request, accepted, reason in self._services.finished():
+            if not accepted:
+                rospy.logwarn(f"{self._name}: {request.command} was rejected ({reason or 'no reason given'})")
+        if self._offboard or self._was_offboard or not self._settings.offboard:
+            return
+        if now - self._streaming_since >= _STREAM_LEAD and now - self._requested >= _REQUEST_SPACING:
+            self._requested = now
+            self._services.submit(Request("OFFBOARD", None))
+
+    def close(self) -> None:
+        """Cancel pending service calls."""
+        self._services.close()
+
+
+def _limited(value: float, most: float) -> float:
+    return max(-most, min(most, value))
+
+
+def drive_of(name: str, settings: DriveSettings, feed: PoseFeed, *, is_robot: bool) -> Drive:
+    """Return the drive of a vehicle, or of a ground robot."""
+    is_ground = settings.drive == "ground" or (settings.drive == "auto" and is_robot)
+    return GroundDrive(name, feed) if is_ground else UavDrive(name, settings, feed)
