@@ -54,6 +54,9 @@ class OctomapOptions(Settings):
         "", text="odometry whose poses place the measurements: lidar_odometry, slam, ...; empty: the autopilot's estimate"
     )
     frame_id: str = setting("map", text="frame of the map, in which these poses are")
+    interval: float = setting(
+        0.0, low=0.0, high=60.0, unit="s", text="measurements that follow the last mapped one sooner are left out"
+    )
     period: float = setting(2.0, low=0.05, high=60.0, unit="s", text="time between two publications")
     occupancy_min_z: float = setting(0.3, low=-1e4, high=1e4, unit="m", text="lowest voxels in projected_map")
     occupancy_max_z: float = setting(1e4, low=-1e4, high=1e4, unit="m", text="highest voxels in projected_map")
@@ -93,7 +96,7 @@ class VehicleOctomap:
     def __init__(self, name: str, settings: NodeSettings) -> None:
         """Declare the topics and services."""
         self._name, self._settings = name, settings
-        self._map = GlobalMap(settings.octree)
+        self._map = GlobalMap(settings.octree, settings.options.interval)
         self._lock = threading.Lock()  # services run in threads of their own
         self._watch = SensorWatch(settings.watch)
         MapFeed(
