@@ -27,6 +27,7 @@ GOALS = {
     "drawing": Goal(("vehicles",), {(100,): 15.0}, "{:g}"),
     "sweep": Goal(("workers",), {(2,): 1.7}),
     "rays": Goal(("lidars", "kind"), {(6, "spinning"): 1.0}),
+    "odometry": Goal(("rings", "kind"), {(16, "odometry"): 40.0, (16, "local_map"): 20.0}, "{:g}"),
     "analyse": Goal(("megabytes",), {(1000,): 100.0}, "{:g}"),
     "stack": Goal(("vehicles",), {(9,): 10.0}),
     "formation": Goal(

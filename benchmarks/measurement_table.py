@@ -40,6 +40,7 @@ _CODEC_METHODS = ("encode", "genpy_encode", "decode", "genpy_decode")
 _FILMS = ((1280, 720, True), (1280, 720, False), (640, 360, True))  # width and height in pixels, antialiasing
 _BACKENDS = ("egl", "tiny")
 _LIDARS = ("scan", "spinning", "pattern")
+_SCAN_WORKS = ("odometry", "local_map", "octree")
 _PARTICIPANTS = ("python", "cpp")
 _NO_PARTICIPANTS = "none"
 _STATIONS = 1  # ground stations of each vehicle
@@ -78,6 +79,11 @@ def _pictures(part: str, width: int, modes: Sequence[str]) -> Iterator[Case]:
 def _lidars(part: str, count: int, modes: Sequence[str]) -> Iterator[Case]:
     for kind in _LIDARS:
         yield Case(part, f"{count} {kind}", {"lidars": count, "kind": kind}, f"{count}-{kind}")
+
+
+def _scan_works(part: str, rings: int, modes: Sequence[str]) -> Iterator[Case]:
+    for kind in _SCAN_WORKS:
+        yield Case(part, f"{kind.replace('_', ' ')}, {rings} rings", {"rings": rings, "kind": kind}, f"{rings}-{kind}")
 
 
 def _films(part: str, count: int, modes: Sequence[str]) -> Iterator[Case]:
@@ -322,6 +328,23 @@ _TABLE = (
         label=lambda row: f"{row['lidars']} {row['kind']}",
         first=_first("lidars", lambda row: f"{row['lidars']} {row['kind']}"),
         counted="lidars",
+    ),
+    Measurement(
+        name="odometry",
+        title="Work on a scan of 1024 columns: lidar odometry, local map, octree; one core",
+        command=Program("odometry", _CORE_SECONDS),
+        numbers=(16,),
+        limits=(1, 128),
+        fields=(
+            ("CPU\nms/scan", spread("milliseconds")),
+            ("most", median("most_milliseconds", ".1f")),
+            goal_of("odometry"),
+        ),
+        summary=lambda row: f"{row['milliseconds']:.1f} ms a scan",
+        cases=_scan_works,
+        label=lambda row: f"{row['kind']}, {row['rings']} rings",
+        first=_first("work", lambda row: f"{row['kind'].replace('_', ' ')}, {row['rings']} rings"),
+        counted="rings",
     ),
     Measurement(
         name="rviz",

@@ -53,7 +53,8 @@ PATIENCE = 120.0  # s of wall time; bounds a broken test
     [
         (
             ["--only", "core,wings"],
-            "part 'wings' is unknown; there are: core, simplified, drawing, sweep, detector, renderer, rays, rviz, "
+            "part 'wings' is unknown; there are: core, simplified, drawing, sweep, detector, renderer, rays, odometry, "
+            "rviz, "
             "analyse, codecs, barrier, telemetry, stack, formation, search, free",
         ),
         (["--vehicles", "0"], "vehicles of core: '0' is not allowed; 1 to 250"),

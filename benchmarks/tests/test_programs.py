@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from tiny_networks import write_darknet
 
-from benchmarks.programs import analysis, codecs, detector, drawing, program_frame, rays, simplified
+from benchmarks.programs import analysis, codecs, detector, drawing, odometry, program_frame, rays, simplified
 from xtdrone_interaction.options import repository
 from xtdrone_interaction.recording.bag import read_bag
 
@@ -58,6 +58,13 @@ def test_rays_are_measured() -> None:
     row = rays.measure(1, "scan", 0.01)
     assert row["rays"] == 512
     assert row["real_time_factor"] == pytest.approx(row["million_rays_per_second"] * 1e6 / 5120)
+
+
+@pytest.mark.parametrize("kind", odometry.KINDS)
+def test_the_work_on_a_scan_is_measured(kind: str) -> None:
+    row = odometry.measure(4, kind, 0.01)
+    assert row["rays"] == 4096
+    assert 0.0 < row["milliseconds"] <= row["most_milliseconds"]
 
 
 def test_the_codecs_are_measured() -> None:

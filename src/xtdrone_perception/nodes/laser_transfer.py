@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """The pose of a laser SLAM to the autopilot: ``laser_transfer.py iris 0 aloam``, as upstream's program of this name.
 
-SLAM is hector, cartographer (in the plane, with the height of a range finder), aloam, fastlio, or odometry, which is any
-nav_msgs/Odometry on ``~topic``. Topics are listed in ``xtdrone_perception.slam.transfer.transfer_node``.
+SLAM is hector, cartographer (in the plane, with the height of a range finder), aloam, fastlio, or odometry, which is
+any nav_msgs/Odometry on ``~topic``. Topics are listed in ``xtdrone_perception.slam.transfer.transfer_node``.
 
 Parameters:
     ~topic, ~distance, ~start, ~heading, ~sensor_position: see docs/settings.md.

@@ -54,7 +54,9 @@ def test_a_program_in_the_plane_gets_its_height_from_elsewhere() -> None:
     assert found[:3, 3].tolist() == [1.0, 1.0, 1.4]
 
 
-@pytest.mark.parametrize("bad", [(np.array([math.nan, 0, 0]), LEVEL), (np.zeros(3), np.zeros(4)), (np.zeros(3), 2 * LEVEL)])
+@pytest.mark.parametrize(
+    "bad", [(np.array([math.nan, 0, 0]), LEVEL), (np.zeros(3), np.zeros(4)), (np.zeros(3), 2 * LEVEL)]
+)
 def test_what_is_no_pose_is_none(bad: tuple[np.ndarray, np.ndarray]) -> None:
     assert ForeignFrame(PlaceSettings(), optical=False).vehicle(*bad) is None
 

@@ -130,8 +130,6 @@ def test_eight_equal_leaves_are_one():
         assert len(decode(written).middles()) == 8
 
 
-
-
 def test_a_file_has_octomaps_header(tmp_path: Path):
     octree = random_map(5)
     written = encode(*octree.blocks(), 0.2, binary=True)

@@ -59,6 +59,4 @@ def map_accuracy(errors: Array, found: Array, surface_points: Array) -> MapAccur
     gap, recall = float(gaps.mean()), float((gaps <= WITHIN).mean())
     both = precision + recall
     f_score = 2.0 * precision * recall / both if both else 0.0
-    return MapAccuracy(
-        len(found), len(surface_points), error, gap, 0.5 * (error + gap), precision, recall, f_score
-    )
+    return MapAccuracy(len(found), len(surface_points), error, gap, 0.5 * (error + gap), precision, recall, f_score)

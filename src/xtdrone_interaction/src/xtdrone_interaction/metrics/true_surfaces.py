@@ -80,7 +80,9 @@ class TrueWorld:
         points = points_on(self.surfaces, _DRAWN, places.min(axis=0) - reach, places.max(axis=0) + reach, seed)
         seen = np.zeros(len(points), np.bool_)
         for way, sight in ways:
-            steps = np.unique(np.searchsorted(way.way, np.arange(0.0, way.way[-1] + _STEP, _STEP)).clip(0, len(way) - 1))
+            steps = np.unique(
+                np.searchsorted(way.way, np.arange(0.0, way.way[-1] + _STEP, _STEP)).clip(0, len(way) - 1)
+            )
             for n in steps:
                 self._look(way.position[n], way.rotation[int(n)].as_matrix(), sight, points, seen)
         return points[seen]

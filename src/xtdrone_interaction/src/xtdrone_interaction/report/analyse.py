@@ -136,7 +136,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("files", type=Path, nargs="+", metavar="FILE", help="ROS 1 bag or ULog, also one truncated by a crash, ROS 2 "
         "bag, or flight.npz; or the bags of a split recording")  # fmt: skip
     add("--part", type=int, metavar="N", help="of a bag in which time was set back (default: the longest)")
-    add("--world", metavar="WORLD", help="world of the flight, by name or file: compare its maps with the true surfaces")
+    add(
+        "--world", metavar="WORLD", help="world of the flight, by name or file: compare its maps with the true surfaces"
+    )
     add("--map", type=Path, action="append", default=[], metavar="FILE", help="saved map to compare, too: an octree "
         ".bt or .ot, or a cloud .ply, .xyz")  # fmt: skip
     add("--out", type=Path, metavar="FOLDER", help="where the report goes (default: <file>-analysis beside the file)")

@@ -51,7 +51,8 @@ class OctomapOptions(Settings):
     """What the node uses and publishes."""
 
     odometry: str = setting(
-        "", text="odometry whose poses place the measurements: lidar_odometry, slam, ...; empty: the autopilot's estimate"
+        "",
+        text="odometry whose poses place the measurements: lidar_odometry, slam, ...; empty: the autopilot's estimate",
     )
     frame_id: str = setting("map", text="frame of the map, in which these poses are")
     interval: float = setting(

@@ -29,7 +29,9 @@ class OctreeSettings(Settings):
 
     resolution: float = setting(0.2, low=0.02, high=2.0, unit="m", text="side of a voxel")
     hit: float = setting(0.7, low=0.5, high=0.999, text="probability that a voxel in which a ray ends is occupied")
-    miss: float = setting(0.4, low=0.001, high=0.5, text="probability that a voxel through which a ray passes is occupied")
+    miss: float = setting(
+        0.4, low=0.001, high=0.5, text="probability that a voxel through which a ray passes is occupied"
+    )
     least: float = setting(0.12, low=0.01, high=0.49, text="lowest probability of a voxel")
     most: float = setting(0.97, low=0.51, high=0.99, text="highest probability of a voxel")
     memory: float = setting(512.0, low=1.0, high=16384.0, unit="MB", text="greatest memory of the map")
@@ -114,7 +116,7 @@ NEVER = np.int16(-(1 << 15))
 
 
 def morton(places: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the Morton codes (n,) of places (n, 3), whose numbers are of at most 16 bits: x is the lowest bit of each three."""
+    """Return the Morton codes (n,) of places (n, 3) of at most 16 bits; x is the lowest bit of each three."""
     codes = np.zeros(len(places), np.int64)
     for bit in range(16):
         for axis in range(3):

@@ -119,7 +119,9 @@ def points_on(surfaces: NDArray[np.void], count: int, low: Array, high: Array, s
     points[ground, :2] = rng.uniform(low[:2], high[:2], (int(ground.sum()), 2))
     drawn = near[chosen[~ground]]
     local = rng.random((len(drawn), 3))
-    points[~ground] = np.where((drawn["kind"] == TRIANGLE)[:, None], _on_triangle(drawn, local), _on_solid(drawn, local))
+    points[~ground] = np.where(
+        (drawn["kind"] == TRIANGLE)[:, None], _on_triangle(drawn, local), _on_solid(drawn, local)
+    )
     return points[(points >= low).all(axis=1) & (points <= high).all(axis=1)]
 
 
@@ -130,7 +132,9 @@ def _areas(surfaces: NDArray[np.void]) -> Array:
     triangle = 0.5 * np.linalg.norm(np.cross(surfaces["b"], surfaces["c"]), axis=1)
     box = 8.0 * (a * b + b * c + c * a)
     cylinder = 2.0 * math.pi * a * (2.0 * b + a)
-    return np.select([kinds == TRIANGLE, kinds == BOX, kinds == CYLINDER], [triangle, box, cylinder], 4.0 * math.pi * a**2)
+    return np.select(
+        [kinds == TRIANGLE, kinds == BOX, kinds == CYLINDER], [triangle, box, cylinder], 4.0 * math.pi * a**2
+    )
 
 
 def _on_triangle(surfaces: NDArray[np.void], random: Array) -> Array:

@@ -1,1 +1,1 @@
-"""Poses of odometry and SLAM of others (VINS-Fusion, FAST-LIO, A-LOAM, ...) for the autopilot, as upstream's programs."""
+"""Poses of others' odometry and SLAM (VINS-Fusion, FAST-LIO, A-LOAM, ...) for the autopilot, as upstream's programs."""

@@ -44,7 +44,7 @@ def read_starts(value: object, count: int) -> list[tuple[float, float, float]]:
     except (TypeError, ValueError):
         starts = np.empty(0)
     if starts.shape != (count, 3) or not np.isfinite(starts).all():
-        raise SettingError(f"starts: {value!r} is not allowed, a list of {count} lists of x, y, z, m")
+        raise SettingError("starts", value, f"a list of {count} lists of x, y, z, m")
     return [(x, y, z) for x, y, z in starts.tolist()]
 
 

@@ -45,6 +45,7 @@ _REPORT_PERIOD = 1.0  # s
 
 Array = NDArray[np.float64]
 
+
 class Source(NamedTuple):
     """What a program of others publishes.
 
@@ -61,9 +62,12 @@ class Source(NamedTuple):
     optical: bool = False
     plane: bool = False
 
+
 SOURCES = {
     "vins": Source("odometry", "/vins_estimator/camera_pose", optical=True),
-    "multi_vins": Source("odometry", "/{}/vins_estimator/camera_pose", optical=True, odometry="/{}/vins_estimator/odometry"),
+    "multi_vins": Source(
+        "odometry", "/{}/vins_estimator/camera_pose", optical=True, odometry="/{}/vins_estimator/odometry"
+    ),
     "hector": Source("pose", "/{}/pose", plane=True),
     "cartographer": Source("tf", "map base_link", plane=True),
     "aloam": Source("tf", "camera_init aft_mapped"),
@@ -75,15 +79,19 @@ SOURCES = {
 LASERS = ("hector", "cartographer", "aloam", "fastlio", "odometry")
 """The sources of ``laser_transfer.py``."""
 
+
 @dataclass(frozen=True)
 class ForeignOptions(Settings):
     """Which topics the node uses."""
 
     topic: str = setting("", text="topic of the source, or parent and child frames of its tf; empty: the program's own")
-    distance: str = setting("distance", text="topic of the downward range finder below /VEHICLE/, for sources in the plane")
+    distance: str = setting(
+        "distance", text="topic of the downward range finder below /VEHICLE/, for sources in the plane"
+    )
     distance_below: float = setting(
         0.0, low=-2.0, high=2.0, unit="m", text="height of base_link above that range finder"
     )
+
 
 def transfer_of(vehicle: str, source: str) -> PoseTransfer:
     """Return the topics of a vehicle, with the private parameters.
@@ -92,7 +100,9 @@ def transfer_of(vehicle: str, source: str) -> PoseTransfer:
         SettingError: a parameter is not allowed.
     """
     get = rospy.get_param
-    return PoseTransfer(vehicle, SOURCES[source], ForeignOptions.from_parameters(get), PlaceSettings.from_parameters(get))
+    return PoseTransfer(
+        vehicle, SOURCES[source], ForeignOptions.from_parameters(get), PlaceSettings.from_parameters(get)
+    )
 
 
 class PoseTransfer:
@@ -144,7 +154,11 @@ class PoseTransfer:
         if found is None:
             return
         out = Odometry(header=Header(stamp=message.header.stamp, frame_id=_MAP), child_frame_id=message.child_frame_id)
-        out.pose.pose, out.pose.covariance, out.twist = messages.pose_message(found), message.pose.covariance, message.twist
+        out.pose.pose, out.pose.covariance, out.twist = (
+            messages.pose_message(found),
+            message.pose.covariance,
+            message.twist,
+        )
         self._odometry.publish(out)
 
     def _on_tf(self, message: TFMessage) -> None:
