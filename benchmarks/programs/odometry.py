@@ -1,7 +1,8 @@
 """Benchmark of what is done with a scan of 16 x 1024 rays: lidar odometry, local map, octree; ms of processor time.
 
 ``python -m benchmarks.programs.odometry --rings 16 --kind odometry`` prints a table; ``--json FILE`` writes it. The
-scans are those of a flight along a street of the world ``city`` at 3 m/s; reading the message counts, making it does not.
+scans are those of a flight along a street of the world ``city`` at 3 m/s. Reading the message counts, making it does
+not.
 """
 
 from __future__ import annotations

@@ -61,6 +61,7 @@ class Source(NamedTuple):
     topic: str
     optical: bool = False
     plane: bool = False
+    odometry: str = ""
 
 
 SOURCES = {
