@@ -71,7 +71,8 @@ class BenchSettings(Settings):
 
     Attributes:
         vehicles: numbers of vehicles (barrier: participants; sweep: workers; rays: lidars; odometry: rings; detector,
-            renderer: width in pixels; analyse: size of the bag in MB; search: pictures per second of each camera) by part.
+            renderer: width in pixels; analyse: size of the bag in MB; search: pictures per second of each camera) by
+            part.
         json: file of the results, absolute.
         baseline: this tree and the commit to compare it with, empty without a comparison.
     """
@@ -118,7 +119,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--vehicles", nargs="+", metavar="[PART=]NUMBERS",
         help="numbers of vehicles (barrier: participants; sweep: workers; rays: lidars; odometry: rings; detector, "
         "renderer: width in pixels; analyse: size of the bag in MB; search: pictures per second of each camera), "
-        f"separated by commas, for one part (as core=1,100) or for all parts but {own} (as 9); default: {numbers}")  # fmt: skip
+        f"separated by commas, for one part (as core=1,100) or for all parts but {own} (as 9); "
+        f"default: {numbers}")  # fmt: skip
     BenchSettings.add_arguments(parser)
     add("--baseline", metavar="COMMIT",
         help="compare this tree with another commit: check it out and set it up beside this one, measure both "

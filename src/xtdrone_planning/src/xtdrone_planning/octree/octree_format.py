@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 
 DEPTH = 16
 _IN_BLOCK = 4  # levels of a block
+_ABOVE = DEPTH - _IN_BLOCK
+_WORDS = 1 + 8 + 64 + 512  # inner nodes of a block, at most
+_NEVER = int(NEVER)
 _FREE, _OCCUPIED, _INNER = 1, 2, 3
 _BINARY_LINE, _FULL_LINE = "# Octomap OcTree binary file", "# Octomap OcTree file"
 _MOST_VOXELS = 200_000_000  # of the leaves that are read, as a limit for damaged or hostile files
@@ -103,17 +106,94 @@ def encode(places: NDArray[np.int64], values: NDArray[np.int16], resolution: flo
     """
     if not len(places):
         return Octree(b"", 0, resolution, binary)
-    levels = _levels(places, values, binary)
-    data = _binary_data(levels) if binary else _full_data(levels)
+    data = _binary(places, values) if binary else _full_data(_levels(places, values))
     return Octree(data, count_nodes(data, binary), resolution, binary)
 
 
-def _levels(places: NDArray[np.int64], values: NDArray[np.int16], binary: bool) -> list[_Level]:
+def _binary(places: NDArray[np.int64], values: NDArray[np.int16]) -> bytes:
+    """Return the binary data: those of the nodes above blocks, with those of each block after its parent's."""
+    words = np.zeros((len(values), _WORDS), np.uint16)
+    counts, states = np.zeros(len(values), np.int64), np.zeros(len(values), np.uint8)
+    _block_words(values, words, counts, states)
+    codes = morton(places)
+    keys, parts = [], []
+    inner = np.flatnonzero(states == _INNER)
+    keys.append(_depth_first(codes[inner], _ABOVE))
+    parts += [words[n, : counts[n]].astype("<u2").tobytes() for n in inner]
+    for level in range(_ABOVE - 1, -1, -1):
+        parents, owner = np.unique(codes >> 3, return_inverse=True)
+        children = np.zeros((len(parents), 8), np.uint8)
+        children[owner, codes & 7] = states
+        is_one = (children == children[:, :1]).all(axis=1) & (children[:, 0] != _INNER) & (level > 0)
+        codes, states = parents, np.where(is_one, children[:, 0], _INNER).astype(np.uint8)
+        keys.append(_depth_first(codes[~is_one], level))
+        pairs = children[~is_one].astype(np.uint16) << (2 * np.arange(8, dtype=np.uint16))
+        parts += [word.tobytes() for word in pairs.sum(axis=1, dtype=np.uint16).astype("<u2")]
+    order = np.argsort(np.concatenate(keys))
+    return b"".join(parts[n] for n in order)
+
+
+@kernel
+def _block_words(values, words, counts, states):
+    """Write the inner nodes of blocks depth first.
+
+    Args:
+        values: (n, 4096) int16, log-odds.
+        words: (n, 585) uint16, filled: two bits for each child.
+        counts: (n,) filled: number of words.
+        states: (n,) uint8, filled: that of the block.
+    """
+    level = np.empty((5, 4096), np.uint8)  # states of voxels, of their parents, ...
+    for n in range(len(values)):
+        for v in range(4096):
+            value = values[n, v]
+            level[0, v] = 0 if value == _NEVER else (_OCCUPIED if value >= 0 else _FREE)
+        size = 512
+        for d in range(1, 5):
+            for k in range(size):
+                first = level[d - 1, 8 * k]
+                for c in range(1, 8):
+                    if level[d - 1, 8 * k + c] != first:
+                        first = _INNER
+                level[d, k] = first
+            size //= 8
+        states[n] = level[4, 0]
+        count = 0
+        if states[n] == _INNER:
+            words[n, 0] = _word(level[3], 0)
+            count = 1
+            for a in range(8):
+                if level[3, a] != _INNER:
+                    continue
+                words[n, count] = _word(level[2], a)
+                count += 1
+                for b in range(8 * a, 8 * a + 8):
+                    if level[2, b] != _INNER:
+                        continue
+                    words[n, count] = _word(level[1], b)
+                    count += 1
+                    for c in range(8 * b, 8 * b + 8):
+                        if level[1, c] == _INNER:
+                            words[n, count] = _word(level[0], c)
+                            count += 1
+        counts[n] = count
+
+
+@kernel
+def _word(states, parent):
+    """Return the states of a node's eight children as one word."""
+    word = 0
+    for c in range(8):
+        word |= np.int64(states[8 * parent + c]) << (2 * c)
+    return word
+
+
+def _levels(places: NDArray[np.int64], values: NDArray[np.int16]) -> list[_Level]:
     """Return the inner nodes of all levels, from the root to the parents of voxels."""
     codes, states = morton(places), _leaf_states(values)
     found: list[_Level] = []
     for level in range(DEPTH - 1, -1, -1):
-        if level >= DEPTH - _IN_BLOCK:
+        if level >= _ABOVE:
             children, below = states.reshape(-1, 8), values.reshape(-1, 8)
             inside = states.shape[1] // 8
             parents = (codes[:, None] * inside + np.arange(inside)).ravel()
@@ -122,11 +202,11 @@ def _levels(places: NDArray[np.int64], values: NDArray[np.int16], binary: bool) 
             children = np.zeros((len(parents), 8), np.uint8)
             below = np.full((len(parents), 8), NEVER, np.int16)
             children[owner, codes & 7], below[owner, codes & 7] = states.ravel(), values.ravel()
-        is_inner = ~_are_one(children, below, binary)
+        is_inner = ~_are_one(children, below)
         is_inner |= level == 0
         own_states, own_values = np.where(is_inner, _INNER, children[:, 0]).astype(np.uint8), below.max(axis=1)
         found.append(_Level(parents[is_inner], own_values[is_inner], children[is_inner], below[is_inner]))
-        if level > DEPTH - _IN_BLOCK:
+        if level > _ABOVE:
             states, values = own_states.reshape(len(codes), -1), own_values.reshape(len(codes), -1)
         else:
             codes, states, values = parents, own_states, own_values
@@ -137,22 +217,15 @@ def _leaf_states(values: NDArray[np.int16]) -> NDArray[np.uint8]:
     return np.where(values == NEVER, 0, np.where(values >= 0, _OCCUPIED, _FREE)).astype(np.uint8)
 
 
-def _are_one(states: NDArray[np.uint8], values: NDArray[np.int16], binary: bool) -> NDArray[np.bool_]:
+def _are_one(states: NDArray[np.uint8], values: NDArray[np.int16]) -> NDArray[np.bool_]:
     """Return (n,) whether eight children (n, 8) are equal leaves, or all unknown."""
     equal = (states == states[:, :1]).all(axis=1) & (states[:, 0] != _INNER)
-    return equal if binary else equal & (values == values[:, :1]).all(axis=1)
+    return equal & (values == values[:, :1]).all(axis=1)
 
 
 def _depth_first(codes: NDArray[np.int64], level: int) -> NDArray[np.int64]:
     """Return numbers (n,) by which nodes of all levels are sorted depth first."""
     return (codes << 3 * (DEPTH - level)) * 32 + level
-
-
-def _binary_data(levels: list[_Level]) -> bytes:
-    order = np.argsort(np.concatenate([_depth_first(level.codes, n) for n, level in enumerate(levels)]))
-    children = np.concatenate([level.children for level in levels]).astype(np.uint16)
-    words = (children << (2 * np.arange(8, dtype=np.uint16))).sum(axis=1, dtype=np.uint16)
-    return words[order].astype("<u2").tobytes()
 
 
 _NODE = np.dtype([("value", "<f4"), ("children", "u1")])

@@ -103,8 +103,10 @@ class OctreeMap:
         mask = (1 << _BLOCK_BITS) - 1
         places = np.stack([keys & mask, keys >> _BLOCK_BITS & mask, keys >> 2 * _BLOCK_BITS], axis=1)
         order = np.argsort(morton(places), kind="stable")
-        stored = self._voxels[: self._counts[0]][order]
-        return places[order], np.where(stored == UNKNOWN, NEVER, stored.astype(np.int16) - OFFSET).astype(np.int16)
+        values = self._voxels[: self._counts[0]][order].view(np.int16)
+        values -= OFFSET
+        values[values == UNKNOWN - OFFSET] = NEVER
+        return places[order], values
 
     def occupied(self) -> Array:
         """Return the middles of all occupied voxels, (n, 3) m in map."""

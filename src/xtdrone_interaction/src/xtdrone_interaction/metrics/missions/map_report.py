@@ -17,9 +17,11 @@ from xtdrone_planning.octree.octree_format import Octree, OctreeError, count_nod
 
 Array = NDArray[np.float64]
 
-OCTREE_ENDINGS = (".bt", ".ot")
+_OCTREE_ENDINGS = (".bt", ".ot")
 _CLOUD_ENDINGS = (".ply", ".xyz", ".txt")
 _CLOUD, _OCTREES = "/local_map", ("/octomap_binary", "/octomap_full")
+TOGETHER = "together"
+"""Name of the union of several saved maps."""
 _LEAST_WAY = 2  # poses
 
 
@@ -30,7 +32,7 @@ def read_map(path: Path) -> Array:
         RecordError: it cannot be read.
     """
     try:
-        if path.suffix in OCTREE_ENDINGS:
+        if path.suffix in _OCTREE_ENDINGS:
             return read_file(path).middles()
         if path.suffix == ".ply":
             import trimesh  # takes a while to import
@@ -40,8 +42,13 @@ def read_map(path: Path) -> Array:
             return np.loadtxt(path, usecols=(0, 1, 2), ndmin=2)
     except (OctreeError, OSError, ValueError, AttributeError) as error:
         raise RecordError(f"map: {path}: {error}") from error
-    allowed = ", ".join((*OCTREE_ENDINGS, *_CLOUD_ENDINGS))
+    allowed = ", ".join((*_OCTREE_ENDINGS, *_CLOUD_ENDINGS))
     raise RecordError(f"map: {str(path)!r} is not allowed, a file with one of the endings {allowed}")
+
+
+def octrees_in(folder: Path) -> list[Path]:
+    """Return the octrees saved in a folder."""
+    return sorted(path for path in folder.iterdir() if path.suffix in _OCTREE_ENDINGS)
 
 
 def joined(messages: Sequence[Any], voxel: float) -> Array:
@@ -79,6 +86,8 @@ def map_rows(bags: Sequence[Path], world: str, files: Sequence[Path] = (), seed:
     ways = _ways(recording)
     maps = [(name.strip("/"), _recorded(recording, name)) for name in names]
     maps += [(path.name, read_map(path)) for path in files]
+    if len(files) > 1:
+        maps.append((TOGETHER, np.concatenate([read_map(path) for path in files])))
     rows = [{"map": name, "accuracy": truth.compare(points, _of_vehicle(ways, name), seed)} for name, points in maps]
     return [{"map": row["map"], **row["accuracy"]} for row in rows if row["accuracy"] is not None]
 
@@ -90,9 +99,9 @@ def _ways(recording: Recording) -> dict[str, tuple[Trajectory, Sight]]:
 
 
 def _of_vehicle(ways: dict[str, tuple[Trajectory, Sight]], name: str) -> list[tuple[Trajectory, Sight]]:
-    """Return the way of the vehicle that a topic names; all ways for a file."""
-    vehicle = name.partition("/")[0]
-    return [ways[vehicle]] if vehicle in ways else list(ways.values())
+    """Return the way of the vehicle that a topic or file (as map.iris_0.bt) names; all ways without one."""
+    named = [way for vehicle, way in ways.items() if vehicle in name.replace("/", ".").split(".")]
+    return named or list(ways.values())
 
 
 def _recorded(recording: Recording, name: str) -> Array:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from xtdrone_interaction.metrics.missions.map_report import OCTREE_ENDINGS, joined, map_rows
+from xtdrone_interaction.metrics.missions.map_report import joined, map_rows, octrees_in
 from xtdrone_interaction.metrics.missions.odometry_errors import Trajectory, aligned, common, errors, pairs
 from xtdrone_interaction.recording.bag import read_bag
 from xtdrone_interaction.recording.recorded_flight import RecordError, Recording
@@ -69,14 +69,10 @@ def slam_report(bag: Path, world: str | None = None) -> tuple[dict[str, Any], Sh
         "odometry": rows,
         "home_miss": miss,
         "map_points": len(points),
-        "maps": map_rows([bag], world, _octrees_beside(bag)) if world else [],
+        "maps": map_rows([bag], world, octrees_in(bag.parent)) if world else [],
         "shortcomings": _shortcomings(rows[0], miss, recording),
     }
     return report, ShownFlight(f"{vehicle} {source}", aligned(found, true, "first"), true, points)
-
-
-def _octrees_beside(bag: Path) -> list[Path]:
-    return sorted(path for path in bag.parent.iterdir() if path.suffix in OCTREE_ENDINGS)
 
 
 def _shortcomings(row: dict[str, Any], miss: float, recording: Recording) -> list[str]:
