@@ -182,7 +182,7 @@ def _block_words(values, words, counts, states):
 @kernel
 def _word(states, parent):
     """Return the states of a node's eight children as one word."""
-    word = 0
+    word = np.int64(0)
     for c in range(8):
         word |= np.int64(states[8 * parent + c]) << (2 * c)
     return word
@@ -335,7 +335,7 @@ def _read(data, values, binary, corners, sides, occupied):
             word = np.int64(data[place]) | np.int64(data[place + 1]) << 8
             place += 2
         else:
-            word = 0
+            word = np.int64(0)
             for c in range(8):
                 if data[place] >> c & 1:
                     word |= _INNER << (2 * c)

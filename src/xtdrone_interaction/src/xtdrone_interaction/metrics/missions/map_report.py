@@ -37,7 +37,8 @@ def read_map(path: Path) -> Array:
         if path.suffix == ".ply":
             import trimesh  # takes a while to import
 
-            return np.asarray(trimesh.load(path).vertices, float)
+            cloud: Any = trimesh.load(path)
+            return np.asarray(cloud.vertices, np.float64)
         if path.suffix in _CLOUD_ENDINGS:
             return np.loadtxt(path, usecols=(0, 1, 2), ndmin=2)
     except (OctreeError, OSError, ValueError, AttributeError) as error:
@@ -88,8 +89,8 @@ def map_rows(bags: Sequence[Path], world: str, files: Sequence[Path] = (), seed:
     maps += [(path.name, read_map(path)) for path in files]
     if len(files) > 1:
         maps.append((TOGETHER, np.concatenate([read_map(path) for path in files])))
-    rows = [{"map": name, "accuracy": truth.compare(points, _of_vehicle(ways, name), seed)} for name, points in maps]
-    return [{"map": row["map"], **row["accuracy"]} for row in rows if row["accuracy"] is not None]
+    compared = [(name, truth.compare(points, _of_vehicle(ways, name), seed)) for name, points in maps]
+    return [{"map": name, **accuracy} for name, accuracy in compared if accuracy is not None]
 
 
 def _ways(recording: Recording) -> dict[str, tuple[Trajectory, Sight]]:
