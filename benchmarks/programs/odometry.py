@@ -28,8 +28,8 @@ from xtdrone_planning.mapping.voxel_grid import MapSettings
 from xtdrone_planning.octree.global_map import GlobalMap
 from xtdrone_planning.octree.octree_map import OctreeSettings
 from xtdrone_sim.lidars.lidar_messages import scan_message
-from xtdrone_sim.lidars.lidars import Lidar
-from xtdrone_sim.lidars.measuring import begin_us, cast_scan, end_us, measured
+from xtdrone_sim.lidars.lidars_of_fleet import Lidar
+from xtdrone_sim.lidars.scan_measurement import begin_us, cast_scan, end_us, measured
 from xtdrone_sim.lidars.scene_history import SceneHistory
 from xtdrone_sim.rays.scene import RayScene
 from xtdrone_sim.shapes.visual import Pose
