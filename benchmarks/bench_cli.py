@@ -71,8 +71,9 @@ class BenchSettings(Settings):
     """Selected measurements.
 
     Attributes:
-        vehicles: numbers of vehicles (barrier: participants; sweep: workers; rays: lidars; detector, renderer: width in
-            pixels; analyse: size of the bag in MB; search: pictures per second of each camera) by part.
+        vehicles: numbers of vehicles (barrier: participants; sweep: workers; rays: lidars; odometry: rings; detector,
+            renderer: width in pixels; analyse: size of the bag in MB; search: pictures per second of each camera) by
+            part.
         json: file of the results, absolute.
         baseline: this tree and the commit to compare it with, empty without a comparison.
     """
@@ -117,9 +118,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--only", metavar="PARTS", help=f"parts to measure, separated by commas, of {parts} (default: all)")
     add("--vehicles", nargs="+", metavar="[PART=]NUMBERS",
-        help="numbers of vehicles (barrier: participants; sweep: workers; rays: lidars; detector, renderer: width in "
-        "pixels; analyse: size of the bag in MB; search: pictures per second of each camera), separated by commas, for "
-        f"one part (as core=1,100) or for all parts but {own} (as 9); default: {numbers}")  # fmt: skip
+        help="numbers of vehicles (barrier: participants; sweep: workers; rays: lidars; odometry: rings; detector, "
+        "renderer: width in pixels; analyse: size of the bag in MB; search: pictures per second of each camera), "
+        f"separated by commas, for one part (as core=1,100) or for all parts but {own} (as 9); "
+        f"default: {numbers}")  # fmt: skip
     BenchSettings.add_arguments(parser)
     add("--baseline", metavar="COMMIT",
         help="compare this tree with another commit: check it out and set it up beside this one, measure both "

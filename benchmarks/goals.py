@@ -28,6 +28,7 @@ GOALS = {
     "sweep": Goal(("workers",), {(2,): 1.7}),
     "rays": Goal(("lidars", "kind"), {(6, "spinning"): 1.0}),
     "planning": Goal(("vehicles",), {(1,): 20.0, (4,): 20.0}, "{:g} ms"),
+    "odometry": Goal(("rings", "kind"), {(16, "odometry"): 40.0, (16, "local_map"): 20.0}, "{:g}"),
     "analyse": Goal(("megabytes",), {(1000,): 100.0}, "{:g}"),
     "stack": Goal(("vehicles",), {(9,): 10.0}),
     "sensing": Goal(("vehicles", "sensors"), {(6, "lidars 16x512"): 1.0}),

@@ -47,7 +47,8 @@ class Length:
     """Lengths of the measurements.
 
     Attributes:
-        core_seconds: minimum wall time of one core, simplified, drawing, detector, renderer, rays, effects, planning or
+        core_seconds: minimum wall time of one core, simplified, drawing, detector, renderer, rays, effects, planning,
+            odometry or
             rviz measurement, s.
         sweep_seconds: minimum wall time of a sweep's measurement with one worker, and of that with all workers, s.
         barrier_seconds: minimum wall time of one barrier measurement, s.

@@ -43,6 +43,7 @@ _CODEC_METHODS = ("encode", "genpy_encode", "decode", "genpy_decode")
 _FILMS = ((1280, 720, True), (1280, 720, False), (640, 360, True))  # width and height in pixels, antialiasing
 _BACKENDS = ("egl", "tiny")
 _LIDARS = ("scan", "spinning", "pattern")
+_SCAN_WORKS = ("odometry", "local_map", "octree")
 _PARTICIPANTS = ("python", "cpp")
 _NO_PARTICIPANTS = "none"
 _STATIONS = 1  # ground stations of each vehicle
@@ -92,6 +93,11 @@ def _sensors(part: str, count: int, modes: Sequence[str]) -> Iterator[Case]:
     for sensors in SENSORS:
         known = {"vehicles": count, "sensors": sensors}
         yield Case(part, f"{_title(count)}, {sensors}", known, f"{count}-{sensors.replace(' ', '')}")
+
+
+def _scan_works(part: str, rings: int, modes: Sequence[str]) -> Iterator[Case]:
+    for kind in _SCAN_WORKS:
+        yield Case(part, f"{kind.replace('_', ' ')}, {rings} rings", {"rings": rings, "kind": kind}, f"{rings}-{kind}")
 
 
 def _films(part: str, count: int, modes: Sequence[str]) -> Iterator[Case]:
@@ -385,6 +391,23 @@ _TABLE = (
         ),
         summary=lambda row: f"{row['plan_milliseconds']:.1f} ms a plan, {row['map_milliseconds']:.1f} ms a map update",
         counted="planners",
+    ),
+    Measurement(
+        name="odometry",
+        title="Work on a scan of 1024 columns: lidar odometry, local map, octree; one core",
+        command=Program("odometry", _CORE_SECONDS),
+        numbers=(16,),
+        limits=(1, 128),
+        fields=(
+            ("CPU\nms/scan", spread("milliseconds")),
+            ("most", median("most_milliseconds", ".1f")),
+            goal_of("odometry"),
+        ),
+        summary=lambda row: f"{row['milliseconds']:.1f} ms a scan",
+        cases=_scan_works,
+        label=lambda row: f"{row['kind']}, {row['rings']} rings",
+        first=_first("work", lambda row: f"{row['kind'].replace('_', ' ')}, {row['rings']} rings"),
+        counted="rings",
     ),
     Measurement(
         name="rviz",

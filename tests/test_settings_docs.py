@@ -34,6 +34,8 @@ from xtdrone_perception.slam.lidar_odometry_node import LidarOdometryOptions
 from xtdrone_perception.slam.loops.loop_closure import LoopOptions
 from xtdrone_perception.slam.loops.loop_closure_node import LoopNodeOptions
 from xtdrone_perception.slam.odometry_health import HealthLimits
+from xtdrone_perception.slam.transfer.foreign_pose import PlaceSettings
+from xtdrone_perception.slam.transfer.transfer_node import ForeignOptions
 from xtdrone_perception.slam.visual.corner_tracks import TrackSettings
 from xtdrone_perception.slam.visual.pose_from_points import NoiseSettings
 from xtdrone_perception.slam.visual.visual_odometry import KeyframeSettings
@@ -50,6 +52,8 @@ from xtdrone_planning.mapping.voxel_grid import MapSettings
 from xtdrone_planning.navigation.navigation_node import NavigationSettings
 from xtdrone_planning.navigation.settings import CostmapSettings, NavigatorSettings, WindowSettings
 from xtdrone_planning.navigation.vehicle_drives import DriveSettings
+from xtdrone_planning.octree.octomap_node import OctomapOptions
+from xtdrone_planning.octree.octree_map import OctreeSettings
 from xtdrone_planning.replanning.ego_transfer_node import TransferSettings
 from xtdrone_planning.replanning.planner_node import TimingSettings
 from xtdrone_planning.replanning.situation import PlannerSettings
@@ -170,6 +174,10 @@ CLASSES: dict[str, type[Settings]] = {
         MapSettings,
         TimingSettings,
         TransferSettings,
+        OctomapOptions,
+        OctreeSettings,
+        PlaceSettings,
+        ForeignOptions,
         MarkerSettings,
         StationSettings,
         FoxgloveSettings,

@@ -53,6 +53,13 @@ def test_it_flies_and_comes_home_by_lidar_alone(tmp_path: Path) -> None:
     assert aligned["ate"] < 0.05
     assert first["drift"] < 0.5
     assert (tmp_path / "run" / "path.png").stat().st_size > 10_000
+    maps = {row["map"]: row for row in report["maps"]}
+    octree = maps["map.bt"]
+    assert octree["points"] > 5000
+    assert octree["precision"] > 0.9
+    assert octree["recall"] > 0.3
+    assert octree["chamfer"] < 0.2
+    assert maps["iris_slam_0/lidar_odometry/local_map"]["precision"] > 0.9
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Flight by vision alone through ROS, as users of VIO and SLAM fly: no GPS, poses on mavros/vision_pose/pose."""
+"""Flight by vision alone through ROS, as users of VINS-Fusion fly: no GPS, poses by vins_transfer.py."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from conftest import START_LIMIT, Graph, Stack, poll, wait_for_ports
 
 pytest.importorskip("rospy")
 
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from mavros_msgs.srv import ParamGet
 
@@ -30,10 +31,11 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
     stack = Stack(graph, folder, FLEET)
     try:
         stack.launch(
-            "multi_vehicle.launch", f"vehicles:={FLEET}", "rows:=1", "speed:=0", "participants:=3", f"params:={folder}"
+            "multi_vehicle.launch", f"vehicles:={FLEET}", "rows:=1", "speed:=0", "participants:=4", f"params:={folder}"
         )
         poll(_simulator_is_up, "roslaunch sets its parameters")
         stack.run("communication", "xtdrone_control", "multirotor_communication.py", "iris", "0")
+        stack.run("transfer", "xtdrone_perception", "vins_transfer.py", "iris", "0")
         source = Path(__file__).with_name("vision_source.py")
         stack.start("vision", [sys.executable, str(source), "iris_0"])
         stack.wait(lambda: stack.pose(0) and stack.time > 0.0, "the simulation runs", wall=START_LIMIT)
@@ -62,8 +64,11 @@ def test_it_takes_off_and_holds_position_by_vision(stack: Stack) -> None:
 
 def test_without_vision_it_descends(stack: Stack) -> None:
     """The estimate ends some seconds after the last pose; the vehicle comes down by itself."""
+    reports = stack.graph.hear("/diagnostics", DiagnosticArray)
     stack.programs["vision"].kill()
     stack.wait(lambda: stack.state(0).mode != "OFFBOARD", "it notices", sim=20.0)
+    texts = {s.message for m in reports.messages for s in m.status if s.name == "iris_0: pose transfer"}
+    assert "no new poses for 1 s" in texts
     stack.wait_landed(0, sim=40.0)
     assert stack.safety.sink["iris_0"] < SINK_LIMIT
     assert stack.safety.tilt["iris_0"] < math.radians(30.0)

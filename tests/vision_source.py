@@ -1,6 +1,7 @@
-"""A vision system for the tests: the true pose of a vehicle as a SLAM node would give it, ``vision_source.py iris_0``.
+"""A vision system for the tests: the true pose of a vehicle as VINS-Fusion would give it, ``vision_source.py iris_0``.
 
-It takes part in the lockstep, and publishes 30 times a second what /gazebo/model_states says, with a little noise.
+It takes part in the lockstep, and publishes 30 times a second what /gazebo/model_states says, with a little noise, as
+the pose of the optical frame of a camera in the vehicle's middle that looks ahead.
 """
 
 from __future__ import annotations
@@ -10,9 +11,12 @@ import sys
 
 import rospy
 from gazebo_msgs.msg import ModelStates
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import Quaternion
+from nav_msgs.msg import Odometry
 
 from xtdrone_control import lockstep
+from xtdrone_control.cameras.camera_pose import LINK_FROM_OPTICAL
+from xtdrone_control.rotation import multiply
 
 RATE = 30  # Hz
 NOISE = 0.01  # m
@@ -22,7 +26,7 @@ def main(name: str) -> None:
     """Publish until the simulator ends."""
     rng = random.Random(1)
     lockstep.init_node("vision_source", rate=RATE)
-    publisher = lockstep.Publisher(f"/{name}/mavros/vision_pose/pose", PoseStamped)
+    publisher = lockstep.Publisher("/vins_estimator/camera_pose", Odometry)
     seen: list[ModelStates] = []
 
     def look(states: ModelStates) -> None:
@@ -31,12 +35,15 @@ def main(name: str) -> None:
     def see() -> None:
         if not seen or name not in seen[0].name:
             return
-        message = PoseStamped()
+        message = Odometry()
         message.header.stamp = rospy.Time.now()
-        message.header.frame_id = "map"
-        message.pose = seen[0].pose[seen[0].name.index(name)]
+        message.header.frame_id = "world"
+        pose = seen[0].pose[seen[0].name.index(name)]
+        place, q = pose.position, pose.orientation
+        w, x, y, z = multiply((q.w, q.x, q.y, q.z), LINK_FROM_OPTICAL)
+        message.pose.pose.orientation = Quaternion(x, y, z, w)
         for axis in ("x", "y", "z"):
-            setattr(message.pose.position, axis, getattr(message.pose.position, axis) + rng.gauss(0.0, NOISE))
+            setattr(message.pose.pose.position, axis, getattr(place, axis) + rng.gauss(0.0, NOISE))
         publisher.publish(message)
 
     lockstep.Subscriber("/gazebo/model_states", ModelStates, look)

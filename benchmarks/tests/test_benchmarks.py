@@ -67,7 +67,7 @@ PATIENCE = 120.0  # s of wall time; bounds a broken test
         (
             ["--only", "core,wings"],
             "part 'wings' is unknown; there are: core, simplified, drawing, sweep, detector, renderer, rays, effects, "
-            "planning, "
+            "planning, odometry, "
             "rviz, analyse, codecs, barrier, telemetry, stack, sensing, formation, search, free, web",
         ),
         (["--vehicles", "0"], "vehicles of core: '0' is not allowed; 1 to 250"),

@@ -14,7 +14,18 @@ import numpy as np
 import pytest
 from tiny_networks import write_darknet
 
-from benchmarks.programs import analysis, codecs, detector, drawing, effects, planning, program_frame, rays, simplified
+from benchmarks.programs import (
+    analysis,
+    codecs,
+    detector,
+    drawing,
+    effects,
+    odometry,
+    planning,
+    program_frame,
+    rays,
+    simplified,
+)
 from xtdrone_interaction.options import repository
 from xtdrone_interaction.recording.bag import read_bag
 from xtdrone_sim.air import AIR
@@ -73,6 +84,13 @@ def test_planning_is_measured() -> None:
     assert row["plans"] > 5
     assert 0.0 < row["plan_milliseconds"] <= row["plan_p95"]
     assert 0.0 < row["map_milliseconds"] <= row["map_p95"]
+
+
+@pytest.mark.parametrize("kind", odometry.KINDS)
+def test_the_work_on_a_scan_is_measured(kind: str) -> None:
+    row = odometry.measure(4, kind, 0.01)
+    assert row["rays"] == 4096
+    assert 0.0 < row["milliseconds"] <= row["most_milliseconds"]
 
 
 def test_the_codecs_are_measured() -> None:

@@ -26,6 +26,7 @@ from xtdrone_interaction.metrics.missions.formation_metrics import write_report
 from xtdrone_interaction.options import seed_setting, web_setting
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.printed_results import print_exploration, print_paths
+from xtdrone_interaction.report.report_tables import map_table, print_table
 from xtdrone_planning.exploration.settings import ExplorationSettings, parse_bounds
 
 _HEIGHT = 1.5  # m
@@ -129,6 +130,7 @@ def flight(settings: ExploreDemoSettings) -> Flight:
         **({"delay": settings.delay, "loss": settings.loss} if settings.n > 1 else {}),
         "speed_limit": settings.speed_limit,
         "time_limit": settings.time_limit,
+        "octomap": settings.out / "map.bt",
     }
     return directed_flight(settings, "explore.launch", arguments, show_landing)
 
@@ -154,6 +156,7 @@ def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
         DemoError: the bag is not the record of such a flight.
     """
     from xtdrone_interaction.metrics.missions.exploration_metrics import make_report, visible_cells
+    from xtdrone_interaction.metrics.missions.map_report import map_rows, octrees_in
     from xtdrone_interaction.pictures.exploration_picture import save_floor  # matplotlib takes a while to import
     from xtdrone_interaction.recording.exploration_record import read_exploration
     from xtdrone_sim.worlds.catalogue import load_world
@@ -163,12 +166,17 @@ def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
         record = read_exploration(folder / "flight.bag", names)
         solids, _ = solids_of(load_world(str(settings["world"])).models)
         exploration = ExplorationSettings(bounds=tuple(settings["bounds"]))
+        maps = map_rows([folder / "flight.bag"], str(settings["world"]), octrees_in(folder))
         visible, solid = visible_cells(solids, exploration, tuple(settings["start"]))
     except (RecordError, ValueError, KeyError) as error:
         raise DemoError(str(error)) from error
     report = make_report(record, solids, visible, settings, planning_times(folder))
+    report["maps"] = maps
     write_report(report, folder / "report.json")
     save_floor(record, visible, solid, exploration, report, folder / "floor.png")
     print_exploration(report, console)
-    print_paths((folder / name for name in _RESULTS if (folder / name).exists()), console)
+    if maps:
+        print_table(map_table(maps), console)
+    results = [folder / name for name in _RESULTS if (folder / name).exists()]
+    print_paths([*results, *octrees_in(folder)], console)
     return 1 if report["shortcomings"] else 0

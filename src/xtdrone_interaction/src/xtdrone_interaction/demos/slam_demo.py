@@ -25,7 +25,7 @@ from xtdrone_interaction.metrics.missions.slam_report import slam_report
 from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
 from xtdrone_interaction.options import MachineSettings, OptionError, seed_setting, web_setting
 from xtdrone_interaction.recording.recorded_flight import RecordError
-from xtdrone_interaction.report.report_tables import odometry_table, print_table
+from xtdrone_interaction.report.report_tables import map_table, odometry_table, print_table
 
 TYPES = {"lidar": "iris_slam", "rgbd": "iris_slam_rgbd", "stereo": "iris_slam_stereo", "laser": "iris_slam_laser"}
 SCRIPT = options.repository() / "src" / "xtdrone_control" / "examples" / "slam.py"
@@ -38,7 +38,7 @@ _WAYS = {
 }
 """Default ways; the script has that of the lidar. Cameras look ahead, at the scenery in the east."""
 _POSES = {"laser": "[22, 5, 0, 0, 0, 0]"}  # inside the building
-_RESULTS = ("flight.bag", "report.json", "path.png", "drift.png")
+_RESULTS = ("flight.bag", "report.json", "path.png", "drift.png", "map.bt")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,6 +139,7 @@ def _fly(settings: SlamSettings, console: Console) -> int:
             "speed": settings.speed,
             "seed": settings.seed,
             "bag": settings.out / "flight.bag",
+            **({"octomap": settings.out / "map.bt"} if settings.odometry == "lidar" else {}),
             **({"instance": settings.instance} if settings.instance else {}),
             **({"web": "true"} if settings.web else {}),
         },
@@ -170,6 +171,14 @@ def is_slam(folder: Path) -> bool:
         return False
 
 
+def _stored_settings(folder: Path) -> dict[str, Any]:
+    """Return the settings of the report that is made again; empty without one."""
+    try:
+        return dict(json.loads((folder / "report.json").read_text(encoding="utf-8"))["settings"])
+    except (OSError, ValueError, TypeError, KeyError):
+        return {}
+
+
 def report_again(bag: Path, console: Console, settings: dict[str, Any] | None = None) -> int:
     """Write report and pictures beside a bag, print the figures, and return the exit status.
 
@@ -178,14 +187,17 @@ def report_again(bag: Path, console: Console, settings: dict[str, Any] | None = 
     """
     from xtdrone_interaction.pictures.odometry_pictures import save_pictures  # matplotlib takes a while to import
 
+    settings = settings or _stored_settings(bag.parent)
     try:
-        report, shown = slam_report(bag)
+        report, shown = slam_report(bag, settings.get("world"))
     except RecordError as error:
         raise DemoError(str(error)) from error
-    report["settings"] = settings or {}
+    report["settings"] = settings
     write_report(report, bag.parent / "report.json")
     save_pictures(shown, bag.parent)
     print_table(odometry_table(report["odometry"]), console)
+    if report["maps"]:
+        print_table(map_table(report["maps"]), console)
     console.print(f"landed {report['home_miss']:.2f} m from the start", highlight=False)
     for name in _RESULTS:
         if (bag.parent / name).exists():

@@ -10,11 +10,13 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rich.console import Console
 
+from xtdrone_interaction import options
 from xtdrone_interaction.bags.ros1bag import BagError
+from xtdrone_interaction.metrics.missions.map_report import map_rows
 from xtdrone_interaction.metrics.missions.odometry_errors import write_trajectories
 from xtdrone_interaction.metrics.vehicle import summarise, summarise_log
 from xtdrone_interaction.options import OptionError
@@ -28,7 +30,25 @@ from xtdrone_interaction.report import report_tables
 from xtdrone_interaction.report.html_page import ReportPage, output_folder, write_page
 
 
-def analyse(files: Sequence[Path], folder: Path, console: Console, part: int | None = None) -> None:
+class MapOptions(NamedTuple):
+    """Which maps are compared with the truth.
+
+    Attributes:
+        world: name or file of the world; None: no map is compared.
+        files: saved maps, besides those of the bag.
+    """
+
+    world: str | None = None
+    files: Sequence[Path] = ()
+
+
+def analyse(
+    files: Sequence[Path],
+    folder: Path,
+    console: Console,
+    part: int | None = None,
+    maps: MapOptions = MapOptions(),  # noqa: B008  (immutable)
+) -> None:
     """Write the report of a recording, and print it.
 
     Args:
@@ -36,6 +56,7 @@ def analyse(files: Sequence[Path], folder: Path, console: Console, part: int | N
         folder: of the report; exists.
         console: to print on.
         part: number of the flight in a bag whose simulated time was reset, from 1; None for the longest.
+        maps: which maps are compared with the truth.
 
     Raises:
         BagError, LogError, RecordError: nothing can be read of it.
@@ -48,6 +69,7 @@ def analyse(files: Sequence[Path], folder: Path, console: Console, part: int | N
         return
     record = formation_of(recording)
     metrics = summarise(recording, record)
+    metrics["maps"] = map_rows(files, maps.world, maps.files) if maps.world else []
     shown = recording_pictures.pictures(recording, record if metrics["formation"] else None)
     write_trajectories(recording, folder)
     write_page(_recording_page(recording, metrics), metrics, shown, folder, console)
@@ -62,6 +84,8 @@ def _recording_page(recording: Recording, metrics: dict[str, Any]) -> ReportPage
         page.notes += recording.collisions
     if metrics["odometry"]:
         page.tables.append(report_tables.odometry_table(metrics["odometry"]))
+    if metrics["maps"]:
+        page.tables.append(report_tables.map_table(metrics["maps"]))
     page.tables += [report_tables.vehicles_table(metrics["vehicles"]), report_tables.modes_table(metrics["vehicles"])]
     texts = report_tables.texts_table(recording), report_tables.warnings_table(recording)
     page.tables += [table for table in texts if table.rows]
@@ -112,6 +136,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("files", type=Path, nargs="+", metavar="FILE", help="ROS 1 bag or ULog, also one truncated by a crash, ROS 2 "
         "bag, or flight.npz; or the bags of a split recording")  # fmt: skip
     add("--part", type=int, metavar="N", help="of a bag in which time was set back (default: the longest)")
+    add(
+        "--world", metavar="WORLD", help="world of the flight, by name or file: compare its maps with the true surfaces"
+    )
+    add("--map", type=Path, action="append", default=[], metavar="FILE", help="saved map to compare, too: an octree "
+        ".bt or .ot, or a cloud .ply, .xyz")  # fmt: skip
     add("--out", type=Path, metavar="FOLDER", help="where the report goes (default: <file>-analysis beside the file)")
 
 
@@ -122,8 +151,11 @@ def run(arguments: argparse.Namespace) -> int:
         for file in arguments.files:
             if not file.exists():
                 raise BagError(f"analyse: {str(file)!r} does not exist")
+        if arguments.map and arguments.world is None:
+            raise OptionError("map: --world is needed, whose surfaces the map is compared with")
+        maps = MapOptions(None if arguments.world is None else options.world(arguments.world), arguments.map)
         folder = output_folder(arguments.out, first.with_name(f"{first.stem}-analysis"))
-        analyse(arguments.files, folder, Console(), arguments.part)
+        analyse(arguments.files, folder, Console(), arguments.part, maps)
     except OptionError as error:
         print(f"xtdrone: {error}", file=sys.stderr)
         return 2

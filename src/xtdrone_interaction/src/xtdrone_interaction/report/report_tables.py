@@ -81,6 +81,26 @@ def odometry_table(rows: Iterable[dict[str, Any]]) -> ReportTable:
     return ReportTable("Odometry against the truth", head, texts, texts=frozenset({1}))
 
 
+def map_table(rows: Iterable[dict[str, Any]]) -> ReportTable:
+    """Return the table of maps against the true surfaces.
+
+    Args:
+        rows: see :class:`~xtdrone_interaction.metrics.map_accuracy.MapAccuracy`.
+    """
+    head = ("map", "points", "error (m)", "gap (m)", "chamfer (m)", "precision (%)", "recall (%)", "F (%)")
+    keys = ("error", "gap", "chamfer"), ("precision", "recall", "f_score")
+    texts = [
+        (
+            row["map"],
+            str(row["points"]),
+            *(number(row[key], 3) for key in keys[0]),
+            *(number(None if row[key] is None else 100.0 * row[key], 1) for key in keys[1]),
+        )
+        for row in rows
+    ]
+    return ReportTable("Maps against the true surfaces, at 0.1 m", head, texts)
+
+
 def formation_table(reconfigurations: Iterable[dict[str, Any]], title: str = "Formation") -> ReportTable:
     """Return the table of a formation flight.
 

@@ -2,19 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
-
-import numpy as np
-from numpy.typing import NDArray
-
 from xtdrone_perception.tracking.pose_history import PoseHistory
 from xtdrone_planning.mapping.range_images import RangeImage
-from xtdrone_planning.mapping.ray_places import place_rays
+from xtdrone_planning.mapping.ray_places import rays_in_map
 from xtdrone_planning.mapping.voxel_grid import MapSettings, VoxelGrid
-
-Array = NDArray[np.float64]
-
-_PIECES = 6  # of a scan's time, between which the vehicle's pose is interpolated
 
 
 class LocalMap:
@@ -52,26 +43,11 @@ class LocalMap:
         Returns:
             False if the pose at that time is not known; nothing has changed then.
         """
-        ranges, directions, times, hits = image.rays()
-        poses, spacing = self._poses(stamp_ns, float(times.max()) if len(times) else 0.0)
-        if poses is None:
+        rays = rays_in_map(image, stamp_ns, mount, self.poses)
+        if rays is None:
             return False
-        origins, ends = np.empty_like(directions), np.empty_like(directions)
-        place_rays(poses, spacing, np.array(mount), ranges, directions, times, origins, ends)
-        self.grid.recentre(poses[-1, :3])
-        self.grid.insert(origins, ends, hits)
-        self.grid.free_around(poses[-1, :3], self._radius)
+        self.grid.recentre(rays.position)
+        self.grid.insert(rays.origins, rays.ends, rays.hits)
+        self.grid.free_around(rays.position, self._radius)
         self.grid.update_distance()
         return True
-
-    def _poses(self, stamp_ns: int, seconds: float) -> tuple[Array | None, float]:
-        """Return the poses at times evenly spaced over a scan, (m, 7), and their spacing, s."""
-        spacing = max(seconds, 1e-3) / _PIECES
-        found = [self.poses.at(stamp_ns + round(k * spacing * 1e9)) for k in range(_PIECES + 1)]
-        poses = [pose.copy() for pose in found if pose is not None]
-        if len(poses) < len(found):
-            return None, spacing
-        for before, after in itertools.pairwise(poses):
-            if before[3:] @ after[3:] < 0.0:
-                after[3:] *= -1.0  # a quaternion and its negative are the same rotation: use the nearer one
-        return np.array(poses), spacing

@@ -4,6 +4,7 @@
 topic (subscribed)                   type                     meaning
 ===================================  =======================  ========================================================
 /T/mavros/local_position/pose        geometry_msgs/PoseStamped  the estimate, at whose poses measurements are entered
+/T/ODOMETRY/odometry                 nav_msgs/Odometry        instead, with ``odometry``
 /T/LIDAR                             sensor_msgs/PointCloud2  of a spinning lidar, or any cloud in the sensor's frame
 /T/DEPTH/image_raw, camera_info      Image, CameraInfo        with ``~sensor`` depth, instead
 ===================================  =======================  ========================================================
@@ -14,15 +15,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import rospy
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import Pose, PoseStamped
+from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from xtdrone_control import lockstep
 from xtdrone_control.settings import Settings, setting
-from xtdrone_planning.mapping.local_map import LocalMap
+from xtdrone_perception.tracking.pose_history import PoseHistory
 from xtdrone_planning.mapping.map_messages import depths_of
 from xtdrone_planning.mapping.range_images import (
     DepthImages,
@@ -47,37 +50,53 @@ class SensorChoice(Settings):
     )
 
 
+class FedMap(Protocol):
+    """A map that measurements are entered into."""
+
+    @property
+    def poses(self) -> PoseHistory:
+        """Poses of base_link in map; see ``LocalMap``."""
+
+    def enter(self, image: RangeImage, stamp_ns: int, mount: tuple[float, float, float]) -> bool:
+        """Enter a measurement; return False if its pose is not known. See ``LocalMap.enter``."""
+
+
 class MapFeed:
-    """Feeds a local map."""
+    """Feeds a map."""
 
     def __init__(
         self,
         vehicle: str,
-        local_map: LocalMap,
+        fed_map: FedMap,
         watch: SensorWatch,
         sensor: str,
         lidar: LidarMapping,
         depth: DepthMapping,
         timed: Callable[[], AbstractContextManager[None]] = nullcontext,
+        odometry: str = "",
     ) -> None:
         """Declare the topics.
 
         Args:
             vehicle: name, as ``iris_0``.
-            local_map: is fed.
+            fed_map: is fed.
             watch: judges the sensor.
             sensor: lidar or depth.
             lidar, depth: of the sensor.
             timed: returns a context in which each measurement is read and entered.
+            odometry: name of the odometry whose poses count, as ``lidar_odometry``; empty: the autopilot's estimate.
         """
         self._timed = timed
         self._vehicle = vehicle
-        self._map = local_map
+        self._map = fed_map
         self._watch = watch
         self._mount = lidar.lidar_position if sensor == "lidar" else depth.depth_position
         self._lidar, self._depth = LidarImages(lidar), DepthImages(depth)
         self._intrinsics: tuple[float, float, float, float] | None = None
-        lockstep.Subscriber(f"/{vehicle}/mavros/local_position/pose", PoseStamped, self._on_pose)
+        if odometry:
+            lockstep.Subscriber(f"/{vehicle}/{odometry}/odometry", Odometry, self._on_odometry)
+        else:
+            lockstep.Subscriber(f"/{vehicle}/mavros/local_position/pose", PoseStamped, self._on_pose)
         if sensor == "lidar":
             lockstep.Subscriber(f"/{vehicle}/{lidar.lidar_topic}", PointCloud2, self._on_cloud, queue_size=1)
         else:
@@ -85,10 +104,16 @@ class MapFeed:
             lockstep.Subscriber(f"/{vehicle}/{depth.depth_topic}/image_raw", Image, self._on_image, queue_size=1)
 
     def _on_pose(self, message: PoseStamped) -> None:
-        p, q = message.pose.position, message.pose.orientation
+        self._add_pose(message.header.stamp.to_nsec(), message.pose)
+
+    def _on_odometry(self, message: Odometry) -> None:
+        self._add_pose(message.header.stamp.to_nsec(), message.pose.pose)
+
+    def _add_pose(self, stamp_ns: int, pose: Pose) -> None:
+        p, q = pose.position, pose.orientation
         entry = np.array([p.x, p.y, p.z, q.w, q.x, q.y, q.z])
         if np.isfinite(entry).all():
-            self._map.poses.add(message.header.stamp.to_nsec(), entry)
+            self._map.poses.add(stamp_ns, entry)
 
     def _on_info(self, message: CameraInfo) -> None:
         fx, fy, cx, cy = (float(message.K[n]) for n in _INTRINSICS)

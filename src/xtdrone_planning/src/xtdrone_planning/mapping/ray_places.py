@@ -1,11 +1,67 @@
-"""Kernels that place a sensor's rays in the map: each at its own time, as the vehicle moves while a lidar turns."""
+"""A sensor's rays in the map: each at its own time, as the vehicle moves while a lidar turns."""
 
 from __future__ import annotations
 
+import itertools
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from xtdrone_control import rotation_kernels
+from xtdrone_perception.tracking.pose_history import PoseHistory
 from xtdrone_planning.kernel import kernel
+from xtdrone_planning.mapping.range_images import RangeImage
+
+Array = NDArray[np.float64]
+
+_PIECES = 6  # of a scan's time, between which the vehicle's pose is interpolated
+
+
+class PlacedRays(NamedTuple):
+    """The rays of a measurement in the map.
+
+    Attributes:
+        origins: (n, 3) where they begin, m in map.
+        ends: (n, 3) where they end.
+        hits: (n,) whether something was met at the end.
+        position: (3,) of the vehicle at the end of the measurement, m in map.
+    """
+
+    origins: Array
+    ends: Array
+    hits: NDArray[np.bool_]
+    position: Array
+
+
+def rays_in_map(
+    image: RangeImage, stamp_ns: int, mount: tuple[float, float, float], poses: PoseHistory
+) -> PlacedRays | None:
+    """Return the rays of a measurement, each from where the vehicle was at the ray's time.
+
+    Args:
+        image: the rays.
+        stamp_ns: time of the image, ns.
+        mount: the sensor's place in base_link, m, FLU.
+        poses: of base_link, entries x, y, z, m in map, and quaternion w, x, y, z.
+
+    Returns:
+        None if the pose at one of the times is not known.
+    """
+    ranges, directions, times, hits = image.rays()
+    seconds = float(times.max()) if len(times) else 0.0
+    spacing = max(seconds, 1e-3) / _PIECES
+    found = [poses.at(stamp_ns + round(k * spacing * 1e9)) for k in range(_PIECES + 1)]
+    known = [pose.copy() for pose in found if pose is not None]
+    if len(known) < len(found):
+        return None
+    for before, after in itertools.pairwise(known):
+        if before[3:] @ after[3:] < 0.0:
+            after[3:] *= -1.0  # a quaternion and its negative are the same rotation: use the nearer one
+    origins, ends = np.empty_like(directions), np.empty_like(directions)
+    place_rays(np.array(known), spacing, np.array(mount), ranges, directions, times, origins, ends)
+    return PlacedRays(origins, ends, hits, known[-1][:3])
+
 
 _rotate = rotation_kernels.rotate
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from xtdrone_interaction.metrics.missions.map_report import joined, map_rows, octrees_in
 from xtdrone_interaction.metrics.missions.odometry_errors import Trajectory, aligned, common, errors, pairs
 from xtdrone_interaction.recording.bag import read_bag
 from xtdrone_interaction.recording.recorded_flight import RecordError, Recording
@@ -36,11 +37,15 @@ class ShownFlight(NamedTuple):
     points: Array
 
 
-def slam_report(bag: Path) -> tuple[dict[str, Any], ShownFlight]:
+def slam_report(bag: Path, world: str | None = None) -> tuple[dict[str, Any], ShownFlight]:
     """Return the report as plain data, and what its pictures need.
 
+    Args:
+        bag: of the flight; octrees beside it are compared with the world, too.
+        world: name or file; None: maps are not compared.
+
     Raises:
-        RecordError: the bag has no odometry beside the truth.
+        RecordError: the bag has no odometry beside the truth, or no such world.
     """
     maps = tuple(f"/{source}/local_map" for source in SOURCES)
     names = [topic.name for topic in read_bag([bag], wanted=lambda name: False).topics if topic.name.endswith(maps)]
@@ -58,12 +63,13 @@ def slam_report(bag: Path) -> tuple[dict[str, Any], ShownFlight]:
         raise RecordError(f"{bag}: {source} and the truth have no times in common")
     found, true = common(estimate, truth)
     miss = float(np.linalg.norm((truth.position[-1] - truth.position[0])[:2]))
-    points = _joined([message for name in names for _, message in recording.messages.get(name, [])])
+    points = joined([message for name in names for _, message in recording.messages.get(name, [])], _VOXEL)
     report = {
         "vehicle": vehicle,
         "odometry": rows,
         "home_miss": miss,
         "map_points": len(points),
+        "maps": map_rows([bag], world, octrees_in(bag.parent)) if world else [],
         "shortcomings": _shortcomings(rows[0], miss, recording),
     }
     return report, ShownFlight(f"{vehicle} {source}", aligned(found, true, "first"), true, points)
@@ -77,14 +83,3 @@ def _shortcomings(row: dict[str, Any], miss: float, recording: Recording) -> lis
     if row["drift"] is not None and row["drift"] * row["way"] > limit * max(row["way"], _LEAST_WAY):
         found.append(f"drift {row['drift']:.2f} % of the way, more than {limit:g} %")
     return found
-
-
-def _joined(messages: list[Any]) -> Array:
-    """Return the points of several maps, one of each voxel, the latest."""
-    clouds = [np.frombuffer(bytes(message.data), "<f4").reshape(-1, 3) for message in reversed(messages)]
-    if not clouds:
-        return np.empty((0, 3))
-    points = np.concatenate(clouds).astype(float)
-    _, chosen = np.unique(np.floor(points / _VOXEL).astype(np.int64), axis=0, return_index=True)
-    joined: Array = points[np.sort(chosen)]
-    return joined

@@ -1,0 +1,119 @@
+"""The maps of a recorded flight against the true surfaces of its world: clouds and octrees of the bag, saved maps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_interaction.metrics.missions.odometry_errors import Trajectory, trajectory_of
+from xtdrone_interaction.metrics.true_surfaces import Sight, TrueWorld, sight_of
+from xtdrone_interaction.recording.bag import read_bag
+from xtdrone_interaction.recording.recorded_flight import RecordError, Recording
+from xtdrone_planning.octree.octree_format import Octree, OctreeError, count_nodes, decode, read_file
+
+Array = NDArray[np.float64]
+
+_OCTREE_ENDINGS = (".bt", ".ot")
+_CLOUD_ENDINGS = (".ply", ".xyz", ".txt")
+_CLOUD, _OCTREES = "/local_map", ("/octomap_binary", "/octomap_full")
+TOGETHER = "together"
+"""Name of the union of several saved maps."""
+_LEAST_WAY = 2  # poses
+
+
+def read_map(path: Path) -> Array:
+    """Return the points of a saved map: middles of an octree's occupied voxels, or a cloud's points, (n, 3) m.
+
+    Raises:
+        RecordError: it cannot be read.
+    """
+    try:
+        if path.suffix in _OCTREE_ENDINGS:
+            return read_file(path).middles()
+        if path.suffix == ".ply":
+            import trimesh  # takes a while to import
+
+            cloud: Any = trimesh.load(path)
+            return np.asarray(cloud.vertices, np.float64)
+        if path.suffix in _CLOUD_ENDINGS:
+            return np.loadtxt(path, usecols=(0, 1, 2), ndmin=2)
+    except (OctreeError, OSError, ValueError, AttributeError) as error:
+        raise RecordError(f"map: {path}: {error}") from error
+    allowed = ", ".join((*_OCTREE_ENDINGS, *_CLOUD_ENDINGS))
+    raise RecordError(f"map: {str(path)!r} is not allowed, a file with one of the endings {allowed}")
+
+
+def octrees_in(folder: Path) -> list[Path]:
+    """Return the octrees saved in a folder."""
+    return sorted(path for path in folder.iterdir() if path.suffix in _OCTREE_ENDINGS)
+
+
+def joined(messages: Sequence[Any], voxel: float) -> Array:
+    """Return the points of several clouds (x, y, z of float32), one of each voxel of side ``voxel`` m, the latest."""
+    clouds = [np.frombuffer(bytes(message.data), "<f4").reshape(-1, 3) for message in reversed(messages)]
+    if not clouds:
+        return np.empty((0, 3))
+    points = np.concatenate(clouds).astype(float)
+    _, chosen = np.unique(np.floor(points / voxel).astype(np.int64), axis=0, return_index=True)
+    found: Array = points[np.sort(chosen)]
+    return found
+
+
+def map_rows(bags: Sequence[Path], world: str, files: Sequence[Path] = (), seed: int = 0) -> list[dict[str, Any]]:
+    """Return the accuracy of all maps of a flight as plain data; see ``MapAccuracy``.
+
+    Args:
+        bags: of the flight, with the true odometry.
+        world: name or file.
+        files: saved maps.
+        seed: of the points drawn on surfaces.
+
+    Raises:
+        RecordError: no such world, or a map that cannot be read.
+        BagError: the bag cannot be read.
+    """
+    try:
+        truth = TrueWorld(world)
+    except (ValueError, OSError) as error:
+        raise RecordError(f"world: {error}") from error
+    endings = (_CLOUD, *_OCTREES)
+    listed = read_bag(bags, wanted=lambda name: False).topics
+    names = [topic.name for topic in listed if topic.name.endswith(endings)]
+    recording = read_bag(bags, keep=names, wanted=lambda name: name in names or name.endswith("/ground_truth/odom"))
+    ways = _ways(recording)
+    maps = [(name.strip("/"), _recorded(recording, name)) for name in names]
+    maps += [(path.name, read_map(path)) for path in files]
+    if len(files) > 1:
+        maps.append((TOGETHER, np.concatenate([read_map(path) for path in files])))
+    compared = [(name, truth.compare(points, _of_vehicle(ways, name), seed)) for name, points in maps]
+    return [{"map": name, **accuracy} for name, accuracy in compared if accuracy is not None]
+
+
+def _ways(recording: Recording) -> dict[str, tuple[Trajectory, Sight]]:
+    """Return the true way of each vehicle, and what it can see."""
+    ways = {name: trajectory_of(series) for name, series in recording.true_poses.items()}
+    return {name: (way, sight_of(name)) for name, way in ways.items() if len(way) >= _LEAST_WAY}
+
+
+def _of_vehicle(ways: dict[str, tuple[Trajectory, Sight]], name: str) -> list[tuple[Trajectory, Sight]]:
+    """Return the way of the vehicle that a topic or file (as map.iris_0.bt) names; all ways without one."""
+    named = [way for vehicle, way in ways.items() if vehicle in name.replace("/", ".").split(".")]
+    return named or list(ways.values())
+
+
+def _recorded(recording: Recording, name: str) -> Array:
+    messages = [message for _, message in recording.messages.get(name, [])]
+    if name.endswith(_CLOUD):
+        return joined(messages, 0.1)
+    if not messages:
+        return np.empty((0, 3))
+    last = messages[-1]
+    data = np.asarray(last.data, np.int8).tobytes()
+    try:
+        return decode(Octree(data, count_nodes(data, last.binary), last.resolution, last.binary)).middles()
+    except OctreeError as error:
+        raise RecordError(f"{name}: {error}") from error

@@ -1,0 +1,115 @@
+"""The true surfaces of a world: which of them a lidar could see on its way, and how far a map is from them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_control.fleet import parse_fleet
+from xtdrone_interaction.metrics.map_accuracy import map_accuracy
+from xtdrone_interaction.metrics.missions.odometry_errors import Trajectory
+from xtdrone_sim.lidars.lidars_of_fleet import lidars_of
+from xtdrone_sim.rays.scene import RayScene
+from xtdrone_sim.rays.surface_points import distances_from, points_on
+from xtdrone_sim.worlds.catalogue import load_world
+
+Array = NDArray[np.float64]
+
+_DRAWN = 60_000  # points on the surfaces around the way
+_MOST_POINTS = 60_000  # of the map that are compared; the others are left out, by the seed
+_STEP = 1.0  # m of the way between two places from which is looked
+_TOUCH = 0.02  # m by which a ray may end before the point that it looks at
+_FARTHEST_ERROR = 5.0  # m; errors of the map beyond count as this
+
+
+class Sight(NamedTuple):
+    """What a lidar can see.
+
+    Attributes:
+        range: m.
+        lowest, highest: rad, elevation in the vehicle's frame.
+    """
+
+    range: float
+    lowest: float
+    highest: float
+
+
+ALL_ROUND = Sight(15.0, -np.pi / 2, np.pi / 2)
+"""For a vehicle whose sensor is not known."""
+
+
+def sight_of(vehicle: str) -> Sight:
+    """Return what the spinning lidar of a vehicle (as ``iris_slam_0``) can see, at most 15 m; else ``ALL_ROUND``."""
+    try:
+        lidars = lidars_of(parse_fleet(f"{vehicle.rpartition('_')[0]}:1"))
+    except ValueError:
+        return ALL_ROUND
+    for lidar in lidars:
+        if lidar.mount.kind == "spinning":
+            mount = lidar.mount
+            return Sight(min(mount.range_max, ALL_ROUND.range), mount.vertical_min, mount.vertical_max)
+    return ALL_ROUND
+
+
+class TrueWorld:
+    """The surfaces of a world that rays see."""
+
+    def __init__(self, world: str) -> None:
+        """Build the scene.
+
+        Raises:
+            ValueError: no such world, or one that cannot be used.
+        """
+        self._scene = RayScene(load_world(world).models)
+        self.surfaces = self._scene.layout.trees.surfaces
+
+    def visible(self, ways: list[tuple[Trajectory, Sight]], seed: int) -> Array:
+        """Return points on the surfaces that could be seen on some ways, (n, 3) m in map, evenly by area.
+
+        A point counts if it is in sight of a true place on a way (one every metre): within the lidar's range, at most
+        15 m, and its vertical field of view, nothing in between.
+        """
+        if not ways:
+            return np.zeros((0, 3))
+        reach = max(sight.range for _, sight in ways)
+        places = np.concatenate([way.position for way, _ in ways])
+        points = points_on(self.surfaces, _DRAWN, places.min(axis=0) - reach, places.max(axis=0) + reach, seed)
+        seen = np.zeros(len(points), np.bool_)
+        for way, sight in ways:
+            steps = np.unique(
+                np.searchsorted(way.way, np.arange(0.0, way.way[-1] + _STEP, _STEP)).clip(0, len(way) - 1)
+            )
+            for n in steps:
+                self._look(way.position[n], way.rotation[int(n)].as_matrix(), sight, points, seen)
+        return points[seen]
+
+    def _look(self, place: Array, turn: Array, sight: Sight, points: Array, seen: NDArray[np.bool_]) -> None:
+        """Mark the points that are in sight of a place."""
+        rays = points - place
+        distance = np.linalg.norm(rays, axis=1)
+        near = np.flatnonzero(~seen & (distance <= sight.range) & (distance > _TOUCH))
+        elevation = np.arcsin(np.clip((rays[near] @ turn)[:, 2] / distance[near], -1.0, 1.0))
+        near = near[(elevation >= sight.lowest) & (elevation <= sight.highest)]
+        origins = np.tile(place, (len(near), 1))
+        ranges = self._scene.cast(origins, rays[near], sight.range + 1.0).ranges
+        seen[near[np.abs(ranges - distance[near]) <= _TOUCH]] = True
+
+    def compare(self, found: Array, ways: list[tuple[Trajectory, Sight]], seed: int = 0) -> dict[str, Any] | None:
+        """Return the accuracy of a map as plain data; None for a map without points.
+
+        Args:
+            found: (n, 3) points of the map, or middles of its occupied voxels, m in map.
+            ways: true ways of the vehicles that mapped, with what they can see.
+            seed: of the points on surfaces.
+        """
+        if not len(found):
+            return None
+        rng = np.random.default_rng(seed)
+        some = found if len(found) <= _MOST_POINTS else found[rng.choice(len(found), _MOST_POINTS, replace=False)]
+        errors = distances_from(self.surfaces, some, _FARTHEST_ERROR)
+        accuracy = map_accuracy(errors, found, self.visible(ways, seed))
+        return asdict(accuracy)

@@ -1,0 +1,111 @@
+"""Poses that programs of others give of their sensor, as poses of the vehicle in map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from xtdrone_control.cameras.camera_pose import LINK_FROM_OPTICAL
+from xtdrone_control.frames import to_xyzw
+from xtdrone_control.settings import SettingError, Settings, setting
+from xtdrone_perception.slam.poses import inverse, pose_of, turned_about_z
+
+Array = NDArray[np.float64]
+
+_UNIT = 0.05  # by which the norm of a quaternion may be off 1
+
+
+@dataclass(frozen=True)
+class PlaceSettings(Settings):
+    """Where the other program's frames are."""
+
+    start: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.0), low=-1e5, high=1e5, unit="m", text="origin of the other program's frame in map, ENU"
+    )
+    heading: float = setting(
+        0.0, low=-6.3, high=6.3, unit="rad", text="heading of the x axis of that frame in map, from east to north"
+    )
+    sensor_position: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.0), low=-5.0, high=5.0, unit="m", text="place of the sensor whose pose it is in base_link, FLU"
+    )
+
+
+def read_starts(value: object, count: int) -> list[tuple[float, float, float]]:
+    """Return the starts of several vehicles, x, y, z, m in map, from a parameter.
+
+    Raises:
+        SettingError: it is not a list of ``count`` lists of three finite numbers.
+    """
+    try:
+        starts = np.array(value, float)
+    except (TypeError, ValueError):
+        starts = np.empty(0)
+    if starts.shape != (count, 3) or not np.isfinite(starts).all():
+        raise SettingError("starts", value, f"a list of {count} lists of x, y, z, m")
+    return [(x, y, z) for x, y, z in starts.tolist()]
+
+
+class ForeignFrame:
+    """Brings poses of a sensor in the other program's frame to the vehicle in map."""
+
+    def __init__(self, settings: PlaceSettings, optical: bool) -> None:
+        """Prepare the transforms.
+
+        Args:
+            settings: of the frames.
+            optical: whether poses are of an optical frame (x right, y down, z ahead) of a camera that looks ahead;
+                otherwise of a frame with the axes of base_link (FLU).
+        """
+        self._frame = pose_of(settings.start, turned_about_z(settings.heading))
+        turn = Rotation.from_quat(to_xyzw(LINK_FROM_OPTICAL)) if optical else Rotation.identity()
+        self._body = inverse(pose_of(settings.sensor_position, turn))
+
+    def vehicle(self, position: Array, quaternion: Array, height: float | None = None) -> Array | None:
+        """Return the pose (4, 4) of base_link in map.
+
+        Args:
+            position: (3,) m, of the sensor.
+            quaternion: (w, x, y, z), of the sensor.
+            height: of base_link in map, m, from another sensor, for a program that works in the plane; None: its own.
+
+        Returns:
+            None for numbers that are not finite or a quaternion whose norm is not near 1.
+        """
+        numbers = np.concatenate([position, quaternion, [0.0 if height is None else height]])
+        norm = float(np.linalg.norm(quaternion))
+        if not np.isfinite(numbers).all() or abs(norm - 1.0) > _UNIT:
+            return None
+        w, x, y, z = quaternion / norm
+        pose = self._frame @ pose_of(position, Rotation.from_quat([x, y, z, w])) @ self._body
+        if height is not None:
+            pose[2, 3] = height
+        return pose
+
+
+class TransformChain:
+    """The newest transforms of /tf, of which chains are composed."""
+
+    def __init__(self) -> None:
+        """Start without any."""
+        self._parents: dict[str, tuple[str, int, Array]] = {}
+
+    def clear(self) -> None:
+        """Forget all transforms."""
+        self._parents.clear()
+
+    def add(self, parent: str, child: str, stamp_ns: int, pose: Array) -> None:
+        """Enter the pose (4, 4) of ``child`` in ``parent`` at a time, ns."""
+        self._parents[child.lstrip("/")] = (parent.lstrip("/"), stamp_ns, pose)
+
+    def pose(self, parent: str, child: str) -> tuple[int, Array] | None:
+        """Return the time of the last link, ns, and the pose (4, 4) of a frame in one above; None if unknown."""
+        pose, frame, newest = np.eye(4), child, 0
+        for _ in range(len(self._parents)):
+            if frame == parent or frame not in self._parents:
+                break
+            frame, stamp_ns, step = self._parents[frame]
+            pose, newest = step @ pose, max(newest, stamp_ns)
+        return (newest, pose) if frame == parent and child != parent else None

@@ -1,0 +1,221 @@
+"""Odometry of others to the autopilot, as a ROS node: for vehicle ``T``
+
+===============================  ===============================  ====================================================
+topic                            type                             meaning
+===============================  ===============================  ====================================================
+the source's                     Odometry, PoseStamped or /tf     in: see ``SOURCES``
+/T/distance                      sensor_msgs/LaserScan            in, for programs that work in the plane: the height
+/T/mavros/vision_pose/pose       geometry_msgs/PoseStamped        out: base_link in map, once for each pose
+/T/vins_estimator/odometry       nav_msgs/Odometry                in, for multi_vins: the pose of the IMU
+/T/odometry                      nav_msgs/Odometry                out, for multi_vins: the same in map
+/diagnostics                     diagnostic_msgs/DiagnosticArray  out: once a second, and on change
+===============================  ===============================  ====================================================
+
+A source that falls silent leaves the vehicle to the autopilot's failsafe: no pose is sent twice.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Pose, PoseStamped
+from nav_msgs.msg import Odometry
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import LaserScan
+from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
+
+from xtdrone_control import lockstep
+from xtdrone_control.settings import Settings, setting
+from xtdrone_perception.slam import odometry_messages as messages
+from xtdrone_perception.slam.poses import pose_of
+from xtdrone_perception.slam.transfer.foreign_pose import ForeignFrame, PlaceSettings, TransformChain
+
+RATE = 60.0  # Hz
+
+_MAP = "map"
+_SILENCE = 1.0  # s
+_REPORT_PERIOD = 1.0  # s
+
+Array = NDArray[np.float64]
+
+
+class Source(NamedTuple):
+    """What a program of others publishes.
+
+    Attributes:
+        kind: ``odometry``, ``pose`` or ``tf``.
+        topic: its topic (of a tf: parent and child, with a space), unless ``~topic`` is set; {} is the vehicle's name.
+        optical: whether the pose is that of a camera's optical frame.
+        plane: whether it works in the plane, so that the height comes from the range finder.
+        odometry: topic of a further odometry, which is published in map on /T/odometry; empty: none.
+    """
+
+    kind: str
+    topic: str
+    optical: bool = False
+    plane: bool = False
+    odometry: str = ""
+
+
+SOURCES = {
+    "vins": Source("odometry", "/vins_estimator/camera_pose", optical=True),
+    "multi_vins": Source(
+        "odometry", "/{}/vins_estimator/camera_pose", optical=True, odometry="/{}/vins_estimator/odometry"
+    ),
+    "hector": Source("pose", "/{}/pose", plane=True),
+    "cartographer": Source("tf", "map base_link", plane=True),
+    "aloam": Source("tf", "camera_init aft_mapped"),
+    "fastlio": Source("odometry", "/Odometry"),
+    "odometry": Source("odometry", "/{}/odometry"),
+}
+"""By name; ``odometry`` is any nav_msgs/Odometry of a sensor with the axes of base_link."""
+
+LASERS = ("hector", "cartographer", "aloam", "fastlio", "odometry")
+"""The sources of ``laser_transfer.py``."""
+
+
+@dataclass(frozen=True)
+class ForeignOptions(Settings):
+    """Which topics the node uses."""
+
+    topic: str = setting("", text="topic of the source, or parent and child frames of its tf; empty: the program's own")
+    distance: str = setting(
+        "distance", text="topic of the downward range finder below /VEHICLE/, for sources in the plane"
+    )
+    distance_below: float = setting(
+        0.0, low=-2.0, high=2.0, unit="m", text="height of base_link above that range finder"
+    )
+
+
+def transfer_of(vehicle: str, source: str) -> PoseTransfer:
+    """Return the topics of a vehicle, with the private parameters.
+
+    Raises:
+        SettingError: a parameter is not allowed.
+    """
+    get = rospy.get_param
+    return PoseTransfer(
+        vehicle, SOURCES[source], ForeignOptions.from_parameters(get), PlaceSettings.from_parameters(get)
+    )
+
+
+class PoseTransfer:
+    """Topics of one vehicle."""
+
+    def __init__(self, vehicle: str, source: Source, options: ForeignOptions, place: PlaceSettings) -> None:
+        """Declare the topics."""
+        self._vehicle, self._source = vehicle, source
+        self._frame = ForeignFrame(place, source.optical)
+        self._tf = TransformChain()
+        self._publisher = lockstep.Publisher(f"/{vehicle}/mavros/vision_pose/pose", PoseStamped)
+        self._diagnostics = lockstep.Publisher("/diagnostics", DiagnosticArray)
+        topic = options.topic or source.topic.format(vehicle)
+        self._parent, _, self._child = topic.partition(" ")
+        if source.kind == "tf":
+            lockstep.Subscriber("/tf", TFMessage, self._on_tf)
+        elif source.kind == "pose":
+            lockstep.Subscriber(topic, PoseStamped, lambda message: self._enter(message.header, message.pose))
+        else:
+            lockstep.Subscriber(topic, Odometry, lambda message: self._enter(message.header, message.pose.pose))
+        if source.odometry:
+            self._body = ForeignFrame(replace(place, sensor_position=(0.0, 0.0, 0.0)), optical=False)
+            self._odometry = lockstep.Publisher(f"/{vehicle}/odometry", Odometry)
+            lockstep.Subscriber(source.odometry.format(vehicle), Odometry, self._on_odometry)
+        if source.plane:
+            self._below = options.distance_below
+            lockstep.Subscriber(f"/{vehicle}/{options.distance}", LaserScan, self._on_distance)
+        lockstep.add_reset_hook(self._forget)
+        self._forget()
+
+    def _forget(self) -> None:
+        """Begin again, as simulated time was set back."""
+        self._tf.clear()
+        self._new: PoseStamped | None = None
+        self._height: float | None = None
+        self._last_ns = -1
+        self._heard = self._reported = -math.inf
+        self._count = self._rejected = 0
+        self._report = (-1, "")
+
+    def _on_distance(self, message: LaserScan) -> None:
+        ranges = [r for r in message.ranges if math.isfinite(r) and message.range_min <= r <= message.range_max]
+        if ranges:
+            self._height = min(ranges) + self._below
+
+    def _on_odometry(self, message: Odometry) -> None:
+        p, q = message.pose.pose.position, message.pose.pose.orientation
+        found = self._body.vehicle(np.array([p.x, p.y, p.z]), np.array([q.w, q.x, q.y, q.z]))
+        if found is None:
+            return
+        out = Odometry(header=Header(stamp=message.header.stamp, frame_id=_MAP), child_frame_id=message.child_frame_id)
+        out.pose.pose, out.pose.covariance, out.twist = (
+            messages.pose_message(found),
+            message.pose.covariance,
+            message.twist,
+        )
+        self._odometry.publish(out)
+
+    def _on_tf(self, message: TFMessage) -> None:
+        for entry in message.transforms:
+            t, q = entry.transform.translation, entry.transform.rotation
+            if not all(map(math.isfinite, (t.x, t.y, t.z, q.x, q.y, q.z, q.w))) or not any((q.x, q.y, q.z, q.w)):
+                continue
+            pose = pose_of((t.x, t.y, t.z), Rotation.from_quat([q.x, q.y, q.z, q.w]))
+            self._tf.add(entry.header.frame_id, entry.child_frame_id, entry.header.stamp.to_nsec(), pose)
+        found = self._tf.pose(self._parent, self._child)
+        if found is not None and found[0] != self._last_ns:
+            self._enter(Header(stamp=rospy.Time(*divmod(found[0], 10**9))), messages.pose_message(found[1]))
+
+    def _enter(self, header: Header, pose: Pose) -> None:
+        """Keep the vehicle's pose until the next turn."""
+        p, q = pose.position, pose.orientation
+        if self._source.plane and self._height is None:
+            return
+        found = self._frame.vehicle(np.array([p.x, p.y, p.z]), np.array([q.w, q.x, q.y, q.z]), self._height)
+        if found is None:
+            self._rejected += 1
+            rospy.logwarn_throttle(5.0, f"{self._vehicle}: a pose that is not finite, or no rotation, is not sent")
+            return
+        if header.stamp.to_nsec() == self._last_ns and self._last_ns > 0:
+            return  # a source that repeats itself has nothing new to say
+        self._last_ns = header.stamp.to_nsec()
+        self._new = messages.stamped(found, header.stamp, _MAP)
+
+    def step(self) -> None:
+        """Send what is new, and report."""
+        stamp = rospy.Time.now()
+        pose, self._new = self._new, None
+        if pose is not None:
+            if not pose.header.stamp.to_nsec():
+                pose.header.stamp = stamp
+            self._publisher.publish(pose)
+            self._heard = stamp.to_sec()
+            self._count += 1
+        self._publish_report(stamp)
+
+    def _judged(self, now: float) -> tuple[int, str]:
+        """Return level and text for the diagnostics."""
+        if not self._count:
+            missing = "no distance from the range finder" if self._source.plane and self._height is None else "no poses"
+            return DiagnosticStatus.WARN, f"{missing} yet"
+        if now - self._heard > _SILENCE:
+            return DiagnosticStatus.ERROR, f"no new poses for {_SILENCE:g} s"
+        return DiagnosticStatus.OK, "poses are sent"
+
+    def _publish_report(self, stamp: rospy.Time) -> None:
+        now, report = stamp.to_sec(), self._judged(stamp.to_sec())
+        if report == self._report and now - self._reported < _REPORT_PERIOD:
+            return
+        if report[0] == DiagnosticStatus.ERROR and report != self._report:
+            rospy.logwarn(f"{self._vehicle}: {report[1]}; the autopilot's failsafe will act")
+        self._report, self._reported = report, now
+        values = [KeyValue("poses", str(self._count)), KeyValue("rejected", str(self._rejected))]
+        status = DiagnosticStatus(report[0], f"{self._vehicle}: pose transfer", report[1], self._vehicle, values)
+        self._diagnostics.publish(DiagnosticArray(Header(stamp=stamp), [status]))

@@ -1,0 +1,235 @@
+"""The global map of a vehicle as a ROS node, with the names of octomap_server.
+
+For each vehicle ``T``, besides the sensor's topics of ``mapping.map_feed``:
+
+==================================  ===============================  =================================================
+topic or service                    type                             meaning
+==================================  ===============================  =================================================
+/T/octomap_binary, octomap_full     octomap_msgs/Octomap             out, while subscribed: free and occupied; log-odds
+/T/octomap_point_cloud_centers      sensor_msgs/PointCloud2          out, while subscribed: occupied voxels
+/T/projected_map                    nav_msgs/OccupancyGrid           out, while subscribed: seen from above
+/T/octomap_binary, octomap_full     octomap_msgs/GetOctomap          service: the map as it is now
+/T/octomap_server/reset             std_srvs/Empty                   service: forget the map
+/diagnostics                        diagnostic_msgs/DiagnosticArray  out: once a second, and on change
+==================================  ===============================  =================================================
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from nav_msgs.msg import OccupancyGrid
+from octomap_msgs.msg import Octomap
+from octomap_msgs.srv import GetOctomap, GetOctomapResponse
+from sensor_msgs.msg import PointCloud2
+from std_srvs.srv import Empty, EmptyResponse
+
+from xtdrone_control import lockstep
+from xtdrone_control.settings import Settings, setting
+from xtdrone_planning.mapping.map_feed import MapFeed, SensorChoice
+from xtdrone_planning.mapping.range_images import DepthMapping, LidarMapping
+from xtdrone_planning.mapping.sensor_watch import SensorWatch, WatchSettings
+from xtdrone_planning.octree.global_map import GlobalMap
+from xtdrone_planning.octree.octree_format import Octree, encode, file_of
+from xtdrone_planning.octree.octree_map import OctreeSettings
+from xtdrone_planning.octree.octree_messages import above_message, occupied_message, octomap_message, seen_from_above
+
+RATE = 20.0  # Hz
+
+_REPORT_PERIOD = 1.0  # s
+
+
+@dataclass(frozen=True)
+class OctomapOptions(Settings):
+    """What the node uses and publishes."""
+
+    odometry: str = setting(
+        "",
+        text="odometry whose poses place the measurements: lidar_odometry, slam, ...; empty: the autopilot's estimate",
+    )
+    frame_id: str = setting("map", text="frame of the map, in which these poses are")
+    interval: float = setting(
+        0.0, low=0.0, high=60.0, unit="s", text="measurements that follow the last mapped one sooner are left out"
+    )
+    period: float = setting(2.0, low=0.05, high=60.0, unit="s", text="time between two publications")
+    occupancy_min_z: float = setting(0.3, low=-1e4, high=1e4, unit="m", text="lowest voxels in projected_map")
+    occupancy_max_z: float = setting(1e4, low=-1e4, high=1e4, unit="m", text="highest voxels in projected_map")
+    file: str = setting("", text="file of the map at the end, .bt or .ot; several vehicles: .VEHICLE.bt; empty: none")
+
+
+class NodeSettings(NamedTuple):
+    """All settings of the node."""
+
+    options: OctomapOptions
+    octree: OctreeSettings
+    sensor: SensorChoice
+    lidar: LidarMapping
+    depth: DepthMapping
+    watch: WatchSettings
+
+
+def read_settings() -> NodeSettings:
+    """Return the settings that the private parameters give.
+
+    Raises:
+        SettingError: a parameter is not allowed.
+    """
+    return NodeSettings(
+        OctomapOptions.from_parameters(rospy.get_param),
+        OctreeSettings.from_parameters(rospy.get_param),
+        SensorChoice.from_parameters(rospy.get_param),
+        LidarMapping.from_parameters(rospy.get_param),
+        DepthMapping.from_parameters(rospy.get_param),
+        WatchSettings.from_parameters(rospy.get_param),
+    )
+
+
+class VehicleOctomap:
+    """Topics and services of one vehicle around its map."""
+
+    def __init__(self, name: str, settings: NodeSettings) -> None:
+        """Declare the topics and services."""
+        self._name, self._settings = name, settings
+        self._map = GlobalMap(settings.octree, settings.options.interval)
+        self._lock = threading.Lock()  # services run in threads of their own
+        self._watch = SensorWatch(settings.watch)
+        MapFeed(
+            name, self._map, self._watch, settings.sensor.sensor, settings.lidar, settings.depth,
+            odometry=settings.options.odometry,
+        )  # fmt: skip
+        self._binary = lockstep.Publisher(f"/{name}/octomap_binary", Octomap, latch=True)
+        self._full = lockstep.Publisher(f"/{name}/octomap_full", Octomap, latch=True)
+        self._centres = lockstep.Publisher(f"/{name}/octomap_point_cloud_centers", PointCloud2, latch=True)
+        self._above = lockstep.Publisher(f"/{name}/projected_map", OccupancyGrid, latch=True)
+        self._diagnostics = lockstep.Publisher("/diagnostics", DiagnosticArray)
+        rospy.Service(f"/{name}/octomap_binary", GetOctomap, lambda request: self._answer(binary=True))
+        rospy.Service(f"/{name}/octomap_full", GetOctomap, lambda request: self._answer(binary=False))
+        rospy.Service(f"/{name}/octomap_server/reset", Empty, self._on_reset)
+        lockstep.add_reset_hook(self._restart)
+        self._forget_times()
+
+    def _forget_times(self) -> None:
+        self._published = self._reported = -math.inf
+        self._report = (-1, "")
+
+    def _restart(self) -> None:
+        """Begin again, as simulated time was set back."""
+        with self._lock:
+            self._map.restart()
+        self._watch.restart()
+        self._forget_times()
+
+    # services
+
+    def _answer(self, binary: bool) -> GetOctomapResponse:
+        return GetOctomapResponse(octomap_message(self.octree(binary), rospy.Time.now(), self._frame))
+
+    def _on_reset(self, _: object) -> EmptyResponse:
+        with self._lock:
+            self._map.octree.clear()
+        return EmptyResponse()
+
+    @property
+    def _frame(self) -> str:
+        return self._settings.options.frame_id
+
+    def octree(self, binary: bool) -> Octree:
+        """Return the map as it is now."""
+        with self._lock:
+            blocks = self._map.octree.blocks()
+        return encode(*blocks, self._settings.octree.resolution, binary)
+
+    # turns
+
+    def step(self) -> None:
+        """Enter what has come; publish what is due. Call it at 20 Hz."""
+        stamp = rospy.Time.now()
+        with self._lock:
+            self._map.update()
+        if stamp.to_sec() - self._published >= self._settings.options.period:
+            self._published = stamp.to_sec()
+            self._publish(stamp)
+        self._publish_report(stamp)
+
+    def _publish(self, stamp: rospy.Time) -> None:
+        topics = self._binary, self._full, self._centres, self._above
+        if not any(topic.get_num_connections() for topic in topics):
+            return
+        options, resolution = self._settings.options, self._settings.octree.resolution
+        blocks = self._map.octree.blocks()
+        for topic, binary in ((self._binary, True), (self._full, False)):
+            if topic.get_num_connections():
+                topic.publish(octomap_message(encode(*blocks, resolution, binary), stamp, self._frame))
+        if self._centres.get_num_connections():
+            self._centres.publish(occupied_message(*blocks, resolution, stamp, self._frame))
+        if self._above.get_num_connections():
+            heights = options.occupancy_min_z, options.occupancy_max_z
+            cells, first = seen_from_above(*blocks, resolution, heights)
+            self._above.publish(above_message(cells, first, resolution, stamp, self._frame))
+
+    def _judged(self, now: float) -> tuple[int, str]:
+        """Return level and text for the diagnostics."""
+        octree = self._map.octree
+        if octree.is_full:
+            return DiagnosticStatus.ERROR, f"the map is full: {octree.memory:.0f} MB; new places are left out"
+        fault = self._watch.fault(now)
+        if fault:
+            return DiagnosticStatus.WARN, fault
+        if not self._map.entered:
+            return DiagnosticStatus.WARN, "no poses for the measurements yet"
+        return DiagnosticStatus.OK, "mapping"
+
+    def _publish_report(self, stamp: rospy.Time) -> None:
+        now = stamp.to_sec()
+        report = self._judged(now)
+        if report[0] == self._report[0] and now - self._reported < _REPORT_PERIOD:
+            return
+        if report[0] > max(self._report[0], 0):
+            rospy.logwarn(f"{self._name}: octomap: {report[1]}")
+        self._report, self._reported = report, now
+        status = DiagnosticStatus(report[0], f"{self._name}: octomap", report[1], self._name, [])
+        status.values = [
+            KeyValue("measurements", str(self._map.entered)),
+            KeyValue("without poses", str(self._map.left_out)),
+            KeyValue("memory, MB", f"{self._map.octree.memory:.1f}"),
+        ]
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = stamp
+        self._diagnostics.publish(message)
+
+
+class OctomapNode:
+    """The maps of one or several vehicles in one process."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        """Declare the topics.
+
+        Raises:
+            SettingError: a parameter is not allowed.
+        """
+        settings = read_settings()
+        self._file = settings.options.file
+        self._maps = {name: VehicleOctomap(name, settings) for name in names}
+
+    def step(self) -> None:
+        """Advance every map by a turn."""
+        for vehicle in self._maps.values():
+            vehicle.step()
+
+    def close(self) -> None:
+        """Save the maps, if a file is set."""
+        for name, vehicle in self._maps.items() if self._file else ():
+            path = Path(self._file)
+            if len(self._maps) > 1:
+                path = path.with_suffix(f".{name}{path.suffix}")
+            try:
+                path.write_bytes(file_of(vehicle.octree(binary=path.suffix != ".ot")))
+            except OSError as error:
+                rospy.logwarn(f"{name}: octomap: the map was not saved: {error}")

@@ -1,0 +1,145 @@
+"""The global map: voxels of all that was seen, with the log-odds that each is occupied, in bounded memory.
+
+Log-odds and their defaults are those of octomap (A. Hornung et al., OctoMap: an efficient probabilistic 3D mapping
+framework based on octrees, Autonomous Robots 34, 2013, equations 2 to 4; hit 0.7, miss 0.4, clamped to 0.12 and 0.97).
+In memory the voxels are blocks of 16 x 16 x 16, which are faster to enter rays into than nodes; ``octree_format`` makes
+the octree of them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_control.settings import Settings, setting
+from xtdrone_planning.octree.octree_kernels import HALF, OFFSET, SIDE, UNKNOWN, VOXELS, enter_rays
+
+Array = NDArray[np.float64]
+
+_BYTES = VOXELS * 3  # of a block: log-odds, and what the present measurement has seen
+_BLOCK_BITS = 12  # of a block's place along an axis
+
+
+@dataclass(frozen=True)
+class OctreeSettings(Settings):
+    """The global map."""
+
+    resolution: float = setting(0.2, low=0.02, high=2.0, unit="m", text="side of a voxel")
+    hit: float = setting(0.7, low=0.5, high=0.999, text="probability that a voxel in which a ray ends is occupied")
+    miss: float = setting(
+        0.4, low=0.001, high=0.5, text="probability that a voxel through which a ray passes is occupied"
+    )
+    least: float = setting(0.12, low=0.01, high=0.49, text="lowest probability of a voxel")
+    most: float = setting(0.97, low=0.51, high=0.99, text="highest probability of a voxel")
+    memory: float = setting(512.0, low=1.0, high=16384.0, unit="MB", text="greatest memory of the map")
+
+
+def log_odds(probability: float) -> int:
+    """Return the log-odds of a probability, in hundredths."""
+    return round(100.0 * math.log(probability / (1.0 - probability)))
+
+
+class OctreeMap:
+    """All that was seen.
+
+    Attributes:
+        resolution: side of a voxel, m.
+    """
+
+    def __init__(self, settings: OctreeSettings) -> None:
+        """Start with a map of which nothing is known."""
+        self.settings = settings
+        self.resolution = settings.resolution
+        self._change = np.array([log_odds(p) for p in (settings.hit, settings.miss, settings.least, settings.most)])
+        self._capacity = max(1, int(settings.memory * 1e6 / _BYTES))
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything."""
+        capacity = self._capacity
+        self._table = np.full(1 << (2 * capacity - 1).bit_length(), -1, np.int64)
+        self._keys = np.zeros(capacity, np.int64)
+        self._counts = np.zeros(2, np.int64)
+        self._voxels = np.zeros((capacity, VOXELS), np.uint16)  # the system provides memory when it is first written
+        self._seen = np.zeros((capacity, VOXELS), np.uint8)
+        self._touched = np.zeros(capacity, np.int64)
+        self._touched_at = np.zeros(capacity, np.bool_)
+
+    @property
+    def memory(self) -> float:
+        """Memory in use, MB."""
+        return float(self._counts[0]) * _BYTES / 1e6
+
+    @property
+    def is_full(self) -> bool:
+        """Whether something was seen for which there was no room."""
+        return bool(self._counts[1])
+
+    def insert(self, origins: Array, ends: Array, hits: NDArray[np.bool_]) -> None:
+        """Enter the rays of one measurement; places for which there is no room are left out.
+
+        Args:
+            origins: (n, 3) where the rays begin, m in map.
+            ends: (n, 3) where they end.
+            hits: (n,) whether something was met at the end; otherwise the ray is free to its end.
+        """
+        enter_rays(
+            self._table, self._keys, self._counts, self._voxels, self._seen, self._touched, self._touched_at,
+            self._change, self.resolution, np.ascontiguousarray(origins, float), np.ascontiguousarray(ends, float),
+            np.ascontiguousarray(hits, np.bool_),
+        )  # fmt: skip
+
+    def blocks(self) -> tuple[NDArray[np.int64], NDArray[np.int16]]:
+        """Return the blocks in the order of the octree's children.
+
+        Returns:
+            Places (n, 3), in blocks from the octree's lowest corner, and log-odds (n, 4096) in hundredths, in Morton
+            order, ``NEVER`` where nothing is known.
+        """
+        keys = self._keys[: self._counts[0]]
+        mask = (1 << _BLOCK_BITS) - 1
+        places = np.stack([keys & mask, keys >> _BLOCK_BITS & mask, keys >> 2 * _BLOCK_BITS], axis=1)
+        order = np.argsort(morton(places), kind="stable")
+        values = self._voxels[: self._counts[0]][order].view(np.int16)
+        values -= OFFSET
+        values[values == UNKNOWN - OFFSET] = NEVER
+        return places[order], values
+
+    def occupied(self) -> Array:
+        """Return the middles of all occupied voxels, (n, 3) m in map."""
+        return voxel_middles(*self.blocks(), self.resolution)
+
+
+NEVER = np.int16(-(1 << 15))
+"""Log-odds of a voxel of which nothing is known."""
+
+
+def morton(places: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the Morton codes (n,) of places (n, 3) of at most 16 bits; x is the lowest bit of each three."""
+    codes = np.zeros(len(places), np.int64)
+    for bit in range(16):
+        for axis in range(3):
+            codes |= (places[:, axis] >> bit & 1) << (3 * bit + axis)
+    return codes
+
+
+def in_block() -> NDArray[np.int64]:
+    """Return the places (4096, 3) of a block's voxels, in Morton order."""
+    numbers = np.arange(VOXELS)
+    return np.stack([sum((numbers >> (3 * b + a) & 1) << b for b in range(4)) for a in range(3)], axis=1)
+
+
+def voxel_middles(places: NDArray[np.int64], values: NDArray[np.int16], resolution: float) -> Array:
+    """Return the middles of the occupied voxels (log-odds of at least 0) of some blocks, (n, 3) m in map.
+
+    Args:
+        places: (m, 3) of the blocks; see ``OctreeMap.blocks``.
+        values: (m, 4096) log-odds.
+        resolution: side of a voxel, m.
+    """
+    block, voxel = np.nonzero(values >= 0)
+    cells = SIDE * places[block] + in_block()[voxel] - HALF
+    return np.asarray((cells + 0.5) * resolution, float)

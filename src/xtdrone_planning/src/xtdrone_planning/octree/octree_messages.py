@@ -1,0 +1,85 @@
+"""The octree as ROS messages: octomap_msgs, the middles of occupied voxels, and the map seen from above."""
+
+from __future__ import annotations
+
+import numpy as np
+import rospy
+from nav_msgs.msg import OccupancyGrid
+from numpy.typing import NDArray
+from octomap_msgs.msg import Octomap
+from sensor_msgs.msg import PointCloud2
+
+from xtdrone_perception.slam.odometry_messages import cloud
+from xtdrone_planning.octree.octree_format import Octree, count_nodes
+from xtdrone_planning.octree.octree_kernels import HALF, SIDE
+from xtdrone_planning.octree.octree_map import NEVER, in_block, voxel_middles
+
+_MOST_CELLS = 4_000_000  # of the map seen from above
+
+
+def octomap_message(octree: Octree, stamp: rospy.Time, frame: str) -> Octomap:
+    """Return a serialised octree as a message."""
+    message = Octomap(binary=octree.binary, id="OcTree", resolution=octree.resolution)
+    message.header.stamp, message.header.frame_id = stamp, frame
+    message.data = np.frombuffer(octree.data, np.int8).tolist()
+    return message
+
+
+def octree_of(message: Octomap) -> Octree:
+    """Return the serialised octree of a message."""
+    data = np.asarray(message.data, np.int8).tobytes()
+    binary = bool(message.binary)
+    return Octree(data, count_nodes(data, binary), float(message.resolution), binary)
+
+
+def occupied_message(
+    places: NDArray[np.int64], values: NDArray[np.int16], resolution: float, stamp: rospy.Time, frame: str
+) -> PointCloud2:
+    """Return the middles of the occupied voxels of some blocks; see ``octree_map.voxel_middles``."""
+    return cloud(voxel_middles(places, values, resolution), stamp, frame)
+
+
+def seen_from_above(
+    places: NDArray[np.int64], values: NDArray[np.int16], resolution: float, heights: tuple[float, float]
+) -> tuple[NDArray[np.int8], tuple[int, int]]:
+    """Return the map between two heights, seen from above.
+
+    Args:
+        places: (n, 3) of the blocks; see ``OctreeMap.blocks``.
+        values: (n, 4096) log-odds.
+        resolution: side of a voxel, m.
+        heights: lowest and highest middle of a voxel that counts, m.
+
+    Returns:
+        Cells (ny, nx): 100 with an occupied voxel, 0 with free ones only, -1 unknown; and x and y of the first cell,
+        in voxels from the origin.
+    """
+    if not len(places):
+        return np.zeros((0, 0), np.int8), (0, 0)
+    low, high = places[:, :2].min(axis=0), places[:, :2].max(axis=0) + 1
+    shape = tuple(int(n) for n in (high - low) * SIDE)
+    if shape[0] * shape[1] > _MOST_CELLS:
+        return np.zeros((0, 0), np.int8), (0, 0)
+    cells = np.full(shape, -1, np.int8)
+    voxels = in_block()
+    middles = (SIDE * places[:, 2, None] + voxels[:, 2] - HALF + 0.5) * resolution
+    counts = (middles >= heights[0]) & (middles <= heights[1])
+    for value, chosen in ((0, (values < 0) & (values != NEVER)), (100, values >= 0)):
+        block, voxel = np.nonzero(chosen & counts)
+        cells[tuple((SIDE * (places[block, :2] - low) + voxels[voxel, :2]).T)] = value
+    first = SIDE * low - HALF
+    return cells.T, (int(first[0]), int(first[1]))
+
+
+def above_message(
+    cells: NDArray[np.int8], first: tuple[int, int], resolution: float, stamp: rospy.Time, frame: str
+) -> OccupancyGrid:
+    """Return the map seen from above; see ``seen_from_above``."""
+    message = OccupancyGrid()
+    message.header.stamp, message.header.frame_id = stamp, frame
+    message.info.map_load_time, message.info.resolution = stamp, resolution
+    message.info.height, message.info.width = cells.shape
+    message.info.origin.position.x, message.info.origin.position.y = first[0] * resolution, first[1] * resolution
+    message.info.origin.orientation.w = 1.0
+    message.data = cells.ravel().tolist()
+    return message
