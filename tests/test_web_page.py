@@ -207,7 +207,8 @@ def test_a_layer_that_cannot_be_shown_says_why_and_the_others_go_on(station: Sta
 
 def test_the_map_shows_what_a_search_has_seen(station: StationPage, graph: Graph) -> None:
     page = station.page
-    coverage = CoverageMap(make_region([(0, 0), (40, 0), (40, 30), (0, 30)]), Pinhole(100, 100, 50.0, 50.0, 50.0, 50.0))
+    camera = Pinhole(100, 100, 50.0, 50.0, 50.0, 50.0)
+    coverage = CoverageMap(make_region([(0, 0), (40, 0), (40, 30), (0, 30)]), camera, pixels=0.0)
     graph.say_latched("/xtdrone/search/coverage", coverage_message(coverage.grid(), 0.0, rospy.Time.now()))
     progress = {"sim_time": 1.0, "phase": "searching", "text": "covered 0 %, 3 of 3 flying", "covered_fraction": 0.0}
     page.click("#stage-tabs [data-panel=map]")

@@ -38,6 +38,7 @@ class View {
   #layers = new LayerObjects();
   #feed;
   #list;
+  #worldName = '';
   #moved = ''; // names of the models that can be moved
   #numbers = new Map(); // of the vehicles, by name
   #seen = new Matrix4(); // from the world to the camera's cube
@@ -174,7 +175,8 @@ class View {
   async #setRoster(roster) {
     const count = roster.vehicles.length;
     const moved = roster.movers.join();
-    if (moved !== this.#moved && !this.#world.moves(roster.movers)) this.#loadWorld();
+    const unseen = moved !== this.#moved && !this.#world.moves(roster.movers);
+    if (unseen || !this.#worldName) this.#loadWorld(); // without a name: the page was there before the flight
     this.#moved = moved;
     this.#numbers = new Map(roster.vehicles.map(({ name }, i) => [name, i]));
     await this.#vehicles.build(roster).catch(report);
@@ -194,6 +196,7 @@ class View {
   async #loadWorld() {
     try {
       const world = await this.#station.call('world.describe');
+      this.#worldName = world.name;
       if (world.trouble) toast(`world ${world.name} is not shown: ${world.trouble}`, 'bad');
       await this.#world.build(world, this.#station.roster);
       this.#dirty = true;

@@ -22,6 +22,7 @@ export class Shapes {
   #station;
   #geometries = new Map();
   #textures = new Map();
+  #turn = Promise.resolve(); // after the last call: the station refuses many at once
 
   constructor(station) { this.#station = station; }
 
@@ -38,11 +39,17 @@ export class Shapes {
     return this.#textures.get(number);
   }
 
+  #call(method, params) {
+    const answer = this.#turn.then(() => this.#station.call(method, params));
+    this.#turn = answer.catch(() => {});
+    return answer;
+  }
+
   async #make(kind, number) {
     if (kind === 'box') return new BoxGeometry(1, 1, 1);
     if (kind === 'sphere') return new SphereGeometry(1, 12, 8).rotateX(Math.PI / 2);
     if (kind === 'cylinder') return new CylinderGeometry(1, 1, 1, AROUND).rotateX(Math.PI / 2);
-    const { points, normals, uv } = await this.#station.call('world.mesh', { number });
+    const { points, normals, uv } = await this.#call('world.mesh', { number });
     const geometry = new BufferGeometry();
     geometry.setAttribute('position', new BufferAttribute(floats(points), 3));
     geometry.setAttribute('normal', new BufferAttribute(floats(normals), 3));
@@ -52,7 +59,7 @@ export class Shapes {
 
   async #load(number) {
     const image = new Image();
-    image.src = await this.#station.call('world.texture', { number });
+    image.src = await this.#call('world.texture', { number });
     await image.decode();
     const texture = new Texture(image);
     texture.colorSpace = SRGBColorSpace;
