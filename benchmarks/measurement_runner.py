@@ -48,8 +48,7 @@ class Length:
 
     Attributes:
         core_seconds: minimum wall time of one core, simplified, drawing, detector, renderer, rays, effects, planning,
-            odometry or
-            rviz measurement, s.
+            odometry or rviz measurement, s.
         sweep_seconds: minimum wall time of a sweep's measurement with one worker, and of that with all workers, s.
         barrier_seconds: minimum wall time of one barrier measurement, s.
         barrier_ticks: minimum number of ticks of one barrier measurement.
