@@ -19,12 +19,12 @@ struct VelocityCommands {
   static constexpr double LARGEST = 1e6;           // m/s, rad/s
   static constexpr double HOVER_YAW_RATE = 0.005;  // rad/s
 
-  double hover_speed = 0.0;           // m/s
-  double timeout = 0.0;               // s; 0 for never
-  bool hovering = false;              // whether the setpoint is a captured pose
+  double hover_speed = 0.0;            // m/s
+  double timeout = 0.0;                // s; 0 for never
+  bool hovering = false;               // whether the setpoint is a captured pose
   double moving_since = std::nan("");  // s; NaN while the setpoint is no velocity
-  std::array<double, 4> last{};       // velocity, m/s ENU, and yaw rate, rad/s, of the last command that has moved it
-  std::array<char, PACKET> packet{};  // the setpoint
+  std::array<double, 4> last{};        // velocity, m/s ENU, and yaw rate, rad/s, of the last command that has moved it
+  std::array<char, PACKET> packet{};   // the setpoint
 
   /// Handle a command: velocity, m/s ENU, and yaw rate, rad/s. Return false if the Python class has to.
   bool accept(const std::array<double, 4>& command, double now) {

@@ -91,8 +91,7 @@ inline void findNear(std::size_t index, const std::vector<Vector>& positions, do
 }
 
 /// Returns the avoidance velocity of vehicle `index`, m/s ENU, from the vehicles within `radius`.
-inline Vector avoidNear(std::size_t index, const std::vector<Near>& near, double radius,
-                        double gain = AVOIDANCE_GAIN) {
+inline Vector avoidNear(std::size_t index, const std::vector<Near>& near, double radius, double gain = AVOIDANCE_GAIN) {
   Vector sum{0.0, 0.0, 0.0};
   for (const auto& [id, place] : near) {
     const auto [dx, dy, dz] = contribution(place, radius, gain, index < id);

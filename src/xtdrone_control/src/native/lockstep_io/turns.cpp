@@ -43,8 +43,8 @@ class Holding {
 
 }  // namespace
 
-Turns::Turns(int epoll, int descriptor, nb::object acquire, nb::object release, nb::object send_all,
-             std::size_t topics, std::uint64_t tick, std::int64_t time_us)
+Turns::Turns(int epoll, int descriptor, nb::object acquire, nb::object release, nb::object send_all, std::size_t topics,
+             std::uint64_t tick, std::int64_t time_us)
     : epoll_(epoll),
       descriptor_(descriptor),
       acquire_(std::move(acquire)),
