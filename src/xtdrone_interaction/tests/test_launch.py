@@ -306,6 +306,7 @@ WITHOUT_PAGE = {
     "bench.launch": "measures speed",
     "bench_free.launch": "measures speed",
     "bench_search.launch": "measures speed",
+    "bench_web.launch": "measures what the page costs, with and without it",
     "bridges.launch": "beside a running flight, as web.launch",
     "mavros.launch": "a part of a flight, on another machine",
     "record.launch": "beside a running flight",
