@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Send every vehicle through obstacles to its goal, and land it. Topics: see xtdrone_interaction.crossing.director.
+"""Send every vehicle through obstacles to its goal, and land it. Topics: see ``crossing.crossing_director``.
 
 Parameters:
     /xtdrone/fleet (as ``iris_3d_lidar:1``): the vehicles.
     ~goals (list of [x, y, z], m in map): one a vehicle, in order.
-    those of ``xtdrone_interaction.crossing.mission.CrossingSettings``.
+    those of ``xtdrone_interaction.crossing.crossing_mission.CrossingSettings``.
 
 Exit status: 0 if all have arrived; 1 for parameters that are not allowed, or if one has not arrived.
 """
@@ -19,9 +19,9 @@ import yaml
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.programs.under_roslaunch import end_launch
-from xtdrone_interaction.crossing.director import RATE, CrossingDirector, parse_goals
+from xtdrone_interaction.crossing.crossing_director import RATE, CrossingDirector, parse_goals
+from xtdrone_interaction.crossing.crossing_mission import CrossingSettings
 from xtdrone_interaction.crossing.formation_director import FormationCrossingDirector
-from xtdrone_interaction.crossing.mission import CrossingSettings
 
 RECORDER_LIMIT = 30.0  # s of wall time
 

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Land a UAV on a ground robot that drives: ``landing_director.py iris_landing_camera_0``.
 
-Topics: see ``xtdrone_interaction.landing.director``; parameters: ``LandingSettings`` there, see docs/settings.md.
+Topics: see ``landing.landing_director``; parameters: ``LandingSettings`` there, see docs/settings.md.
 
 Exit status: 0 after a landing on the tags, 1 after another one, 2 for values that are not allowed.
 """
@@ -17,7 +17,7 @@ from xtdrone_control.drone.script_node import connect
 from xtdrone_control.programs.program import ArgumentError, run_program
 from xtdrone_control.programs.under_roslaunch import end_launch
 from xtdrone_interaction.formation.director import open_events
-from xtdrone_interaction.landing.director import LandingDirector, LandingSettings, direct
+from xtdrone_interaction.landing.landing_director import LandingDirector, LandingSettings, direct
 
 USAGE = "landing_director.py VEHICLE   (as iris_landing_camera_0)"
 

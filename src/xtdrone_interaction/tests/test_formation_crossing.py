@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from xtdrone_interaction.crossing.formation_mission import FORMED_ERROR, FormationCrossing, Member
+from xtdrone_interaction.crossing.formation_crossing import FORMED_ERROR, FormationCrossing, Member
 from xtdrone_interaction.metrics.missions.formation_crossing_metrics import formation_figures
 from xtdrone_interaction.recording.crossing_record import CrossingRecord
 

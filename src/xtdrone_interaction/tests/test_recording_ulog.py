@@ -16,7 +16,7 @@ from xtdrone_interaction.metrics.spectrum import (
     spectrum,
 )
 from xtdrone_interaction.metrics.tracking import tracking, trackings
-from xtdrone_interaction.metrics.vehicle import summarise_log
+from xtdrone_interaction.metrics.vehicle_metrics import summarise_log
 from xtdrone_interaction.recording.open import log_recording
 from xtdrone_interaction.recording.series import Series
 from xtdrone_interaction.recording.ulog import LogError, euler, read_log

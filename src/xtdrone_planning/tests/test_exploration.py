@@ -9,11 +9,11 @@ import pytest
 from toy_floor import ToyFloor, rooms
 
 from xtdrone_control.settings import SettingError
-from xtdrone_planning.exploration.explorer import AT_GOAL, HOME, Explorer
+from xtdrone_planning.exploration.choice_of_frontier import AT_GOAL, HOME, Explorer
 from xtdrone_planning.exploration.floor_map import FLOWN, FREE, OCCUPIED, UNKNOWN, FloorMap
 from xtdrone_planning.exploration.frontiers import Ways, find_frontiers
 from xtdrone_planning.exploration.settings import ExplorationSettings
-from xtdrone_planning.exploration.sharing import PROPOSAL, STATE, Share, Sharing
+from xtdrone_planning.exploration.shared_regions import PROPOSAL, STATE, Share, Sharing
 from xtdrone_planning.exploration.tours import divide, route_length
 
 SMALL = ExplorationSettings(bounds=(0.0, 0.0, 10.0, 6.0), margin=0.0, cell=0.2)

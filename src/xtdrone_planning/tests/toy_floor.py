@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from xtdrone_planning.exploration.explorer import AT_GOAL, HOME, Explorer
+from xtdrone_planning.exploration.choice_of_frontier import AT_GOAL, HOME, Explorer
 from xtdrone_planning.exploration.floor_map import FREE, OCCUPIED, UNKNOWN, FloorMap
 from xtdrone_planning.exploration.frontiers import Ways
 from xtdrone_planning.exploration.settings import ExplorationSettings

@@ -18,9 +18,9 @@ from px4_stand_in import ACCEL, BARO, GYRO, MAG, WALL_LIMIT, StandIn
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.geodesy.projection import project
 from xtdrone_control.mavlink.streams.telemetry import EPOCH_US
-from xtdrone_sim.autopilots import hil as hil_module
-from xtdrone_sim.autopilots.hil import Hil
-from xtdrone_sim.autopilots.hil_link import RELOCK_STEPS, STALE_US, HilError
+from xtdrone_sim.autopilots import px4_hil_fleet as hil_module
+from xtdrone_sim.autopilots.px4_hil_fleet import Hil
+from xtdrone_sim.autopilots.px4_hil_link import RELOCK_STEPS, STALE_US, HilError
 from xtdrone_sim.simulation import Simulation
 
 FLEET = (Vehicle("iris", 0, 71), Vehicle("iris", 1, 72))  # ports that no other test uses

@@ -32,9 +32,9 @@ from xtdrone_swarm.view import (
     palette,
 )
 from xtdrone_swarm.view import view_of_swarm as flight_module
-from xtdrone_swarm.view.camera import FollowingBox
-from xtdrone_swarm.view.room import grid_step
+from xtdrone_swarm.view.projection_and_zoom import FollowingBox
 from xtdrone_swarm.view.view_of_swarm import _flying, _Player, _recorded
+from xtdrone_swarm.view.walls_and_scales import grid_step
 
 UP = np.array([0.0, 0.0, 20.0])  # m
 EAST = np.array([1.0, 0.0, 0.0])

@@ -22,9 +22,9 @@ import rospy
 from std_msgs.msg import Float32MultiArray, String
 
 from xtdrone_control import lockstep
-from xtdrone_interaction.crossing.director import CrossingDirector, Goal
-from xtdrone_interaction.crossing.formation_mission import STAGES, FormationCrossing, Member
-from xtdrone_interaction.crossing.mission import TASKS, CrossingSettings
+from xtdrone_interaction.crossing.crossing_director import CrossingDirector, Goal
+from xtdrone_interaction.crossing.crossing_mission import TASKS, CrossingSettings
+from xtdrone_interaction.crossing.formation_crossing import STAGES, FormationCrossing, Member
 from xtdrone_interaction.formation.distances import (
     PATTERN_TOPIC,
     Array,

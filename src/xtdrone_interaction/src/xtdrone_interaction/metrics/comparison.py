@@ -16,7 +16,7 @@ from xtdrone_interaction.metrics.missions.formation_metrics import measure
 from xtdrone_interaction.metrics.resampling import (
     even_times,
 )
-from xtdrone_interaction.metrics.vehicle import least_distance_series, way_length
+from xtdrone_interaction.metrics.vehicle_metrics import least_distance_series, way_length
 from xtdrone_interaction.recording.formation_record import formation_of
 from xtdrone_interaction.recording.open import open_recording
 from xtdrone_interaction.recording.recorded_flight import RecordError, Recording

@@ -15,7 +15,7 @@ from xtdrone_interaction.metrics.missions.formation_metrics import DISTANCE_LIMI
 from xtdrone_interaction.metrics.spectrum import (
     spectrum,
 )
-from xtdrone_interaction.metrics.vehicle import least_distance_series
+from xtdrone_interaction.metrics.vehicle_metrics import least_distance_series
 from xtdrone_interaction.pictures import formation_pictures, odometry_pictures
 from xtdrone_interaction.pictures.drawing import (
     NO_MODE,

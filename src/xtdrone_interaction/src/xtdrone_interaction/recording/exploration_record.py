@@ -15,8 +15,8 @@ from xtdrone_interaction.recording.bag import read_bag
 from xtdrone_interaction.recording.crossing_record import CrossingRecord
 from xtdrone_interaction.recording.positions import fleet_track
 from xtdrone_interaction.recording.recorded_flight import LOG_TOPIC, RecordError
+from xtdrone_planning.exploration.choice_of_frontier import RETURNING
 from xtdrone_planning.exploration.exploration_messages import cells_of
-from xtdrone_planning.exploration.explorer import RETURNING
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from xtdrone_interaction import options
 from xtdrone_interaction.bags.ros1bag import BagError
 from xtdrone_interaction.metrics.missions.map_report import map_rows
 from xtdrone_interaction.metrics.missions.odometry_errors import write_trajectories
-from xtdrone_interaction.metrics.vehicle import summarise, summarise_log
+from xtdrone_interaction.metrics.vehicle_metrics import summarise, summarise_log
 from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.pictures import flight_log
 from xtdrone_interaction.pictures import recording_pictures as recording_pictures

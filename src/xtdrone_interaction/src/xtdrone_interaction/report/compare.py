@@ -28,7 +28,7 @@ from xtdrone_interaction.metrics.comparison import (
     speed,
 )
 from xtdrone_interaction.metrics.tracking import SetpointPair, pairs
-from xtdrone_interaction.metrics.vehicle import least_distance_series
+from xtdrone_interaction.metrics.vehicle_metrics import least_distance_series
 from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.pictures.drawing import NamedFigure, line, name_lines, panels, shades
 from xtdrone_interaction.recording.recorded_flight import RecordError

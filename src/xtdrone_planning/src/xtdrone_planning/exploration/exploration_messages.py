@@ -14,7 +14,7 @@ from xtdrone_msgs.msg import RegionShare
 
 from xtdrone_control.rotation import yaw_of
 from xtdrone_planning.exploration.floor_map import FREE, OCCUPIED, OCCUPIED_FROM, UNKNOWN, Cells, FloorMap
-from xtdrone_planning.exploration.sharing import Share
+from xtdrone_planning.exploration.shared_regions import Share
 from xtdrone_planning.mapping.range_images import points_of
 
 Array = NDArray[np.float64]

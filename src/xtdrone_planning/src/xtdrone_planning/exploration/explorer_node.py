@@ -35,6 +35,7 @@ from std_msgs.msg import String
 from xtdrone_msgs.msg import RegionShare, SharedFloor
 
 from xtdrone_control import lockstep
+from xtdrone_planning.exploration.choice_of_frontier import HOME, STRANDED, Decision, Explorer
 from xtdrone_planning.exploration.exploration_messages import (
     FloorError,
     cells_of,
@@ -43,7 +44,6 @@ from xtdrone_planning.exploration.exploration_messages import (
     share_of,
     slice_of,
 )
-from xtdrone_planning.exploration.explorer import HOME, STRANDED, Decision, Explorer
 from xtdrone_planning.exploration.settings import ExplorationSettings
 from xtdrone_planning.mapping.map_messages import FRAME
 from xtdrone_planning.mapping.range_images import ScanError

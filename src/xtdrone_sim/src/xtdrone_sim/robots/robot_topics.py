@@ -43,7 +43,7 @@ from xtdrone_sim.physics.contacts.start_collisions import StartError, check_heig
 from xtdrone_sim.rays.solid_ground import SolidGround, shapes_of
 from xtdrone_sim.robots.floating import Boat
 from xtdrone_sim.robots.kinematics import Drive
-from xtdrone_sim.robots.listing import Robot
+from xtdrone_sim.robots.list_of_robots import Robot
 from xtdrone_sim.robots.robot_model import LINK, BoatModel
 from xtdrone_sim.robots.robot_urdf import urdf_of, wheel_frames
 from xtdrone_sim.shapes.pose_arithmetic import compose, inverse

@@ -20,13 +20,13 @@ from xtdrone_control.rotation import Vector
 from xtdrone_control.settings import setting
 from xtdrone_sim.autopilots.builtin_autopilot import AutopilotFactory, BuiltinAutopilot
 from xtdrone_sim.autopilots.datagrams import Datagrams
-from xtdrone_sim.autopilots.hil import Hil
+from xtdrone_sim.autopilots.px4_hil_fleet import Hil
 from xtdrone_sim.effects import Effect, load_effects
 from xtdrone_sim.gazebo.model_services import GazeboServices
 from xtdrone_sim.gazebo.models_by_name import Models
 from xtdrone_sim.gazebo.scene_topics import ModelTopics
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT
-from xtdrone_sim.robots.listing import Robot, parse_robots
+from xtdrone_sim.robots.list_of_robots import Robot, parse_robots
 from xtdrone_sim.robots.robot_topics import RobotTopics
 from xtdrone_sim.runtime.launched_vehicles import launched_world, read_launched
 from xtdrone_sim.runtime.requests.mailbox import Mailbox

@@ -2,7 +2,7 @@
 
 from xtdrone_swarm.view.film import FilmError, FilmWriter, check_film, film
 from xtdrone_swarm.view.swarm_picture import Frame, SwarmView, palette
-from xtdrone_swarm.view.window import Window, WindowError, can_open
+from xtdrone_swarm.view.window_and_mouse import Window, WindowError, can_open
 
 __all__ = [
     "FilmError",

@@ -21,8 +21,8 @@ from matplotlib.text import Text
 from matplotlib.transforms import IdentityTransform
 from numpy.typing import NDArray
 
-from xtdrone_swarm.view.camera import Array, Box, Camera, FollowingBox, Projection
-from xtdrone_swarm.view.room import Room
+from xtdrone_swarm.view.projection_and_zoom import Array, Box, Camera, FollowingBox, Projection
+from xtdrone_swarm.view.walls_and_scales import Room
 
 SIZE = (960, 720)  # pixels
 TRAILS = 4.0  # s

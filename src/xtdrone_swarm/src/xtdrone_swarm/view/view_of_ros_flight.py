@@ -44,11 +44,11 @@ from xtdrone_control.programs.program import (
 )
 from xtdrone_control.settings import check_range
 from xtdrone_coordination.patterns import Patterns, with_leader
-from xtdrone_swarm.view.camera import Array
 from xtdrone_swarm.view.film import FPS, FilmError, check_film, film
+from xtdrone_swarm.view.projection_and_zoom import Array
 from xtdrone_swarm.view.swarm_picture import TRAILS, Frame, SwarmView
 from xtdrone_swarm.view.view_of_swarm import RealTimeFactor
-from xtdrone_swarm.view.window import Window, WindowError, check_display
+from xtdrone_swarm.view.window_and_mouse import Window, WindowError, check_display
 
 MODEL_STATES = "/gazebo/model_states"
 PATTERN_TOPIC = "/xtdrone/formation_pattern"

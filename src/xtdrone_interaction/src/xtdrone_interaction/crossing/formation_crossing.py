@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from xtdrone_interaction.crossing.mission import Crossing
+from xtdrone_interaction.crossing.crossing_mission import Crossing
 
 FORMED_ERROR = 0.3  # m; the formation is formed when every follower is nearer to its slot
 STAGES = ("taking off", "forming", "crossing", "forming again", "landing", "over")

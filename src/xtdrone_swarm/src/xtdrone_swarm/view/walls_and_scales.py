@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.transforms import IdentityTransform
 
-from xtdrone_swarm.view.camera import Array, Box, Projection
+from xtdrone_swarm.view.projection_and_zoom import Array, Box, Projection
 
 _LINES = 7  # approximate number of grid lines along the longest edge
 _GROUND, _FLOOR, _WALL = "#eaf0ea", "#f3f5f8", "#fafbfc"

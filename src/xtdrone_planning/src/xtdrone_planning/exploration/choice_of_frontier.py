@@ -21,7 +21,7 @@ from xtdrone_planning.exploration.floor_map import FloorMap
 from xtdrone_planning.exploration.frontiers import Cell, Frontier, Ways, find_frontiers
 from xtdrone_planning.exploration.regions import Regions
 from xtdrone_planning.exploration.settings import ExplorationSettings
-from xtdrone_planning.exploration.sharing import Share, Sharing
+from xtdrone_planning.exploration.shared_regions import Share, Sharing
 from xtdrone_planning.exploration.tours import divide
 
 Array = NDArray[np.float64]

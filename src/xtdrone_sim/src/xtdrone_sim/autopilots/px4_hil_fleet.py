@@ -29,8 +29,8 @@ from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.state import MAX_ROTORS
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.geodesy.datum import Datum
-from xtdrone_sim.autopilots.hil_link import HilLink, Log
-from xtdrone_sim.autopilots.hil_messages import Frames
+from xtdrone_sim.autopilots.px4_hil_link import HilLink, Log
+from xtdrone_sim.autopilots.px4_hil_messages import Frames
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.physics.world_environment import (
     WorldModel,
@@ -47,7 +47,7 @@ _HEARTBEAT_US = 1_000_000
 
 
 def _log(level: int, text: str) -> None:
-    logging.getLogger("xtdrone_sim.autopilots.hil").log(level, text)
+    logging.getLogger("xtdrone_sim.autopilots.px4_hil_fleet").log(level, text)
 
 
 class Hil:

@@ -33,7 +33,7 @@ from std_msgs.msg import String
 from xtdrone_control import lockstep
 from xtdrone_control.communication.commands import Request
 from xtdrone_control.communication.multirotor import MavrosServices
-from xtdrone_interaction.crossing.mission import TASKS, Crossing, CrossingSettings
+from xtdrone_interaction.crossing.crossing_mission import TASKS, Crossing, CrossingSettings
 from xtdrone_interaction.formation.distances import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.formation.flight_events import EVENTS_FILE, EventsFile
 
