@@ -226,6 +226,12 @@ def test_what_is_refused(changes: dict[str, Any], words: str) -> None:
         read_cameras([entry], load_vehicle("iris").urdf)
 
 
+def test_two_cameras_of_one_name_are_refused() -> None:
+    entries = [{"name": "eye", "link": "base_link", "width": 64, "height": 48, "hfov": hfov} for hfov in (1.0, 2.0)]
+    with pytest.raises(MountError, match="cameras: name 'eye' is given 2 times"):
+        read_cameras(entries, load_vehicle("iris").urdf)
+
+
 def test_pictures_of_a_colour_camera_are_drawn_without_depth(tmp_path: Path) -> None:
     (camera,) = cameras_of(fleet("typhoon_h480"))
     assert [view.depth for view in camera.views] == [False]
