@@ -17,7 +17,7 @@ from xtdrone_interaction.web import station_node
 from xtdrone_interaction.web.actions import operator_actions
 from xtdrone_interaction.web.actions.held_time import Instant
 from xtdrone_interaction.web.actions.operator_actions import OperatorActions
-from xtdrone_interaction.web.actions.recorded_actions import LET_GO, ActionError, parse_actions
+from xtdrone_interaction.web.actions.recorded_actions import LET_GO, REFUSED, ActionError, parse_actions
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.server.credentials import Credentials
 from xtdrone_interaction.web.server.methods import CallError, Method
@@ -30,18 +30,19 @@ def entry(number: int, station: int = 1, **changed: Any) -> str:
     return json.dumps({**content, "method": "vehicles.command", "params": {"n": number}, **changed})
 
 
-def let_go(number: int, station: int = 1) -> str:
-    return json.dumps({"station": station, "method": LET_GO, "params": {"number": number}})
+def mark(method: str, number: int, station: int = 1) -> str:
+    return json.dumps({"station": station, "method": method, "params": {"number": number}})
 
 
 # ---- what a bag has
 
 
 def test_actions_are_read_in_order_once_and_of_each_start_of_the_station() -> None:
-    texts = [entry(1), entry(0, method="recordings.start"), entry(1), entry(2), let_go(2), entry(3, held=False)]
+    texts = [entry(1), entry(0, method="recordings.start"), entry(1), entry(2), entry(3, held=False)]
+    texts += [mark(LET_GO, 2), mark(REFUSED, 3)]
     actions = parse_actions([*texts, entry(1, station=9), entry(2, station=9, tick=None)])
-    assert [(action.number, action.tick, action.exact) for action in actions] == [
-        (1, 10, True), (2, 20, False), (3, 30, False), (1, 10, True),
+    assert [(action.number, action.tick, action.exact, action.refused) for action in actions] == [
+        (1, 10, True, False), (2, 20, False, False), (3, 30, False, True), (1, 10, True, False),
     ]  # fmt: skip
     assert actions[1].params == {"n": 2}
 
@@ -59,6 +60,7 @@ def test_actions_are_read_in_order_once_and_of_each_start_of_the_station() -> No
         ([entry(1, params=3)], "params of the action"),
         (['{"method": "vehicles.command"}'], "station of the action"),
         ([json.dumps({"station": 1, "method": LET_GO})], "params of the action"),
+        ([json.dumps({"station": 1, "method": REFUSED, "params": {"number": []}})], "number of an action is needed"),
     ],
 )
 def test_what_cannot_be_repeated_is_refused(texts: list[str], reason: str) -> None:
@@ -114,7 +116,8 @@ def test_time_goes_on_after_a_failed_and_during_a_long_action(monkeypatch: pytes
 
         with pytest.raises(CallError, match="refused"):
             await station.do(Method("refuse", refuse, "operate"))
-        assert station.log.pop() == "let go"
+        held, told = station.log[-2:]
+        assert (held, told["method"], told["params"]) == ("let go", REFUSED, {"number": 1})
         ready = asyncio.Event()
         long = asyncio.ensure_future(station.do(Method("long", lambda *_: ready.wait(), "operate")))
         while station.log[-1] != "let go":

@@ -17,12 +17,13 @@ from std_msgs.msg import String
 
 from xtdrone_control import lockstep
 from xtdrone_interaction.web.actions.held_time import Instant, hold, let_go
-from xtdrone_interaction.web.actions.recorded_actions import LET_GO, TOPIC
+from xtdrone_interaction.web.actions.recorded_actions import LET_GO, REFUSED, TOPIC
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.server.methods import Method, Params, invoke
 from xtdrone_interaction.web.server.session import Session
 
 _KEPT = 10_000  # actions
+_KEPT_TEXT = 64 << 20  # characters of all of them
 LONGEST_HOLD = 3.0
 """s of wall time that an action may let simulated time stand still."""
 
@@ -34,6 +35,7 @@ class OperatorActions:
         """Advertise the topic."""
         self._context = context
         self._so_far: list[String] = []
+        self._so_far_text = 0  # characters
         self._station = time.time_ns()
         self._number = 0
         self._publisher = lockstep.UncountedPublisher(TOPIC, String, queue_size=_KEPT)
@@ -51,11 +53,15 @@ class OperatorActions:
             if method.touches == "time":
                 self._publish(method, session, params, Instant())
                 return await invoke(method, session, params)
-            call = await self._begin(method, session, params)
-        return await call
+            number, call = await self._begin(method, session, params)
+        try:
+            return await call
+        except Exception:
+            self._mark(REFUSED, number)
+            raise
 
-    async def _begin(self, method: Method, session: Session, params: Params) -> asyncio.Future[Any]:
-        """Start a call while time stands still; return it when it has ended, or has taken too long for that."""
+    async def _begin(self, method: Method, session: Session, params: Params) -> tuple[int, asyncio.Future[Any]]:
+        """Start a call while time stands still; return its number and itself when it has ended or takes too long."""
         instant = await self._context.blocking(hold, self._context.master)
         try:
             recorded = params if method.recorded is None else method.recorded(params)
@@ -63,10 +69,10 @@ class OperatorActions:
             call = asyncio.ensure_future(invoke(method, session, params))
             await asyncio.wait({call}, timeout=LONGEST_HOLD if instant.held else 0.0)
             if instant.held and not call.done():
-                self._tell({"station": self._station, "method": LET_GO, "params": {"number": number}}, keep=True)
+                self._mark(LET_GO, number)
         finally:
             await self._context.blocking(let_go, self._context.master, instant)
-        return call
+        return number, call
 
     def _publish(self, method: Method, session: Session, params: Params, instant: Instant) -> int:
         on_flight = method.touches == "flight"
@@ -86,10 +92,15 @@ class OperatorActions:
         )
         return self._number
 
+    def _mark(self, mark: str, number: int) -> None:
+        """Publish how an action on the flight has ended, ``LET_GO`` or ``REFUSED``."""
+        self._tell({"station": self._station, "method": mark, "params": {"number": number}}, keep=True)
+
     def _tell(self, content: Mapping[str, Any], *, keep: bool) -> None:
         message = String(json.dumps(content, sort_keys=True))
-        if keep and len(self._so_far) < _KEPT:
+        if keep and len(self._so_far) < _KEPT and self._so_far_text + len(message.data) <= _KEPT_TEXT:
             self._so_far.append(message)
+            self._so_far_text += len(message.data)
         self._publisher.publish(message)
 
     def _tell_newcomer(self, _topic: str, _publish: Any, publish_to: Callable[[String], None]) -> None:

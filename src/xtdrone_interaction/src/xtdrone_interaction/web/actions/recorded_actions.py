@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Set
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,9 @@ from xtdrone_interaction.bags.bag_kinds import Layouts, by_connection, large_bat
 TOPIC = "/xtdrone/operator_actions"
 LET_GO = "actions.let_go"
 """Method on the topic: an action took so long that time went on before its end; ``number`` in its parameters."""
+REFUSED = "actions.refused"
+"""Method on the topic: an action has ended with an error; ``number`` in its parameters."""
+_MARKS = (LET_GO, REFUSED)
 
 
 class ActionError(ValueError):
@@ -28,6 +31,7 @@ class RecordedAction:
         tick: at which it acted.
         time: simulated time at which it acted, s.
         exact: whether all of it acted between this tick and the next.
+        refused: whether it ended with an error.
         page: number of the page.
         method: name, as ``vehicles.command``.
         params: of the method.
@@ -37,6 +41,7 @@ class RecordedAction:
     tick: int
     time: float
     exact: bool
+    refused: bool
     page: int
     method: str
     params: Mapping[str, Any]
@@ -58,27 +63,40 @@ def parse_actions(texts: Iterable[str]) -> list[RecordedAction]:
     Raises:
         ActionError: as ``read_actions``.
     """
-    actions: list[RecordedAction] = []
+    entries: list[dict[str, Any]] = []
+    marks: set[tuple[str, int, int]] = set()  # method, station and number of the action
     station, last = 0, 0
     for text in texts:
         entry = _entry(text)
+        if entry["method"] in _MARKS:
+            marks.add((entry["method"], entry["station"], entry["params"]["number"]))
+            continue
         if entry["station"] != station:
             station, last = entry["station"], 0
-        if entry["method"] == LET_GO:
-            late = entry["params"].get("number")
-            actions[-1:] = [replace(a, exact=a.exact and a.number != late) for a in actions[-1:]]
-            continue
         if entry["number"] <= last:  # of no effect on the flight, or told to a new subscriber a second time
             continue
         if entry["number"] != last + 1:
             raise ActionError(f"bag: action {last + 1} is missing, the next one in it is {entry['number']}")
         last = entry["number"]
         if entry["tick"] is not None:
-            names = ("number", "tick", "time", "held", "page", "method", "params")
-            actions.append(RecordedAction(*(entry[name] for name in names)))
-    if not actions:
+            entries.append(entry)
+    if not entries:
         raise ActionError(f"bag: no action of an operator on the flight is in it ({TOPIC})")
-    return actions
+    return [_action(entry, marks) for entry in entries]
+
+
+def _action(entry: Mapping[str, Any], marks: Set[tuple[str, int, int]]) -> RecordedAction:
+    number, station = entry["number"], entry["station"]
+    return RecordedAction(
+        number=number,
+        tick=entry["tick"],
+        time=entry["time"],
+        exact=entry["held"] and (LET_GO, station, number) not in marks,
+        refused=(REFUSED, station, number) in marks,
+        page=entry["page"],
+        method=entry["method"],
+        params=entry["params"],
+    )
 
 
 def _texts(paths: list[Path]) -> Iterable[str]:
@@ -102,9 +120,7 @@ _KINDS: Mapping[str, type | tuple[type, ...]] = {
     "method": str,
     "params": dict,
 }
-
-
-_LET_GO_KINDS = {name: _KINDS[name] for name in ("station", "method", "params")}
+_MARK_KINDS = {name: _KINDS[name] for name in ("station", "method", "params")}
 
 
 def _entry(text: str) -> dict[str, Any]:
@@ -112,10 +128,12 @@ def _entry(text: str) -> dict[str, Any]:
         entry = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise ActionError(f"bag: {text[:80]!r} is no action: {error}") from error
-    kinds = _KINDS if isinstance(entry, dict) and entry.get("method") != LET_GO else _LET_GO_KINDS
     if not isinstance(entry, dict):
         raise ActionError(f"bag: {text[:80]!r} is no action, an object is needed")
-    for name, kind in kinds.items():
+    is_mark = entry.get("method") in _MARKS
+    for name, kind in (_MARK_KINDS if is_mark else _KINDS).items():
         if name not in entry or not isinstance(entry[name], kind):
             raise ActionError(f"bag: {name} of the action {text[:80]!r} is not allowed or missing")
+    if is_mark and not isinstance(entry["params"].get("number"), int):
+        raise ActionError(f"bag: params of the action {text[:80]!r} is not allowed, the number of an action is needed")
     return entry

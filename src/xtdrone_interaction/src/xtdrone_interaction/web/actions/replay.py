@@ -18,7 +18,7 @@ from xtdrone_interaction.web.actions.operator_actions import OperatorActions
 from xtdrone_interaction.web.actions.recorded_actions import ActionError, RecordedAction
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.rooms import methods_of_rooms
-from xtdrone_interaction.web.server.methods import CallError, MethodTable, invoke
+from xtdrone_interaction.web.server.methods import MethodTable, invoke
 from xtdrone_interaction.web.server.session import Session
 from xtdrone_interaction.web.station_settings import StationSettings
 
@@ -50,7 +50,8 @@ async def replay(actions: Sequence[RecordedAction], tell: Callable[[str], None])
         tell: prints a line.
 
     Raises:
-        ActionError: time is beyond the first action or runs, the flight is another one, or an action is refused.
+        ActionError: time is beyond the first action or runs, the flight is another one, or an action is refused that
+            was carried out in the recorded session, or the other way round.
         SimError: there is no simulator, or it has ended.
     """
     context = StationContext(rosgraph.get_master_uri(), rospy.get_name())
@@ -69,15 +70,29 @@ async def _replay(context: StationContext, actions: Sequence[RecordedAction], te
     await _fleet_is_known(methods, next(iter(sessions.values())))
     for action in actions:
         await _advance(context, action)
-        try:
-            method = methods.find(action.method, "operate")
-            result = await context.act(method, sessions[action.page], action.params)
-        except (CallError, ValueError) as error:
-            raise ActionError(f"action {action.number}, {action.method}: {error}") from error
-        exact = "" if action.exact else ", not at the very tick: it took too long in the recorded session"
-        tell(f"{action.time:9.3f} s  {action.method}: {_in_short(result)}{exact}")
+        result = await _repeat(context, methods, sessions[action.page], action)
+        exact = "" if action.exact else ", perhaps at another tick: time ran during it in the recorded session"
+        tell(f"{action.time:9.3f} s  {action.method}: {result}{exact}")
     context.sessions.clear()
     await context.blocking(call, context.master, "/simulator/resume", Trigger, TriggerRequest())
+
+
+async def _repeat(context: StationContext, methods: MethodTable, session: Session, action: RecordedAction) -> str:
+    """Carry out an action and return its result in short.
+
+    Raises:
+        ActionError: it is refused and was not in the recorded session, or the other way round.
+    """
+    name = f"action {action.number}, {action.method}"
+    try:
+        result = await context.act(methods.find(action.method, "operate"), session, action.params)
+    except (ValueError, TimeoutError) as error:
+        if not action.refused:
+            raise ActionError(f"{name}: {error}") from error
+        return f"refused as in the recorded session: {error}"
+    if action.refused:
+        raise ActionError(f"{name}: it was refused in the recorded session, and is carried out here")
+    return _in_short(result)
 
 
 def _session(number: int) -> Session:
