@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import genpy
@@ -36,7 +37,9 @@ class ConnectedPublishers:
         self._lock = threading.Lock()
 
     def publish(self, topic: str, message: genpy.Message) -> int:
-        """Publish a message once the subscribers that the master names are connected; blocks for at most 2 s.
+        """Publish a message; the first one on a topic once the subscribers that the master names are connected.
+
+        Blocks for at most 2 s.
 
         Returns:
             The number of subscribers.
@@ -44,37 +47,63 @@ class ConnectedPublishers:
         Raises:
             TooManyTopicsError: the topic is one too many.
         """
-        publisher = self._publisher(topic, type(message))
+        publisher = self._connected({topic: type(message)})[topic]
         publisher.publish(message)
         return int(publisher.get_num_connections())
 
-    def connect(self, topic: str, kind: type[genpy.Message]) -> int:
-        """Connect to the subscribers without publishing; as ``publish``."""
-        return int(self._publisher(topic, kind).get_num_connections())
+    def connect(self, topics: Mapping[str, type[genpy.Message]]) -> dict[str, int]:
+        """Connect to the subscribers of topics, given with their types, without publishing.
 
-    def _publisher(self, topic: str, kind: type[genpy.Message]) -> Any:
+        Blocks for at most 2 s, however many topics there are.
+
+        Returns:
+            The number of subscribers by topic.
+
+        Raises:
+            TooManyTopicsError: a topic is one too many.
+        """
+        return {topic: int(made.get_num_connections()) for topic, made in self._connected(topics).items()}
+
+    def _connected(self, topics: Mapping[str, type[genpy.Message]]) -> dict[str, Any]:
         with self._lock:
-            return self._publishers.get(topic) or self._connected(topic, kind)
+            new = [topic for topic in topics if topic not in self._publishers]
+            if new:
+                self._advertise({topic: topics[topic] for topic in new})
+                self._wait_for_subscribers(new)
+            return {topic: self._publishers[topic] for topic in topics}
 
-    def _connected(self, topic: str, kind: type[genpy.Message]) -> Any:
-        if len(self._publishers) >= self._most:
+    def _advertise(self, topics: Mapping[str, type[genpy.Message]]) -> None:
+        left = self._most - len(self._publishers)
+        if len(topics) > left:
+            topic = list(topics)[left]
             raise TooManyTopicsError(f"topic: {topic!r} is one more than the {self._most} that may be published here")
-        publisher = self._publishers[topic] = lockstep.UncountedPublisher(topic, kind, queue_size=_KEPT)
+        for topic, kind in topics.items():
+            self._publishers[topic] = lockstep.UncountedPublisher(topic, kind, queue_size=_KEPT)
+
+    def _wait_for_subscribers(self, topics: Iterable[str]) -> None:
         arrival = threading.Event()
         listener = rospy.SubscribeListener()
         listener.peer_subscribe = lambda *_: arrival.set()
-        publisher.impl.add_subscriber_listener(listener)
-        expected = self._subscribers(topic) - {rospy.get_name()}
+        publishers = {topic: self._publishers[topic].impl for topic in topics}
+        for publisher in publishers.values():
+            publisher.add_subscriber_listener(listener)
         end = time.monotonic() + _CONNECT_LIMIT
-        while expected - {connection.endpoint_id for connection in list(publisher.impl.connections)}:
-            if not arrival.wait(max(0.0, end - time.monotonic())):
-                break
+        missing = self._subscribers(topics)
+        while True:
+            missing = {topic: nodes - _nodes_connected_to(publishers[topic]) for topic, nodes in missing.items()}
+            missing = {topic: nodes for topic, nodes in missing.items() if nodes}
+            if not missing or not arrival.wait(max(0.0, end - time.monotonic())):
+                return
             arrival.clear()
-        return publisher
 
-    def _subscribers(self, topic: str) -> set[str]:
+    def _subscribers(self, topics: Iterable[str]) -> dict[str, set[str]]:
+        """Return the other nodes that subscribe to each topic; none of a master that does not answer."""
         try:
-            found = read_topics(self._master).topics.get(topic)
+            graph = read_topics(self._master).topics
         except MasterError:
-            return set()
-        return set() if found is None else set(found.subscribers)
+            return {}
+        return {topic: set(graph[topic].subscribers) - {rospy.get_name()} for topic in topics if topic in graph}
+
+
+def _nodes_connected_to(publisher: Any) -> set[str]:
+    return {connection.endpoint_id for connection in list(publisher.connections)}

@@ -27,6 +27,7 @@ _NAME = re.compile(r"^[A-Za-z]\w*$", re.ASCII)
 _TEXT = re.compile(r"^[ -~]{1,200}$", re.ASCII)
 _LIMITS = (MAX_SPEED, MAX_SPEED, MAX_SPEED, MAX_TURN)
 _MOST_VEHICLES = 250
+_MOST_TOPICS = (1 + len(MODES)) * (1 + _MOST_VEHICLES)  # commands and setpoints of the leader and the vehicles
 
 
 class SteeringRoom:
@@ -36,7 +37,7 @@ class SteeringRoom:
         """Begin the cycle of the setpoints."""
         self._context = context
         self._pilots: dict[Session, PagePilot] = {}
-        self._topics = ConnectedPublishers(context.master)
+        self._topics = ConnectedPublishers(context.master, _MOST_TOPICS)
         self._waiting: dict[Session, list[dict[str, Any]]] = {}
         self._send_method = Method("steering.send", self._send, "operate")
         self._sending: asyncio.Task[None] | None = None
@@ -79,10 +80,10 @@ class SteeringRoom:
 
     def _unconnected(self, vehicles: Sequence[str], mode: str) -> list[str]:
         """Connect to the subscribers, so that the first key reaches them; return the vehicles without one."""
-        for name in ("leader", *vehicles):
-            self._topics.connect(_setpoint_topic(name, mode), Twist)
-            self._topics.connect(_command_topic(name), String)
-        return [name for name in vehicles if not self._topics.connect(_command_topic(name), String)]
+        names = ("leader", *vehicles)
+        commands = {_command_topic(name): String for name in names}
+        found = self._topics.connect({**commands, **{_setpoint_topic(name, mode): Twist for name in names}})
+        return [name for name in vehicles if not found[_command_topic(name)]]
 
     def _key(self, session: Session, params: Params) -> dict[str, Any]:
         pilot = self._pilot(session)
