@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+import tracemalloc
 from typing import Any
 
 import numpy as np
@@ -177,6 +178,17 @@ def test_a_large_grid_keeps_what_is_occupied(rows: int, columns: int, seed: int)
     assert np.count_nonzero(frame["cells"] != UNKNOWN) == 1
 
 
+def test_a_long_narrow_grid_takes_no_more_memory_than_its_cells() -> None:
+    cells = np.zeros((1, 400_000), np.int8)
+    cells[0, -1] = 100
+    tracemalloc.start()
+    content = content_of("nav_msgs/OccupancyGrid", grid_of(cells), MOST)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert sent(content)["cells"].tolist() == [[0] * 511 + [100]]
+    assert most < 40_000_000  # a square of this side would have 1.6e11 cells
+
+
 @pytest.mark.parametrize("wrong", ["cells", "side", "place", "turn"])
 def test_a_wrong_grid_is_refused(wrong: str) -> None:
     message = grid_of([[0, 0], [0, 0]])
@@ -242,8 +254,14 @@ def test_tf_counts_more_than_the_simulator_s_poses(frames: FramesInMap) -> None:
     assert np.allclose(frames.pose(f"{NAME}/base_link", TOPIC, STAMP)[:3, 3], [102.0, 0.0, 0.0])
 
 
+def test_new_frames_of_one_message_all_count(frames: FramesInMap) -> None:
+    chain = [*told("map", "rover/odom", 1.0).transforms, *told("rover/odom", "rover/base_link", 2.0).transforms]
+    frames.hear(TFMessage(chain))
+    assert frames.pose("rover/base_link", "/x", STAMP)[0, 3] == 3.0
+
+
 def test_an_unknown_frame_is_refused(frames: FramesInMap) -> None:
-    for frame in ("nowhere", "iris_3d_lidar_1/base_link", "a frame"):
+    for frame in ("nowhere", "iris_3d_lidar_1/base_link", "a frame", "a\0frame", "a\ud800frame"):
         with pytest.raises(LayerError, match=r"frame_id: .* is not allowed, one that TF leads from to 'map'"):
             frames.pose(frame, "/nowhere/points", STAMP)
     frames.hear(told("map", "nowhere", math.nan))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -51,9 +52,13 @@ class FramesInMap:
         self._time = -1.0  # of the newest poses of vehicles, s
         self._buffer = tf2_py.BufferCore(rospy.Duration.from_sec(_MEMORY))
 
+    def is_of(self, fleet: Sequence[Vehicle]) -> bool:
+        """Return whether the vehicles are those of the last ``set_fleet``."""
+        return tuple(fleet) == self._fleet
+
     def set_fleet(self, fleet: Sequence[Vehicle]) -> None:
         """Take the fixed frames of the vehicles' descriptions; may take a while."""
-        if tuple(fleet) == self._fleet:
+        if self.is_of(fleet):
             return
         bodies, fixed = [], []
         for vehicle in fleet:
@@ -92,10 +97,12 @@ class FramesInMap:
 
     def hear(self, message: TFMessage) -> None:
         """Take transforms of /tf."""
+        entries = _usable(message.transforms)
         with self._lock:
-            for entry in _usable(message.transforms):
+            for entry in entries:
                 self._known.pop(entry.child_frame_id, None)
                 self._note(entry.child_frame_id)
+            for entry in entries:  # after all are noted, as a new frame makes the buffer forget
                 self._buffer.set_transform(entry, _AUTHORITY)
 
     def hear_static(self, message: TFMessage) -> None:
@@ -123,16 +130,10 @@ class FramesInMap:
                 name = next((body for body in self._bodies if topic.startswith(f"/{body.split('/')[0]}/")), name)
             if name == MAP or (name in _SAME and not self._has(name)):
                 return np.eye(4)
-            try:
-                return _matrix(self._buffer.lookup_transform_core(MAP, name, stamp).transform)
-            except tf2_py.TransformException:
-                pass
-            try:
-                return _matrix(self._buffer.lookup_transform_core(MAP, name, rospy.Time()).transform)
-            except (tf2_py.TransformException, ValueError):
-                raise LayerError(
-                    f"frame_id: {frame[:80]!r} is not allowed, one that TF leads from to {MAP!r}"
-                ) from None
+            for time in (stamp, rospy.Time()):
+                with suppress(tf2_py.TransformException, ValueError):  # ValueError: a name that C cannot hold
+                    return _matrix(self._buffer.lookup_transform_core(MAP, name, time).transform)
+        raise LayerError(f"frame_id: {frame[:80]!r} is not allowed, one that TF leads from to {MAP!r}")
 
     def _has(self, name: str) -> bool:
         return bool(name) and name in self._told

@@ -133,7 +133,10 @@ def _grid(message: Any, _most: int) -> Grid:
     place, turn = info.origin.position, info.origin.orientation
     position, orientation = np.array([place.x, place.y, place.z]), np.array([turn.w, turn.x, turn.y, turn.z])
     if not (0.0 < info.resolution <= FARTHEST and np.abs(position).max() <= FARTHEST):
-        raise LayerError(f"info: resolution {info.resolution:g} m at {position.tolist()} is not allowed")
+        raise LayerError(
+            f"info: resolution {info.resolution:g} m at {position.tolist()} is not allowed, above 0 and within "
+            f"{FARTHEST:g} m"
+        )
     norm = float(np.linalg.norm(orientation))
     if norm == 0.0:  # as many publishers leave it
         orientation, norm = np.array([1.0, 0.0, 0.0, 0.0]), 1.0
@@ -152,10 +155,9 @@ def _merged(cells: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], int]:
     factor = math.ceil(max(cells.shape) / MOST_SIDE)
     if factor == 1:
         return cells, 1
-    rows, columns = (math.ceil(length / factor) for length in cells.shape)
-    ranked = np.zeros((rows * factor, columns * factor), np.uint8)
-    ranked[: cells.shape[0], : cells.shape[1]] = cells + np.uint8(1)  # unknown, 255, becomes 0
-    most = ranked.reshape(rows, factor, columns, factor).max(axis=(1, 3))
+    rows, columns = (np.arange(0, length, factor) for length in cells.shape)
+    ranked = cells + np.uint8(1)  # unknown, 255, becomes 0
+    most = np.maximum.reduceat(np.maximum.reduceat(ranked, rows, axis=0), columns, axis=1)
     return most - np.uint8(1), factor
 
 

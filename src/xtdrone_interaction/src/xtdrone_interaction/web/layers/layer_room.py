@@ -61,6 +61,7 @@ class LayerRoom:
         self._cache: dict[tuple[str, int], Shown] = {}  # newest of each topic and number of points
         self._open: dict[Session, set[int]] = {}
         self._subscribers: list[Any] = []
+        self._takes_fleet = False
         fleet.watchers.append(self._on_vehicles)
 
     def methods(self) -> list[Method]:
@@ -84,11 +85,11 @@ class LayerRoom:
         if found is None or found.type not in TYPES:
             kind = "it is not there" if found is None else found.type
             raise CallError(f"topic: {topic[:100]!r} is not allowed ({kind}), one of {', '.join(TYPES)}")
-        await self._context.blocking(self._listen_to_frames)
         mine = self._open.get(session)
-        if mine is None:
+        if mine is None:  # before listening: the end of another page's last layer must not stop it
             mine = self._open[session] = set()
             session.on_close(lambda: self._end(session))
+        await self._context.blocking(self._listen_to_frames)
         last: list[Shown | None] = [None]
         faults = [""]
 
@@ -124,7 +125,7 @@ class LayerRoom:
     def _listen_to_frames(self) -> None:
         self._frames.set_fleet(self._fleet.roster.vehicles)
         with self._lock:
-            if not self._subscribers:
+            if self._open and not self._subscribers:
                 self._subscribers = [
                     rospy.Subscriber("/tf", TFMessage, self._frames.hear, queue_size=100, tcp_nodelay=True),
                     rospy.Subscriber("/tf_static", TFMessage, self._frames.hear_static, queue_size=100),
@@ -140,8 +141,22 @@ class LayerRoom:
             subscriber.unregister()
 
     def _on_vehicles(self, rows: NDArray[Any], time: float) -> None:
-        if self._open:
+        if not self._open:
+            return
+        if self._frames.is_of(self._fleet.roster.vehicles):
             self._frames.set_vehicles(rows, time)
+        else:  # a vehicle has joined or left
+            self._context.in_loop(self._take_fleet)
+
+    async def _take_fleet(self) -> None:
+        """Load the frames of the present fleet, once for all calls meanwhile."""
+        if self._takes_fleet:
+            return
+        self._takes_fleet = True
+        try:
+            await self._context.blocking(self._frames.set_fleet, self._fleet.roster.vehicles)
+        finally:
+            self._takes_fleet = False
 
     def _shown(self, message: RawMessage, most: int) -> Shown:
         """Return a message as it is sent, made once for all pages that show as many points.
