@@ -65,7 +65,7 @@ class TimeControl:
     async def _reset(self, _session: Session, params: Params) -> str:
         """Reset a vehicle, or all and time."""
         vehicle = params.get("vehicle", "")
-        if vehicle:
+        if vehicle != "":  # null or 0 must not reset all
             chosen_vehicles([vehicle], self._fleet.roster.vehicles)
         return await self._asked(self._set_back, vehicle)
 

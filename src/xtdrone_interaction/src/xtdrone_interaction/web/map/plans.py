@@ -113,7 +113,8 @@ class Plans:
     def _files(self, params: Params) -> Mapping[str, Plan] | None:
         given = params.get("files")
         if not isinstance(given, dict):
-            return self._made.get(params.get("plan"))  # type: ignore[arg-type]
+            plan = params.get("plan")
+            return self._made.get(plan) if isinstance(plan, int) else None
         names = chosen_vehicles(list(given), self._fleet.roster.vehicles)
         return {name: qgc_plan.parse(str(given[name]), f"plan of {name}") for name in names}
 

@@ -82,9 +82,10 @@ class RecordingRoom:
 
     async def _picture(self, _session: Session, params: Params) -> dict[str, Any]:
         path = allowed_file(self._folder, needed(params, "file", str, "a picture of recordings.open"), (PICTURES,))
+        size = path.stat().st_size
+        if size > MOST_PICTURE:
+            raise CallError(f"file: {path.name!r} of {size} bytes is not allowed, at most {MOST_PICTURE}")
         data = await self._context.blocking(path.read_bytes)
-        if len(data) > MOST_PICTURE:
-            raise CallError(f"file: {path.name!r} of {len(data)} bytes is not allowed, at most {MOST_PICTURE}")
         return {"png": base64.b64encode(data).decode("ascii")}
 
     def _frames(self, _session: Session, params: Params) -> dict[str, Any]:
@@ -131,7 +132,7 @@ def listed(folder: Path) -> list[dict[str, Any]]:
 
 
 def allowed_file(folder: Path, name: str, endings: tuple[str, ...] = ENDINGS) -> Path:
-    """Return the path of a recording.
+    """Return the path of a recording, or of a picture of its report.
 
     Raises:
         CallError: it is not below the folder, not there, or no recording.
