@@ -69,7 +69,7 @@ def analyse(
         return
     record = formation_of(recording)
     metrics = summarise(recording, record)
-    metrics["maps"] = map_rows(files, maps.world, maps.files) if maps.world else []
+    metrics["maps"] = map_rows(files, maps.world, maps.files, part=part) if maps.world else []
     shown = recording_pictures.pictures(recording, record if metrics["formation"] else None)
     write_trajectories(recording, folder)
     write_page(_recording_page(recording, metrics), metrics, shown, folder, console)

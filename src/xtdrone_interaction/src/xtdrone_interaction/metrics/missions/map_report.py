@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 _OCTREE_ENDINGS = (".bt", ".ot")
 _CLOUD_ENDINGS = (".ply", ".xyz", ".txt")
 _CLOUD, _OCTREES = "/local_map", ("/octomap_binary", "/octomap_full")
+_TYPES = ("sensor_msgs/PointCloud2", "octomap_msgs/Octomap")
 TOGETHER = "together"
 """Name of the union of several saved maps."""
 _LEAST_WAY = 2  # poses
@@ -63,7 +64,9 @@ def joined(messages: Sequence[Any], voxel: float) -> Array:
     return found
 
 
-def map_rows(bags: Sequence[Path], world: str, files: Sequence[Path] = (), seed: int = 0) -> list[dict[str, Any]]:
+def map_rows(
+    bags: Sequence[Path], world: str, files: Sequence[Path] = (), seed: int = 0, part: int | None = None
+) -> list[dict[str, Any]]:
     """Return the accuracy of all maps of a flight as plain data; see ``MapAccuracy``.
 
     Args:
@@ -71,6 +74,7 @@ def map_rows(bags: Sequence[Path], world: str, files: Sequence[Path] = (), seed:
         world: name or file.
         files: saved maps.
         seed: of the points drawn on surfaces.
+        part: number of the flight in a bag whose simulated time was reset, from 1; None for the longest.
 
     Raises:
         RecordError: no such world, or a map that cannot be read.
@@ -81,9 +85,11 @@ def map_rows(bags: Sequence[Path], world: str, files: Sequence[Path] = (), seed:
     except (ValueError, OSError) as error:
         raise RecordError(f"world: {error}") from error
     endings = (_CLOUD, *_OCTREES)
-    listed = read_bag(bags, wanted=lambda name: False).topics
-    names = [topic.name for topic in listed if topic.name.endswith(endings)]
-    recording = read_bag(bags, keep=names, wanted=lambda name: name in names or name.endswith("/ground_truth/odom"))
+    listed = read_bag(bags, part=part, wanted=lambda name: False).topics
+    names = [topic.name for topic in listed if topic.name.endswith(endings) and topic.type in _TYPES]
+    recording = read_bag(
+        bags, part=part, keep=names, wanted=lambda name: name in names or name.endswith("/ground_truth/odom")
+    )
     ways = _ways(recording)
     maps = [(name.strip("/"), _recorded(recording, name)) for name in names]
     maps += [(path.name, read_map(path)) for path in files]
