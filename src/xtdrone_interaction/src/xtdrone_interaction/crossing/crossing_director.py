@@ -6,7 +6,7 @@ For every vehicle T of /xtdrone/fleet:
 subscribed
 /T/mavros/state                           mavros_msgs/State
 /T/mavros/local_position/pose             PoseStamped              for the progress
-/T/planner/state                          String                   or exploration/state, see ``mission.TASKS``
+/T/planner/state                          String                   or exploration/state, see ``TASKS``
 published
 /T/planner/goal                           PoseStamped              or exploration/start
 /xtdrone/demo/events                      String (JSON)            event, time (simulated s), ...

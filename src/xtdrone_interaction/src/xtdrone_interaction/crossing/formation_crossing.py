@@ -18,6 +18,12 @@ _FORM_LIMIT = 60.0  # s
 class Member(Crossing):
     """The flight of one vehicle of a formation, which lands when the formation does."""
 
+    def _prepare(self, now: float) -> list[str]:
+        if self.outcome and not self.reports.armed:  # another vehicle has failed
+            self.phase = "failed"
+            return []
+        return super()._prepare(now)
+
     def _take_off(self, now: float) -> list[str]:
         commands = super()._take_off(now)
         return [command for command in commands if command != "GOAL"]  # which the formation sends

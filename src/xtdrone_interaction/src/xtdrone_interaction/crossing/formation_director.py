@@ -1,6 +1,6 @@
 """The director of a formation's flight through obstacles, a lockstep node.
 
-Besides the topics of ``director``:
+Besides the topics of ``crossing_director``:
 
 ========================================  =======================  ====================================================
 subscribed
@@ -22,7 +22,7 @@ import rospy
 from std_msgs.msg import Float32MultiArray, String
 
 from xtdrone_control import lockstep
-from xtdrone_interaction.crossing.crossing_director import CrossingDirector, Goal
+from xtdrone_interaction.crossing.crossing_director import CrossingDirector, Goal, GoalsError
 from xtdrone_interaction.crossing.crossing_mission import TASKS, CrossingSettings
 from xtdrone_interaction.crossing.formation_crossing import STAGES, FormationCrossing, Member
 from xtdrone_interaction.formation.distances import (
@@ -45,8 +45,11 @@ class FormationCrossingDirector(CrossingDirector):
             settings: see ``CrossingSettings``.
 
         Raises:
+            GoalsError: there is one vehicle only.
             OSError: the events file cannot be written.
         """
+        if len(goals) < 2:
+            raise GoalsError(f"pattern: {settings.pattern!r} is not allowed with {len(goals)} vehicle, 2 or more")
         super().__init__(goals, settings)
         self._pattern = settings.pattern
         self._offsets: Array | None = None
