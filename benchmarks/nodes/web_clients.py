@@ -50,11 +50,19 @@ class Reader:
 
 
 async def read(url: str, number: int) -> dict[str, float]:
-    """Read with a number of clients until standard input ends, and return what has been received."""
+    """Read with a number of clients until standard input ends, and return what has been received.
+
+    Raises:
+        ConnectionError, and others of tornado: the station does not serve a client.
+    """
     readers = [Reader() for _ in range(number)]
     tasks = [asyncio.ensure_future(reader.run(url)) for reader in readers]
-    for reader in readers:
-        await reader.first.wait()
+    for reader, task in zip(readers, tasks, strict=True):
+        first = asyncio.ensure_future(reader.first.wait())
+        await asyncio.wait({first, task}, return_when=asyncio.FIRST_COMPLETED)
+        if task.done():
+            task.result()  # raises why it could not connect
+            raise ConnectionError(f"station: {url} has closed the connection")
     for reader in readers:
         reader.frames = reader.size = 0
     begin = time.perf_counter()

@@ -35,6 +35,7 @@ class Browsers:
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         assert self._process.stdout is not None
         if self._process.stdout.readline().strip() != "reading":
+            self._process.communicate()
             raise ProbeError(f"the station at {url} sends no frames")
 
     def end(self) -> dict[str, float]:

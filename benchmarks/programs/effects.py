@@ -67,7 +67,7 @@ def measure(vehicles: int, effect: str, seconds: float) -> dict[str, Any]:
         "vehicles": vehicles,
         "effect": effect,
         "effect_microseconds": 1e-3 * statistics.median(durations) / vehicles if durations else 0.0,
-        "microseconds_per_vehicle_step": 1e6 * simulation.step_us * 1e-6 / (rate * vehicles),
+        "microseconds_per_vehicle_step": simulation.step_us / (rate * vehicles),
         "real_time_factor": rate,
     }
 

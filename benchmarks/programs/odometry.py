@@ -1,4 +1,4 @@
-"""Benchmark of what is done with a scan of 16 x 1024 rays: lidar odometry, local map, octree; ms of processor time.
+"""Benchmark of the work on a lidar's scan of 1024 columns: lidar odometry, local map, octree; ms of processor time.
 
 ``python -m benchmarks.programs.odometry --rings 16 --kind odometry`` prints a table; ``--json FILE`` writes it. The
 scans are those of a flight along a street of the world ``city`` at 3 m/s. Reading the message counts, making it does
