@@ -22,9 +22,10 @@ export function stateOf(status) {
 function mount(element, station) {
   let status = null;
   let ticks = TICKS[0];
-  const control = (params) => station.call('time.control', params).then((text) => toast(text), (error) => toast(error.message, 'bad'));
+  const call = (method, params) => station.call(method, params).then((text) => toast(text), (error) => toast(error.message, 'bad'));
+  const control = (params) => call('time.control', params);
   const reset = async () => {
-    if (await confirmed('Set all vehicles back to their start places, and time to 0?', 'Reset')) station.call('time.reset').then((text) => toast(text), (error) => toast(error.message, 'bad'));
+    if (await confirmed('Set all vehicles back to their start places, and time to 0?', 'Reset')) call('time.reset');
   };
   const show = () => {
     const [kind, text] = stateOf(status);

@@ -93,3 +93,13 @@ export class Shapes {
 
 /** Returns a copy without an index. */
 function plain(geometry) { return geometry.index ? geometry.toNonIndexed() : geometry.clone(); }
+
+/** Empties a group and frees what its objects have in the graphics; textures, which are shared, stay. */
+export function release(group) {
+  group.traverse((object) => {
+    object.geometry?.dispose();
+    object.material?.dispose();
+    if (object.isInstancedMesh) object.dispose();
+  });
+  group.clear();
+}

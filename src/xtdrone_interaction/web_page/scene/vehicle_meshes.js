@@ -5,7 +5,7 @@ import {
 } from '../vendor/three.js';
 import { COLUMNS } from '../fleet.js';
 import { writePose, writeTurned } from './instance_matrices.js';
-import { matrixOf } from './shapes.js';
+import { matrixOf, release } from './shapes.js';
 import { simplerMesh } from './simpler_mesh.js';
 
 const SPIN = 28; // rad/s that an armed rotor is seen to turn; the true one would seem to stand or to turn back
@@ -45,7 +45,7 @@ export class VehicleMeshes {
     const models = [...new Set(roster.vehicles.map(({ model }) => model))];
     const kinds = await Promise.all(models.map((model) => this.#kind(model, roster.vehicles)));
     if (this.#version !== roster.version) return; // a newer one came meanwhile
-    this.group.clear();
+    release(this.group);
     this.#kinds = kinds;
     for (const { near, far, blades } of kinds) this.group.add(near, far, blades);
     this.#armed = new Uint8Array(roster.vehicles.length);

@@ -1,7 +1,7 @@
 // The surroundings: what stands is one mesh for each texture; of people and models that move, equal shapes are one instanced mesh.
 import { Color, Group, InstancedMesh, Matrix4, Mesh, MeshLambertMaterial, Quaternion, SRGBColorSpace, Vector3 } from '../vendor/three.js';
 import { COLUMNS } from '../fleet.js';
-import { matrixOf } from './shapes.js';
+import { matrixOf, release } from './shapes.js';
 
 export class WorldMeshes {
   group = new Group();
@@ -45,8 +45,7 @@ export class WorldMeshes {
     ]);
     if (asked !== this.#asked) return;
     this.#parts = parts;
-    this.group.traverse((object) => object.isMesh && object.geometry.dispose());
-    this.group.clear();
+    release(this.group);
     this.group.add(group);
   }
 
