@@ -41,7 +41,7 @@ from benchmarks import (
     web_flights,
 )
 from benchmarks.measurement_table import MEASUREMENTS
-from benchmarks.nodes import bus_statistics, free_running_speeds, search_speed_meter
+from benchmarks.nodes import bus_statistics, free_running_speeds, search_speed_meter, web_clients
 from benchmarks.programs import barrier
 from xtdrone_control.fleet import read_fleet_file
 from xtdrone_control.lockstep.server import LockstepServer
@@ -736,6 +736,11 @@ def test_the_station_s_readers_count_frames_of_the_fleet() -> None:
     assert received["clients"] == 2
     assert received["bytes"] == received["frames"] * (1 + len(frame))
     assert received["elapsed"] > 0.0
+
+
+def test_readers_without_a_station_end() -> None:
+    with pytest.raises(ConnectionRefusedError):
+        asyncio.run(web_clients.read("http://127.0.0.1:9/#token=none", 1))
 
 
 @contextmanager
