@@ -80,6 +80,7 @@ def test_a_formation_passes_trees_and_forms_again(tmp_path: Path) -> None:
         (["--formation", "hexagon", "--n", "3"], "hexagon"),
         (["--formation", "pyramid", "--n", "3"], "its slots are at 0 to 0 m; 0.8 to 5 m (--highest)"),
         (["--formation", "circle", "--n", "3", "--follower", "mine.py"], "follower: 'mine.py' is no FILE.py[:CLASS]"),
+        (["--follower", __file__], "is not allowed without --formation"),
     ],
 )
 def test_values_that_are_not_allowed_are_named(

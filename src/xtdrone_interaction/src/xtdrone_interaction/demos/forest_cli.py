@@ -64,6 +64,9 @@ def _check_formation(settings: ForestDemoSettings) -> None:
         OptionError, PatternError: a value is not allowed.
     """
     if not settings.formation:
+        for name, given in (("follower", settings.follower_class), ("leader", settings.leader_class)):
+            if given:
+                raise OptionError(f"{name}: {given!r} is not allowed without --formation")
         return
     if settings.n < 2:
         raise OptionError(f"n: {settings.n} is not allowed with --formation, 2 to 12")
