@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
 from xtdrone_interaction.metrics.map_accuracy import map_accuracy
+from xtdrone_interaction.metrics.missions.map_report import joined, read_map
 from xtdrone_interaction.metrics.missions.odometry_errors import Trajectory
 from xtdrone_interaction.metrics.true_surfaces import Sight, TrueWorld
+from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_sim.rays.surface_points import distances_from, points_on
 from xtdrone_sim.rays.surfaces import of_shape, of_triangles
 from xtdrone_sim.shapes.visual import Box, Cylinder, Pose, Sphere
@@ -97,3 +102,24 @@ def test_only_what_is_in_sight_counts() -> None:
     assert perfect is not None
     assert perfect["precision"] == perfect["recall"] == 1.0
     assert perfect["chamfer"] < 1e-9
+
+
+# ---- maps of files and of bags
+
+
+def test_a_saved_cloud_is_read_and_one_with_nan_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "map.xyz"
+    file.write_text("1 2 3\n4 5 6\n", encoding="utf-8")
+    assert read_map(file).tolist() == [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
+    file.write_text("1 2 3\nnan 5 6\n", encoding="utf-8")
+    with pytest.raises(RecordError, match=r"map.xyz: point \[nan, 5.0, 6.0\] is not allowed, finite numbers"):
+        read_map(file)
+    with pytest.raises(RecordError, match=r"one of the endings \.bt"):
+        read_map(tmp_path / "map.stl")
+
+
+def test_recorded_clouds_have_only_places() -> None:
+    data = np.array([[0.01, 0.0, 0.0], [0.02, 0.0, 0.0], [1.0, 0.0, 0.0]], "<f4").tobytes()
+    assert len(joined([SimpleNamespace(point_step=12, data=data)], 0.1)) == 2
+    with pytest.raises(RecordError, match="cloud: point_step 16 is not allowed, 12: x, y, z of float32"):
+        joined([SimpleNamespace(point_step=16, data=data)], 0.1)

@@ -24,6 +24,7 @@ _TYPES = ("sensor_msgs/PointCloud2", "octomap_msgs/Octomap")
 TOGETHER = "together"
 """Name of the union of several saved maps."""
 _LEAST_WAY = 2  # poses
+_POINT = 12  # bytes of a cloud's point
 
 
 def read_map(path: Path) -> Array:
@@ -32,20 +33,28 @@ def read_map(path: Path) -> Array:
     Raises:
         RecordError: it cannot be read.
     """
+    endings = (*_OCTREE_ENDINGS, *_CLOUD_ENDINGS)
+    if path.suffix not in endings:
+        raise RecordError(f"map: {str(path)!r} is not allowed, a file with one of the endings {', '.join(endings)}")
     try:
-        if path.suffix in _OCTREE_ENDINGS:
-            return read_file(path).middles()
-        if path.suffix == ".ply":
-            import trimesh  # takes a while to import
-
-            cloud: Any = trimesh.load(path)
-            return np.asarray(cloud.vertices, np.float64)
-        if path.suffix in _CLOUD_ENDINGS:
-            return np.loadtxt(path, usecols=(0, 1, 2), ndmin=2)
-    except (OctreeError, OSError, ValueError, AttributeError) as error:
+        points = _points_of(path)
+    except (OctreeError, OSError, ValueError, LookupError, AttributeError) as error:
         raise RecordError(f"map: {path}: {error}") from error
-    allowed = ", ".join((*_OCTREE_ENDINGS, *_CLOUD_ENDINGS))
-    raise RecordError(f"map: {str(path)!r} is not allowed, a file with one of the endings {allowed}")
+    wrong = ~np.isfinite(points).all(axis=1)
+    if wrong.any():
+        raise RecordError(f"map: {path}: point {points[wrong][0].tolist()} is not allowed, finite numbers")
+    return points
+
+
+def _points_of(path: Path) -> Array:
+    if path.suffix in _OCTREE_ENDINGS:
+        return read_file(path).middles()
+    if path.suffix == ".ply":
+        import trimesh  # takes a while to import
+
+        cloud: Any = trimesh.load(path)
+        return np.asarray(cloud.vertices, np.float64)
+    return np.loadtxt(path, usecols=(0, 1, 2), ndmin=2)
 
 
 def octrees_in(folder: Path) -> list[Path]:
@@ -54,7 +63,14 @@ def octrees_in(folder: Path) -> list[Path]:
 
 
 def joined(messages: Sequence[Any], voxel: float) -> Array:
-    """Return the points of several clouds (x, y, z of float32), one of each voxel of side ``voxel`` m, the latest."""
+    """Return the points of several clouds (x, y, z of float32), one of each voxel of side ``voxel`` m, the latest.
+
+    Raises:
+        RecordError: a cloud has other fields, too.
+    """
+    for message in messages:
+        if message.point_step != _POINT:
+            raise RecordError(f"cloud: point_step {message.point_step} is not allowed, {_POINT}: x, y, z of float32")
     clouds = [np.frombuffer(bytes(message.data), "<f4").reshape(-1, 3) for message in reversed(messages)]
     if not clouds:
         return np.empty((0, 3))
@@ -92,9 +108,10 @@ def map_rows(
     )
     ways = _ways(recording)
     maps = [(name.strip("/"), _recorded(recording, name)) for name in names]
-    maps += [(path.name, read_map(path)) for path in files]
-    if len(files) > 1:
-        maps.append((TOGETHER, np.concatenate([read_map(path) for path in files])))
+    saved = [(path.name, read_map(path)) for path in files]
+    maps += saved
+    if len(saved) > 1:
+        maps.append((TOGETHER, np.concatenate([points for _, points in saved])))
     compared = [(name, truth.compare(points, _of_vehicle(ways, name), seed)) for name, points in maps]
     return [{"map": name, **accuracy} for name, accuracy in compared if accuracy is not None]
 
