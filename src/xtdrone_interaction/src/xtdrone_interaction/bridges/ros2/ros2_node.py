@@ -43,7 +43,10 @@ _COMMANDS = ("/xtdrone/*/cmd*", "*/mavros/setpoint_*")
 
 
 def _domain() -> int:
-    """Return ROS_DOMAIN_ID; without it the number of the instance, as two simulations have topics of the same names."""
+    """Return ROS_DOMAIN_ID; the number of the instance if it is not set or not 0 to 232.
+
+    Two simulations on a machine have topics of the same names, which must not meet in one domain.
+    """
     text = os.environ.get("ROS_DOMAIN_ID", "")
     return int(text) if text.isdigit() and int(text) <= 232 else instance_here()
 
