@@ -5,7 +5,7 @@ SLAM is hector, cartographer (in the plane, with the height of a range finder), 
 any nav_msgs/Odometry on ``~topic``. Topics are listed in ``xtdrone_perception.slam.transfer.transfer_node``.
 
 Parameters:
-    ~topic, ~distance, ~start, ~heading, ~sensor_position: see docs/settings.md.
+    ~topic, ~distance, ~distance_below, ~start, ~heading, ~sensor_position: see docs/settings.md.
 """
 
 from __future__ import annotations

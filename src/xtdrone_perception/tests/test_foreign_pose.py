@@ -55,7 +55,13 @@ def test_a_program_in_the_plane_gets_its_height_from_elsewhere() -> None:
 
 
 @pytest.mark.parametrize(
-    "bad", [(np.array([math.nan, 0, 0]), LEVEL), (np.zeros(3), np.zeros(4)), (np.zeros(3), 2 * LEVEL)]
+    "bad",
+    [
+        (np.array([math.nan, 0, 0]), LEVEL),
+        (np.zeros(3), np.zeros(4)),
+        (np.zeros(3), 2 * LEVEL),
+        (np.zeros(3), math.nan * LEVEL),
+    ],
 )
 def test_what_is_no_pose_is_none(bad: tuple[np.ndarray, np.ndarray]) -> None:
     assert ForeignFrame(PlaceSettings(), optical=False).vehicle(*bad) is None
@@ -67,7 +73,7 @@ def test_a_chain_of_transforms_is_composed_and_loops_end() -> None:
     first, second = pose_of((1.0, 0.0, 0.0), turned_about_z(1.0)), pose_of((0.0, 2.0, 0.0), turned_about_z(0.5))
     chain.add("/map", "odom", 5, first)
     chain.add("odom", "base_link", 9, second)
-    found = chain.pose("map", "base_link")
+    found = chain.pose("/map", "base_link")
     assert found is not None
     assert found[0] == 9
     assert np.allclose(found[1], first @ second)

@@ -14,7 +14,7 @@ import rospy
 from octomap_msgs.srv import GetOctomap
 
 from xtdrone_control.programs.program import ArgumentError, run_program
-from xtdrone_planning.octree.octree_format import file_of
+from xtdrone_planning.octree.octree_format import OctreeError, file_of
 from xtdrone_planning.octree.octree_messages import octree_of
 
 USAGE = "octomap_saver.py [-f] FILE VEHICLE   (FILE: .bt, or .ot)"
@@ -35,8 +35,13 @@ def main(arguments: Sequence[str]) -> None:
         rospy.wait_for_service(service, _PATIENCE)
     except rospy.ROSException as error:
         raise ArgumentError(f"{service}: no octomap_server.py offers this service") from error
-    found = octree_of(rospy.ServiceProxy(service, GetOctomap)().map)
-    file.write_bytes(file_of(found))
+    try:
+        found = octree_of(rospy.ServiceProxy(service, GetOctomap)().map)
+        file.write_bytes(file_of(found))
+    except (rospy.ServiceException, OctreeError) as error:
+        raise ArgumentError(f"{service}: {error}") from error
+    except OSError as error:
+        raise ArgumentError(f"{file}: the map was not saved: {error.strerror}") from error
     print(f"{file}: {len(found.data)} bytes, voxels of {found.resolution:g} m")
 
 

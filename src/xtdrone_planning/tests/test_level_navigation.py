@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import rospy
+from actionlib_msgs.msg import GoalID
+from move_base_msgs.msg import MoveBaseActionGoal
 
 from xtdrone_control.settings import SettingError
-from xtdrone_planning.navigation import action_goals
+from xtdrone_planning.navigation import action_goals, action_topics
 from xtdrone_planning.navigation.action_goals import ActionGoals
 from xtdrone_planning.navigation.dynamic_window import AT_REST, Motion, choose, moved, window
 from xtdrone_planning.navigation.global_path import GlobalSearch, PathError
@@ -264,6 +268,12 @@ def test_a_map_of_other_cells_is_refused():
     level = LevelMap(CostmapSettings())
     with pytest.raises(MapError, match=r"cells of 0.05 m are not allowed, 0.1 m \(cell\)"):
         level.take(np.zeros((10, 10), np.int8), np.zeros(2), 0.05)
+    with pytest.raises(MapError, match="cells of nan m"):
+        level.take(np.zeros((10, 10), np.int8), np.zeros(2), math.nan)
+    with pytest.raises(MapError, match=r"origin \(1e\+200, 0\) is not allowed"):
+        level.take(np.zeros((10, 10), np.int8), np.array([1e200, 0.0]), CELL)
+    with pytest.raises(MapError, match="0 cells are not allowed"):
+        level.take(np.zeros((0, 10), np.int8), np.zeros(2), CELL)
     assert not level.is_ready
 
 
@@ -285,7 +295,7 @@ def test_action_goals_follow_each_other_as_actionlib_says():
     assert goals.cancels("b", 0.0, 4.0)
     goals.end(action_goals.PREEMPTED, "cancelled", 4.0)
     assert [goal.status for goal in goals.listed(4.0)] == [2, 2, 5]
-    assert goals.accept("b", 2.0, 4.5).status == action_goals.PREEMPTED  # a late repetition
+    assert not goals.admits("b", 2.0, 4.5)  # a late repetition
     assert goals.present is None
     assert goals.listed(20.0) == []
 
@@ -293,6 +303,40 @@ def test_action_goals_follow_each_other_as_actionlib_says():
 def test_goals_sent_before_a_cancel_that_overtook_them_are_recalled():
     goals = ActionGoals()
     goals.cancels("", 5.0, 5.0)
-    assert goals.accept("a", 4.0, 5.1).status == action_goals.RECALLED
-    assert goals.accept("b", 6.0, 6.1).status == action_goals.ACTIVE
+    assert not goals.admits("a", 4.0, 5.1)
+    assert [(goal.name, goal.status) for goal in goals.results()] == [("a", action_goals.RECALLED)]
+    assert goals.admits("b", 6.0, 6.1)
+    goals.accept("b", 6.0, 6.1)
+    assert [goal.status for goal in goals.listed(6.1)] == [action_goals.RECALLED, action_goals.ACTIVE]
     assert goals.cancels("", 0.0, 7.0)
+
+
+def test_many_rejected_goals_do_not_push_the_present_one_out_of_the_status():
+    goals = ActionGoals()
+    goals.accept("present", 1.0, 1.0)
+    for n in range(300):
+        goals.reject(f"bad-{n}", 2.0, "goal: too far", 2.0)
+    listed = goals.listed(2.0)
+    assert listed[0].name == "present"
+    assert len(listed) == 101
+
+
+def test_a_goal_that_is_not_admitted_does_not_turn_the_vehicle(monkeypatch: pytest.MonkeyPatch):
+    silent = SimpleNamespace(Publisher=lambda *_, **__: None, Subscriber=lambda *_: None)
+    monkeypatch.setattr(action_topics, "lockstep", silent)
+    monkeypatch.setattr(action_topics.rospy, "get_time", lambda: 10.0)
+    begun: list[float] = []
+    topics = action_topics.ActionTopics("/move_base", lambda pose: begun.append(pose.pose.position.x), lambda: None)
+
+    def send(name: str, stamp: float, x: float) -> None:
+        message = MoveBaseActionGoal(goal_id=GoalID(rospy.Time.from_sec(stamp), name))
+        message.goal.target_pose.pose.position.x = x
+        topics._on_goal(message)
+
+    topics._on_cancel(GoalID(rospy.Time(5), ""))
+    send("present", 6.0, 1.0)
+    send("overtaken", 4.0, 2.0)
+    send("present", 6.0, 3.0)
+    assert begun == [1.0]
+    assert topics.goals.present is not None
+    assert topics.goals.present.name == "present"

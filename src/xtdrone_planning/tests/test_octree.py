@@ -143,6 +143,7 @@ def test_a_file_has_octomaps_header(tmp_path: Path):
 @pytest.mark.parametrize(
     ("contents", "words"),
     [
+        (b"\ndata\n", "'' is not allowed, a .bt or .ot file of octomap"),
         (b"solid cube", "'solid cube' is not allowed, a .bt or .ot file of octomap"),
         (b"# Octomap OcTree binary file\nid ColorOcTree\nsize 1\nres 0.1\ndata\n..", "id 'ColorOcTree' is not allowed"),
         (b"# Octomap OcTree binary file\nid OcTree\nsize many\nres 0.1\ndata\n..", "size and res of its header"),

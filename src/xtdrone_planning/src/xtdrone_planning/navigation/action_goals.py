@@ -1,7 +1,7 @@
-"""The goals of an action server, without ROS: one goal at a time, as ROS's SimpleActionServer.
+"""The goals of an action server, without ROS: one goal at a time, as in ROS's SimpleActionServer.
 
 States and their numbers are those of actionlib_msgs/GoalStatus (http://wiki.ros.org/actionlib/DetailedDescription). A
-new goal preempts the present one; ended goals remain in the status for some seconds, for clients that are late.
+new goal preempts the present one; ended goals remain in the status for ``_KEPT`` s, for clients that connect late.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 PENDING, ACTIVE, PREEMPTED, SUCCEEDED, ABORTED, REJECTED = range(6)
 RECALLED = 8
 _KEPT = 5.0  # s that ended goals remain in the status
-_MOST = 100  # goals in the status
+_MOST_ENDED = 100  # ended goals in the status
 
 
 @dataclass
@@ -20,10 +20,10 @@ class ActionGoal:
 
     Attributes:
         name: its id.
-        stamp: when it was sent, s.
-        status: see above.
-        text: why.
-        ended: when, s of ROS time; None while it is pursued.
+        stamp: when it was sent, s of ROS time; 0: unknown.
+        status: number of actionlib_msgs/GoalStatus.
+        text: reason of the status.
+        ended: when it ended, s of ROS time; None while it is pursued.
     """
 
     name: str
@@ -37,7 +37,7 @@ class ActionGoals:
     """Goals and their status.
 
     Attributes:
-        goals: all that the status lists, oldest first.
+        goals: the goals that the status lists, oldest first.
         present: the goal that is pursued, None without one.
     """
 
@@ -48,31 +48,34 @@ class ActionGoals:
         self._ended: list[ActionGoal] = []
         self._cancelled_to = 0.0
 
-    def accept(self, name: str, stamp: float, now: float) -> ActionGoal:
-        """Make a goal the present one, in place of the last; an id that is pursued or has ended is not repeated.
+    def admits(self, name: str, stamp: float, now: float) -> bool:
+        """Return whether a received goal may be pursued; the present goal stays.
+
+        A goal whose id is in the status is a repetition, and is ignored. One that a cancel message has overtaken is
+        listed as RECALLED.
 
         Args:
             name: its id.
-            stamp: when it was sent, s; 0: unknown.
+            stamp: when it was sent, s of ROS time; 0: unknown.
             now: s of ROS time.
-
-        Returns:
-            The goal; not ACTIVE if it was cancelled before it came, or its id is known.
         """
-        known = next((goal for goal in self.goals if goal.name == name), None)
-        if known is not None:
-            return ActionGoal(name, stamp, known.status)
-        goal = ActionGoal(name, stamp)
-        self.goals.append(goal)
+        if any(goal.name == name for goal in self.goals):
+            return False
         if 0.0 < stamp <= self._cancelled_to:
+            goal = ActionGoal(name, stamp)
+            self.goals.append(goal)
             self._end(goal, RECALLED, "cancelled before it was received", now)
-            return goal
+            return False
+        return True
+
+    def accept(self, name: str, stamp: float, now: float) -> None:
+        """Make a goal that is admitted the present one; the last one is preempted. See ``admits``."""
         self.end(PREEMPTED, "another goal was received", now)
-        goal.status, self.present = ACTIVE, goal
-        return goal
+        self.present = ActionGoal(name, stamp, ACTIVE)
+        self.goals.append(self.present)
 
     def reject(self, name: str, stamp: float, text: str, now: float) -> None:
-        """Refuse a goal; the present one stays."""
+        """Reject a goal for the reason ``text``; the present one stays. See ``admits``."""
         goal = ActionGoal(name, stamp)
         self.goals.append(goal)
         self._end(goal, REJECTED, text, now)
@@ -81,8 +84,8 @@ class ActionGoals:
         """Apply a cancel message; return whether the present goal is cancelled.
 
         Args:
-            name: id; empty, and ``stamp`` 0: all goals.
-            stamp: goals sent up to then are cancelled, too, s.
+            name: id of the goal to cancel; empty, and ``stamp`` 0: all goals.
+            stamp: goals sent up to this time are cancelled, too, s of ROS time; 0: none.
             now: s of ROS time.
         """
         self._cancelled_to = max(self._cancelled_to, stamp)
@@ -92,9 +95,9 @@ class ActionGoals:
         return (not name and stamp == 0.0) or goal.name == name or 0.0 < goal.stamp <= stamp
 
     def end(self, status: int, text: str, now: float) -> None:
-        """End the present goal, if there is one."""
-        if self.present is not None:
-            goal, self.present = self.present, None
+        """End the present goal, if there is one, with a status and its reason."""
+        goal, self.present = self.present, None
+        if goal is not None:
             self._end(goal, status, text, now)
 
     def results(self) -> list[ActionGoal]:
@@ -103,8 +106,10 @@ class ActionGoals:
         return ended
 
     def listed(self, now: float) -> list[ActionGoal]:
-        """Return the goals of the status message, without those that ended long ago."""
-        self.goals = [goal for goal in self.goals if goal.ended is None or now - goal.ended <= _KEPT][-_MOST:]
+        """Return the goals of the status message: the present one, and the last of those that ended lately."""
+        ended = [goal for goal in self.goals if goal.ended is not None and now - goal.ended <= _KEPT]
+        kept = {id(goal) for goal in ended[-_MOST_ENDED:]}
+        self.goals = [goal for goal in self.goals if goal is self.present or id(goal) in kept]
         return self.goals
 
     def _end(self, goal: ActionGoal, status: int, text: str, now: float) -> None:

@@ -1,4 +1,4 @@
-"""The topics of move_base's action server, by which actionlib's clients send goals.
+"""The topics of move_base's action server, on which actionlib's clients send goals.
 
 Debian's actionlib answers in threads of its own; here messages are dispatched and sent in the turns of the lockstep.
 """
@@ -24,15 +24,15 @@ class ActionTopics:
     """An action server ``move_base``.
 
     Attributes:
-        goals: and their status.
+        goals: the goals and their status.
     """
 
     def __init__(self, base: str, begin: Callable[[PoseStamped], None], stop: Callable[[], None]) -> None:
         """Declare the topics.
 
         Args:
-            base: what the topics begin with, as ``/iris_2d_lidar_0/move_base``.
-            begin: is called with a new goal; raises GoalError if it is not allowed.
+            base: prefix of the topics, as ``/iris_2d_lidar_0/move_base``.
+            begin: is called with each new goal; raises GoalError if it is not allowed.
             stop: is called when the present goal is cancelled.
         """
         self._begin, self._stop = begin, stop
@@ -50,7 +50,7 @@ class ActionTopics:
         self._sent = -math.inf
 
     def take(self, pose: PoseStamped) -> None:
-        """Pursue a goal that came by another topic, as move_base does with ``move_base_simple/goal``."""
+        """Pursue a goal that another topic brought, as move_base does with ``move_base_simple/goal``."""
         self._count += 1
         now = rospy.get_time()
         self._accept(f"move_base_simple-{self._count}-{now:.3f}", 0.0, pose)
@@ -62,15 +62,15 @@ class ActionTopics:
 
     def _accept(self, name: str, stamp: float, pose: PoseStamped) -> None:
         now = rospy.get_time()
-        before = self.goals.present
+        if not self.goals.admits(name, stamp, now):
+            return  # before the vehicle turns to it: the present goal goes on
         try:
             self._begin(pose)
         except GoalError as error:
             rospy.logwarn(f"move_base: {error}; rejected")
             self.goals.reject(name, stamp, str(error), now)
             return
-        if self.goals.accept(name, stamp, now) is not self.goals.present and before is None:
-            self._stop()
+        self.goals.accept(name, stamp, now)
 
     def _on_cancel(self, message: GoalID) -> None:
         now = rospy.get_time()
@@ -78,11 +78,11 @@ class ActionTopics:
             self._stop()
             self.goals.end(PREEMPTED, "cancelled", now)
 
-    def publish(self, base: PoseStamped, stamp: rospy.Time) -> None:
+    def publish(self, base: PoseStamped | None, stamp: rospy.Time) -> None:
         """Publish results, feedback and, five times a second or after a result, the status.
 
         Args:
-            base: pose of the vehicle in map.
+            base: pose of the vehicle in map; None while it is unknown: there is no feedback then.
             stamp: the present time.
         """
         now, results = stamp.to_sec(), self.goals.results()
@@ -96,7 +96,7 @@ class ActionTopics:
             result.header.stamp = stamp
             self._result.publish(result)
         present = self.goals.present
-        if present is not None and self._feedback.get_num_connections():
+        if base is not None and present is not None and self._feedback.get_num_connections():
             feedback = MoveBaseActionFeedback(status=_status(present))
             feedback.header.stamp, feedback.feedback.base_position = stamp, base
             self._feedback.publish(feedback)

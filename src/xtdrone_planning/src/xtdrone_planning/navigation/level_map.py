@@ -24,10 +24,12 @@ LETHAL, INSCRIBED, UNKNOWN = 100, 99, -1
 _STEEPNESS = 3.0  # 1/m, how fast costs fall with the distance
 _GIVEN_FROM = 65  # percent, from which a cell of a given map is occupied, as map_server's
 _GIVEN_FREE_TO = 20
+_MOST_GIVEN = 16_000_000  # cells of a given map: 4000 x 4000, as SLAMs publish; a larger one would fill memory
+_FARTHEST_ORIGIN = 1e5  # m
 
 
 class MapError(ValueError):
-    """A given map that cannot be used; the message names what is wrong."""
+    """A given map that cannot be used; the message names the property, its value and what is allowed."""
 
 
 class LevelMap:
@@ -80,12 +82,15 @@ class LevelMap:
             cell: side of its cells, m.
 
         Raises:
-            MapError: another size of cells, or no cells.
+            MapError: another size of cells, no cells or too many, or an origin that is too far away.
         """
-        if abs(cell - self.cell) > 1e-4:
+        if not abs(cell - self.cell) <= 1e-4:  # a NaN is refused, too
             raise MapError(f"map: cells of {cell:g} m are not allowed, {self.cell:g} m (cell)")
-        if values.size == 0 or not np.isfinite(origin).all():
-            raise MapError("map: an empty map or an origin that is not finite is not allowed")
+        if not 1 <= values.size <= _MOST_GIVEN:
+            raise MapError(f"map: {values.size} cells are not allowed, 1 to {_MOST_GIVEN}")
+        if not (np.abs(origin) <= _FARTHEST_ORIGIN).all():
+            text = ", ".join(f"{value:g}" for value in np.asarray(origin).tolist())
+            raise MapError(f"map: origin ({text}) is not allowed, finite numbers within +-{_FARTHEST_ORIGIN:g} m")
         evidence = np.zeros(values.shape, np.int16)
         evidence[values >= _GIVEN_FROM] = MOST
         evidence[(values >= 0) & (values <= _GIVEN_FREE_TO)] = 2 * FREE_TO

@@ -1,6 +1,6 @@
 """Navigation on a level as a ROS node, with the topics of ROS's move_base.
 
-For a vehicle ``T`` (as ``iris_2d_lidar_0`` or ``ugv_0``); with ``~global_names`` the first six without ``/T``:
+For a vehicle ``T`` (as ``iris_2d_lidar_0`` or ``ugv_0``); with ``~global_names`` the first six rows without ``/T``:
 
 ====================================  =========================  ======================================================
 topic                                 type                       meaning
@@ -40,7 +40,7 @@ from sensor_msgs.msg import LaserScan
 
 from xtdrone_control import lockstep
 from xtdrone_control.rotation import from_euler, yaw_of
-from xtdrone_control.settings import Settings, setting
+from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_perception.tracking.pose_history import PoseHistory
 from xtdrone_planning.mapping.map_messages import FRAME
 from xtdrone_planning.mapping.sensor_watch import SensorWatch, WatchSettings
@@ -151,15 +151,12 @@ class VehicleNavigation:
         self._posed = stamp.to_sec()
 
     def _on_map(self, message: OccupancyGrid) -> None:
-        info, turn = message.info, message.info.origin.orientation
+        info = message.info
         origin = np.array([info.origin.position.x, info.origin.position.y])
-        values = np.array(message.data, np.int8)
         try:
-            if len(values) != info.width * info.height or abs(turn.x) + abs(turn.y) + abs(turn.z) > 1e-6:
-                raise MapError("map: another number of cells than width * height, or a turned origin, is not allowed")
-            self.level.take(values.reshape(info.height, info.width).T, origin, info.resolution)
+            self.level.take(_values_of(message), origin, info.resolution)
         except MapError as error:
-            rospy.logwarn(f"{self.name}: {error}; ignored")
+            rospy.logwarn(f"{self.name}: {error}; the map is ignored")
             return
         self._given = message
 
@@ -171,7 +168,7 @@ class VehicleNavigation:
         ranges = np.array(message.ranges, float)
         numbers = (message.angle_min, message.angle_increment, message.time_increment, message.range_max)
         if not all(map(math.isfinite, numbers)) or not len(ranges):
-            self._watch.rejected("a scan without rays, or with angles that are not finite")
+            self._watch.rejected("scans without rays, or with angles, times or a range_max that are not finite")
             return
         limits = message.range_min, message.range_max
         rays = ScanRays(ranges, *numbers[:3], limits, self._costs.scan_yaw)
@@ -183,6 +180,7 @@ class VehicleNavigation:
             return
         if not self.level.is_ready:
             if self._costs.map_topic:
+                self._watch.rejected(f"no map has been received on {self._costs.map_topic}")
                 return  # the given map comes first
             self.level.begin_around(poses[-1])
         self.level.enter(*rays.placed(poses, spacing, np.array(self._costs.scan_position), self._costs.slab))
@@ -227,13 +225,13 @@ class VehicleNavigation:
         """Advance by a turn; call it at 20 Hz."""
         stamp = rospy.Time.now()
         now = stamp.to_sec()
-        pose = self._poses.last
-        if pose is None or now - self._posed > _STALE_POSE:
-            self._publish_report(stamp, (2, "no position of the vehicle"))
-            return
         if self._drive.is_lost() and self.navigator.goal is not None:
             self.navigator.cancel()
             self._action.goals.end(ABORTED, "the vehicle was taken over, or is on the ground", now)
+        pose = self._poses.last
+        if pose is None or now - self._posed > _STALE_POSE:
+            self._step_without_pose(stamp)
+            return
         turn = Turn(now, 1.0 / RATE, self._level_pose(pose), self._fault(now))
         with self.stopwatch.measuring("turn"):
             motion = self.navigator.step(turn)
@@ -245,7 +243,15 @@ class VehicleNavigation:
         self._publish_costmaps(turn, stamp)
         self._publish_report(stamp, self._judged(turn))
 
+    def _step_without_pose(self, stamp: rospy.Time) -> None:
+        """Halt; clients still get the results of goals that were rejected, cancelled or aborted."""
+        self.navigator.pause()
+        self._drive.halt()
+        self._action.publish(None, stamp)
+        self._publish_report(stamp, (2, "no position of the vehicle"))
+
     def _fault(self, now: float) -> str:
+        """Return why the vehicle has to brake; empty if it need not."""
         if not self._drive.obeys():
             return "the vehicle is not in OFFBOARD"
         if self._costs.scan_topic and (fault := self._watch.fault(now)):
@@ -332,13 +338,13 @@ class VehicleNavigation:
         return (1 if navigator.state == PLANNING else 0), navigator.state
 
     def _publish_report(self, stamp: rospy.Time, report: tuple[int, str]) -> None:
-        now = stamp.to_sec()
-        if report == self._report and now - self._reported < _REPORT_PERIOD:
+        now, (level, text) = stamp.to_sec(), report
+        kind = (level, self.navigator.state)  # not the text: it counts the seconds without a scan
+        if kind == self._report and now - self._reported < _REPORT_PERIOD:
             return
-        if report[0] == 2 and report != self._report:
-            rospy.logwarn_throttle_identical(_WARNINGS, f"{self.name}: navigation: {report[1]}")
-        self._report, self._reported = report, now
-        level, text = report
+        if level == 2 and kind != self._report:
+            rospy.logwarn_throttle_identical(_WARNINGS, f"{self.name}: navigation: {text}")
+        self._report, self._reported = kind, now
         status = DiagnosticStatus(level=level, name=f"{self.name}: navigation", message=text, hardware_id=self.name)
         status.values = [KeyValue("state", self.navigator.state), KeyValue("scans", str(self._watch.count))]
         message = DiagnosticArray(status=[status])
@@ -348,6 +354,21 @@ class VehicleNavigation:
     def close(self) -> None:
         """Cancel pending service calls."""
         self._drive.close()
+
+
+def _values_of(message: OccupancyGrid) -> NDArray[np.int8]:
+    """Return the cells (nx, ny) of a map.
+
+    Raises:
+        MapError: another number of cells than the map's size says, or axes that are not those of its frame.
+    """
+    info, turn = message.info, message.info.origin.orientation
+    values = np.array(message.data, np.int8)
+    if len(values) != info.width * info.height:
+        raise MapError(f"map: {len(values)} cells are not allowed, width * height: {info.width} * {info.height}")
+    if not abs(turn.x) + abs(turn.y) + abs(turn.z) <= 1e-6:
+        raise MapError(f"map: origin turned by ({turn.x:g}, {turn.y:g}, {turn.z:g}) is not allowed, (0, 0, 0)")
+    return values.reshape(info.height, info.width).T
 
 
 def _with_yaws(path: Array) -> Array:
@@ -372,7 +393,10 @@ class NavigationNode:
         Raises:
             SettingError: a parameter is not allowed.
         """
-        self._timings = NavigationSettings.from_parameters(rospy.get_param).timings
+        settings = NavigationSettings.from_parameters(rospy.get_param)
+        if settings.global_names and len(names) > 1:
+            raise SettingError("global_names", True, f"false for {len(names)} vehicles: their topics would be the same")
+        self._timings = settings.timings
         self._vehicles = [
             VehicleNavigation(name, is_robot=are_robots, rviz_goal=n == 0) for n, name in enumerate(names)
         ]

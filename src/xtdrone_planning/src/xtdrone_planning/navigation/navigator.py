@@ -5,9 +5,9 @@
     Waiting -> Planning -> Following -> turning to the goal's yaw -> Waiting (reached)
                  ^  |          | no path, or no progress
                  |  v          v
-               Recovering: clear the local map, turn on the spot; after both: Waiting (aborted)
+               Recovering: first clear the local map, then turn on the spot; after both: Waiting (aborted)
 
-A new goal leads to Planning without a stop. In every state other than Following and Recovering the vehicle brakes.
+A new goal leads to Planning without a stop. In every state other than Following and turning the vehicle brakes.
 """
 
 from __future__ import annotations
@@ -26,13 +26,7 @@ from xtdrone_planning.navigation.settings import GoalError, NavigatorSettings, W
 
 Array = NDArray[np.float64]
 
-WAITING, PLANNING, FOLLOWING, CLEARING, TURNING = (
-    "waiting",
-    "planning",
-    "following",
-    "recovering: clearing the map",
-    "recovering: turning",
-)
+WAITING, PLANNING, FOLLOWING, TURNING = "waiting", "planning", "following", "recovering: turning"
 SUCCEEDED, ABORTED = "reached", "aborted"
 
 _PLAN_SPACING = 0.5  # s between two searches while there is no path
@@ -127,6 +121,11 @@ class Navigator:
         self.goal, self.path = None, np.empty((0, 2))
         self.state = WAITING
 
+    def pause(self) -> None:
+        """Rest while the pose of the vehicle is unknown; the goal waits, with new patience."""
+        self.command = AT_REST
+        self._since = math.nan
+
     def local_plan(self, now: Turn) -> Array:
         """Return the poses (n, 3) of the motion that is commanded, x, y, m in map, yaw, rad."""
         return arc(self._expected(now), self.command, self.limits.horizon, _ARC_POINTS)
@@ -194,8 +193,7 @@ class Navigator:
         self._recovered_at = now.pose
         if self._recoveries == 1:
             self.level.forget_around(now.pose)
-            self._enter(CLEARING, now.time)
-            self.state = PLANNING
+            self._enter(PLANNING, now.time)
         elif self._recoveries == 2:
             self._turned = 0.0
             self._enter(TURNING, now.time)

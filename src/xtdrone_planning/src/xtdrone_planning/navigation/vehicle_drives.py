@@ -68,6 +68,9 @@ class Drive(Protocol):
     def command(self, motion: Motion, stamp: rospy.Time, *, active: bool) -> None:
         """Command a motion; ``active``: there is a goal, or the vehicle still moves."""
 
+    def halt(self) -> None:
+        """Stop, as the pose of the vehicle is unknown; call it in every turn until the pose is known again."""
+
     def close(self) -> None:
         """Cancel what is pending."""
 
@@ -105,7 +108,8 @@ class GroundDrive:
     def _on_frames(self, message: TFMessage) -> None:
         for frame in message.transforms:
             if frame.child_frame_id == self._odom and frame.header.frame_id == "map":
-                self._start = _entry(frame.transform.translation, frame.transform.rotation)
+                start = _entry(frame.transform.translation, frame.transform.rotation)
+                self._start = self._start if start is None else start
 
     def _on_odometry(self, message: Odometry) -> None:
         found = _entry(message.pose.pose.position, message.pose.pose.orientation)
@@ -135,6 +139,11 @@ class GroundDrive:
         if active or self._was_active:
             self._publisher.publish(Twist(linear=Vector3(x=motion.speed), angular=Vector3(z=motion.rate)))
         self._was_active = active
+
+    def halt(self) -> None:
+        """Command rest: the robot would go on with the last command."""
+        if self._was_active:
+            self._publisher.publish(Twist())
 
     def close(self) -> None:
         """Nothing is pending."""
@@ -191,6 +200,7 @@ class UavDrive:
         self._height = self._settings.height or float(self._pose[2])
         if not self._streams:
             self._streaming_since, self._was_offboard = rospy.get_time(), self._offboard
+            self._hold = None  # the vehicle may have been flown elsewhere since
         self._streams = True
 
     def obeys(self) -> bool:
@@ -223,7 +233,7 @@ class UavDrive:
         if motion.speed != AT_REST.speed:
             self._hold = None
             return motion.speed * math.cos(yaw), motion.speed * math.sin(yaw)
-        if self._hold is None:
+        if self._hold is None or not self._offboard:  # until OFFBOARD begins, the pilot may move the vehicle
             self._hold = self._pose[:2].copy()
         off = _HOLD_GAIN * (self._hold - self._pose[:2])
         return _limited(float(off[0]), _MOST_HOLD), _limited(float(off[1]), _MOST_HOLD)
@@ -244,6 +254,9 @@ class UavDrive:
         if now - self._streaming_since >= _STREAM_LEAD and now - self._requested >= _REQUEST_SPACING:
             self._requested = now
             self._services.submit(Request("OFFBOARD", None))
+
+    def halt(self) -> None:
+        """Command nothing: without setpoints, and without a position, the autopilot's failsafe acts."""
 
     def close(self) -> None:
         """Cancel pending service calls."""

@@ -28,7 +28,7 @@ class GlobalMap:
         octree: the map.
         poses: of base_link, entries x, y, z, m in map, and quaternion w, x, y, z; ``poses.add`` adds the latest.
         entered: number of measurements in the map.
-        left_out: number of measurements whose poses were never known.
+        left_out: number of measurements that were dropped, as their poses were not known in time.
     """
 
     def __init__(self, settings: OctreeSettings, interval: float = 0.0) -> None:
@@ -36,7 +36,7 @@ class GlobalMap:
 
         Args:
             settings: of the octree.
-            interval: s; measurements that follow the last one sooner are left out.
+            interval: s; a measurement that follows the last one sooner is left out.
         """
         self._interval_ns = round(interval * 1e9)
         self.octree = OctreeMap(settings)

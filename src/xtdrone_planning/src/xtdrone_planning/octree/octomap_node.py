@@ -23,26 +23,36 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from nav_msgs.msg import OccupancyGrid
+from numpy.typing import NDArray
 from octomap_msgs.msg import Octomap
 from octomap_msgs.srv import GetOctomap, GetOctomapResponse
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Empty, EmptyResponse
 
 from xtdrone_control import lockstep
-from xtdrone_control.settings import Settings, setting
+from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_planning.mapping.map_feed import MapFeed, SensorChoice
 from xtdrone_planning.mapping.range_images import DepthMapping, LidarMapping
 from xtdrone_planning.mapping.sensor_watch import SensorWatch, WatchSettings
 from xtdrone_planning.octree.global_map import GlobalMap
 from xtdrone_planning.octree.octree_format import Octree, encode, file_of
 from xtdrone_planning.octree.octree_map import OctreeSettings
-from xtdrone_planning.octree.octree_messages import above_message, occupied_message, octomap_message, seen_from_above
+from xtdrone_planning.octree.octree_messages import (
+    MOST_CELLS,
+    above_message,
+    occupied_message,
+    octomap_message,
+    seen_from_above,
+)
 
 RATE = 20.0  # Hz
 
+_ENDINGS = (".bt", ".ot")
+_WARNINGS = 60.0  # s between two equal ones
 _REPORT_PERIOD = 1.0  # s
 
 
@@ -62,6 +72,15 @@ class OctomapOptions(Settings):
     occupancy_min_z: float = setting(0.3, low=-1e4, high=1e4, unit="m", text="lowest voxels in projected_map")
     occupancy_max_z: float = setting(1e4, low=-1e4, high=1e4, unit="m", text="highest voxels in projected_map")
     file: str = setting("", text="file of the map at the end, .bt or .ot; several vehicles: .VEHICLE.bt; empty: none")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.file and Path(self.file).suffix not in _ENDINGS:
+            raise SettingError("file", self.file, f"a name that ends in {' or '.join(_ENDINGS)}")
+        if self.occupancy_min_z > self.occupancy_max_z:
+            raise SettingError(
+                "occupancy_min_z", self.occupancy_min_z, f"at most occupancy_max_z {self.occupancy_max_z:g} m"
+            )
 
 
 class NodeSettings(NamedTuple):
@@ -142,9 +161,12 @@ class VehicleOctomap:
 
     def octree(self, binary: bool) -> Octree:
         """Return the map as it is now."""
-        with self._lock:
-            blocks = self._map.octree.blocks()
-        return encode(*blocks, self._settings.octree.resolution, binary)
+        return encode(*self._blocks(), self._settings.octree.resolution, binary)
+
+    def _blocks(self) -> tuple[NDArray[np.int64], NDArray[np.int16]]:
+        """Return a copy of the map's blocks; see ``OctreeMap.blocks``."""
+        with self._lock:  # a reset may come in between
+            return self._map.octree.blocks()
 
     # turns
 
@@ -163,7 +185,7 @@ class VehicleOctomap:
         if not any(topic.get_num_connections() for topic in topics):
             return
         options, resolution = self._settings.options, self._settings.octree.resolution
-        blocks = self._map.octree.blocks()
+        blocks = self._blocks()
         for topic, binary in ((self._binary, True), (self._full, False)):
             if topic.get_num_connections():
                 topic.publish(octomap_message(encode(*blocks, resolution, binary), stamp, self._frame))
@@ -172,6 +194,10 @@ class VehicleOctomap:
         if self._above.get_num_connections():
             heights = options.occupancy_min_z, options.occupancy_max_z
             cells, first = seen_from_above(*blocks, resolution, heights)
+            if len(blocks[0]) and not cells.size:
+                rospy.logwarn_throttle(
+                    _WARNINGS, f"{self._name}: projected_map is empty: the map has more than {MOST_CELLS} cells"
+                )
             self._above.publish(above_message(cells, first, resolution, stamp, self._frame))
 
     def _judged(self, now: float) -> tuple[int, str]:

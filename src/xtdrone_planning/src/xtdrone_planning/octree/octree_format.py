@@ -8,12 +8,14 @@ OcTree.cpp and OccupancyOcTreeBase.hxx (BSD), version 1.6 and later.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.bounded_file import read_bytes
 from xtdrone_planning.kernel import kernel
 from xtdrone_planning.octree.octree_kernels import HALF
 from xtdrone_planning.octree.octree_map import NEVER, morton
@@ -27,6 +29,7 @@ _WORDS = 1 + 8 + 64 + 512  # inner nodes of a block, at most
 _NEVER = int(NEVER)
 _FREE, _OCCUPIED, _INNER = 1, 2, 3
 _BINARY_LINE, _FULL_LINE = "# Octomap OcTree binary file", "# Octomap OcTree file"
+_LARGEST = 1 << 30  # bytes of a file
 _MOST_VOXELS = 200_000_000  # of the leaves that are read, as a limit for damaged or hostile files
 
 
@@ -39,7 +42,7 @@ class Octree(NamedTuple):
 
     Attributes:
         data: after the header of a file; also of the message.
-        size: number of nodes.
+        size: number of nodes; 0: empty.
         resolution: side of a voxel, m.
         binary: whether leaves are free or occupied only.
     """
@@ -273,21 +276,21 @@ def read_file(path: Path) -> Leaves:
 
     Raises:
         OctreeError: it is not one, or damaged.
-        OSError: it cannot be read.
+        OSError: it cannot be read, or is larger than 1 GB.
     """
-    contents = path.read_bytes()
+    contents = read_bytes(path, _LARGEST)
     header, found, data = contents.partition(b"\ndata\n")
-    lines = header.decode(errors="replace").splitlines()
-    if not found or lines[0] not in (_BINARY_LINE, _FULL_LINE):
-        raise OctreeError(f"{path}: {lines[0][:60] if lines else ''!r} is not allowed, a .bt or .ot file of octomap")
-    fields = dict(line.split(" ", 1) for line in lines[1:] if " " in line and not line.startswith("#"))
+    first, *lines = header.decode(errors="replace").splitlines() or [""]
+    if not found or first not in (_BINARY_LINE, _FULL_LINE):
+        raise OctreeError(f"{path}: {first[:60]!r} is not allowed, a .bt or .ot file of octomap")
+    fields = dict(line.split(" ", 1) for line in lines if " " in line and not line.startswith("#"))
     try:
         size, resolution = int(fields["size"]), float(fields["res"])
     except (KeyError, ValueError) as error:
         raise OctreeError(f"{path}: size and res of its header cannot be read") from error
     if fields.get("id") != "OcTree":
         raise OctreeError(f"{path}: id {fields.get('id')!r} is not allowed, OcTree")
-    return decode(Octree(data, size, resolution, lines[0] == _BINARY_LINE))
+    return decode(Octree(data, size, resolution, first == _BINARY_LINE))
 
 
 def decode(octree: Octree) -> Leaves:
@@ -296,8 +299,8 @@ def decode(octree: Octree) -> Leaves:
     Raises:
         OctreeError: the data are damaged.
     """
-    if not octree.resolution > 0.0:
-        raise OctreeError(f"resolution: {octree.resolution} is not allowed, above 0")
+    if not 0.0 < octree.resolution < math.inf:
+        raise OctreeError(f"resolution: {octree.resolution} is not allowed, above 0 and finite, m")
     data = np.frombuffer(octree.data, np.uint8)
     capacity = 4 * len(data) + 8 if octree.binary else len(data) // _NODE.itemsize
     corners, sides = np.zeros((capacity, 3), np.int64), np.zeros(capacity, np.int64)

@@ -25,7 +25,7 @@ _BLOCK_BITS = 12  # of a block's place along an axis
 
 @dataclass(frozen=True)
 class OctreeSettings(Settings):
-    """The global map."""
+    """Voxels of the global map, and its memory."""
 
     resolution: float = setting(0.2, low=0.02, high=2.0, unit="m", text="side of a voxel")
     hit: float = setting(0.7, low=0.5, high=0.999, text="probability that a voxel in which a ray ends is occupied")
@@ -50,7 +50,7 @@ class OctreeMap:
     """
 
     def __init__(self, settings: OctreeSettings) -> None:
-        """Start with a map of which nothing is known."""
+        """Start with an empty map."""
         self.settings = settings
         self.resolution = settings.resolution
         self._change = np.array([log_odds(p) for p in (settings.hit, settings.miss, settings.least, settings.most)])
@@ -96,8 +96,8 @@ class OctreeMap:
         """Return the blocks in the order of the octree's children.
 
         Returns:
-            Places (n, 3), in blocks from the octree's lowest corner, and log-odds (n, 4096) in hundredths, in Morton
-            order, ``NEVER`` where nothing is known.
+            Copies: places (n, 3), in blocks from the octree's lowest corner, and log-odds (n, 4096) in hundredths, in
+            Morton order, ``NEVER`` where nothing is known.
         """
         keys = self._keys[: self._counts[0]]
         mask = (1 << _BLOCK_BITS) - 1

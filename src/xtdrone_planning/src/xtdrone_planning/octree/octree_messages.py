@@ -10,23 +10,32 @@ from octomap_msgs.msg import Octomap
 from sensor_msgs.msg import PointCloud2
 
 from xtdrone_perception.slam.odometry_messages import cloud
-from xtdrone_planning.octree.octree_format import Octree, count_nodes
+from xtdrone_planning.octree.octree_format import Octree, OctreeError, count_nodes
 from xtdrone_planning.octree.octree_kernels import HALF, SIDE
 from xtdrone_planning.octree.octree_map import NEVER, in_block, voxel_middles
 
-_MOST_CELLS = 4_000_000  # of the map seen from above
+MOST_CELLS = 4_000_000
+"""Of the map seen from above."""
+
+_ID = "OcTree"
 
 
 def octomap_message(octree: Octree, stamp: rospy.Time, frame: str) -> Octomap:
     """Return a serialised octree as a message."""
-    message = Octomap(binary=octree.binary, id="OcTree", resolution=octree.resolution)
+    message = Octomap(binary=octree.binary, id=_ID, resolution=octree.resolution)
     message.header.stamp, message.header.frame_id = stamp, frame
     message.data = np.frombuffer(octree.data, np.int8).tolist()
     return message
 
 
 def octree_of(message: Octomap) -> Octree:
-    """Return the serialised octree of a message."""
+    """Return the serialised octree of a message.
+
+    Raises:
+        OctreeError: it is of another kind, as a ColorOcTree, whose nodes have other data.
+    """
+    if message.id != _ID:
+        raise OctreeError(f"id {message.id!r} is not allowed, {_ID}")
     data = np.asarray(message.data, np.int8).tobytes()
     binary = bool(message.binary)
     return Octree(data, count_nodes(data, binary), float(message.resolution), binary)
@@ -52,13 +61,13 @@ def seen_from_above(
 
     Returns:
         Cells (ny, nx): 100 with an occupied voxel, 0 with free ones only, -1 unknown; and x and y of the first cell,
-        in voxels from the origin.
+        in voxels from the origin. No cells if the map is empty, or has more than ``MOST_CELLS`` from above.
     """
     if not len(places):
         return np.zeros((0, 0), np.int8), (0, 0)
     low, high = places[:, :2].min(axis=0), places[:, :2].max(axis=0) + 1
     shape = tuple(int(n) for n in (high - low) * SIDE)
-    if shape[0] * shape[1] > _MOST_CELLS:
+    if shape[0] * shape[1] > MOST_CELLS:
         return np.zeros((0, 0), np.int8), (0, 0)
     cells = np.full(shape, -1, np.int8)
     voxels = in_block()

@@ -68,6 +68,7 @@ _STREAM_LEAD = 0.5  # s of setpoints before OFFBOARD is requested; PX4 rejects i
 _REQUEST_SPACING = 2.0  # s between requests
 _STALE_POSE = 0.5  # s
 _MAP_PERIOD = 0.5  # s between two publications of the map
+_WARNINGS = 5.0  # s between two warnings
 _REPORT_PERIOD = 1.0  # s
 
 
@@ -230,7 +231,7 @@ class VehiclePlanner:
         try:
             self.planner.move_goal(goal)
         except GoalError as error:
-            rospy.logwarn_throttle_identical(5.0, f"{self.name}: wanted velocity: {error}; ignored")
+            rospy.logwarn_throttle(_WARNINGS, f"{self.name}: wanted velocity: {error}; the goal stays")
 
     def _set_goal(self, message: PoseStamped, height: float) -> None:
         if message.header.frame_id.lstrip("/") not in ("", FRAME):

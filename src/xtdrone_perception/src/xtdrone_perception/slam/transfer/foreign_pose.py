@@ -1,4 +1,4 @@
-"""Poses that programs of others give of their sensor, as poses of the vehicle in map."""
+"""Poses of a sensor, from odometry or SLAM programs of others, as poses of the vehicle in map."""
 
 from __future__ import annotations
 
@@ -48,6 +48,23 @@ def read_starts(value: object, count: int) -> list[tuple[float, float, float]]:
     return [(x, y, z) for x, y, z in starts.tolist()]
 
 
+def pose_from(position: Array, quaternion: Array) -> Array | None:
+    """Return a received pose (4, 4).
+
+    Args:
+        position: (3,) m.
+        quaternion: (w, x, y, z).
+
+    Returns:
+        None for numbers that are not finite or a quaternion whose norm is not near 1.
+    """
+    norm = float(np.linalg.norm(quaternion))
+    if not (np.isfinite(position).all() and abs(norm - 1.0) <= _UNIT):  # the norm of a NaN is none
+        return None
+    w, x, y, z = quaternion / norm
+    return pose_of(position, Rotation.from_quat([x, y, z, w]))
+
+
 class ForeignFrame:
     """Brings poses of a sensor in the other program's frame to the vehicle in map."""
 
@@ -69,17 +86,16 @@ class ForeignFrame:
         Args:
             position: (3,) m, of the sensor.
             quaternion: (w, x, y, z), of the sensor.
-            height: of base_link in map, m, from another sensor, for a program that works in the plane; None: its own.
+            height: of base_link in map, m, from another sensor, for a program that works in the plane; None: that of
+                the pose.
 
         Returns:
-            None for numbers that are not finite or a quaternion whose norm is not near 1.
+            None for a pose that ``pose_from`` does not accept.
         """
-        numbers = np.concatenate([position, quaternion, [0.0 if height is None else height]])
-        norm = float(np.linalg.norm(quaternion))
-        if not np.isfinite(numbers).all() or abs(norm - 1.0) > _UNIT:
+        sensor = pose_from(position, quaternion)
+        if sensor is None:
             return None
-        w, x, y, z = quaternion / norm
-        pose = self._frame @ pose_of(position, Rotation.from_quat([x, y, z, w])) @ self._body
+        pose = self._frame @ sensor @ self._body
         if height is not None:
             pose[2, 3] = height
         return pose
@@ -101,7 +117,13 @@ class TransformChain:
         self._parents[child.lstrip("/")] = (parent.lstrip("/"), stamp_ns, pose)
 
     def pose(self, parent: str, child: str) -> tuple[int, Array] | None:
-        """Return the time of the last link, ns, and the pose (4, 4) of a frame in one above; None if unknown."""
+        """Return the pose of a frame in one above it.
+
+        Returns:
+            The time of the newest link between them, ns, and the pose (4, 4) of ``child`` in ``parent``; None if they
+            are not linked.
+        """
+        parent, child = parent.lstrip("/"), child.lstrip("/")
         pose, frame, newest = np.eye(4), child, 0
         for _ in range(len(self._parents)):
             if frame == parent or frame not in self._parents:

@@ -1,17 +1,19 @@
-"""Odometry of others to the autopilot, as a ROS node: for vehicle ``T``
+"""Poses of odometry and SLAM programs of others for the autopilot, as a ROS node: for vehicle ``T``
 
 ===============================  ===============================  ====================================================
 topic                            type                             meaning
 ===============================  ===============================  ====================================================
 the source's                     Odometry, PoseStamped or /tf     in: see ``SOURCES``
-/T/distance                      sensor_msgs/LaserScan            in, for programs that work in the plane: the height
+/T/DISTANCE                      sensor_msgs/LaserScan            in, see ``~distance``, for programs that work in the
+                                                                  plane: the height
 /T/mavros/vision_pose/pose       geometry_msgs/PoseStamped        out: base_link in map, once for each pose
 /T/vins_estimator/odometry       nav_msgs/Odometry                in, for multi_vins: the pose of the IMU
 /T/odometry                      nav_msgs/Odometry                out, for multi_vins: the same in map
 /diagnostics                     diagnostic_msgs/DiagnosticArray  out: once a second, and on change
 ===============================  ===============================  ====================================================
 
-A source that falls silent leaves the vehicle to the autopilot's failsafe: no pose is sent twice.
+A source or range finder that falls silent leaves the vehicle to the autopilot's failsafe: no pose is sent twice, nor
+with an old height.
 """
 
 from __future__ import annotations
@@ -26,32 +28,32 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Pose, PoseStamped
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import lockstep
-from xtdrone_control.settings import Settings, setting
+from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_perception.slam import odometry_messages as messages
-from xtdrone_perception.slam.poses import pose_of
-from xtdrone_perception.slam.transfer.foreign_pose import ForeignFrame, PlaceSettings, TransformChain
+from xtdrone_perception.slam.transfer.foreign_pose import ForeignFrame, PlaceSettings, TransformChain, pose_from
 
 RATE = 60.0  # Hz
 
 _MAP = "map"
 _SILENCE = 1.0  # s
+_OLD_HEIGHT = 0.5  # s after which a range says nothing
 _REPORT_PERIOD = 1.0  # s
 
 Array = NDArray[np.float64]
 
 
 class Source(NamedTuple):
-    """What a program of others publishes.
+    """The output of a program of others.
 
     Attributes:
         kind: ``odometry``, ``pose`` or ``tf``.
-        topic: its topic (of a tf: parent and child, with a space), unless ``~topic`` is set; {} is the vehicle's name.
+        topic: its topic (of a tf: parent and child frame, with a space between), unless ``~topic`` is set; {} is the
+            vehicle's name.
         optical: whether the pose is that of a camera's optical frame.
         plane: whether it works in the plane, so that the height comes from the range finder.
         odometry: topic of a further odometry, which is published in map on /T/odometry; empty: none.
@@ -106,19 +108,35 @@ def transfer_of(vehicle: str, source: str) -> PoseTransfer:
     )
 
 
+def _frames_of(topic: str) -> tuple[str, str]:
+    """Return parent and child frame of a source on /tf.
+
+    Raises:
+        SettingError: they are not two names with a space between.
+    """
+    names = topic.split()
+    if len(names) != 2:
+        raise SettingError("topic", topic, "parent and child frame with a space between, as 'map base_link'")
+    return names[0], names[1]
+
+
 class PoseTransfer:
     """Topics of one vehicle."""
 
     def __init__(self, vehicle: str, source: Source, options: ForeignOptions, place: PlaceSettings) -> None:
-        """Declare the topics."""
+        """Declare the topics.
+
+        Raises:
+            SettingError: ``topic`` does not name two frames, for a source on /tf.
+        """
         self._vehicle, self._source = vehicle, source
         self._frame = ForeignFrame(place, source.optical)
         self._tf = TransformChain()
         self._publisher = lockstep.Publisher(f"/{vehicle}/mavros/vision_pose/pose", PoseStamped)
         self._diagnostics = lockstep.Publisher("/diagnostics", DiagnosticArray)
         topic = options.topic or source.topic.format(vehicle)
-        self._parent, _, self._child = topic.partition(" ")
         if source.kind == "tf":
+            self._parent, self._child = _frames_of(topic)
             lockstep.Subscriber("/tf", TFMessage, self._on_tf)
         elif source.kind == "pose":
             lockstep.Subscriber(topic, PoseStamped, lambda message: self._enter(message.header, message.pose))
@@ -138,7 +156,7 @@ class PoseTransfer:
         """Begin again, as simulated time was set back."""
         self._tf.clear()
         self._new: PoseStamped | None = None
-        self._height: float | None = None
+        self._last_height, self._measured = 0.0, -math.inf
         self._last_ns = -1
         self._heard = self._reported = -math.inf
         self._count = self._rejected = 0
@@ -147,7 +165,11 @@ class PoseTransfer:
     def _on_distance(self, message: LaserScan) -> None:
         ranges = [r for r in message.ranges if math.isfinite(r) and message.range_min <= r <= message.range_max]
         if ranges:
-            self._height = min(ranges) + self._below
+            self._last_height, self._measured = min(ranges) + self._below, rospy.get_time()
+
+    def _height(self) -> float | None:
+        """Return the height of base_link, m; None if the range finder has not measured it lately."""
+        return self._last_height if rospy.get_time() - self._measured <= _OLD_HEIGHT else None
 
     def _on_odometry(self, message: Odometry) -> None:
         p, q = message.pose.pose.position, message.pose.pose.orientation
@@ -155,19 +177,16 @@ class PoseTransfer:
         if found is None:
             return
         out = Odometry(header=Header(stamp=message.header.stamp, frame_id=_MAP), child_frame_id=message.child_frame_id)
-        out.pose.pose, out.pose.covariance, out.twist = (
-            messages.pose_message(found),
-            message.pose.covariance,
-            message.twist,
-        )
+        out.pose.pose, out.pose.covariance = messages.pose_message(found), message.pose.covariance
+        out.twist = message.twist
         self._odometry.publish(out)
 
     def _on_tf(self, message: TFMessage) -> None:
         for entry in message.transforms:
             t, q = entry.transform.translation, entry.transform.rotation
-            if not all(map(math.isfinite, (t.x, t.y, t.z, q.x, q.y, q.z, q.w))) or not any((q.x, q.y, q.z, q.w)):
+            pose = pose_from(np.array([t.x, t.y, t.z]), np.array([q.w, q.x, q.y, q.z]))
+            if pose is None:
                 continue
-            pose = pose_of((t.x, t.y, t.z), Rotation.from_quat([q.x, q.y, q.z, q.w]))
             self._tf.add(entry.header.frame_id, entry.child_frame_id, entry.header.stamp.to_nsec(), pose)
         found = self._tf.pose(self._parent, self._child)
         if found is not None and found[0] != self._last_ns:
@@ -176,15 +195,16 @@ class PoseTransfer:
     def _enter(self, header: Header, pose: Pose) -> None:
         """Keep the vehicle's pose until the next turn."""
         p, q = pose.position, pose.orientation
-        if self._source.plane and self._height is None:
+        height = self._height() if self._source.plane else None
+        if self._source.plane and height is None:
             return
-        found = self._frame.vehicle(np.array([p.x, p.y, p.z]), np.array([q.w, q.x, q.y, q.z]), self._height)
+        found = self._frame.vehicle(np.array([p.x, p.y, p.z]), np.array([q.w, q.x, q.y, q.z]), height)
         if found is None:
             self._rejected += 1
-            rospy.logwarn_throttle(5.0, f"{self._vehicle}: a pose that is not finite, or no rotation, is not sent")
+            rospy.logwarn_throttle(5.0, f"{self._vehicle}: a pose that is not finite, or not a rotation, is not sent")
             return
         if header.stamp.to_nsec() == self._last_ns and self._last_ns > 0:
-            return  # a source that repeats itself has nothing new to say
+            return  # a source that repeats a pose has not measured a new one
         self._last_ns = header.stamp.to_nsec()
         self._new = messages.stamped(found, header.stamp, _MAP)
 
@@ -202,11 +222,12 @@ class PoseTransfer:
 
     def _judged(self, now: float) -> tuple[int, str]:
         """Return level and text for the diagnostics."""
+        has_no_height = self._source.plane and self._height() is None
         if not self._count:
-            missing = "no distance from the range finder" if self._source.plane and self._height is None else "no poses"
-            return DiagnosticStatus.WARN, f"{missing} yet"
+            return DiagnosticStatus.WARN, f"{'no distance from the range finder' if has_no_height else 'no poses'} yet"
         if now - self._heard > _SILENCE:
-            return DiagnosticStatus.ERROR, f"no new poses for {_SILENCE:g} s"
+            missing = "distance from the range finder" if has_no_height else "new poses"
+            return DiagnosticStatus.ERROR, f"no {missing} for {_SILENCE:g} s"
         return DiagnosticStatus.OK, "poses are sent"
 
     def _publish_report(self, stamp: rospy.Time) -> None:
