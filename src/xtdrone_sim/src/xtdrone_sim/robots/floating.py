@@ -91,12 +91,102 @@ class BoatLimits(Settings):
 
 
 @kernel
+def _pressure(boat, waves, level, time, hull, draught):
+    """Return what the water does to the hull, as the sum over its columns.
+
+    Args:
+        boat: ``STATE``.
+        waves, level, time, hull, draught: see ``advance``.
+
+    Returns:
+        Force (3), N, and moment (3), N m, both in the map; mean velocity (3), m/s, and acceleration (3), m/s^2, of the
+        displaced water, map; and the sum of the columns' depths, m.
+    """
+    cell = hull[0] * hull[1] / (_ALONG * _ACROSS)
+    ux, uy, uz = rotate(boat.q, 0.0, 0.0, 1.0)
+    force_x, force_y, force_z, moment_x, moment_y, moment_z = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    flow_x, flow_y, flow_z, surge_x, surge_y, surge_z = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    sunk = 0.0
+    for i in range(_ALONG):
+        for j in range(_ACROSS):
+            a = ((i + 0.5) / _ALONG - 0.5) * hull[0]
+            b = ((j + 0.5) / _ACROSS - 0.5) * hull[1]
+            rx, ry, rz = rotate(boat.q, a, b, -draught)
+            height, u, v, w, ax, ay, az = water_at(waves, boat.position[0] + rx, boat.position[1] + ry, time)
+            depth = min(max(level + height - boat.position[2] - rz, 0.0), hull[2])
+            rx, ry, rz = rx + 0.5 * depth * ux, ry + 0.5 * depth * uy, rz + 0.5 * depth * uz
+            displaced = DENSITY * cell * depth
+            fx, fy, fz = displaced * ax, displaced * ay, displaced * GRAVITY
+            force_x, force_y, force_z = force_x + fx, force_y + fy, force_z + fz
+            moment_x, moment_y = moment_x + (ry * fz - rz * fy), moment_y + (rz * fx - rx * fz)
+            moment_z = moment_z + (rx * fy - ry * fx)
+            flow_x, flow_y, flow_z = flow_x + depth * u, flow_y + depth * v, flow_z + depth * w
+            surge_x, surge_y, surge_z = surge_x + depth * ax, surge_y + depth * ay, surge_z + depth * az
+            sunk += depth
+    total = sunk if sunk > 0.0 else 1.0  # in the air all sums are zero
+    flow = flow_x / total, flow_y / total, flow_z / total
+    surge = surge_x / total, surge_y / total, surge_z / total
+    return (force_x, force_y, force_z), (moment_x, moment_y, moment_z), flow, surge, sunk
+
+
+@kernel
+def _accelerate(boat, force, flow, surge, wet, mass, added, linear, quadratic, push, dt):
+    """Change the velocity by weight, water, drag and thrust.
+
+    Args:
+        boat: ``STATE``; ``velocity`` is updated.
+        force, flow, surge: see ``_pressure``.
+        wet: 0..1, share of drag and added mass.
+        mass, added, linear, quadratic, push, dt: see ``advance``.
+    """
+    q, v = boat.q, boat.velocity
+    f = rotate_inverse(q, force[0], force[1], force[2] - mass * GRAVITY)
+    speed = rotate_inverse(q, v[0] - flow[0], v[1] - flow[1], v[2] - flow[2])
+    pull = rotate_inverse(q, surge[0], surge[1], surge[2])
+    ax = _acceleration_along(0, f[0] + push, speed, pull, wet, mass, added, linear, quadratic)
+    ay = _acceleration_along(1, f[1], speed, pull, wet, mass, added, linear, quadratic)
+    az = _acceleration_along(2, f[2], speed, pull, wet, mass, added, linear, quadratic)
+    ax, ay, az = rotate(q, ax, ay, az)
+    v[0] += ax * dt
+    v[1] += ay * dt
+    v[2] += az * dt
+
+
+@kernel
+def _acceleration_along(k, force, speed, pull, wet, mass, added, linear, quadratic):
+    """Return the acceleration, m/s^2, along the hull's axis ``k`` by ``force``, N, and drag; see ``_accelerate``."""
+    drawn = force - wet * (linear[k] + quadratic[k] * abs(speed[k])) * speed[k]
+    return (drawn + wet * added[k] * mass * pull[k]) / (mass * (1.0 + wet * added[k]))
+
+
+@kernel
+def _turn(boat, moment, wet, mass, hull, turning, torque, dt):
+    """Change the rates by water, drag and thrust (Euler's equations of a box).
+
+    Args:
+        boat: ``STATE``; ``rates`` is updated.
+        moment: see ``_pressure``.
+        wet: 0..1, share of drag.
+        mass, hull, turning, torque, dt: see ``advance``.
+    """
+    x = mass * (hull[1] ** 2 + hull[2] ** 2) / 12.0  # moments of inertia, kg m^2
+    y = mass * (hull[0] ** 2 + hull[2] ** 2) / 12.0
+    z = mass * (hull[0] ** 2 + hull[1] ** 2) / 12.0
+    tx, ty, tz = rotate_inverse(boat.q, moment[0], moment[1], moment[2])
+    p, r, s = boat.rates[0], boat.rates[1], boat.rates[2]
+    boat.rates[0] += (tx - (wet * turning[0] * p + (z - y) * r * s)) / x * dt
+    boat.rates[1] += (ty - (wet * turning[1] * r + (x - z) * s * p)) / y * dt
+    boat.rates[2] += (tz + torque - (wet * turning[2] * s + (y - x) * p * r)) / z * dt
+
+
+@kernel
 def advance(boats, waves, level, time, mass, hull, draught, added, linear, quadratic, turning, push, torque, dt):
     """Advance a boat by one step.
 
     Args:
         boats: (1,) ``STATE``, updated.
-        waves, level: of the water.
+        waves: (n,) ``waves.WAVE``.
+        level: of the still water, m, map.
         time: at the beginning, s.
         mass: kg.
         hull: (3,) length, width, depth, m.
@@ -107,70 +197,13 @@ def advance(boats, waves, level, time, mass, hull, draught, added, linear, quadr
         dt: s.
     """
     boat = boats[0]
-    q = boat.q
-    cell = hull[0] * hull[1] / (_ALONG * _ACROSS)
-    ux, uy, uz = rotate(q, 0.0, 0.0, 1.0)
-    force, moment, water, surge = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
-    sunk = 0.0
-    for i in range(_ALONG):
-        for j in range(_ACROSS):
-            a = ((i + 0.5) / _ALONG - 0.5) * hull[0]
-            b = ((j + 0.5) / _ACROSS - 0.5) * hull[1]
-            rx, ry, rz = rotate(q, a, b, -draught)
-            height, u, v, w, ax, ay, az = water_at(waves, boat.position[0] + rx, boat.position[1] + ry, time)
-            depth = min(max(level + height - boat.position[2] - rz, 0.0), hull[2])
-            rx, ry, rz = rx + 0.5 * depth * ux, ry + 0.5 * depth * uy, rz + 0.5 * depth * uz
-            displaced = DENSITY * cell * depth
-            fx, fy, fz = displaced * ax, displaced * ay, displaced * GRAVITY
-            force[0] += fx
-            force[1] += fy
-            force[2] += fz
-            moment[0] += ry * fz - rz * fy
-            moment[1] += rz * fx - rx * fz
-            moment[2] += rx * fy - ry * fx
-            water[0] += depth * u
-            water[1] += depth * v
-            water[2] += depth * w
-            surge[0] += depth * ax
-            surge[1] += depth * ay
-            surge[2] += depth * az
-            sunk += depth
-    if sunk > 0.0:
-        for k in range(3):
-            water[k] /= sunk
-            surge[k] /= sunk
-    force[2] -= mass * GRAVITY
+    force, moment, flow, surge, sunk = _pressure(boat, waves, level, time, hull, draught)
     wet = min(sunk / (_ALONG * _ACROSS * draught), 1.0)  # a hull in the air has neither drag nor added mass
-    f = np.empty(3)
-    f[0], f[1], f[2] = rotate_inverse(q, force[0], force[1], force[2])
-    flow, pull = np.empty(3), np.empty(3)
-    flow[0], flow[1], flow[2] = rotate_inverse(
-        q, boat.velocity[0] - water[0], boat.velocity[1] - water[1], boat.velocity[2] - water[2]
-    )
-    pull[0], pull[1], pull[2] = rotate_inverse(q, surge[0], surge[1], surge[2])
-    f[0] += push
+    _accelerate(boat, force, flow, surge, wet, mass, added, linear, quadratic, push, dt)
+    _turn(boat, moment, wet, mass, hull, turning, torque, dt)
     for k in range(3):
-        f[k] -= wet * (linear[k] + quadratic[k] * abs(flow[k])) * flow[k]
-        f[k] = (f[k] + wet * added[k] * mass * pull[k]) / (mass * (1.0 + wet * added[k]))
-    ax, ay, az = rotate(q, f[0], f[1], f[2])
-    boat.velocity[0] += ax * dt
-    boat.velocity[1] += ay * dt
-    boat.velocity[2] += az * dt
-    inertia = np.empty(3)
-    inertia[0] = mass * (hull[1] ** 2 + hull[2] ** 2) / 12.0
-    inertia[1] = mass * (hull[0] ** 2 + hull[2] ** 2) / 12.0
-    inertia[2] = mass * (hull[0] ** 2 + hull[1] ** 2) / 12.0
-    t = np.empty(3)
-    t[0], t[1], t[2] = rotate_inverse(q, moment[0], moment[1], moment[2])
-    t[2] += torque
-    p, r, s = boat.rates[0], boat.rates[1], boat.rates[2]
-    t[0] -= wet * turning[0] * p + (inertia[2] - inertia[1]) * r * s
-    t[1] -= wet * turning[1] * r + (inertia[0] - inertia[2]) * s * p
-    t[2] -= wet * turning[2] * s + (inertia[1] - inertia[0]) * p * r
-    for k in range(3):
-        boat.rates[k] += t[k] / inertia[k] * dt
         boat.position[k] += boat.velocity[k] * dt
-    integrate(q, boat.rates[0] * dt, boat.rates[1] * dt, boat.rates[2] * dt)
+    integrate(boat.q, boat.rates[0] * dt, boat.rates[1] * dt, boat.rates[2] * dt)
 
 
 @dataclass(frozen=True)
