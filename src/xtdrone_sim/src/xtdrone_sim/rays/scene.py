@@ -130,13 +130,13 @@ class RayScene:
 
         Raises:
             SceneError: too many triangles; nothing has changed then.
-            ValueError: an invalid mesh or vehicle type.
+            ValueError: an invalid mesh or vehicle type; nothing has changed then.
         """
         before = dict(self._trees)
-        self._add_fleet([vehicle])
         try:
+            self._add_fleet([vehicle])
             self._check_size()
-        except SceneError:
+        except ValueError:
             self._trees = before
             raise
         self._layout = None

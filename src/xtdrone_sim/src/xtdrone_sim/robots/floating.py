@@ -56,13 +56,20 @@ class HullSettings(Settings):
             raise SettingError("mass", self.mass, f"at most {0.95 * most:.6g} kg: its box displaces {most:.6g} kg")
         draught, middle = self.draught, 0.5 * self.draught
         least = (draught - middle) * 12.0 * draught
-        if self.width**2 <= least:  # KB + BM - KG, with the centre of mass at the waterline
-            raise SettingError("width", self.width, f"more than {math.sqrt(least):.3g} m: it would capsize")
+        for name, side in (("width", self.width), ("length", self.length)):
+            if side**2 <= least:  # KB + BM - KG, with the centre of mass at the waterline
+                raise SettingError(name, side, f"more than {math.sqrt(least):.3g} m: it would capsize")
 
     @property
     def draught(self) -> float:
         """Of its weight in still water, m."""
         return self.mass / (DENSITY * self.length * self.width)
+
+    @property
+    def inertia(self) -> Vector:
+        """Moments of inertia about its axes, kg m^2: those of a box."""
+        x, y, z = self.length**2, self.width**2, self.depth**2
+        return self.mass * (y + z) / 12.0, self.mass * (x + z) / 12.0, self.mass * (x + y) / 12.0
 
 
 @dataclass(frozen=True)
@@ -88,6 +95,22 @@ class BoatLimits(Settings):
     timeout: float = setting(
         0.5, low=0.0, high=3600.0, unit="s", text="time without a command after which the thrusters stop; 0: never"
     )
+
+
+def check_step(hull: HullSettings, limits: BoatLimits, dt: float) -> None:
+    """Raise SettingError if steps of ``dt``, s, are too long for buoyancy or drag, so that the motion would blow up."""
+    least = DENSITY * hull.length * hull.width * GRAVITY * dt**2
+    if hull.mass < least:
+        raise SettingError("hull mass", hull.mass, f"at least {least:.3g} kg: with less, steps of {dt} s are too long")
+    pairs = zip(limits.linear_drag, limits.quadratic_drag, strict=True)
+    drags = [linear + quadratic * limits.speed for linear, quadratic in pairs]
+    masses = [hull.mass * (1.0 + share) for share in limits.added_mass]
+    kinds = ("linear_drag and quadratic_drag", drags, masses), ("turning_drag", limits.turning_drag, hull.inertia)
+    for name, drag, inertia in kinds:
+        most = [each / dt for each in inertia]
+        if any(each > limit for each, limit in zip(drag, most, strict=True)):
+            text = ", ".join(f"{each:.3g}" for each in most)
+            raise SettingError(f"limits {name}", list(drag), f"at most {text} at the largest speed in steps of {dt} s")
 
 
 @kernel
@@ -319,9 +342,8 @@ class Boat:
         limits, (ahead, _, _) = self.limits, self.twist[0]
         drag = limits.linear_drag[0] + limits.quadratic_drag[0] * abs(self._linear)
         push = drag * self._linear + _GAIN[0] * self.hull.mass * (self._linear - ahead)
-        inertia = self.hull.mass * (self.hull.length**2 + self.hull.width**2) / 12.0
         turn = limits.turning_drag[2] * self._angular
-        turn += _GAIN[1] * inertia * (self._angular - float(self._record[0]["rates"][2]))
+        turn += _GAIN[1] * self.hull.inertia[2] * (self._angular - float(self._record[0]["rates"][2]))
         both, apart = 0.5 * push, turn / limits.apart
         left, right = (max(-limits.thrust, min(limits.thrust, both + side * apart)) for side in (-1.0, 1.0))
         return left, right
@@ -350,8 +372,8 @@ class Boat:
         self._record[:] = self._next
 
     def block(self) -> None:
-        """Stop where the boat is, instead of the step that was proposed last; it goes on floating."""
+        """Stop where the boat is, instead of the step that was proposed last; it goes on heaving, without turning."""
         self._record["velocity"][0, :2] = 0.0
-        self._record["rates"][0, 2] = 0.0
+        self._record["rates"] = 0.0  # as its attitude stays
         self._record["velocity"][0, 2] = self._next["velocity"][0, 2]
         self._record["position"][0, 2] = self._next["position"][0, 2]

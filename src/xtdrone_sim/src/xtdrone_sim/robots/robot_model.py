@@ -7,13 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from xtdrone_control.autopilot.autopilot import STEP_US
 from xtdrone_control.bounded_file import ContentError
 from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_control.tag_boards import TagBoard, boards_of
 from xtdrone_sim.descriptions import ModelError, available, read_description
 from xtdrone_sim.robots import tag_visuals
-from xtdrone_sim.robots.floating import Boat, BoatLimits, HullSettings
+from xtdrone_sim.robots.floating import Boat, BoatLimits, HullSettings, check_step
 from xtdrone_sim.robots.kinematics import Ackermann, AckermannLimits, Differential, DifferentialLimits, Drive
 from xtdrone_sim.robots.rolling import Footprint, Ground
 from xtdrone_sim.robots.waves import WaveSettings
@@ -273,6 +274,7 @@ def _checked_boat(given: Mapping[str, object]) -> BoatModel:
     limits = BoatLimits.from_mapping(given.get("limits", {}), "limits")
     hull = HullSettings.from_mapping(given.get("hull", {}), "hull")
     waves = WaveSettings.from_mapping(given.get("waves", {}), "waves")
+    check_step(hull, limits, STEP_US * 1e-6)
     deck = given.get("platform")
     platform = None if deck is None else PlatformSettings.from_mapping(deck, "platform")
     top = hull.depth - hull.draught + _PLATE

@@ -60,7 +60,11 @@ class FleetChanges:
         return tuple(self._there.values())
 
     def _take(self, message: String) -> None:
-        now = {_key(vehicle): vehicle for vehicle in parse_fleet(message.data)}
+        try:
+            now = {_key(vehicle): vehicle for vehicle in parse_fleet(message.data)}
+        except ValueError as error:
+            rospy.logerr(f"{rospy.get_name()}: a message of {TOPIC} is ignored: {error}")
+            return
         for key in [key for key in self._there if key not in now]:
             self._left(self._there.pop(key))
         self._refused &= now.keys()

@@ -45,6 +45,8 @@ class LiveRays:
         """
         if self._rays is not None:
             self._rays.add_vehicle(vehicle)
+        else:
+            RayScene((), [vehicle])  # raises for this vehicle now; later it would end the rays of all
         self._fleet = [*self._fleet, vehicle]
 
     def remove_vehicle(self, vehicle: Vehicle) -> None:

@@ -10,7 +10,7 @@ from nav_msgs.msg import MapMetaData, OccupancyGrid
 from numpy.typing import NDArray
 
 from xtdrone_control import lockstep
-from xtdrone_control.programs.program import check_no_arguments
+from xtdrone_control.programs.program import ArgumentError, check_no_arguments
 from xtdrone_sim.worlds.floor_plan import FloorPlanSettings, floor_plan
 from xtdrone_sim.worlds.sdf import load_world_file
 
@@ -34,7 +34,11 @@ def map_message(plan: NDArray[np.int8], settings: FloorPlanSettings, stamp: rosp
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Publish the plan in the first turn, latched, and wait for the end."""
+    """Publish the plan in the first turn, latched, and wait for the end.
+
+    Raises:
+        ArgumentError: an argument or parameter is not allowed, or the world cannot be used.
+    """
     check_no_arguments(arguments)
     lockstep.init_node("world_map", rate=RATE)
     settings = FloorPlanSettings.from_parameters(rospy.get_param)
@@ -42,7 +46,11 @@ def main(arguments: Sequence[str]) -> None:
     metadata = lockstep.Publisher("/map_metadata", MapMetaData, latch=True)
     lockstep.start()
     world = str(rospy.get_param("~world", rospy.get_param("/xtdrone/world", "empty")))
-    message = map_message(floor_plan(load_world_file(world), settings), settings, rospy.Time.now())
+    try:
+        plan = floor_plan(load_world_file(world), settings)
+    except ValueError as error:
+        raise ArgumentError(f"no map of the world {world}: {error}") from error
+    message = map_message(plan, settings, rospy.Time.now())
     publisher.publish(message)
     metadata.publish(message.info)
     lockstep.spin(lambda: None)

@@ -25,10 +25,14 @@ def parse_bounds(value: Any) -> tuple[float, float, float, float]:
     Raises:
         ValueError: not four numbers in order.
     """
+    allowed = "four numbers x0,y0,x1,y1 with x0 < x1 and y0 < y1, m in map"
     parts = value.split(",") if isinstance(value, str) else value
-    x0, y0, x1, y1 = (float(part) for part in parts)
+    try:
+        x0, y0, x1, y1 = (float(part) for part in parts)
+    except (TypeError, ValueError) as error:
+        raise ValueError(allowed) from error
     if not all(map(math.isfinite, (x0, y0, x1, y1))) or x0 >= x1 or y0 >= y1:
-        raise ValueError("four numbers x0,y0,x1,y1 with x0 < x1 and y0 < y1, m in map")
+        raise ValueError(allowed)
     return x0, y0, x1, y1
 
 
