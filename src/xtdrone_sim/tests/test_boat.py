@@ -211,7 +211,7 @@ def test_the_description_has_hull_and_platform() -> None:
         ("hull: {length: 0.3, depth: 2.0, mass: 150}", "length: 0.3 is not allowed, more than"),
         ("hull: {mass: 0.5}", "hull mass: 0.5 is not allowed, at least 0.753 kg"),
         ("limits: {linear_drag: [0, 0, 1000000]}", "limits linear_drag and quadratic_drag: [120.0, 1800.0, 1003000.0]"),
-        ("limits: {turning_drag: [0, 0, 1000000]}", "limits turning_drag: [0.0, 0.0, 1000000.0] is not allowed, at most"),
+        ("limits: {turning_drag: [0, 0, 1000000]}", "limits turning_drag: [0.0, 0.0, 1000000.0] is not allowed, at"),
         ("waves: {amplitude: 2, period: 2}", "amplitude: 2.0 is not allowed, at most 0.248 m"),
         ("waves: {amplitude: .nan}", "amplitude: nan is not allowed, 0 to 10 m"),
         ("limits: {thrust: -1}", "limits thrust: -1 is not allowed, 0 to 1000000 N"),
