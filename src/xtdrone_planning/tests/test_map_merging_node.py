@@ -142,7 +142,8 @@ def test_maps_are_merged_where_they_fit_and_alike_after_a_reset(stack: Stack) ->
     last = states[-1]
     assert last[NAMES[0]][:2] == [0, "the merged map's frame; 2 maps are merged"]
     assert last[NAMES[1]][0] == 0
-    assert last[NAMES[1]][1].startswith(f"merged through that of {NAMES[0]}, residual 0.0")
+    assert last[NAMES[1]][1].startswith(f"merged through that of {NAMES[0]}, residual 0.")
+    assert float(last[NAMES[1]][2]["residual, m"]) < 0.13  # voxels of 0.2 m
     assert float(last[NAMES[1]][2]["overlap"]) > 0.2
     assert last[NAMES[2]][0] == 1
     assert last[NAMES[2]][1].startswith(f"not merged: with {NAMES[0]}: ")
