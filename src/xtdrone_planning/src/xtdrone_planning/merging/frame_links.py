@@ -46,14 +46,14 @@ class Link(NamedTuple):
         middle: (3,) m, second map: the place to which the covariance refers.
         covariance: (4, 4) of x, y, z of this place in the first map, m, and of the heading, rad.
         inliers: share of estimates that are no outliers.
-        count: number of estimates.
+        estimates: their number.
     """
 
     pose: Array
     middle: Array
     covariance: Array
     inliers: float
-    count: int
+    estimates: int
 
     @property
     def deviation(self) -> float:
@@ -83,7 +83,7 @@ class Link(NamedTuple):
         turn = np.eye(4)
         turn[:3, :3] = back[:3, :3]
         middle = transformed(self.pose, self.middle)  # there, the pose and its inverse err by the same amount
-        return Link(back, middle, turn @ self.covariance @ turn.T, self.inliers, self.count)
+        return Link(back, middle, turn @ self.covariance @ turn.T, self.inliers, self.estimates)
 
 
 def link_of(pairs: Pairs, settings: LinkSettings) -> Link:
