@@ -49,6 +49,7 @@ from xtdrone_planning.mapping.map_feed import SensorChoice
 from xtdrone_planning.mapping.range_images import DepthMapping, LidarMapping
 from xtdrone_planning.mapping.sensor_watch import WatchSettings
 from xtdrone_planning.mapping.voxel_grid import MapSettings
+from xtdrone_planning.merging.settings import FitSettings, LinkSettings, MergingOptions
 from xtdrone_planning.navigation.navigation_node import NavigationSettings
 from xtdrone_planning.navigation.settings import CostmapSettings, NavigatorSettings, WindowSettings
 from xtdrone_planning.navigation.vehicle_drives import DriveSettings
@@ -176,6 +177,9 @@ CLASSES: dict[str, type[Settings]] = {
         TransferSettings,
         OctomapOptions,
         OctreeSettings,
+        MergingOptions,
+        LinkSettings,
+        FitSettings,
         PlaceSettings,
         ForeignOptions,
         MarkerSettings,

@@ -1,0 +1,147 @@
+"""Registration of two maps: where they fit, and whether they do.
+
+Generalised ICP (A. Segal et al., RSS 2009; ``small_gicp``) moves the second map from the relative estimates' pose onto
+the first. Every map has the ground, which fits any other's: only upright surfaces count as overlap.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import small_gicp
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from xtdrone_perception.slam.poses import transformed
+from xtdrone_planning.merging.frame_links import Link
+from xtdrone_planning.merging.settings import FitSettings, NotMergedError
+
+Array = NDArray[np.float64]
+
+_NEIGHBOURS = 20
+_LEAST_POINTS = 2 * _NEIGHBOURS
+_ITERATIONS = 40
+_COARSE = 3.0  # standard deviations of the relative estimates: reach of the first registration
+_UPRIGHT = 0.5  # greatest |z| of the normal of an upright surface
+_TURN_NOISE = 0.05  # rad, of the registration
+_NEARBY = 4.0  # times the reach: there both maps should have the same surfaces
+
+
+class Surfaces(NamedTuple):
+    """A map as the registration takes it.
+
+    Attributes:
+        cloud: of small_gicp, with covariances.
+        tree: of small_gicp.
+        upright: (m, 3) m, its points on upright surfaces.
+        normals: (m, 3) of these.
+    """
+
+    cloud: small_gicp.PointCloud
+    tree: small_gicp.KdTree
+    upright: Array
+    normals: Array
+
+
+class Fit(NamedTuple):
+    """How two maps fit.
+
+    Attributes:
+        pose: (4, 4) of the second map in the first.
+        overlap: share of the smaller map's upright surfaces that meet the other's.
+        agreement: share of those that meet among those that are near.
+        residual: m, root mean square distance from the other's surfaces.
+    """
+
+    pose: Array
+    overlap: float
+    agreement: float
+    residual: float
+
+
+def surfaces_of(points: Array, settings: FitSettings) -> Surfaces | None:
+    """Return a map's surfaces, None if it has too few points.
+
+    Args:
+        points: (n, 3) m, finite.
+        settings: of the registration.
+    """
+    if len(points) < _LEAST_POINTS:
+        return None
+    cloud, tree = small_gicp.preprocess_points(points, settings.cell, _NEIGHBOURS, 1)
+    if cloud.size() < _LEAST_POINTS:
+        return None
+    small_gicp.estimate_normals(cloud, tree, _NEIGHBOURS, 1)
+    normals = np.asarray(cloud.normals())[:, :3]
+    upright = np.abs(normals[:, 2]) <= _UPRIGHT
+    return Surfaces(cloud, tree, np.asarray(cloud.points())[upright, :3], normals[upright])
+
+
+def fit_of(first: Surfaces | None, second: Surfaces | None, link: Link, settings: FitSettings) -> Fit:
+    """Return how the second map fits the first.
+
+    Args:
+        first, second: the maps.
+        link: pose of the second in the first by relative estimates.
+        settings: of the registration.
+
+    Raises:
+        NotMergedError: they do not fit.
+    """
+    if first is None or second is None:
+        raise NotMergedError("a map has too few points yet")
+    pose, weakest = _aligned(first, second, link, settings)
+    found = _judged(first, second, pose, settings)
+    if weakest < settings.weakest:
+        raise NotMergedError(f"the surfaces do not tell the place: information ratio {weakest:.3f}")
+    tilt = float(np.arccos(np.clip(pose[2, 2], -1.0, 1.0)))
+    if tilt > settings.most_tilt:
+        raise NotMergedError(f"the maps fit only with a tilt of {tilt:.2f} rad")
+    off = link.contradiction(pose, (settings.cell, _TURN_NOISE))
+    if off > settings.contradiction:
+        raise NotMergedError(f"the maps fit {off:.1f} standard deviations off the relative estimates")
+    return found
+
+
+def _aligned(first: Surfaces, second: Surfaces, link: Link, settings: FitSettings) -> tuple[Array, float]:
+    """Return the pose (4, 4) of best fit and the least over the largest information on the place."""
+    pose = link.pose
+    for reach in (max(_COARSE * link.deviation, 2.0 * settings.reach), settings.reach):
+        result = small_gicp.align(
+            first.cloud,
+            second.cloud,
+            first.tree,
+            pose,
+            max_correspondence_distance=reach,
+            num_threads=1,
+            max_iterations=_ITERATIONS,
+        )
+        pose = np.asarray(result.T_target_source)
+    values = np.linalg.eigvalsh(np.asarray(result.H)[3:, 3:])  # rotation comes first
+    return pose, float(max(values[0], 0.0) / values[-1]) if values[-1] > 0.0 else 0.0
+
+
+def _judged(first: Surfaces, second: Surfaces, pose: Array, settings: FitSettings) -> Fit:
+    """Return the fit at a pose (4, 4).
+
+    Raises:
+        NotMergedError: overlap, agreement or residual are not good enough.
+    """
+    least = min(len(first.upright), len(second.upright))
+    if least < settings.least_points:
+        raise NotMergedError(f"a map has {least} points on upright surfaces, {settings.least_points} are needed")
+    moved = transformed(pose, second.upright)
+    distance, nearest = cKDTree(first.upright).query(moved, distance_upper_bound=_NEARBY * settings.reach)
+    meets, near = distance <= settings.reach, np.isfinite(distance)
+    overlap = min(float(meets.sum()) / least, 1.0)
+    if meets.sum() < settings.least_points or overlap < settings.least_overlap:
+        raise NotMergedError(f"the maps overlap by {100 * overlap:.0f} % ({meets.sum()} points) only")
+    agreement = float(meets.sum() / near.sum())
+    if agreement < settings.least_agreement:
+        raise NotMergedError(f"only {100 * agreement:.0f} % of the surfaces that are near agree")
+    off = np.einsum("ni,ni->n", moved[meets] - first.upright[nearest[meets]], first.normals[nearest[meets]])
+    residual = float(np.sqrt(np.mean(off**2)))
+    if residual > settings.most_residual:
+        raise NotMergedError(f"the maps are {residual:.2f} m apart where they overlap")
+    return Fit(pose, overlap, agreement, residual)

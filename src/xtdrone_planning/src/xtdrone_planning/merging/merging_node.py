@@ -1,0 +1,301 @@
+"""Merged map of several vehicles as a ROS node; the first vehicle's map is the one that the others join.
+
+For each vehicle ``T`` and every other ``S``:
+
+===================================  ================================  ===============================================
+topic                                type                              meaning
+===================================  ================================  ===============================================
+/T/octomap_point_cloud_centers       sensor_msgs/PointCloud2           in: T's map (``~cloud``)
+/T/mavros/local_position/pose        geometry_msgs/PoseStamped         in: where T is in its map
+/T/ODOMETRY/odometry                 nav_msgs/Odometry                 in: instead, with ``~odometry``
+/xtdrone/T/neighbours/S              nav_msgs/Odometry                 in: S relative to T, axes of T's map
+/xtdrone/merged_map                  sensor_msgs/PointCloud2           out, latched
+/tf                                  tf2_msgs/TFMessage                out: map to T/map of all that are merged
+/diagnostics                         diagnostic_msgs/DiagnosticArray   out: a state for each vehicle, 1 Hz and on change
+===================================  ================================  ===============================================
+
+The result is published ``~latency`` of simulated time after its inputs, whatever the registration takes.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Pose, PoseStamped
+from nav_msgs.msg import Odometry
+from numpy.typing import NDArray
+from sensor_msgs.msg import PointCloud2
+from tf2_msgs.msg import TFMessage
+
+from xtdrone_control import lockstep
+from xtdrone_control.lockstep.deferred_work import Deferred
+from xtdrone_perception.slam import odometry_messages as messages
+from xtdrone_perception.slam.scan_points import read_cloud
+from xtdrone_perception.tracking.pose_history import PoseHistory
+from xtdrone_planning.merging.frame_links import Pairs
+from xtdrone_planning.merging.map_chain import Merged, Placed, merged, merged_points
+from xtdrone_planning.merging.settings import FitSettings, LinkSettings, MergingOptions
+
+RATE = 10.0  # Hz
+_REACH = 0.1  # s by which a pose may be off the time of an estimate
+_REPORT_PERIOD = 1.0  # s
+
+Array = NDArray[np.float64]
+
+
+class MergingSettings(NamedTuple):
+    """All settings of the node."""
+
+    options: MergingOptions
+    link: LinkSettings
+    fit: FitSettings
+
+
+def read_settings() -> MergingSettings:
+    """Return the settings that the private parameters give.
+
+    Raises:
+        SettingError: a parameter is not allowed.
+    """
+    return MergingSettings(
+        MergingOptions.from_parameters(rospy.get_param),
+        LinkSettings.from_parameters(rospy.get_param),
+        FitSettings.from_parameters(rospy.get_param),
+    )
+
+
+class _Sample(NamedTuple):
+    """An estimate with the poses of its time: time, s, positions, m, in the two maps, and deviation, m."""
+
+    time: float
+    seen: Array
+    other: Array
+    deviation: float
+
+
+class VehicleMap:
+    """What a vehicle publishes of itself.
+
+    Attributes:
+        points: (n, 3) m, its map.
+        poses: x, y, z, m, and quaternion w, x, y, z, in its map.
+        fault: what is wrong with its map; empty: nothing.
+    """
+
+    def __init__(self, name: str, options: MergingOptions) -> None:
+        """Subscribe to the topics of a vehicle."""
+        self._name = name
+        self.poses = PoseHistory(seconds=5.0, reach=_REACH)
+        self.restart()
+        lockstep.Subscriber(f"/{name}/{options.cloud}", PointCloud2, self._on_cloud, queue_size=1, buff_size=2**24)
+        if options.odometry:
+            lockstep.Subscriber(f"/{name}/{options.odometry}/odometry", Odometry, self._on_odometry)
+        else:
+            lockstep.Subscriber(f"/{name}/mavros/local_position/pose", PoseStamped, self._on_pose)
+
+    def restart(self) -> None:
+        """Forget everything."""
+        self.points: Array = np.empty((0, 3))
+        self.fault = "no map has been received"
+        self.poses.clear()
+
+    def _on_cloud(self, message: PointCloud2) -> None:
+        try:
+            self.points, self.fault = read_cloud(message).points, ""
+        except ValueError as error:
+            self.fault = f"its map cannot be read: {error}"
+            rospy.logwarn_throttle(5.0, f"{self._name}: {self.fault}; the last one is kept")
+
+    def _on_odometry(self, message: Odometry) -> None:
+        self._add(message.header.stamp.to_nsec(), message.pose.pose)
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        self._add(message.header.stamp.to_nsec(), message.pose)
+
+    def _add(self, stamp_ns: int, pose: Pose) -> None:
+        p, q = pose.position, pose.orientation
+        entry = np.array([p.x, p.y, p.z, q.w, q.x, q.y, q.z])
+        if np.isfinite(entry).all():
+            self.poses.add(stamp_ns, entry)
+
+
+class Estimates:
+    """Latest estimates of one vehicle by another."""
+
+    def __init__(self, observer: VehicleMap, other: VehicleMap, topic: str, settings: MergingSettings) -> None:
+        """Subscribe to the estimates."""
+        self._observer, self._other = observer, other
+        self._interval = settings.options.interval
+        self._samples: deque[_Sample] = deque(maxlen=settings.link.samples)
+        self._waiting: Odometry | None = None
+        lockstep.Subscriber(topic, Odometry, self._on_estimate, queue_size=1)
+
+    def restart(self) -> None:
+        """Forget everything."""
+        self._samples.clear()
+        self._waiting = None
+
+    def _on_estimate(self, message: Odometry) -> None:
+        since = message.header.stamp.to_sec() - self._samples[-1].time if self._samples else self._interval
+        if self._waiting is None and since >= self._interval - 1e-6:
+            self._waiting = message
+
+    def step(self) -> None:
+        """Keep the latest estimate with the poses of its time."""
+        message, self._waiting = self._waiting, None
+        if message is None:
+            return
+        stamp = message.header.stamp
+        own, other = self._observer.poses.at(stamp.to_nsec()), self._other.poses.at(stamp.to_nsec())
+        p = message.pose.pose.position
+        relative = np.array([p.x, p.y, p.z])
+        variance = float(np.trace(np.reshape(message.pose.covariance, (6, 6))[:3, :3])) / 3.0
+        if own is None or other is None or not np.isfinite([*relative, variance]).all() or variance < 0.0:
+            return
+        self._samples.append(_Sample(stamp.to_sec(), own[:3] + relative, other[:3], float(np.sqrt(variance))))
+
+    def pairs(self) -> Pairs | None:
+        """Return the estimates, None if there are none."""
+        if not self._samples:
+            return None
+        times, seen, other, deviations = zip(*self._samples, strict=True)
+        return Pairs(np.array(times), np.array(seen), np.array(other), np.array(deviations))
+
+
+class _Outcome(NamedTuple):
+    """Merged maps and the merged map's points, (n, 3) m."""
+
+    maps: Merged
+    points: Array
+
+
+class MapMergingNode:
+    """Topics and state of the merged map."""
+
+    def __init__(self, names: Sequence[str], settings: MergingSettings) -> None:
+        """Declare the topics.
+
+        Args:
+            names: of the vehicles, at least two; the first one's map is the one that the others join.
+            settings: of the node.
+        """
+        self._names, self._settings = names, settings
+        self._vehicles = [VehicleMap(name, settings.options) for name in names]
+        self._estimates = {
+            (i, j): Estimates(
+                self._vehicles[i], self._vehicles[j], f"/xtdrone/{names[i]}/neighbours/{names[j]}", settings
+            )
+            for i in range(len(names))
+            for j in range(len(names))
+            if i != j
+        }
+        self._map = lockstep.Publisher("/xtdrone/merged_map", PointCloud2, latch=True)
+        self._tf = lockstep.Publisher("/tf", TFMessage)
+        self._diagnostics = lockstep.Publisher("/diagnostics", DiagnosticArray)
+        self._deferred = Deferred(1, wait=lockstep.is_active())
+        self._clear()
+        lockstep.add_reset_hook(self._restart)
+
+    def _clear(self) -> None:
+        self._maps = Merged({}, {})
+        self._begun = self._reported = -np.inf
+
+    def _restart(self) -> None:
+        self._deferred.close()
+        self._deferred = Deferred(1, wait=lockstep.is_active())
+        for vehicle in self._vehicles:
+            vehicle.restart()
+        for estimates in self._estimates.values():
+            estimates.restart()
+        self._clear()
+
+    def close(self) -> None:
+        """End the worker."""
+        self._deferred.close()
+
+    def step(self) -> None:
+        """Begin merging when it is due; publish what is ready. Call it at 10 Hz."""
+        stamp = rospy.Time.now()
+        for estimates in self._estimates.values():
+            estimates.step()
+        for _, outcome in self._deferred.ready(stamp.to_nsec() // 1000):
+            self._publish(outcome, stamp)
+        if stamp.to_sec() - self._begun >= self._settings.options.period - 1e-6 and not len(self._deferred):
+            self._begun = stamp.to_sec()
+            due_us = stamp.to_nsec() // 1000 + round(self._settings.options.latency * 1e6)
+            found = {ends: estimates.pairs() for ends, estimates in self._estimates.items()}
+            pairs = {ends: found_pairs for ends, found_pairs in found.items() if found_pairs is not None}
+            clouds = [vehicle.points for vehicle in self._vehicles]
+            self._deferred.put(None, due_us, _outcome, clouds, pairs, self._settings)
+        if stamp.to_sec() - self._reported >= _REPORT_PERIOD - 1e-6:
+            self._report(stamp)
+
+    def _publish(self, outcome: _Outcome, stamp: rospy.Time) -> None:
+        before, self._maps = set(self._maps.placed), outcome.maps
+        frame = self._settings.options.frame_id
+        self._map.publish(messages.cloud(outcome.points, stamp, frame))
+        for number, placed in sorted(self._maps.placed.items()):
+            if number not in before and number:
+                rospy.loginfo(f"{self._names[number]}: its map is {self._words(placed)}")
+        for number in sorted(before - set(self._maps.placed)):
+            rospy.logwarn(f"{self._names[number]}: its map is no longer merged: {self._reason(number)}")
+        self._report(stamp)
+
+    def _words(self, placed: Placed) -> str:
+        through = f"merged through that of {self._names[placed.through]}"
+        if placed.fit is None:
+            return f"{through} by relative estimates alone"
+        return f"{through}, residual {placed.fit.residual:.2f} m, overlap {100.0 * placed.fit.overlap:.0f} %"
+
+    def _reason(self, number: int) -> str:
+        if self._vehicles[number].fault:
+            return self._vehicles[number].fault
+        reasons = self._maps.reasons.get(number)
+        if reasons is None:
+            return "merging has not begun"
+        told = [f"with {self._names[known]}: {text}" for known, text in reasons.items()]
+        return "; ".join(told) or "no relative estimates with a vehicle that is merged"
+
+    def _report(self, stamp: rospy.Time) -> None:
+        """Publish the state of every vehicle, and tf of those that are merged."""
+        self._reported = stamp.to_sec()
+        message = DiagnosticArray(status=[self._status(number) for number in range(len(self._names))])
+        message.header.stamp = stamp
+        self._diagnostics.publish(message)
+        for number, placed in sorted(self._maps.placed.items()):
+            frames = self._settings.options.frame_id, f"{self._names[number]}/map"
+            self._tf.publish(messages.transform(placed.pose, stamp, *frames))
+
+    def _status(self, number: int) -> DiagnosticStatus:
+        name, placed = self._names[number], self._maps.placed.get(number)
+        values = [KeyValue("points", str(len(self._vehicles[number].points)))]
+        if placed is None or (self._vehicles[number].fault and not len(self._vehicles[number].points)):
+            level, text = DiagnosticStatus.WARN, f"not merged: {self._reason(number)}"
+        elif number == 0:
+            level, text = DiagnosticStatus.OK, f"the merged map's frame; {len(self._maps.placed)} maps are merged"
+        else:
+            level, text = DiagnosticStatus.OK, self._words(placed)
+            values += _figures(placed)
+        return DiagnosticStatus(level, f"{name}: map merging", text, name, values)
+
+
+def _outcome(clouds: Sequence[Array], pairs: dict[tuple[int, int], Pairs], settings: MergingSettings) -> _Outcome:
+    """Return the merged maps; called by the worker."""
+    maps = merged(clouds, pairs, settings.link, settings.fit)
+    return _Outcome(maps, merged_points(clouds, maps.placed, settings.options.voxel))
+
+
+def _figures(placed: Placed) -> list[KeyValue]:
+    values = [KeyValue("deviation by relative estimates, m", f"{placed.deviation:.3f}")]
+    if placed.fit is not None:
+        values += [
+            KeyValue("residual, m", f"{placed.fit.residual:.3f}"),
+            KeyValue("overlap", f"{placed.fit.overlap:.3f}"),
+            KeyValue("agreement", f"{placed.fit.agreement:.3f}"),
+        ]
+    return values
