@@ -100,6 +100,7 @@ def test_a_uav_and_a_robot_go_through_rooms(graph: Graph, stack: Stack) -> None:
     plans = graph.hear(f"/{UAV}/move_base/NavfnROS/plan", PathMessage)
     local = graph.hear(f"/{UGV}/move_base/DWAPlannerROS/local_plan", PathMessage)
     costs = graph.hear(f"/{UAV}/move_base/local_costmap/costmap", OccupancyGrid)
+    pose = graph.hear(f"/{UAV}/mavros/local_position/pose", PoseStamped)
     stack.launch(
         "multi_vehicle.launch", "vehicles:=iris_2d_lidar:1", "poses:=[[14,7]]", f"world:={WORLD}", "speed:=0",
         "robots:=[{name: ugv_0, type: ugv, pose: [14, 2, 0]}]", "lidars:=true",
@@ -110,6 +111,7 @@ def test_a_uav_and_a_robot_go_through_rooms(graph: Graph, stack: Stack) -> None:
     stack.run("ugv", "xtdrone_planning", "move_base.py", "ugv", "0")
     uav, ugv = Client(stack, UAV), Client(stack, UGV)
 
+    stack.wait(lambda: pose.messages, "the UAV knows its position")
     uav.go(*UAV_GOAL)
     assert uav.end() == (GoalStatus.REJECTED, "goal: the vehicle is not flying")
     graph.call(f"/{UAV}/mavros/set_mode", SetMode, base_mode=0, custom_mode="AUTO.TAKEOFF")
