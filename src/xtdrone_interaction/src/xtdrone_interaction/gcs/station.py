@@ -90,6 +90,7 @@ class GroundStation:
         self._thread: threading.Thread | None = None
         self._waker, self._wakened = socket.socketpair()
         self._wakened.setblocking(False)
+        self._waker.setblocking(False)  # when it is full, the polling thread is woken anyway
         self._selector.register(self._wakened, selectors.EVENT_READ, None)
         for peer in peers:
             self._add(peer)
