@@ -91,7 +91,7 @@ def inviter(unusable: str) -> None:
     """Publisher of the vehicles' places; in its second flight two vehicles join at 0.32 s and leave at 0.92 s.
 
     Args:
-        unusable: description of the second one, which nobody sees.
+        unusable: description file of the second vehicle, which cannot be loaded, so that no lidar detects the vehicle.
     """
     lockstep.init_node("inviter", rate=50.0)
     publisher = lockstep.Publisher("/xtdrone/scene", SceneState)

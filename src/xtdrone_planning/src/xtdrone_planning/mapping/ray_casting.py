@@ -53,9 +53,9 @@ def _pass_through(evidence, marks, mark, corner, resolution, origin, end):
     )
     dx, dy, dz = (end[0] - origin[0]) / resolution, (end[1] - origin[1]) / resolution, (end[2] - origin[2]) / resolution
     i, j, k = math.floor(x), math.floor(y), math.floor(z)
-    across_x, next_x, step_x = _axis(x, dx, i)
-    across_y, next_y, step_y = _axis(y, dy, j)
-    across_z, next_z, step_z = _axis(z, dz, k)
+    across_x, next_x, step_x = axis_crossing(x, dx, i)
+    across_y, next_y, step_y = axis_crossing(y, dy, j)
+    across_z, next_z, step_z = axis_crossing(z, dz, k)
     while 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
         if marks[i, j, k] < mark:
             marks[i, j, k] = mark
@@ -78,7 +78,7 @@ def _pass_through(evidence, marks, mark, corner, resolution, origin, end):
 
 
 @kernel
-def _axis(place, length, cell):
+def axis_crossing(place, length, cell):
     """Return for one axis the part of the ray across a voxel, the part up to the next voxel, and the step, 1 or -1."""
     if length > 0.0:
         return 1.0 / length, (cell + 1.0 - place) / length, 1

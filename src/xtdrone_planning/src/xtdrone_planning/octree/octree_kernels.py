@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from xtdrone_planning.kernel import kernel
+from xtdrone_planning.mapping.ray_casting import axis_crossing
 
 SIDE = 16
 VOXELS = SIDE**3
@@ -118,9 +119,9 @@ def _pass_through(table, keys, counts, seen, touched, touched_at, count, resolut
     if not math.isfinite(x + y + z + dx + dy + dz):
         return count
     i, j, k = math.floor(x), math.floor(y), math.floor(z)
-    across_x, next_x, step_x = _axis(x, dx, i)
-    across_y, next_y, step_y = _axis(y, dy, j)
-    across_z, next_z, step_z = _axis(z, dz, k)
+    across_x, next_x, step_x = axis_crossing(x, dx, i)
+    across_y, next_y, step_y = axis_crossing(y, dy, j)
+    across_z, next_z, step_z = axis_crossing(z, dz, k)
     i, j, k = i + HALF, j + HALF, k + HALF
     last_key, block = -1, -1
     while _is_inside(i, j, k):
@@ -149,16 +150,6 @@ def _pass_through(table, keys, counts, seen, touched, touched_at, count, resolut
             k += step_z
             next_z += across_z
     return count
-
-
-@kernel
-def _axis(place, length, cell):
-    """Return for one axis the part of the ray across a voxel, the part up to the next voxel, and the step, 1 or -1."""
-    if length > 0.0:
-        return 1.0 / length, (cell + 1.0 - place) / length, 1
-    if length < 0.0:
-        return -1.0 / length, (cell - place) / length, -1
-    return math.inf, math.inf, 0
 
 
 @kernel

@@ -2,7 +2,7 @@
 
 RRT* (S. Karaman, E. Frazzoli, IJRR 30, 2011), Informed RRT* (J. Gammell, S. Srinivasa, T. Barfoot, IROS 2014) and BIT*
 (the same, ICRA 2015), of the Open Motion Planning Library (I. Sucan, M. Moll, L. Kavraki, IEEE RAM 19, 2012). Each
-search is seeded anew and ends after a number of iterations, never by time: it is a function of its inputs.
+search starts from the same seed and ends after a fixed number of iterations, so its result depends on its inputs alone.
 """
 
 from __future__ import annotations
