@@ -124,7 +124,7 @@ bool FollowerTurn::hearStates(std::string_view message) {
   return std::isfinite(sum);
 }
 
-/// Return whether mavros/state says nothing new.
+/// Return whether mavros/state repeats the known state.
 bool FollowerTurn::hearState(std::string_view message) const {
   Fields fields(message);
   fields.skipHeader();

@@ -90,7 +90,7 @@ def link_of(pairs: Pairs, settings: LinkSettings) -> Link:
     """Return the pose of the other vehicle's map in the observer's.
 
     Raises:
-        NotMergedError: there are too few estimates, they contradict each other, or do not tell the pose well enough.
+        NotMergedError: there are too few estimates, they contradict each other, or determine the pose too loosely.
     """
     count = len(pairs.times)
     if count < settings.least_samples:
@@ -105,9 +105,15 @@ def link_of(pairs: Pairs, settings: LinkSettings) -> Link:
     covariance = _covariance(pairs, information * good, pose, middle, settings)
     link = Link(pose, middle, covariance, share, count)
     if link.deviation > settings.worst_position:
-        raise NotMergedError(f"relative estimates give the place to {link.deviation:.2f} m only")
+        raise NotMergedError(
+            f"standard deviation of the position: {link.deviation:.2f} m, "
+            f"at most {settings.worst_position:g} m is allowed"
+        )
     if link.heading_deviation > settings.worst_heading:
-        raise NotMergedError(f"relative estimates give the heading to {link.heading_deviation:.2f} rad only")
+        raise NotMergedError(
+            f"standard deviation of the heading: {link.heading_deviation:.2f} rad, "
+            f"at most {settings.worst_heading:g} rad is allowed"
+        )
     return link
 
 

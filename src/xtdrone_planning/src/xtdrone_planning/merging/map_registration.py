@@ -94,7 +94,7 @@ def fit_of(first: Surfaces | None, second: Surfaces | None, link: Link, settings
     pose, weakest = _aligned(first, second, link, settings)
     found = _judged(first, second, pose, settings)
     if weakest < settings.weakest:
-        raise NotMergedError(f"the surfaces do not tell the place: information ratio {weakest:.3f}")
+        raise NotMergedError(f"the surfaces do not determine the position: information ratio {weakest:.3f}")
     tilt = float(np.arccos(np.clip(pose[2, 2], -1.0, 1.0)))
     if tilt > settings.most_tilt:
         raise NotMergedError(f"the maps fit only with a tilt of {tilt:.2f} rad")

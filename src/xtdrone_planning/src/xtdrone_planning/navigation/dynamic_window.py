@@ -21,7 +21,7 @@ from xtdrone_planning.navigation.settings import WindowSettings
 Array = NDArray[np.float64]
 
 _SPEEDS, _RATES = 7, 21  # samples of the window
-_AT_TARGET = 0.1  # m: nearer, the direction to the target says nothing
+_AT_TARGET = 0.1  # m: nearer, the direction to the target is undefined
 _COMFORT = 0.4  # m beyond the radius up to which clearance counts
 
 

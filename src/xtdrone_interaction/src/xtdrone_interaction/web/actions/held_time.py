@@ -52,8 +52,8 @@ def hold(master: str) -> Instant:
     except (SimError, OSError):  # a real vehicle
         return Instant()
     try:
-        done = call(master, "/simulator/step", Step, StepRequest(ticks=1), _STEP_LIMIT).success
-        return _instant(status_of(master), held=bool(done), stopped=True)
+        done = bool(call(master, "/simulator/step", Step, StepRequest(ticks=1), _STEP_LIMIT).success)
+        return _instant(status_of(master), held=done, stopped=done)  # a refused step has stopped nothing
     except SimError:
         return _instant(status, held=False, stopped=True)  # go on: the step may still come
 

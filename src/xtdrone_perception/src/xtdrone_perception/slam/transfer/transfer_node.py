@@ -41,7 +41,7 @@ RATE = 60.0  # Hz
 
 _MAP = "map"
 _SILENCE = 1.0  # s
-_OLD_HEIGHT = 0.5  # s after which a range says nothing
+_OLD_HEIGHT = 0.5  # s after which a range is too old to use
 _REPORT_PERIOD = 1.0  # s
 
 Array = NDArray[np.float64]
