@@ -28,7 +28,7 @@ from xtdrone_control.programs.log_output import survive_full_disk
 
 from ..protocol import Schedule
 from ..transport import local_topics
-from ..transport.rospy_internals import handle_signal, set_time_us
+from ..transport.rospy_internals import handle_signal, lengthen_connection_queue, set_time_us
 from ..transport.rospy_internals import registering_together as registering_together
 from . import joining
 from .compiled_turns import CompiledWork
@@ -93,6 +93,7 @@ def init_node(name: str, rate: float = 30.0, **options: Any) -> None:
     if not options.get("anonymous"):
         _session.reservation = joining.reserve(future_name(name, options.get("argv")), this_node)
     rospy.init_node(name, disable_rostime=True, **options)
+    lengthen_connection_queue()
     survive_full_disk()
     if not options.get("disable_signals"):
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -318,6 +319,7 @@ def host() -> Host:
     if this_node.taking_part:
         raise rospy.ROSInitException("a participant cannot be the simulator as well")
     if _session.host is None:
+        lengthen_connection_queue()
         this_node.reader.activate()
         local_topics.serve()
         _session.host = Host(rospy.get_name(), this_node)

@@ -27,6 +27,7 @@ SubscriberImpl: Any = rospy.topics._SubscriberImpl
 """Base class of a topic's receiving end, shared by all ``rospy.Subscriber`` objects of the topic in a process."""
 
 _ASK_PERIOD = 1.0  # s of wall time
+_CONNECTION_QUEUE = 1024  # connections that wait to be accepted; the kernel caps it at net.core.somaxconn
 
 
 def set_time_us(time_us: int) -> None:
@@ -56,6 +57,16 @@ def topic_server_address() -> tuple[str, int]:
     rospy.impl.tcpros_base.start_tcpros_server()
     server = rospy.impl.tcpros_base._tcpros_server.tcp_ros_server
     return server.addr, server.port
+
+
+def lengthen_connection_queue() -> None:
+    """Let many nodes connect to this node's topics and services at the same time.
+
+    rospy queues five connections. When thirty vehicles call a service in the same tick, Linux drops those in excess, and
+    TCP tries again only after 1 s.
+    """
+    rospy.impl.tcpros_base.start_tcpros_server()
+    rospy.impl.tcpros_base._tcpros_server.tcp_ros_server.server_sock.listen(_CONNECTION_QUEUE)
 
 
 def accept_topic_connection(sock: socket.socket, address: tuple[str, int]) -> None:
