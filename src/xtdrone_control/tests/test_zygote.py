@@ -11,7 +11,6 @@ import signal
 import socket
 import struct
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -47,7 +46,13 @@ seen = {{
     "streams": [[s.encoding, s.errors, s.line_buffering, s.fileno()] for s in (sys.stdin, sys.stdout, sys.stderr)],
 }}
 json.dump(
-    {{"seen": seen, "ahead": "colorsys" in sys.modules, "random": [random.random(), numpy.random.random()], "parent": os.getppid(), "pid": os.getpid()}},
+    {{
+        "seen": seen,
+        "ahead": "colorsys" in sys.modules,
+        "random": [random.random(), numpy.random.random()],
+        "parent": os.getppid(),
+        "pid": os.getpid(),
+    }},
     open("{folder}/" + name + ".json", "w"),
 )
 print("output of", name)

@@ -3,8 +3,11 @@
 A fork starts in milliseconds and shares the memory of the modules with all others. ``node_launcher``, the launch-prefix
 of the nodes, connects to the zygote of its roslaunch and represents the forked node to roslaunch. The zygote is started
 by the first of them, or before roslaunch (``node_launcher --ahead``): then it imports modules of nodes to come while no
-request waits. A node runs as under the interpreter: same command line, environment, working directory, descriptors and signal handlers, in a
-session of its own. The zygote imports the modules that the node's script imports at the top; the node imports the rest.
+request waits.
+
+A node runs as under the interpreter: same command line, environment, working directory, descriptors and signal
+handlers, in a session of its own. The zygote imports the modules that the node's script imports at the top; the node
+imports the rest.
 
 No node outlives its launcher or the zygote. When roslaunch ends, the zygote interrupts the remaining nodes and ends. It
 also ends some seconds after its last node: a launcher whose roslaunch has been killed is a child of the system's first
@@ -251,7 +254,7 @@ class Zygote:
         if not self._forked and differing <= _SET_BY_ROSLAUNCH:
             for name in differing:
                 os.environ.pop(name, None)
-            os.environb.update(word.split(b"=", 1) for word in new - self._environment)
+            os.environb.update(word.partition(b"=")[::2] for word in new - self._environment)
             self._environment = new
         return new == self._environment
 

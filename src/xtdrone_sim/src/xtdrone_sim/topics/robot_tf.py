@@ -21,7 +21,7 @@ from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.topics.fleet_changes import FleetChanges
 from xtdrone_sim.topics.robot_frames import Frame, RobotFrames
-from xtdrone_sim.vehicles.vehicle_model import load_vehicle
+from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
 
 
 @dataclass(frozen=True)
