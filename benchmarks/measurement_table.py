@@ -291,7 +291,7 @@ _TABLE = (
         numbers=(9, 100, 1000),
         limits=(2, 10_000),
         fields=(("pictures/s", spread("pictures_per_second")), goal_of("drawing")),
-        summary=lambda row: f"{row['pictures_per_second']:.1f} pictures a second",
+        summary=lambda row: f"{row['pictures_per_second']:.1f} pictures per second",
     ),
     Measurement(
         name="sweep",
@@ -420,7 +420,7 @@ _TABLE = (
             *((name, frame_cpu(name)) for name in DRAWING_PROGRAMS),
             ("others", frame_cpu()),
         ),
-        summary=lambda row: f"{row['frames_per_second']:.1f} frames a second",
+        summary=lambda row: f"{row['frames_per_second']:.1f} frames per second",
         cases=_films,
         label=_film_label,
         first=_first("film", _film_label),

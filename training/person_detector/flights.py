@@ -5,7 +5,8 @@
     flights.py --minutes 30 --weights RUN/last.weights --keep FOLDER    # keeps the pictures with false boxes
 
 Counts the boxes per minute that show no person, by threshold of probability, and the results of the search by its
-rule and settings: candidates, second looks on a circle (two pictures a second), false finds and people found. Vehicles,
+rule and settings: candidates, second looks on a circle (two pictures per second), false finds and people found.
+Vehicles,
 wind and tracks are not simulated: poses are exact, and finds within ``same_place`` are one. Runs in `./xtdrone shell`.
 """
 
@@ -34,7 +35,7 @@ from xtdrone_sim.worlds import people
 from xtdrone_sim.worlds.scenery import Ground, outdoor
 from xtdrone_sim.worlds.sdf import SdfWorld
 
-RATE = 2.0  # pictures a second
+RATE = 2.0  # pictures per second
 SPEED = 4.0  # m/s
 LANE = 14.0  # m between lanes
 THRESHOLDS = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
@@ -267,9 +268,9 @@ def main() -> None:
     parser.add_argument("--look-arc", type=float, default=rule.look_arc, help="deg on the circle (%(default)s)")
     parser.add_argument("--persons", type=int, default=3, help="in each scene (%(default)s)")
     parser.add_argument("--people", type=Path, action="append", default=[], help="folder of random_people.py")
-    parser.add_argument("--confidence", type=float, default=0.5, help="least probability of a box (%(default)s)")
+    parser.add_argument("--confidence", type=float, default=0.5, help="minimum probability of a box (%(default)s)")
     least = rule.candidate_probability
-    parser.add_argument("--candidate", type=float, default=least, help="least mean of a candidate's (%(default)s)")
+    parser.add_argument("--candidate", type=float, default=least, help="minimum mean of a candidate's (%(default)s)")
     parser.add_argument("--seed", type=int, default=900_000, help="of the first scene (%(default)s)")
     parser.add_argument("--settings", type=Path, default=SETTINGS)
     parser.add_argument("--weights", type=Path, help="in place of the settings' ones")

@@ -366,7 +366,7 @@ def main() -> None:
     parser.add_argument("--start", type=Path, help=".weights to begin with")
     parser.add_argument("--batch", type=int, default=32, help="crops to a step (%(default)s)")
     parser.add_argument("--crop", type=int, default=192, help="side of a crop, px, a multiple of 32 (%(default)s)")
-    parser.add_argument("--rate", type=float, default=3e-3, help="greatest learning rate (%(default)s)")
+    parser.add_argument("--rate", type=float, default=3e-3, help="maximum learning rate (%(default)s)")
     parser.add_argument("--negatives", type=float, default=0.35, help="part of crops not aimed at people (%(default)s)")
     parser.add_argument("--paste", type=float, default=0.5, help="part of crops with people pasted in (%(default)s)")
     parser.add_argument("--judge", type=float, default=4.0, help="minutes between two looks at val/ (%(default)s)")

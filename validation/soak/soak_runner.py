@@ -46,7 +46,7 @@ class Tally:
         simulated: simulated time by kind, s.
         episodes: finished ones by kind.
         tracebacks: of nodes that were not killed, with their files.
-        late: greatest delay of an event, simulated s.
+        late: maximum delay of an event, simulated s.
     """
 
     stretches: list[Stretch] = field(default_factory=list)

@@ -28,7 +28,7 @@ class IntegralFollower(Follower):
         return [u + i for u, i in zip(stock, self.integral, strict=True)]
 
     def restart(self):
-        """Forget the integral, too, when simulated time is set back."""
+        """Forget the integral, too, when simulated time is reset."""
         super().restart()
         self.integral = (0.0, 0.0, 0.0)
 

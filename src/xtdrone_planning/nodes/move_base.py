@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Navigate vehicles on a level, with the topics of ROS's move_base: ``move_base.py iris_2d_lidar 0``, ``ugv 0``.
+"""Navigate vehicles in the plane, with the topics of ROS's move_base: ``move_base.py iris_2d_lidar 0``, ``ugv 0``.
 
 One process serves one vehicle (``0``) or several (``0-5``, ``1,3``). UAVs fly at a fixed height; a type that is not in
-the fleet is a ground robot. Topics are listed in ``xtdrone_planning.navigation.navigation_node``.
+/xtdrone/fleet is treated as a ground robot. Topics are listed in ``xtdrone_planning.navigation.navigation_node``.
 
 Parameters:
     ~drive, ~scan_topic, ~map_topic and those of map, motion and decisions, see docs/settings.md.
@@ -36,10 +36,10 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def _served(arguments: Sequence[str], fleet: str | None) -> tuple[list[str], bool]:
-    """Return names of vehicles, and whether they are robots: of a type that is not in the fleet.
+    """Return the vehicles' names, and whether they are ground robots (their type is not in the fleet).
 
     Raises:
-        ArgumentError: see ``served_vehicles``; a range of robots cannot be ``all``.
+        ArgumentError: see ``served_vehicles``; ``all`` is not allowed for robots.
     """
     vehicles = fleet_of(fleet)
     if len(arguments) == 2 and vehicles and arguments[0] not in {vehicle.type for vehicle in vehicles}:

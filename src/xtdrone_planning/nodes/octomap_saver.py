@@ -22,11 +22,11 @@ _PATIENCE = 10.0  # s
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Save the map that the service of the vehicle answers with."""
+    """Save the map returned by the vehicle's octomap service."""
     full = "-f" in arguments
     words = [word for word in arguments if word != "-f"]
     if len(words) != 2 or Path(words[0]).suffix not in (".bt", ".ot"):
-        raise ArgumentError("a file .bt or .ot and the name of a vehicle are needed")
+        raise ArgumentError("a .bt or .ot file and the name of a vehicle are needed")
     file, vehicle = Path(words[0]), words[1].strip("/")
     full |= file.suffix == ".ot"
     rospy.init_node("octomap_saver", anonymous=True)

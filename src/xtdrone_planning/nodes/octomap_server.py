@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""Map all that vehicles see as octrees: ``octomap_server.py iris_slam 0``, with the topics of octomap_server.
+"""Build octree maps of everything that vehicles see: ``octomap_server.py iris_slam 0``, with the topics of
+octomap_server.
 
 One process serves one vehicle (``0``) or several (``0-5``, ``1,3``, ``all``: all of that type in /xtdrone/fleet).
 Topics and services are listed in ``xtdrone_planning.octree.octomap_node``.

@@ -5,7 +5,7 @@ One process serves one vehicle (``0``) or several (``0-5``, ``1,3``, ``all``: al
 Topics are listed in ``xtdrone_planning.replanning.planner_node``.
 
 Parameters:
-    ~swarm (false): agree with the other vehicles on trajectories, by ``radio.py``.
+    ~swarm (false): coordinate trajectories with the other vehicles, through ``radio.py``.
     ~sensor (lidar or depth), and those of the planner, the map, the sensors and the trajectories, see docs/settings.md.
     /xtdrone/fleet (as ``iris_3d_lidar:6``): the fleet; without it ids are not checked against a count.
 """

@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""Safety filter, the last node before MAVROS: ``safety_filter.py [VEHICLE ...]``, all vehicles by default.
+"""Filter setpoints for safety, as the last node before MAVROS: ``safety_filter.py [VEHICLE ...]``, all vehicles by
+default.
 
 Topics are listed in ``xtdrone_planning.safety.safety_node``. Start it by the launch argument ``safety:=true``, which
 also sets ``/xtdrone/setpoint_namespace`` for the MAVROS layer.

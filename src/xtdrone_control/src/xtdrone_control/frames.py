@@ -71,7 +71,7 @@ def from_upper_triangle(values: Sequence[float]) -> list[float]:
 
 
 def yaw_enu_to_ned(yaw: float) -> float:
-    """Return the NED heading (clockwise from north) of an ENU yaw (anticlockwise from east), in [-pi, pi)."""
+    """Return the NED heading (clockwise from north) of an ENU yaw (counter-clockwise from east), in [-pi, pi)."""
     return wrap_pi_by_remainder(0.5 * pi - yaw)
 
 

@@ -84,7 +84,7 @@ def sources(packages: Iterable[Path]) -> list[Path]:
 
 
 def cache_folder(*packages: Path) -> Path:
-    """Return the folder of the kernel cache for the present contents of ``packages``, see ``sources``."""
+    """Return the folder of the kernel cache for the current contents of ``packages``, see ``sources``."""
     digest = hashlib.sha256(numba.__version__.encode())
     for path in sources(packages):
         digest.update(path.name.encode() + b"\0" + path.read_bytes())

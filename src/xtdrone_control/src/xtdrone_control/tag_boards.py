@@ -54,7 +54,7 @@ class TagBoard:
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
-        """Least x, greatest x, least y and greatest y of the black squares, m."""
+        """Least x, greatest x, minimum y and maximum y of the black squares, m."""
         return (
             min(tag.x - 0.5 * tag.size for tag in self.tags),
             max(tag.x + 0.5 * tag.size for tag in self.tags),

@@ -80,7 +80,7 @@ class CompiledFollower:
         self._program: FollowerTurn | None = None
 
     def begin(self) -> Any:
-        """Return the program's capsule with the present state; None if Python must take the next turn."""
+        """Return the program's capsule with the current state; None if Python must take the next turn."""
         follower, options = self._follower, self._follower.options
         offsets = follower.offsets
         if offsets is None or options.mode != "vel" or options.avoid == "topic" or not is_stock(follower):

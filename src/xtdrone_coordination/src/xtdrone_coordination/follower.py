@@ -213,7 +213,7 @@ class Follower:
     def restart(self) -> None:
         """Return to the state after construction, the swarm's state included.
 
-        Called when simulated time is set back and when the leader withdraws its pattern. A subclass with state of its
+        Called when simulated time is reset and when the leader withdraws its pattern. A subclass with state of its
         own overrides it and calls this one too.
         """
         self._reset()

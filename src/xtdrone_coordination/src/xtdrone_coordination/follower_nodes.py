@@ -15,7 +15,7 @@ topic                               type                          from, to
 /T/mavros/local_position/pose       geometry_msgs/PoseStamped     every vehicle -> leader, followers, avoid
 ==================================  ============================  =====================================================
 
-When simulated time is set back, leader, followers and avoidance restart. Pattern and topology are latched and survive
+When simulated time is reset, leader, followers and avoidance restart. Pattern and topology are latched and survive
 this: followers ignore messages received before their first step, and the leader replaces its latched messages by an
 empty pattern and topology, which mean none.
 """

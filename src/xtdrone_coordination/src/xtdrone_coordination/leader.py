@@ -1,7 +1,7 @@
 """The leader of a formation: slots and topology of all vehicles. Designed for inheritance, without ROS.
 
 The leader is vehicle 0, steered by the user. When a pattern is chosen, it assigns the slots so that the followers fly
-the least total distance, and publishes slots and topology.
+the minimum total distance, and publishes slots and topology.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class LeaderOptions(Settings):
         0.5,
         low=0.0,
         unit="m",
-        text="least height (local z) of the lowest slot; patterns that reach below the leader and this height are "
+        text="minimum height (local z) of the lowest slot; patterns that reach below the leader and this height are "
         "rejected",
     )
     vel_max: float = setting(1.0, above=0.0, unit="m/s", text="limit of its avoidance")
@@ -131,7 +131,7 @@ class Leader:
     def restart(self) -> None:
         """Return to the state after construction, the swarm's state included.
 
-        Called when simulated time is set back. A subclass with state of its own overrides it and calls this one too.
+        Called when simulated time is reset. A subclass with state of its own overrides it and calls this one too.
         """
         self._reset()
         self.swarm.restart()

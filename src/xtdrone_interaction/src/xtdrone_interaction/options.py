@@ -42,7 +42,7 @@ _BAG_ROOM = 1 << 30  # bytes; the recorder stops if less is free
 PATTERNS_HELP = (
     "patterns to fly, with commas between: those of XTDrone for this number, and for every number origin, cube, "
     "pyramid, triangle, grid, circle, sphere, text:WORDS[:font=FILE] (letters, to be read from the south), cloud:FILE "
-    "(points of a .ply, .npy, .xyz or .csv); each may end in :spacing=METRES, the least distance of two vehicles "
+    "(points of a .ply, .npy, .xyz or .csv); each may end in :spacing=METRES, the minimum distance of two vehicles "
     "(default: cube,pyramid,triangle)"
 )
 

@@ -138,7 +138,7 @@ class CoreVehicles:
     # commands
 
     def command(self, index: int, text: str) -> str:
-        """Send an XTDrone command to a vehicle; see ``Vehicles``. A command for the present state has no effect.
+        """Send an XTDrone command to a vehicle; see ``Vehicles``. A command for the current state has no effect.
 
         Returns:
             The reason for a rejection, in the autopilot's words; "" if the command is accepted.
@@ -193,7 +193,7 @@ class CoreVehicles:
             self.steer_one(i, kind, (x, y, z))
 
     def steer_one(self, index: int, kind: int, vector: tuple[float, float, float], yaw_rate: float = 0.0) -> None:
-        """Set one vehicle's setpoint, ENU, with a yaw rate, rad/s; a POSITION keeps the present heading.
+        """Set one vehicle's setpoint, ENU, with a yaw rate, rad/s; a POSITION keeps the current heading.
 
         Raises:
             IndexError: ``index`` is out of range.

@@ -128,7 +128,7 @@ class Swarm:
         options = _options(FollowerOptions, follower_options)
         self._kind = VELOCITY if options.mode == "vel" else ACCELERATION
         radio = None if network is None else make_network(count, _options(NetworkOptions, network), seed)
-        self._warnings: list[str] = []  # in the present turn
+        self._warnings: list[str] = []  # in the current turn
         make = partial(follower, options=options, warn=self._warnings.append)
         self._followers = FollowerGroup(count, make, radio)
         self.followers = self._followers.followers
@@ -196,7 +196,7 @@ class Swarm:
         return np.asarray(np.linalg.norm(points[1:] - points[0] - self.leader.offsets, axis=1))
 
     def least_distance(self) -> float:
-        """Return the present minimum distance between any two vehicles, m."""
+        """Return the current minimum distance between any two vehicles, m."""
         points = self.vehicles.true_position
         return float(cKDTree(points).query(points, k=2)[0][:, 1].min())
 
@@ -433,7 +433,7 @@ class Swarm:
             _LOG.warning("%.3f s: %d more such warnings of followers", now, len(texts) - _SAID)
 
     def _name_those_out_of_range(self) -> None:
-        """Warn of vehicles connected by the topology but cut off by the network's range at the present positions."""
+        """Warn of vehicles connected by the topology but cut off by the network's range at the current positions."""
         assert self.leader.adjacency is not None
         lost = sorted(set(self.cut_off()) - set(unreachable(self.leader.adjacency)))
         if lost:

@@ -100,7 +100,7 @@ def _stop_motors(c, p):
 
 @kernel
 def _hold_on_ground(c, e):
-    """Keep the motors of an armed vehicle on the ground idle, with the present attitude as setpoint."""
+    """Keep the motors of an armed vehicle on the ground idle, with the current attitude as setpoint."""
     _zero_thrust(c)
     for i in range(4):
         c.sp_q[i] = e.q[i]
@@ -148,7 +148,7 @@ def _control_attitude(c, s, e, p, dt):
     elif s.task == TASK_RATES:
         c.sp_thrust = min(max(s.thrust, 0.0), 1.0)
         for i in range(3):
-            # an axis without a setpoint keeps its present rate
+            # an axis without a setpoint keeps its current rate
             c.sp_rates[i] = e.rates[i] if math.isnan(s.rates[i]) else s.rates[i]
     elif s.task == TASK_ATTITUDE:
         c.sp_thrust = min(max(s.thrust, 0.0), 1.0)

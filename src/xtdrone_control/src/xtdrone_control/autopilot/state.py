@@ -370,7 +370,7 @@ SETPOINT = np.dtype(
         ("stick_z", "f8"),
         ("stick_yaw", "f8"),
         # TASK_GOTO: auto_setpoint
-        ("onward_position", "f8", 3),  # m, local; next goal, reached without a stop at the present one; NaN: stop there
+        ("onward_position", "f8", 3),  # m, local; next goal, reached without a stop at the current one; NaN: stop there
         ("goal_radius", "f8"),  # m, distance from the goal at which it is reached; NaN: NAV_ACC_RAD
         # TASK_ORBIT: orbit
         ("orbit_centre", "f8", 2),  # m, local north and east
@@ -411,7 +411,7 @@ LANDING = np.dtype(  # land_detector
         ("landed_time", "f8"),
         ("freefall", "i4"),
         ("freefall_time", "f8"),  # s
-        ("least_thrust_time", "f8"),  # s at the least thrust
+        ("least_thrust_time", "f8"),  # s at the minimum thrust
         ("since_maybe_landed", "f8"),  # s
     ],
     align=True,
@@ -477,7 +477,7 @@ CONTROL = np.dtype(
         ("armed_time", "f8"),  # s since arming
         ("tilt_limit", "f8"),  # rad, slewed between MPC_TILTMAX_LND and MPC_TILTMAX_AIR
         # stick_control
-        ("throttle_min", "f8"),  # 0..1, least thrust by stick, slewed to MPC_MANTHR_MIN in the air
+        ("throttle_min", "f8"),  # 0..1, minimum thrust by stick, slewed to MPC_MANTHR_MIN in the air
         ("throttle_max", "f8"),  # 0..1, largest thrust by stick, slewed up after arming
         # autopilot and position_control
         ("hover_thrust", "f8"),  # 0..1, thrust in use for 1 g: MPC_THR_HOVER, or the estimate in flight
@@ -503,7 +503,7 @@ CONTROL = np.dtype(
         # flight_tasks: STICKS and ALTITUDE
         ("stick_acceleration", "f8", 2),  # m/s^2, local, jerk-limited; low-passed stick for ALTITUDE and MANUAL
         ("brake_boost", "f8"),  # factor of the drag, raised while the sticks are centred
-        ("hold_xy", "i4"),  # 1: the present position is held
+        ("hold_xy", "i4"),  # 1: the current position is held
         ("hold_z", "i4"),
         # flight_tasks: output, from which the position loop computes sp_*
         ("want_takeoff", "i4"),  # the task wants to leave the ground

@@ -162,7 +162,7 @@ class VehicleView:
 
     @property
     def task(self) -> int:
-        """The present flight task (``state.TASK_*``)."""
+        """The current flight task (``state.TASK_*``)."""
         return int(self._task[0])
 
     def start_task(self, task: int) -> None:

@@ -1,7 +1,7 @@
 """Logic of the multirotor communication node, independent of ROS: from inputs to a setpoint and service requests.
 
 As in XTDrone, the last input is the setpoint until the next one; a velocity or acceleration inside the dead zone means
-HOVER, which holds the present pose; commands other than ``OWN_COMMANDS`` are passed to set_mode unchanged.
+HOVER, which holds the current pose; commands other than ``OWN_COMMANDS`` are passed to set_mode unchanged.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ class MultirotorCore:
     """Setpoint and commands of one multirotor.
 
     OFFBOARD can be entered only with a stream of setpoints, so one is always published. Before any input it holds the
-    vehicle at its present pose, which is updated until OFFBOARD is entered and fixed from then on; before the first
+    vehicle at its current pose, which is updated until OFFBOARD is entered and fixed from then on; before the first
     pose it is velocity zero.
 
     A repeated command is ignored only while the vehicle is in the commanded state: it is sent again after a rejection,
@@ -300,7 +300,7 @@ class MultirotorCore:
         self._moving_since = moving_since
 
     def _hover(self) -> bool:
-        """Hold the present pose, or velocity zero before the first pose; return whether a pose was captured."""
+        """Hold the current pose, or velocity zero before the first pose; return whether a pose was captured."""
         if self._pose is None:
             self._set(velocity_setpoint((0.0, 0.0, 0.0), 0.0, body=False), moving_since=None)
             return False

@@ -45,7 +45,7 @@ class _Flyer:
         """Climb straight up in OFFBOARD.
 
         Args:
-            height: m above the present position, more than 0.
+            height: m above the current position, more than 0.
             tolerance: m of height within which the verb is done.
             timeout: s; None: 20 s and 2 s a metre.
         """
@@ -141,7 +141,7 @@ class Drone(_Flyer):
 
         Args:
             x, y, z: m ENU.
-            heading: rad ENU; None keeps the present one.
+            heading: rad ENU; None keeps the current one.
             tolerance: m from the goal within which the verb is done.
             timeout: s; None: 20 s and 2 s a metre.
         """
@@ -233,7 +233,7 @@ class DroneGroup(_Flyer):
 
         Args:
             positions: (N, 3) m ENU, one a vehicle.
-            headings: (N,) or one for all, rad ENU; None keeps the present ones.
+            headings: (N,) or one for all, rad ENU; None keeps the current ones.
             tolerance: m from the goal within which the verb is done.
             timeout: s; None: 20 s and 2 s a metre.
         """

@@ -92,7 +92,7 @@ class Verbs:
         name: of the vehicle, as ``iris_0``.
         core: computes the setpoint that is streamed meanwhile.
         telemetry: what the vehicle reports.
-        resets: how often simulated time was set back.
+        resets: how often simulated time was reset.
     """
 
     def __init__(self, name: str, core: MultirotorCore, submit: Callable[[Request], None], now: Callable[[], float]):
@@ -132,7 +132,7 @@ class Verbs:
             self.telemetry.warnings.append((self._now(), text.strip()))
 
     def on_reset(self) -> None:
-        """Discard all state, because simulated time was set back."""
+        """Discard all state, because simulated time was reset."""
         self.telemetry = Telemetry()
         self.resets += 1
         self._streaming_since = self._requested = None
@@ -169,7 +169,7 @@ class Verbs:
         yield from self._until("disarm", lambda: not self.core.armed, MODE_LIMIT, "accepted, but it is still armed")
 
     def takeoff(self, height: float, tolerance: float, timeout: float | None) -> Steps:
-        """Climb in OFFBOARD to ``height`` m above the present position."""
+        """Climb in OFFBOARD to ``height`` m above the current position."""
         (x, y, z), heading = self._pose("takeoff")
         goal = z + height
 
@@ -179,7 +179,7 @@ class Verbs:
         yield from self._fly_to("takeoff", (x, y, goal), heading, arrived, timeout)
 
     def go_to(self, position: Vector, heading: float | None, tolerance: float, timeout: float | None) -> Steps:
-        """Fly in OFFBOARD to ``position``, m ENU, and turn to ``heading``, rad; None keeps the present one."""
+        """Fly in OFFBOARD to ``position``, m ENU, and turn to ``heading``, rad; None keeps the current one."""
         if heading is None:
             heading = self._pose("go_to")[1]
         yield from self._fly_to("go_to", position, heading, lambda: self._arrived(position, tolerance), timeout)
@@ -191,7 +191,7 @@ class Verbs:
         yield from self._offboard("set_velocity")
 
     def hold(self) -> Steps:
-        """Hold the present position in OFFBOARD."""
+        """Hold the current position in OFFBOARD."""
         self._check_armed("hold")
         self._hold_here()
         yield from self._offboard("hold")
@@ -256,7 +256,7 @@ class Verbs:
         return velocity is None or math.hypot(*velocity) < ARRIVED_SPEED
 
     def _hold_here(self) -> None:
-        """Stream the present pose: in OFFBOARD an earlier setpoint would move the vehicle as soon as it is armed."""
+        """Stream the current pose: in OFFBOARD an earlier setpoint would move the vehicle as soon as it is armed."""
         self.core.on_command("HOVER", self._now())
 
     def _offboard(self, verb: str) -> Steps:

@@ -8,7 +8,7 @@ from typing import Any
 from xtdrone_control.settings import setting
 
 LEAST_SPEED = 0.01
-"""Least target real-time factor; below it a 20 ms tick would take more than two seconds."""
+"""Minimum target real-time factor; below it a 20 ms tick would take more than two seconds."""
 
 
 def speed_setting(

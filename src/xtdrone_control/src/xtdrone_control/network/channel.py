@@ -38,11 +38,11 @@ class Air(NamedTuple):
         travel: upper bound of the distance travelled by any vehicle up to a turn, shape (rows,), m.
         since: turn before which received samples are dropped, one per receiver.
         own: turn of each vehicle's own newest position, NEVER before the first.
-        turn: the present turn, shape (1,).
+        turn: the current turn, shape (1,).
         seed: of the draws.
         range: m.
-        delay: least delay in turns, not rounded.
-        jitter: greatest additional delay in turns, not rounded.
+        delay: minimum delay in turns, not rounded.
+        jitter: maximum additional delay in turns, not rounded.
         memory: turns for which a received sample is kept.
         loss: probability that a message is lost, or that a link is in its bad state.
         fail: probability that a link fails in a turn; below 0 for independent losses.
@@ -95,7 +95,7 @@ def within(position, i, j, square):
 
 @kernel
 def out_since(seed, fail, recover, turn, sender, receiver):
-    """Return the first turn of the link's present outage as of ``turn``, ``turn + 1`` if there is none.
+    """Return the first turn of the link's current outage as of ``turn``, ``turn + 1`` if there is none.
 
     The state of the Gilbert-Elliott channel is a function of the draws alone (coupling from the past): a draw below
     ``fail`` puts the link into the bad state, one of at least ``1 - recover`` into the good state, whatever the state
@@ -213,8 +213,8 @@ def send(made, now, queue, messages, crowd, credit, head, sent):
 
     Args:
         made: whether a vehicle had a sample in a turn, shape (rows, N); turn k is in row k % rows.
-        now: the present turn.
-        queue: greatest number of waiting samples per vehicle; the oldest are dropped.
+        now: the current turn.
+        queue: maximum number of waiting samples per vehicle; the oldest are dropped.
         messages: capacity of the channel at one place per turn.
         crowd: number of vehicles sharing it, one per sender.
         credit: messages that a vehicle may send now, updated.

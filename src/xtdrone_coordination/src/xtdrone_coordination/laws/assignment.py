@@ -1,4 +1,4 @@
-"""Assignment of slots to followers with the least total distance (Kuhn-Munkres, section 5 of the paper)."""
+"""Assignment of slots to followers with the minimum total distance (Kuhn-Munkres, section 5 of the paper)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Assignment:
 
 
 def assign(current: ArrayLike, target: ArrayLike) -> Assignment:
-    """Return the assignment of least total Euclidean distance.
+    """Return the assignment of minimum total Euclidean distance.
 
     Args:
         current: positions of the followers, shape (M, 3), m.

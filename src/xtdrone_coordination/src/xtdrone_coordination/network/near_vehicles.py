@@ -17,7 +17,7 @@ from xtdrone_coordination.kernel import kernel
 def near(air, radius):
     """Find the vehicles known to be less than ``radius`` from each vehicle.
 
-    Candidates are those near its present position in any stored turn.
+    Candidates are those near its current position in any stored turn.
 
     Returns:
         First index of each vehicle's entries (N + 1,), the numbers of the others, ascending, and their positions as
@@ -90,7 +90,7 @@ def beside(point, low, high, square):
 
 @kernel
 def crowds(points, reach, crowd):
-    """Store for each vehicle the greatest number of vehicles within ``reach`` of any vehicle within its reach.
+    """Store for each vehicle the maximum number of vehicles within ``reach`` of any vehicle within its reach.
 
     Each vehicle counts itself; one of unknown position gets 1.
     """

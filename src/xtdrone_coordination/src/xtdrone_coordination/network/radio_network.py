@@ -77,7 +77,7 @@ class Network:
         count: number of vehicles N.
         options: the settings.
         seed: of all random draws.
-        turn: number of the present turn, from 0; -1 before the first.
+        turn: number of the current turn, from 0; -1 before the first.
         air: the state in arrays, for the kernels.
     """
 
@@ -160,7 +160,7 @@ class Network:
         channel.send(self._made, turn, self.options.queue, messages, self._crowd, self._credit, self._head, sent)
 
     def known(self, index: int) -> KnownSwarm:
-        """Return the state of the swarm as known to a vehicle, always of the present turn.
+        """Return the state of the swarm as known to a vehicle, always of the current turn.
 
         Raises:
             ValueError: the number is out of range.
@@ -240,7 +240,7 @@ class Network:
 class KnownSwarm(SwarmState):
     """State of the swarm as received by one vehicle over its network, used by a follower as its ``swarm``.
 
-    It is always that of the present turn; :meth:`Network.step` updates it and counts the turns.
+    It is always that of the current turn; :meth:`Network.step` updates it and counts the turns.
 
     Attributes:
         network: the network.
@@ -262,7 +262,7 @@ class KnownSwarm(SwarmState):
 
     @property
     def ticks(self) -> int:  # type: ignore[override]
-        """The number of the network's present turn; -1 before the first."""
+        """The number of the network's current turn; -1 before the first."""
         return self.network.turn
 
     def samples(self) -> Samples:
@@ -281,7 +281,7 @@ class KnownSwarm(SwarmState):
         return state
 
     def take(self, other: int, state: _State) -> None:
-        """Store a result of :meth:`sample` for the present turn."""
+        """Store a result of :meth:`sample` for the current turn."""
         self._look()
         self._read[other] = state
 

@@ -8,7 +8,7 @@ A pattern is known by its name. XTDrone's own patterns for 6, 9 and 18 vehicles 
     text:WORDS            upright letters, read from the south (-y); 2 m apart
     cloud:FILE            the points of a file: .ply, .npy, or text such as .xyz and .csv; 2 m apart
 
-    ...:spacing=METRES    scales any pattern to this least distance between two vehicles
+    ...:spacing=METRES    scales any pattern to this minimum distance between two vehicles
     ...:font=FILE         font of the text, TrueType or OpenType; by default DejaVu Sans
 
 for instance ``circle``, ``sphere:spacing=5``, ``text:XTD``, ``text:12:30:spacing=2.5``, ``cloud:/data/bunny.ply``.

@@ -34,7 +34,7 @@ def cloud(count: int, spacing: float, file: str) -> Offsets:
 
     Args:
         count: number of vehicles N.
-        spacing: least distance of two vehicles, m; the unit of the file is irrelevant.
+        spacing: minimum distance of two vehicles, m; the unit of the file is irrelevant.
         file: see :func:`read_cloud`; its z is up.
 
     Raises:

@@ -10,7 +10,7 @@ import numpy as np
 from .offsets import PITCH, Offsets, rescaled
 from .points import from_middle, led
 
-_SPHERE_SHIFT = 0.36  # of a step: distance of the lattice's ends from the poles for the largest least distance
+_SPHERE_SHIFT = 0.36  # of a step: distance of the lattice's ends from the poles for the largest minimum distance
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 
 
@@ -79,7 +79,7 @@ def circle(count: int, spacing: float) -> Offsets:
 def sphere(count: int, spacing: float) -> Offsets:
     """Return a sphere below the leader, evenly covered by a Fibonacci lattice.
 
-    The ends of the lattice are moved away from the poles, which increases the least distance (M. Roberts, Evenly
+    The ends of the lattice are moved away from the poles, which increases the minimum distance (M. Roberts, Evenly
     distributing points on a sphere, 2018).
     """
     index = np.arange(count)
@@ -98,4 +98,4 @@ FAMILIES: dict[str, Callable[[int], Offsets]] = {
 """Patterns of a fixed size, from the number of vehicles."""
 
 SHAPES: dict[str, Callable[[int, float], Offsets]] = {"grid": grid, "circle": circle, "sphere": sphere}
-"""Patterns of any size, from the number of vehicles and the least distance of two of them, m."""
+"""Patterns of any size, from the number of vehicles and the minimum distance of two of them, m."""

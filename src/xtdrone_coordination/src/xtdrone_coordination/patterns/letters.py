@@ -35,7 +35,7 @@ def text(count: int, spacing: float, words: str, font: str | None = None) -> Off
 
     Args:
         count: number of vehicles N.
-        spacing: least distance of two vehicles, m.
+        spacing: minimum distance of two vehicles, m.
         words: one line of 1 to 100 printable characters.
         font: TrueType or OpenType file; by default DejaVu Sans.
 
@@ -59,7 +59,7 @@ def text(count: int, spacing: float, words: str, font: str | None = None) -> Off
 
 
 def _outline(words: str, font: str | None) -> list[Points]:
-    """Return closed polygons of the letters, in a row, in units of their greatest height, y up."""
+    """Return closed polygons of the letters, in a row, in units of their maximum height, y up."""
     if not words.strip() or len(words) > MAX_LETTERS or not words.isprintable():
         raise PatternError(f"text: {words!r} is not allowed; 1 to {MAX_LETTERS} printable characters")
     from matplotlib.font_manager import FontProperties

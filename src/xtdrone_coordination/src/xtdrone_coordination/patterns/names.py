@@ -21,7 +21,7 @@ class Request:
     Attributes:
         kind: the part before the first colon.
         argument: words of a text, file of a cloud; else empty.
-        spacing: least distance of two vehicles, m; None if not given.
+        spacing: minimum distance of two vehicles, m; None if not given.
         font: file of a text's font; None if not given.
     """
 

@@ -15,8 +15,8 @@ Offsets = NDArray[np.float64]
 
 MIN_SEPARATION = 0.5  # m between any two slots: closer vehicles touch
 MAX_SPACING = 1000.0  # m
-PITCH = 3.0  # m, of the spawn grid, and the least distance in grid, circle and sphere
-DENSE_PITCH = 2.0  # m, the least distance in letters and clouds
+PITCH = 3.0  # m, of the spawn grid, and the minimum distance in grid, circle and sphere
+DENSE_PITCH = 2.0  # m, the minimum distance in letters and clouds
 
 _FLOAT32 = 2.0**-21  # offsets travel as 32-bit floats: relative to the largest, a distance may shrink by this
 _OBLIQUE = np.array([0.7834, 0.5283, 0.3271])  # about a unit vector, and shorter rather than longer
@@ -54,7 +54,7 @@ def check_offsets(rows: ArrayLike, count: int, name: str) -> Offsets:
 
 
 def least_separation(offsets: Offsets) -> float:
-    """Return the least distance in metres between any two vehicles of a pattern, the leader at the origin included.
+    """Return the minimum distance in metres between any two vehicles of a pattern, the leader at the origin included.
 
     The vehicles are sorted along a line oblique to all usual lattices; each is compared with the next, the next but
     one, ..., until all remaining pairs are farther apart along the line than the closest pair found so far.

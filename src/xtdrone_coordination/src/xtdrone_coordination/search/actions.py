@@ -62,7 +62,7 @@ class PointCamera:
 
 @dataclass(frozen=True)
 class SetReturnHeight:
-    """Set the least height of a vehicle's return, m over home; different heights keep returning vehicles apart."""
+    """Set the minimum height of a vehicle's return, m over home; different heights keep returning vehicles apart."""
 
     vehicle: str
     height: float

@@ -53,7 +53,7 @@ class AssignedMission:
 
     @property
     def lowest(self) -> float:
-        """Least height of the path, m over home."""
+        """Minimum height of the path, m over home."""
         return min((self._height_of(index) for index, _ in self.path), default=self.height)
 
     def _height_of(self, index: int) -> float:

@@ -48,7 +48,7 @@ class CoverageMap:
             region: m ENU.
             camera: intrinsics, the same for all vehicles.
             ground: height of the ground in the map frame, m.
-            pixels: least height of a person in the picture, px.
+            pixels: minimum height of a person in the picture, px.
             cell: distance between places, m; increased if the grid would have more than 40000 places.
         """
         self.region_area = float(region.area)
@@ -111,7 +111,7 @@ def shows(
         position: (3,) of the camera, m, map.
         rotation: (3, 3) from the optical frame to the map frame.
         feet: (n, 3) places on the ground, m, map.
-        pixels: least height of the person in the picture, px.
+        pixels: minimum height of the person in the picture, px.
 
     Returns:
         (n,) bool.

@@ -18,10 +18,10 @@ class MissionSettings(Settings):
         -60.0, low=-90.0, high=-5.0, unit="deg", text="camera pitch while searching, negative down"
     )
     person_pixels: float = setting(
-        12.0, low=1.0, high=200.0, unit="px", text="least height in the picture of a person at a covered place"
+        12.0, low=1.0, high=200.0, unit="px", text="minimum height in the picture of a person at a covered place"
     )
     candidate_hits: int = setting(4, low=1, high=100, text="pictures of one vehicle that make a candidate")
-    candidate_probability: float = setting(0.62, low=0.0, high=1.0, text="their least mean probability")
+    candidate_probability: float = setting(0.62, low=0.0, high=1.0, text="their minimum mean probability")
     same_place: float = setting(
         6.0, low=0.5, high=50.0, unit="m", text="sightings within this distance of a candidate are merged into it"
     )
@@ -40,16 +40,16 @@ class MissionSettings(Settings):
     )
     look_speed: float = setting(3.0, low=0.5, high=10.0, unit="m/s", text="speed of the setpoint in a look")
     look_arc: float = setting(
-        60.0, low=0.0, high=360.0, unit="deg", text="least arc flown on the circle before a candidate is confirmed"
+        60.0, low=0.0, high=360.0, unit="deg", text="minimum arc flown on the circle before a candidate is confirmed"
     )
     look_time: float = setting(
         60.0, low=5.0, high=600.0, unit="s", text="a candidate is rejected after this time without a decision"
     )
-    look_apart: float = setting(30.0, low=5.0, high=500.0, unit="m", text="least distance between two looks")
+    look_apart: float = setting(30.0, low=5.0, high=500.0, unit="m", text="minimum distance between two looks")
     confirm_log_odds: float = setting(8.0, low=1.0, high=100.0, text="sum of the pictures' log-odds that confirms")
     confirm_hits: int = setting(5, low=1, high=100, text="pictures that must show the person")
     confirm_probability: float = setting(
-        0.55, low=0.0, high=1.0, text="least mean probability over all pictures of the place"
+        0.55, low=0.0, high=1.0, text="minimum mean probability over all pictures of the place"
     )
     reject_log_odds: float = setting(-8.0, low=-100.0, high=-1.0, text="sum of the log-odds that rejects")
 

@@ -1,4 +1,4 @@
-"""A searching vehicle: its telemetry, its state and its present task."""
+"""A searching vehicle: its telemetry, its state and its current task."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ class Services:
         return any(fnmatch.fnmatchcase(name, pattern) for pattern in self._patterns)
 
     def refresh(self, names: Iterable[str]) -> None:
-        """Determine the types of the present services; each one is asked once, also one that does not respond."""
+        """Determine the types of the current services; each one is asked once, also one that does not respond."""
         present = {name for name in names if self.is_offered(name)}
         self.types = {name: type_ for name, type_ in self.types.items() if name in present}
         self._silent &= present

@@ -10,7 +10,7 @@ subscribed
 published
 /T/planner/goal                           PoseStamped              or exploration/start
 /xtdrone/demo/events                      String (JSON)            event, time (simulated s), ...
-/xtdrone/demo/progress                    String (JSON)            phase, vehicles under way, least way left
+/xtdrone/demo/progress                    String (JSON)            phase, vehicles under way, minimum way left
 ========================================  =======================  ====================================================
 
 It arms, takes off and lands by MAVROS's services.

@@ -83,7 +83,7 @@ class ForestDemoSettings(Settings):
     follower_class: str = ""
     leader_class: str = ""
     leader_speed: float = setting(
-        1.5, low=0.2, high=3.0, unit="m/s", metavar="M/S", text="greatest speed of a formation's leader"
+        1.5, low=0.2, high=3.0, unit="m/s", metavar="M/S", text="maximum speed of a formation's leader"
     )
     speed_limit: float = setting(4.5, low=0.2, high=15.0, unit="m/s", metavar="M/S", text="greatest speed")
     acceleration_limit: float = setting(

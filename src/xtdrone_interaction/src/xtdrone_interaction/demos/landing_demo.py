@@ -1,6 +1,6 @@
 """``./xtdrone demo landing``: a UAV finds a ground robot that drives by its AprilTags, and lands on it.
 
-Exit status: 0 for a landing within 0.15 m of the middle of the tags, 1 for another one or a failed flight, 2 for a
+Exit status: 0 for a landing within 0.15 m of the centre of the tags, 1 for another one or a failed flight, 2 for a
 value that is not allowed, 128 + n when stopped by signal n.
 """
 
@@ -178,7 +178,7 @@ def print_landing(report: dict[str, Any], console: Console) -> None:
     touch = report["touchdown"]
     if touch is not None:
         console.print(
-            f"Touchdown {touch['error']:.3f} m from the middle of the tags, {touch['horizontal_velocity']:.2f} m/s "
+            f"Touchdown {touch['error']:.3f} m from the centre of the tags, {touch['horizontal_velocity']:.2f} m/s "
             f"across and {-touch['vertical_velocity']:.2f} m/s down relative to the robot, "
             f"{report['landing_time']:.1f} s after the tags were found; "
             f"in sight in {100 * report['in_sight']:.0f} % of the pictures since.",

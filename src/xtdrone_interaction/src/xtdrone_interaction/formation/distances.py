@@ -54,7 +54,7 @@ def formation_error(positions: Array, offsets: Array) -> Array:
 
 
 def least_distances(positions: Array) -> Array:
-    """Return the least distance between any two vehicles at each time, m, shape (t,); infinite for one vehicle.
+    """Return the minimum distance between any two vehicles at each time, m, shape (t,); infinite for one vehicle.
 
     Args:
         positions: shape (t, n, 3), m.

@@ -5,7 +5,7 @@ from __future__ import annotations
 CRITERIA = {
     "settling": "each pattern settles",
     "steady-error": "the steady error is small",
-    "assignment": "the slots are assigned with the least total distance",
+    "assignment": "the slots are assigned with the minimum total distance",
     "distance": "vehicles keep their distance",
     "collision": "nothing collides",
 }

@@ -52,7 +52,7 @@ class EventsFile:
 
 
 def parse_event(text: str) -> Any:
-    """Return an event from its JSON, a phase under its present name.
+    """Return an event from its JSON, a phase under its current name.
 
     Raises:
         ValueError: it is not JSON.

@@ -4,7 +4,7 @@ Keys, steps and limits are those of XTDrone's multirotor_keyboard_control.py. In
 
 - Setpoints are published while they are not zero, and once when they become zero, instead of forever, so that an idle
   keyboard does not disturb a formation. Vehicles are stopped when the target changes or the keyboard ends.
-- OFFBOARD with zero speeds is preceded by HOVER, so that the vehicle holds its present position rather than the last
+- OFFBOARD with zero speeds is preceded by HOVER, so that the vehicle holds its current position rather than the last
   one where it hovered.
 - A digit selects one of the leader's patterns; other digits do nothing but explain why.
 """

@@ -91,7 +91,7 @@ class _VehicleMonitor:
         self._topics = (self._state, self._pose, self._velocity)
 
     def status(self, has_subscriber: bool) -> VehicleStatus:
-        """Return the present state."""
+        """Return the current state."""
         state, pose, velocity = self._state.decode(), self._pose.decode(), self._velocity.decode()
         heard = [topic.heard for topic in self._topics if topic.heard is not None]
         linear = velocity.twist.linear if velocity else None

@@ -135,7 +135,7 @@ def _shortcomings(report: dict[str, Any]) -> list[str]:
     if report["outcome"] != "landed" or touch is None:
         return [f"the UAV has not landed on the platform: {report['reason'] or report['outcome']}"]
     if touch["error"] > LIMIT:
-        return [f"touchdown {touch['error']:.2f} m from the middle of the tags, more than {LIMIT:g} m"]
+        return [f"touchdown {touch['error']:.2f} m from the centre of the tags, more than {LIMIT:g} m"]
     return []
 
 

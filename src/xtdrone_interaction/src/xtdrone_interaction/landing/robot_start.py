@@ -7,7 +7,7 @@ import random
 
 _SPAWN = (0.0, 3.0)  # m, of the UAV
 _AWAY = 11.0  # m, of the robot at the start: out of sight
-_ASIDE = 0.12  # rad, greatest angle between its heading and the UAV
+_ASIDE = 0.12  # rad, maximum angle between its heading and the UAV
 
 
 def robot_start(seed: int) -> tuple[float, float, float]:

@@ -27,7 +27,7 @@ class Spiral:
 
     @property
     def point(self) -> tuple[float, float]:
-        """The present point, m."""
+        """The current point, m."""
         radius = self.pitch * self.angle / math.tau
         return self.x + radius * math.cos(self.angle), self.y + radius * math.sin(self.angle)
 

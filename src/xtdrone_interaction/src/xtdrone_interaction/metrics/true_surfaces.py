@@ -102,7 +102,7 @@ class TrueWorld:
         """Return the accuracy of a map as plain data; None for a map without points.
 
         Args:
-            found: (n, 3) points of the map, or middles of its occupied voxels, m in map.
+            found: (n, 3) points of the map, or centres of its occupied voxels, m in map.
             ways: true ways of the vehicles that mapped, with what they can see.
             seed: of the points on surfaces.
         """

@@ -110,7 +110,7 @@ def vehicle_metrics(vehicle: VehicleRecord, end: float | None = None) -> dict[st
 
 
 def least_distance_series(positions: Collection[Series]) -> Series | None:
-    """Return the least distance between any two vehicles over time, m, (t, 1), while all positions are known.
+    """Return the minimum distance between any two vehicles over time, m, (t, 1), while all positions are known.
 
     Args:
         positions: of at least one vehicle, m, each (t, 3) and not empty.

@@ -63,7 +63,7 @@ def figures(progress: dict[str, Any], factor: float) -> str:
     if progress.get("error") is not None:
         parts.append(f"error {progress['error']:5.2f} m")
     if progress.get("least_distance") is not None:
-        parts.append(f"least gap {progress['least_distance']:4.2f} m")
+        parts.append(f"minimum gap {progress['least_distance']:4.2f} m")
     if progress.get("text"):
         parts.append(str(progress["text"]))
     return "  ".join(parts)

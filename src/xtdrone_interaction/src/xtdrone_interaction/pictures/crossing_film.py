@@ -18,8 +18,8 @@ from xtdrone_interaction.pictures.crossing_map import draw_solids, height_of_fli
 from xtdrone_interaction.recording.crossing_record import CrossingRecord
 from xtdrone_swarm.view.film import FilmWriter
 
-_RATE = 15  # frames a second
-_SPEED = 8.0  # least speed of the film, relative to the flight
+_RATE = 15  # frames per second
+_SPEED = 8.0  # minimum speed of the film, relative to the flight
 _LENGTH = 60.0  # s, at most
 _TRAIL = 5.0  # s
 _SIZE = (1280, 420)  # pixels

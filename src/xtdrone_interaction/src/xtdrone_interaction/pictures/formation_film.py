@@ -14,7 +14,7 @@ from rich.console import Console
 from xtdrone_interaction.recording.formation_record import FormationRecord
 from xtdrone_swarm.view import Frame, film
 
-_RATE = 15  # frames a second
+_RATE = 15  # frames per second
 _SPEED = 8.0  # minimum speed of the film, relative to the flight
 _LENGTH = 60.0  # s, at most
 _MOST_LINKS = 400  # of a topology that is drawn

@@ -172,7 +172,7 @@ def distances(record: FormationRecord) -> Figure:
     figure.subplots_adjust(left=0.09, right=0.96, top=0.86, bottom=0.13, hspace=0.1)
     upper.plot(track.time[part], track.least_distance[part], color="tab:blue", lw=1.2)
     upper.axhline(DISTANCE_LIMIT, color="tab:red", lw=1.0, ls="--", label=f"limit {DISTANCE_LIMIT} m")
-    upper.set(ylabel="least distance [m]", ylim=(0.0, None))
+    upper.set(ylabel="minimum distance [m]", ylim=(0.0, None))
     upper.legend(loc="lower right")
     for window in record.windows:
         flown = track.between(window.start, window.end)

@@ -58,7 +58,7 @@ def pictures(recording: Recording, record: FormationRecord | None) -> Iterator[N
     if record is not None and record.windows:
         yield from formation_pictures.figures(record)
     elif len(known) > 1 and (least := least_distance_series(known.values())) is not None:
-        yield NamedFigure("distances", "Least distance between vehicles", distances(recording, least))
+        yield NamedFigure("distances", "Minimum distance between vehicles", distances(recording, least))
     if any(vehicle.modes or vehicle.armed for vehicle in recording.vehicles):
         yield NamedFigure("modes", "Flight modes", modes(recording, marks))
     if any(_activity(vehicle) for vehicle in recording.vehicles) or recording.topologies:
@@ -137,9 +137,9 @@ def distances(recording: Recording, found: Series) -> Figure:
     figure, (panel,) = panels(1, 3.2, 0.97)
     line(panel, found.time, found.value[:, 0], color="tab:blue", lw=1.1)
     panel.axhline(DISTANCE_LIMIT, color="tab:red", lw=1.0, ls="--", label=f"limit {DISTANCE_LIMIT} m")
-    panel.set(ylabel="least distance [m]", xlabel=recording.time_label, ylim=(0.0, None))
+    panel.set(ylabel="minimum distance [m]", xlabel=recording.time_label, ylim=(0.0, None))
     panel.legend(loc="best")
-    figure.suptitle("Least distance between any two vehicles")
+    figure.suptitle("Minimum distance between any two vehicles")
     return figure
 
 

@@ -184,7 +184,7 @@ class _Clock:
         self._last[number] = max(last, self._last.get(number, last))
 
     def split(self, batch: Batch) -> Iterator[tuple[Batch, bool]]:
-        """Yield the parts of a batch, each with a flag: simulated time was set back before it."""
+        """Yield the parts of a batch, each with a flag: simulated time was reset before it."""
         set_back = False
         while (row := self._set_back(batch)) is not None:
             yield Batch(batch.data, *(column[:row] for column in batch[1:])), set_back

@@ -53,7 +53,7 @@ class FleetTrack:
 
     @cached_property
     def least_distance(self) -> Array:
-        """The least distance between any two vehicles at each time, m, shape (t,)."""
+        """The minimum distance between any two vehicles at each time, m, shape (t,)."""
         return least_distances(self.position)
 
 

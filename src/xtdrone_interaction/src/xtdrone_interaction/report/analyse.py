@@ -101,7 +101,7 @@ def _summary(recording: Recording, metrics: dict[str, Any]) -> str:
         text += f" It began at {time.strftime('%Y-%m-%d %H:%M:%S', time.gmtime(recording.origin))} UTC."
     if metrics["formation"]:
         text += f" The formation flight ended with {metrics['formation']['outcome']!r}; judged by "
-        text += f"{metrics['formation']['positions']}, the least distance was "
+        text += f"{metrics['formation']['positions']}, the minimum distance was "
         text += f"{metrics['formation']['least_distance']:.2f} m."
     return text
 

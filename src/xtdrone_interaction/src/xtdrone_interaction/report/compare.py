@@ -49,7 +49,7 @@ def pictures(runs: Sequence[ComparedRun], time_name: str) -> Iterator[NamedFigur
     if found:
         yield NamedFigure("difference", f"Distance from {runs[0].name}", _differences(runs, found, time_name))
     if len(runs[0].places) > 1:
-        yield NamedFigure("distances", "Least distance between vehicles", _distances(runs, time_name))
+        yield NamedFigure("distances", "Minimum distance between vehicles", _distances(runs, time_name))
     logs = [run for run in runs if run.log is not None]
     if len(logs) == len(runs):
         for what in ("Velocity", "Attitude", "Rates"):
@@ -105,8 +105,8 @@ def _distances(runs: Sequence[ComparedRun], time_name: str) -> Figure:
         close = least_distance_series(run.places.values())
         if close is not None:
             line(panel, close.time, close.value[:, 0], color=shade, lw=_first_width(run, runs), label=run.name)
-    panel.set(ylabel="least distance [m]", xlabel=time_name, ylim=(0.0, None))
-    figure.suptitle("Least distance between any two vehicles")
+    panel.set(ylabel="minimum distance [m]", xlabel=time_name, ylim=(0.0, None))
+    figure.suptitle("Minimum distance between any two vehicles")
     name_lines(figure, panel, 0.81)
     return figure
 
@@ -138,7 +138,7 @@ def compare_page(runs: Sequence[ComparedRun], metrics: Sequence[dict[str, Any]],
     keys = ("duration", "way", "greatest_speed", "least_distance", "difference_rms", "difference_greatest",
             "difference_time")  # fmt: skip
     rows = [(row["name"], *(number(row[key]) for key in keys)) for row in metrics]
-    head = ("run", "time (s)", "way (m)", "fastest (m/s)", "least distance (m)", "difference, RMS (m)", "greatest (m)",
+    head = ("run", "time (s)", "way (m)", "fastest (m/s)", "minimum distance (m)", "difference, RMS (m)", "greatest (m)",
             "at (s)")  # fmt: skip
     page.tables.append(ReportTable("Runs", head, rows))
     flown = [run for run in runs if run.patterns]

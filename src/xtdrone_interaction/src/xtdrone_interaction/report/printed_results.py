@@ -29,7 +29,7 @@ def print_formation(report: dict[str, Any], console: Console) -> None:
     print_table(formation_table(report["reconfigurations"], title), console)
     simplified = report["settings"].get("simulator") == "simplified"
     collisions = "" if simplified else f", {len(report['collisions'])} collisions"
-    line = f"Least distance {report['least_distance']:.2f} m{collisions}; {report['sim_time']:.1f} s simulated"
+    line = f"Minimum distance {report['least_distance']:.2f} m{collisions}; {report['sim_time']:.1f} s simulated"
     if report["real_time_factor"] is not None:
         line += f" in {report['wall_time']:.1f} s ({report['real_time_factor']:.1f} x real time)"
     if report["startup_time"] is not None:
@@ -127,7 +127,7 @@ def print_crossing(report: dict[str, Any], console: Console) -> None:
                     highlight=False,
                 )
     if report["least_distance"] is not None:
-        console.print(f"Least distance of two vehicles {report['least_distance']:.2f} m.", highlight=False)
+        console.print(f"Minimum distance of two vehicles {report['least_distance']:.2f} m.", highlight=False)
     if report["formation"] is not None:
         _print_formation_errors(report["formation"], console)
     for text in report["shortcomings"]:
@@ -163,6 +163,6 @@ def print_exploration(report: dict[str, Any], console: Console) -> None:
         line += f", no frontier left after {report['explored_after']:.0f} s"
     console.print(f"{line}.", highlight=False, soft_wrap=True)
     if report["least_distance"] is not None:
-        console.print(f"Least distance of two vehicles {report['least_distance']:.2f} m.", highlight=False)
+        console.print(f"Minimum distance of two vehicles {report['least_distance']:.2f} m.", highlight=False)
     for text in report["shortcomings"]:
         console.print(f"[red]Missed:[/red] {escape(text)}", highlight=False, soft_wrap=True)

@@ -25,7 +25,7 @@ _METRICS = (  # head of the column, digits, key
     ("highest (m)", 2, "highest"),
     ("fastest (m/s)", 2, "greatest_speed"),
     ("fastest climb (m/s)", 2, "greatest_climb"),
-    ("least voltage (V)", 2, "least_voltage"),
+    ("minimum voltage (V)", 2, "least_voltage"),
 )
 _SEVERITIES = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
 _LEVELS = {4: "warning", 8: "error", 16: "fatal"}

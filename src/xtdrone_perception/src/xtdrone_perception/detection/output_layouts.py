@@ -96,7 +96,7 @@ def decode(
         layout: one of LAYOUTS.
         outputs: of the network, float.
         size: (width, height) of the network's input, pixels.
-        least: least probability, 0 to 1.
+        least: minimum probability, 0 to 1.
 
     Returns:
         corners (n, 4) xmin, ymin, xmax, ymax in pixels of the input; classes (n,); probabilities (n,).

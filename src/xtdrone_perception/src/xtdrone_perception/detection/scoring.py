@@ -67,7 +67,7 @@ def match(
     """Match detected boxes with true ones, the most probable first in each picture.
 
     A box is right if its intersection over union with an object that counts and is still unmatched is at least
-    ``least_overlap``; of several objects, it matches the one with the greatest overlap. Otherwise it is ignored if it
+    ``least_overlap``; of several objects, it matches the one with the maximum overlap. Otherwise it is ignored if it
     overlaps an ignored object as much, lies in one by half of its own area, or is itself outside ``heights``. All other
     boxes are false.
 
@@ -136,7 +136,7 @@ def at_threshold(matches: Matches, threshold: float) -> tuple[float, float, floa
 
 
 def best_threshold(matches: Matches) -> float:
-    """Return the threshold with the greatest harmonic mean of precision and recall; 1 if no box is right."""
+    """Return the threshold with the maximum harmonic mean of precision and recall; 1 if no box is right."""
     precision, recall = curve(matches)
     both = precision + recall
     mean = np.divide(2 * precision * recall, both, out=np.zeros_like(both), where=both > 0)

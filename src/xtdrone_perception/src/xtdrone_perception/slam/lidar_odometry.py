@@ -49,7 +49,7 @@ class RegistrationOptions(Settings):
     spacing: float = setting(0.8, low=0.05, high=5.0, unit="m", text="side of the cells in which a scan is averaged")
     voxel: float = setting(1.0, low=0.1, high=10.0, unit="m", text="side of the map's voxels")
     neighbours: int = setting(20, low=5, high=100, text="points from which the surface around a point is estimated")
-    reach: float = setting(1.0, low=0.1, high=10.0, unit="m", text="greatest distance of corresponding points")
+    reach: float = setting(1.0, low=0.1, high=10.0, unit="m", text="maximum distance of corresponding points")
     memory: int = setting(
         3000, low=10, high=1_000_000, text="scans after which a part of the map that was not seen is forgotten"
     )
@@ -178,7 +178,7 @@ class LidarOdometry:
         self.pose = pose
 
     def local_map(self, radius: float) -> Array:
-        """Return the middles of the map's voxels within a radius (m) of the vehicle, (n, 3) m, map."""
+        """Return the centres of the map's voxels within a radius (m) of the vehicle, (n, 3) m, map."""
         gaussians = self._maps[0].gaussians
         if gaussians.size() == 0:
             return np.empty((0, 3))

@@ -50,16 +50,16 @@ class HealthLimits(Settings):
 
     silence: float = setting(0.35, low=0.05, high=10.0, unit="s", text="time without a scan that is a fault")
     frozen: int = setting(2, low=1, high=100, text="identical scans in succession that are a fault")
-    least_share: float = setting(0.5, low=0.0, high=1.0, text="least share of points with a correspondence in the map")
+    least_share: float = setting(0.5, low=0.0, high=1.0, text="minimum share of points with a correspondence in the map")
     least_information: float = setting(
-        0.01, low=0.0, high=1.0, text="least information on the least known direction, over that on the best known one"
+        0.01, low=0.0, high=1.0, text="minimum information on the least known direction, over that on the best known one"
     )
-    most_residual: float = setting(3.0, above=0.0, high=100.0, text="greatest root mean square of normalised residuals")
+    most_residual: float = setting(3.0, above=0.0, high=100.0, text="maximum root mean square of normalised residuals")
     most_jump: float = setting(
-        0.5, above=0.0, high=100.0, unit="m", text="greatest distance of a scan's position from the predicted one"
+        0.5, above=0.0, high=100.0, unit="m", text="maximum distance of a scan's position from the predicted one"
     )
     most_turn: float = setting(
-        0.15, above=0.0, high=3.2, unit="rad", text="greatest angle of a scan's attitude from the predicted one"
+        0.15, above=0.0, high=3.2, unit="rad", text="maximum angle of a scan's attitude from the predicted one"
     )
     patience: int = setting(2, low=1, high=100, text="bad scans in succession after which odometry is lost")
     recovery: int = setting(10, low=1, high=1000, text="good scans in succession after which odometry is good again")

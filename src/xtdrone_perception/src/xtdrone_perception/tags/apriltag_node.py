@@ -78,7 +78,7 @@ class AprilTagOptions(Settings):
     )
     level: bool = setting(True, text="boards lie level, which decides where a picture leaves two poses possible")
     max_error: float = setting(
-        2.0, above=0.0, high=100.0, unit="px", text="greatest reprojection error of a pose that is published"
+        2.0, above=0.0, high=100.0, unit="px", text="maximum reprojection error of a pose that is published"
     )
     latency: float = setting(0.04, low=0.0, high=10.0, unit="s", text="simulated time from a picture to its results")
 

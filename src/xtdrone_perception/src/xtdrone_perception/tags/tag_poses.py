@@ -2,8 +2,8 @@
 
 The start is IPPE, the closed form for points of a plane (T. Collins and A. Bartoli, Infinitesimal plane-based pose
 estimation, IJCV 2014), which gives two poses: seen from afar, a plane can be tilted towards the observer or away with
-almost the same picture. Both are refined to the least reprojection error (Levenberg-Marquardt). Where the errors do not
-tell them apart, the orientation that is expected decides.
+almost the same picture. Both are refined to the minimum reprojection error (Levenberg-Marquardt). Where the errors do
+not tell them apart, the orientation that is expected decides.
 """
 
 from __future__ import annotations

@@ -106,7 +106,7 @@ class Geolocator:
             ground: height of flat ground, m, map; or a function of x and y that returns the height.
             person: cylinder model; None: the default.
             noise: None: the default.
-            farthest: greatest distance from the camera, 1 to 10000 m.
+            farthest: maximum distance from the camera, 1 to 10000 m.
             least_dip: rays less than this below the horizon are rejected, 0.001 to 1.5 rad.
 
         Raises:

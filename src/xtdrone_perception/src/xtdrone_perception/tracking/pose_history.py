@@ -22,7 +22,7 @@ class PoseHistory:
 
         Args:
             seconds: how long entries are kept, s.
-            reach: greatest extrapolation, s.
+            reach: maximum extrapolation, s.
         """
         self._keep_ns = round(seconds * 1e9)
         self._reach_ns = round(reach * 1e9)

@@ -1,1 +1,1 @@
-"""Exploration of a floor: a map at the height of flight, its frontiers, and vehicles that share its regions."""
+"""Exploration of a floor: a map at flight height, its frontiers, and regions divided among several vehicles."""

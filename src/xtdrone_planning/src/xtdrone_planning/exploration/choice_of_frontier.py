@@ -1,11 +1,11 @@
-"""The explorer of one vehicle: a floor, frontiers and the others' messages in, goals for its planner out.
+"""Explorer of one vehicle. Inputs: floor map, frontiers, messages of the other vehicles. Output: goals for its planner.
 
 ::
 
     waiting -> exploring -> returning -> explored, home
                   |  ^
                   v  |
-           waiting for others (nothing left that another vehicle does not already fly to)
+           waiting for others (other vehicles already fly to all remaining frontiers)
 """
 
 from __future__ import annotations
@@ -29,26 +29,26 @@ Array = NDArray[np.float64]
 WAITING, EXPLORING, IDLE, RETURNING = "waiting", "exploring", "waiting for others", "returning"
 HOME, STRANDED = "explored, home", "home unreachable"
 AT_GOAL, UNREACHABLE = "hovering at the goal", "goal unreachable"
-"""States of the planner that are regarded."""
+"""Planner states that the explorer acts on."""
 
-_MOST_IN_TOUR = 8  # frontiers, the nearest ones
-_SAME = 0.6  # m: a frontier so near to the last target is the same one
-_TAKEN = 2.0  # m: a frontier so near to another vehicle's target is its
+_MOST_IN_TOUR = 8  # frontiers (the nearest)
+_SAME = 0.6  # m: a frontier closer than this to the last target is the same frontier
+_TAKEN = 2.0  # m: a frontier closer than this to another vehicle's target belongs to that vehicle
 _NEW_GOAL = 0.3  # m by which a goal must differ from the last one
-_DWELL = 1.0  # s at a view after which a frontier that is still there is given up
-_SETTLE = 1.5  # s without a frontier after which the floor is explored
-_STRANDED = 20.0  # s without a way home
+_DWELL = 1.0  # s at a viewpoint; a frontier that remains after that is given up
+_SETTLE = 1.5  # s without a frontier after which the floor counts as explored
+_STRANDED = 20.0  # s without a path home
 
 
 @dataclass(frozen=True)
 class Decision:
-    """What follows from a turn.
+    """Result of one update.
 
     Attributes:
-        state: for reports.
-        goal: (2,) m in map for the planner, if there is a new one.
-        route: (n, 2) m in map, the way to the target.
-        messages: for the others.
+        state: its name, for reports.
+        goal: (2,) m in map, new goal for the planner; None: no change.
+        route: (n, 2) m in map, path to the target.
+        messages: to send to the other vehicles.
     """
 
     state: str
@@ -63,17 +63,17 @@ class Explorer:
     Attributes:
         floor: its map.
         sharing: its regions.
-        frontiers: of the last turn.
-        unreachable: frontiers to which no way leads, or that could not be resolved from where they were viewed.
+        frontiers: those found in the last update.
+        unreachable: frontiers without a path to them, or that remained after they were viewed.
     """
 
     def __init__(self, settings: ExplorationSettings, name: str, fleet: Sequence[str]) -> None:
         """Start with an unknown floor.
 
         Args:
-            settings: see there.
+            settings: of the exploration.
             name: of the vehicle.
-            fleet: names of all vehicles that explore.
+            fleet: names of all exploring vehicles.
         """
         self._settings = settings
         self.floor = FloorMap(settings)
@@ -84,27 +84,27 @@ class Explorer:
         self.state = WAITING
         self._home: Array | None = None
         self._target: Cell | None = None
-        self._was_own = False  # whether the target was in a region of this vehicle when it was chosen
+        self._was_own = False  # whether the target lay in one of this vehicle's regions when it was chosen
         self._given_up = np.zeros(self.floor.own.shape, np.bool_)
         self._tried_again = False
         self._goal: Array | None = None
-        self._stays = False  # whether the last turn had a target, and no goal other than the one given before
+        self._stays = False  # whether the last update had a target but no new goal
         self._viewed_since: float | None = None
         self._bare_since: float | None = None
         self._cut_off_since: float | None = None
 
     @property
     def region_count(self) -> int:
-        """Number of regions that the floor is divided into."""
+        """Number of regions of the floor."""
         return self._regions.count
 
     @property
     def unreachable(self) -> int:
-        """Number of frontiers without a way, and whether any were given up."""
+        """Number of unreachable frontiers, and whether any were given up."""
         return sum(frontier.view is None for frontier in self.frontiers) + bool(self._given_up.any())
 
     def start(self, home: Array) -> None:
-        """Explore from now on, and then fly to ``home``, (2,) m in map."""
+        """Start exploring; fly to ``home``, (2,) m in map, at the end."""
         self._home = np.array(home[:2], float)
         self.state = EXPLORING
 
@@ -114,7 +114,7 @@ class Explorer:
         Args:
             now: s.
             position: (2,) m in map.
-            planner: text of the planner's state, for the goal given last.
+            planner: the planner's state, as text, for the last goal.
         """
         floor, clearance = self.floor, self._settings.clearance
         floor.fly_through(position, 0.4)
@@ -141,10 +141,10 @@ class Explorer:
         )  # fmt: skip
         return Decision(self.state, goal, route, messages)
 
-    # what to fly to
+    # targets
 
     def _choose(self, now: float, ways: Ways, position: Array) -> Cell | None:
-        """Set state and target; return the cell to fly to."""
+        """Update state and target; return the cell to fly to."""
         reachable = [frontier for frontier in self.frontiers if frontier.view is not None]
         if not reachable and self._given_up.any() and not self._tried_again:
             self._tried_again = True
@@ -162,7 +162,7 @@ class Explorer:
         return None if chosen is None else chosen.view
 
     def _chosen(self, reachable: list[Frontier], ways: Ways) -> Frontier | None:
-        """Return the frontier to view next: the present one while it is there, else the first of a tour."""
+        """Return the frontier to view next: the current one while it exists, else the first of a tour."""
         if self._target is not None and (self._is_own(self._target) or not self._was_own):
             near = [(math.dist(f.centre, self._target), f.centre, f) for f in reachable]
             found = min(near, key=lambda entry: entry[:2])
@@ -206,7 +206,7 @@ class Explorer:
         return np.asarray((np.array(cells) + self.floor.first + 0.5) * self.floor.cell, float)
 
     def _next_goal(self, route: Array, position: Array) -> Array | None:
-        """Return the place on a route at most ``ahead`` m from its start, if it is a new goal."""
+        """Return the point at most ``ahead`` m along a route, if it is a new goal."""
         steps = np.sqrt((np.diff(route, axis=0) ** 2).sum(axis=1))
         count = int(np.searchsorted(np.cumsum(steps), self._settings.ahead, side="right"))
         place = route[count]
@@ -221,10 +221,10 @@ class Explorer:
         return place
 
     def _give_up(self, now: float, position: Array, planner: str) -> None:
-        """Give up the target's frontier if it cannot be reached, or is still there after it was viewed.
+        """Give up the target's frontier if it cannot be reached, or remains after it was viewed.
 
-        It is viewed as well where the planner has ended less than ``_NEW_GOAL`` m from the view, as it gets no nearer
-        goal.
+        It also counts as viewed when the planner stops less than ``_NEW_GOAL`` m from the viewpoint, because no closer
+        goal is sent.
         """
         target = next((f for f in self.frontiers if f.centre == self._target), None)
         is_near = target is not None and (self._stays or target.way < 2.0 * self.floor.cell)
@@ -239,7 +239,7 @@ class Explorer:
             self._target = self._goal = self._viewed_since = None
 
     def _arrive(self, now: float, ways: Ways, position: Array, planner: str) -> None:
-        """End at home, or where no way leads there."""
+        """End at home, or here if there is no path home."""
         if self.state != RETURNING or self._home is None:
             self._cut_off_since = None
             return

@@ -1,4 +1,4 @@
-"""Messages of an exploration, and what they tell."""
+"""Messages of an exploration: encoding and decoding."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class FloorError(ValueError):
 
 
 def share_message(share: Share, height: float, stamp: rospy.Time, frame: str) -> RegionShare:
-    """Return a message about regions; places get ``height``, m."""
+    """Return a message about regions; its positions get the height ``height``, m."""
     message = RegionShare(
         vehicle=share.vehicle, kind=share.kind, number=share.number, partner=share.partner, base=share.base,
         place=Point(*share.place, height), target=Point(*share.target, height),
@@ -39,18 +39,18 @@ def share_message(share: Share, height: float, stamp: rospy.Time, frame: str) ->
 
 
 def share_of(message: RegionShare, count: int) -> Share:
-    """Return what a message tells.
+    """Decode a message.
 
     Args:
-        message: see there.
+        message: of another vehicle.
         count: number of regions.
 
     Raises:
-        FloorError: a region that does not exist, a place that is not finite, or an unknown kind.
+        FloorError: a region does not exist, a position is not finite, or the kind is unknown.
     """
     place, target = message.place, message.target
     if not all(map(math.isfinite, (place.x, place.y, target.x, target.y))):
-        raise FloorError("place, target: not finite")
+        raise FloorError("place, target: numbers that are not finite are not allowed")
     if message.kind > RegionShare.REFUSAL:
         raise FloorError(f"kind: {message.kind} is not allowed, 0 to {RegionShare.REFUSAL}")
     sets = message.regions, message.partner_regions
@@ -100,13 +100,13 @@ def cells_of(message: OccupancyGrid, cell: float) -> tuple[Array, float, Cells]:
 
 
 def slice_of(slice_message: OccupancyGrid, occupied: PointCloud2, cell: float, near: float) -> tuple[Array, Cells]:
-    """Return the floor's cells that a local map knows.
+    """Return the floor cells that a local map covers.
 
     Args:
-        slice_message: the layer of flight: 0 free, 100 occupied, -1 unknown.
-        occupied: middles of all occupied voxels of the same map.
+        slice_message: the layer at flight height: 0 free, 100 occupied, -1 unknown.
+        occupied: centres of all occupied voxels of the same map.
         cell: side, m.
-        near: m above and below the layer in which a voxel makes its cell occupied.
+        near: m above and below the layer within which an occupied voxel marks its cell as occupied.
 
     Returns:
         The lowest corner, (2,) m in map, and the cells (nx, ny).

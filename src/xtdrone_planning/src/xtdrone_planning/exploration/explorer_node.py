@@ -5,7 +5,7 @@ For each vehicle ``T``; the topics of others come by ``radio.py``:
 ==================================  ===============================  =================================================
 topic                               type                             meaning
 ==================================  ===============================  =================================================
-/T/exploration/start                geometry_msgs/PoseStamped        in: explore, and then fly to this place
+/T/exploration/start                geometry_msgs/PoseStamped        in: explore, then fly to this position
 /T/map/slice, /T/map/occupied       OccupancyGrid, PointCloud2       in: the planner's local map
 /T/planner/state                    std_msgs/String                  in
 /T/mavros/local_position/pose       geometry_msgs/PoseStamped        in
@@ -50,23 +50,23 @@ from xtdrone_planning.mapping.range_images import ScanError
 
 RATE = 2.0  # Hz
 
-_LEVEL = 0.4  # m by which a slice may be off the height of flight
-_SLAB = 0.4  # m above and below the layer of flight in which obstacles count
+_LEVEL = 0.4  # m by which a slice may differ from the flight height
+_SLAB = 0.4  # m above and below the layer at flight height within which obstacles count
 _STALE = 2.0  # s without a slice, or a pose
 _FLOOR_PERIOD = 1.0  # s
-_WARNINGS = 5.0  # s between two equal ones
+_WARNINGS = 5.0  # s between two identical warnings
 
 
 class VehicleExplorer:
-    """Topics of one vehicle around its explorer."""
+    """ROS topics of one vehicle's explorer."""
 
     def __init__(self, name: str, fleet: Sequence[str], settings: ExplorationSettings) -> None:
         """Declare the topics.
 
         Args:
             name: of the vehicle.
-            fleet: names of all vehicles that explore.
-            settings: see there.
+            fleet: names of all exploring vehicles.
+            settings: of the exploration.
         """
         self._name, self._fleet, self._settings = name, tuple(fleet), settings
         self._goal = lockstep.Publisher(f"/{name}/planner/goal", PoseStamped)
@@ -86,7 +86,7 @@ class VehicleExplorer:
         self._restart()
 
     def _restart(self) -> None:
-        """Begin again, as simulated time was set back."""
+        """Begin again, because simulated time was reset."""
         self._explorer = Explorer(self._settings, self._name, self._fleet)
         self._count = self._explorer.region_count
         self._position: np.ndarray | None = None
@@ -99,7 +99,7 @@ class VehicleExplorer:
     def _on_start(self, message: PoseStamped) -> None:
         place = message.pose.position
         if not all(map(math.isfinite, (place.x, place.y))) or message.header.frame_id.lstrip("/") not in ("", FRAME):
-            rospy.logwarn(f"{self._name}: start: a place that is not finite or not in {FRAME!r} is ignored")
+            rospy.logwarn(f"{self._name}: start: ignored: the position must be finite and in frame {FRAME!r}")
             return
         self._explorer.start(np.array([place.x, place.y]))
 
@@ -134,7 +134,7 @@ class VehicleExplorer:
         self._guarded("share")(lambda: hear(share_of(message, self._count), now))
 
     def _guarded(self, what: str) -> Callable[[Callable[[], None]], None]:
-        """Return what enters a message, or warns that it cannot be used."""
+        """Return a callback that processes a message, or warns that it is invalid."""
 
         def enter(action: Callable[[], None]) -> None:
             try:
@@ -147,14 +147,14 @@ class VehicleExplorer:
     # turns
 
     def step(self) -> None:
-        """Advance by a turn; call it at 2 Hz."""
+        """Run one update; call it at 2 Hz."""
         stamp = rospy.Time.now()
         now = stamp.to_sec()
         if self._position is None or now - self._posed > _STALE:
             self._report(stamp, 2, "no position from the autopilot")
             return
         if now - self._sliced > _STALE and self._explorer.state != HOME:
-            self._report(stamp, 1, "no local map at the height of flight from the planner")
+            self._report(stamp, 1, "no local map at flight height from the planner")
             return
         decision = self._explorer.step(now, self._position, self._planner)
         height = self._settings.flight_height
@@ -206,7 +206,7 @@ class VehicleExplorer:
 
 
 class ExplorerNode:
-    """The explorers of one or several vehicles in one process."""
+    """Explorers of one or several vehicles in one process."""
 
     def __init__(self, names: Sequence[str], fleet: Sequence[str]) -> None:
         """Declare the topics.
@@ -218,6 +218,6 @@ class ExplorerNode:
         self._explorers = [VehicleExplorer(name, fleet or names, settings) for name in names]
 
     def step(self) -> None:
-        """Advance every explorer by a turn."""
+        """Run one update of every explorer."""
         for explorer in self._explorers:
             explorer.step()

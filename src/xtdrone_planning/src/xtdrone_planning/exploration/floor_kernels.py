@@ -1,7 +1,7 @@
-"""Kernels on the cells of a floor: ways from a place, clusters of frontier cells, and places to view them from.
+"""Kernels on the cells of a floor: shortest paths from a cell, clusters of frontier cells, and viewpoints.
 
-Ways are by Dijkstra's algorithm (Numerische Mathematik 1, 1959) over the eight neighbours of a cell; frontiers are
-those of B. Yamauchi, A frontier-based approach for autonomous exploration, IEEE CIRA 1997.
+Paths are found by Dijkstra's algorithm (Numerische Mathematik 1, 1959) over the eight neighbours of a cell; frontiers
+are those of B. Yamauchi, A frontier-based approach for autonomous exploration, IEEE CIRA 1997.
 """
 
 from __future__ import annotations
@@ -13,23 +13,23 @@ import numpy as np
 from xtdrone_planning.kernel import kernel
 from xtdrone_planning.paths.grid_search import rise, sink
 
-_NEAR, _NEAR_COST = 0.4, 1.5  # m beyond the clearance within which obstacles cost, and how much at most
+_NEAR, _NEAR_COST = 0.4, 1.5  # m beyond the clearance within which obstacles add cost, and the maximum cost
 _OCCUPIED_FROM = 50  # see floor_map
 
 
 @kernel
 def ways_from(values, distance, clearance, unknown, cell, start, ways, parents):
-    """Compute the costs of the ways from a cell to all others.
+    """Compute the path costs from a cell to all others.
 
     Args:
         values: (nx, ny) of the floor.
         distance: (nx, ny) m to the nearest occupied cell.
-        clearance: least distance on a way, m; near the start less, as long as it grows.
-        unknown: cost of a metre through unknown cells; 0: they are closed.
+        clearance: minimum distance to obstacles, m; near the start it may be less while it increases along the path.
+        unknown: cost of a metre through unknown cells; 0: they are impassable.
         cell: side, m.
         start: (2,) cell.
-        ways: (nx, ny) float32, the result, m of free space; infinite where no way leads.
-        parents: (nx, ny) int32, the result: index of the cell before; -1 at the start and where no way leads.
+        ways: (nx, ny) float32, the result, equivalent metres of free space; infinite where unreachable.
+        parents: (nx, ny) int32, the result: index of the preceding cell; -1 at the start and where unreachable.
     """
     nx, ny = values.shape
     ways[:] = np.float32(math.inf)
@@ -66,7 +66,8 @@ def ways_from(values, distance, clearance, unknown, cell, start, ways, parents):
 
 @kernel
 def mark_frontiers(values, inside, given_up, frontier):
-    """Mark free cells beside an unknown one: both to be explored, and the free one not given up.
+    """Mark free cells that have an unknown neighbour; both must be inside the area to explore, and the free one not
+    given up.
 
     Args:
         values, inside, given_up: (nx, ny) of the floor.
@@ -92,8 +93,8 @@ def label_clusters(frontier, reach, labels, queue):
     Args:
         frontier: (nx, ny) of bool.
         reach: cells along x and y.
-        labels: (nx, ny) int32, the result: 0 without, then 1, 2, ...
-        queue: (nx * ny) int32, work space.
+        labels: (nx, ny) int32, the result: cluster number from 1; 0: no frontier.
+        queue: (nx * ny) int32, scratch array.
 
     Returns:
         The number of clusters.
@@ -123,12 +124,13 @@ def label_clusters(frontier, reach, labels, queue):
 
 @kernel
 def nearest_view(values, ways, target, reach, cell):
-    """Return the cell from which to view ``target``, (2,) cell: reachable, in sight, near to it and by a short way.
+    """Return the cell from which to view ``target``, (2,) cell: reachable, with line of sight, close, and with a short
+    path.
 
     Args:
         values, ways: of the floor.
         target: (2,) cell.
-        reach: greatest distance, cells.
+        reach: maximum distance, cells.
         cell: side, m.
 
     Returns:
@@ -149,7 +151,7 @@ def nearest_view(values, ways, target, reach, cell):
 
 @kernel
 def _in_sight(values, i, j, a, b):
-    """Return whether no occupied cell is between two cells."""
+    """Return whether the line between two cells crosses no occupied cell."""
     steps = 2 * max(abs(a - i), abs(b - j))
     for n in range(1, steps):
         x = math.floor(i + 0.5 + (a - i) * n / steps)

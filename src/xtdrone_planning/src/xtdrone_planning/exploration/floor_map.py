@@ -1,7 +1,7 @@
-"""The map of a floor at the height of flight, from slices of local maps and from the other vehicles' maps.
+"""Map of a floor at flight height, merged from slices of local maps and from the other vehicles' maps.
 
-Cells are as those of nav_msgs/OccupancyGrid: probabilities of occupation in percent, -1 for unknown. A cell that the
-vehicle itself has flown through has 0 and stays free: an obstacle entered there was another vehicle that passed.
+Cells are those of nav_msgs/OccupancyGrid: occupancy probability in percent, -1 for unknown. Cells through
+which this vehicle has flown stay free: an obstacle seen there was a passing vehicle.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ class FloorMap:
 
     Attributes:
         cell: side of a cell, m.
-        first: (2,) number of the lowest cell, counted from the origin of map.
+        first: (2,) index of the lowest cell, counted from the origin of map.
         own: (nx, ny) int8, what this vehicle has seen.
         values: (nx, ny) int8, merged with the others' maps; see ``merge``.
-        inside: (nx, ny) whether a cell is to be explored.
+        inside: (nx, ny) whether a cell belongs to the area to explore.
         distance: (nx, ny) float32 m to the nearest occupied cell, at most 3; see ``merge``.
     """
 
@@ -50,24 +50,24 @@ class FloorMap:
         self.values = self.own.copy()
 
     def middles(self, numbers: NDArray[np.int64], axis: int) -> Array:
-        """Return the middles, m in map, of the cells with these numbers along axis 0 or 1."""
+        """Return the centres, m in map, of the cells with these indices along axis 0 or 1."""
         return np.asarray((numbers + self.first[axis] + 0.5) * self.cell, float)
 
     def middle(self, cell: tuple[int, int]) -> Array:
-        """Return the middle of a cell, (2,) m in map."""
+        """Return the centre of a cell, (2,) m in map."""
         return np.asarray((np.array(cell) + self.first + 0.5) * self.cell, float)
 
     def index(self, place: Array) -> tuple[int, int]:
-        """Return the cell of a place, (2,) or longer, m in map; the nearest one for a place outside."""
+        """Return the cell of a position, (2,) or longer, m in map; outside the map, the nearest cell."""
         numbers = np.floor(np.asarray(place)[:2] / self.cell).astype(np.int64) - self.first
         i, j = np.clip(numbers, 0, np.array(self.own.shape) - 1).tolist()
         return i, j
 
     def enter(self, corner: Array, values: Cells) -> None:
-        """Enter a slice of a local map: its known cells replace those here.
+        """Insert a slice of a local map: its known cells replace those of the floor.
 
         Args:
-            corner: (2,) lowest corner of the slice, m in map, on the lattice of cells.
+            corner: (2,) lowest corner of the slice, m in map, aligned with the cells.
             values: (nx, ny) FREE, OCCUPIED or UNKNOWN, of cells of the same side.
         """
         into, part = _overlap(self.own, np.rint(corner / self.cell).astype(np.int64) - self.first, values)
@@ -75,7 +75,8 @@ class FloorMap:
         np.copyto(here, values[part], where=(values[part] != UNKNOWN) & (here != FLOWN))
 
     def fly_through(self, place: Array, radius: float) -> None:
-        """Enter that the vehicle is at ``place``, (2,) m in map: the cells within ``radius`` m are free for good."""
+        """Mark the cells within ``radius`` m of the vehicle's position ``place``, (2,) m in map, as permanently
+        free."""
         reach = math.ceil(radius / self.cell)
         i, j = self.index(place)
         rows, columns = slice(max(0, i - reach), i + reach + 1), slice(max(0, j - reach), j + reach + 1)
@@ -87,15 +88,15 @@ class FloorMap:
         """Keep the latest map of another vehicle, for the next ``merge``.
 
         Args:
-            vehicle: whose.
-            origin: (2,) lowest corner of its map, m, in map; of the pose of the other vehicle's frame in this one.
-            turn: rad by which its x axis is turned anticlockwise from that of map.
+            vehicle: its name.
+            origin: (2,) lowest corner of the other map, m in this vehicle's map frame.
+            turn: counter-clockwise angle from the x axis of map to that of the other map, rad.
             values: (nx, ny) of cells of the same side.
         """
         self._others[vehicle] = self._placed(origin, turn, values)
 
     def _placed(self, origin: Array, turn: float, values: Cells) -> Cells:
-        """Return another map's values in the cells of this one, each from the cell at its middle."""
+        """Resample another map into the cells of this one: nearest cell at each centre."""
         x, y = (self.middles(np.arange(n), axis) - origin[axis] for axis, n in enumerate(self.own.shape))
         c, s = math.cos(turn), math.sin(turn)
         i = np.floor((c * x[:, None] + s * y) / self.cell + 1e-9).astype(np.int64)
@@ -106,7 +107,8 @@ class FloorMap:
         return placed
 
     def merge(self) -> None:
-        """Compute ``values`` and ``distance``: flown cells of anyone, then the own cells, then the others' ones."""
+        """Compute ``values`` and ``distance``. Precedence: cells flown through by any vehicle, own cells, other
+        vehicles' cells."""
         values = self.own.copy()
         for other in self._others.values():
             np.copyto(values, other, where=(values == UNKNOWN) | (other == FLOWN))
@@ -117,12 +119,12 @@ class FloorMap:
         self.distance = distances[:, :, 0]
 
     def share_known(self) -> float:
-        """Return which part of the cells to explore is known."""
+        """Return the known fraction of the cells to explore."""
         return float((self.values[self.inside] != UNKNOWN).mean())
 
 
 def _overlap(grid: Cells, offset: NDArray[np.int64], part: Cells) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
-    """Return the slices of a grid, and of a part that begins at the grid's cell ``offset``, that are in both."""
+    """Return the overlapping slices of a grid, and of a patch that begins at the grid's cell ``offset``."""
     begin = np.maximum(offset, 0)
     end = np.maximum(np.minimum(offset + part.shape, grid.shape), begin)
     into = tuple(slice(a, b) for a, b in zip(begin.tolist(), end.tolist(), strict=True))

@@ -1,4 +1,4 @@
-"""Frontiers of a floor: where known free space meets the unknown, each with the cell to view it from."""
+"""Frontiers of a floor: boundaries between free and unknown space, each with a cell to view it from."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from xtdrone_planning.exploration.floor_map import FloorMap
 Array = NDArray[np.float64]
 Cell = tuple[int, int]
 
-_EXTENT = 1.5  # m of a cluster, from its first cell
-_SIGHT = 2.5  # m from which a frontier is viewed at most
+_EXTENT = 1.5  # m: maximum extent of a cluster from its first cell
+_SIGHT = 2.5  # m: maximum distance from which a frontier is viewed
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Frontier:
         cells: (n, 2).
         centre: the cell nearest to their mean.
         view: reachable cell to view it from; None: unreachable.
-        way: cost of the way there, m.
+        way: cost of the path there, m.
     """
 
     cells: NDArray[np.int64]
@@ -36,10 +36,10 @@ class Frontier:
 
 
 class Ways:
-    """Ways over a floor from one cell."""
+    """Shortest paths on a floor from one cell."""
 
     def __init__(self, floor: FloorMap, start: Cell, clearance: float, unknown: float = 0.0) -> None:
-        """Compute them; see ``floor_kernels.ways_from``."""
+        """Compute the paths; see ``floor_kernels.ways_from``."""
         self._ny = floor.values.shape[1]
         self.costs = np.empty(floor.values.shape, np.float32)
         self._parents = np.empty(floor.values.shape, np.int32)
@@ -48,7 +48,7 @@ class Ways:
         )
 
     def route(self, target: Cell) -> list[Cell]:
-        """Return the cells of the way from the start to ``target``."""
+        """Return the cells of the path from the start to ``target``."""
         cells = [target]
         node = int(self._parents[target])
         while node >= 0:
@@ -63,8 +63,8 @@ def find_frontiers(floor: FloorMap, ways: Ways, given_up: NDArray[np.bool_], sma
     Args:
         floor: merged.
         ways: from the vehicle.
-        given_up: (nx, ny) cells that are no frontiers any more.
-        smallest: number of cells below which a cluster is left out.
+        given_up: (nx, ny) cells that no longer count as frontiers.
+        smallest: clusters of fewer cells are ignored.
     """
     frontier = np.empty(floor.values.shape, np.bool_)
     mark_frontiers(floor.values, floor.inside, given_up, frontier)

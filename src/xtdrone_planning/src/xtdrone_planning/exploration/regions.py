@@ -1,4 +1,4 @@
-"""The regions of a floor that vehicles share: squares, of which those are active that still have something to see."""
+"""Square regions of a floor that are divided among vehicles; a region is active while something in it is unexplored."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from xtdrone_planning.exploration.tours import divide, division_cost
 
 Array = NDArray[np.float64]
 
-_UNKNOWN_SHARE = 0.3  # of a region, from which on it is active without a frontier
-_GAIN = 0.85  # a new division must cost at most this part of the present one
+_UNKNOWN_SHARE = 0.3  # unknown fraction of a region above which it is active even without a frontier
+_GAIN = 0.85  # a new division must cost at most this fraction of the current one
 _NO_WAY = 1e4  # m
-_UNKNOWN_COST = 1.5  # of a metre through unknown space, against one through free space
+_UNKNOWN_COST = 1.5  # cost of a metre through unknown space, relative to free space
 
 
 class Regions:
     """The regions of a floor."""
 
     def __init__(self, settings: ExplorationSettings, floor: FloorMap) -> None:
-        """Lay the squares over the bounds."""
+        """Divide the bounds into squares."""
         self._floor = floor
         x0, y0, x1, y1 = settings.bounds
         nx = max(1, round((x1 - x0) / settings.region))
@@ -61,10 +61,10 @@ class Regions:
         frontiers: list[Frontier],
         clearance: float,
     ) -> tuple[frozenset[int], frozenset[int]]:
-        """Return which regions the vehicle at ``here`` and the one at ``there`` visit best; both sets may overlap.
+        """Divide regions between the vehicle at ``here`` and the one at ``there``; the two given sets may overlap.
 
-        Ways through unknown space count as free ones that are longer. A division that is hardly better than the present
-        one is not worth turning round for: the present one is returned then.
+        Paths through unknown space cost more than through free space. The current division is kept unless the new one
+        is clearly cheaper, so that vehicles do not turn back for a small gain.
         """
         order = sorted(mine | theirs)
         places = [here, there, *(self._place(region, frontiers) for region in order)]
@@ -87,7 +87,8 @@ class Regions:
         return new_mine, new_theirs
 
     def _place(self, region: int, frontiers: list[Frontier]) -> Cell:
-        """Return the cell that stands for a region: its nearest frontier's, or the open one nearest to its middle."""
+        """Return the cell that represents a region: that of its nearest frontier, or the free cell nearest to its
+        centre."""
         seen = [f for f in frontiers if f.view is not None and self.of(f.centre) == region]
         if seen:
             return min(seen, key=lambda f: (f.way, f.centre)).centre
@@ -98,12 +99,12 @@ class Regions:
         return i, j
 
     def _work(self, region: int) -> float:
-        """Return the way within a region, m, by its unknown area."""
+        """Estimate the path length within a region, m, from its unknown area."""
         unknown = (self._numbers == region) & (self._floor.values == UNKNOWN) & self._floor.inside
         return math.sqrt(float(np.count_nonzero(unknown))) * self._floor.cell
 
 
 def _tour(costs: Array, start: int, nodes: list[int]) -> list[int]:
-    """Return a short route from a start through nodes, numbers in ``costs``."""
+    """Return a short route from a start through nodes, given as indices into ``costs``."""
     chosen = [start, *nodes]
     return [chosen[n] for n in divide(costs[np.ix_(chosen, chosen)], 1)[0]]

@@ -9,7 +9,7 @@ from typing import Any
 from xtdrone_control.settings import SettingError, Settings, setting
 
 _MOST_CELLS = 4_000_000
-"""A larger floor is refused: its maps would fill memory and radio."""
+"""Larger floors are rejected: their maps would exhaust memory and radio bandwidth."""
 
 
 def parse_bounds(value: Any) -> tuple[float, float, float, float]:
@@ -32,22 +32,22 @@ def parse_bounds(value: Any) -> tuple[float, float, float, float]:
 
 @dataclass(frozen=True)
 class ExplorationSettings(Settings):
-    """What is explored, and how."""
+    """Area to explore, and parameters of the exploration."""
 
     bounds: tuple[float, float, float, float] = setting(
         (20.0, -5.0, 44.0, 15.0), parse=parse_bounds, unit="m", text="x0,y0,x1,y1 of the floor to explore, in map"
     )
     margin: float = setting(
-        5.0, low=0.0, high=100.0, unit="m", text="space around the floor that is mapped for ways, not explored"
+        5.0, low=0.0, high=100.0, unit="m", text="border around the floor that is mapped for path planning but not explored"
     )
-    cell: float = setting(0.15, low=0.05, high=1.0, unit="m", text="side of a cell; that of the local maps' slices")
+    cell: float = setting(0.15, low=0.05, high=1.0, unit="m", text="cell size; must equal that of the local maps")
     flight_height: float = setting(1.5, low=0.3, high=100.0, unit="m", text="height of flight")
-    clearance: float = setting(0.6, low=0.1, high=5.0, unit="m", text="least distance of ways to obstacles")
-    smallest: float = setting(0.9, low=0.0, high=100.0, unit="m", text="frontiers of fewer cells in a row are ignored")
-    region: float = setting(5.0, low=1.0, high=100.0, unit="m", text="side of the regions that vehicles share")
-    ahead: float = setting(5.0, low=1.0, high=50.0, unit="m", text="way to the goals given to the planner")
+    clearance: float = setting(0.6, low=0.1, high=5.0, unit="m", text="minimum distance from paths to obstacles")
+    smallest: float = setting(0.9, low=0.0, high=100.0, unit="m", text="frontiers shorter than this are ignored")
+    region: float = setting(5.0, low=1.0, high=100.0, unit="m", text="side length of the square regions")
+    ahead: float = setting(5.0, low=1.0, high=50.0, unit="m", text="distance along the path of the goals sent to the planner")
     lost_after: float = setting(
-        5.0, low=0.5, high=600.0, unit="s", text="a vehicle not heard for longer is lost: others take its regions"
+        5.0, low=0.5, high=600.0, unit="s", text="a vehicle silent for longer counts as lost; the others take its regions"
     )
 
     def __post_init__(self) -> None:

@@ -1,10 +1,10 @@
-"""How vehicles share the regions of a floor without a central node, by messages that may be delayed or lost.
+"""Distributed division of a floor's regions among vehicles, by messages that may be delayed or lost.
 
-Each vehicle broadcasts its regions twice a second. From time to time it proposes to another one how to divide the
-regions of both; the other accepts if its own regions are still those that the proposal was made for, and both take them
-over (the pairwise interaction of RACER, B. Zhou et al., IEEE Transactions on Robotics 39, 2023). A lost message leaves
-regions with two owners, which their next proposal parts, or with none, which the first vehicle in the fleet takes that
-is still heard. A vehicle that is not heard for long is lost, and its regions have no owner.
+Each vehicle broadcasts its regions twice a second. From time to time it proposes to another vehicle a new division of
+the regions of both; the other accepts if its own regions have not changed since, and both apply the division (the
+pairwise interaction of RACER, B. Zhou et al., IEEE Transactions on Robotics 39, 2023). A lost message may leave regions
+with two owners, until their next proposal, or with none: the first vehicle of the fleet that is still heard takes
+these. A vehicle silent for too long counts as lost, and its regions have no owner.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from dataclasses import dataclass
 
 STATE, PROPOSAL, ACCEPTANCE, REFUSAL = 0, 1, 2, 3
 
-_PERIOD = 0.5  # s between two messages of the own regions
-_PAUSE, _IDLE_PAUSE = 2.0, 0.5  # s between two proposals, with regions of its own and without
+_PERIOD = 0.5  # s between two messages about the vehicle's own regions
+_PAUSE, _IDLE_PAUSE = 2.0, 0.5  # s between two proposals: with regions of its own, and without
 _PATIENCE = 1.5  # s to wait for an answer
 _ORPHANED = 2.0  # s without an owner after which a region is taken
 
 Place = tuple[float, float]
 Regions = frozenset[int]
 Divide = Callable[[Place, Regions, Regions], tuple[Regions, Regions]]
-"""From the other's place, the own regions and the other's: which are for this vehicle, which for the other."""
+"""Maps (position of the other vehicle, own regions, its regions) to (own regions, its regions) after a division."""
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,12 @@ class Share:
         vehicle: sender.
         kind: STATE, PROPOSAL, ACCEPTANCE or REFUSAL.
         number: of the sender's set of regions (STATE), or of the proposal.
-        partner: to whom; empty: to all.
-        base: of a proposal, number of the partner's set for which it was made.
-        place: of the sender, x, y, m in map.
-        target: to which it flies, likewise; where it is, without one.
-        regions: of the sender; in a proposal, those that it would have.
-        partner_regions: in a proposal, those that the partner would have.
+        partner: recipient; empty: all.
+        base: of a proposal: number of the partner's set on which it is based.
+        place: position of the sender, x, y, m in map.
+        target: position to which it flies, likewise; its own position if there is none.
+        regions: of the sender; in a proposal, those that it would own.
+        partner_regions: in a proposal, those that the partner would own.
     """
 
     vehicle: str
@@ -55,7 +55,7 @@ class Share:
 
 @dataclass
 class _Other:
-    """What is known of another vehicle: when it was last heard, its last state, and the last proposal to it."""
+    """Knowledge about another vehicle: time of its last message, its last state, and the last proposal to it."""
 
     heard: float
     state: Share | None = None
@@ -67,15 +67,15 @@ class Sharing:
 
     Attributes:
         own: its regions.
-        number: counts its sets of regions.
+        number: incremented with each change of its regions.
     """
 
     def __init__(self, name: str, fleet: Sequence[str], count: int, lost_after: float) -> None:
-        """Begin: the fleet's first vehicle has all regions.
+        """Start: the fleet's first vehicle owns all regions.
 
         Args:
             name: of the vehicle.
-            fleet: names of all vehicles that explore.
+            fleet: names of all exploring vehicles.
             count: number of regions.
             lost_after: s, see ``lost``.
         """
@@ -92,11 +92,11 @@ class Sharing:
         self._now = 0.0
 
     def targets(self) -> list[Place]:
-        """Return the targets of the vehicles that are heard."""
+        """Return the targets of the vehicles in contact."""
         return [state.target for other in self._alive() if (state := self._others[other].state) is not None]
 
     def lost(self) -> list[str]:
-        """Return the vehicles that were not heard for long."""
+        """Return the lost vehicles: those silent for longer than ``lost_after``."""
         return [other for other in self._fleet if other in self._others and other not in self._alive()]
 
     def _alive(self) -> list[str]:
@@ -104,7 +104,7 @@ class Sharing:
         return [name for name in self._fleet if name in others and self._now - others[name].heard <= self._lost_after]
 
     def hear(self, message: Share, now: float) -> None:
-        """Regard a message of another vehicle, at ``now``, s."""
+        """Process a message of another vehicle, at ``now``, s."""
         if message.vehicle not in self._fleet or message.vehicle == self._name:
             return
         other = self._others.setdefault(message.vehicle, _Other(now))
@@ -124,7 +124,8 @@ class Sharing:
             self._pending = None
 
     def _answer(self, proposal: Share) -> None:
-        """Accept a proposal for the present regions, unless an own one to a later vehicle of the fleet is open."""
+        """Accept a proposal based on the current regions, unless an own proposal to a later vehicle of the fleet is
+        pending."""
         has_priority = self._pending is not None and self._rank(self._name) < self._rank(proposal.vehicle)
         accepted = proposal.base == self.number and not has_priority
         if accepted:
@@ -141,12 +142,12 @@ class Sharing:
         self.number += 1
 
     def step(self, now: float, place: Place, target: Place, active: Regions, divided: Divide) -> list[Share]:
-        """Return the messages of this turn.
+        """Return the messages of this update.
 
         Args:
             now: s.
             place, target: of this vehicle, x, y, m in map.
-            active: regions with something to see.
+            active: regions that are not fully explored.
             divided: see ``Divide``.
         """
         self._now = now
@@ -175,7 +176,7 @@ class Sharing:
             self._take(self.own | ripe)
 
     def _proposal(self, active: Regions, divided: Divide) -> Share | None:
-        """Return a proposal to the vehicle that was asked longest ago, if it is time and makes a difference."""
+        """Return a proposal to the least recently asked vehicle, if one is due and changes the division."""
         pause = _PAUSE if self.own & active else _IDLE_PAUSE
         alive = [other for other in self._alive() if self._others[other].state is not None]
         if self._pending is not None or self._now - self._asked < pause - 1e-6 or not alive:

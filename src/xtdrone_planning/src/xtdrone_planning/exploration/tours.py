@@ -1,8 +1,8 @@
-"""Tours through places: the order for one vehicle, and the division of places between two.
+"""Tours through nodes: the visiting order for one vehicle, and the division of nodes between two.
 
-Open routes by cheapest insertion and moves of single places, after D. Rosenkrantz et al., An analysis of several
-heuristics for the traveling salesman problem, SIAM Journal on Computing 6, 1977. The division makes the longer of the
-two routes short, as B. Zhou et al., RACER: rapid collaborative exploration with a decentralized multi-UAV system, IEEE
+Open routes by cheapest insertion and relocation of single nodes, after D. Rosenkrantz et al., An analysis of several
+heuristics for the traveling salesman problem, SIAM Journal on Computing 6, 1977. The division minimises the longer of
+the two routes, as B. Zhou et al., RACER: rapid collaborative exploration with a decentralized multi-UAV system, IEEE
 Transactions on Robotics 39, 2023, by a capacitated routing problem.
 """
 
@@ -16,17 +16,17 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_SUM = 0.2  # weight of both routes together, beside the longer one
+_SUM = 0.2  # weight of the sum of both routes, relative to the longer one
 _ROUNDS = 20
 
 
 def route_length(ways: Array, route: list[int]) -> float:
-    """Return the cost of a route over nodes of ``ways``, (n, n), the cost from node to node."""
+    """Return the cost of a route; ``ways``, (n, n), holds the cost from node to node."""
     return float(sum(ways[a, b] for a, b in itertools.pairwise(route)))
 
 
 def division_cost(ways: Array, routes: list[list[int]]) -> float:
-    """Return what a division costs: the longer route, and a part of both."""
+    """Return the cost of a division: the longer route plus a fraction of the sum."""
     lengths = [route_length(ways, route) for route in routes]
     return max(lengths) + _SUM * sum(lengths)
 
@@ -63,7 +63,7 @@ def divide(ways: Array, starts: int) -> list[list[int]]:
 
 
 def _insert(costs: Array, routes: list[list[int]], node: int) -> None:
-    """Insert a node where the routes' cost grows least."""
+    """Insert a node where it increases the routes' cost least."""
     lengths = [route_length(costs, route) for route in routes]
     best = (math.inf, 0, 0)
     for r, route in enumerate(routes):

@@ -19,10 +19,10 @@ def distance_field(evidence, occupied_from, resolution, farthest, distance):
 
     Args:
         evidence: (nx, ny, nz) int16.
-        occupied_from: least evidence of an occupied voxel.
+        occupied_from: minimum evidence of an occupied voxel.
         resolution: side of a voxel, m.
         farthest: distances are limited to this, m.
-        distance: (nx, ny, nz) float32, m between middles of voxels; the result.
+        distance: (nx, ny, nz) float32, m between centres of voxels; the result.
     """
     nx, ny, nz = evidence.shape
     reach = np.float32(math.ceil(farthest / resolution) + 1.0)
@@ -64,7 +64,7 @@ def _envelope(line, most, row, places, bounds):
     Args:
         line: (n,) squared distances, voxels, changed in place.
         most: squared distance that means: nothing within reach. Its parabolas are left out.
-        row, places, bounds: work space of at least n, n and n + 1.
+        row, places, bounds: scratch space of at least n, n and n + 1.
     """
     n = len(line)
     last = -1

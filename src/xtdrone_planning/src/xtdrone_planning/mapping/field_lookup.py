@@ -1,4 +1,4 @@
-"""Kernels that read a map between the middles of its voxels."""
+"""Kernels that read a map between the centres of its voxels."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def distance_at(distance, corner, resolution, x, y, z):
     """Return the distance to the nearest obstacle and its gradient at a point, by trilinear interpolation.
 
     Args:
-        distance: (nx, ny, nz) m, of the middles of voxels.
+        distance: (nx, ny, nz) m, of the centres of voxels.
         corner: (3,) number of the lowest voxel.
         resolution: side of a voxel, m.
         x, y, z: m in map.
@@ -65,7 +65,7 @@ def is_seen(evidence, corner, resolution, x, y, z, radius):
         evidence: (nx, ny, nz) int16.
         corner: (3,) number of the lowest voxel.
         resolution: side of a voxel, m.
-        x, y, z: the disc's middle, m in map.
+        x, y, z: the disc's centre, m in map.
         radius: of the disc, m.
     """
     nx, ny, nz = evidence.shape

@@ -28,7 +28,7 @@ class LocalMap:
         self._radius = radius
 
     def restart(self) -> None:
-        """Forget map and poses, as simulated time was set back."""
+        """Forget map and poses, because simulated time was reset."""
         self.grid.clear()
         self.poses.clear()
 

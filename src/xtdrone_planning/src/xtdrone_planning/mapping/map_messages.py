@@ -44,7 +44,7 @@ def depths_of(message: Image) -> NDArray[np.float64]:
 
 
 def occupied_cloud(grid: VoxelGrid, stamp: rospy.Time) -> PointCloud2:
-    """Return the middles of the occupied voxels as a cloud."""
+    """Return the centres of the occupied voxels as a cloud."""
     points = grid.occupied().astype("<f4")
     message = PointCloud2(height=1, width=len(points), fields=_XYZ, point_step=12, is_dense=True)
     message.header.stamp, message.header.frame_id = stamp, FRAME

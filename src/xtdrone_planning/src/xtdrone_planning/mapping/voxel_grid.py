@@ -26,7 +26,7 @@ LEAST, MOST = -200, 350
 OCCUPIED_FROM, FREE_TO = 50, -30
 """A voxel is occupied from the one on, free up to the other, and unknown in between."""
 
-_SLACK = 1.0  # m that the vehicle may be off the middle of the box before it moves
+_SLACK = 1.0  # m that the vehicle may be off the centre of the box before it moves
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class VoxelGrid:
     Attributes:
         resolution: side of a voxel, m.
         evidence: (nx, ny, nz) int16, log-odds of occupation in hundredths.
-        distance: (nx, ny, nz) float32, m from a voxel's middle to that of the nearest occupied one; see
+        distance: (nx, ny, nz) float32, m from a voxel's centre to that of the nearest occupied one; see
             ``update_distance``.
         corner: (3,) number of the lowest voxel on the lattice whose voxel 0 begins at the origin of ``map``.
     """
@@ -110,7 +110,7 @@ class VoxelGrid:
         free_sphere(self.evidence, self.corner, self.resolution, np.asarray(position, float), radius)
 
     def update_distance(self) -> None:
-        """Compute the distances from the present evidence."""
+        """Compute the distances from the current evidence."""
         distance_field(self.evidence, OCCUPIED_FROM, self.resolution, self.settings.farthest, self.distance)
 
     def is_inside(self, point: Array) -> bool:
@@ -123,11 +123,11 @@ class VoxelGrid:
         return i, j, k
 
     def middle(self, indices: NDArray[np.int64]) -> Array:
-        """Return the middles of voxels (..., 3), m in map."""
+        """Return the centres of voxels (..., 3), m in map."""
         return np.asarray((indices + self.corner + 0.5) * self.resolution, float)
 
     def occupied(self) -> Array:
-        """Return the middles of all occupied voxels, (n, 3) m in map."""
+        """Return the centres of all occupied voxels, (n, 3) m in map."""
         return self.middle(np.argwhere(self.evidence >= OCCUPIED_FROM))
 
 

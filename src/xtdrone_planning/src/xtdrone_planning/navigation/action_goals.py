@@ -1,7 +1,7 @@
 """The goals of an action server, without ROS: one goal at a time, as in ROS's SimpleActionServer.
 
 States and their numbers are those of actionlib_msgs/GoalStatus (http://wiki.ros.org/actionlib/DetailedDescription). A
-new goal preempts the present one; ended goals remain in the status for ``_KEPT`` s, for clients that connect late.
+new goal preempts the current one; ended goals remain in the status for ``_KEPT`` s, for clients that connect late.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class ActionGoals:
         self._cancelled_to = 0.0
 
     def admits(self, name: str, stamp: float, now: float) -> bool:
-        """Return whether a received goal may be pursued; the present goal stays.
+        """Return whether a received goal may be pursued; the current goal stays.
 
         A goal whose id is in the status is a repetition, and is ignored. One that a cancel message has overtaken is
         listed as RECALLED.
@@ -69,19 +69,19 @@ class ActionGoals:
         return True
 
     def accept(self, name: str, stamp: float, now: float) -> None:
-        """Make a goal that is admitted the present one; the last one is preempted. See ``admits``."""
+        """Make a goal that is admitted the current one; the last one is preempted. See ``admits``."""
         self.end(PREEMPTED, "another goal was received", now)
         self.present = ActionGoal(name, stamp, ACTIVE)
         self.goals.append(self.present)
 
     def reject(self, name: str, stamp: float, text: str, now: float) -> None:
-        """Reject a goal for the reason ``text``; the present one stays. See ``admits``."""
+        """Reject a goal for the reason ``text``; the current one stays. See ``admits``."""
         goal = ActionGoal(name, stamp)
         self.goals.append(goal)
         self._end(goal, REJECTED, text, now)
 
     def cancels(self, name: str, stamp: float, now: float) -> bool:
-        """Apply a cancel message; return whether the present goal is cancelled.
+        """Apply a cancel message; return whether the current goal is cancelled.
 
         Args:
             name: id of the goal to cancel; empty, and ``stamp`` 0: all goals.
@@ -95,7 +95,7 @@ class ActionGoals:
         return (not name and stamp == 0.0) or goal.name == name or 0.0 < goal.stamp <= stamp
 
     def end(self, status: int, text: str, now: float) -> None:
-        """End the present goal, if there is one, with a status and its reason."""
+        """End the current goal, if there is one, with a status and its reason."""
         goal, self.present = self.present, None
         if goal is not None:
             self._end(goal, status, text, now)
@@ -106,7 +106,7 @@ class ActionGoals:
         return ended
 
     def listed(self, now: float) -> list[ActionGoal]:
-        """Return the goals of the status message: the present one, and the last of those that ended lately."""
+        """Return the goals of the status message: the current one, and the last of those that ended lately."""
         ended = [goal for goal in self.goals if goal.ended is not None and now - goal.ended <= _KEPT]
         kept = {id(goal) for goal in ended[-_MOST_ENDED:]}
         self.goals = [goal for goal in self.goals if goal is self.present or id(goal) in kept]

@@ -33,7 +33,7 @@ class ActionTopics:
         Args:
             base: prefix of the topics, as ``/iris_2d_lidar_0/move_base``.
             begin: is called with each new goal; raises GoalError if it is not allowed.
-            stop: is called when the present goal is cancelled.
+            stop: is called when the current goal is cancelled.
         """
         self._begin, self._stop = begin, stop
         self._status = lockstep.Publisher(f"{base}/status", GoalStatusArray, latch=True)
@@ -45,7 +45,7 @@ class ActionTopics:
         self.restart()
 
     def restart(self) -> None:
-        """Forget all goals, as simulated time was set back."""
+        """Forget all goals, because simulated time was reset."""
         self.goals = ActionGoals()
         self._sent = -math.inf
 
@@ -63,7 +63,7 @@ class ActionTopics:
     def _accept(self, name: str, stamp: float, pose: PoseStamped) -> None:
         now = rospy.get_time()
         if not self.goals.admits(name, stamp, now):
-            return  # before the vehicle turns to it: the present goal goes on
+            return  # before the vehicle turns to it: the current goal goes on
         try:
             self._begin(pose)
         except GoalError as error:
@@ -83,7 +83,7 @@ class ActionTopics:
 
         Args:
             base: pose of the vehicle in map; None while it is unknown: there is no feedback then.
-            stamp: the present time.
+            stamp: the current time.
         """
         now, results = stamp.to_sec(), self.goals.results()
         if results or now - self._sent >= _STATUS_PERIOD:

@@ -26,7 +26,7 @@ _COMFORT = 0.4  # m beyond the radius up to which clearance counts
 
 
 class Motion(NamedTuple):
-    """A command: speed ahead, m/s, and yaw rate, rad/s, anticlockwise."""
+    """A command: speed ahead, m/s, and yaw rate, rad/s, counter-clockwise."""
 
     speed: float
     rate: float
@@ -41,7 +41,7 @@ def window(settings: WindowSettings, present: Motion, most: float, turn: float) 
     Args:
         settings: limits.
         present: what was commanded last.
-        most: greatest speed now, m/s.
+        most: maximum speed now, m/s.
         turn: duration of a turn, s.
     """
     low, high = _reach(present.speed, settings.acceleration * turn, 0.0, min(most, settings.speed))
@@ -75,7 +75,7 @@ def choose(
         pose: (3,) x, y, m in map, and yaw, rad.
         present: what was commanded last.
         path: (n, 2) of the global plan, m in map.
-        most: greatest speed now, m/s.
+        most: maximum speed now, m/s.
         turn: duration of a turn, s.
     """
     clearance = settings.radius + 0.5 * level.cell
@@ -137,7 +137,7 @@ def target_on_path(distance, corner, cell, path, x, y, ahead, clearance):
         path: (n, 2) m.
         x, y: of the vehicle, m.
         ahead: m along the path.
-        clearance: least distance of the line to obstacles, m.
+        clearance: minimum distance of the line to obstacles, m.
 
     Returns:
         (nearest, target), numbers of points.
@@ -186,7 +186,7 @@ def _path_distance(path, x, y):
 
 @kernel
 def _nearness(distance, corner, cell, pose, speed, rate, duration, clearance):
-    """Return the least distance to obstacles along a motion, m; negative if the motion is not admissible.
+    """Return the minimum distance to obstacles along a motion, m; negative if the motion is not admissible.
 
     A vehicle that is too near to an obstacle may stay as near, or leave.
     """
@@ -215,7 +215,7 @@ def best_motion(
         speeds, rates: of the window, m/s and rad/s.
         horizon: s; a motion is checked for longer if stopping takes longer.
         acceleration: of braking, m/s^2.
-        clearance: least distance to obstacles, m.
+        clearance: minimum distance to obstacles, m.
         path: (n, 2) m, n at least 1.
         target: (2,) m.
         weights: of heading, progress, distance to the path (1/m), clearance and speed (s/m).

@@ -18,7 +18,7 @@ class PathError(ValueError):
 
 
 class GlobalSearch:
-    """Searches paths; has the work space of the search."""
+    """Searches paths; has the scratch space of the search."""
 
     def __init__(self) -> None:
         """Prepare."""
@@ -30,7 +30,7 @@ class GlobalSearch:
         Args:
             level: the map, with all its distances.
             start, goal: (2,) m in map.
-            clearance: least distance between path and occupied cells, m; near the start less, as long as it grows.
+            clearance: minimum distance between path and occupied cells, m; near the start less, as long as it grows.
 
         Raises:
             PathError: there is none.

@@ -19,7 +19,7 @@ from xtdrone_planning.navigation.settings import CostmapSettings
 Array = NDArray[np.float64]
 
 LETHAL, INSCRIBED, UNKNOWN = 100, 99, -1
-"""Costs of an obstacle, of where the vehicle's middle may not be, and of what is unknown."""
+"""Costs of an obstacle, of where the vehicle's centre may not be, and of what is unknown."""
 
 _STEEPNESS = 3.0  # 1/m, how fast costs fall with the distance
 _GIVEN_FROM = 65  # percent, from which a cell of a given map is occupied, as map_server's
@@ -154,7 +154,7 @@ class LevelMap:
         return float(self.distance[i, j, 0])
 
     def middle(self, cells: NDArray[np.int64]) -> Array:
-        """Return the middles (n, 2) of cells, (n, 2) or longer, m in map."""
+        """Return the centres (n, 2) of cells, (n, 2) or longer, m in map."""
         return np.asarray((cells[:, :2] + self.corner[:2] + 0.5) * self.cell, float)
 
     def costs(self, part: tuple[slice, slice], radius: float) -> NDArray[np.int8]:

@@ -127,7 +127,7 @@ class VehicleNavigation:
         self._forget()
 
     def _restart(self) -> None:
-        """Begin again, as simulated time was set back."""
+        """Begin again, because simulated time was reset."""
         self.navigator.restart()
         self.level.restart()
         self._watch.restart()

@@ -78,7 +78,7 @@ class Navigator:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the goal, as simulated time was set back."""
+        """Forget the goal, because simulated time was reset."""
         self.state, self.outcome, self.reason = WAITING, "", ""
         self.goal: Array | None = None
         self.path: Array = np.empty((0, 2))
@@ -93,7 +93,7 @@ class Navigator:
 
     @property
     def clearance(self) -> float:
-        """Least distance between global paths and occupied cells, m."""
+        """Minimum distance between global paths and occupied cells, m."""
         return self.limits.radius + self.limits.margin + 0.5 * self.level.cell
 
     @property
@@ -105,7 +105,7 @@ class Navigator:
         """Accept a goal, (3,) x, y, m in map, yaw, rad, for the next turn.
 
         Raises:
-            GoalError: not finite, or too far; the present goal stays.
+            GoalError: not finite, or too far; the current goal stays.
         """
         goal = np.asarray(goal, float)
         if not np.isfinite(goal).all() or np.abs(goal[:2]).max() > _LARGEST:

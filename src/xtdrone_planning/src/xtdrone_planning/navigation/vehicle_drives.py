@@ -51,7 +51,7 @@ class Drive(Protocol):
     """A vehicle."""
 
     def restart(self) -> None:
-        """Forget everything, as simulated time was set back."""
+        """Forget everything, because simulated time was reset."""
 
     def obstacle_to_goals(self) -> str:
         """Return why goals cannot be accepted; empty if they can."""
@@ -195,7 +195,7 @@ class UavDrive:
         return "" if self._armed and self._in_air else "the vehicle is not flying"
 
     def begin(self) -> None:
-        """Begin with a goal, at the present height if none is given."""
+        """Begin with a goal, at the current height if none is given."""
         assert self._pose is not None
         self._height = self._settings.height or float(self._pose[2])
         if not self._streams:

@@ -44,7 +44,7 @@ class GlobalMap:
         self.restart()
 
     def restart(self) -> None:
-        """Forget map and poses, as simulated time was set back."""
+        """Forget map and poses, because simulated time was reset."""
         self.octree.clear()
         self.poses.clear()
         self._waiting: deque[_Waiting] = deque()

@@ -1,6 +1,6 @@
 """The global map of a vehicle as a ROS node, with the names of octomap_server.
 
-For each vehicle ``T``, besides the sensor's topics of ``mapping.map_feed``:
+For each vehicle ``T``, in addition to the sensor's topics of ``mapping.map_feed``:
 
 ==================================  ===============================  =================================================
 topic or service                    type                             meaning
@@ -139,7 +139,7 @@ class VehicleOctomap:
         self._report = (-1, "")
 
     def _restart(self) -> None:
-        """Begin again, as simulated time was set back."""
+        """Begin again, because simulated time was reset."""
         with self._lock:
             self._map.restart()
         self._watch.restart()

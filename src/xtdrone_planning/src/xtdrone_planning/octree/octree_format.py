@@ -57,7 +57,7 @@ class Leaves(NamedTuple):
     """Leaves of an octree that was read.
 
     Attributes:
-        corners: (n, 3) lowest voxel of each, from the octree's middle.
+        corners: (n, 3) lowest voxel of each, from the octree's centre.
         sides: (n,) voxels along an edge.
         occupied: (n,) whether the log-odds are at least 0.
         resolution: side of a voxel, m.
@@ -69,7 +69,7 @@ class Leaves(NamedTuple):
     resolution: float
 
     def middles(self) -> Array:
-        """Return the middles of the occupied voxels, those of large leaves included, (n, 3) m."""
+        """Return the centres of the occupied voxels, those of large leaves included, (n, 3) m."""
         chosen = np.flatnonzero(self.occupied)
         counts = self.sides[chosen] ** 3
         owner = np.repeat(chosen, counts)

@@ -25,7 +25,7 @@ UNKNOWN = 0
 OFFSET = 1000
 """A voxel holds its log-odds in hundredths plus this, or ``UNKNOWN``."""
 
-_PASSED, _HIT = 1, 2  # of a voxel in the present measurement
+_PASSED, _HIT = 1, 2  # of a voxel in the current measurement
 
 
 @kernel

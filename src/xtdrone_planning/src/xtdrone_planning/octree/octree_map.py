@@ -19,7 +19,7 @@ from xtdrone_planning.octree.octree_kernels import HALF, OFFSET, SIDE, UNKNOWN, 
 
 Array = NDArray[np.float64]
 
-_BYTES = VOXELS * 3  # of a block: log-odds, and what the present measurement has seen
+_BYTES = VOXELS * 3  # of a block: log-odds, and what the current measurement has seen
 _BLOCK_BITS = 12  # of a block's place along an axis
 
 
@@ -34,7 +34,7 @@ class OctreeSettings(Settings):
     )
     least: float = setting(0.12, low=0.01, high=0.49, text="lowest probability of a voxel")
     most: float = setting(0.97, low=0.51, high=0.99, text="highest probability of a voxel")
-    memory: float = setting(512.0, low=1.0, high=16384.0, unit="MB", text="greatest memory of the map")
+    memory: float = setting(512.0, low=1.0, high=16384.0, unit="MB", text="maximum memory of the map")
 
 
 def log_odds(probability: float) -> int:
@@ -109,7 +109,7 @@ class OctreeMap:
         return places[order], values
 
     def occupied(self) -> Array:
-        """Return the middles of all occupied voxels, (n, 3) m in map."""
+        """Return the centres of all occupied voxels, (n, 3) m in map."""
         return voxel_middles(*self.blocks(), self.resolution)
 
 
@@ -133,7 +133,7 @@ def in_block() -> NDArray[np.int64]:
 
 
 def voxel_middles(places: NDArray[np.int64], values: NDArray[np.int16], resolution: float) -> Array:
-    """Return the middles of the occupied voxels (log-odds of at least 0) of some blocks, (n, 3) m in map.
+    """Return the centres of the occupied voxels (log-odds of at least 0) of some blocks, (n, 3) m in map.
 
     Args:
         places: (m, 3) of the blocks; see ``OctreeMap.blocks``.

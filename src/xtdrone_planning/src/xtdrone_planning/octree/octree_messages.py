@@ -1,4 +1,4 @@
-"""The octree as ROS messages: octomap_msgs, the middles of occupied voxels, and the map seen from above."""
+"""The octree as ROS messages: octomap_msgs, the centres of occupied voxels, and the map seen from above."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def octree_of(message: Octomap) -> Octree:
 def occupied_message(
     places: NDArray[np.int64], values: NDArray[np.int16], resolution: float, stamp: rospy.Time, frame: str
 ) -> PointCloud2:
-    """Return the middles of the occupied voxels of some blocks; see ``octree_map.voxel_middles``."""
+    """Return the centres of the occupied voxels of some blocks; see ``octree_map.voxel_middles``."""
     return cloud(voxel_middles(places, values, resolution), stamp, frame)
 
 
@@ -57,7 +57,7 @@ def seen_from_above(
         places: (n, 3) of the blocks; see ``OctreeMap.blocks``.
         values: (n, 4096) log-odds.
         resolution: side of a voxel, m.
-        heights: lowest and highest middle of a voxel that counts, m.
+        heights: lowest and highest centre of a voxel that counts, m.
 
     Returns:
         Cells (ny, nx): 100 with an occupied voxel, 0 with free ones only, -1 unknown; and x and y of the first cell,

@@ -18,11 +18,11 @@ def nearest_clear(grid: VoxelGrid, place: Array, clearance: float) -> Array:
     Args:
         grid: the map.
         place: (3,) m in map.
-        clearance: from the middle of an occupied voxel, m.
+        clearance: from the centre of an occupied voxel, m.
 
     Returns:
         (3,) m in map: ``place`` itself if it is clear or outside of the map, or if no place within 2 m is clear; else
-        the middle of a voxel, at the height of ``place``.
+        the centre of a voxel, at the height of ``place``.
     """
     if not grid.is_inside(place):
         return np.array(place, float)

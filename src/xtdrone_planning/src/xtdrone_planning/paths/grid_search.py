@@ -33,14 +33,14 @@ def search(
     Args:
         distance: (nx, ny, nz) to the nearest obstacle, m.
         evidence: (nx, ny, nz), of which unknown voxels cost more.
-        clearance: least distance of a voxel on the path; near the start less, as long as it grows.
+        clearance: minimum distance of a voxel on the path; near the start less, as long as it grows.
         start: (3,) voxel.
         goal: (3,) of float, in voxels of the grid.
         lowest, highest: layers that may be used.
         most: number of voxels that are opened at most.
-        costs, parents, stamps: (nx * ny * nz) work space of float32, int32 and int32.
+        costs, parents, stamps: (nx * ny * nz) scratch space of float32, int32 and int32.
         stamp: number of this search; must not be in ``stamps``.
-        heap, keys: work space of equal size, int32 and float32.
+        heap, keys: scratch space of equal size, int32 and float32.
 
     Returns:
         (outcome, voxels): the voxels (n, 3) from the start on; unless reached, up to the one nearest to the goal.

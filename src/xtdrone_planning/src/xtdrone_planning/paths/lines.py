@@ -17,7 +17,7 @@ def is_open(distance, evidence, corner, resolution, a, b, clearance, radius):
     Args:
         distance, evidence, corner, resolution: the map.
         a, b: (3,) ends, m.
-        clearance: least distance to an obstacle, m.
+        clearance: minimum distance to an obstacle, m.
         radius: of the disc that must have been seen, m; 0: only the line itself; below 0: nothing.
     """
     length = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
@@ -39,7 +39,7 @@ def is_clear(distance, corner, resolution, a, b, clearance):
     Args:
         distance, corner, resolution: the map.
         a, b: (3,) ends, m.
-        clearance: least distance to an obstacle, m.
+        clearance: minimum distance to an obstacle, m.
     """
     length = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
     steps = max(1, math.ceil(2.0 * length / resolution))

@@ -52,7 +52,7 @@ class Search(Protocol):
 
 
 class PathSearch:
-    """Searches paths; has the work space of the search."""
+    """Searches paths; has the scratch space of the search."""
 
     def __init__(self, most: int) -> None:
         """Prepare.
@@ -80,7 +80,7 @@ class PathSearch:
         Args:
             grid: the map; ``start`` must be within.
             start, goal: (3,) m in map.
-            clearance: least distance of the path to obstacles, m.
+            clearance: minimum distance of the path to obstacles, m.
             radius: of the disc that must have been seen around each point, m.
             heights: lowest and highest flight, m in map.
             farthest: longest way that is returned, m.

@@ -11,7 +11,7 @@ topic                              type                            meaning
 /T/mavros/setpoint_raw/local       mavros_msgs/PositionTarget      out: the same, one turn (16.7 ms) later at most
 =================================  ==============================  ===================================================
 
-``world`` is ``map``. The camera looks ahead from the vehicle's middle, as for upstream's program of this name.
+``world`` is ``map``. The camera looks ahead from the vehicle's centre, as for upstream's program of this name.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class TransferSettings(Settings):
 
 
 def optical_pose(pose: PoseStamped) -> PoseStamped | None:
-    """Return the pose of the optical frame (x right, y down, z ahead) of a camera in the vehicle's middle.
+    """Return the pose of the optical frame (x right, y down, z ahead) of a camera in the vehicle's centre.
 
     Args:
         pose: of base_link (FLU) in map.
@@ -102,7 +102,7 @@ class EgoTransfer:
         self._forget()
 
     def _forget(self) -> None:
-        """Begin again, as simulated time was set back."""
+        """Begin again, because simulated time was reset."""
         self._pose: PoseStamped | None = None
         self._command: PositionCommand | None = None
 

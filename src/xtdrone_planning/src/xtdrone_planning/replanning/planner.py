@@ -37,7 +37,7 @@ class Planner:
     Attributes:
         settings: how it decides.
         limits: of its trajectories.
-        state: the present state of flight.
+        state: the current state of flight.
         goal: (3,) m in map, None without one.
         trajectory: what is flown; at rest where the vehicle hovers; None before the first goal.
         number: counts the trajectories.
@@ -85,7 +85,7 @@ class Planner:
         """Accept a goal, (3,) m in map, for the next turn.
 
         Raises:
-            GoalError: see ``PlannerSettings.check_goal``; the present goal stays.
+            GoalError: see ``PlannerSettings.check_goal``; the current goal stays.
         """
         self.settings.check_goal(goal)
         self.goal = np.array(goal, float)
@@ -93,12 +93,12 @@ class Planner:
         self._goal_moves = False
 
     def move_goal(self, goal: Array) -> None:
-        """Move the present goal to (3,) m in map; without one, as after the pilot has taken over, nothing happens.
+        """Move the current goal to (3,) m in map; without one, as after the pilot has taken over, nothing happens.
 
         The vehicle does not stop for it. Where the goal is too near to an obstacle, the nearest clear place counts.
 
         Raises:
-            GoalError: see ``PlannerSettings.check_goal``; the present goal stays.
+            GoalError: see ``PlannerSettings.check_goal``; the current goal stays.
         """
         self.settings.check_goal(goal)
         if self.goal is not None:
@@ -138,7 +138,7 @@ class Planner:
         self._fly(resting(position, time))
 
     def plan(self, now: Situation, start: State) -> bool:
-        """Plan from a state at the present time; return whether the new trajectory is flown.
+        """Plan from a state at the current time; return whether the new trajectory is flown.
 
         ``searched`` then says why not.
         """
@@ -184,12 +184,12 @@ class Planner:
         return plan_along(self.grid, corners, start, time, self.limits, heights=self.settings.heights)
 
     def brake(self, time: float) -> None:
-        """Stop on the present path."""
+        """Stop on the current path."""
         assert self.trajectory is not None
         self._fly(stopping(self.trajectory, time, 0.8 * self.limits.acceleration))
 
     def conflict(self, now: Situation) -> float:
-        """Return when the trajectory meets an obstacle of the present map, s of ROS time; infinite if it does not."""
+        """Return when the trajectory meets an obstacle of the current map, s of ROS time; infinite if it does not."""
         if self.trajectory is None:
             return math.inf
         return conflict_time(self.grid, self.trajectory, now.time, self.limits, unknown=False)

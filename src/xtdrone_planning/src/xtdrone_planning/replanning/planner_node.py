@@ -1,6 +1,6 @@
 """The planner of a vehicle as a ROS node.
 
-For each vehicle ``T`` (as ``iris_3d_lidar_0``), besides the sensor's topics of ``mapping.map_feed``:
+For each vehicle ``T`` (as ``iris_3d_lidar_0``), in addition to the sensor's topics of ``mapping.map_feed``:
 
 ==================================  ==============================  ==================================================
 topic                               type                            meaning
@@ -15,7 +15,7 @@ topic                               type                            meaning
 /T/planner/trajectory               xtdrone_msgs/SplineTrajectory   out: latched, each new trajectory
 /T/planner/path                     nav_msgs/Path                   out: its places, for rviz
 /T/planner/state                    std_msgs/String                 out: latched, on change: see ``flight_states``
-/T/map/occupied                     sensor_msgs/PointCloud2         out, while subscribed: middles of occupied voxels
+/T/map/occupied                     sensor_msgs/PointCloud2         out, while subscribed: centres of occupied voxels
 /T/map/slice                        nav_msgs/OccupancyGrid          out, while subscribed: the layer of flight
 /diagnostics                        diagnostic_msgs/DiagnosticArray out: once a second, and on change
 ==================================  ==============================  ==================================================
@@ -180,7 +180,7 @@ class VehiclePlanner:
         self._forget()
 
     def _restart(self) -> None:
-        """Begin again, as simulated time was set back."""
+        """Begin again, because simulated time was reset."""
         self.planner.restart()
         self._map.restart()
         self._watch.restart()

@@ -50,7 +50,7 @@ class PlannerSettings(Settings):
     astray: float = setting(
         1.0, low=0.1, high=10.0, unit="m", text="deviation from the trajectory beyond which the vehicle replans"
     )
-    yaw_rate: float = setting(1.5, low=0.1, high=6.0, unit="rad/s", text="greatest yaw rate")
+    yaw_rate: float = setting(1.5, low=0.1, high=6.0, unit="rad/s", text="maximum yaw rate")
     carry: float = setting(
         0.0, low=0.0, high=10.0, unit="s",
         text="velocities on /xtdrone/VEHICLE/cmd_vel_enu keep the goal so much ahead of the vehicle, as those of a "
@@ -86,9 +86,9 @@ class Situation:
     """A turn's inputs.
 
     Attributes:
-        time: s of ROS time for which setpoints are made: the present and the lead.
+        time: s of ROS time for which setpoints are made: the current and the lead.
         position, velocity: (3,) m and m/s in map, the autopilot's estimate.
-        yaw: rad, anticlockwise from east.
+        yaw: rad, counter-clockwise from east.
         is_flying: armed and off the ground.
         is_offboard: whether setpoints are obeyed.
         map_count: number of measurements in the map.

@@ -45,7 +45,7 @@ def away_from(place, other, normal):
 
 @kernel
 def vehicle_barrier(place, other, other_velocity, least, lag, deceleration, normal):
-    """Store the direction away from another vehicle; return the least velocity along it and the distance.
+    """Store the direction away from another vehicle; return the minimum velocity along it and the distance.
 
     Args:
         place, other: centres of the vehicles, shape (3,), m.
@@ -63,7 +63,7 @@ def vehicle_barrier(place, other, other_velocity, least, lag, deceleration, norm
 
 @kernel
 def obstacle_barrier(place, other, least, lag, deceleration, normal):
-    """Store the direction away from a point of an obstacle; return the least velocity along it and the distance.
+    """Store the direction away from a point of an obstacle; return the minimum velocity along it and the distance.
 
     Args: see ``vehicle_barrier``.
     """

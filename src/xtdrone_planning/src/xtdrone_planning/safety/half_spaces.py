@@ -22,7 +22,7 @@ _BISECTIONS = 30
 def nearest(normals, offsets, weights, count, wanted, radius, result):
     """Store the point of all half-spaces and the ball round zero that is nearest to ``wanted``.
 
-    If there is none, the half-spaces are moved outwards, in proportion to their weights, by the least distances that
+    If there is none, the half-spaces are moved outwards, in proportion to their weights, by the minimum distances that
     leave one.
 
     Args:

@@ -114,7 +114,7 @@ class GuardedVehicle:
         self._forget()
 
     def restart(self) -> None:
-        """Begin again, as simulated time was set back."""
+        """Begin again, because simulated time was reset."""
         self._filter.restart()
         self._forget()
 

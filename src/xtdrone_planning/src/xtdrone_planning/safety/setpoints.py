@@ -48,7 +48,7 @@ class Meaning:
     Attributes:
         velocity: m/s ENU.
         yaw: rad ENU, None: not controlled.
-        yaw_rate: rad/s, anticlockwise, None: not controlled.
+        yaw_rate: rad/s, counter-clockwise, None: not controlled.
     """
 
     velocity: Vector

@@ -16,10 +16,10 @@ class SafetySettings(Settings):
     """
 
     distance: float = setting(
-        1.5, low=0.3, high=20.0, unit="m", text="least distance between the centres of two vehicles"
+        1.5, low=0.3, high=20.0, unit="m", text="minimum distance between the centres of two vehicles"
     )
     obstacle_distance: float = setting(
-        1.0, low=0.2, high=20.0, unit="m", text="least distance from the vehicle's centre to a point of an obstacle"
+        1.0, low=0.2, high=20.0, unit="m", text="minimum distance from the vehicle's centre to a point of an obstacle"
     )
     deceleration: float = setting(
         1.5, low=0.2, high=10.0, unit="m/s^2", text="deceleration that every vehicle is capable of"

@@ -18,7 +18,7 @@ MARGIN = 0.2  # m, added to the distance between vehicles: what is left of the l
 _TURN_LEAST, _TURN_MOST = 0.2, 1.8  # rad
 _TURN_RATE = 4.0  # rad/s
 _BLOCKED = 0.3  # share of the wanted velocity below which a vehicle is blocked
-_WEIGHT_LEAST = 0.1  # of what is at the least distance or nearer, when not everything can be avoided
+_WEIGHT_LEAST = 0.1  # of what is at the minimum distance or nearer, when not everything can be avoided
 _NOTHING = -1
 _NO_POINTS = np.empty((0, 3))
 

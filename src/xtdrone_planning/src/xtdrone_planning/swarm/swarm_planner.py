@@ -110,7 +110,7 @@ class SwarmPlanner(Planner):
         super().hold(position, time)
 
     def brake(self, time: float) -> None:
-        """Stop on the present path at once; others hear of it."""
+        """Stop on the current path at once; others hear of it."""
         self._abandon()
         super().brake(time)
 

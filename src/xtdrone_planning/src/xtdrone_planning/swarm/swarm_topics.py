@@ -50,7 +50,7 @@ class SwarmTopics:
         self.restart()
 
     def restart(self) -> None:
-        """Begin again, as simulated time was set back."""
+        """Begin again, because simulated time was reset."""
         self._number = self._proposed = -1
         self._since = self._said = self._asked = -1e9
 

@@ -20,7 +20,7 @@ def first_conflict(points, interval, since, distance, evidence, corner, resoluti
         points, interval: the spline.
         since: the check begins so many s after its start.
         distance, evidence, corner, resolution: the map.
-        clearance: least distance to an obstacle, m. A trajectory that begins nearer may leave, not approach.
+        clearance: minimum distance to an obstacle, m. A trajectory that begins nearer may leave, not approach.
         radius: of the level disc that must have been seen, m; below 0: unknown space is not regarded.
         exempt: discs within this distance of the first point need not have been seen, m.
 

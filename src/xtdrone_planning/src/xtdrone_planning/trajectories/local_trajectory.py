@@ -50,7 +50,7 @@ class TrajectorySettings(Settings):
     )
 
     def clearance(self, resolution: float) -> float:
-        """Return the least distance, m, between the vehicle's middle and that of an occupied voxel."""
+        """Return the minimum distance, m, between the vehicle's centre and that of an occupied voxel."""
         return self.radius + self.margin + 0.5 * resolution
 
 

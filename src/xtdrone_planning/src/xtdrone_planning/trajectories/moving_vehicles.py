@@ -13,7 +13,7 @@ from xtdrone_planning.trajectories.uniform_spline import UniformSpline
 
 Array = NDArray[np.float64]
 
-_COMFORT = 0.5  # m beyond the least distance, in which nearness costs
+_COMFORT = 0.5  # m beyond the minimum distance, in which nearness costs
 _LEAST_POINTS = 4
 
 
@@ -21,7 +21,7 @@ class MovingVehicles:
     """Trajectories of others, with the distance to be kept from each."""
 
     def __init__(self, trajectories: Sequence[UniformSpline] = (), distances: Sequence[float] = ()) -> None:
-        """Store the trajectories and the least distances, m, between the vehicles' middles."""
+        """Store the trajectories and the minimum distances, m, between the vehicles' centres."""
         self._trajectories = tuple(trajectories)
         self._distances = np.array(distances, dtype=np.float64)
         most = max((len(spline.points) for spline in self._trajectories), default=_LEAST_POINTS)

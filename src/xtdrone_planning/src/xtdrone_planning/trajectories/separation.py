@@ -23,7 +23,7 @@ def first_approach(points, interval, start, others, intervals, starts, counts, d
         points: (n, 3) control points of the trajectory, m.
         interval: s between its knots.
         start: its time, s.
-        others: (m, k, 3) control points of the others, filled up to the greatest number k.
+        others: (m, k, 3) control points of the others, filled up to the maximum number k.
         intervals, starts: (m,) of the others, s.
         counts: (m,) numbers of their control points.
         distance: (m,) m.

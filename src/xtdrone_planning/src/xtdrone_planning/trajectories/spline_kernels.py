@@ -1,4 +1,4 @@
-"""Kernels on uniform cubic B-splines: values, greatest speed and acceleration."""
+"""Kernels on uniform cubic B-splines: values, maximum speed and acceleration."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def spline_at(points, interval, since):
 
 @kernel
 def greatest_acceleration(points, interval):
-    """Return the greatest acceleration, m/s^2: it is linear between knots, so its norm is greatest at one of them."""
+    """Return the maximum acceleration, m/s^2: it is linear between knots, so its norm is maximum at one of them."""
     most = 0.0
     for k in range(len(points) - 2):
         square = 0.0
@@ -45,7 +45,7 @@ def greatest_acceleration(points, interval):
 
 @kernel
 def greatest_speed(points, interval):
-    """Return the greatest speed, m/s.
+    """Return the maximum speed, m/s.
 
     It is reached at a knot, or where velocity and acceleration are orthogonal: at a root of a cubic polynomial, each of
     which lies alone between the extremes of that polynomial.
@@ -70,7 +70,7 @@ def greatest_speed(points, interval):
         count = _monotone_parts(cubic, bounds)
         for n in range(count):
             low, high = bounds[n], bounds[n + 1]
-            if _value(cubic, low) > 0.0 and _value(cubic, high) < 0.0:  # a greatest speed, not a least one
+            if _value(cubic, low) > 0.0 and _value(cubic, high) < 0.0:  # a maximum speed, not a minimum one
                 for _ in range(_HALVINGS):
                     middle = 0.5 * (low + high)
                     if _value(cubic, middle) > 0.0:

@@ -18,7 +18,7 @@ class TimeLaw:
     Attributes:
         length: of the line, m.
         speed: at the start, m/s.
-        peak: greatest speed, m/s.
+        peak: maximum speed, m/s.
         acceleration: when speeding up and when braking, m/s^2; braking is stronger where the line is too short.
     """
 

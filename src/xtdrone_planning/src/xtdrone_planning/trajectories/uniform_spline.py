@@ -54,11 +54,11 @@ class UniformSpline:
         return np.array([self.at(float(time))[0] for time in times]).reshape(-1, 3)
 
     def greatest_speed(self) -> float:
-        """Return the greatest speed, m/s, exactly."""
+        """Return the maximum speed, m/s, exactly."""
         return float(greatest_speed(self.points, self.interval))
 
     def greatest_acceleration(self) -> float:
-        """Return the greatest acceleration, m/s^2, exactly."""
+        """Return the maximum acceleration, m/s^2, exactly."""
         return float(greatest_acceleration(self.points, self.interval))
 
     def heights(self) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Further winds, besides the world's: their wrench on a vehicle, how other effects feel them; density of air.
+"""Further winds, in addition to the world's: their wrench on a vehicle, how other effects feel them; density of air.
 
 An effect with an attribute ``winds``, (N, 3) m/s ENU of its latest step, is a wind that those after it can feel: one
 with a method ``feel`` gets the winds before it when a world begins.

@@ -15,7 +15,7 @@ from xtdrone_sim.shapes.pose_arithmetic import compose
 from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.vehicles.vehicle_model import CameraMount, load_vehicle
 
-LEAST_TURNS = 10.0  # Hz, least rate of the node's turns, which take and publish the images
+LEAST_TURNS = 10.0  # Hz, minimum rate of the node's turns, which take and publish the images
 MOST_TURNS = 50.0  # Hz, rate of /xtdrone/scene
 
 

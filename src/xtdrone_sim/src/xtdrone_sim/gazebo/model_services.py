@@ -56,7 +56,7 @@ _WARNING_PERIOD = 5.0  # wall s between two equal warnings
 _HOLD_STEPS = 125  # a model or disarmed vehicle stands where /gazebo/set_model_states has put it
 
 Plan = Callable[[], Change]
-"""Checks a request against the present state, and returns the change; raises RequestError."""
+"""Checks a request against the current state, and returns the change; raises RequestError."""
 
 
 class _Deferred(NamedTuple):

@@ -38,11 +38,11 @@ class Joint:
     """
 
     def __init__(self, client: BulletClient, joint: SdfJoint, parent: Body | None, child: Body) -> None:
-        """Connect two bodies at their present poses.
+        """Connect two bodies at their current poses.
 
         Args:
             client: Bullet.
-            joint: description, in the world at the present poses.
+            joint: description, in the world at the current poses.
             parent: body; None: the world.
             child: body, with mass.
         """

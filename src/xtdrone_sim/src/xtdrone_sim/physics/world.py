@@ -169,7 +169,7 @@ class World:
             self._tie()
 
     def _create_body(self, v: np.void, m: np.void) -> int:
-        """Return Bullet's body of a vehicle, at its present pose."""
+        """Return Bullet's body of a vehicle, at its current pose."""
         client = self._bullet
         shape = client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=(0.5 * m["box"]).tolist())
         body = client.createMultiBody(

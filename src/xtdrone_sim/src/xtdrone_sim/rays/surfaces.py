@@ -14,7 +14,7 @@ from xtdrone_sim.shapes.triangles import rotation_matrix, triangles_of
 from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Geometry, Mesh, Pose, Sphere, Visual
 from xtdrone_sim.worlds.sdf.world_records import SdfModel
 
-_OPAQUE = 0.5  # least opacity of a visual that rays see
+_OPAQUE = 0.5  # minimum opacity of a visual that rays see
 
 
 def seen(visuals: Sequence[Visual], collisions: Sequence[Collision] = ()) -> list[tuple[Geometry, Pose]]:

@@ -6,7 +6,7 @@ J. N. Newman, Marine Hydrodynamics, MIT Press 1977, 6.18). A hull accelerates so
 with the added mass c m, heave in still water has the period 2 pi sqrt((1 + c) T / g) for a box of draught T. Drag is
 linear and quadratic in the velocity against the water, along each of the hull's axes.
 
-The origin is the middle of the hull at the waterline of its weight, and the centre of mass. The thrusters push along
+The origin is the centre of the hull at the waterline of its weight, and the centre of mass. The thrusters push along
 the hull, at the height of the origin. What is on deck adds no weight.
 """
 
@@ -306,7 +306,7 @@ class Boat:
 
     @property
     def state(self) -> BoatState:
-        """State at the present time."""
+        """State at the current time."""
         boat = self._record[0]
         x, y, z = boat["position"].tolist()
         w, i, j, k = boat["q"].tolist()

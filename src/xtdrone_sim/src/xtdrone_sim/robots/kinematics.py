@@ -1,6 +1,6 @@
 """Motion of wheeled robots, without slip: differential drive and Ackermann steering.
 
-The origin of a robot is on the ground below the middle of its driven axle. Speed, yaw rate and steering angle follow
+The origin of a robot is on the ground below the centre of its driven axle. Speed, yaw rate and steering angle follow
 their commands within limits of their rates; along a step, the origin moves on the exact arc of its speed and yaw rate.
 K. Lynch and F. Park, *Modern Robotics*, 13.3, give the equations. On slopes the way is along the robot's x axis, and
 height and attitude follow the ground below the wheels, see ``rolling``.
@@ -119,7 +119,7 @@ class Drive(ABC):
     """A robot's wheels and motors.
 
     Attributes:
-        state: at the present time.
+        state: at the current time.
     """
 
     limits: DriveLimits
@@ -134,7 +134,7 @@ class Drive(ABC):
         self.place(pose)
 
     def stand_on(self, ground: Ground, feet: Footprint) -> None:
-        """Stand and roll on ground that need not be level, from the present place on.
+        """Stand and roll on ground that need not be level, from the current place on.
 
         Args:
             ground: what is far above the robot does not count.
@@ -294,7 +294,7 @@ class Differential(Drive):
 
 
 class Ackermann(Drive):
-    """A car: the rear axle drives, both front wheels point at right angles to the middle of the curve."""
+    """A car: the rear axle drives, both front wheels point at right angles to the centre of the curve."""
 
     def __init__(self, limits: AckermannLimits, pose: Pose = Pose()) -> None:  # noqa: B008, immutable
         """Stand at a pose."""
@@ -316,7 +316,7 @@ class Ackermann(Drive):
         """Return the states of the rear wheels, of the front wheels and of their steering.
 
         cot(left) = cot(steering) - track / (2 wheelbase), cot(right) likewise with +. The speed of a front wheel is
-        that of the origin times the ratio of their distances from the middle of the curve.
+        that of the origin times the ratio of their distances from the centre of the curve.
         """
         state, limits = self.state, self.limits
         slope = math.tan(state.steering) / limits.wheelbase  # curvature of the origin's way, 1/m

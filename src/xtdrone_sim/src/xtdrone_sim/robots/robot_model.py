@@ -99,7 +99,7 @@ class RobotModel:
 
     @property
     def ahead(self) -> float:
-        """m, of the platform's middle before the origin."""
+        """m, of the platform's centre before the origin."""
         return self.body.ahead
 
     def drive(self, pose: Pose, ground: Ground | None = None) -> Drive:
@@ -176,7 +176,7 @@ class RobotModel:
 
 @dataclass(frozen=True)
 class BoatModel:
-    """A type of boat; its origin is the middle of the hull, at the waterline.
+    """A type of boat; its origin is the centre of the hull, at the waterline.
 
     Attributes:
         limits: thrusters and drag.
@@ -190,7 +190,7 @@ class BoatModel:
     waves: WaveSettings
     platform: PlatformSettings | None
     ahead = 0.0
-    """m, of the platform's middle before the origin."""
+    """m, of the platform's centre before the origin."""
     wheels: tuple[()] = ()
 
     def drive(self, pose: Pose, ground: Ground | None = None) -> Boat:

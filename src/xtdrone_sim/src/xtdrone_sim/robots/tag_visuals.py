@@ -39,7 +39,7 @@ def plate(board: TagBoard, length: float, width: float, thickness: float, top: P
     Args:
         board: tags, which fit on the plate with a white margin of one cell.
         length, width, thickness: of the plate, m.
-        top: pose of the middle of its upper face, z upwards.
+        top: pose of the centre of its upper face, z upwards.
 
     Raises:
         SettingError: the tags do not fit, or overlap.

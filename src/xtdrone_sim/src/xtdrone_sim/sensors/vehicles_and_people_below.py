@@ -21,7 +21,7 @@ from xtdrone_sim.worlds.scene_at import ActorState, SceneAt
 from xtdrone_sim.worlds.sdf import SdfActor
 
 _MARGIN = 1.0  # m around a vehicle's collision box, within which all of its links are
-_PERSON = 1.0, 1.5  # m: height of the middle of a person, and a radius around it that holds every posture
+_PERSON = 1.0, 1.5  # m: height of the centre of a person, and a radius around it that holds every posture
 _STEP_US = 4000  # over which the velocity of a person is taken
 
 Array = NDArray[np.float64]
@@ -61,7 +61,7 @@ class Others:
         return bool(self.people) or int(np.count_nonzero(self._world.plant["contact"] != ABSENT)) > 1
 
     def spheres(self, time_us: int) -> tuple[Array, Array]:
-        """Return middles (m, 3), m, map, and radii (m,), m, that hold all vehicles by index, then all people.
+        """Return centres (m, 3), m, map, and radii (m,), m, that hold all vehicles by index, then all people.
 
         Args:
             time_us: simulated time, microseconds.

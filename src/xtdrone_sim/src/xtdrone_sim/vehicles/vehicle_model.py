@@ -297,7 +297,7 @@ def _weighed(urdf: Description) -> tuple[float, list[float]]:
     if products > _MOST_PRODUCT * np.diag(inertia).min():
         raise ModelError(
             f"inertia: {URDF}: products of inertia of {products:.2g} kg m^2 are too large, at most "
-            f"{_MOST_PRODUCT:g} of the least moment {np.diag(inertia).min():.2g}"
+            f"{_MOST_PRODUCT:g} of the minimum moment {np.diag(inertia).min():.2g}"
         )
     return mass, np.diag(inertia).tolist()
 

@@ -47,7 +47,7 @@ class FloorPlanSettings(Settings):
     low: float = setting(0.1, low=0.01, high=1000.0, unit="m", text="lowest height of obstacles")
     high: float = setting(0.6, low=0.01, high=1000.0, unit="m", text="highest height of obstacles")
     step: float = setting(
-        0.25, low=0.01, high=100.0, unit="m", text="greatest distance of the levels that are looked at"
+        0.25, low=0.01, high=100.0, unit="m", text="maximum distance of the levels that are looked at"
     )
 
     def __post_init__(self) -> None:

@@ -180,7 +180,7 @@ def advance(vehicles, model, delayed, first, steps, dt, position, velocity, yaw)
 
 @kernel
 def capture(v):
-    """Capture the present position and heading as the setpoint (HOVER)."""
+    """Capture the current position and heading as the setpoint (HOVER)."""
     v.kind = POSITION
     v.hovering = 1
     w, z = math.cos(0.5 * v.yaw), math.sin(0.5 * v.yaw)
@@ -198,7 +198,7 @@ def set_one(v, kind, x, y, z, yaw, yaw_rate, dead_zone, dead_yaw_rate):
 
     Args:
         v: ``VEHICLE`` record.
-        kind: a kind of ``swarm_vehicles``; HOLD captures the present position.
+        kind: a kind of ``swarm_vehicles``; HOLD captures the current position.
         x, y, z: velocity, m/s, acceleration, m/s^2, or position, m; ENU.
         yaw: heading, rad; NaN: ``yaw_rate`` applies.
         yaw_rate: yaw rate, rad/s.

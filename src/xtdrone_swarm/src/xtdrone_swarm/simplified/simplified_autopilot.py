@@ -49,7 +49,7 @@ def limit_length(x, y, limit):
 
 @kernel
 def enter(v, mode):
-    """Enter a flight mode without changing the motion; the present position is the one to hold."""
+    """Enter a flight mode without changing the motion; the current position is the one to hold."""
     v.mode = mode
     v.phase = v.phase_steps = 0
     for k in range(3):

@@ -27,7 +27,7 @@ class SimplifiedVehicles:
     """Any number of vehicles of first or second order. See ``swarm_vehicles.Vehicles`` for the attributes.
 
     The layers between commands and setpoints in the ROS stack are included, like ``MultirotorCore``: HOVER and the
-    dead zone, which capture the present position. The array objects stay the same; their contents change with time.
+    dead zone, which capture the current position. The array objects stay the same; their contents change with time.
 
     Attributes:
         model: parameters of the vehicles.
@@ -138,7 +138,7 @@ class SimplifiedVehicles:
     # commands
 
     def command(self, index: int, text: str) -> str:
-        """Send an XTDrone command to a vehicle; see ``Vehicles``. A command for the present state has no effect.
+        """Send an XTDrone command to a vehicle; see ``Vehicles``. A command for the current state has no effect.
 
         Returns:
             The reason for a rejection; "" if the command is accepted.
@@ -202,7 +202,7 @@ class SimplifiedVehicles:
     # setpoints
 
     def steer(self, kind: int, vectors: Array, given: Mask) -> None:
-        """Set the setpoints of some vehicles; see ``Vehicles``. HOLD captures the present positions.
+        """Set the setpoints of some vehicles; see ``Vehicles``. HOLD captures the current positions.
 
         Raises:
             ValueError: unknown kind, wrong shape, or a vector that is not finite; the message names its vehicle.

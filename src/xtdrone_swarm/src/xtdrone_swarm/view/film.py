@@ -160,7 +160,7 @@ def check_film(path: str | Path, fps: float = FPS) -> Path:
         raise FilmError(f"film {path}: unknown ending {kind!r}; allowed are .mp4, .gif and .png (the last frame)")
     fastest = GIF_FASTEST if kind == ".gif" else FPS_RANGE[1]
     if isinstance(fps, bool) or not (isinstance(fps, int | float) and FPS_RANGE[0] <= fps <= fastest):
-        raise FilmError(f"film {path}: {fps!r} frames a second are not allowed, {FPS_RANGE[0]:g} to {fastest:g}")
+        raise FilmError(f"film {path}: {fps!r} frames per second are not allowed, {FPS_RANGE[0]:g} to {fastest:g}")
     if path.is_dir():
         raise FilmError(f"film {path}: is a folder")
     if not path.parent.is_dir():

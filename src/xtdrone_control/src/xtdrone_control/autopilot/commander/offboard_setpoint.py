@@ -41,7 +41,7 @@ _Start = TypeVar("_Start")
 
 
 class CommandStart(Generic[_Start]):
-    """Where the vehicle was when the present relative command came.
+    """Where the vehicle was when the current relative command came.
 
     A stream repeats its setpoint, many times a second. Setpoints of equal values are one command, which starts where
     the vehicle was at the first of them. A new command starts with other values, after another setpoint, after a pause

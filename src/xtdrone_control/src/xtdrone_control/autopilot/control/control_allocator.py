@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from xtdrone_control.autopilot.state import MAX_ROTORS
 from xtdrone_control.kernel import kernel
 
-_LEAST_SHARE = 0.1  # least hover thrust of a rotor, relative to the mean, that leaves room for torques
+_LEAST_SHARE = 0.1  # minimum hover thrust of a rotor, relative to the mean, that leaves room for torques
 
 
 def effectiveness(positions: NDArray[np.float64], moment_ratios: NDArray[np.float64]) -> NDArray[np.float64]:

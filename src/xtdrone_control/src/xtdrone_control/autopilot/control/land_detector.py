@@ -10,7 +10,7 @@ _FREEFALL_ACCELERATION = 2.0  # m/s^2 of specific force, LNDMC_FFALL_THR
 _FREEFALL_TIME = 0.3  # s, required duration
 _LOW_THRUST, _LOW_THRUST_BY_ESTIMATE = 0.3, 0.6  # of the range from least to hover thrust
 _LEAST_THRUST = 0.1  # of the same range
-_DESCENT = 0.9  # of MPC_LAND_CRWL, least speed of a commanded descent
+_DESCENT = 0.9  # of MPC_LAND_CRWL, minimum speed of a commanded descent
 _STICK_MARGIN = 0.01  # thrust above MPC_MANTHR_MIN
 _JUST_LANDED, _WIDER = 2.0, 2.5  # s after touch-down, and factor on the motion limits during it
 

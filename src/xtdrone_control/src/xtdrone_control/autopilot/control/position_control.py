@@ -78,7 +78,7 @@ def velocity_loop(c, e, p, dt, tilt_max, thrust_min):
         c, e, p: records.
         dt: time since the last call, s.
         tilt_max: largest tilt, rad.
-        thrust_min: least collective thrust, 0..1.
+        thrust_min: minimum collective thrust, 0..1.
     """
     integral = c.velocity_integral
     thrust_min, thrust_max = max(thrust_min, 1e-3), p.mpc_thr_max  # a zero vector would leave the attitude undefined

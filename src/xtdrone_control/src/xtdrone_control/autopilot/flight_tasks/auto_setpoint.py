@@ -18,7 +18,7 @@ INFO, CRITICAL = 6, 2  # MAV_SEVERITY
 # MPC_YAW_MODE
 _TOWARDS_HOME, _AWAY_FROM_HOME, _ALONG_TRAJECTORY = 1, 2, 3
 _BRAKING_DELAY = 0.6  # s
-_LEAST_SPEED = 0.3  # m/s, least velocity that defines a heading
+_LEAST_SPEED = 0.3  # m/s, minimum velocity that defines a heading
 _LEAST_BRAKING = 2.0  # m/s^2, minimum of PX4's MPC_ACC_*; parameters may be out of range
 
 
@@ -57,8 +57,8 @@ class Course:
         announcements: texts and events for the operator.
         home: None until the first valid position.
         goal: m, local NED.
-        landing: whether the present goal is a landing.
-        taking_off: whether the present goal is the end of a takeoff.
+        landing: whether the current goal is a landing.
+        taking_off: whether the current goal is the end of a takeoff.
     """
 
     def __init__(self, view: VehicleView, parameters: Parameters, announcements: Announcements) -> None:
@@ -125,17 +125,17 @@ class Course:
         self.fly_to(self.stopping_place())
 
     def shift(self, north: float, east: float, velocity: tuple[float, float] = STILL) -> None:
-        """Move the present goal horizontally to ``north``, ``east`` (m, local), where it has a velocity (m/s)."""
+        """Move the current goal horizontally to ``north``, ``east`` (m, local), where it has a velocity (m/s)."""
         self.goal = (north, east, self.goal[2])
         self.view.setpoint["goal_position"] = self.goal
         self.view.setpoint["goal_velocity"] = velocity
 
     def look(self, yaw: float) -> None:
-        """Set the heading ``yaw`` (rad) for the flight to the present goal."""
+        """Set the heading ``yaw`` (rad) for the flight to the current goal."""
         self.view.setpoint["goal_yaw"] = yaw
 
     def free_heading(self) -> None:
-        """Set the heading by MPC_YAW_MODE during the flight to the present goal."""
+        """Set the heading by MPC_YAW_MODE during the flight to the current goal."""
         self._heading_free = True
         self.update_heading()
 

@@ -98,7 +98,7 @@ def _start_task(c, s, e):
 
 @kernel
 def generate_setpoint(c, s, e, p, dt):
-    """Update the trajectory setpoint in ``c`` by the present task, ``dt`` s after the last call."""
+    """Update the trajectory setpoint in ``c`` by the current task, ``dt`` s after the last call."""
     if s.task_changed and c.last_task != s.task:
         if not (_is_goal_task(c.last_task) and _is_goal_task(s.task)):
             _start_task(c, s, e)

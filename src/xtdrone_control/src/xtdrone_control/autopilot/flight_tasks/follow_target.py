@@ -20,7 +20,7 @@ from xtdrone_control.geodesy import projection
 
 _NEVER_US = -(1 << 60)
 _LOST_US = 3_000_000  # without reports, after which the target is assumed to stand still
-_POSITION_INTERVAL_US, _VELOCITY_INTERVAL_US = 500_000, 100_000  # least time between two fused samples
+_POSITION_INTERVAL_US, _VELOCITY_INTERVAL_US = 500_000, 100_000  # minimum time between two fused samples
 _LONGEST_INTERVAL, _SHORTEST_INTERVAL = 20.0, 1e-3  # s, limits of that time in the filter
 _LARGEST_ACCELERATION = 20.0  # m/s^2
 _SAME = 2.0 * 1.1920929e-07  # m or m/s, largest difference of repeated samples

@@ -436,7 +436,7 @@ class Logger:
     # streams
 
     def open_stream(self, index: int) -> LogStream | None:
-        """Begin to stream a vehicle's log from the present time, independently of files.
+        """Begin to stream a vehicle's log from the current time, independently of files.
 
         The stream contains all definitions at once. Data follow from the first ``update`` at which none of them
         remain.

@@ -43,7 +43,7 @@ class Parameter:
         name: PX4's name.
         type: ``INT32`` or ``FLOAT``, the numbers of MAV_PARAM_TYPE.
         default: PX4's default.
-        minimum: least sensible value; a smaller one is stored with a warning, as in PX4.
+        minimum: minimum sensible value; a smaller one is stored with a warning, as in PX4.
         maximum: largest sensible value, likewise.
         unit: unit, empty for none.
         text: short description.

@@ -44,7 +44,7 @@ class CompiledWork(Protocol):
     published: Sequence[Publisher]
 
     def begin(self) -> Any:
-        """Return the program's capsule with the present state; None if Python must take the next turn."""
+        """Return the program's capsule with the current state; None if Python must take the next turn."""
 
     def end(self) -> None:
         """Bring the Python objects up to date with the program."""

@@ -64,7 +64,7 @@ class Node:
         reader: Reads the topic connections of a participant.
         dirty: Outlets whose count has changed since it was last reported.
         digests: Digests of the published messages by topic; None if not requested.
-        time_us: Simulation time of the present turn in microseconds.
+        time_us: Simulation time of the current turn in microseconds.
         reset_hooks: Functions to call when simulation time was reset.
         crash: The exception that ends the program; empty if there is none.
         exit_status: Exit status that the program should end with.

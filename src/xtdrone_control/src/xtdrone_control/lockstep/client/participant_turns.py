@@ -48,8 +48,8 @@ class Client:
 
     Attributes:
         uri: Address of the simulator.
-        tick: Number of the present tick, 0 before the first.
-        time_us: Simulation time of the present tick in microseconds.
+        tick: Number of the current tick, 0 before the first.
+        time_us: Simulation time of the current tick in microseconds.
     """
 
     def __init__(self, uri: str, node: Node) -> None:

@@ -251,7 +251,7 @@ class LockstepServer:
         """Handle one frame; the connection's reader accepts RESERVE and JOIN before, all others after joining.
 
         Raises:
-            ProtocolError: It is malformed, or not allowed in the present state.
+            ProtocolError: It is malformed, or not allowed in the current state.
         """
         if kind == Kind.DONE:  # first, as it is by far the most frequent
             self._end_turn(self.participants[connection.name], frame_checks.done(payload))

@@ -90,7 +90,7 @@ def add_subscriber_impl(impl: Any) -> None:
 
 
 def watch_param(name: str) -> Callable[[], Any]:
-    """Subscribe to a parameter, and return a function that returns its present value, None if it is not set.
+    """Subscribe to a parameter, and return a function that returns its current value, None if it is not set.
 
     Unlike this function, ``rospy.get_param_cached`` asks the master at every call for a parameter that is not set. As
     rospy loses a notification that comes before the answer to the subscription, the master is asked once a second.

@@ -91,7 +91,7 @@ def local_target(commander: Commander, m: Any) -> None:
     LOCAL_NED is used unchanged. In BODY_NED the position is ignored, velocity is rotated by the heading and
     acceleration by the attitude, each only if all three components are used; yaw is relative to north. In
     BODY_OFFSET_NED position and yaw are relative to the vehicle at the start of the command, velocity and acceleration
-    are rotated by the present heading.
+    are rotated by the current heading.
 
     Raises:
         RefusedSetpointError: another frame, a force, or an empty setpoint.

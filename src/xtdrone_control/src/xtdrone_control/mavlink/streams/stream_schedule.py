@@ -283,12 +283,12 @@ class Streams:
             shared: payloads packed at this time for other clients of the vehicle, by message id; extended here.
             outbox: receives the messages as MAVLink 2 frames.
             convert: receives format and payload of the messages instead, if not None.
-            report: receives the error text of a message that cannot be packed from the present estimate.
+            report: receives the error text of a message that cannot be packed from the current estimate.
         """
         self._schedule.send_due(now_us, shared, outbox, convert, report)
 
     def send_once(self, number: int, send: Callable[[Format, bytes], None], report: Callable[[str], None]) -> bool:
-        """Send message ``number`` with its present content, and return whether it has any.
+        """Send message ``number`` with its current content, and return whether it has any.
 
         Args:
             number: message id.

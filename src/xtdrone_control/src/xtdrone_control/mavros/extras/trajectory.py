@@ -24,8 +24,8 @@ _GENERATED, _PATH = "trajectory/generated", "trajectory/path"
 class TrajectoryPlugin(Plugin):
     """MAVROS's trajectory: ``desired`` is the autopilot's plan, ``generated`` or ``path`` the planner's detour.
 
-    Positions, velocities and accelerations are ENU, yaw is from east and its rate anticlockwise; NaN marks an unused
-    value. Valid points of ``generated`` are sent in order, without gaps. (MAVROS does not negate yaw rates, and
+    Positions, velocities and accelerations are ENU, yaw is from east and its rate counter-clockwise; NaN marks an
+    unused value. Valid points of ``generated`` are sent in order, without gaps. (MAVROS does not negate yaw rates, and
     converts the yaw of ``path`` twice.)
 
     PX4 exchanges these messages with COM_OBS_AVOID in its automatic modes. The built-in autopilot has no such function:
@@ -141,7 +141,7 @@ def _point_fields(name: str, point: PositionTarget) -> list[tuple[str, float]]:
 
 
 def _turned_yaw(yaw: float) -> float:
-    """Convert a yaw between north clockwise and east anticlockwise (self-inverse); NaN stays NaN."""
+    """Convert a yaw between north clockwise and east counter-clockwise (self-inverse); NaN stays NaN."""
     return frames.yaw_ned_to_enu(yaw) if isfinite(yaw) else yaw
 
 

@@ -50,8 +50,8 @@ def position_target(
         position: m.
         velocity: m/s.
         acceleration: m/s^2.
-        yaw: rad, anticlockwise.
-        yaw_rate: rad/s, anticlockwise.
+        yaw: rad, counter-clockwise.
+        yaw_rate: rad/s, counter-clockwise.
     """
     if frame in BODY_FRAMES:
         change, target_yaw = frames.flu_to_frd, -yaw
@@ -93,8 +93,8 @@ def global_target(
         place: latitude, longitude (deg), altitude (m); a masked-out latitude or longitude may be NaN.
         velocity: m/s, ENU.
         acceleration: m/s^2, ENU.
-        yaw: rad, anticlockwise from east.
-        yaw_rate: rad/s, anticlockwise.
+        yaw: rad, counter-clockwise from east.
+        yaw_rate: rad/s, counter-clockwise.
     """
     latitude, longitude, altitude = place
     return mavlink.MAVLink_set_position_target_global_int_message(

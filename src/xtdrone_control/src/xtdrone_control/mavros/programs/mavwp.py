@@ -131,7 +131,7 @@ def _pull_alone(mavros: Mavros, _: argparse.Namespace) -> None:
 
 
 def _pulled(mavros: Mavros, subscription: Subscription) -> Sequence[Any]:
-    """Pull and return the vehicle's present mission; ``subscription`` subscribes to the mission topic.
+    """Pull and return the vehicle's current mission; ``subscription`` subscribes to the mission topic.
 
     Raises:
         ProgramError: no list arrives.

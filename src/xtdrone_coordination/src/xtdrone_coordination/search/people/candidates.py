@@ -74,7 +74,7 @@ class Candidate:
     Attributes:
         position, velocity, covariance: of the newest picture.
         seen_at: time of the newest picture, s.
-        track: the person's track id by vehicle; of several tracks at the place, the one with the greatest weight.
+        track: the person's track id by vehicle; of several tracks at the place, the one with the maximum weight.
         hits, total: number of pictures that show the person, and the sum of their probabilities, by vehicle.
         status: ``seen``, ``looked at``, ``rejected`` or ``confirmed``.
         looked_by: vehicles that have taken a second look.

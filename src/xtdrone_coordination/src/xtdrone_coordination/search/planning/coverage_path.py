@@ -2,7 +2,7 @@
 
 The camera looks ahead of the vehicle, so a lane begins before the ground to be seen and ends before its far side. The
 lanes are laid in the fastest direction, turns included, of those along the sides of the piece's convex hull; one of
-these is across the piece's least width. A piece with holes or bays is flown either straight across them or cell by
+these is across the piece's minimum width. A piece with holes or bays is flown either straight across them or cell by
 cell, whichever is faster (H. Choset, "Coverage of known spaces: the boustrophedon cellular decomposition", Autonomous
 Robots 9, 2000).
 """
@@ -78,7 +78,7 @@ def footprint(
         camera: its intrinsics.
         height: m over the ground, 2 to 200.
         pitch: of the gimbal, deg, negative down, -90 to -5.
-        pixels: least height of a person in the picture, from foot to head, px, 1 to 1000.
+        pixels: minimum height of a person in the picture, from foot to head, px, 1 to 1000.
         margin: fraction of the picture's width and height ignored at each edge, 0 to 0.4.
         reach: the ground counts up to this far ahead, m, 1 to 1000.
 
@@ -195,7 +195,7 @@ def _time(path: Sequence[Waypoint], options: CoverageOptions, home: Point | None
 
 
 def _angles(piece: Polygon) -> list[float]:
-    """Return the lane directions to try, rad: along the sides of the hull, that across the least width first."""
+    """Return the lane directions to try, rad: along the sides of the hull, that across the minimum width first."""
     hull = shapely.get_coordinates(shapely.orient_polygons(piece.convex_hull))
     found: list[tuple[float, float]] = []
     for (x0, y0), (x1, y1) in pairwise(hull):

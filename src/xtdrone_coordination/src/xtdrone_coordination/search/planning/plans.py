@@ -85,7 +85,7 @@ class SearchOptions(Settings):
         """Return the heights of ``count`` vehicles, m, lowest first.
 
         Raises:
-            ValueError: people would be too small from the highest, even at the least height step.
+            ValueError: people would be too small from the highest, even at the minimum height step.
         """
         lowest = self.footprint(camera, self.height)
         highest = self.height + (count - 1) * self.height_step

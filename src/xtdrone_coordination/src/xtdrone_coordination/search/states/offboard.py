@@ -10,7 +10,7 @@ from .base import VehicleState
 from .searching import FALLEN
 
 _CLEARANCE = 6.0  # m; no height change within this horizontal distance of a vehicle in between
-_LEAD = 4.0  # m; greatest distance of a setpoint ahead of its vehicle
+_LEAD = 4.0  # m; maximum distance of a setpoint ahead of its vehicle
 
 
 class OffboardState(VehicleState):

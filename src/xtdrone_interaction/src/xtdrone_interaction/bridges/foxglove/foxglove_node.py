@@ -174,7 +174,7 @@ class FoxgloveBridge:
         self._server.broadcast_time(now)
 
     def update(self) -> None:
-        """Offer the present topics and services of the graph."""
+        """Offer the current topics and services of the graph."""
         try:
             graph = self._graph.read()
         except MasterError as error:

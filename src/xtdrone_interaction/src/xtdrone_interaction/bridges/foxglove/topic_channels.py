@@ -71,7 +71,7 @@ class TopicChannels:
         """Open and close channels, so that they are those of the graph.
 
         Args:
-            types: of the present topics, by name.
+            types: of the current topics, by name.
         """
         for name in [name for name, topic in self._topics.items() if types.get(name) != topic.type]:
             self._close(name)

@@ -67,7 +67,7 @@ class Rosapi:
         """Initialise.
 
         Args:
-            graph: returns the present graph.
+            graph: returns the current graph.
             service_type: returns the type of a service, empty if it is unknown.
             parameters: the parameter server.
             params: shell patterns of the parameters that clients may use.

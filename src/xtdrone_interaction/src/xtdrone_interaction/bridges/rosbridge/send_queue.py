@@ -25,7 +25,7 @@ class SendQueue(Generic[T]):
         """Initialise without messages.
 
         Args:
-            interval: least time between two messages, s.
+            interval: minimum time between two messages, s.
             length: messages that may wait; 0 for one with an interval, and ``UNTHROTTLED`` without.
         """
         self._lock = threading.Lock()

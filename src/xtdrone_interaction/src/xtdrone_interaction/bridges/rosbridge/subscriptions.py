@@ -119,7 +119,7 @@ class Subscriptions:
         Args:
             topic: resolved name; it need not exist yet.
             id_: of the request; a later one with the same id replaces it.
-            throttle_rate: least time between two messages, ms.
+            throttle_rate: minimum time between two messages, ms.
             queue_length: messages that wait for the client; of a topic that is faster, the newest are sent.
             compression: ``none``, ``png``, ``cbor`` or ``cbor-raw``.
 

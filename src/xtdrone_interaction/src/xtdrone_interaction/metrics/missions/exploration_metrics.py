@@ -62,7 +62,7 @@ def visible_cells(
 
 
 def _above(solid: Solid, height: float) -> Array:
-    """Return the place at a height, m, over or under a solid's middle, (1, 3)."""
+    """Return the place at a height, m, over or under a solid's centre, (1, 3)."""
     x, y, _ = solid.pose.position
     return np.array([[x, y, height]])
 

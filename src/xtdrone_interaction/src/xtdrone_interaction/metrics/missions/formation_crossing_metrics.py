@@ -39,7 +39,7 @@ def formation_figures(record: CrossingRecord) -> dict[str, Any] | None:
 
 
 def _errors(record: CrossingRecord, offsets: Array, first: float, last: float) -> dict[str, float] | None:
-    """Return mean and greatest error between two times, s; None if one of them is not known or nothing was recorded."""
+    """Return mean and maximum error between two times, s; None if one of them is not known or nothing was recorded."""
     part = record.position[(record.time >= first) & (record.time <= last)]
     if not len(part):
         return None

@@ -39,13 +39,13 @@ class Reconfiguration:
         command_time: simulated time of the command, s.
         end_time: end of the window, s.
         settling_time: s from the command until all followers are within SETTLED_ERROR and stay there, None if never.
-        overshoot: greatest distance flown past a slot, over the followers, m.
+        overshoot: maximum distance flown past a slot, over the followers, m.
         overshoot_percent: the same relative to that follower's step, %.
         steady_error_mean: over followers and the last STEADY_SPAN of the window, m.
-        steady_error_max: the greatest error in that span, m.
-        least_distance: least distance between two vehicles in the window, m.
+        steady_error_max: the maximum error in that span, m.
+        least_distance: minimum distance between two vehicles in the window, m.
         assigned_distance: total from the positions at the command to the assigned slots, relative to the leader, m.
-        optimal_distance: the least possible total, m.
+        optimal_distance: the minimum possible total, m.
     """
 
     pattern: str
@@ -77,7 +77,7 @@ def settling_time(time: Array, error: Array, limit: float = SETTLED_ERROR) -> fl
 
 
 def overshoot(places: Array, offsets: Array) -> tuple[float, float]:
-    """Return the greatest overshoot (m, % of the follower's step) over all followers.
+    """Return the maximum overshoot (m, % of the follower's step) over all followers.
 
     A follower's overshoot is how far it flies past its slot along the straight line from its first position.
 
@@ -232,7 +232,7 @@ def _too_close(names: tuple[str, ...], flight: FleetTrack, nearest: Array) -> di
 
 def _too_close_text(found: dict[str, Any]) -> str:
     worst = found["closest"][0]
-    text = f"least distance {worst['distance']:.2f} m ({' and '.join(worst['vehicles'])}, at {worst['time']:.1f} s), "
+    text = f"minimum distance {worst['distance']:.2f} m ({' and '.join(worst['vehicles'])}, at {worst['time']:.1f} s), "
     text += f"at least {DISTANCE_LIMIT} m"
     if found["pairs"] == 1:
         return text

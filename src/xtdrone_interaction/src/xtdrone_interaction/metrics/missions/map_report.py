@@ -28,7 +28,7 @@ _POINT = 12  # bytes of a cloud's point
 
 
 def read_map(path: Path) -> Array:
-    """Return the points of a saved map: middles of an octree's occupied voxels, or a cloud's points, (n, 3) m.
+    """Return the points of a saved map: centres of an octree's occupied voxels, or a cloud's points, (n, 3) m.
 
     Raises:
         RecordError: it cannot be read.

@@ -10,7 +10,7 @@ from xtdrone_interaction.metrics.missions.formation_metrics import versions
 from xtdrone_interaction.recording.search_record import CUT_SHORT, SearchRecord, Sight
 
 ERROR_LIMIT = 2.0  # m, of a find's position
-FOLLOW_IN_VIEW = 0.9  # least share of a follower's images that show the person
+FOLLOW_IN_VIEW = 0.9  # minimum share of a follower's images that show the person
 
 
 def make_report(record: SearchRecord, settings: dict[str, Any]) -> dict[str, Any]:

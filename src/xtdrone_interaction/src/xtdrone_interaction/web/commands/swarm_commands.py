@@ -23,7 +23,7 @@ from xtdrone_interaction.web.server.session import Session
 
 _TEXT = re.compile(r"[ -~]{1,200}")
 _FAR = 500.0  # m between two slots
-_NEAR = 0.5  # m, least distance of two drawn slots
+_NEAR = 0.5  # m, minimum distance of two drawn slots
 LEADER = "leader"
 
 

@@ -149,7 +149,7 @@ class LayerRoom:
             self._context.in_loop(self._take_fleet)
 
     async def _take_fleet(self) -> None:
-        """Load the frames of the present fleet, once for all calls meanwhile."""
+        """Load the frames of the current fleet, once for all calls meanwhile."""
         if self._takes_fleet:
             return
         self._takes_fleet = True

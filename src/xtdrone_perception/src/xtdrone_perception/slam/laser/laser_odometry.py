@@ -31,7 +31,7 @@ class ScanMatchSettings(Settings):
 
     range_min: float = setting(0.3, low=0.0, high=100.0, unit="m", text="nearer points are not used")
     range_max: float = setting(30.0, low=1.0, high=1000.0, unit="m", text="farther points are not used")
-    reach: float = setting(0.5, low=0.05, high=10.0, unit="m", text="greatest distance of corresponding points")
+    reach: float = setting(0.5, low=0.05, high=10.0, unit="m", text="maximum distance of corresponding points")
     noise: float = setting(0.02, above=0.0, high=1.0, unit="m", text="standard deviation of points about their lines")
     ground: float = setting(0.1, low=0.0, high=10.0, unit="m", text="points lower above the ground are not used")
     slab: float = setting(

@@ -85,7 +85,7 @@ class LineMap:
         Args:
             points: (n, 2) m, level, about the body.
             start: (3,) x, y (m), yaw (rad), the first guess.
-            reach: greatest distance of correspondences, m; it shrinks to a third.
+            reach: maximum distance of correspondences, m; it shrinks to a third.
             noise: standard deviation of a distance from a line, m.
         """
         place, information, residual, share = start.copy(), np.zeros((3, 3)), np.zeros(0), 0.0

@@ -29,15 +29,15 @@ class LoopOptions(Settings):
     """Private parameters of loop closure."""
 
     spacing: float = setting(3.0, low=0.2, high=100.0, unit="m", text="way between two keyframes")
-    radius: float = setting(12.0, low=1.0, high=200.0, unit="m", text="greatest distance of the places of a loop")
-    way: float = setting(40.0, low=1.0, high=1e5, unit="m", text="least way between the places of a loop")
+    radius: float = setting(12.0, low=1.0, high=200.0, unit="m", text="maximum distance of the places of a loop")
+    way: float = setting(40.0, low=1.0, high=1e5, unit="m", text="minimum way between the places of a loop")
     submap: int = setting(2, low=0, high=20, text="keyframes on each side that join the map of a known place")
     resolution: float = setting(
         0.5, low=0.05, high=5.0, unit="m", text="side of the cells in which points are averaged"
     )
-    reach: float = setting(1.5, low=0.1, high=20.0, unit="m", text="greatest distance of corresponding points")
-    least_share: float = setting(0.6, low=0.0, high=1.0, text="least share of points with a correspondence")
-    most_residual: float = setting(2.0, above=0.0, high=100.0, text="greatest root mean square of normalised residuals")
+    reach: float = setting(1.5, low=0.1, high=20.0, unit="m", text="maximum distance of corresponding points")
+    least_share: float = setting(0.6, low=0.0, high=1.0, text="minimum share of points with a correspondence")
+    most_residual: float = setting(2.0, above=0.0, high=100.0, text="maximum root mean square of normalised residuals")
     drift: float = setting(0.005, above=0.0, high=1.0, text="drift of odometry, m for each m of way")
     loop_noise: float = setting(0.05, above=0.0, high=10.0, unit="m", text="error of the position of a loop")
 

@@ -153,7 +153,7 @@ class PoseTransfer:
         self._forget()
 
     def _forget(self) -> None:
-        """Begin again, as simulated time was set back."""
+        """Begin again, because simulated time was reset."""
         self._tf.clear()
         self._new: PoseStamped | None = None
         self._last_height, self._measured = 0.0, -math.inf

@@ -29,9 +29,9 @@ class TrackSettings(Settings):
     """Private parameters of the corners."""
 
     corners: int = setting(250, low=20, high=5000, text="most corners that are followed")
-    corner_distance: float = setting(14.0, low=2.0, high=200.0, unit="px", text="least distance of two new corners")
+    corner_distance: float = setting(14.0, low=2.0, high=200.0, unit="px", text="minimum distance of two new corners")
     corner_quality: float = setting(
-        0.01, low=1e-4, high=0.5, text="least strength of a corner, over the strongest one's"
+        0.01, low=1e-4, high=0.5, text="minimum strength of a corner, over the strongest one's"
     )
     window: int = setting(21, low=5, high=61, unit="px", text="side of the patch that is followed")
     levels: int = setting(3, low=0, high=6, text="of the pyramid beyond the picture itself")

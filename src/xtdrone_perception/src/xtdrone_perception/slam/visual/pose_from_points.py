@@ -77,7 +77,7 @@ def solve(
     Args:
         camera: of the measurements.
         sigmas: of the measurements.
-        most: px, greatest error of an inlier.
+        most: px, maximum error of an inlier.
         predicted: (4, 4) body to map, by the autopilot.
         points: (n, 3) m, map.
         measured: (n, 3) u, v (px), inverse depth (1/m, NaN where unknown).

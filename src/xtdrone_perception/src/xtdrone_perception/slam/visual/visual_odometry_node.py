@@ -71,9 +71,9 @@ class VisualHealthLimits(HealthLimits):
     """Private parameters of the supervision of visual odometry."""
 
     least_information: float = setting(
-        0.002, low=0.0, high=1.0, text="least information on the least known direction, over that on the best known one"
+        0.002, low=0.0, high=1.0, text="minimum information on the least known direction, over that on the best known one"
     )
-    most_residual: float = setting(5.0, above=0.0, high=100.0, text="greatest root mean square of normalised residuals")
+    most_residual: float = setting(5.0, above=0.0, high=100.0, text="maximum root mean square of normalised residuals")
 
 
 class VisualOdometryNode(OdometryNode):

@@ -252,7 +252,7 @@ class Renderer:
         light: Light,
         over: bool,
     ) -> None:
-        """Draw a tile of the picture, optionally over its present content."""
+        """Draw a tile of the picture, optionally over its current content."""
         if self.backend == "tiny":  # it samples the corners of pixels instead of their centres
             tile = Pinhole(tile.width, tile.height, tile.fx, tile.fy, tile.cx - 0.5, tile.cy + 0.5)
         towards = -np.asarray(light.direction, float)

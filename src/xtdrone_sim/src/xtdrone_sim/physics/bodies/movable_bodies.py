@@ -135,7 +135,7 @@ class Body:
         held: step until which it stands where it was put.
         still_steps: steps at rest.
         drive: what moves it; None: forces.
-        way: pose, velocity and spin that the drive has proposed for the present step.
+        way: pose, velocity and spin that the drive has proposed for the current step.
     """
 
     model: SdfModel
@@ -327,7 +327,7 @@ class Bodies:
         return int(count), hit
 
     def _bounds(self, numbers: list[int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the boxes (k, 6), m, and the greatest speeds (k,), m/s, of bodies."""
+        """Return the boxes (k, 6), m, and the maximum speeds (k,), m/s, of bodies."""
         boxes, speeds = np.empty((len(numbers), 6)), np.empty(len(numbers))
         for k, number in enumerate(numbers):
             body = self.by_number[number]

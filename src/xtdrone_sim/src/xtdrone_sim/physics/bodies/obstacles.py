@@ -21,7 +21,7 @@ from xtdrone_sim.shapes.visual import Box, Cylinder, Geometry, Mesh, Pose, Spher
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
 from xtdrone_sim.worlds.sdf.world_records import SdfModel
 
-_CELL = 8.0  # m, least side of a column
+_CELL = 8.0  # m, minimum side of a column
 _MOST_CELLS = 512  # along each axis
 
 

@@ -226,7 +226,7 @@ def target_speed(rate: float, step_s: float) -> float:
         ValueError: the rate is not allowed.
     """
     least = LEAST_SPEED / step_s
-    # Both values are rounded: the least rate given in the error text must be accepted and yield the least speed.
+    # Both values are rounded: the minimum rate given in the error text must be accepted and yield the minimum speed.
     if not math.isfinite(rate) or (rate != 0.0 and rate < least * (1.0 - 1e-9)):
         raise ValueError(f"max_update_rate: {rate:g} Hz is not allowed, 0 (unlimited) or at least {least:g} Hz")
     return max(rate * step_s, LEAST_SPEED) if rate else 0.0

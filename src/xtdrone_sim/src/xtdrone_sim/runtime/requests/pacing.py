@@ -66,7 +66,7 @@ class SpeedMeter:
 
         Args:
             span: length of the averaging window, wall s.
-            spacing: least time between stored samples, wall s.
+            spacing: minimum time between stored samples, wall s.
         """
         self._span = span
         self._spacing = spacing

@@ -367,7 +367,7 @@ class Control:
         now = self._wall()
         for asked in [asked for asked in self._asked if now >= asked.until]:
             self._asked.remove(asked)
-            reason = f"the present tick has not ended within {PATIENCE:g} s: {self._standstill(now)}"
+            reason = f"the current tick has not ended within {PATIENCE:g} s: {self._standstill(now)}"
             if asked.answer is None:
                 continue
             if isinstance(asked.request, Reset):

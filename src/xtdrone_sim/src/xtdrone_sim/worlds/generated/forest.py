@@ -1,4 +1,4 @@
-"""Forest: trees as Poisson discs, at random places that keep a least distance from each other."""
+"""Forest: trees as Poisson discs, at random places that keep a minimum distance from each other."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld
 from .construction import START, ground, placed, solid, world
 
 _TRIES = 30  # candidates around each tree (R. Bridson, "Fast Poisson disk sampling in arbitrary dimensions", 2007)
-_FILLED = 0.635  # trees per square of the least distance that the sampling reaches, measured
+_FILLED = 0.635  # trees per square of the minimum distance that the sampling reaches, measured
 _HIGHEST = 9.0  # m
 
 
@@ -33,7 +33,7 @@ class ForestSettings(Settings):
 
 
 def least_distance(density: float) -> float:
-    """Return the least distance of two trunks, m, at which sampling fills an area with ``density``, 1/m^2."""
+    """Return the minimum distance of two trunks, m, at which sampling fills an area with ``density``, 1/m^2."""
     return math.sqrt(_FILLED / density)
 
 

@@ -53,7 +53,7 @@ class IndoorSettings(Settings):
 
 
 Wall = tuple[tuple[float, float], tuple[float, float], tuple[float, ...]]
-"""Start, end, and the middles of the doors as distances from the start; along x or y, m."""
+"""Start, end, and the centres of the doors as distances from the start; along x or y, m."""
 
 
 @dataclass
@@ -150,7 +150,7 @@ def indoor(settings: IndoorSettings) -> SdfWorld:
     """
     plan = floor_plan(settings)
     entrance = plan.doors[0][1]
-    corner = BESIDE, 0.5 * (START[1] + START[3]) - entrance  # the entrance is opposite the middle of the start area
+    corner = BESIDE, 0.5 * (START[1] + START[3]) - entrance  # the entrance is opposite the centre of the start area
     pieces = [piece for wall in plan.walls for piece in _pieces(wall, settings)]
     walls = [box(size, (corner[0] + x, corner[1] + y, z), _WALL) for size, (x, y, z) in pieces]
     region = (*corner, corner[0] + settings.length, corner[1] + settings.width)

@@ -1,7 +1,7 @@
 """Jerk-limited smoothing of a velocity setpoint, and the largest speeds before a stop or a turn.
 
 The profile of PX4's motion_planning library: in each axis the acceleration rises, stays constant and falls, so that the
-wanted velocity is reached in the least time within the limits of acceleration and jerk. Faster axes are stretched to
+wanted velocity is reached in the minimum time within the limits of acceleration and jerk. Faster axes are stretched to
 the duration of the slowest. A record ``PATH`` holds the state (position, velocity, acceleration) and the
 plan that is followed until the next call of ``plan`` (times, direction).
 """
@@ -66,7 +66,7 @@ def _saturate(a, j, time, accel):
 
 @kernel
 def _rise_time(a, dv, j, accel):
-    """Return the duration of the jerk ``j`` for a velocity change of ``dv`` in the least time."""
+    """Return the duration of the jerk ``j`` for a velocity change of ``dv`` in the minimum time."""
     delta = 2.0 * a * a + 4.0 * j * dv
     if delta < 0.0:
         return 0.0
@@ -135,7 +135,7 @@ def _stretch_axis(path, i, wanted, accel, jerk, total):
 
 @kernel
 def plan(path, wanted, speeds, accels, jerk):
-    """Plan all axes from the present state to the velocities ``wanted``, reached at the same time.
+    """Plan all axes from the current state to the velocities ``wanted``, reached at the same time.
 
     Args:
         path: ``PATH`` record.

@@ -14,7 +14,7 @@ from xtdrone_control.rotation_kernels import constrain
 
 # CONTROL.leg_state: on the leg (or none), past the goal, before the start, beside the leg
 _NO_LEG, _BEHIND, _AHEAD, _OFF = 0, 1, 2, 3
-_LEAD = 5.0  # m, least lookahead distance in turns (L1 guidance)
+_LEAD = 5.0  # m, minimum lookahead distance in turns (L1 guidance)
 
 
 @kernel

@@ -19,13 +19,13 @@ from xtdrone_control.rotation_kernels import wrap_pi
 
 _NAN = math.nan
 _FREQUENCY, _DAMPING = 1.0, 0.7071  # rad/s and damping ratio of the filter of the target's motion
-_COURSE_SPEED = 1.0  # m/s, least velocity that defines a course
+_COURSE_SPEED = 1.0  # m/s, minimum velocity that defines a course
 _MAX_JERK, _MAX_ACCELERATION = 4.0, 2.0  # m/s^3 and m/s^2, along the circle around the target
 _LEAST_DISTANCE = 1.0  # m, minimum of FLW_TGT_DST; parameters may be out of range
 _HEIGHT_WINDOW = 3.0  # m, largest height error at which the vehicle moves horizontally
 _LEAST_HEIGHT = 1.0  # m above ground, below which the vehicle only climbs
 _ASCENT = 0.5  # m/s, climb rate near the ground
-_FACING_DISTANCE = 1.0  # m, least distance from the target at which the vehicle faces it
+_FACING_DISTANCE = 1.0  # m, minimum distance from the target at which the vehicle faces it
 _TAKEOFF_RISE, _TAKEOFF_CLIMB = 0.2, 0.3  # m and m/s, climb above which a takeoff starts
 OVER_GROUND, OVER_TARGET = 1, 2  # FLW_TGT_ALT_M
 

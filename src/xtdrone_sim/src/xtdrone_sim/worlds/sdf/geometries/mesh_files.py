@@ -59,7 +59,7 @@ def read_mesh(path: Path, submesh: str = "", centred: bool = False) -> tuple[Mes
     Args:
         path: file with one of ``ENDINGS``.
         submesh: name of the only geometry to use; empty for all.
-        centred: whether to move the middle of the geometry to the origin.
+        centred: whether to move the centre of the geometry to the origin.
 
     Raises:
         SdfError: the file cannot be read, is too large, or has no triangles.
