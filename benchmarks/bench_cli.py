@@ -72,7 +72,7 @@ class BenchSettings(Settings):
 
     Attributes:
         vehicles: numbers of vehicles (barrier: participants; sweep: workers; rays: lidars; odometry: rings; detector,
-            renderer: width in pixels; analyse: size of the bag in MB; search: pictures per second of each camera) by
+            renderer: width in pixels; analyse: size of the bag in MB; search: images per second of each camera) by
             part.
         json: file of the results, absolute.
         baseline: this tree and the commit to compare it with, empty without a comparison.
@@ -119,7 +119,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--only", metavar="PARTS", help=f"parts to measure, separated by commas, of {parts} (default: all)")
     add("--vehicles", nargs="+", metavar="[PART=]NUMBERS",
         help="numbers of vehicles (barrier: participants; sweep: workers; rays: lidars; odometry: rings; detector, "
-        "renderer: width in pixels; analyse: size of the bag in MB; search: pictures per second of each camera), "
+        "renderer: width in pixels; analyse: size of the bag in MB; search: images per second of each camera), "
         f"separated by commas, for one part (as core=1,100) or for all parts but {own} (as 9); "
         f"default: {numbers}")  # fmt: skip
     BenchSettings.add_arguments(parser)

@@ -1,6 +1,6 @@
 """The table of all measurements of ``./xtdrone bench``: command, default numbers, limits, and columns.
 
-A measurement's command gets a case (a number of vehicles, a picture size, ...) and returns a row of figures: a
+A measurement's command gets a case (a number of vehicles, an image size, ...) and returns a row of figures: a
 :class:`~benchmarks.measurement_runner.Program`, a :class:`~benchmarks.measurement_runner.Flight`, or a function. A new
 measurement is one more entry of :data:`MEASUREMENTS`; its goal is an entry of ``goals.GOALS``.
 """
@@ -179,7 +179,7 @@ def _speed_summary(row: Row) -> str:
 
 
 def _picture_summary(row: Row) -> str:
-    return f"{row['milliseconds']:.1f} ms a picture"
+    return f"{row['milliseconds']:.1f} ms an image"
 
 
 def _free_summary(row: Row) -> str:
@@ -291,7 +291,7 @@ _TABLE = (
         numbers=(9, 100, 1000),
         limits=(2, 10_000),
         fields=(("pictures/s", spread("pictures_per_second")), goal_of("drawing")),
-        summary=lambda row: f"{row['pictures_per_second']:.1f} pictures per second",
+        summary=lambda row: f"{row['pictures_per_second']:.1f} images per second",
     ),
     Measurement(
         name="sweep",
@@ -327,7 +327,7 @@ _TABLE = (
     ),
     Measurement(
         name="renderer",
-        title="Pictures of the world outdoor, one process",
+        title="Images of the world outdoor, one process",
         command=Program("renderer", _CORE_SECONDS),
         numbers=(320, 640),
         limits=(16, 4096),

@@ -103,7 +103,7 @@ def caveats(results: dict[str, Any]) -> list[str]:
             if row.get("exact_share", 1.0) is None:
                 lines.append(f"{label}: free-running, nodes kept up at no speed that was tried")
             if row.get("dropped"):
-                lines.append(f"{label}: the detector passed over {row['dropped']} of the pictures")
+                lines.append(f"{label}: the detector passed over {row['dropped']} of the images")
             if row.get("unsettled"):
                 lines.append(f"{label}: did not settle: {', '.join(row['unsettled'])}")
     return lines

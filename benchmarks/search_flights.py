@@ -53,7 +53,7 @@ def search_figures(events: Sequence[Event]) -> Row:
 
     Returns:
         real_time_factor, window (``simulated`` and ``elapsed`` s, while all vehicles search),
-        pictures_per_simulated_second (processed by the detector, of all cameras), dropped (pictures that it skipped),
+        pictures_per_simulated_second (processed by the detector, of all cameras), dropped (images that it skipped),
         cpu_per_simulated_second (CPU s by program), cpu_share (by ``cameras``, ``yolo``, ``simulator``, ``mavros``,
         ``others``: share of the CPU time of the launch), others_cpu (cores used by programs outside the launch),
         memory_bytes, processes.

@@ -64,7 +64,7 @@ def sensing_figures(events: Sequence[Event], began: float) -> Row:
         began: wall time of the start of roslaunch, epoch s.
 
     Returns:
-        Also frames_per_simulated_second (scans or pictures received, of all vehicles together) and cores (busy cores by
+        Also frames_per_simulated_second (scans or images received, of all vehicles together) and cores (busy cores by
         program).
 
     Raises:

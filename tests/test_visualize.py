@@ -259,7 +259,7 @@ def test_a_formation_flight_with_a_film(stack: Stack, tmp_path: Path) -> None:
         (["iris", "3"], 1, "there is no display (DISPLAY is not set); a film needs none"),
         (["iris", "3", "_film:=/nowhere/a.mp4"], 2, "the folder /nowhere does not exist"),
         (["iris", "3", "_film:=/tmp/a.avi"], 2, "unknown ending '.avi'"),
-        (["iris", "3", "_film:=/tmp/a.mp4", "_fps:=fast"], 2, "'fast' frames a second are not allowed"),
+        (["iris", "3", "_film:=/tmp/a.mp4", "_fps:=fast"], 2, "'fast' frames per second are not allowed"),
         (["iris", "3", "_trails:=-1"], 2, "~trails: -1 is not allowed"),
     ],
 )

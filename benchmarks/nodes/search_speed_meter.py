@@ -7,7 +7,7 @@ simulated second.
 ================================  ==============================  ================================================
 subscribed
 /xtdrone/search/progress          std_msgs/String                 JSON with ``sim_time``, ``phase``, ``vehicles``
-/xtdrone/T/objects                xtdrone_msgs/ObjectsOnGround    one for each picture processed by the detector
+/xtdrone/T/objects                xtdrone_msgs/ObjectsOnGround    one for each image processed by the detector
 ================================  ==============================  ================================================
 
 Parameters:
@@ -77,18 +77,18 @@ class Progress:
 
 
 class Pictures:
-    """Counters of processed and skipped pictures; each vehicle is counted by its own subscriber thread."""
+    """Counters of processed and skipped images; each vehicle is counted by its own subscriber thread."""
 
     def __init__(self, names: Iterable[str]) -> None:
         """Set the counters of the vehicles ``names`` to 0."""
         self._counts = dict.fromkeys(names, (0, 0))
 
     def count(self, name: str, dropped: int) -> None:
-        """Count a processed picture of a vehicle; ``dropped`` of its pictures have been skipped so far."""
+        """Count a processed image of a vehicle; ``dropped`` of its images have been skipped so far."""
         self._counts[name] = (self._counts[name][0] + 1, dropped)
 
     def counted(self) -> tuple[int, int]:
-        """Return the number of pictures processed and skipped so far."""
+        """Return the number of images processed and skipped so far."""
         counts = self._counts.values()
         return sum(seen for seen, _ in counts), sum(dropped for _, dropped in counts)
 

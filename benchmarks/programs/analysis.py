@@ -106,7 +106,7 @@ def measure(megabytes: int, folder: Path) -> dict[str, Any]:
 
     Returns:
         megabytes, messages, seconds (of reading, file in the page cache), megabytes_per_second, memory_bytes (peak of
-        the process while reading), report_seconds (reading, figures, pictures and page).
+        the process while reading), report_seconds (reading, figures, images and page).
     """
     from rich.console import Console
 

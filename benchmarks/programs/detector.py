@@ -1,4 +1,4 @@
-"""Benchmark of the detector: milliseconds of one core per picture of 640 x 360 px, by the size of the network's input.
+"""Benchmark of the detector: milliseconds of one core per image of 640 x 360 px, by the size of the network's input.
 
 ``python -m benchmarks.programs.detector --width 320 416 640`` prints a table; ``--json FILE`` writes it.
 """
@@ -22,12 +22,12 @@ PICTURE = (640, 360)  # px, as the typhoon's camera has it
 
 
 def input_height(width: int) -> int:
-    """Return the minimum height of a network's input, px, that fits the whole picture at a width."""
+    """Return the minimum height of a network's input, px, that fits the whole image at a width."""
     return STRIDE * math.ceil(width * PICTURE[1] / PICTURE[0] / STRIDE)
 
 
 def measure(name: str, width: int, seconds: float) -> dict[str, Any]:
-    """Measure the processor time of a picture on one core, which is hardly affected by other programs.
+    """Measure the processor time of an image on one core, which is hardly affected by other programs.
 
     Args:
         name: of the network, or the path of its settings.
@@ -35,7 +35,7 @@ def measure(name: str, width: int, seconds: float) -> dict[str, Any]:
         seconds: minimum time of the measurement, above 0.
 
     Returns:
-        width, height (px), milliseconds (median), pictures.
+        width, height (px), milliseconds (median), images.
 
     Raises:
         DetectorError: the network cannot be used.

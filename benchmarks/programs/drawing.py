@@ -1,4 +1,4 @@
-"""Benchmark of the drawing: pictures per second off-screen, with trails, topology and slots.
+"""Benchmark of the drawing: images per second off-screen, with trails, topology and slots.
 
 ``python -m benchmarks.programs.drawing --vehicles 9 100 1000`` prints a table; ``--json FILE`` writes it.
 """
@@ -48,7 +48,7 @@ def measure(count: int, seconds: float, size: tuple[int, int] = SIZE) -> dict[st
     Args:
         count: vehicles, at least 2.
         seconds: minimum wall time of the measurement, above 0.
-        size: of the pictures, pixels.
+        size: of the images, pixels.
 
     Returns:
         vehicles, pictures_per_second.

@@ -1,4 +1,4 @@
-"""Benchmark of the renderer: milliseconds per picture of the world ``outdoor`` with people, by size and backend.
+"""Benchmark of the renderer: milliseconds per image of the world ``outdoor`` with people, by size and backend.
 
 ``python -m benchmarks.programs.renderer --width 320 640`` prints a table; ``--json FILE`` writes it.
 """
@@ -31,7 +31,7 @@ _VIEWS = 8  # positions of the camera
 
 
 def measure(width: int, height: int, backend: str, seconds: float) -> dict[str, Any]:
-    """Measure the time per picture of a camera above the people of a world.
+    """Measure the time per image of a camera above the people of a world.
 
     Args:
         width, height: pixels.
@@ -39,8 +39,8 @@ def measure(width: int, height: int, backend: str, seconds: float) -> dict[str, 
         seconds: minimum wall time of the measurement, above 0.
 
     Returns:
-        width, height, backend, milliseconds (processor time, median), wall_milliseconds (median), pictures; and
-        depth_milliseconds and stereo_milliseconds (wall, medians), of a picture with depth and of a stereo pair.
+        width, height, backend, milliseconds (processor time, median), wall_milliseconds (median), images; and
+        depth_milliseconds and stereo_milliseconds (wall, medians), of an image with depth and of a stereo pair.
 
     Raises:
         RendererError: there is no such renderer here.
@@ -104,7 +104,7 @@ COLUMNS = (
 
 
 def main() -> int:
-    """Measure the picture sizes and backends of the command line and return the exit status."""
+    """Measure the image sizes and backends of the command line and return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--width", type=int, nargs="+", default=[320, 640], help="px")
     parser.add_argument("--height", type=int, nargs="+", help="px, one for each width (default: three quarters of it)")

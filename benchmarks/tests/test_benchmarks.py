@@ -461,7 +461,7 @@ def test_table_of_the_search() -> None:
     assert ["cameras", "0.500"] in lines
     assert "…" not in text  # it fits a terminal of 80 columns
     flat = " ".join(text.split())
-    assert "search, 2 Hz: the detector passed over 3 of the pictures" in flat
+    assert "search, 2 Hz: the detector passed over 3 of the images" in flat
     assert "search, 5 Hz: failed: search: returning" in flat
     assert printed_tables.short_result("search", row) == "1.25 x real time"
 
@@ -1040,7 +1040,7 @@ def test_tables_of_drawing_and_sweep() -> None:
     flat = " ".join(text.split())
     assert "sweep, 4 workers: failed: sweep: ended with status 1" in flat
     assert printed_tables.short_result("sweep", sweep) == "38.0 runs a second, 1.90 x those of one worker"
-    assert printed_tables.short_result("drawing", drawing) == "45.2 pictures a second"
+    assert printed_tables.short_result("drawing", drawing) == "45.2 images per second"
 
 
 def test_drawing_and_sweep_pass_the_options_to_their_benchmarks(

@@ -314,7 +314,7 @@ def _folds(rng: np.random.Generator) -> np.ndarray:
 
 
 def png(picture: np.ndarray) -> bytes:
-    """Return a picture (H, W, 3) uint8 as PNG."""
+    """Return an image (H, W, 3) uint8 as PNG."""
     height, width, _ = picture.shape
     rows = b"".join(b"\0" + row.tobytes() for row in picture)
 

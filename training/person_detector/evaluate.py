@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Quality of a detector: precision, recall and average precision on pictures of make_data.py.
+"""Quality of a detector: precision, recall and average precision on images of make_data.py.
 
     evaluate.py DATA/test
     evaluate.py DATA/test --weights RUN/last.weights --threshold 0.4 --out result.json
@@ -41,13 +41,13 @@ def detector_of(settings: Path, weights: Path | None, confidence: float | None) 
 
 
 def looked_at(detector: Detector, folder: Path, most: int) -> tuple[list[LabelledPicture], list[bool], float]:
-    """Return the detections in a folder's pictures, a mask of those without people, and the median time, s."""
+    """Return the detections in a folder's images, a mask of those without people, and the median time, s."""
     labels = [json.loads(line) for line in (folder / "labels.jsonl").read_text().splitlines()][:most]
     scenes, empty, times = [], [], []
     for label in labels:
         image = cv2.imread(str(folder / label["file"]))
         if image is None:
-            raise OSError(f"{folder / label['file']}: no picture")
+            raise OSError(f"{folder / label['file']}: no image")
         begun = time.process_time()
         found = detector.detect(np.ascontiguousarray(image[:, :, ::-1]))
         times.append(time.process_time() - begun)
@@ -90,9 +90,9 @@ def table(result: dict[str, Any]) -> str:
         lines.append(f"| {name} | {row['people']} | {row['AP50']:.3f} | {row['precision']:.3f} | {row['recall']:.3f} |")
     lines.append("")
     lines.append(
-        f"{result['pictures']} pictures; precision and recall at probability {result['threshold']:.3f} (best "
+        f"{result['pictures']} images; precision and recall at probability {result['threshold']:.3f} (best "
         f"{result['best_threshold']:.3f}); {result['false_boxes_in_them']} false boxes in "
-        f"{result['pictures_without_people']} pictures without people"
+        f"{result['pictures_without_people']} images without people"
     )
     return "\n".join(lines)
 
@@ -104,7 +104,7 @@ def main() -> None:
     parser.add_argument("--settings", type=Path, default=SETTINGS, help="of the detector (%(default)s)")
     parser.add_argument("--weights", type=Path, help="in place of the settings' ones")
     parser.add_argument("--threshold", type=float, help="of probability for precision and recall (the best)")
-    parser.add_argument("--most", type=int, default=100_000, help="pictures to look at")
+    parser.add_argument("--most", type=int, default=100_000, help="images to look at")
     parser.add_argument("--out", type=Path, help="JSON to write")
     options = parser.parse_args()
     detector = detector_of(options.settings, options.weights, LEAST)
@@ -112,7 +112,7 @@ def main() -> None:
     result = judged(scenes, empty, options.threshold)
     result["ms_per_picture"] = 1e3 * seconds
     print(table(result))
-    print(f"{1e3 * seconds:.1f} ms of processor time a picture")
+    print(f"{1e3 * seconds:.1f} ms of processor time an image")
     if options.out:
         options.out.write_text(json.dumps(result, indent=1) + "\n")
 

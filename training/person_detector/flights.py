@@ -2,10 +2,10 @@
 """False finds per minute: runs the detector along the lanes of a search over scenes of the test split.
 
     flights.py --minutes 30
-    flights.py --minutes 30 --weights RUN/last.weights --keep FOLDER    # keeps the pictures with false boxes
+    flights.py --minutes 30 --weights RUN/last.weights --keep FOLDER    # keeps the images with false boxes
 
 Counts the boxes per minute that show no person, by threshold of probability, and the results of the search by its
-rule and settings: candidates, second looks on a circle (two pictures per second), false finds and people found.
+rule and settings: candidates, second looks on a circle (two images per second), false finds and people found.
 Vehicles,
 wind and tracks are not simulated: poses are exact, and finds within ``same_place`` are one. Runs in `./xtdrone shell`.
 """
@@ -35,7 +35,7 @@ from xtdrone_sim.worlds import people
 from xtdrone_sim.worlds.scenery import Ground, outdoor
 from xtdrone_sim.worlds.sdf import SdfWorld
 
-RATE = 2.0  # pictures per second
+RATE = 2.0  # images per second
 SPEED = 4.0  # m/s
 LANE = 14.0  # m between lanes
 THRESHOLDS = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
@@ -99,10 +99,10 @@ class Flight:
     """A search over one scene.
 
     Attributes:
-        boxes: probabilities of all boxes in pictures of the lanes that show no person.
-        pictures: number of pictures.
+        boxes: probabilities of all boxes in images of the lanes that show no person.
+        pictures: number of images.
         people: positions of the people, m.
-        candidates: objects shown often enough in the pictures of the lanes.
+        candidates: objects shown often enough in the images of the lanes.
         looks: (evidence, place, right) of each second look.
     """
 
@@ -274,7 +274,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=900_000, help="of the first scene (%(default)s)")
     parser.add_argument("--settings", type=Path, default=SETTINGS)
     parser.add_argument("--weights", type=Path, help="in place of the settings' ones")
-    parser.add_argument("--keep", type=Path, help="folder for pictures with false boxes")
+    parser.add_argument("--keep", type=Path, help="folder for images with false boxes")
     parser.add_argument("--out", type=Path, help="JSON to write")
     parser.add_argument("--jobs", type=int, default=1, help="processes (%(default)s)")
     parser.add_argument("--backend", default="auto")

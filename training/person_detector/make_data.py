@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Makes pictures of the simulator's scenes with people, and their exact boxes.
+"""Makes images of the simulator's scenes with people, and their exact boxes.
 
     make_data.py DATA/train --split train --scenes 100 --people FOLDER_OF_figures.py
     make_data.py DATA/test --split test --scenes 16 --seed 1000
 
-Every scene is drawn from the heights and angles of a search. Each picture NNNNN_MM.png has an entry in labels.jsonl,
+Every scene is drawn from the heights and angles of a search. Each image NNNNN_MM.png has an entry in labels.jsonl,
 written after the picture: the camera, and for each person the box of the visible part (xmin, ymin, xmax, ymax, px), the
 name and the visible share; the mask NNNNN_MM.mask.png contains 1 + the person's number at its pixels. Runs in
 `./xtdrone shell`.
@@ -50,7 +50,7 @@ REGION = (-10.0, -10.0, 90.0, 50.0)
 
 @dataclass(frozen=True)
 class View:
-    """Viewpoint of a picture.
+    """Viewpoint of an image.
 
     Attributes:
         position: position of the vehicle, m.
@@ -110,7 +110,7 @@ class Scene:
         return Pose(found.position, found.orientation)
 
     def draw(self, view: View, labels: bool) -> Any:
-        """Return the picture of a view; the vehicle itself is not visible because its legs are raised in flight."""
+        """Return the image of a view; the vehicle itself is not visible because its legs are raised in flight."""
         return self.renderer.draw(self.camera.pinhole, self.pose(view), view.near, FAR, self.light, labels)
 
 
@@ -252,7 +252,7 @@ def label_of(person: str, seen: NDArray[np.bool_], whole: int) -> dict[str, Any]
 
 
 def make_scene(number: int, options: argparse.Namespace) -> int:
-    """Draw a scene's pictures; return their number."""
+    """Draw a scene's images; return their number."""
     random = np.random.default_rng((options.seed, number))
     world = outdoor(
         options.seed * 100_000 + number,
@@ -301,7 +301,7 @@ def write(
     known: dict[int, str],
     scene: Scene,
 ) -> None:
-    """Write a picture, its mask and its entry in labels.jsonl."""
+    """Write an image, its mask and its entry in labels.jsonl."""
     picture, alone = drawn
     mask = np.zeros(picture.labels.shape, np.uint8)
     found = []
@@ -331,17 +331,17 @@ def write(
 
 
 def main() -> None:
-    """Make pictures."""
+    """Make images."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("out", type=Path, help="folder to write to; one with pictures of other seeds is added to")
+    parser.add_argument("out", type=Path, help="folder to write to; one with images of other seeds is added to")
     parser.add_argument("--split", choices=("train", "test"), required=True, help="of scenery and people")
     parser.add_argument("--scenes", type=int, default=100, help="how many scenes (%(default)s)")
     parser.add_argument("--first", type=int, default=0, help="number of the first scene (%(default)s)")
     parser.add_argument("--pictures", type=int, default=24, help="of each scene (%(default)s)")
     parser.add_argument(
-        "--crowd", type=int, default=16, help="people to a scene; 3 and more in a picture (%(default)s)"
+        "--crowd", type=int, default=16, help="people to a scene; 3 and more in an image (%(default)s)"
     )
-    parser.add_argument("--empty", type=float, default=0.15, help="part of pictures without people (%(default)s)")
+    parser.add_argument("--empty", type=float, default=0.15, help="part of images without people (%(default)s)")
     parser.add_argument("--people", type=Path, action="append", default=[], help="folder of random_people.py")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2, help="processes (%(default)s)")
@@ -354,7 +354,7 @@ def main() -> None:
     with multiprocessing.get_context("spawn").Pool(options.jobs, maxtasksperchild=1) as pool:
         for done, count in enumerate(pool.imap_unordered(partial(make_scene, options=options), numbers), 1):
             total += count
-            print(f"{done} of {len(numbers)} scenes, {total} pictures", flush=True)
+            print(f"{done} of {len(numbers)} scenes, {total} images", flush=True)
 
 
 if __name__ == "__main__":

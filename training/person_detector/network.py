@@ -41,7 +41,7 @@ class Head:
     """One yolo layer.
 
     Attributes:
-        stride: picture pixels per cell.
+        stride: image pixels per cell.
         anchors: (n, 2) width and height, pixels.
         scale: scale_x_y of darknet: how far a cell's centre may reach, 1 is just the cell.
     """
@@ -100,7 +100,7 @@ class Darknet(nn.Module):
         return places
 
     def forward(self, x: torch.Tensor) -> list[torch.Tensor]:
-        """Return the heads' raw outputs for pictures (batch, 3, height, width), RGB, 0..1."""
+        """Return the heads' raw outputs for images (batch, 3, height, width), RGB, 0..1."""
         kept: dict[int, torch.Tensor] = {}
         found = []
         for index, (kind, get) in enumerate(self.sections[1:]):
@@ -166,7 +166,7 @@ def _tensors(network: Darknet) -> list[torch.Tensor]:
 
 
 def save_weights(network: Darknet, path: Path) -> None:
-    """Write darknet's .weights: version 0.2.5, pictures seen 0, 32-bit floats."""
+    """Write darknet's .weights: version 0.2.5, images seen 0, 32-bit floats."""
     with open(path, "wb") as file:
         np.array([0, 2, 5], np.int32).tofile(file)
         np.array([0], np.int64).tofile(file)

@@ -1,4 +1,4 @@
-"""Pictures with boxes from make_data.py, and crops of them to train on: mirrored, scaled, with people pasted in."""
+"""Images with boxes from make_data.py, and crops of them to train on: mirrored, scaled, with people pasted in."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ HIDDEN = 0.6  # people with more hidden than this likewise
 
 @dataclass
 class Picture:
-    """A picture and the people in it.
+    """An image and the people in it.
 
     Attributes:
         name: file name.
@@ -70,17 +70,17 @@ def sight(camera: dict[str, float], row: float, rows: int = 360) -> tuple[float,
 
 
 def read_labels(folder: Path) -> list[dict[str, Any]]:
-    """Return what is known of the folder's pictures, in the order they were made."""
+    """Return what is known of the folder's images, in the order they were made."""
     path = Path(folder) / "labels.jsonl"
     lines = path.read_text().splitlines() if path.exists() else []
     return [json.loads(line) for line in lines]
 
 
 def read_picture(folder: Path, label: dict[str, Any]) -> Picture:
-    """Return a picture of a folder by its entry in labels.jsonl."""
+    """Return an image of a folder by its entry in labels.jsonl."""
     image = cv2.imread(str(Path(folder) / label["file"]))
     if image is None:
-        raise OSError(f"{Path(folder) / label['file']}: no picture")
+        raise OSError(f"{Path(folder) / label['file']}: no image")
     boxes = np.array([person["box"] for person in label["people"]], np.float32).reshape(-1, 4)
     certain = np.array([is_certain(box, p["visible"]) for box, p in zip(boxes, label["people"], strict=True)], bool)
     return Picture(label["file"], cv2.cvtColor(image, cv2.COLOR_BGR2RGB), boxes, certain, label["camera"])
@@ -117,7 +117,7 @@ class Cropper:
         size: side of a crop, px.
         seed: seed of all random choices.
         negatives: share of the crops taken anywhere rather than around people, 0..1.
-        paste: probability that people of other pictures are pasted into a crop, 0..1.
+        paste: probability that people of other images are pasted into a crop, 0..1.
     """
 
     def __init__(self, size: int = 192, seed: int = 0, negatives: float = 0.25, paste: float = 0.5):
@@ -132,14 +132,14 @@ class Cropper:
         self.noise = self.random.normal(0.0, 1.0, (2 * size, 2 * size, 3)).astype(np.float32)
 
     def add(self, picture: Picture, sprites: list[Sprite]) -> None:
-        """Add a picture; call ``ready`` after the last one."""
+        """Add an image; call ``ready`` after the last one."""
         heights = picture.boxes[:, 3] - picture.boxes[:, 1]
         picture.weights = np.where(picture.certain, np.where((heights < 22) | (heights > 36), 1.6, 1.0), 0.0)
         self.pictures.append(picture)
         self.sprites += sprites
 
     def ready(self) -> None:
-        """Prepare the random selection after adding pictures."""
+        """Prepare the random selection after adding images."""
         total = np.array([picture.weights.sum() for picture in self.pictures])
         self.with_people = [int(i) for i in np.flatnonzero(total)]
         self.chances = np.cumsum(total[self.with_people]) / max(total.sum(), 1e-9)
@@ -147,7 +147,7 @@ class Cropper:
         self.depressions = np.array([sprite.depression for sprite in self.sprites])
 
     def _place(self) -> tuple[Picture, float, float]:
-        """Return a picture and the centre of a crop in it."""
+        """Return an image and the centre of a crop in it."""
         random = self.random
         lot = random.random()
         if self.hard and lot < 0.6 * self.negatives:
@@ -174,7 +174,7 @@ class Cropper:
         side = min(round(size / scale), rows)
         scale = size / side
         x0 = int(np.clip(x - side / 2, 0, columns - side))
-        # occasionally beyond the upper or lower edge of the picture, like the bars of the letterbox
+        # occasionally beyond the upper or lower edge of the image, like the bars of the letterbox
         over = 14 if random.random() < 0.3 else 0
         y0 = int(np.clip(y - side / 2, -over, rows - side + over))
         image = picture.image[max(y0, 0) : y0 + side, x0 : x0 + side]
@@ -200,7 +200,7 @@ class Cropper:
     def _paste(
         self, image: Array, boxes: Array, certain: Array, camera: dict[str, float], window: tuple[int, float]
     ) -> tuple[Array, Array]:
-        """Paste people of other pictures at places with the same viewing angle and distance."""
+        """Paste people of other images at places with the same viewing angle and distance."""
         random, size = self.random, self.size
         y0, scale = window
         new = []
@@ -296,7 +296,7 @@ def _overlap(one: Array, other: Array) -> float:
 
 
 def _lay(part: Array, sprite: Sprite, random: np.random.Generator) -> None:
-    """Draw a person over a part of a picture, in place, scaled to its size."""
+    """Draw a person over a part of an image, in place, scaled to its size."""
     height, width = part.shape[:2]
     smaller = height < sprite.rgb.shape[0]
     way = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
@@ -312,7 +312,7 @@ def _lay(part: Array, sprite: Sprite, random: np.random.Generator) -> None:
 def load(
     cropper: Cropper, folder: Path, start: int = 0, accept: Callable[[dict[str, Any]], bool] = lambda label: True
 ) -> int:
-    """Add a folder's pictures from entry ``start`` on; return the number of entries read so far."""
+    """Add a folder's images from entry ``start`` on; return the number of entries read so far."""
     labels = read_labels(folder)
     for label in labels[start:]:
         if accept(label):

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Trains the detector of people on pictures of make_data.py and writes darknet's .weights, a log and its curve.
+"""Trains the detector of people on images of make_data.py and writes darknet's .weights, a log and its curve.
 
 train.py DATA --out RUN --minutes 60          # DATA/train and DATA/val
 train.py DATA --out RUN --minutes 90 --resume # continues from the saved state
@@ -30,13 +30,13 @@ from pictures import Cropper, Picture, load, read_labels, read_picture
 from xtdrone_perception.detection.scoring import LabelledPicture, at_threshold, average_precision, best_threshold, match
 
 CONFIG = Path(__file__).resolve().parents[2] / "src/xtdrone_perception/config/yolo/search.cfg"
-HEIGHT = 384  # px, height of the network's input; pictures of 360 lines get grey bars above and below
+HEIGHT = 384  # px, height of the network's input; images of 360 lines get grey bars above and below
 GREY = 127 / 255
 SURE = 12.0  # logit of the single class, so that objectness alone decides
 
 
 class Feeder(threading.Thread):
-    """Prepares batches ahead of the training, and adds pictures that are made meanwhile."""
+    """Prepares batches ahead of the training, and adds images that are made meanwhile."""
 
     def __init__(self, cropper: Cropper, batch: int, folder: Path, read: int):
         super().__init__(daemon=True)
@@ -106,7 +106,7 @@ def tensor(images: np.ndarray) -> torch.Tensor:
 
 
 def find(network: Darknet, image: np.ndarray, least: float = 0.02) -> tuple[np.ndarray, np.ndarray]:
-    """Return boxes (n, 4) px and scores in a picture (360, 640, 3), the best of each group with overlap above 0.45."""
+    """Return boxes (n, 4) px and scores in an image (360, 640, 3), the best of each group with overlap above 0.45."""
 
     bar = (HEIGHT - image.shape[0]) // 2
     x = torch.full((1, 3, HEIGHT, image.shape[1]), GREY)
@@ -221,12 +221,12 @@ class Trainer:
         folder = arguments.data / "train"
         read = load(cropper, folder)
         if not cropper.with_people:
-            raise SystemExit(f"{folder} has no pictures with people")
+            raise SystemExit(f"{folder} has no images with people")
         val = arguments.data / "val"
         self.val = [read_picture(val, label) for label in read_labels(val)[: arguments.val]]
         if rank == 0:
             print(
-                f"{len(cropper.pictures)} pictures, {len(cropper.sprites)} people cut out, {len(self.val)} to judge by"
+                f"{len(cropper.pictures)} images, {len(cropper.sprites)} people cut out, {len(self.val)} to judge by"
             )
         self.feeder = Feeder(cropper, arguments.batch // arguments.processes, folder, read)
         self.feeder._read_hard()
@@ -370,7 +370,7 @@ def main() -> None:
     parser.add_argument("--negatives", type=float, default=0.35, help="part of crops not aimed at people (%(default)s)")
     parser.add_argument("--paste", type=float, default=0.5, help="part of crops with people pasted in (%(default)s)")
     parser.add_argument("--judge", type=float, default=4.0, help="minutes between two looks at val/ (%(default)s)")
-    parser.add_argument("--val", type=int, default=120, help="pictures of val/ looked at (%(default)s)")
+    parser.add_argument("--val", type=int, default=120, help="images of val/ looked at (%(default)s)")
     parser.add_argument("--bf16", action="store_true", help="compute in bfloat16: faster where the processor has it")
     parser.add_argument("--processes", type=int, default=2, help="that share a batch (%(default)s)")
     parser.add_argument("--seed", type=int, default=1)

@@ -210,7 +210,7 @@ def test_pairs_that_came_too_close_are_counted_and_the_closest_is_reported() -> 
     assert [pair["time"] for pair in found["closest"]] == pytest.approx([10.0, 20.0])
     assert found["first_time"] == pytest.approx(9.6)
     assert found["last_time"] == pytest.approx(20.3, abs=0.11)
-    words = "least distance 0.00 m (iris_1 and iris_2, at 10.0 s), at least 0.5 m; 2 pairs of 3 vehicles came closer, "
+    words = "minimum distance 0.00 m (iris_1 and iris_2, at 10.0 s), at least 0.5 m; 2 pairs of 3 vehicles came closer, "
     assert words + "between 9.6 and 20.3 s" in report["shortcomings"]
     json.dumps(report, allow_nan=False)
 
@@ -223,7 +223,7 @@ def test_the_texts_on_contacts_are_the_simulators() -> None:
         said[simulator] = output.getvalue()
     assert "Simplified vehicles do not touch: where two meet, they fly through each other." in said["simplified"]
     assert "collisions" not in said["simplified"]
-    assert "Least distance 0.00 m, 0 collisions" in said["full"]
+    assert "Minimum distance 0.00 m, 0 collisions" in said["full"]
 
 
 def test_a_good_flight_has_no_close_pairs(flight_bag: Path) -> None:

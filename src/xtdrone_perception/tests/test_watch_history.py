@@ -55,12 +55,12 @@ def test_silence_old_stamps_and_pictures_that_never_change_are_faults():
         faults = watched(40, lambda t, failed=failed: (t, int(2 * t)) if t < 5.0 or t >= 15.0 else failed(t))
         first = next(k for k, fault in enumerate(faults) if fault)
         assert 0.5 * first == pytest.approx(8.0, abs=0.5)
-        assert "no picture for more than 3 s" in faults[first]
+        assert "no image for more than 3 s" in faults[first]
         assert faults[30:] == [""] * 10
     faults = watched(40, lambda t: (t, int(2 * min(t, 5.0)) if t < 15.0 else int(2 * t)))
     first = next(k for k, fault in enumerate(faults) if fault)
     assert 0.5 * first == pytest.approx(8.5)  # more than 3 m since 5 s
-    assert faults[29] == "its pictures have been the same since 5.0 s, in flight"
+    assert faults[29] == "its images have been the same since 5.0 s, in flight"
     assert faults[30:] == [""] * 10
 
 

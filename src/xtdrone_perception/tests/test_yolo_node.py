@@ -229,7 +229,7 @@ def test_surplus_pictures_are_dropped_and_a_silent_camera_is_reported(stack, net
     assert [line["ok"] for line in records if line["topic"] == "ok"] == [True, False]
     (told,) = [line["now"] for line in records if line["topic"] == "ok" and not line["ok"]]
     assert 2.5 + 3.0 < told < 2.5 + 3.1
-    wait_until(lambda: "no picture for more than 3 s, in flight" in stack.output("yolo"), "the warning is written")
+    wait_until(lambda: "no image for more than 3 s, in flight" in stack.output("yolo"), "the warning is written")
 
 
 def test_invalid_parameters_are_reported(stack, network):

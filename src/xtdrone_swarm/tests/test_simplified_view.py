@@ -403,7 +403,7 @@ def test_frames_of_a_flight_show_the_flight():
         ({}, "nothing has been flown yet"),
         ({"seconds": 0.0}, "0.0 seconds are not allowed"),
         ({"seconds": 1.0, "speed": 0.0}, "speed 0.0 is not allowed"),
-        ({"seconds": 1.0, "fps": 0.0}, "0.0 frames a second are not allowed"),
+        ({"seconds": 1.0, "fps": 0.0}, "0.0 frames per second are not allowed"),
     ],
 )
 def test_a_flight_that_cannot_be_filmed_is_reported(tmp_path, options, words):
@@ -652,9 +652,9 @@ def test_matplotlib_is_loaded_only_for_pictures():
     [
         ("swarm.avi", 25.0, "unknown ending '.avi'; allowed are .mp4, .gif and .png"),
         ("swarm", 25.0, "unknown ending ''"),
-        ("swarm.mp4", 0.0, "0.0 frames a second are not allowed, 0.1 to 120"),
+        ("swarm.mp4", 0.0, "0.0 frames per second are not allowed, 0.1 to 120"),
         ("swarm.mp4", float("nan"), "nan frames a second"),
-        ("swarm.gif", 60.0, "60.0 frames a second are not allowed, 0.1 to 50"),
+        ("swarm.gif", 60.0, "60.0 frames per second are not allowed, 0.1 to 50"),
         ("nowhere/swarm.mp4", 25.0, "nowhere does not exist"),
         ("folder.mp4", 25.0, "is a folder"),
     ],

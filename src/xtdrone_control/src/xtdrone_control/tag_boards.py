@@ -6,7 +6,7 @@ A board is a bundle of tags in one plane, in the format of apriltag_ros (``tags.
     tag_bundles: [{name: board, layout: [{id: 0, size: 0.16}, {id: 1, size: 0.48, x: -0.4, y: 0.4}]}]
 
 ``size`` is the edge of a tag's black square, m. Seen from its front, a tag has x to the right, y upwards and z towards
-the observer, as in the pictures of the family's authors (Wang and Olson, AprilTag 2, IROS 2016).
+the observer, as in the images of the family's authors (Wang and Olson, AprilTag 2, IROS 2016).
 """
 
 from __future__ import annotations

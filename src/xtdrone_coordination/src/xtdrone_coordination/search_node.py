@@ -10,7 +10,7 @@ topic or service                    type                           meaning
 /T/mavros/mission/waypoints         mavros_msgs/WaypointList       in: mission and current item
 /T/mavros/mission/reached           mavros_msgs/WaypointReached    in
 /xtdrone/T/objects                  xtdrone_msgs/ObjectsOnGround   in: tracks of its camera
-/xtdrone/T/camera_ok                std_msgs/Bool                  in: whether its pictures are new ones
+/xtdrone/T/camera_ok                std_msgs/Bool                  in: whether its images are new ones
 /xtdrone/T/cmd_pose_enu             geometry_msgs/Pose             out: setpoints of a second look
 /xtdrone/T/follow                   std_msgs/Int32                 out: track to follow, -1 for none
 /T/mavros/mount_control/command     mavros_msgs/MountControl       out: camera pitch, for a look and after it
@@ -310,11 +310,11 @@ class SearchNode:
         self.control.on_reached(name, message.wp_seq)
 
     def on_camera(self, name: str, message: Bool) -> None:
-        """Receive whether the detector gets new pictures."""
+        """Receive whether the detector gets new images."""
         self.control.on_camera(name, message.data)
 
     def on_objects(self, name: str, message: ObjectsOnGround) -> None:
-        """Receive the detections of a picture."""
+        """Receive the detections of an image."""
         p, q = message.camera.position, message.camera.orientation
         sightings = [
             Sighting(

@@ -1,4 +1,4 @@
-"""Pictures of cameras as arrays."""
+"""Images of cameras as arrays."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _DEPTHS = {"32FC1": ("f4", 1.0), "16UC1": ("u2", 1e-3)}  # type and unit, m
 
 
 def grey_of(message: Any) -> NDArray[np.uint8]:
-    """Return the grey values of a picture, (height, width).
+    """Return the grey values of an image, (height, width).
 
     Raises:
         ValueError: unknown encoding, or a size that does not match the data.
@@ -32,7 +32,7 @@ def grey_of(message: Any) -> NDArray[np.uint8]:
 
 
 def depth_of(message: Any) -> NDArray[np.float32]:
-    """Return the depths of a picture, (height, width) m, NaN where unknown (REP 118).
+    """Return the depths of an image, (height, width) m, NaN where unknown (REP 118).
 
     Raises:
         ValueError: unknown encoding, or a size that does not match the data.

@@ -1,7 +1,7 @@
-"""How pictures of lenses are made from pictures of pinholes, which a renderer draws.
+"""How images of lenses are made from images of pinholes, which a renderer draws.
 
-A lens that sees little more than its pinhole is drawn as one wider pinhole's picture. One that sees more, up to
-everything around it, is drawn as up to six pictures, the faces of a cube, below each other in one *sheet*.
+A lens that sees little more than its pinhole is drawn as one wider pinhole's image. One that sees more, up to
+everything around it, is drawn as up to six images, the faces of a cube, below each other in one *sheet*.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from xtdrone_control.cameras.plumb_bob import PlumbBob
 from xtdrone_control.rotation import Quaternion
 
 MOST_GROWTH = 3.0
-"""Width and height of the picture that a lens needs, in those of its own, at most."""
+"""Width and height of the image that a lens needs, in those of its own, at most."""
 
 _AHEAD: Quaternion = (1.0, 0.0, 0.0, 0.0)
 _HALF = math.sqrt(0.5)
@@ -45,19 +45,19 @@ _AXES = np.array(
 )
 """Of each face its x, y and z (REP 103's optical frame: right, down, ahead) in the optical frame of the camera."""
 _MARGIN = 2  # pixels of a face beyond its edges, so that what is between its outermost pixels is its own
-_NOWHERE = -10.0  # a place outside of every picture
+_NOWHERE = -10.0  # a place outside of every image
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """How a lens's picture is made.
+    """How a lens's image is made.
 
     Attributes:
-        pinhole: camera of each picture to draw; together they show all that the lens shows.
-        faces: orientation of each picture's camera in that of the lens (x ahead, y left, z up).
+        pinhole: camera of each image to draw; together they show all that the lens shows.
+        faces: orientation of each image's camera in that of the lens (x ahead, y left, z up).
         columns, rows: of the lens's pixels in the sheet, (height, width) float32; the centre of the upper left pixel is
             (0, 0), as in OpenCV. Places outside the sheet are of pixels without a ray.
-        plain: the same of the pixels of the lens's ``pinhole``: the picture without distortion.
+        plain: the same of the pixels of the lens's ``pinhole``: the image without distortion.
     """
 
     pinhole: Pinhole
@@ -69,10 +69,10 @@ class Drawing:
 
 @lru_cache(maxsize=32)
 def drawing_of(lens: PlumbBob | Equidistant) -> Drawing:
-    """Return how to draw a lens's pictures.
+    """Return how to draw a lens's images.
 
     Raises:
-        ValueError: the lens shows no ray in some pixel, or needs a picture greater than ``MOST_GROWTH`` of its own.
+        ValueError: the lens shows no ray in some pixel, or needs an image greater than ``MOST_GROWTH`` of its own.
     """
     own = lens.pinhole
     columns, rows = np.meshgrid(np.arange(own.width) + 0.5, np.arange(own.height) + 0.5)
@@ -97,13 +97,13 @@ def _maps(own: Pinhole, places: NDArray[np.float64]) -> tuple[NDArray[np.float32
 
 
 def _needed(own: Pinhole, rays: NDArray[np.float64]) -> tuple[int, int]:
-    """Return width and height, pixels, of the pinhole's picture that has all rays, which are ahead."""
+    """Return width and height, pixels, of the pinhole's image that has all rays, which are ahead."""
     across, down = np.abs(rays[:, :2] / rays[:, 2:]).max(axis=0)
     return 2 * math.ceil(across * own.fx + 1.0), 2 * math.ceil(down * own.fy + 1.0)
 
 
 def _single(lens: PlumbBob | Equidistant, rays: NDArray[np.float64]) -> Pinhole | None:
-    """Return the one pinhole whose picture has all rays; None if that picture is too great."""
+    """Return the one pinhole whose image has all rays; None if that image is too great."""
     own = lens.pinhole
     seen = rays[~np.isnan(rays[:, 2])]
     if (seen[:, 2] < 1e-3).any():
@@ -125,7 +125,7 @@ def _too_wide(lens: PlumbBob | Equidistant, rays: NDArray[np.float64]) -> str:
 
 
 def _in_single(pinhole: Pinhole, rays: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the places of rays in the picture of one pinhole, (n, 2)."""
+    """Return the places of rays in the image of one pinhole, (n, 2)."""
     with np.errstate(invalid="ignore"):
         flat = rays[:, :2] / rays[:, 2:]
     places = flat * (pinhole.fx, pinhole.fy) + (pinhole.cx - 0.5, pinhole.cy - 0.5)

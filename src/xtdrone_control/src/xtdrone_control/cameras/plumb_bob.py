@@ -24,7 +24,7 @@ _CLOSE = 1e-3  # pixels
 
 @dataclass(frozen=True)
 class PlumbBob:
-    """A camera whose picture is distorted.
+    """A camera whose image is distorted.
 
     Attributes:
         pinhole: the camera without distortion.

@@ -22,9 +22,9 @@ MAX_FONT_FILE = 64 * bounded_file.MB
 
 _GAP = 0.35  # between two letters, of the letters' height; more than in print, as slots lie farther apart than ink
 _BLANK = 0.6  # width of a space, of the letters' height
-_COARSE = 96  # pixels to the letters' height, of the picture that is measured and thinned to strokes
-_PIXELS = 16  # per vehicle, at least, in the picture that is filled
-_MAX_PIXELS = 4_000_000  # of a picture
+_COARSE = 96  # pixels to the letters' height, of the image that is measured and thinned to strokes
+_PIXELS = 16  # per vehicle, at least, in the image that is filled
+_MAX_PIXELS = 4_000_000  # of an image
 _FILLED = 2.5  # letters whose strokes are at least this many vehicles wide are filled
 
 

@@ -23,7 +23,7 @@ class AssignedMission:
         path: waypoints with the indices of their items.
         current: index of the item being flown.
         reached: index of the last item reached, -1 for none.
-        progress: item and position at the newest picture taken on the path; None before the first.
+        progress: item and position at the newest image taken on the path; None before the first.
     """
 
     def __init__(self, datum: Datum) -> None:
@@ -83,7 +83,7 @@ class AssignedMission:
 
     @property
     def unseen_path(self) -> list[Waypoint]:
-        """Part of the path no picture has been taken on; empty or a single waypoint if there is none."""
+        """Part of the path no image has been taken on; empty or a single waypoint if there is none."""
         if self.progress is None:
             return [waypoint for _, waypoint in self.path]
         current, (x, y) = self.progress

@@ -1,4 +1,4 @@
-"""Coverage map: the part of a region that the cameras have shown, picture by picture, on a grid of places."""
+"""Coverage map: the part of a region that the cameras have shown, image by image, on a grid of places."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class CoverageGrid(NamedTuple):
 
 
 class CoverageMap:
-    """Grid of places in a region, each marked once a picture shows it.
+    """Grid of places in a region, each marked once an image shows it.
 
     Attributes:
         region_area: m^2.
@@ -48,7 +48,7 @@ class CoverageMap:
             region: m ENU.
             camera: intrinsics, the same for all vehicles.
             ground: height of the ground in the map frame, m.
-            pixels: minimum height of a person in the picture, px.
+            pixels: minimum height of a person in the image, px.
             cell: distance between places, m; increased if the grid would have more than 40000 places.
         """
         self.region_area = float(region.area)
@@ -70,7 +70,7 @@ class CoverageMap:
         self._seen = np.zeros(len(places), bool)
 
     def add_picture(self, position: NDArray[np.float64], rotation: NDArray[np.float64]) -> None:
-        """Mark the places that a picture shows.
+        """Mark the places that an image shows.
 
         Args:
             position: (3,) of the camera, m, map.
@@ -104,14 +104,14 @@ def shows(
     feet: NDArray[np.float64],
     pixels: float = 0.0,
 ) -> NDArray[np.bool_]:
-    """Return, for each place, whether a picture would show a person standing there whole and large enough.
+    """Return, for each place, whether an image would show a person standing there whole and large enough.
 
     Args:
         camera: intrinsics.
         position: (3,) of the camera, m, map.
         rotation: (3, 3) from the optical frame to the map frame.
         feet: (n, 3) places on the ground, m, map.
-        pixels: minimum height of the person in the picture, px.
+        pixels: minimum height of the person in the image, px.
 
     Returns:
         (n,) bool.

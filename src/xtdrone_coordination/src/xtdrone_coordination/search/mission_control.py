@@ -1,10 +1,10 @@
-"""Mission control of a cooperative search: decides what each vehicle does from its telemetry and pictures. No ROS.
+"""Mission control of a cooperative search: decides what each vehicle does from its telemetry and images. No ROS.
 
 Call the ``on_...`` methods as messages arrive and :meth:`SearchMission.step` at a steady rate; carry out the actions it
 returns and report their results to :meth:`SearchMission.on_result`.
 
-Each vehicle flies its own mission at its own height. Several pictures of a person make a candidate: a vehicle leaves
-its path, descends and circles it, and the pictures taken on the circle confirm or reject it. The vehicle then follows
+Each vehicle flies its own mission at its own height. Several images of a person make a candidate: a vehicle leaves
+its path, descends and circles it, and the images taken on the circle confirm or reject it. The vehicle then follows
 the person, or goes back to where it left its path. Paths of lost vehicles, or of vehicles with a failed camera, are
 reallocated to the others (``losses``). ``states`` has the behaviour in each state, ``finds`` the consequences of a
 confirmed person, ``conclusion`` the end of the search, ``reports`` the events.
@@ -135,7 +135,7 @@ class SearchMission:
         self.vehicles[name].mission.reached = index
 
     def on_camera(self, name: str, works: bool) -> None:
-        """Store whether a vehicle's camera works; pictures of one that does not are ignored."""
+        """Store whether a vehicle's camera works; images of one that does not are ignored."""
         self.vehicles[name].camera_works = works
 
     def on_picture(
@@ -147,19 +147,19 @@ class SearchMission:
         sightings: Sequence[Sighting],
         now: float,
     ) -> None:
-        """Process the detections of a picture.
+        """Process the detections of an image.
 
         Args:
             name: of the vehicle.
             time: of the exposure, s.
             position: (3,) of the camera, m, map.
             rotation: (3, 3) from the optical frame to the map frame.
-            sightings: tracks of the camera; those with probability 0 are not in this picture.
+            sightings: tracks of the camera; those with probability 0 are not in this image.
             now: s.
         """
         vehicle = self.vehicles[name]
         if time <= vehicle.picture or not vehicle.camera_works:
-            return  # a stuck camera repeats a picture, with its old stamp or a new one
+            return  # a stuck camera repeats an image, with its old stamp or a new one
         vehicle.picture, vehicle.picture_heard = time, now
         if not vehicle.airborne or vehicle.state is State.TAKING_OFF:
             return  # the mission has not pointed the camera yet

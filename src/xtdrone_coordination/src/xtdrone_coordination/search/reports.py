@@ -4,9 +4,9 @@ Events are dictionaries with ``event``, ``time`` (s) and, where one vehicle is c
 
 =============  =========================================================================================================
 started        ``vehicles``; the first vehicle has armed
-candidate      ``position``, ``probability``, ``hits``; several pictures of a vehicle have shown a person
+candidate      ``position``, ``probability``, ``hits``; several images of a vehicle have shown a person
 second_look    ``position``; ``takes_over``: whether the look is to take over a following
-confirmed      ``position``, ``covariance`` (xx, xy, yx, yy; m^2), ``found_time`` (of the picture), ``probability``,
+confirmed      ``position``, ``covariance`` (xx, xy, yx, yy; m^2), ``found_time`` (of the image), ``probability``,
                ``pictures``
 rejected       ``position``, ``probability``, ``pictures``, ``hits``
 following      ``position``, ``track``
@@ -45,7 +45,7 @@ class Find:
         vehicle: name of the finder.
         position: m ENU.
         covariance: of the position: xx, xy, yx, yy, m^2.
-        time: of the newest picture at the confirmation, s.
+        time: of the newest image at the confirmation, s.
     """
 
     vehicle: str
@@ -118,7 +118,7 @@ def outcome_report(find: Find | None, failed: bool, coverage: CoverageMap) -> di
 
 
 def possible_report(candidates: Iterable[Candidate], least_hits: int) -> list[dict[str, Any]]:
-    """Return the unconfirmed candidates with at least ``least_hits`` pictures."""
+    """Return the unconfirmed candidates with at least ``least_hits`` images."""
     return [
         {
             "position": rounded_xy(candidate.position),

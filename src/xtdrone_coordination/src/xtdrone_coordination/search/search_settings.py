@@ -18,9 +18,9 @@ class MissionSettings(Settings):
         -60.0, low=-90.0, high=-5.0, unit="deg", text="camera pitch while searching, negative down"
     )
     person_pixels: float = setting(
-        12.0, low=1.0, high=200.0, unit="px", text="minimum height in the picture of a person at a covered place"
+        12.0, low=1.0, high=200.0, unit="px", text="minimum height in the image of a person at a covered place"
     )
-    candidate_hits: int = setting(4, low=1, high=100, text="pictures of one vehicle that make a candidate")
+    candidate_hits: int = setting(4, low=1, high=100, text="images of one vehicle that make a candidate")
     candidate_probability: float = setting(0.62, low=0.0, high=1.0, text="their minimum mean probability")
     same_place: float = setting(
         6.0, low=0.5, high=50.0, unit="m", text="sightings within this distance of a candidate are merged into it"
@@ -46,10 +46,10 @@ class MissionSettings(Settings):
         60.0, low=5.0, high=600.0, unit="s", text="a candidate is rejected after this time without a decision"
     )
     look_apart: float = setting(30.0, low=5.0, high=500.0, unit="m", text="minimum distance between two looks")
-    confirm_log_odds: float = setting(8.0, low=1.0, high=100.0, text="sum of the pictures' log-odds that confirms")
-    confirm_hits: int = setting(5, low=1, high=100, text="pictures that must show the person")
+    confirm_log_odds: float = setting(8.0, low=1.0, high=100.0, text="sum of the images' log-odds that confirms")
+    confirm_hits: int = setting(5, low=1, high=100, text="images that must show the person")
     confirm_probability: float = setting(
-        0.55, low=0.0, high=1.0, text="minimum mean probability over all pictures of the place"
+        0.55, low=0.0, high=1.0, text="minimum mean probability over all images of the place"
     )
     reject_log_odds: float = setting(-8.0, low=-100.0, high=-1.0, text="sum of the log-odds that rejects")
 
@@ -60,7 +60,7 @@ class MissionSettings(Settings):
 
     silent_time: float = setting(3.0, low=2.0, high=60.0, unit="s", text="a vehicle silent for this time is lost")
     camera_timeout: float = setting(
-        5.0, low=1.0, high=600.0, unit="s", text="a camera without new pictures for this time has failed"
+        5.0, low=1.0, high=600.0, unit="s", text="a camera without new images for this time has failed"
     )
     start_timeout: float = setting(
         90.0, low=5.0, high=3600.0, unit="s", text="a vehicle not airborne after this time is lost"

@@ -61,7 +61,7 @@ class SecondLook:
         takes_over: remaining time of the following that this look is to take over, s; None for a first look.
         stage: see :class:`LookStage`.
         turned: arc flown on the circle, rad.
-        evidence: of the pictures so far.
+        evidence: of the images so far.
     """
 
     candidate: Candidate
@@ -85,7 +85,7 @@ class Following:
         since, until: s.
         track: the person's id in the vehicle's camera.
         look: the second look that confirmed the person.
-        seen: time of this vehicle's newest picture of the person, s.
+        seen: time of this vehicle's newest image of the person, s.
     """
 
     candidate: Candidate
@@ -134,8 +134,8 @@ class Vehicle:
         request: the flight mode requested of it.
         rejected_pushes: consecutive mission uploads the autopilot rejected.
         arm_requested: whether it was requested to arm in this flight.
-        picture, picture_heard: exposure time of the newest picture, and when it arrived.
-        camera_works: whether its pictures are new ones.
+        image, picture_heard: exposure time of the newest image, and when it arrived.
+        camera_works: whether its images are new ones.
         blind: whether its camera has failed during the search.
         look, following: see :class:`SecondLook`, :class:`Following`; None in other states.
         setpoint: of a second look.

@@ -34,13 +34,13 @@ class DetectorError(ValueError):
 
 @dataclass(frozen=True)
 class Detection:
-    """An object in a picture.
+    """An object in an image.
 
     Attributes:
         class_id: index of the class, from 0.
         name: of the class.
         probability: 0 to 1.
-        xmin, ymin, xmax, ymax: px from the left and upper edges, within the picture.
+        xmin, ymin, xmax, ymax: px from the left and upper edges, within the image.
     """
 
     class_id: int
@@ -83,7 +83,7 @@ class DetectorSettings(Settings):
     nms: float = setting(
         0.45, low=0.0, high=1.0, text="intersection over union above which two boxes of a class are one object"
     )
-    letterbox: bool = setting(True, text="fit the picture in with grey edges instead of stretching it")
+    letterbox: bool = setting(True, text="fit the image in with grey edges instead of stretching it")
     threads: int = setting(1, low=1, high=64, text="OpenCV threads of the process")
 
     def __post_init__(self) -> None:
@@ -173,7 +173,7 @@ def read_names(path: Path) -> tuple[str, ...]:
 
 
 class Detector:
-    """A network that detects objects, one picture at a time.
+    """A network that detects objects, one image at a time.
 
     Attributes:
         names: of the classes.
@@ -209,7 +209,7 @@ class Detector:
         self.settings = replace(settings, layout=layout, width=self._size[0], height=self._size[1])
 
     def detect(self, rgb: NDArray[np.uint8]) -> list[Detection]:
-        """Return the objects in a picture, the most probable first.
+        """Return the objects in an image, the most probable first.
 
         Args:
             rgb: (height, width, 3), uint8.
@@ -228,7 +228,7 @@ class Detector:
         return self._chosen((corners - np.tile(offset, 2)) / np.tile(scale, 2), classes, probabilities, rgb.shape)
 
     def _run(self, picture: NDArray[Any]) -> list[NDArray[np.float32]]:
-        """Return the outputs for a picture of the input's size."""
+        """Return the outputs for an image of the input's size."""
         self._network.setInput(cv2.dnn.blobFromImage(picture, 1.0 / 255.0))
         try:
             return list(self._network.forward(self._outputs))
@@ -238,7 +238,7 @@ class Detector:
             ) from error
 
     def _fitted(self, rgb: NDArray[np.uint8]) -> tuple[NDArray[Any], tuple[float, float], tuple[float, float]]:
-        """Return the picture at the input's size, with its scale and offset there, (x, y) each."""
+        """Return the image at the input's size, with its scale and offset there, (x, y) each."""
         height, width = rgb.shape[:2]
         to_width, to_height = self._size
         if not self.settings.letterbox:
@@ -259,7 +259,7 @@ class Detector:
         probabilities: NDArray[np.float64],
         shape: Sequence[int],
     ) -> list[Detection]:
-        """Return one detection per object, clipped to the picture."""
+        """Return one detection per object, clipped to the image."""
         limits = np.array([shape[1], shape[0], shape[1], shape[0]], float)
         corners = np.clip(corners, 0.0, limits)
         whole = np.flatnonzero((corners[:, 2] > corners[:, 0]) & (corners[:, 3] > corners[:, 1]))

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LabelledPicture:
-    """Detected and true boxes of a picture.
+    """Detected and true boxes of an image.
 
     Attributes:
         found: (n, 4) detected boxes.
@@ -34,13 +34,13 @@ class LabelledPicture:
 
 @dataclass(frozen=True)
 class Matches:
-    """Matches between the detected and the true boxes of many pictures.
+    """Matches between the detected and the true boxes of many images.
 
     Attributes:
         scores: (n,) probabilities of the detected boxes that count, the highest first.
         right: (n,) bool, whether each is the most probable box of an object.
         there: number of true objects that count.
-        pictures: number of pictures.
+        pictures: number of images.
     """
 
     scores: Array
@@ -64,7 +64,7 @@ def overlaps(one: Array, other: Array) -> tuple[Array, Array]:
 def match(
     pictures: Iterable[LabelledPicture], least_overlap: float = 0.5, heights: tuple[float, float] = (0.0, np.inf)
 ) -> Matches:
-    """Match detected boxes with true ones, the most probable first in each picture.
+    """Match detected boxes with true ones, the most probable first in each image.
 
     A box is right if its intersection over union with an object that counts and is still unmatched is at least
     ``least_overlap``; of several objects, it matches the one with the maximum overlap. Otherwise it is ignored if it
@@ -124,7 +124,7 @@ def average_precision(matches: Matches) -> float:
 
 
 def at_threshold(matches: Matches, threshold: float) -> tuple[float, float, float]:
-    """Return precision, recall and false boxes per picture, counting boxes of probability ``threshold`` or more.
+    """Return precision, recall and false boxes per image, counting boxes of probability ``threshold`` or more.
 
     Precision is 1 if there is no such box.
     """

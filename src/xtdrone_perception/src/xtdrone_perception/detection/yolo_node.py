@@ -1,4 +1,4 @@
-"""Detection node: pictures of one or several vehicles in, boxes and positions on the ground out.
+"""Detection node: images of one or several vehicles in, boxes and positions on the ground out.
 
 For each vehicle ``T`` (as ``typhoon_h480_0``) with the number ``i``:
 
@@ -9,15 +9,15 @@ topic                                    type                            meaning
 /T/mavros/local_position/pose            geometry_msgs/PoseStamped       in: position at the exposure
 /T/mavros/mount_control/orientation      geometry_msgs/Quaternion        in: gimbal attitude
 /T/mavros/state                          mavros_msgs/State               in: no camera fault while disarmed
-/uav_<i>/darknet_ros/bounding_boxes      darknet_ros_msgs/BoundingBoxes  out: one per picture, as darknet_ros
+/uav_<i>/darknet_ros/bounding_boxes      darknet_ros_msgs/BoundingBoxes  out: one per image, as darknet_ros
 /uav_<i>/darknet_ros/found_object        darknet_ros_msgs/ObjectCount    out: number of boxes
 /uav_<i>/darknet_ros/detection_image     sensor_msgs/Image               out: with boxes; only while subscribed
 /xtdrone/T/objects                       xtdrone_msgs/ObjectsOnGround    out: tracked people on the ground, in map
 /xtdrone/T/camera_ok                     std_msgs/Bool                   out, latched: whether the camera works
 =======================================  ==============================  =============================================
 
-The results of a picture are published a fixed simulated time (``~latency``) after processing began, whatever the
-processing takes; the flight continues meanwhile. One picture per vehicle is processed at a time; of those that arrive
+The results of an image are published a fixed simulated time (``~latency``) after processing began, whatever the
+processing takes; the flight continues meanwhile. One image per vehicle is processed at a time; of those that arrive
 meanwhile the newest waits, the others are dropped and counted.
 """
 
@@ -56,7 +56,7 @@ from .detector import Detection, Detector, DetectorError, DetectorSettings, load
 
 RATE = 50.0  # Hz; the gimbal attitude has no stamp, so its time is as accurate as the node's period
 CAMERA_OFFSET = (0.041, 0.0, -0.122)  # of the typhoon's camera from base_link, m, FLU
-MARGIN = 8.0  # px; a person expected closer to the edge may be outside the picture
+MARGIN = 8.0  # px; a person expected closer to the edge may be outside the image
 _COLOUR = (255, 60, 60)
 
 
@@ -71,8 +71,8 @@ class DetectionOptions(Settings):
 
     locator: Geolocator
     tracker: TrackerSettings
-    latency: float = setting(0.1, low=0.0, high=10.0, unit="s", text="simulated time from a picture to its results")
-    workers: int = setting(1, low=1, high=16, text="pictures of different vehicles processed at a time")
+    latency: float = setting(0.1, low=0.0, high=10.0, unit="s", text="simulated time from an image to its results")
+    workers: int = setting(1, low=1, high=16, text="images of different vehicles processed at a time")
     camera: str = setting("cgo3_camera", text="name of the camera's topics below the vehicle's namespace")
     camera_offset: tuple[float, float, float] = setting(
         CAMERA_OFFSET, unit="m", text="camera position relative to base_link, FLU"
@@ -89,7 +89,7 @@ class GroundOptions(Settings):
 
 
 class Picture(NamedTuple):
-    """A picture to be processed."""
+    """An image to be processed."""
 
     message: Image
     rgb: NDArray[np.uint8]
@@ -133,7 +133,7 @@ def read_detector() -> DetectorSettings:
 
 
 class Detectors:
-    """One copy of the network per worker, since a network processes one picture at a time."""
+    """One copy of the network per worker, since a network processes one image at a time."""
 
     def __init__(self, settings: DetectorSettings, count: int) -> None:
         """Load the networks.
@@ -146,7 +146,7 @@ class Detectors:
             self._free.put(Detector(settings))
 
     def detect(self, rgb: NDArray[np.uint8]) -> list[Detection]:
-        """Return the objects in a picture; thread-safe."""
+        """Return the objects in an image; thread-safe."""
         detector = self._free.get()
         try:
             return detector.detect(rgb)
@@ -239,7 +239,7 @@ class VehicleDetection:
     # steps
 
     def take(self) -> Picture | None:
-        """Return the next picture to process, None if there is none or one is being processed."""
+        """Return the next image to process, None if there is none or one is being processed."""
         if self._working or self._waiting is None:
             return None
         picture, self._waiting = self._waiting, None
@@ -260,7 +260,7 @@ class VehicleDetection:
         self._ok.publish(Bool(ok))
 
     def finish(self, picture: Picture, detections: Sequence[Detection]) -> None:
-        """Publish the results of a picture."""
+        """Publish the results of an image."""
         self._working = False
         header = picture.message.header
         boxes = BoundingBoxes(image_header=header)
@@ -340,7 +340,7 @@ class YoloNode:
         lockstep.add_reset_hook(self._work.clear)
 
     def step(self) -> None:
-        """Publish the results that are due and start processing waiting pictures; call it at 50 Hz."""
+        """Publish the results that are due and start processing waiting images; call it at 50 Hz."""
         now_us = rospy.Time.now().to_nsec() // 1000
         for (vehicle, picture), detections in self._work.ready(now_us):
             vehicle.finish(picture, detections)
@@ -357,7 +357,7 @@ class YoloNode:
 
 
 def picture_of(message: Image) -> NDArray[np.uint8]:
-    """Return the picture in a message, (height, width, 3) red, green, blue.
+    """Return the image in a message, (height, width, 3) red, green, blue.
 
     Raises:
         ValueError: unknown encoding, or a size that does not match the data.
@@ -402,7 +402,7 @@ def object_message(track: Track) -> ObjectOnGround:
 
 
 def in_view(view: View, place: NDArray[np.float64], options: DetectionOptions) -> bool:
-    """Return whether a picture should show a person standing at a place (2,), m."""
+    """Return whether an image should show a person standing at a place (2,), m."""
     foot = options.locator.foot(place)
     middle = foot + np.array([0.0, 0.0, 0.5 * options.locator.person.height])
     x, y = view.pinhole.project(((middle - view.position) @ view.rotation)[None])[0]
@@ -410,7 +410,7 @@ def in_view(view: View, place: NDArray[np.float64], options: DetectionOptions) -
 
 
 def drawn(picture: Picture, detections: Sequence[Detection]) -> Image:
-    """Return a picture with boxes drawn, as rgb8."""
+    """Return an image with boxes drawn, as rgb8."""
     rgb = picture.rgb.copy()
     for entry in detections:
         corners = (round(entry.xmin), round(entry.ymin)), (round(entry.xmax), round(entry.ymax))

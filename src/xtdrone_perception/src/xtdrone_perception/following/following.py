@@ -1,7 +1,7 @@
 """Following a walking person with a camera on a gimbal. No ROS.
 
 The vehicle keeps a height and a horizontal distance, faces the person and points the gimbal at the person. The track is
-extrapolated from the exposure to the current time with its velocity, so detection latency and a few missed pictures do
+extrapolated from the exposure to the current time with its velocity, so detection latency and a few missed images do
 not matter. When the person has not been seen for ``predict`` seconds, the vehicle stops (HOVER), then climbs slowly
 with the gimbal sweeping around the last known position, until a track appears that can be the same person.
 """
@@ -56,7 +56,7 @@ class FollowSettings(Settings):
 
 
 class Seen(NamedTuple):
-    """A track shown by a picture.
+    """A track shown by an image.
 
     Attributes:
         id: of the track, from 1.
@@ -120,10 +120,10 @@ class Following:
         return Command(order="" if was == IDLE else "HOVER")
 
     def see(self, seen: Sequence[Seen]) -> None:
-        """Process the tracks of a picture.
+        """Process the tracks of an image.
 
         Args:
-            seen: tracks shown by this picture only.
+            seen: tracks shown by this image only.
         """
         chosen = self._choose(seen)
         if chosen is None or (self._last is not None and chosen.time < self._last.time):

@@ -12,7 +12,7 @@ topic                                      type                              mea
 /tf, /tf_static                            tf2_msgs/TFMessage                out with ``~tf``: map, T/odom, T/base_link
 =========================================  ================================  =========================================
 
-The result of a measurement (a scan, a picture) is published ``~latency`` of simulated time after its arrival, whatever
+The result of a measurement (a scan, an image) is published ``~latency`` of simulated time after its arrival, whatever
 the computation takes; the flight continues meanwhile. A pose for the autopilot, which takes it for one of the time of
 its arrival, is carried forward to this time. A measurement that may not be trusted (``odometry_health``) is not passed
 on.

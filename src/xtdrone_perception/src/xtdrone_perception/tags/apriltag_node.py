@@ -1,4 +1,4 @@
-"""AprilTag node: pictures of one or several vehicles in, poses of tags and the landing target out.
+"""AprilTag node: images of one or several vehicles in, poses of tags and the landing target out.
 
 For each vehicle ``T`` (as ``iris_downward_camera_0``):
 
@@ -7,13 +7,13 @@ topic                                  type                                   me
 =====================================  =====================================  ==========================================
 /T/camera/image_raw, camera_info       sensor_msgs/Image, CameraInfo          in: rgb8, bgr8 or mono8
 /T/mavros/local_position/pose          geometry_msgs/PoseStamped              in: the vehicle's pose at the exposure
-/T/tag_detections                      apriltag_ros/AprilTagDetectionArray    out: one per picture, in the optical frame
+/T/tag_detections                      apriltag_ros/AprilTagDetectionArray    out: one per image, in the optical frame
 /tf                                    tf2_msgs/TFMessage                     out: optical frame -> tag or bundle
 /T/mavros/landing_target/pose          geometry_msgs/PoseStamped              out: the board ``~target`` in map, with
                                                                               the exposure's stamp
 =====================================  =====================================  ==========================================
 
-The results of a picture are published ``~latency`` of simulated time after it came. A picture that comes meanwhile
+The results of an image are published ``~latency`` of simulated time after it came. An image that comes meanwhile
 waits; of several the newest.
 """
 
@@ -76,15 +76,15 @@ class AprilTagOptions(Settings):
         text="place of the upper left pixel's centre in the camera's calibration: 0.5 of simulated cameras, 0 of those "
         "that OpenCV has calibrated",
     )
-    level: bool = setting(True, text="boards lie level, which decides where a picture leaves two poses possible")
+    level: bool = setting(True, text="boards lie level, which decides where an image leaves two poses possible")
     max_error: float = setting(
         2.0, above=0.0, high=100.0, unit="px", text="maximum reprojection error of a pose that is published"
     )
-    latency: float = setting(0.04, low=0.0, high=10.0, unit="s", text="simulated time from a picture to its results")
+    latency: float = setting(0.04, low=0.0, high=10.0, unit="s", text="simulated time from an image to its results")
 
 
 class Picture(NamedTuple):
-    """A picture to be searched."""
+    """An image to be searched."""
 
     header: Header
     grey: NDArray[np.uint8]
@@ -158,7 +158,7 @@ class VehicleTags:
     # steps
 
     def take(self) -> Picture | None:
-        """Return the next picture to search, None if there is none or one is being searched."""
+        """Return the next image to search, None if there is none or one is being searched."""
         if self._working or self._waiting is None:
             return None
         picture, self._waiting = self._waiting, None
@@ -166,7 +166,7 @@ class VehicleTags:
         return picture
 
     def finish(self, picture: Picture, seen: Sequence[SeenTag]) -> None:
-        """Publish the results of a picture."""
+        """Publish the results of an image."""
         self._working = False
         header = picture.header
         camera = self._camera_at(header.stamp.to_nsec())
@@ -223,7 +223,7 @@ class AprilTagNode:
         lockstep.add_reset_hook(self._work.clear)
 
     def step(self) -> None:
-        """Publish the results that are due and start searching waiting pictures; call it at 50 Hz."""
+        """Publish the results that are due and start searching waiting images; call it at 50 Hz."""
         now_us = rospy.Time.now().to_nsec() // 1000
         for (vehicle, picture), seen in self._work.ready(now_us):
             vehicle.finish(picture, seen)

@@ -1,4 +1,4 @@
-"""Pose of a board of tags in ``map``, from its pose in the picture of a camera that is fixed to the vehicle."""
+"""Pose of a board of tags in ``map``, from its pose in the image of a camera that is fixed to the vehicle."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Detection of AprilTags of the family 36h11 in grey pictures, by OpenCV's aruco module.
+"""Detection of AprilTags of the family 36h11 in grey images, by OpenCV's aruco module.
 
 Corners are refined to parts of a pixel. OpenCV's dictionary has the patterns of the family turned by 180 degrees; the
-order of the corners is that of the pictures of the family's authors, so that poses agree with apriltag_ros.
+order of the corners is that of the images of the family's authors, so that poses agree with apriltag_ros.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ class TagDetectorSettings(Settings):
 
 
 class SeenTag(NamedTuple):
-    """A tag in a picture.
+    """A tag in an image.
 
     Attributes:
         id: number in the family.
-        corners: upper left, upper right, lower right, lower left as printed, (4, 2) pixels; the centre of the picture's
+        corners: upper left, upper right, lower right, lower left as printed, (4, 2) pixels; the centre of the image's
             upper left pixel is (0.5, 0.5).
     """
 
@@ -42,9 +42,9 @@ class SeenTag(NamedTuple):
 
 
 class TagDetector:
-    """Finds the tags in pictures; one thread at a time."""
+    """Finds the tags in images; one thread at a time."""
 
-    _LEAST_RATE = 1e-3  # of OpenCV's perimeter by the picture's greater side
+    _LEAST_RATE = 1e-3  # of OpenCV's perimeter by the image's greater side
 
     def __init__(self, settings: TagDetectorSettings) -> None:
         """Prepare the dictionary."""
@@ -59,7 +59,7 @@ class TagDetector:
         self._detector = cv2.aruco.ArucoDetector(family, parameters)
 
     def detect(self, grey: NDArray[np.uint8]) -> list[SeenTag]:
-        """Return the tags of a picture, (height, width), by number; of several with one number the largest."""
+        """Return the tags of an image, (height, width), by number; of several with one number the largest."""
         rate = 4.0 * self._settings.least_edge / max(grey.shape)
         self._parameters.minMarkerPerimeterRate = max(rate, self._LEAST_RATE)
         self._detector.setDetectorParameters(self._parameters)

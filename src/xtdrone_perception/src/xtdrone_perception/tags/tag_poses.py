@@ -1,8 +1,8 @@
-"""Pose of a board of tags from the corners in a picture.
+"""Pose of a board of tags from the corners in an image.
 
 The start is IPPE, the closed form for points of a plane (T. Collins and A. Bartoli, Infinitesimal plane-based pose
 estimation, IJCV 2014), which gives two poses: seen from afar, a plane can be tilted towards the observer or away with
-almost the same picture. Both are refined to the minimum reprojection error (Levenberg-Marquardt). Where the errors do
+almost the same image. Both are refined to the minimum reprojection error (Levenberg-Marquardt). Where the errors do
 not tell them apart, the orientation that is expected decides.
 """
 
@@ -79,7 +79,7 @@ def board_pose(
 
     Args:
         board: the tags and their places.
-        seen: tags of the picture.
+        seen: tags of the image.
         optics: of the camera.
         expected_normal: of the board in the optical frame, (3,), as of a board that lies level; decides between two
             poses that explain the corners about as well.

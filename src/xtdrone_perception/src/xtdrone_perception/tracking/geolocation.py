@@ -1,12 +1,12 @@
 """Geolocation: position on the ground of a person detected as a box.
 
 A person is modelled as a standing cylinder. The lower edge of its box is not its foot: from steeply above, the near rim
-of its top lies lower in the picture. Position, height and radius are therefore estimated together, so that the
+of its top lies lower in the image. Position, height and radius are therefore estimated together, so that the
 cylinder's box matches the detected one, with the usual height and radius of people as the prior (a Gauss-Newton step is
-a Kalman update). Sides of a box cut off by the edge of the picture are not used.
+a Kalman update). Sides of a box cut off by the edge of the image are not used.
 
-The covariance has two parts: the error independent in every picture (pixels, and the swaying attitude), and the error
-shared by the pictures of a vehicle (its position, the height of the person), which averaging does not reduce.
+The covariance has two parts: the error independent in every image (pixels, and the swaying attitude), and the error
+shared by the images of a vehicle (its position, the height of the person), which averaging does not reduce.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Ground = Callable[[float, float], float]
 
 _STEPS = 8  # of Gauss-Newton; three suffice except for boxes that are cut off
 _SETTLED = 1e-4  # m
-_EDGE = 1.0  # px; a box this close to the picture's edge may be cut off
+_EDGE = 1.0  # px; a box this close to the image's edge may be cut off
 _DELTA = np.array([1e-3, 1e-3, 1e-3, 1e-3])  # m, for derivatives with respect to position, height and radius
 _POSE_DELTA = np.array([1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4])  # m, rad
 
@@ -44,7 +44,7 @@ class Person(Settings):
 
 @dataclass(frozen=True)
 class Noise(Settings):
-    """Standard deviations of a picture and its pose."""
+    """Standard deviations of an image and its pose."""
 
     pixel: float = setting(1.5, low=1e-3, high=100.0, unit="px", text="each side of a box")
     tilt: float = setting(0.01, low=0.0, high=100.0, unit="rad", text="camera attitude about horizontal axes")
@@ -56,7 +56,7 @@ class Noise(Settings):
 
 @dataclass(frozen=True)
 class View:
-    """A picture's camera: ``position`` (3,) m in map, and ``rotation`` (3, 3) from the optical frame to map."""
+    """An image's camera: ``position`` (3,) m in map, and ``rotation`` (3, 3) from the optical frame to map."""
 
     pinhole: Pinhole
     position: Array
@@ -74,8 +74,8 @@ class GroundPoint:
 
     Attributes:
         position: (3,) of the foot, m, map.
-        independent: (3, 3) covariance of the error independent in every picture, m^2.
-        shared: (3, 3) covariance of the error shared by the pictures of a vehicle, m^2.
+        independent: (3, 3) covariance of the error independent in every image, m^2.
+        shared: (3, 3) covariance of the error shared by the images of a vehicle, m^2.
     """
 
     position: Array
@@ -130,7 +130,7 @@ class Geolocator:
         """Return the position of the person in a box.
 
         Args:
-            view: camera of the picture.
+            view: camera of the image.
             box: xmin, ymin, xmax, ymax, px.
 
         Returns:
@@ -189,10 +189,10 @@ class Geolocator:
         return place
 
     def _known_sides(self, pinhole: Pinhole, box: Array) -> NDArray[np.bool_]:
-        """Return which sides of a box are not cut off by the picture."""
+        """Return which sides of a box are not cut off by the image."""
         limits = np.array([0.0, 0.0, pinhole.width, pinhole.height])
         known = np.abs(box - limits) > _EDGE
-        # A person as large as the picture leaves no side to use: use all, that is, the centre of the picture.
+        # A person as large as the image leaves no side to use: use all, that is, the centre of the image.
         return known if known.sum() >= 2 else np.ones(4, bool)
 
     def _linear(self, view: View, state: Array) -> tuple[Array, Array]:
@@ -243,7 +243,7 @@ class Geolocator:
 
 
 def cylinder_box(view: View, foot: Array, height: float, radius: float) -> Array:
-    """Return the box of a standing cylinder: xmin, ymin, xmax, ymax, (4,) px, not clipped to the picture.
+    """Return the box of a standing cylinder: xmin, ymin, xmax, ymax, (4,) px, not clipped to the image.
 
     Args:
         view: the camera.

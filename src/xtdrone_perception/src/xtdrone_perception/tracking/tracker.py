@@ -1,6 +1,6 @@
 """Multi-object tracker on the ground plane.
 
-Each track is a constant-velocity Kalman filter in the plane. The detections of a picture are assigned to the tracks at
+Each track is a constant-velocity Kalman filter in the plane. The detections of an image are assigned to the tracks at
 least cost within a gate (Hungarian method), confirmed tracks first. Time steps may vary. No ROS.
 """
 
@@ -43,8 +43,8 @@ class TrackerSettings(Settings):
         text="highest squared Mahalanobis distance between a track and its detection; 13.8 keeps 99.9 %",
     )
     birth: float = setting(0.5, low=0.0, high=1.0, text="lowest probability of a detection that begins a track")
-    confirm_hits: int = setting(3, low=1, high=50, text="detections in ``confirm_of`` pictures that confirm a track")
-    confirm_of: int = setting(5, low=1, high=50, text="pictures in which ``confirm_hits`` are counted")
+    confirm_hits: int = setting(3, low=1, high=50, text="detections in ``confirm_of`` images that confirm a track")
+    confirm_of: int = setting(5, low=1, high=50, text="images in which ``confirm_hits`` are counted")
     misses: int = setting(8, low=1, high=1000, text="consecutive expected detections missed that end a track")
     widest: float = setting(
         15.0, low=0.1, high=1000.0, unit="m", text="position uncertainty that ends a track, standard deviation"
@@ -81,12 +81,12 @@ class Track:
         id: from 1; 0 until confirmed.
         object_class: name of its class.
         state: (4,) x, y, m, map; vx, vy, m/s.
-        covariance: (4, 4) of the state, without the error shared by all pictures.
+        covariance: (4, 4) of the state, without the error shared by all images.
         last: its last detection.
-        hits: number of pictures that showed it.
-        missed: number of pictures since the last hit that should have shown it.
-        probability: in the last picture, 0 if not shown.
-        seen_at: time of the last picture that showed it, s.
+        hits: number of images that showed it.
+        missed: number of images since the last hit that should have shown it.
+        probability: in the last image, 0 if not shown.
+        seen_at: time of the last image that showed it, s.
     """
 
     object_class: str
@@ -102,7 +102,7 @@ class Track:
 
     @property
     def confirmed(self) -> bool:
-        """Whether enough pictures have shown the object."""
+        """Whether enough images have shown the object."""
         return self.id > 0
 
     @property
@@ -117,7 +117,7 @@ class Track:
 
     @property
     def position_covariance(self) -> Array:
-        """Covariance of the position, including the error shared by all pictures, (3, 3) m^2."""
+        """Covariance of the position, including the error shared by all images, (3, 3) m^2."""
         whole = self.last.point.covariance.copy()
         whole[:2, :2] = self.covariance[:2, :2] + self.last.point.shared[:2, :2]
         return whole
@@ -148,15 +148,15 @@ class Tracker:
         self._time = None
 
     def update(self, time: float, detections: Sequence[GroundDetection], in_view: InView | None = None) -> list[Track]:
-        """Update the tracks with a picture and return the confirmed ones.
+        """Update the tracks with an image and return the confirmed ones.
 
         Args:
-            time: of the exposure, s; not before that of the last picture.
-            detections: of the picture, may be empty.
-            in_view: returns whether the picture should show an object at a place (2,), m; None: always.
+            time: of the exposure, s; not before that of the last image.
+            detections: of the image, may be empty.
+            in_view: returns whether the image should show an object at a place (2,), m; None: always.
 
         Raises:
-            ValueError: the time is not finite or before that of the last picture.
+            ValueError: the time is not finite or before that of the last image.
         """
         if not math.isfinite(time) or (self._time is not None and time < self._time):
             raise ValueError(f"time: {time!r} is not allowed, {self._time!r} s or later")

@@ -46,7 +46,7 @@ class SensorChoice(Settings):
     """Which sensor maps."""
 
     sensor: str = setting(
-        "lidar", choices=("lidar", "depth"), text="what maps: a lidar's cloud or a depth camera's picture"
+        "lidar", choices=("lidar", "depth"), text="what maps: a lidar's cloud or a depth camera's image"
     )
 
 

@@ -1,4 +1,4 @@
-"""Clouds and pictures from ROS messages, and the map as messages."""
+"""Clouds and images from ROS messages, and the map as messages."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ FRAME = "map"
 
 _XYZ = [PointField(name, 4 * n, PointField.FLOAT32, 1) for n, name in enumerate("xyz")]
 _DEPTHS: dict[str, tuple[np.dtype[Any], float]] = {"32FC1": (np.dtype("<f4"), 1.0), "16UC1": (np.dtype("<u2"), 0.001)}
-"""Encodings of depth pictures (REP 118): type, and m in a unit."""
+"""Encodings of depth images (REP 118): type, and m in a unit."""
 
 
 def depths_of(message: Image) -> NDArray[np.float64]:
-    """Return the depths (height, width), m, of a picture; NaN or infinite without a value.
+    """Return the depths (height, width), m, of an image; NaN or infinite without a value.
 
     Raises:
-        ScanError: the encoding or size is not that of a depth picture.
+        ScanError: the encoding or size is not that of a depth image.
     """
     if message.encoding not in _DEPTHS or message.is_bigendian:
         raise ScanError(f"encoding: {message.encoding!r} is not allowed, 32FC1 or 16UC1, little-endian")

@@ -1,4 +1,4 @@
-"""Scans and depth pictures as one thing: an image of ranges, each with its direction and time.
+"""Scans and depth images as one thing: an image of ranges, each with its direction and time.
 
 A lidar's cloud has only returns. Where a whole neighbourhood of rays has none, the way is free up to the sensor's
 range; a single ray without a return may as well be a dropout and tells nothing.
@@ -21,7 +21,7 @@ _KINDS = {1: "i1", 2: "u1", 3: "<i2", 4: "<u2", 5: "<i4", 6: "<u4", 7: "<f4", 8:
 
 
 class ScanError(ValueError):
-    """A cloud or picture that cannot be read; the message names the field, its value and what is allowed."""
+    """A cloud or image that cannot be read; the message names the field, its value and what is allowed."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class LidarMapping(Settings):
 
 @dataclass(frozen=True)
 class DepthMapping(Settings):
-    """The depth camera whose picture is mapped; the defaults are those of ``iris_depth_camera``."""
+    """The depth camera whose image is mapped; the defaults are those of ``iris_depth_camera``."""
 
     depth_topic: str = setting("depth_camera/depth", text="where image_raw and camera_info are, below /VEHICLE/")
     depth_position: tuple[float, float, float] = setting(
@@ -169,7 +169,7 @@ class LidarImages:
 
 
 class DepthImages:
-    """Pictures of a depth camera as range images."""
+    """Images of a depth camera as range images."""
 
     def __init__(self, settings: DepthMapping) -> None:
         """Start without the camera's intrinsics."""
@@ -179,7 +179,7 @@ class DepthImages:
         self._lengths = np.zeros((0, 0))
 
     def image(self, depths: Array, intrinsics: tuple[float, float, float, float]) -> RangeImage:
-        """Return the range image of a picture.
+        """Return the range image of an image.
 
         Args:
             depths: (height, width) m along the optical axis, NaN or infinite without a value.

@@ -33,7 +33,7 @@ def spline_at(points, interval, since):
 
 @kernel
 def greatest_acceleration(points, interval):
-    """Return the maximum acceleration, m/s^2: it is linear between knots, so its norm is maximum at one of them."""
+    """Return the maximum acceleration, m/s^2: it is linear between knots, so its norm is largest at one of them."""
     most = 0.0
     for k in range(len(points) - 2):
         square = 0.0

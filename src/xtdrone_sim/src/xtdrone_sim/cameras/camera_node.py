@@ -53,10 +53,10 @@ _NAME = "cameras"
 
 @dataclass(frozen=True)
 class CameraSettings(Settings):
-    """Private parameters of the node that determine when pictures are taken and how they are drawn."""
+    """Private parameters of the node that determine when images are taken and how they are drawn."""
 
     rate: float = rate_setting(
-        LEAST_RATE, MOST_TURNS, "pictures per second of each camera, 0 for the rate in its vehicle's file"
+        LEAST_RATE, MOST_TURNS, "images per second of each camera, 0 for the rate in its vehicle's file"
     )
     latency: float = setting(
         0.1, low=0.0, high=MOST_LATENCY, unit="s", text="simulated time from exposure to publication"
@@ -152,7 +152,7 @@ class CameraNode:
 
     def _freeze(self, camera: int, frozen: bool) -> SetBoolResponse:
         (self._frozen.add if frozen else self._frozen.discard)(camera)
-        words = "takes no pictures any more" if frozen else "takes pictures"
+        words = "takes no images any more" if frozen else "takes pictures"
         text = f"{self._cameras[camera].topics} {words}"
         rospy.loginfo(text)
         return SetBoolResponse(True, text)
@@ -187,7 +187,7 @@ class CameraNode:
                 continue
             views = self._cameras[camera].views
             if views[0].link not in self._scene.links:
-                rospy.logwarn_throttle(10.0, f"/xtdrone/scene does not have {views[0].link}: no pictures of its camera")
+                rospy.logwarn_throttle(10.0, f"/xtdrone/scene does not have {views[0].link}: no images of its camera")
                 continue
             mount, closed_us = self._cameras[camera].mount, _microseconds(stamp)
             opened_us = closed_us - round(1e6 * mount.exposure)
@@ -199,7 +199,7 @@ class CameraNode:
             self._deferred.put(shot, now_us + self._latency_us, self._draw, scenes, views)
 
     def _draw(self, scenes: Sequence[SceneAt], views: Sequence[View]) -> list[bytes] | None:
-        """Return the pictures of an exposure; None if one is lost. Called in a thread of ``Deferred``."""
+        """Return the images of an exposure; None if one is lost. Called in a thread of ``Deferred``."""
         assert self._drawer is not None
         pictures = []
         for view in views:
@@ -218,8 +218,8 @@ class CameraNode:
             assert self._drawer is not None
             self.lost += 1
             rospy.logwarn(
-                f"the process that draws pictures has ended ({self._drawer.last_end}); there is another, "
-                f"a picture of {camera.topics} is lost ({self.lost} in all)"
+                f"the process that draws images has ended ({self._drawer.last_end}); there is another, "
+                f"an image of {camera.topics} is lost ({self.lost} in all)"
             )
             return
         if shot.camera in self._frozen:
@@ -247,7 +247,7 @@ def main(arguments: Sequence[str]) -> None:
 
     Raises:
         ArgumentError: an argument or parameter is not allowed.
-        DrawingError: pictures cannot be drawn.
+        DrawingError: images cannot be drawn.
     """
     check_no_arguments(arguments)
     parameters = private_parameters(_NAME, sys.argv)

@@ -173,7 +173,7 @@ def _serve(connection: Connection) -> None:
         connection.send((f"{drawn.world}: {error}", None))
         return
     with renderer:
-        print(f"cameras: pictures are drawn by {_NAMES[renderer.backend]}", flush=True)
+        print(f"cameras: images are drawn by {_NAMES[renderer.backend]}", flush=True)
         connection.send(("", None))
         while True:
             order = connection.recv()

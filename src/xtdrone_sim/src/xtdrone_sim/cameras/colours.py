@@ -1,4 +1,4 @@
-"""From drawn pictures to those of a camera: through its lens, and with the noise of its sensor."""
+"""From drawn images to those of a camera: through its lens, and with the noise of its sensor."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Colours = NDArray[np.uint8]  # (height, width, 3) RGB
 
 
 class Exposure:
-    """The colour pictures of one exposure, each developed once."""
+    """The colour images of one exposure, each developed once."""
 
     def __init__(self, camera: Camera, stamp: rospy.Time, pictures: Sequence[bytes]) -> None:
         """Develop nothing yet.
@@ -34,11 +34,11 @@ class Exposure:
         self._made: dict[tuple[int, bool], Colours] = {}
 
     def raw(self, eye: int) -> Colours:
-        """Return the picture of the left or only camera, 0, or of the right one, 1."""
+        """Return the image of the left or only camera, 0, or of the right one, 1."""
         return self._picture(eye, rectified=False)
 
     def rectified(self, eye: int) -> Colours:
-        """Return the same as the pinhole shows it; without a lens the same picture."""
+        """Return the same as the pinhole shows it; without a lens the same image."""
         return self._picture(eye, rectified=self._camera.mount.lens is not None)
 
     def _picture(self, eye: int, *, rectified: bool) -> Colours:
@@ -50,7 +50,7 @@ class Exposure:
         return self._made[key]
 
     def _seen(self, eye: int, rectified: bool) -> Colours:
-        """Return a picture without noise."""
+        """Return an image without noise."""
         mount = self._camera.mount
         if mount.lens is None or (rectified and mount.has_depth):
             return pixels_of(mount.pinhole, self._pictures[eye])
@@ -62,17 +62,17 @@ class Exposure:
 
 
 def pixels_of(pinhole: Pinhole, picture: bytes) -> Colours:
-    """Return the colours of a drawn picture, (height, width, 3)."""
+    """Return the colours of a drawn image, (height, width, 3)."""
     size = pinhole.width * pinhole.height
     return np.frombuffer(picture, np.uint8, 3 * size).reshape(pinhole.height, pinhole.width, 3)
 
 
 def through_lens(lens: Lens, sheet: Colours) -> Colours:
-    """Return what a lens shows of the pictures drawn for it, between pixels linear; black where it shows nothing.
+    """Return what a lens shows of the images drawn for it, between pixels linear; black where it shows nothing.
 
     Args:
         lens: the lens.
-        sheet: the pictures of ``drawing_of(lens)`` below each other.
+        sheet: the images of ``drawing_of(lens)`` below each other.
     """
     drawing = drawing_of(lens)
     return np.asarray(opencv().remap(sheet, drawing.columns, drawing.rows, opencv().INTER_LINEAR))
@@ -85,7 +85,7 @@ def without_lens(lens: Lens, sheet: Colours) -> Colours:
 
 
 def grainy(picture: Colours, deviation: float, rng: np.random.Generator) -> Colours:
-    """Return a picture with normal noise in each channel, of a standard deviation in parts of 255, cut to 0 to 255."""
+    """Return an image with normal noise in each channel, of a standard deviation in parts of 255, cut to 0 to 255."""
     if deviation == 0.0:
         return picture
     noise = np.float32(255.0 * deviation) * rng.standard_normal(picture.shape, np.float32)
@@ -98,7 +98,7 @@ def noise_of(camera: Camera, stamp: rospy.Time, *stream: int) -> np.random.Gener
     Args:
         camera: the camera.
         stamp: time of the exposure.
-        stream: none for depths; 1 for the left or only colour picture, 2 for the right one, 3 and 4 for rectified ones.
+        stream: none for depths; 1 for the left or only colour image, 2 for the right one, 3 and 4 for rectified ones.
     """
     name = zlib.crc32(camera.topics.encode())
     return np.random.default_rng((camera.mount.seed, name, stamp.to_nsec(), *stream))

@@ -9,11 +9,11 @@ stereo  left/image_raw, left/image_raw/compressed, left/camera_info, and the sam
 ======  =============================================================================================================
 
 Depths are distances along the optical axis; what is nearer than ``range_min`` or farther than ``range_max`` is NaN, or
-0 in 16UC1 (REP 118). Clouds are organised as the picture, in the optical frame, with NaN for such pixels. A stereo pair
-without a lens is rectified: both pictures have the same rows, and the right one's P has -fx times the baseline
+0 in 16UC1 (REP 118). Clouds are organised as the image, in the optical frame, with NaN for such pixels. A stereo pair
+without a lens is rectified: both images have the same rows, and the right one's P has -fx times the baseline
 (sensor_msgs/CameraInfo). With a lens, image_raw is distorted and its camera_info has the coefficients;
-image_rect_color beside it is the same picture without distortion, as image_proc makes it; depths and their clouds have
-none. Compressed pictures are those of image_transport's plug-in ``compressed``, with its quality.
+image_rect_color beside it is the same image without distortion, as image_proc makes it; depths and their clouds have
+none. Compressed images are those of image_transport's plug-in ``compressed``, with its quality.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def messages(camera: Camera, stamp: rospy.Time, pictures: Sequence[bytes], wante
 
 
 def compressed(picture: NDArray[np.uint8]) -> CompressedImage:
-    """Return a picture (height, width, 3) RGB as JPEG, with the format that image_transport writes and reads."""
+    """Return an image (height, width, 3) RGB as JPEG, with the format that image_transport writes and reads."""
     cv2 = opencv()
     options = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
     _, data = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), options)
@@ -184,7 +184,7 @@ def camera_info(camera: Camera, *, right: bool = False, rectified: bool = False)
     Args:
         camera: the camera.
         right: that of the right one of a stereo pair.
-        rectified: that of pictures without distortion, such as depths.
+        rectified: that of images without distortion, such as depths.
     """
     p = camera.mount.pinhole
     info = CameraInfo(height=p.height, width=p.width, distortion_model="plumb_bob", D=[0.0] * 5)

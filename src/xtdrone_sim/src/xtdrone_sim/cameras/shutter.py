@@ -1,8 +1,8 @@
-"""Exposures that take time: what a picture shows of the moments between the opening and the closing of its shutter.
+"""Exposures that take time: what an image shows of the moments between the opening and the closing of its shutter.
 
-A picture with an exposure time is the mean of several, drawn at evenly spaced times of that interval, in which bodies
+An image with an exposure time is the mean of several, drawn at evenly spaced times of that interval, in which bodies
 move from one scene to the next at constant speed: all that moves is blurred, be it the camera or what it sees. With n
-pictures of an interval T, an edge that moves by d pixels becomes n steps of d / n.
+images of an interval T, an edge that moves by d pixels becomes n steps of d / n.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class RecentScenes:
 
 
 def exposure_times(mount: CameraMount, closed_us: int) -> list[float]:
-    """Return the times of the pictures of an exposure, microseconds; the one in the middle is that of its stamp.
+    """Return the times of the images of an exposure, microseconds; the one in the middle is that of its stamp.
 
     Args:
         mount: the camera.
@@ -120,7 +120,7 @@ def _turned(before: Quaternion, after: Quaternion, part: float) -> Quaternion:
 
 
 def mean_of(pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
-    """Return the mean of pictures of one shape, rounded."""
+    """Return the mean of images of one shape, rounded."""
     if len(pictures) == 1:
         return pictures[0]
     whole = np.zeros(pictures[0].shape, np.uint32)

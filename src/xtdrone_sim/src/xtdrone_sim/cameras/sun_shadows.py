@@ -63,10 +63,10 @@ class SunShadows:
 
 
 def darkened(rgb: NDArray[np.uint8], reached: NDArray[np.bool_], light: Light) -> NDArray[np.uint8]:
-    """Return a picture in which pixels that the sun does not reach have the skylight only.
+    """Return an image in which pixels that the sun does not reach have the skylight only.
 
     Args:
-        rgb: picture with sun and sky everywhere, (height, width, 3).
+        rgb: image with sun and sky everywhere, (height, width, 3).
         reached: see ``SunShadows.reached``.
         light: sun and sky.
     """

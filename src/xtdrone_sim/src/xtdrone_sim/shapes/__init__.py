@@ -1,1 +1,1 @@
-"""Shapes as pictures, rays and physics need them: visuals, triangles, and arithmetic on their poses."""
+"""Shapes as images, rays and physics need them: visuals, triangles, and arithmetic on their poses."""

@@ -35,7 +35,7 @@ class Triangles:
     Attributes:
         points: corners, shape (n, 3, 3), m.
         normals: outward unit normals at the corners, shape (n, 3, 3).
-        uv: texture coordinates, shape (n, 3, 2), with (0, 0) at the picture's lower left corner.
+        uv: texture coordinates, shape (n, 3, 2), with (0, 0) at the image's lower left corner.
     """
 
     points: Array

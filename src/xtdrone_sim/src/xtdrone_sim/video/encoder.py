@@ -1,6 +1,6 @@
-"""H.264 over RTP by the program ffmpeg, which reads raw pictures from a pipe.
+"""H.264 over RTP by the program ffmpeg, which reads raw images from a pipe.
 
-ffmpeg packs the stream by RFC 6184 (packetisation mode 1) and repeats the parameter sets before each key picture, so
+ffmpeg packs the stream by RFC 6184 (packetisation mode 1) and repeats the parameter sets before each key image, so
 that a receiver may join at any time. Time stamps are those of wall time, as a player's clock is, however fast the
 flight. ffmpeg is a program of its own, so that encoding holds no lock of Python.
 """
@@ -16,9 +16,9 @@ import time
 from xtdrone_sim.video.streams import CLOCK, PAYLOAD_TYPE, Stream
 
 MOST_RATE = 30.0
-"""Pictures a second of wall time that are encoded at most; of a faster flight some are left out."""
+"""Images a second of wall time that are encoded at most; of a faster flight some are left out."""
 
-_KEY_INTERVAL = 10  # pictures from one key picture to the next
+_KEY_INTERVAL = 10  # images from one key image to the next
 _PACKET = 1400  # bytes, below the usual MTU
 _PATIENCE = 5.0  # s, for an end
 
@@ -28,10 +28,10 @@ class EncoderError(RuntimeError):
 
 
 class Encoder:
-    """Sends the newest pictures of one camera.
+    """Sends the newest images of one camera.
 
     Attributes:
-        sent: number of pictures that the encoder has been given.
+        sent: number of images that the encoder has been given.
     """
 
     def __init__(self, stream: Stream) -> None:
@@ -56,7 +56,7 @@ class Encoder:
         self._thread.start()
 
     def put(self, picture: bytes) -> None:
-        """Send a picture, rows of RGB; one for which there is no time is replaced by the next one.
+        """Send an image, rows of RGB; one for which there is no time is replaced by the next one.
 
         Raises:
             EncoderError: the program has ended.

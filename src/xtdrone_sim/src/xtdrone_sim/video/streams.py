@@ -30,7 +30,7 @@ class Stream:
         camera: the camera.
         system, component: its ids in MAVLink.
         host, port: to which it is sent by UDP.
-        rate: pictures per second of simulated time.
+        rate: images per second of simulated time.
         bitrate: of a second of wall time at most, bit/s.
     """
 
@@ -44,7 +44,7 @@ class Stream:
 
     @property
     def topic(self) -> str:
-        """The topic of its pictures."""
+        """The topic of its images."""
         return f"{self.camera.topics}/{_TOPICS[self.camera.mount.kind]}"
 
     @property

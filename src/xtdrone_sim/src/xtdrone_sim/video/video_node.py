@@ -1,6 +1,6 @@
 """Videos of the fleet's cameras for ground stations, as a node beside the lockstep: simulated time never waits for it.
 
-It subscribes to the topics of ``streams.Stream.topic`` and sends each picture as it arrives, so the video runs as fast
+It subscribes to the topics of ``streams.Stream.topic`` and sends each image as it arrives, so the video runs as fast
 as the flight. Its MAVLink components send heartbeats to the ground station's port from one socket, and answer on it.
 """
 
@@ -36,7 +36,7 @@ _NAME = re.compile(r"[A-Za-z0-9.:_-]+")
 _BEAT = 1.0  # s of wall time between heartbeats
 _LARGEST = 4096  # bytes of a datagram
 _AT_ONCE = 64  # datagrams between two heartbeats' checks
-_BUFFER = 1 << 24  # bytes, for pictures on their way
+_BUFFER = 1 << 24  # bytes, for images on their way
 
 
 def _check_host(host: str) -> None:

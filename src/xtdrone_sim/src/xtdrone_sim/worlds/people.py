@@ -35,7 +35,7 @@ class Body:
         split: "train", or "test": kept from detectors until they are judged.
         vertices: (V, 3), at rest, m.
         triangles: (T, 3), counter-clockwise from outside.
-        texture_points: (P, 2), 0..1 from the picture's lower left corner.
+        texture_points: (P, 2), 0..1 from the image's lower left corner.
         texture_triangles: (T, 3), the corners' texture points.
         weights: (V, 4), shares of ``joints``; rows sum to 1.
         joints: (V, 4), what moves a vertex.

@@ -44,12 +44,12 @@ class Association:
         self._report = report
 
     def observe(self, vehicle: Vehicle, time: float, sighting: Sighting, tracked: Collection[int]) -> Candidate | None:
-        """Merge a sighting into its candidate and return it; None outside the region, or if the picture shows nothing.
+        """Merge a sighting into its candidate and return it; None outside the region, or if the image shows nothing.
 
         Args:
-            vehicle: vehicle that took the picture.
+            vehicle: vehicle that took the image.
             time: of the exposure, s.
-            sighting: one object of the picture.
+            sighting: one object of the image.
             tracked: ids of all tracks of the camera.
         """
         if not sighting.probability > 0.0 or not all(map(math.isfinite, sighting.position)):

@@ -1,4 +1,4 @@
-"""Candidates: places where pictures show a person, and the evidence for and against each."""
+"""Candidates: places where images show a person, and the evidence for and against each."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from dataclasses import dataclass, field
 
 from ..planning.coverage_path import Point
 
-_MAX_PROBABILITY = 0.95  # cap on a detector's probability: its errors are correlated from picture to picture
-_MISS = -1.5  # log-odds of a picture of the place without a detection: about one in four misses a person
+_MAX_PROBABILITY = 0.95  # cap on a detector's probability: its errors are correlated from image to image
+_MISS = -1.5  # log-odds of an image of the place without a detection: about one in four misses a person
 EXTRAPOLATION = 3.0  # s for which a velocity is extrapolated
 
 
 @dataclass(frozen=True)
 class Sighting:
-    """An object in a picture, one entry of ObjectsOnGround.
+    """An object in an image, one entry of ObjectsOnGround.
 
     Attributes:
         id: of the track, constant as long as the camera keeps it.
         position: on the ground, m ENU.
         velocity: m/s ENU.
         covariance: of the position: xx, xy, yx, yy, m^2.
-        probability: the detector's; 0 if this picture does not show the track.
+        probability: the detector's; 0 if this image does not show the track.
     """
 
     id: int
@@ -34,12 +34,12 @@ class Sighting:
 
 @dataclass
 class Evidence:
-    """Evidence that a person is at a place, accumulated over the pictures of a second look.
+    """Evidence that a person is at a place, accumulated over the images of a second look.
 
     Attributes:
-        log_odds: sum over the pictures, 0 at the start.
-        pictures: number of pictures of the place.
-        hits: number of pictures that show a person there.
+        log_odds: sum over the images, 0 at the start.
+        pictures: number of images of the place.
+        hits: number of images that show a person there.
         total: sum of the probabilities of the hits.
     """
 
@@ -49,7 +49,7 @@ class Evidence:
     total: float = 0.0
 
     def hit(self, probability: float) -> None:
-        """Add a picture that shows a person."""
+        """Add an image that shows a person."""
         p = min(max(probability, 1.0 - _MAX_PROBABILITY), _MAX_PROBABILITY)
         self.log_odds += math.log(p / (1.0 - p))
         self.pictures += 1
@@ -57,13 +57,13 @@ class Evidence:
         self.total += probability
 
     def miss(self) -> None:
-        """Add a picture of the place that shows no person."""
+        """Add an image of the place that shows no person."""
         self.log_odds += _MISS
         self.pictures += 1
 
     @property
     def mean(self) -> float:
-        """Mean probability over all pictures of the place."""
+        """Mean probability over all images of the place."""
         return self.total / self.pictures if self.pictures else 0.0
 
 
@@ -72,10 +72,10 @@ class Candidate:
     """A possible person, compared by identity.
 
     Attributes:
-        position, velocity, covariance: of the newest picture.
-        seen_at: time of the newest picture, s.
+        position, velocity, covariance: of the newest image.
+        seen_at: time of the newest image, s.
         track: the person's track id by vehicle; of several tracks at the place, the one with the maximum weight.
-        hits, total: number of pictures that show the person, and the sum of their probabilities, by vehicle.
+        hits, total: number of images that show the person, and the sum of their probabilities, by vehicle.
         status: ``seen``, ``looked at``, ``rejected`` or ``confirmed``.
         looked_by: vehicles that have taken a second look.
         found: whether a second look has ever confirmed it.
@@ -98,7 +98,7 @@ class Candidate:
         """Merge a sighting into the candidate.
 
         Args:
-            vehicle: name of the vehicle that took the picture.
+            vehicle: name of the vehicle that took the image.
             time: of the exposure, s.
             sighting: the sighting.
             tracked: ids of all tracks of the vehicle's camera.
@@ -122,17 +122,17 @@ class Candidate:
         return self.position[0] + ahead * self.velocity[0], self.position[1] + ahead * self.velocity[1]
 
     def mean(self, vehicle: str) -> float:
-        """Return the mean probability of a vehicle's pictures of the candidate."""
+        """Return the mean probability of a vehicle's images of the candidate."""
         return self.total.get(vehicle, 0.0) / max(self.hits.get(vehicle, 0), 1)
 
     @property
     def pictures(self) -> int:
-        """Number of pictures of all vehicles that show it."""
+        """Number of images of all vehicles that show it."""
         return sum(self.hits.values())
 
     @property
     def probability(self) -> float:
-        """Mean probability over all pictures that show it."""
+        """Mean probability over all images that show it."""
         return sum(self.total.values()) / max(self.pictures, 1)
 
 

@@ -78,8 +78,8 @@ def footprint(
         camera: its intrinsics.
         height: m over the ground, 2 to 200.
         pitch: of the gimbal, deg, negative down, -90 to -5.
-        pixels: minimum height of a person in the picture, from foot to head, px, 1 to 1000.
-        margin: fraction of the picture's width and height ignored at each edge, 0 to 0.4.
+        pixels: minimum height of a person in the image, from foot to head, px, 1 to 1000.
+        margin: fraction of the image's width and height ignored at each edge, 0 to 0.4.
         reach: the ground counts up to this far ahead, m, 1 to 1000.
 
     Raises:
@@ -115,7 +115,7 @@ def footprint(
 def _row(
     camera: Pinhole, ahead: NDArray[np.float64], below: float, down: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the picture rows, px, and depths, m, of points ``ahead`` of and ``below`` the camera, m."""
+    """Return the image rows, px, and depths, m, of points ``ahead`` of and ``below`` the camera, m."""
     depth = ahead * math.cos(down) + below * math.sin(down)
     lower = below * math.cos(down) - ahead * math.sin(down)
     return camera.fy * lower / np.where(depth > 0.0, depth, np.nan) + camera.cy, depth
@@ -180,7 +180,7 @@ def turns(path: Sequence[Waypoint]) -> int:
 
 
 def sweep(path: Sequence[Waypoint], seen: Footprint, step: float = 1.0) -> shapely.Geometry:
-    """Return the ground shown by pictures taken every ``step`` m along a path."""
+    """Return the ground shown by images taken every ``step`` m along a path."""
     outlines = []
     for a, b in pairwise(path):
         count = max(1, math.ceil(math.dist((a.x, a.y), (b.x, b.y)) / step))

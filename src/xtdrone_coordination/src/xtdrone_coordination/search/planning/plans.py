@@ -62,17 +62,17 @@ class SearchOptions(Settings):
     speed: float = setting(5.0, low=0.5, high=15.0, unit="m/s", text="speed over ground")
     gimbal_pitch: float = setting(-60.0, low=-90.0, high=-5.0, unit="deg", text="camera pitch, negative down")
     person_pixels: float = setting(
-        12.0, low=1.0, high=200.0, unit="px", text="people at least this high in the picture count as seen"
+        12.0, low=1.0, high=200.0, unit="px", text="people at least this high in the image count as seen"
     )
-    picture_margin: float = setting(0.05, low=0.0, high=0.4, text="fraction of the picture ignored at each edge")
+    picture_margin: float = setting(0.05, low=0.0, high=0.4, text="fraction of the image ignored at each edge")
     reach: float = setting(
         30.0, low=1.0, high=1000.0, unit="m", text="the ground counts as seen up to this far ahead of the vehicle"
     )
     overlap: float = setting(
         0.2, low=0.0, high=0.8, text="fraction of the footprint's width seen from both neighbouring lanes"
     )
-    pictures: float = setting(4.0, low=1.0, high=50.0, text="number of pictures that show every place")
-    picture_rate: float = setting(2.0, low=0.1, high=60.0, unit="Hz", text="pictures the detector processes per second")
+    pictures: float = setting(4.0, low=1.0, high=50.0, text="number of images that show every place")
+    picture_rate: float = setting(2.0, low=0.1, high=60.0, unit="Hz", text="images the detector processes per second")
     turn_time: float = setting(3.0, low=0.0, high=60.0, unit="s", text="time lost in a turn")
 
     @property
@@ -239,7 +239,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", default="plans", help="folder for the plan files (plans)")
     for name, three, default, what in (
         ("--datum", ("LAT", "LON", "ALT"), vars(datum).values(), "map origin: deg, deg, m above sea level"),
-        ("--camera", ("WIDTH", "HEIGHT", "FOV"), (640, 360, 2.0), "picture, px, and horizontal field of view, rad"),
+        ("--camera", ("WIDTH", "HEIGHT", "FOV"), (640, 360, 2.0), "image, px, and horizontal field of view, rad"),
     ):
         help_text = f"{what} ({' '.join(f'{value:g}' for value in default)})"
         parser.add_argument(name, type=float, nargs=3, metavar=three, default=tuple(default), help=help_text)

@@ -1,4 +1,4 @@
-"""Second look: circle a candidate until the pictures confirm or reject it."""
+"""Second look: circle a candidate until the images confirm or reject it."""
 
 from __future__ import annotations
 
@@ -83,14 +83,14 @@ class TakingSecondLook(OffboardState):
         rotation: NDArray[np.float64],
         probability: float | None,
     ) -> None:
-        """Add a picture to the evidence of a look.
+        """Add an image to the evidence of a look.
 
         Args:
             look: the second look.
             time: of the exposure, s.
             position: (3,) of the camera, m, map.
             rotation: (3, 3) from the optical frame to the map frame.
-            probability: that the candidate is a person; None if the picture does not show it.
+            probability: that the candidate is a person; None if the image does not show it.
         """
         if look.stage not in (LookStage.DESCEND, LookStage.CIRCLE):
             return

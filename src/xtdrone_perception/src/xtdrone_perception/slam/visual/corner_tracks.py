@@ -1,4 +1,4 @@
-"""Corners that are followed from picture to picture, by pyramidal Lucas-Kanade (OpenCV).
+"""Corners that are followed from image to image, by pyramidal Lucas-Kanade (OpenCV).
 
 Pixel coordinates here are OpenCV's: the centre of the upper left pixel is (0, 0).
 """
@@ -19,7 +19,7 @@ Grey = NDArray[np.uint8]
 
 _BORDER = 6.0  # px, corners nearer to the edge are lost
 _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.02)
-_MOST_SLANT = 1.0  # px, difference of the rows of a corner in the two pictures of a stereo pair
+_MOST_SLANT = 1.0  # px, difference of the rows of a corner in the two images of a stereo pair
 _LEAST_DISPARITY = 0.5  # px
 _EDGE = 0.08  # differences of neighbouring depths, over the depth, that are no surface
 
@@ -34,7 +34,7 @@ class TrackSettings(Settings):
         0.01, low=1e-4, high=0.5, text="minimum strength of a corner, over the strongest one's"
     )
     window: int = setting(21, low=5, high=61, unit="px", text="side of the patch that is followed")
-    levels: int = setting(3, low=0, high=6, text="of the pyramid beyond the picture itself")
+    levels: int = setting(3, low=0, high=6, text="of the pyramid beyond the image itself")
     most_return: float = setting(
         0.7, above=0.0, high=10.0, unit="px", text="a corner that comes back farther off when followed back is lost"
     )
@@ -43,7 +43,7 @@ class TrackSettings(Settings):
 def track(
     settings: TrackSettings, before: Grey, after: Grey, pixels: Array, guess: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return where corners are in another picture, (n, 2) px, and whether they were found, (n,) bool.
+    """Return where corners are in another image, (n, 2) px, and whether they were found, (n,) bool.
 
     Each is followed there and back.
 
@@ -101,26 +101,26 @@ def depth_at(depth: NDArray[np.float32], pixels: Array) -> Array:
 
     Args:
         depth: (height, width) m along the optical axis, NaN or 0 where unknown.
-        pixels: (n, 2) px, at least 1 px within the picture.
+        pixels: (n, 2) px, at least 1 px within the image.
     """
     column, row = np.floor(pixels).astype(int).T
     right, down = (pixels - np.floor(pixels)).T
     around = np.stack([depth[row + i, column + j] for i in (0, 1) for j in (0, 1)]).astype(float)
     around[~(around > 0.0)] = np.nan
     share = np.stack([(1 - down) * (1 - right), (1 - down) * right, down * (1 - right), down * right])
-    inverse = (share / around).sum(axis=0)  # the inverse depth of a plane is linear in the picture
+    inverse = (share / around).sum(axis=0)  # the inverse depth of a plane is linear in the image
     spread = around.max(axis=0) - around.min(axis=0)
     found: Array = np.where(spread * inverse <= _EDGE, 1.0 / inverse, np.nan)
     return found
 
 
 def stereo_depth(settings: TrackSettings, left: Grey, right: Grey, pixels: Array, base: float, guess: Array) -> Array:
-    """Return the depths (n,) m of corners of the left picture of a rectified pair; NaN where none was found.
+    """Return the depths (n,) m of corners of the left image of a rectified pair; NaN where none was found.
 
     Args:
         settings: of the corners.
         left, right: (height, width).
-        pixels: (n, 2) px in the left picture.
+        pixels: (n, 2) px in the left image.
         base: focal length times baseline, px m.
         guess: (n,) m, depth where it is known, NaN elsewhere.
     """

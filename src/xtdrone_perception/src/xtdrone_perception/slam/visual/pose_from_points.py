@@ -38,7 +38,7 @@ class NoiseSettings(Settings):
     )
     disparity_noise: float = setting(0.3, above=0.0, high=20.0, unit="px", text="of a disparity by a stereo pair")
     turn_noise: float = setting(
-        0.003, above=0.0, high=1.0, unit="rad", text="of the autopilot's turn from one picture or keyframe to the next"
+        0.003, above=0.0, high=1.0, unit="rad", text="of the autopilot's turn from one image or keyframe to the next"
     )
     most_reprojection: float = setting(
         2.5, above=0.0, high=50.0, unit="px", text="a point that is seen farther from where it should be is left out"

@@ -1,6 +1,6 @@
-"""Visual odometry: corners with depth are followed, pictures are placed among their points, keyframes adjusted.
+"""Visual odometry: corners with depth are followed, images are placed among their points, keyframes adjusted.
 
-Each picture's pose follows from the points that it sees (``pose_from_points``). From time to time a picture becomes a
+Each image's pose follows from the points that it sees (``pose_from_points``). From time to time an image becomes a
 keyframe: the last few keyframes and their points are adjusted together (``window_adjustment``), and new corners are
 added where there are none.
 """
@@ -26,7 +26,7 @@ from .window_adjustment import WindowProblem, adjust
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 
-_MISSES = 2  # pictures without a pose after which odometry restarts where it is predicted to be
+_MISSES = 2  # images without a pose after which odometry restarts where it is predicted to be
 
 
 @dataclass(frozen=True)
@@ -35,18 +35,18 @@ class KeyframeSettings(Settings):
 
     keyframes: int = setting(6, low=2, high=20, text="that are adjusted together")
     keyframe_share: float = setting(
-        0.7, low=0.0, high=1.0, text="a picture that sees less of the last keyframe's points becomes a keyframe"
+        0.7, low=0.0, high=1.0, text="an image that sees less of the last keyframe's points becomes a keyframe"
     )
     keyframe_step: float = setting(0.4, above=0.0, high=100.0, unit="m", text="way after which one does")
     keyframe_turn: float = setting(0.2, above=0.0, high=3.2, unit="rad", text="turn after which one does")
     depth_min: float = setting(0.3, low=0.05, high=100.0, unit="m", text="nearer points are not used")
     depth_max: float = setting(25.0, low=0.5, high=1000.0, unit="m", text="farther points are not used")
-    least_points: int = setting(20, low=6, high=1000, text="points that a picture needs")
+    least_points: int = setting(20, low=6, high=1000, text="points that an image needs")
 
 
 @dataclass(frozen=True)
 class SeenPicture:
-    """A picture with what tells depths: a depth picture, or the right picture of a stereo pair.
+    """An image with what tells depths: a depth image, or the right image of a stereo pair.
 
     Attributes:
         grey: (height, width).
@@ -69,7 +69,7 @@ class Tracks:
 
     Attributes:
         ids: (n,) unique, ascending.
-        measured: (n, 3) u, v (px), inverse depth (1/m, NaN where unknown) in the last picture.
+        measured: (n, 3) u, v (px), inverse depth (1/m, NaN where unknown) in the last image.
         points: (n, 3) m, map.
     """
 
@@ -100,7 +100,7 @@ class VisualEstimate(Estimate):
 
 @dataclass
 class _Keyframe:
-    """A picture of the window: pose (4, 4), the autopilot's attitude, and what was seen of which corners."""
+    """An image of the window: pose (4, 4), the autopilot's attitude, and what was seen of which corners."""
 
     pose: Array
     attitude: Rotation
@@ -112,7 +112,7 @@ class VisualOdometry:
     """The window of keyframes and the vehicle's pose.
 
     Attributes:
-        pose: (4, 4) body to map, at the last picture.
+        pose: (4, 4) body to map, at the last image.
     """
 
     def __init__(
@@ -125,7 +125,7 @@ class VisualOdometry:
         """Begin without points.
 
         Args:
-            camera: that takes the pictures (the left one of a pair).
+            camera: that takes the images (the left one of a pair).
             settings: of corners, errors and keyframes.
             base: focal length times baseline of a stereo pair, px m; 0: a depth camera.
             start: (4, 4) pose of the body in the map.
@@ -147,7 +147,7 @@ class VisualOdometry:
         self._misses = 0
 
     def register(self, picture: SeenPicture, predicted: Array) -> VisualEstimate:
-        """Return the pose of a picture; keyframes and ``pose`` do not change, unless odometry restarts.
+        """Return the pose of an image; keyframes and ``pose`` do not change, unless odometry restarts.
 
         Args:
             picture: the new one.
@@ -178,20 +178,20 @@ class VisualOdometry:
         )
 
     def accept(self, found: VisualEstimate) -> None:
-        """Move to the pose of a picture, and make it a keyframe if it shows enough that is new."""
+        """Move to the pose of an image, and make it a keyframe if it shows enough that is new."""
         self.pose, self._grey, self._tracks, self._misses = found.pose, found.picture.grey, found.tracks, 0
         if self._is_keyframe(found):
             self._add_keyframe(found.picture)
 
     def move(self, pose: Array) -> None:
-        """Move to a pose that was not found by a picture."""
+        """Move to a pose that was not found by an image."""
         self.pose = pose
         self._misses += 1
 
     # tracks
 
     def _followed(self, before: Grey, picture: SeenPicture, predicted: Array) -> Tracks:
-        """Return the tracks in a new picture."""
+        """Return the tracks in a new image."""
         tracks = self._tracks
         guess = self._camera.measured(predicted, tracks.points)[0]
         pixels, good = track(self._corners, before, picture.grey, tracks.measured[:, :2], guess[:, :2])
@@ -211,7 +211,7 @@ class VisualOdometry:
         return np.where(usable, found, np.nan)
 
     def _new_tracks(self, picture: SeenPicture, pose: Array, known: Tracks) -> Tracks:
-        """Return new corners that have a depth, in a picture at a pose."""
+        """Return new corners that have a depth, in an image at a pose."""
         usable = None if picture.depth is None else np.isfinite(picture.depth) & (picture.depth > 0.0)
         pixels = new_corners(self._corners, picture.grey, known.measured[:, :2], usable)
         depth = self._depths(picture, pixels, np.full(len(pixels), np.nan))

@@ -8,7 +8,7 @@ depth/image_raw                            sensor_msgs/Image               in, r
 left/, right/ image_raw, camera_info       sensor_msgs/Image, CameraInfo   in, ``~kind`` stereo: rectified
 =========================================  ==============================  ===========================================
 
-Two pictures belong together if their stamps are equal.
+Two images belong together if their stamps are equal.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from .pose_from_points import NoiseSettings
 from .visual_odometry import KeyframeSettings, SeenPicture, VisualEstimate, VisualOdometry
 
 _PARTS = {"rgbd": ("color", "depth"), "stereo": ("left", "right")}
-_MOST_KEPT = 4  # pictures that wait for the other of their pair
+_MOST_KEPT = 4  # images that wait for the other of their pair
 _LINK_TURN = Rotation.from_quat([-0.5, 0.5, -0.5, 0.5])  # optical frame to a camera's link (x ahead, z up)
 
 Array = NDArray[np.float64]

@@ -25,7 +25,7 @@ _log = logging.getLogger(__name__)
 _PLUGIN = "eglRenderer"
 _SHADOW_PASS = "useShadowMap"  # bool of the plugin (Bullet's GLInstancingRenderer.cpp)
 _CHATTER = (b"Loaded EGL", b"GL_", b"Version =", b"Vendor =", b"Renderer =", b"ven =", b"EGL device", b"Destroy EGL")
-_TALKS = 3  # first pictures of a size, for some of which the plugin prints messages
+_TALKS = 3  # first images of a size, for some of which the plugin prints messages
 _TRIAL_LIMIT = 60.0  # s of wall time
 _one = threading.Lock()  # the plugin supports one physics server per process
 
@@ -56,8 +56,8 @@ class Backend:
         self.client: BulletClient = connect()
         self.name = "tiny"
         self._plugin = -1
-        self._size = (0, 0)  # of the last picture
-        self._talks = 0  # further pictures for which the plugin may print messages
+        self._size = (0, 0)  # of the last image
+        self._talks = 0  # further images for which the plugin may print messages
         if wanted == "tiny":
             return
         problem = self._load()
@@ -67,7 +67,7 @@ class Backend:
             self.client.disconnect()
             raise RendererError(f"no EGL renderer: {problem}")
         else:
-            _log.warning("pictures are drawn by pybullet's TinyRenderer, as there is no EGL renderer: %s", problem)
+            _log.warning("images are drawn by pybullet's TinyRenderer, as there is no EGL renderer: %s", problem)
 
     def _load(self) -> str | None:
         """Load the EGL plugin; return the reason for a failure, else None."""
@@ -88,7 +88,7 @@ class Backend:
         return "the plugin does not load"
 
     def picture(self, width: int, height: int, **how: Any) -> tuple[Any, ...]:
-        """Draw a picture; return the result of pybullet's ``getCameraImage``."""
+        """Draw an image; return the result of pybullet's ``getCameraImage``."""
         if self.name == "tiny":
             return self.client.getCameraImage(width, height, renderer=pybullet.ER_TINY_RENDERER, **how)
         if (width, height) != self._size:
@@ -119,7 +119,7 @@ def _skip_shadow_pass(plugin: str) -> None:
         symbols = table.get_symbol_by_name(_SHADOW_PASS) if isinstance(table, SymbolTableSection) else None
     address = _loaded_at(plugin)
     if not symbols or len(symbols) > 1 or symbols[0]["st_size"] != 1 or address is None:
-        _log.debug("the EGL plugin has no variable %s: it draws a shadow map for every picture", _SHADOW_PASS)
+        _log.debug("the EGL plugin has no variable %s: it draws a shadow map for every image", _SHADOW_PASS)
         return
     wanted = ctypes.c_uint8.from_address(address + symbols[0]["st_value"])
     if wanted.value == 1:
@@ -152,7 +152,7 @@ def _trial(plugin: str) -> str | None:
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=_TRIAL_LIMIT, check=False)
     except subprocess.TimeoutExpired:
-        return f"the plugin has not drawn a picture within {_TRIAL_LIMIT:g} s"
+        return f"the plugin has not drawn an image within {_TRIAL_LIMIT:g} s"
     if done.returncode == 0:
         return None
     words = [line for line in (done.stdout + done.stderr).splitlines() if line and not line.startswith("pybullet")]

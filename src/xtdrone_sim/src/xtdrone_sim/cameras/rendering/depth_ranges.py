@@ -1,8 +1,8 @@
-"""Depth ranges in which a picture is drawn.
+"""Depth ranges in which an image is drawn.
 
 The EGL plugin's depth buffer has 16 bits, nearly all of which resolve depths close to the near limit: with a limit of
 5 cm, surfaces 10 cm apart merge at a distance of 20 m. So the near limit is moved out as far as no visible surface is
-cut off, and a view with close objects is drawn as two pictures, one of the near range and one of the rest.
+cut off, and a view with close objects is drawn as two images, one of the near range and one of the rest.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_sim.shapes.triangles import rotation_matrix
 from xtdrone_sim.shapes.visual import Pose
 
-SPLIT = 2.0  # m; nearer surfaces are drawn in a separate picture
+SPLIT = 2.0  # m; nearer surfaces are drawn in a separate image
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ class Extents:
             self._places[body] = pose.position
 
     def ranges(self, pinhole: Pinhole, pose: Pose, near: float, far: float) -> list[tuple[float, float]]:
-        """Return the limits, m, of the pictures to draw over each other, the farthest first.
+        """Return the limits, m, of the images to draw over each other, the farthest first.
 
         Args:
             pinhole: projection.
@@ -77,7 +77,7 @@ class Extents:
 
 
 def _depths_in_view(pinhole: Pinhole, corners: Array, near: float) -> Array:
-    """Return the minimum depths of the triangles that may be visible, without those certainly outside the picture.
+    """Return the minimum depths of the triangles that may be visible, without those certainly outside the image.
 
     Args:
         pinhole: projection.

@@ -22,7 +22,7 @@ from xtdrone_sim.worlds.sdf import Light
 
 __all__ = ["BACKENDS", "Light", "Picture", "Renderer", "RendererError"]
 
-_TILE = (1024, 768)  # pixels; largest picture that the EGL plugin draws in one call
+_TILE = (1024, 768)  # pixels; largest image that the EGL plugin draws in one call
 _OUT_OF_SIGHT = (0.0, 0.0, -1e7)
 _MASK = (1 << 24) - 1  # bits of a label with the body; the upper ones contain the link
 _SKY = 1.0 - 2e-7  # of the depth buffer, where nothing is: TinyRenderer's is off by the rounding of its numbers
@@ -31,7 +31,7 @@ _INDEX_LIMIT = 120_000  # maximum number of corners in a pybullet mesh
 
 @dataclass(frozen=True)
 class Picture:
-    """The picture of a camera.
+    """The image of a camera.
 
     Attributes:
         rgb: colours, shape (height, width, 3), uint8.
@@ -252,7 +252,7 @@ class Renderer:
         light: Light,
         over: bool,
     ) -> None:
-        """Draw a tile of the picture, optionally over its current content."""
+        """Draw a tile of the image, optionally over its current content."""
         if self.backend == "tiny":  # it samples the corners of pixels instead of their centres
             tile = Pinhole(tile.width, tile.height, tile.fx, tile.fy, tile.cx - 0.5, tile.cy + 0.5)
         towards = -np.asarray(light.direction, float)

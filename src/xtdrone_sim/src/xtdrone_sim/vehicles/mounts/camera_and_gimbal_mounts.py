@@ -53,21 +53,21 @@ class CameraMount:
         name: name in the topics, which ``cameras.outputs`` lists for each kind.
         link: link of the URDF.
         pinhole: projection.
-        rate: picture rate in simulated time, Hz.
+        rate: image rate in simulated time, Hz.
         near, far: limits of the visible range, m.
         frame_id: optical frame (x right, y down, z ahead), to be prefixed with ``VEHICLE/``; of a stereo pair, that of
             the left camera.
         kind: one of ``KINDS``.
-        pose: in the link; the camera looks along x, with z up in the picture.
+        pose: in the link; the camera looks along x, with z up in the image.
         baseline: of a stereo pair, m; the left camera is at +y, the right one at -y.
         range_min, range_max: depths outside are not measured, m.
         noise: standard deviation of a depth over its square, 1/m: that of stereo and structured light.
         encoding: of depth images, one of ``ENCODINGS``: m, or mm as whole numbers.
         seed: of the noises, together with vehicle and name.
-        image_noise: standard deviation of each channel of colour pictures, in parts of full scale, as in Gazebo.
-        lens: distortion of colour pictures; None: a pinhole.
+        image_noise: standard deviation of each channel of colour images, in parts of full scale, as in Gazebo.
+        lens: distortion of colour images; None: a pinhole.
         exposure: time for which the shutter is open, s; 0: a moment.
-        exposure_pictures: odd number of moments whose mean is the picture of an exposure that takes time.
+        exposure_pictures: odd number of moments whose mean is the image of an exposure that takes time.
     """
 
     name: str
@@ -200,7 +200,7 @@ def _special(entry: Mapping[str, Any], kind: str) -> dict[str, Any]:
 
 
 def _picture(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the noise of a camera's pictures, the seed, and the exposure."""
+    """Return the noise of a camera's images, the seed, and the exposure."""
     count = entry.get("exposure_pictures", 9)
     if int(check_range("exposure_pictures", count, 1, _MOST_PICTURES)) != count or count % 2 != 1:
         raise ValueError(f"exposure_pictures: {count} is not allowed, an odd number from 1 to {_MOST_PICTURES}")
@@ -217,7 +217,7 @@ def _pinhole(entry: Mapping[str, Any]) -> Pinhole:
 
 
 def _lens(entry: Mapping[str, Any]) -> tuple[Lens | None, Pinhole]:
-    """Return the lens of a camera's pictures, if there is one, and the pinhole without its distortion."""
+    """Return the lens of a camera's images, if there is one, and the pinhole without its distortion."""
     values = entry.get("distortion")
     model = check_choice("distortion_model", entry.get("distortion_model", PlumbBob.model), tuple(_LENSES))
     names = _LENSES[model].names

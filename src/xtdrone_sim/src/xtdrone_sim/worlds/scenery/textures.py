@@ -17,7 +17,7 @@ def noise(size: int, scales: dict[float, float], rng: np.random.Generator, stret
         size: pixels.
         scales: weight for each spot size, pixels.
         rng: random generator.
-        stretch: ratio of the spots' length along the picture's rows to that along the columns.
+        stretch: ratio of the spots' length along the image's rows to that along the columns.
     """
     fy = np.fft.fftfreq(size)[:, None]
     fx = np.fft.rfftfreq(size)[None, :] * stretch
@@ -39,7 +39,7 @@ def paint(value: Array, colours: list[Colour]) -> Array:
 
 
 def finish(picture: Array) -> Picture:
-    """Return a picture as 8-bit values."""
+    """Return an image as 8-bit values."""
     return np.clip(np.round(picture * 255.0), 0, 255).astype(np.uint8)
 
 
@@ -69,7 +69,7 @@ def meadow(size: int, rng: np.random.Generator) -> Picture:
 
 
 def crops(size: int, rng: np.random.Generator) -> Picture:
-    """Return rows of crops along the picture's rows."""
+    """Return rows of crops along the image's rows."""
     rows = int(rng.integers(10, 22))
     across = np.sin(np.arange(size) * (2.0 * np.pi * rows / size))[:, None]
     value = 1.1 * across + 0.7 * noise(size, {1.5: 1.0, 6.0: 0.5}, rng, 3.0)
@@ -88,7 +88,7 @@ def gravel(size: int, rng: np.random.Generator) -> Picture:
 
 
 def asphalt(size: int, rng: np.random.Generator) -> Picture:
-    """Return a piece of road, 8 m long along the columns and as wide as the picture is high, with a dashed line."""
+    """Return a piece of road, 8 m long along the columns and as wide as the image is high, with a dashed line."""
     value = noise(size, {1.0: 0.9, 3.0: 0.4, 50.0: 0.5}, rng)
     picture = paint(
         value, _tint([(0.22, 0.22, 0.23), (0.31, 0.31, 0.32), (0.38, 0.38, 0.38), (0.47, 0.46, 0.45)], rng, 0.1)

@@ -1,4 +1,4 @@
-"""Heightmaps: terrain from a grey picture, as Wavefront files, which renderer, rays and physics read.
+"""Heightmaps: terrain from a grey image, as Wavefront files, which renderer, rays and physics read.
 
 The files are in the user's cache, by the content they are made from. The terrain is a surface without thickness. For
 collisions it is cut into square tiles, so that a vehicle is near to those below it alone.
@@ -21,7 +21,7 @@ from xtdrone_sim.worlds.sdf.world_records import SdfError
 
 LARGEST_PICTURE = 32 * MB
 MOST_POINTS = 385
-"""Largest number of points along a side; a larger picture is reduced to it, to 300 000 triangles at most."""
+"""Largest number of points along a side; a larger image is reduced to it, to 300 000 triangles at most."""
 
 _FORMAT = b"1"  # of the cached files; a new version invalidates them
 _MOST_PIXELS = 64_000_000
@@ -36,7 +36,7 @@ def read_heightmap(path: Path, size: Vector, pos: Vector = (0.0, 0.0, 0.0), text
     """Return the Wavefront files of a terrain: the whole, and then its tiles; the first call for a content writes them.
 
     As in Gazebo (gazebo/common/ImageHeightmap.cc, physics/HeightmapShape.cc), black is the height 0 and the brightest
-    pixel that of ``size``; columns run along x, and the picture's top is at the largest y.
+    pixel that of ``size``; columns run along x, and the image's top is at the largest y.
 
     Args:
         path: PNG or JPEG file of 8 or 16 bits; of colours, red counts.

@@ -239,7 +239,7 @@ def _save_picture(picture: Any, path: Path) -> str:
         return ""
     try:
         picture.convert("RGB").save(path)
-    except Exception:  # a damaged picture; the colour of the material remains
+    except Exception:  # a damaged image; the colour of the material remains
         path.unlink(missing_ok=True)
         return ""
     return path.name

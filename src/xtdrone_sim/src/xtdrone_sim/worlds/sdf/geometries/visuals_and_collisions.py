@@ -162,7 +162,7 @@ def has_heightmap(link: Element) -> bool:
 
 
 def _read_heightmap(element: Element, is_solid: bool) -> list[tuple[Geometry, MeshPart | None]]:
-    """Read a <heightmap>; one whose picture is missing or cannot be read is left out with a warning."""
+    """Read a <heightmap>; one whose image is missing or cannot be read is left out with a warning."""
     element.warn_unknown(("uri", "size", "pos", "texture"), ("blend", "use_terrain_paging", "sampling"))
     uri, size, pos = element.required("uri"), element.one("size"), element.one("pos")
     extent = (1.0, 1.0, 1.0) if size is None else _triple(size.numbers((3,), 1e-3, 1e5))
@@ -181,7 +181,7 @@ def _read_heightmap(element: Element, is_solid: bool) -> list[tuple[Geometry, Me
 
 
 def _terrain_texture(element: Element) -> tuple[Path | None, float]:
-    """Return the picture of the first <texture> of a <heightmap>, and the side of one texture, m."""
+    """Return the image of the first <texture> of a <heightmap>, and the side of one texture, m."""
     found = element.first("texture")
     if found is None:
         return None, _TERRAIN_TEXTURE
@@ -193,7 +193,7 @@ def _terrain_texture(element: Element) -> tuple[Path | None, float]:
     except ForbiddenError:
         raise
     except SdfError:
-        found.warn_ignored("names a picture that is not found: the terrain is plain")
+        found.warn_ignored("names an image that is not found: the terrain is plain")
         return None, side
 
 
