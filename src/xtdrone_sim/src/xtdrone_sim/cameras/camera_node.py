@@ -152,7 +152,7 @@ class CameraNode:
 
     def _freeze(self, camera: int, frozen: bool) -> SetBoolResponse:
         (self._frozen.add if frozen else self._frozen.discard)(camera)
-        words = "takes no images any more" if frozen else "takes pictures"
+        words = "publishes no more images" if frozen else "publishes images again"
         text = f"{self._cameras[camera].topics} {words}"
         rospy.loginfo(text)
         return SetBoolResponse(True, text)
