@@ -73,7 +73,7 @@ def test_the_map_is_that_of_the_world_until_its_memory_is_full(stack: Stack, tmp
     assert len(read_file(file).middles()) >= 0.9 * len(middles)
 
     stack.wait(
-        lambda: any("the map is full: 2 MB; new places are left out" in text_of(m) for m in reports.messages),
+        lambda: any("the map is full: 2 MB; new voxels are dropped" in text_of(m) for m in reports.messages),
         "the map is full",
         sim=60.0,
     )

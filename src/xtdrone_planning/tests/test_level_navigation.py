@@ -152,8 +152,8 @@ def test_global_paths_keep_their_distance_and_are_hardly_longer_than_the_straigh
     ("goal", "words"),
     [
         ((10.0, 5.0), "the goal is 0.0 m from an obstacle, 0.6 m are needed"),
-        ((25.0, 5.0), "the goal is outside of the map"),
-        ((15.0, 10.0), "there is no way to the goal on the map"),
+        ((25.0, 5.0), "the goal is outside the map"),
+        ((15.0, 10.0), "there is no path to the goal on the map"),
     ],
 )
 def test_goals_that_no_path_leads_to_are_named(goal, words):
@@ -166,7 +166,7 @@ def test_an_unreachable_goal_is_given_up_after_the_recoveries():
     drive = Drive(a_map((100, 100, 0, SIDE - 1)), (3.0, 3.0, 0.0))
     drive.navigator.set_goal(np.array([15.0, 10.0, 0.0]))
     assert drive.run(60.0) == ABORTED
-    assert drive.navigator.reason == "there is no way to the goal on the map"
+    assert drive.navigator.reason == "there is no path to the goal on the map"
     names = [drive.states[0], *(b for a, b in zip(drive.states, drive.states[1:], strict=False) if a != b)]
     assert names == ["planning", "recovering: turning", "planning", WAITING]
     assert np.sum([motion.rate for motion in drive.motions]) * TURN == pytest.approx(math.tau, abs=0.3)
@@ -279,7 +279,7 @@ def test_a_map_of_other_cells_is_refused():
 
 def test_an_inflation_below_the_vehicles_size_is_refused():
     check_reach(CostmapSettings(), LIMITS)
-    with pytest.raises(SettingError, match=r"inflation: 0\.8 is not allowed, at least radius and margin, 1\.1 m"):
+    with pytest.raises(SettingError, match=r"inflation: 0\.8 is not allowed, at least radius \+ margin, 1\.1 m"):
         check_reach(CostmapSettings(), WindowSettings(radius=1.0))
 
 

@@ -130,7 +130,7 @@ def test_maps_that_have_only_the_ground_in_common_are_refused(seed: int) -> None
     with pytest.raises(NotMergedError, match="the maps overlap by"):
         fitted(*apart, true, np.eye(4))
     elsewhere = seen(points, (0.0, 25.0), HOME, 1), seen(yard(seed + 100), (0.0, 25.0), NEAR, 2)
-    with pytest.raises(NotMergedError, match=r"agree|overlap|off the relative|apart|tilt"):
+    with pytest.raises(NotMergedError, match=r"agree|overlap|away from the relative|apart|tilt"):
         fitted(*elsewhere, true, np.eye(4))
 
 
@@ -138,7 +138,7 @@ def test_a_fit_far_from_the_relative_estimates_is_refused() -> None:
     points, true = yard(0), inverse(HOME) @ NEAR
     maps = seen(points, (0.0, 25.0), HOME, 1), seen(points, (15.0, 40.0), NEAR, 2)
     narrow = FitSettings(contradiction=1.0)
-    with pytest.raises(NotMergedError, match=r"standard deviations off the relative estimates"):
+    with pytest.raises(NotMergedError, match=r"standard deviations away from the relative estimates"):
         fitted(*maps, true, frame(0.9, 0.3, 0.0, 0.0), narrow)
     assert fitted(*maps, true, frame(0.9, 0.3, 0.0, 0.0)).residual < 0.12
 

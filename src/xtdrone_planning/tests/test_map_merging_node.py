@@ -140,14 +140,14 @@ def test_maps_are_merged_where_they_fit_and_alike_after_a_reset(stack: Stack) ->
     assert [states[0][name][0] for name in NAMES] == [1, 1, 1]
     assert states[0][NAMES[1]][1] == "not merged: no map has been received"
     last = states[-1]
-    assert last[NAMES[0]][:2] == [0, "the merged map's frame; 2 maps are merged"]
+    assert last[NAMES[0]][:2] == [0, "reference frame; 2 maps are merged"]
     assert last[NAMES[1]][0] == 0
     assert last[NAMES[1]][1].startswith(f"merged through that of {NAMES[0]}, residual 0.")
     assert float(last[NAMES[1]][2]["residual, m"]) < 0.13  # voxels of 0.2 m
     assert float(last[NAMES[1]][2]["overlap"]) > 0.2
     assert last[NAMES[2]][0] == 1
     assert last[NAMES[2]][1].startswith(f"not merged: with {NAMES[0]}: ")
-    assert "its map cannot be read: fields: z missing" in stack.output("map_merging")
+    assert "its map was rejected: fields: z missing" in stack.output("map_merging")
 
     (*_, found) = [line for line in first if line["topic"] == "tf" and line["child"] == f"{NAMES[1]}/map"]
     assert found["parent"] == "map"

@@ -38,16 +38,16 @@ class ExplorationSettings(Settings):
         (20.0, -5.0, 44.0, 15.0), parse=parse_bounds, unit="m", text="x0,y0,x1,y1 of the floor to explore, in map"
     )
     margin: float = setting(
-        5.0, low=0.0, high=100.0, unit="m", text="border around the floor that is mapped for path planning but not explored"
+        5.0, low=0.0, high=100.0, unit="m", text="border around the floor: mapped for path planning, not explored"
     )
     cell: float = setting(0.15, low=0.05, high=1.0, unit="m", text="cell size; must equal that of the local maps")
     flight_height: float = setting(1.5, low=0.3, high=100.0, unit="m", text="height of flight")
     clearance: float = setting(0.6, low=0.1, high=5.0, unit="m", text="minimum distance from paths to obstacles")
     smallest: float = setting(0.9, low=0.0, high=100.0, unit="m", text="frontiers shorter than this are ignored")
     region: float = setting(5.0, low=1.0, high=100.0, unit="m", text="side length of the square regions")
-    ahead: float = setting(5.0, low=1.0, high=50.0, unit="m", text="distance along the path of the goals sent to the planner")
+    ahead: float = setting(5.0, low=1.0, high=50.0, unit="m", text="distance of the planner's goals along the path")
     lost_after: float = setting(
-        5.0, low=0.5, high=600.0, unit="s", text="a vehicle silent for longer counts as lost; the others take its regions"
+        5.0, low=0.5, high=600.0, unit="s", text="a vehicle silent for longer counts as lost; others take its regions"
     )
 
     def __post_init__(self) -> None:

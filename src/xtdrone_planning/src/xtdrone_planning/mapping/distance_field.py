@@ -1,7 +1,7 @@
-"""Kernels for the distance to the nearest obstacle.
+"""Kernels that compute the distance to the nearest obstacle.
 
 The transform is that of P. Felzenszwalb and D. Huttenlocher, Distance transforms of sampled functions, Theory of
-Computing 8, 2012: along one axis after the other, each the lower envelope of parabolas.
+Computing 8, 2012: axis by axis, each pass the lower envelope of parabolas.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def distance_field(evidence, occupied_from, resolution, farthest, distance):
 
 @kernel
 def _along_column(column, occupied_from, reach, squares):
-    """Write the squared distance, in voxels, to the nearest occupied voxel of a column, by a pass up and one down."""
+    """Write the squared distance, in voxels, to the nearest occupied voxel of a column, by one pass up and one down."""
     away = reach
     for k in range(len(column)):
         away = np.float32(0.0) if column[k] >= occupied_from else min(reach, away + np.float32(1.0))
@@ -59,11 +59,11 @@ def _along_column(column, occupied_from, reach, squares):
 
 @kernel
 def _envelope(line, most, row, places, bounds):
-    """Replace the squared distances of a line by those that regard the whole line.
+    """Replace the squared distances along a line by the minimum over the whole line.
 
     Args:
         line: (n,) squared distances, voxels, changed in place.
-        most: squared distance that means: nothing within reach. Its parabolas are left out.
+        most: squared distance that stands for no obstacle within reach; its parabolas are skipped.
         row, places, bounds: scratch space of at least n, n and n + 1.
     """
     n = len(line)

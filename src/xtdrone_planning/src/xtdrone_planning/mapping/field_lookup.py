@@ -1,4 +1,4 @@
-"""Kernels that read a map between the centres of its voxels."""
+"""Kernels that interpolate a map between the centres of its voxels."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ def distance_at(distance, corner, resolution, x, y, z):
 
     Args:
         distance: (nx, ny, nz) m, of the centres of voxels.
-        corner: (3,) number of the lowest voxel.
+        corner: (3,) index of the lowest voxel.
         resolution: side of a voxel, m.
         x, y, z: m in map.
 
     Returns:
-        (distance, gradient x, y, z), m and without unit. A point outside has the value of the nearest voxel inside, and
-        no gradient along the axes on which it is outside.
+        (distance, gradient x, y, z), m and without unit. A point outside gets the value of the nearest voxel inside,
+        and no gradient along the axes on which it is outside.
     """
     nx, ny, nz = distance.shape
     a, i, slope_x = _cell(x / resolution - corner[0] - 0.5, nx)
@@ -45,7 +45,7 @@ def distance_at(distance, corner, resolution, x, y, z):
 
 @kernel
 def _cell(place, count):
-    """Return for one axis the part between two voxels, the lower of them, and 1, or 0 outside."""
+    """Return for one axis the fraction between two voxels, the index of the lower one, and 1 inside or 0 outside."""
     if place <= 0.0:
         return 0.0, 0, 0.0
     if place >= count - 1.0:
@@ -56,14 +56,14 @@ def _cell(place, count):
 
 @kernel
 def is_seen(evidence, corner, resolution, x, y, z, radius):
-    """Return whether a level disc around a point was seen free.
+    """Return whether a horizontal disc around a point was observed to be free.
 
-    The planes of a lidar leave gaps between them, so a voxel counts as seen if it or the one above or below is free;
-    the vehicle is flat, so a disc is enough.
+    There are gaps between the planes of a lidar, so a voxel counts as seen if it or the one above or below is free; a
+    disc is enough because the vehicle is flat.
 
     Args:
         evidence: (nx, ny, nz) int16.
-        corner: (3,) number of the lowest voxel.
+        corner: (3,) index of the lowest voxel.
         resolution: side of a voxel, m.
         x, y, z: the disc's centre, m in map.
         radius: of the disc, m.

@@ -1,4 +1,5 @@
-"""The local map of one vehicle: measurements in, free, occupied and unknown space and distances out."""
+"""Local map of one vehicle: turns range measurements into free, occupied and unknown space, and distances to
+obstacles."""
 
 from __future__ import annotations
 
@@ -9,11 +10,11 @@ from xtdrone_planning.mapping.voxel_grid import MapSettings, VoxelGrid
 
 
 class LocalMap:
-    """Enters range images into a grid, each ray from where the vehicle was at the ray's time.
+    """Inserts range images into a grid; each ray starts at the vehicle's pose at the time of the ray.
 
     Attributes:
         grid: the map.
-        poses: of base_link, entries x, y, z, m in map, and quaternion w, x, y, z; ``poses.add`` adds the latest.
+        poses: history of base_link poses: x, y, z, m in map, and quaternion w, x, y, z; ``poses.add`` appends one.
     """
 
     def __init__(self, settings: MapSettings, radius: float) -> None:
@@ -21,7 +22,7 @@ class LocalMap:
 
         Args:
             settings: of the grid.
-            radius: m around the vehicle that are free because it is there.
+            radius: space within this distance of the vehicle counts as free, m.
         """
         self.grid = VoxelGrid(settings)
         self.poses = PoseHistory(seconds=2.0, reach=0.1)
@@ -33,15 +34,15 @@ class LocalMap:
         self.poses.clear()
 
     def enter(self, image: RangeImage, stamp_ns: int, mount: tuple[float, float, float]) -> bool:
-        """Enter a measurement, and compute the distances.
+        """Insert a measurement, and update the distances.
 
         Args:
             image: the rays.
             stamp_ns: time of the image, ns.
-            mount: the sensor's place in base_link, m, FLU.
+            mount: position of the sensor in base_link, m, FLU.
 
         Returns:
-            False if the pose at that time is not known; nothing has changed then.
+            False if the pose at that time is not known; the map is then unchanged.
         """
         rays = rays_in_map(image, stamp_ns, mount, self.poses)
         if rays is None:

@@ -1,12 +1,12 @@
-"""The measurements of one vehicle's sensor, from its topics into its local map.
+"""Feed of one vehicle's local map: subscribes to its sensor and pose, and inserts each measurement.
 
 ===================================  =======================  ========================================================
 topic (subscribed)                   type                     meaning
 ===================================  =======================  ========================================================
-/T/mavros/local_position/pose        geometry_msgs/PoseStamped  the estimate, at whose poses measurements are entered
+/T/mavros/local_position/pose        geometry_msgs/PoseStamped  the estimated pose, used to place measurements
 /T/ODOMETRY/odometry                 nav_msgs/Odometry        instead, with ``odometry``
-/T/LIDAR                             sensor_msgs/PointCloud2  of a spinning lidar, or any cloud in the sensor's frame
-/T/DEPTH/image_raw, camera_info      Image, CameraInfo        with ``~sensor`` depth, instead
+/T/LIDAR                             sensor_msgs/PointCloud2  cloud of a spinning lidar, or any cloud in the sensor's
+frame /T/DEPTH/image_raw, camera_info      Image, CameraInfo        with ``~sensor`` depth, instead
 ===================================  =======================  ========================================================
 """
 
@@ -46,19 +46,19 @@ class SensorChoice(Settings):
     """Which sensor maps."""
 
     sensor: str = setting(
-        "lidar", choices=("lidar", "depth"), text="what maps: a lidar's cloud or a depth camera's image"
+        "lidar", choices=("lidar", "depth"), text="sensor that the map is built from: lidar cloud or depth image"
     )
 
 
 class FedMap(Protocol):
-    """A map that measurements are entered into."""
+    """A map that measurements are inserted into."""
 
     @property
     def poses(self) -> PoseHistory:
         """Poses of base_link in map; see ``LocalMap``."""
 
     def enter(self, image: RangeImage, stamp_ns: int, mount: tuple[float, float, float]) -> bool:
-        """Enter a measurement; return False if its pose is not known. See ``LocalMap.enter``."""
+        """Insert a measurement; return False if its pose is not known. See ``LocalMap.enter``."""
 
 
 class MapFeed:
@@ -79,12 +79,13 @@ class MapFeed:
 
         Args:
             vehicle: name, as ``iris_0``.
-            fed_map: is fed.
-            watch: judges the sensor.
+            fed_map: map to feed.
+            watch: monitors the sensor.
             sensor: lidar or depth.
-            lidar, depth: of the sensor.
-            timed: returns a context in which each measurement is read and entered.
-            odometry: name of the odometry whose poses count, as ``lidar_odometry``; empty: the autopilot's estimate.
+            lidar, depth: settings of the sensor.
+            timed: returns a context manager around reading and inserting each measurement.
+            odometry: name of the odometry whose poses are used, e.g. ``lidar_odometry``; empty: the autopilot's
+            estimate.
         """
         self._timed = timed
         self._vehicle = vehicle
@@ -137,12 +138,12 @@ class MapFeed:
         try:
             image = read()
         except ScanError as error:
-            self._watch.rejected(f"a measurement cannot be read: {error}")
-            rospy.logwarn_throttle(5.0, f"{self._vehicle}: a measurement is not mapped: {error}")
+            self._watch.rejected(f"measurement rejected: {error}")
+            rospy.logwarn_throttle(5.0, f"{self._vehicle}: measurement rejected: {error}")
             return
         if not self._watch.take(bytes(message.data), int(np.isfinite(image.ranges).sum())):
             return
         if self._map.enter(image, message.header.stamp.to_nsec(), self._mount):
             self._watch.mapped(rospy.get_time())
         else:
-            self._watch.rejected("no pose is known for the sensor's measurements")
+            self._watch.rejected("no pose at the time of the sensor's measurements")

@@ -1,4 +1,4 @@
-"""Clouds and images from ROS messages, and the map as messages."""
+"""Conversion of ROS messages to clouds and images, and of the map to messages."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ FRAME = "map"
 
 _XYZ = [PointField(name, 4 * n, PointField.FLOAT32, 1) for n, name in enumerate("xyz")]
 _DEPTHS: dict[str, tuple[np.dtype[Any], float]] = {"32FC1": (np.dtype("<f4"), 1.0), "16UC1": (np.dtype("<u2"), 0.001)}
-"""Encodings of depth images (REP 118): type, and m in a unit."""
+"""Encodings of depth images (REP 118): type, and metres per unit."""
 
 
 def depths_of(message: Image) -> NDArray[np.float64]:
-    """Return the depths (height, width), m, of an image; NaN or infinite without a value.
+    """Return the depths (height, width), m, of an image; NaN or infinite where there is no value.
 
     Raises:
         ScanError: the encoding or size is not that of a depth image.

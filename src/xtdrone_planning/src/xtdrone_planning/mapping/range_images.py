@@ -1,7 +1,7 @@
-"""Scans and depth images as one thing: an image of ranges, each with its direction and time.
+"""Range images: the common form of lidar scans and depth images, each range with its direction and time.
 
-A lidar's cloud has only returns. Where a whole neighbourhood of rays has none, the way is free up to the sensor's
-range; a single ray without a return may as well be a dropout and tells nothing.
+A lidar cloud contains only returns. Where a whole neighbourhood of rays has none, space is free up to the sensor's
+range; a single missing return may be a dropout and carries no information.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from xtdrone_control.settings import Settings, setting
 Array = NDArray[np.float64]
 
 _KINDS = {1: "i1", 2: "u1", 3: "<i2", 4: "<u2", 5: "<i4", 6: "<u4", 7: "<f4", 8: "<f8"}
-"""numpy's types of sensor_msgs/PointField's."""
+"""numpy types of the datatypes of sensor_msgs/PointField."""
 
 
 class ScanError(ValueError):
@@ -30,14 +30,14 @@ class LidarMapping(Settings):
 
     lidar_topic: str = setting("velodyne_points", text="topic of the cloud below /VEHICLE/")
     lidar_position: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.06), low=-5.0, high=5.0, unit="m", text="the lidar's place in base_link, FLU"
+        (0.0, 0.0, 0.06), low=-5.0, high=5.0, unit="m", text="position of the lidar in base_link, FLU"
     )
-    columns: int = setting(512, low=16, high=4096, text="columns of a turn")
+    columns: int = setting(512, low=16, high=4096, text="columns per revolution")
     channels: int = setting(32, low=1, high=256, text="planes")
     vertical_min: float = setting(-0.2617993877991494, low=-1.57, high=1.57, unit="rad", text="lowest plane")
     vertical_max: float = setting(0.2617993877991494, low=-1.57, high=1.57, unit="rad", text="highest plane")
     lidar_range: tuple[float, float] = setting(
-        (0.3, 30.0), low=0.0, high=300.0, unit="m", text="nearest and farthest return that is mapped"
+        (0.3, 30.0), low=0.0, high=300.0, unit="m", text="minimum and maximum range of returns that are mapped"
     )
 
 
@@ -45,13 +45,13 @@ class LidarMapping(Settings):
 class DepthMapping(Settings):
     """The depth camera whose image is mapped; the defaults are those of ``iris_depth_camera``."""
 
-    depth_topic: str = setting("depth_camera/depth", text="where image_raw and camera_info are, below /VEHICLE/")
+    depth_topic: str = setting("depth_camera/depth", text="namespace of image_raw and camera_info, below /VEHICLE/")
     depth_position: tuple[float, float, float] = setting(
-        (0.1, 0.0, 0.0), low=-5.0, high=5.0, unit="m", text="the camera's place in base_link, FLU; it looks ahead"
+        (0.1, 0.0, 0.0), low=-5.0, high=5.0, unit="m", text="position of the forward camera in base_link, FLU"
     )
-    stride: int = setting(4, low=1, high=32, text="every so many pixels, across and down, are mapped", unit="px")
+    stride: int = setting(4, low=1, high=32, text="map every Nth pixel, horizontally and vertically", unit="px")
     depth_range: tuple[float, float] = setting(
-        (0.2, 9.5), low=0.0, high=100.0, unit="m", text="nearest and farthest depth that is mapped"
+        (0.2, 9.5), low=0.0, high=100.0, unit="m", text="minimum and maximum depth that is mapped"
     )
 
 
@@ -63,9 +63,10 @@ class RangeImage:
         ranges: (rows, columns) m; NaN without a return.
         directions: (rows, columns, 3) unit vectors.
         times: (rows, columns) s after the stamp.
-        farthest: m up to which the way is free where nothing returns.
-        round: whether the last column is beside the first.
-        ordered: whether pixels that are neighbours are so in space; otherwise a missing return tells nothing.
+        farthest: range up to which space is free along rays without a return, m.
+        round: whether the last column is adjacent to the first.
+        ordered: whether neighbouring pixels are neighbouring directions; otherwise a missing return carries no
+        information.
     """
 
     ranges: Array
@@ -76,10 +77,10 @@ class RangeImage:
     ordered: bool = True
 
     def rays(self) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        """Return the rays that tell something.
+        """Return the rays that carry information.
 
         Returns:
-            Ranges (n,), directions (n, 3), times (n,), and whether each ends at something (n,).
+            Ranges (n,), directions (n, 3), times (n,), and whether each ends at a surface (n,).
         """
         hits = np.isfinite(self.ranges)
         known = hits | self._empty(~hits)
@@ -87,7 +88,7 @@ class RangeImage:
         return ranges[known], self.directions[known], self.times[known], hits[known]
 
     def _empty(self, missing: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return the pixels without a return whose four neighbours have none either."""
+        """Return the pixels that have no return and whose four neighbours have none either."""
         if not self.ordered:
             return np.zeros_like(missing)
         rows = np.pad(missing, ((1, 1), (0, 0)), mode="edge")
@@ -120,7 +121,7 @@ def points_of(message: object) -> NDArray[np.void]:
 
 
 class LidarImages:
-    """Clouds of a spinning lidar as range images."""
+    """Converts clouds of a spinning lidar to range images."""
 
     def __init__(self, settings: LidarMapping) -> None:
         """Prepare the directions of all rays."""
@@ -135,8 +136,8 @@ class LidarImages:
         """Return the range image of a cloud.
 
         Args:
-            points: as of ``points_of``; without ``ring`` the order of points is unknown, without ``time`` all are of
-                the stamp.
+            points: as of ``points_of``; without ``ring`` the order of points is unknown; without ``time`` all points
+                have the time of the stamp.
         """
         places = np.stack([points["x"], points["y"], points["z"]], axis=1).astype(float)
         ranges = np.sqrt((places * places).sum(axis=1))
@@ -169,7 +170,7 @@ class LidarImages:
 
 
 class DepthImages:
-    """Images of a depth camera as range images."""
+    """Converts images of a depth camera to range images."""
 
     def __init__(self, settings: DepthMapping) -> None:
         """Start without the camera's intrinsics."""
@@ -179,7 +180,7 @@ class DepthImages:
         self._lengths = np.zeros((0, 0))
 
     def image(self, depths: Array, intrinsics: tuple[float, float, float, float]) -> RangeImage:
-        """Return the range image of an image.
+        """Return the range image of a depth image.
 
         Args:
             depths: (height, width) m along the optical axis, NaN or infinite without a value.

@@ -1,4 +1,4 @@
-"""Kernels that enter the rays of a measurement into a grid of evidence.
+"""Kernels that insert the rays of a measurement into a grid of evidence.
 
 The voxels of a ray are found by the method of J. Amanatides and A. Woo, A fast voxel traversal algorithm for ray
 tracing, Eurographics 1987.
@@ -16,18 +16,18 @@ _FREE_TO, _OCCUPIED_FROM = -30, 50
 
 @kernel
 def cast_rays(evidence, marks, mark, corner, resolution, origins, ends, hits):
-    """Enter rays: +85 where one ends, -40 where one passes, once for each voxel and measurement.
+    """Insert rays: +85 where one ends, -40 where one passes, once per voxel and measurement.
 
     A voxel in which a ray ends is not freed by another ray of the same measurement.
 
     Args:
         evidence: (nx, ny, nz) int16, changed in place.
-        marks: (nx, ny, nz) int32, changed in place: the last measurement that has changed a voxel.
-        mark: number of this measurement, 2 more than that of the last one.
-        corner: (3,) number of the lowest voxel.
+        marks: (nx, ny, nz) int32, changed in place: mark of the last measurement that changed each voxel.
+        mark: mark of this measurement, 2 more than that of the last one.
+        corner: (3,) index of the lowest voxel.
         resolution: side of a voxel, m.
         origins, ends: (n, 3) m in map.
-        hits: (n,) whether the ray ends at something.
+        hits: (n,) whether the ray ends at a surface.
     """
     nx, ny, nz = evidence.shape
     for r in range(len(ends)):
@@ -44,7 +44,7 @@ def cast_rays(evidence, marks, mark, corner, resolution, origins, ends, hits):
 
 @kernel
 def _pass_through(evidence, marks, mark, corner, resolution, origin, end):
-    """Enter that the voxels of a ray are free; see ``cast_rays``."""
+    """Mark the voxels along a ray as free; see ``cast_rays``."""
     nx, ny, nz = evidence.shape
     x, y, z = (
         origin[0] / resolution - corner[0],
@@ -79,7 +79,8 @@ def _pass_through(evidence, marks, mark, corner, resolution, origin, end):
 
 @kernel
 def axis_crossing(place, length, cell):
-    """Return for one axis the part of the ray across a voxel, the part up to the next voxel, and the step, 1 or -1."""
+    """Return for one axis the fraction of the ray per voxel, the fraction up to the next voxel, and the step, 1 or
+    -1."""
     if length > 0.0:
         return 1.0 / length, (cell + 1.0 - place) / length, 1
     if length < 0.0:
@@ -89,7 +90,7 @@ def axis_crossing(place, length, cell):
 
 @kernel
 def free_sphere(evidence, corner, resolution, centre, radius):
-    """Make unknown voxels free whose middle is within ``radius`` m of ``centre``, (3,) m in map."""
+    """Mark unknown voxels as free whose centre is within ``radius`` m of ``centre``, (3,) m in map."""
     nx, ny, nz = evidence.shape
     reach = math.ceil(radius / resolution)
     ci = math.floor(centre[0] / resolution) - corner[0]

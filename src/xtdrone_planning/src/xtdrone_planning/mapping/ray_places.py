@@ -1,4 +1,4 @@
-"""A sensor's rays in the map: each at its own time, as the vehicle moves while a lidar turns."""
+"""Rays of a sensor in the map frame, each placed at its own time, because the vehicle moves during a scan."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from xtdrone_planning.mapping.range_images import RangeImage
 
 Array = NDArray[np.float64]
 
-_PIECES = 6  # of a scan's time, between which the vehicle's pose is interpolated
+_PIECES = 6  # intervals per scan, within which the vehicle's pose is interpolated
 
 
 class PlacedRays(NamedTuple):
@@ -24,7 +24,7 @@ class PlacedRays(NamedTuple):
     Attributes:
         origins: (n, 3) where they begin, m in map.
         ends: (n, 3) where they end.
-        hits: (n,) whether something was met at the end.
+        hits: (n,) whether the ray ends at a surface.
         position: (3,) of the vehicle at the end of the measurement, m in map.
     """
 
@@ -37,13 +37,13 @@ class PlacedRays(NamedTuple):
 def rays_in_map(
     image: RangeImage, stamp_ns: int, mount: tuple[float, float, float], poses: PoseHistory
 ) -> PlacedRays | None:
-    """Return the rays of a measurement, each from where the vehicle was at the ray's time.
+    """Return the rays of a measurement, each from the vehicle's pose at the time of the ray.
 
     Args:
         image: the rays.
         stamp_ns: time of the image, ns.
-        mount: the sensor's place in base_link, m, FLU.
-        poses: of base_link, entries x, y, z, m in map, and quaternion w, x, y, z.
+        mount: position of the sensor in base_link, m, FLU.
+        poses: history of base_link poses: x, y, z, m in map, and quaternion w, x, y, z.
 
     Returns:
         None if the pose at one of the times is not known.
@@ -68,12 +68,12 @@ _rotate = rotation_kernels.rotate
 
 @kernel
 def place_rays(poses, spacing, mount, ranges, directions, times, origins, ends):
-    """Compute where rays begin and end.
+    """Compute the start and end points of rays.
 
     Args:
         poses: (m, 7) of base_link in map, at times 0, ``spacing``, ...: x, y, z, m, and quaternion w, x, y, z.
         spacing: s between two poses, above 0.
-        mount: (3,) the sensor's place in base_link, m, FLU; its axes are those of base_link.
+        mount: (3,) position of the sensor in base_link, m, FLU; its axes are those of base_link.
         ranges: (n,) m.
         directions: (n, 3) unit vectors.
         times: (n,) s.

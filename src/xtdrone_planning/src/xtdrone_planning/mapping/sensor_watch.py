@@ -1,4 +1,4 @@
-"""Whether the sensor that maps can be relied on: silent, frozen, without a pose, or seeing nothing."""
+"""Monitoring of the sensor that feeds the map: silent, frozen, without a pose, or seeing nothing."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from xtdrone_control.settings import Settings, setting
 
 @dataclass(frozen=True)
 class WatchSettings(Settings):
-    """When a sensor counts as failed."""
+    """Conditions under which a sensor counts as failed."""
 
     silence: float = setting(
-        0.5, low=0.05, high=10.0, unit="s", text="a sensor without a measurement for longer has failed"
+        0.5, low=0.05, high=10.0, unit="s", text="a sensor silent for longer counts as failed"
     )
     repeats: int = setting(
-        4, low=2, high=100, text="a sensor that repeats a measurement bit by bit so often has failed"
+        4, low=2, high=100, text="number of bit-identical measurements in a row after which a sensor counts as failed"
     )
 
 
 class SensorWatch:
-    """Judges the stream of measurements of one sensor.
+    """Monitors the measurements of one sensor.
 
     Attributes:
         count: measurements that were mapped.
@@ -41,11 +41,11 @@ class SensorWatch:
         self._reason = ""
 
     def take(self, payload: bytes, returns: int) -> bool:
-        """Regard a measurement; return whether it may be mapped.
+        """Check a measurement; return whether it may be mapped.
 
         Args:
             payload: its values as received.
-            returns: number of rays that have met something.
+            returns: number of rays with a return.
         """
         same = returns > 0 and payload == self._payload
         self._repeats = self._repeats + 1 if same else 0
@@ -53,26 +53,26 @@ class SensorWatch:
         return not self.is_frozen
 
     def mapped(self, time: float) -> None:
-        """Note that a measurement was mapped at ``time``, s of ROS time."""
+        """Record that a measurement was mapped at ``time``, s of ROS time."""
         self.count += 1
         self._last, self._reason = time, ""
 
     def rejected(self, reason: str) -> None:
-        """Note why a measurement was not mapped."""
+        """Record why a measurement was not mapped."""
         self._reason = reason
 
     @property
     def is_frozen(self) -> bool:
-        """Whether the sensor repeats itself."""
+        """Whether the sensor is frozen."""
         return self._repeats + 1 >= self._settings.repeats
 
     @property
     def sees_nothing(self) -> bool:
-        """Whether nothing was within range in the last measurement."""
+        """Whether the last measurement had no return within range."""
         return self.count > 0 and self._returns == 0
 
     def fault(self, now: float) -> str:
-        """Return why the sensor cannot be relied on at ``now``, s; empty if it can."""
+        """Return the sensor's fault at ``now``, s; empty if there is none."""
         if self.is_frozen:
             return f"sensor frozen: {self._repeats + 1} equal measurements"
         if self._last is None:

@@ -1,8 +1,8 @@
 """The local map: a box of voxels that moves with the vehicle, each with the evidence that it is occupied.
 
 Evidence is a log-odds value in hundredths, clamped (A. Hornung et al., OctoMap: an efficient probabilistic 3D mapping
-framework based on octrees, Autonomous Robots 34, 2013, equations 2 to 4). A voxel that no ray has met has none, which
-is the third state, unknown.
+framework based on octrees, Autonomous Robots 34, 2013, equations 2 to 4). A voxel that no ray has reached has no
+evidence: the third state, unknown.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ HIT, MISS = 85, -40
 """Evidence of a ray that ends in a voxel, and of one that passes through it."""
 LEAST, MOST = -200, 350
 OCCUPIED_FROM, FREE_TO = 50, -30
-"""A voxel is occupied from the one on, free up to the other, and unknown in between."""
+"""A voxel is occupied at or above the first value, free at or below the second, and unknown in between."""
 
-_SLACK = 1.0  # m that the vehicle may be off the centre of the box before it moves
+_SLACK = 1.0  # m: offset of the vehicle from the centre of the box at which the box moves
 
 
 @dataclass(frozen=True)
 class MapSettings(Settings):
     """The local map."""
 
-    resolution: float = setting(0.2, low=0.05, high=1.0, unit="m", text="side of a voxel")
+    resolution: float = setting(0.2, low=0.05, high=1.0, unit="m", text="voxel size")
     side: float = setting(24.0, low=4.0, high=80.0, unit="m", text="side of the map, along x and y")
     height: float = setting(4.8, low=1.0, high=40.0, unit="m", text="height of the map")
-    farthest: float = setting(3.0, low=0.5, high=10.0, unit="m", text="distances to obstacles are known up to this")
+    farthest: float = setting(3.0, low=0.5, high=10.0, unit="m", text="distances to obstacles are computed up to this")
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -53,11 +53,11 @@ class VoxelGrid:
         evidence: (nx, ny, nz) int16, log-odds of occupation in hundredths.
         distance: (nx, ny, nz) float32, m from a voxel's centre to that of the nearest occupied one; see
             ``update_distance``.
-        corner: (3,) number of the lowest voxel on the lattice whose voxel 0 begins at the origin of ``map``.
+        corner: (3,) index of the lowest voxel; voxel 0 begins at the origin of ``map``.
     """
 
     def __init__(self, settings: MapSettings) -> None:
-        """Start with a map of which nothing is known, around the origin."""
+        """Start with an unknown map around the origin."""
         self.settings = settings
         self.resolution = settings.resolution
         self.evidence = np.zeros(settings.shape, np.int16)
@@ -95,18 +95,18 @@ class VoxelGrid:
         self.corner = corner
 
     def insert(self, origins: Array, ends: Array, hits: NDArray[np.bool_]) -> None:
-        """Enter the rays of one measurement.
+        """Insert the rays of one measurement.
 
         Args:
             origins: (n, 3) where the rays begin, m in map.
             ends: (n, 3) where they end; beyond the box is allowed.
-            hits: (n,) whether something was met at the end; otherwise the ray is free to its end.
+            hits: (n,) whether the ray ends at a surface; otherwise it is free to its end.
         """
         self._mark += 2
         cast_rays(self.evidence, self._marks, self._mark, self.corner, self.resolution, origins, ends, hits)
 
     def free_around(self, position: Array, radius: float) -> None:
-        """Enter that the vehicle itself is here: unknown voxels within ``radius`` m become free."""
+        """Mark unknown voxels within ``radius`` m of the vehicle as free."""
         free_sphere(self.evidence, self.corner, self.resolution, np.asarray(position, float), radius)
 
     def update_distance(self) -> None:
@@ -132,7 +132,7 @@ class VoxelGrid:
 
 
 def _shifted(values: _Grid, moved: NDArray[np.int64], fill: float) -> _Grid:
-    """Return a grid whose voxel i is the old one's voxel i + ``moved``; new voxels have the value ``fill``."""
+    """Return a shifted grid: voxel i is voxel i + ``moved`` of the old one; new voxels have the value ``fill``."""
     shifted = np.full_like(values, fill)
     old = [slice(max(0, m), n + min(0, m)) for m, n in zip(moved.tolist(), values.shape, strict=True)]
     new = [slice(max(0, -m), n + min(0, -m)) for m, n in zip(moved.tolist(), values.shape, strict=True)]

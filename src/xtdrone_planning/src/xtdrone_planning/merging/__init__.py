@@ -1,1 +1,1 @@
-"""Maps of several vehicles, each in a frame of its own, merged through relative poses: node ``map_merging.py``."""
+"""Merging of the maps of several vehicles, each in its own frame, through relative poses: node ``map_merging.py``."""

@@ -1,9 +1,9 @@
-"""Relative pose of two vehicles' map frames, from what one estimates of the other's position over time.
+"""Relative pose of two vehicles' map frames, from one vehicle's estimates of the other's position over time.
 
-Where vehicle A is at a in its map, estimates B at r from itself (in the axes of A's map), and B is at b in B's map, the
-pose (R, t) of B's map in A's obeys a + r = R b + t. Both maps have z up, so that R is a turn about z: turn and shift
-follow in closed form (two-dimensional case of B. Horn, JOSA A 4(4), 1987), with the compass as a prior of the turn.
-Outliers lose their weight by Geman and McClure's kernel, which is narrowed step by step (H. Yang et al., Graduated
+If vehicle A is at a in its map and estimates B at r relative to itself (in the axes of A's map), and B is at b in B's
+map, then the pose (R, t) of B's map in A's satisfies a + r = R b + t. Both maps have z up, so R is a rotation about z:
+rotation and translation follow in closed form (two-dimensional case of B. Horn, JOSA A 4(4), 1987), with the compass as
+a prior of the rotation. The Geman-McClure kernel, narrowed step by step, suppresses outliers (H. Yang et al., Graduated
 Non-Convexity for Robust Spatial Perception, RA-L 5(2), 2020).
 """
 
@@ -19,16 +19,16 @@ from xtdrone_planning.merging.settings import LinkSettings, NotMergedError
 
 Array = NDArray[np.float64]
 
-_NARROWER = 1.4  # of the kernel from step to step
+_NARROWER = 1.4  # factor by which the kernel narrows in each step
 
 
 class Pairs(NamedTuple):
-    """What was estimated of one vehicle by another.
+    """Estimates of one vehicle's position by another.
 
     Attributes:
         times: (n,) s, ascending.
-        seen: (n, 3) m, where the other vehicle was, by the estimate, in the observer's map.
-        other: (n, 3) m, where it was by its own odometry, in its map.
+        seen: (n, 3) m, estimated positions of the other vehicle, in the observer's map.
+        other: (n, 3) m, its positions by its own odometry, in its map.
         deviations: (n,) m, standard deviation of ``seen``, per axis.
     """
 
@@ -43,9 +43,9 @@ class Link(NamedTuple):
 
     Attributes:
         pose: (4, 4) of the second map in the first.
-        middle: (3,) m, second map: the place to which the covariance refers.
-        covariance: (4, 4) of x, y, z of this place in the first map, m, and of the heading, rad.
-        inliers: share of estimates that are no outliers.
+        middle: (3,) m, second map: the point to which the covariance refers.
+        covariance: (4, 4) of x, y, z of this point in the first map, m, and of the heading, rad.
+        inliers: fraction of estimates that are inliers.
         estimates: their number.
     """
 
@@ -57,7 +57,7 @@ class Link(NamedTuple):
 
     @property
     def deviation(self) -> float:
-        """Standard deviation of the place in the worst direction, m."""
+        """Standard deviation of the position in the worst direction, m."""
         return float(np.sqrt(np.linalg.eigvalsh(self.covariance[:3, :3])[-1]))
 
     @property
@@ -66,7 +66,7 @@ class Link(NamedTuple):
         return float(np.sqrt(self.covariance[3, 3]))
 
     def contradiction(self, pose: Array, noise: tuple[float, float]) -> float:
-        """Return how many standard deviations another estimate of the pose is off.
+        """Return the distance of another estimate of the pose, in standard deviations.
 
         Args:
             pose: (4, 4) of the second map in the first.
@@ -82,7 +82,7 @@ class Link(NamedTuple):
         back = inverse(self.pose)
         turn = np.eye(4)
         turn[:3, :3] = back[:3, :3]
-        middle = transformed(self.pose, self.middle)  # there, the pose and its inverse err by the same amount
+        middle = transformed(self.pose, self.middle)  # at this point the pose and its inverse have the same error
         return Link(back, middle, turn @ self.covariance @ turn.T, self.inliers, self.estimates)
 
 
@@ -90,7 +90,7 @@ def link_of(pairs: Pairs, settings: LinkSettings) -> Link:
     """Return the pose of the other vehicle's map in the observer's.
 
     Raises:
-        NotMergedError: there are too few estimates, they contradict each other, or determine the pose too loosely.
+        NotMergedError: there are too few estimates, they are inconsistent, or the pose is too uncertain.
     """
     count = len(pairs.times)
     if count < settings.least_samples:
@@ -118,7 +118,7 @@ def link_of(pairs: Pairs, settings: LinkSettings) -> Link:
 
 
 def _inliers(pairs: Pairs, information: Array, settings: LinkSettings) -> NDArray[np.bool_]:
-    """Return which estimates (n,) are no outliers."""
+    """Return which estimates (n,) are inliers."""
     limit = settings.gate**2
     squares = _squares(pairs, information, _closed_form(pairs, information, settings))
     wide = max(2.0 * float(squares.max()) / limit, 1.0)
@@ -131,9 +131,9 @@ def _inliers(pairs: Pairs, information: Array, settings: LinkSettings) -> NDArra
 
 
 def _closed_form(pairs: Pairs, weights: Array, settings: LinkSettings) -> Array:
-    """Return the pose (4, 4) of least weighted squares.
+    """Return the weighted least-squares pose (4, 4).
 
-    The prior of the turn is that of von Mises: the heading's information times its cosine.
+    The prior of the rotation is a von Mises distribution: the heading's information times its cosine.
     """
     total = weights.sum()
     seen, other = weights @ pairs.seen / total, weights @ pairs.other / total
@@ -151,9 +151,9 @@ def _squares(pairs: Pairs, information: Array, pose: Array) -> Array:
 
 
 def _covariance(pairs: Pairs, weights: Array, pose: Array, middle: Array, settings: LinkSettings) -> Array:
-    """Return the covariance (4, 4) of the place ``middle`` and of the heading.
+    """Return the covariance (4, 4) of the point ``middle`` and of the heading.
 
-    Estimates of the same ``correlation`` seconds count as one; residuals that are larger than expected widen it.
+    Estimates within ``correlation`` seconds count as one; residuals larger than expected increase it.
     """
     good = weights > 0.0
     bins = np.floor(pairs.times[good] / settings.correlation) if settings.correlation else pairs.times[good]

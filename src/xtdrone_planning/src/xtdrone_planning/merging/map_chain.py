@@ -1,4 +1,4 @@
-"""Merged maps of several vehicles: from the first one's map, each next by the best link (Dijkstra's shortest paths)."""
+"""Merging of several vehicles' maps: starting from the first, each further map joins by the best link (Dijkstra)."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ Array = NDArray[np.float64]
 
 
 class Placed(NamedTuple):
-    """A vehicle's map in the merged one.
+    """Placement of a vehicle's map in the merged one.
 
     Attributes:
         pose: (4, 4) in the first vehicle's map.
-        through: number of the vehicle whose map it is linked with; its own for the first.
-        fit: with that map; None: by relative estimates alone.
-        deviation: m, standard deviation of its place by relative estimates along the chain.
+        through: index of the vehicle whose map it is linked with; its own for the first.
+        fit: registration with that map; None: linked by relative estimates alone.
+        deviation: m, standard deviation of its position from the relative estimates along the chain.
     """
 
     pose: Array
@@ -38,9 +38,9 @@ class Merged(NamedTuple):
     """Result of merging.
 
     Attributes:
-        placed: vehicles in the merged map, by number.
-        reasons: why the others are not, by number: those vehicles in the merged map that a link was tried with, and
-            what was wrong with each; empty: there are no estimates with any of them.
+        placed: vehicles in the merged map, by index.
+        reasons: for each vehicle not merged, by index: the vehicles in the merged map with which a link was tried, and
+            why each failed; empty: there are no estimates with any of them.
     """
 
     placed: dict[int, Placed]
@@ -50,7 +50,7 @@ class Merged(NamedTuple):
 def merged(
     clouds: Sequence[Array], pairs: Mapping[tuple[int, int], Pairs], link_how: LinkSettings, fit_how: FitSettings
 ) -> Merged:
-    """Return where the maps of all vehicles are in the first one's.
+    """Return the placements of all vehicles' maps in the first one's.
 
     Args:
         clouds: (n, 3) m, points of each vehicle's map, in its frame.
@@ -61,7 +61,7 @@ def merged(
     links, refused = _links(pairs, link_how)
     surfaces = [surfaces_of(cloud, fit_how) if fit_how.refine != "off" else None for cloud in clouds]
     placed = {0: Placed(np.eye(4), 0, None, 0.0)}
-    waiting: list[tuple[float, int, int]] = []  # deviation squared, known vehicle, next one
+    waiting: list[tuple[float, int, int]] = []  # deviation squared, merged vehicle, next one
     _reach_out(0, placed, links, waiting)
     while waiting:
         square, known, number = heapq.heappop(waiting)
@@ -85,7 +85,7 @@ def merged_points(clouds: Sequence[Array], placed: Mapping[int, Placed], voxel: 
 
     Args:
         clouds: (n, 3) m, points of each vehicle's map, in its frame.
-        placed: where they are.
+        placed: their placements.
         voxel: side of a cell, m.
     """
     parts = [transformed(placed[number].pose, clouds[number]) for number in sorted(placed)]
@@ -96,7 +96,8 @@ def merged_points(clouds: Sequence[Array], placed: Mapping[int, Placed], voxel: 
 def _links(
     pairs: Mapping[tuple[int, int], Pairs], settings: LinkSettings
 ) -> tuple[dict[tuple[int, int], Link], dict[tuple[int, int], str]]:
-    """Return the links in both directions, by the better of each two estimates, and why others are none."""
+    """Return the links in both directions, each by the better of the two estimates, and the reasons for missing
+    links."""
     links: dict[tuple[int, int], Link] = {}
     refused: dict[tuple[int, int], str] = {}
     for ends in sorted(pairs):
@@ -116,7 +117,7 @@ def _reach_out(
     links: Mapping[tuple[int, int], Link],
     waiting: list[tuple[float, int, int]],
 ) -> None:
-    """Add the links of a vehicle that is in the merged map to those to be tried."""
+    """Add the links of a merged vehicle to those to be tried."""
     for first, number in sorted(links):
         if first == known and number not in placed:
             square = placed[known].deviation ** 2 + links[first, number].deviation ** 2
@@ -135,6 +136,6 @@ def _fit(first: Surfaces | None, second: Surfaces | None, link: Link, settings: 
 
 
 def _reasons(number: int, placed: Mapping[int, Placed], refused: Mapping[tuple[int, int], str]) -> dict[int, str]:
-    """Return why a vehicle has no link with each of those in the merged map."""
+    """Return, for each merged vehicle, why there is no link with it."""
     found = {known: refused.get((known, number)) or refused.get((number, known)) for known in sorted(placed)}
     return {known: text for known, text in found.items() if text}

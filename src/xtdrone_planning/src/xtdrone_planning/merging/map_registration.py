@@ -1,7 +1,7 @@
-"""Registration of two maps: where they fit, and whether they do.
+"""Registration of two maps, and validation of the result.
 
-Generalised ICP (A. Segal et al., RSS 2009; ``small_gicp``) moves the second map from the relative estimates' pose onto
-the first. Every map has the ground, which fits any other's: only upright surfaces count as overlap.
+Generalised ICP (A. Segal et al., RSS 2009; ``small_gicp``) aligns the second map with the first, starting from the
+relative estimates. The ground matches any other ground, so only vertical surfaces count as overlap.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ Array = NDArray[np.float64]
 _NEIGHBOURS = 20
 _LEAST_POINTS = 2 * _NEIGHBOURS
 _ITERATIONS = 40
-_COARSE = 3.0  # standard deviations of the relative estimates: reach of the first registration
-_UPRIGHT = 0.5  # greatest |z| of the normal of an upright surface
+_COARSE = 3.0  # standard deviations of the relative estimates: correspondence distance of the first registration
+_UPRIGHT = 0.5  # maximum |z| of the normal of a vertical surface
 _TURN_NOISE = 0.05  # rad, of the registration
-_NEARBY = 4.0  # times the reach: there both maps should have the same surfaces
+_NEARBY = 4.0  # times the correspondence distance: within it both maps should have the same surfaces
 
 
 class Surfaces(NamedTuple):
-    """A map as the registration takes it.
+    """A map prepared for registration.
 
     Attributes:
         cloud: of small_gicp, with covariances.
         tree: of small_gicp.
-        upright: (m, 3) m, its points on upright surfaces.
+        upright: (m, 3) m, its points on vertical surfaces.
         normals: (m, 3) of these.
     """
 
@@ -45,13 +45,13 @@ class Surfaces(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """How two maps fit.
+    """Result of the registration of two maps.
 
     Attributes:
         pose: (4, 4) of the second map in the first.
-        overlap: share of the smaller map's upright surfaces that meet the other's.
-        agreement: share of those that meet among those that are near.
-        residual: m, root mean square distance from the other's surfaces.
+        overlap: fraction of the smaller map's vertical surfaces that coincide with the other's.
+        agreement: fraction of nearby points that coincide.
+        residual: m, RMS distance from the other map's surfaces.
     """
 
     pose: Array
@@ -61,7 +61,7 @@ class Fit(NamedTuple):
 
 
 def surfaces_of(points: Array, settings: FitSettings) -> Surfaces | None:
-    """Return a map's surfaces, None if it has too few points.
+    """Return a map's surfaces, or None if it has too few points.
 
     Args:
         points: (n, 3) m, finite.
@@ -79,7 +79,7 @@ def surfaces_of(points: Array, settings: FitSettings) -> Surfaces | None:
 
 
 def fit_of(first: Surfaces | None, second: Surfaces | None, link: Link, settings: FitSettings) -> Fit:
-    """Return how the second map fits the first.
+    """Register the second map with the first.
 
     Args:
         first, second: the maps.
@@ -87,25 +87,25 @@ def fit_of(first: Surfaces | None, second: Surfaces | None, link: Link, settings
         settings: of the registration.
 
     Raises:
-        NotMergedError: they do not fit.
+        NotMergedError: the maps do not match.
     """
     if first is None or second is None:
-        raise NotMergedError("a map has too few points yet")
+        raise NotMergedError("a map has too few points so far")
     pose, weakest = _aligned(first, second, link, settings)
     found = _judged(first, second, pose, settings)
     if weakest < settings.weakest:
         raise NotMergedError(f"the surfaces do not determine the position: information ratio {weakest:.3f}")
     tilt = float(np.arccos(np.clip(pose[2, 2], -1.0, 1.0)))
     if tilt > settings.most_tilt:
-        raise NotMergedError(f"the maps fit only with a tilt of {tilt:.2f} rad")
+        raise NotMergedError(f"the maps match only with a tilt of {tilt:.2f} rad")
     off = link.contradiction(pose, (settings.cell, _TURN_NOISE))
     if off > settings.contradiction:
-        raise NotMergedError(f"the maps fit {off:.1f} standard deviations off the relative estimates")
+        raise NotMergedError(f"the maps match {off:.1f} standard deviations away from the relative estimates")
     return found
 
 
 def _aligned(first: Surfaces, second: Surfaces, link: Link, settings: FitSettings) -> tuple[Array, float]:
-    """Return the pose (4, 4) of best fit and the least over the largest information on the place."""
+    """Return the best pose (4, 4), and the ratio of the smallest to the largest information on the position."""
     pose = link.pose
     for reach in (max(_COARSE * link.deviation, 2.0 * settings.reach), settings.reach):
         result = small_gicp.align(
@@ -126,20 +126,20 @@ def _judged(first: Surfaces, second: Surfaces, pose: Array, settings: FitSetting
     """Return the fit at a pose (4, 4).
 
     Raises:
-        NotMergedError: overlap, agreement or residual are not good enough.
+        NotMergedError: overlap or agreement is too low, or the residual too large.
     """
     least = min(len(first.upright), len(second.upright))
     if least < settings.least_points:
-        raise NotMergedError(f"a map has {least} points on upright surfaces, {settings.least_points} are needed")
+        raise NotMergedError(f"a map has {least} points on vertical surfaces, {settings.least_points} are needed")
     moved = transformed(pose, second.upright)
     distance, nearest = cKDTree(first.upright).query(moved, distance_upper_bound=_NEARBY * settings.reach)
     meets, near = distance <= settings.reach, np.isfinite(distance)
     overlap = min(float(meets.sum()) / least, 1.0)
     if meets.sum() < settings.least_points or overlap < settings.least_overlap:
-        raise NotMergedError(f"the maps overlap by {100 * overlap:.0f} % ({meets.sum()} points) only")
+        raise NotMergedError(f"the maps overlap by only {100 * overlap:.0f} % ({meets.sum()} points)")
     agreement = float(meets.sum() / near.sum())
     if agreement < settings.least_agreement:
-        raise NotMergedError(f"only {100 * agreement:.0f} % of the surfaces that are near agree")
+        raise NotMergedError(f"only {100 * agreement:.0f} % of the nearby surfaces agree")
     off = np.einsum("ni,ni->n", moved[meets] - first.upright[nearest[meets]], first.normals[nearest[meets]])
     residual = float(np.sqrt(np.mean(off**2)))
     if residual > settings.most_residual:

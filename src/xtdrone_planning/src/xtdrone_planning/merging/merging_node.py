@@ -1,4 +1,4 @@
-"""Merged map of several vehicles as a ROS node; the first vehicle's map is the one that the others join.
+"""ROS node that merges the maps of several vehicles into the frame of the first one.
 
 For each vehicle ``T`` and every other ``S``:
 
@@ -6,15 +6,15 @@ For each vehicle ``T`` and every other ``S``:
 topic                                type                              meaning
 ===================================  ================================  ===============================================
 /T/octomap_point_cloud_centers       sensor_msgs/PointCloud2           in: T's map (``~cloud``)
-/T/mavros/local_position/pose        geometry_msgs/PoseStamped         in: where T is in its map
+/T/mavros/local_position/pose        geometry_msgs/PoseStamped         in: pose of T in its map
 /T/ODOMETRY/odometry                 nav_msgs/Odometry                 in: instead, with ``~odometry``
 /xtdrone/T/neighbours/S              nav_msgs/Odometry                 in: S relative to T, axes of T's map
 /xtdrone/merged_map                  sensor_msgs/PointCloud2           out, latched
-/tf                                  tf2_msgs/TFMessage                out: map to T/map of all that are merged
+/tf                                  tf2_msgs/TFMessage                out: map to T/map of all merged vehicles
 /diagnostics                         diagnostic_msgs/DiagnosticArray   out: a state for each vehicle, 1 Hz and on change
 ===================================  ================================  ===============================================
 
-The result is published ``~latency`` of simulated time after its inputs, whatever the registration takes.
+The result is published ``~latency`` of simulated time after its inputs, however long the registration takes.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from xtdrone_planning.merging.map_chain import Merged, Placed, merged, merged_po
 from xtdrone_planning.merging.settings import FitSettings, LinkSettings, MergingOptions
 
 RATE = 10.0  # Hz
-_REACH = 0.1  # s by which a pose may be off the time of an estimate
+_REACH = 0.1  # s: maximum time between a pose and an estimate
 _REPORT_PERIOD = 1.0  # s
 
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ class MergingSettings(NamedTuple):
 
 
 def read_settings() -> MergingSettings:
-    """Return the settings that the private parameters give.
+    """Return the settings read from the private parameters.
 
     Raises:
         SettingError: a parameter is not allowed.
@@ -70,7 +70,7 @@ def read_settings() -> MergingSettings:
 
 
 class _Sample(NamedTuple):
-    """An estimate with the poses of its time: time, s, positions, m, in the two maps, and deviation, m."""
+    """An estimate with the poses at its time: time, s, positions, m, in the two maps, and deviation, m."""
 
     time: float
     seen: Array
@@ -79,12 +79,12 @@ class _Sample(NamedTuple):
 
 
 class VehicleMap:
-    """What a vehicle publishes of itself.
+    """Data that a vehicle publishes about itself.
 
     Attributes:
         points: (n, 3) m, its map.
         poses: x, y, z, m, and quaternion w, x, y, z, in its map.
-        fault: what is wrong with its map; empty: nothing.
+        fault: problem with its map; empty: none.
     """
 
     def __init__(self, name: str, options: MergingOptions) -> None:
@@ -108,8 +108,8 @@ class VehicleMap:
         try:
             self.points, self.fault = read_cloud(message).points, ""
         except ValueError as error:
-            self.fault = f"its map cannot be read: {error}"
-            rospy.logwarn_throttle(5.0, f"{self._name}: {self.fault}; the last one is kept")
+            self.fault = f"its map was rejected: {error}"
+            rospy.logwarn_throttle(5.0, f"{self._name}: {self.fault}; the last valid one is kept")
 
     def _on_odometry(self, message: Odometry) -> None:
         self._add(message.header.stamp.to_nsec(), message.pose.pose)
@@ -125,7 +125,7 @@ class VehicleMap:
 
 
 class Estimates:
-    """Latest estimates of one vehicle by another."""
+    """Latest estimates of one vehicle's position by another."""
 
     def __init__(self, observer: VehicleMap, other: VehicleMap, topic: str, settings: MergingSettings) -> None:
         """Subscribe to the estimates."""
@@ -146,7 +146,7 @@ class Estimates:
             self._waiting = message
 
     def step(self) -> None:
-        """Keep the latest estimate with the poses of its time."""
+        """Store the latest estimate with the poses at its time."""
         message, self._waiting = self._waiting, None
         if message is None:
             return
@@ -160,7 +160,7 @@ class Estimates:
         self._samples.append(_Sample(stamp.to_sec(), own[:3] + relative, other[:3], float(np.sqrt(variance))))
 
     def pairs(self) -> Pairs | None:
-        """Return the estimates, None if there are none."""
+        """Return the estimates, or None if there are none."""
         if not self._samples:
             return None
         times, seen, other, deviations = zip(*self._samples, strict=True)
@@ -175,13 +175,13 @@ class _Outcome(NamedTuple):
 
 
 class MapMergingNode:
-    """Topics and state of the merged map."""
+    """ROS topics and state of the merged map."""
 
     def __init__(self, names: Sequence[str], settings: MergingSettings) -> None:
         """Declare the topics.
 
         Args:
-            names: of the vehicles, at least two; the first one's map is the one that the others join.
+            names: of the vehicles, at least two; the others are merged into the frame of the first.
             settings: of the node.
         """
         self._names, self._settings = names, settings
@@ -219,7 +219,7 @@ class MapMergingNode:
         self._deferred.close()
 
     def step(self) -> None:
-        """Begin merging when it is due; publish what is ready. Call it at 10 Hz."""
+        """Start merging when it is due; publish finished results. Call it at 10 Hz."""
         stamp = rospy.Time.now()
         for estimates in self._estimates.values():
             estimates.step()
@@ -259,10 +259,10 @@ class MapMergingNode:
         if reasons is None:
             return "merging has not begun"
         told = [f"with {self._names[known]}: {text}" for known, text in reasons.items()]
-        return "; ".join(told) or "no relative estimates with a vehicle that is merged"
+        return "; ".join(told) or "no relative estimates with a merged vehicle"
 
     def _report(self, stamp: rospy.Time) -> None:
-        """Publish the state of every vehicle, and tf of those that are merged."""
+        """Publish the state of every vehicle, and tf of the merged ones."""
         self._reported = stamp.to_sec()
         message = DiagnosticArray(status=[self._status(number) for number in range(len(self._names))])
         message.header.stamp = stamp
@@ -277,7 +277,7 @@ class MapMergingNode:
         if placed is None or (self._vehicles[number].fault and not len(self._vehicles[number].points)):
             level, text = DiagnosticStatus.WARN, f"not merged: {self._reason(number)}"
         elif number == 0:
-            level, text = DiagnosticStatus.OK, f"the merged map's frame; {len(self._maps.placed)} maps are merged"
+            level, text = DiagnosticStatus.OK, f"reference frame; {len(self._maps.placed)} maps are merged"
         else:
             level, text = DiagnosticStatus.OK, self._words(placed)
             values += _figures(placed)

@@ -1,1 +1,1 @@
-"""Navigation on a level, with the topics of move_base: a costmap from a 2D lidar or a given map, A*, dynamic window."""
+"""Navigation in the plane, with the topics of move_base: costmap from a 2D lidar or a given map, A*, dynamic window."""

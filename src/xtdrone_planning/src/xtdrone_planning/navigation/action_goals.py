@@ -1,4 +1,4 @@
-"""The goals of an action server, without ROS: one goal at a time, as in ROS's SimpleActionServer.
+"""Goals of an action server, without ROS: one goal at a time, as in ROS's SimpleActionServer.
 
 States and their numbers are those of actionlib_msgs/GoalStatus (http://wiki.ros.org/actionlib/DetailedDescription). A
 new goal preempts the current one; ended goals remain in the status for ``_KEPT`` s, for clients that connect late.
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 PENDING, ACTIVE, PREEMPTED, SUCCEEDED, ABORTED, REJECTED = range(6)
 RECALLED = 8
-_KEPT = 5.0  # s that ended goals remain in the status
+_KEPT = 5.0  # s for which ended goals remain in the status
 _MOST_ENDED = 100  # ended goals in the status
 
 
@@ -23,7 +23,7 @@ class ActionGoal:
         stamp: when it was sent, s of ROS time; 0: unknown.
         status: number of actionlib_msgs/GoalStatus.
         text: reason of the status.
-        ended: when it ended, s of ROS time; None while it is pursued.
+        ended: when it ended, s of ROS time; None while it is active.
     """
 
     name: str
@@ -37,8 +37,8 @@ class ActionGoals:
     """Goals and their status.
 
     Attributes:
-        goals: the goals that the status lists, oldest first.
-        present: the goal that is pursued, None without one.
+        goals: the goals listed in the status, oldest first.
+        present: the active goal, or None.
     """
 
     def __init__(self) -> None:
@@ -49,9 +49,9 @@ class ActionGoals:
         self._cancelled_to = 0.0
 
     def admits(self, name: str, stamp: float, now: float) -> bool:
-        """Return whether a received goal may be pursued; the current goal stays.
+        """Return whether a received goal may be accepted; the active goal is unchanged.
 
-        A goal whose id is in the status is a repetition, and is ignored. One that a cancel message has overtaken is
+        A goal whose id is already in the status is a repetition, and is ignored. One overtaken by its cancel message is
         listed as RECALLED.
 
         Args:
@@ -69,23 +69,23 @@ class ActionGoals:
         return True
 
     def accept(self, name: str, stamp: float, now: float) -> None:
-        """Make a goal that is admitted the current one; the last one is preempted. See ``admits``."""
+        """Make an admitted goal the active one; the previous one is preempted. See ``admits``."""
         self.end(PREEMPTED, "another goal was received", now)
         self.present = ActionGoal(name, stamp, ACTIVE)
         self.goals.append(self.present)
 
     def reject(self, name: str, stamp: float, text: str, now: float) -> None:
-        """Reject a goal for the reason ``text``; the current one stays. See ``admits``."""
+        """Reject a goal for the reason ``text``; the active goal is unchanged. See ``admits``."""
         goal = ActionGoal(name, stamp)
         self.goals.append(goal)
         self._end(goal, REJECTED, text, now)
 
     def cancels(self, name: str, stamp: float, now: float) -> bool:
-        """Apply a cancel message; return whether the current goal is cancelled.
+        """Apply a cancel message; return whether the active goal is cancelled.
 
         Args:
             name: id of the goal to cancel; empty, and ``stamp`` 0: all goals.
-            stamp: goals sent up to this time are cancelled, too, s of ROS time; 0: none.
+            stamp: goals sent up to this time are cancelled too, s of ROS time; 0: none.
             now: s of ROS time.
         """
         self._cancelled_to = max(self._cancelled_to, stamp)
@@ -95,7 +95,7 @@ class ActionGoals:
         return (not name and stamp == 0.0) or goal.name == name or 0.0 < goal.stamp <= stamp
 
     def end(self, status: int, text: str, now: float) -> None:
-        """End the current goal, if there is one, with a status and its reason."""
+        """End the active goal, if any, with a status and its reason."""
         goal, self.present = self.present, None
         if goal is not None:
             self._end(goal, status, text, now)
@@ -106,7 +106,7 @@ class ActionGoals:
         return ended
 
     def listed(self, now: float) -> list[ActionGoal]:
-        """Return the goals of the status message: the current one, and the last of those that ended lately."""
+        """Return the goals of the status message: the active one, and the most recent ended ones."""
         ended = [goal for goal in self.goals if goal.ended is not None and now - goal.ended <= _KEPT]
         kept = {id(goal) for goal in ended[-_MOST_ENDED:]}
         self.goals = [goal for goal in self.goals if goal is self.present or id(goal) in kept]

@@ -1,6 +1,6 @@
 """The topics of move_base's action server, on which actionlib's clients send goals.
 
-Debian's actionlib answers in threads of its own; here messages are dispatched and sent in the turns of the lockstep.
+Debian's actionlib answers in its own threads; here messages are processed and sent in the turns of the lockstep.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _STATUS_PERIOD = 0.2  # s
 
 
 class ActionTopics:
-    """An action server ``move_base``.
+    """The action server ``move_base``.
 
     Attributes:
         goals: the goals and their status.
@@ -32,8 +32,8 @@ class ActionTopics:
 
         Args:
             base: prefix of the topics, as ``/iris_2d_lidar_0/move_base``.
-            begin: is called with each new goal; raises GoalError if it is not allowed.
-            stop: is called when the current goal is cancelled.
+            begin: called with each new goal; raises GoalError if it is not allowed.
+            stop: called when the active goal is cancelled.
         """
         self._begin, self._stop = begin, stop
         self._status = lockstep.Publisher(f"{base}/status", GoalStatusArray, latch=True)
@@ -50,7 +50,7 @@ class ActionTopics:
         self._sent = -math.inf
 
     def take(self, pose: PoseStamped) -> None:
-        """Pursue a goal that another topic brought, as move_base does with ``move_base_simple/goal``."""
+        """Accept a goal from another topic, as move_base does with ``move_base_simple/goal``."""
         self._count += 1
         now = rospy.get_time()
         self._accept(f"move_base_simple-{self._count}-{now:.3f}", 0.0, pose)
@@ -63,7 +63,7 @@ class ActionTopics:
     def _accept(self, name: str, stamp: float, pose: PoseStamped) -> None:
         now = rospy.get_time()
         if not self.goals.admits(name, stamp, now):
-            return  # before the vehicle turns to it: the current goal goes on
+            return  # rejected before the vehicle acts on it: the active goal continues
         try:
             self._begin(pose)
         except GoalError as error:
@@ -82,7 +82,7 @@ class ActionTopics:
         """Publish results, feedback and, five times a second or after a result, the status.
 
         Args:
-            base: pose of the vehicle in map; None while it is unknown: there is no feedback then.
+            base: pose of the vehicle in map; None: unknown, no feedback is published.
             stamp: the current time.
         """
         now, results = stamp.to_sec(), self.goals.results()

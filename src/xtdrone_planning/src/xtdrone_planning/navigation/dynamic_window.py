@@ -1,9 +1,9 @@
-"""The dynamic window: the best motion that the vehicle can reach within a turn and can stop from.
+"""Dynamic window: the best motion that the vehicle can reach within one cycle and from which it can stop.
 
 D. Fox, W. Burgard, S. Thrun, The dynamic window approach to collision avoidance, IEEE Robotics and Automation Magazine
-4, 1997: speeds and yaw rates within reach are arcs; those from which the vehicle cannot stop before an obstacle are not
-admissible; of the others the one with the best sum of heading, clearance and speed is commanded. As in ROS's
-dwa_local_planner the way along the global path counts, too.
+4, 1997: reachable speeds and yaw rates define arcs; those on which the vehicle cannot stop before an obstacle are
+inadmissible; of the others, the one with the best weighted sum of heading, clearance and speed is commanded. As in
+ROS's dwa_local_planner, progress along the global path also counts.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from xtdrone_planning.navigation.settings import WindowSettings
 Array = NDArray[np.float64]
 
 _SPEEDS, _RATES = 7, 21  # samples of the window
-_AT_TARGET = 0.1  # m: nearer, the direction to the target is undefined
-_COMFORT = 0.4  # m beyond the radius up to which clearance counts
+_AT_TARGET = 0.1  # m: closer than this, the direction to the target is undefined
+_COMFORT = 0.4  # m beyond the radius within which clearance counts
 
 
 class Motion(NamedTuple):
@@ -36,13 +36,13 @@ AT_REST = Motion(0.0, 0.0)
 
 
 def window(settings: WindowSettings, present: Motion, most: float, turn: float) -> tuple[Array, Array]:
-    """Return the speeds and yaw rates that can be reached within a turn, rest included if it can.
+    """Return the speeds and yaw rates that can be reached within one cycle, standstill included if reachable.
 
     Args:
         settings: limits.
-        present: what was commanded last.
+        present: the last command.
         most: maximum speed now, m/s.
-        turn: duration of a turn, s.
+        turn: duration of a cycle, s.
     """
     low, high = _reach(present.speed, settings.acceleration * turn, 0.0, min(most, settings.speed))
     left, right = _reach(present.rate, settings.turn_acceleration * turn, -settings.turn_rate, settings.turn_rate)
@@ -53,12 +53,12 @@ def window(settings: WindowSettings, present: Motion, most: float, turn: float) 
 
 
 def _reach(value: float, change: float, low: float, high: float) -> tuple[float, float]:
-    """Return the lowest and highest value within a change; beyond the limits as near to them as possible."""
+    """Return the lowest and highest reachable value; if the limits cannot be reached, the closest values."""
     return min(max(low, value - change), value + change), max(min(high, value + change), value - change)
 
 
 def braked(settings: WindowSettings, present: Motion, turn: float) -> Motion:
-    """Return the motion after a turn, s, of braking."""
+    """Return the motion after braking for one cycle, s."""
     slower = max(0.0, abs(present.speed) - settings.acceleration * turn)
     steadier = max(0.0, abs(present.rate) - settings.turn_acceleration * turn)
     return Motion(math.copysign(slower, present.speed), math.copysign(steadier, present.rate))
@@ -70,13 +70,13 @@ def choose(
     """Return the best motion along a path, or None if no motion is admissible.
 
     Args:
-        level: the map, with its distances around the vehicle.
+        level: the map, with distances up to date around the vehicle.
         settings: limits and weights.
         pose: (3,) x, y, m in map, and yaw, rad.
-        present: what was commanded last.
+        present: the last command.
         path: (n, 2) of the global plan, m in map.
         most: maximum speed now, m/s.
-        turn: duration of a turn, s.
+        turn: duration of a cycle, s.
     """
     clearance = settings.radius + 0.5 * level.cell
     nearest, target = target_on_path(
@@ -120,7 +120,7 @@ def moved(x, y, yaw, speed, rate, time):
 
 @kernel
 def _away(distance, corner, cell, x, y):
-    """Return the distance to the nearest obstacle at a place, m; outside of the map 0."""
+    """Return the distance from a point to the nearest obstacle, m; outside the map, 0."""
     nx, ny, _ = distance.shape
     i, j = math.floor(x / cell) - corner[0], math.floor(y / cell) - corner[1]
     if 0 <= i < nx and 0 <= j < ny:
@@ -130,7 +130,7 @@ def _away(distance, corner, cell, x, y):
 
 @kernel
 def target_on_path(distance, corner, cell, path, x, y, ahead, clearance):
-    """Return the nearest point of a path and the one to aim at: at most ``ahead`` m on, with a free line to it.
+    """Return the nearest point of a path, and the target point: at most ``ahead`` m further, with a clear line to it.
 
     Args:
         distance, corner, cell: the map.
@@ -140,7 +140,7 @@ def target_on_path(distance, corner, cell, path, x, y, ahead, clearance):
         clearance: minimum distance of the line to obstacles, m.
 
     Returns:
-        (nearest, target), numbers of points.
+        (nearest, target), indices of points.
     """
     nearest, least = 0, math.inf
     for n in range(len(path)):
@@ -159,7 +159,7 @@ def target_on_path(distance, corner, cell, path, x, y, ahead, clearance):
 
 @kernel
 def _line_is_free(distance, corner, cell, x, y, a, b, clearance):
-    """Return whether a straight line keeps its distance to obstacles; near its start it may be less."""
+    """Return whether a straight line keeps its clearance to obstacles; near its start the clearance may be less."""
     length = math.hypot(a - x, b - y)
     steps = max(1, math.ceil(2.0 * length / cell))
     for n in range(1, steps + 1):
@@ -172,7 +172,7 @@ def _line_is_free(distance, corner, cell, x, y, a, b, clearance):
 
 @kernel
 def _path_distance(path, x, y):
-    """Return the distance of a place to the nearest segment of a path (n, 2), m."""
+    """Return the distance of a point to the nearest segment of a path (n, 2), m."""
     least = (path[0, 0] - x) ** 2 + (path[0, 1] - y) ** 2
     for n in range(1, len(path)):
         u, v = path[n, 0] - path[n - 1, 0], path[n, 1] - path[n - 1, 1]
@@ -188,7 +188,7 @@ def _path_distance(path, x, y):
 def _nearness(distance, corner, cell, pose, speed, rate, duration, clearance):
     """Return the minimum distance to obstacles along a motion, m; negative if the motion is not admissible.
 
-    A vehicle that is too near to an obstacle may stay as near, or leave.
+    A vehicle that is too close to an obstacle may keep that distance or move away.
     """
     steps = max(1, math.ceil(2.0 * speed * duration / cell))
     least = math.inf

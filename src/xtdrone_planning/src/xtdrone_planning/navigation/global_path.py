@@ -1,4 +1,4 @@
-"""The global path on the map of a level, by A*."""
+"""Global path on a plane map, by A*."""
 
 from __future__ import annotations
 
@@ -18,26 +18,27 @@ class PathError(ValueError):
 
 
 class GlobalSearch:
-    """Searches paths; has the scratch space of the search."""
+    """Searches paths; holds the scratch arrays of the search."""
 
     def __init__(self) -> None:
-        """Prepare."""
+        """Allocate the search."""
         self._size = self._stamp = 0
 
     def find(self, level: LevelMap, start: Array, goal: Array, clearance: float) -> Array:
         """Return the path (n, 2), m in map, from start to goal.
 
         Args:
-            level: the map, with all its distances.
+            level: the map, with all distances up to date.
             start, goal: (2,) m in map.
-            clearance: minimum distance between path and occupied cells, m; near the start less, as long as it grows.
+            clearance: minimum distance between path and occupied cells, m; near the start it may be less while it
+            increases.
 
         Raises:
-            PathError: there is none.
+            PathError: there is no path.
         """
         for what, place in (("vehicle", start), ("goal", goal)):
             if not level.is_inside(place):
-                raise PathError(f"the {what} is outside of the map")
+                raise PathError(f"the {what} is outside the map")
         away = level.away(goal)
         if away < clearance:
             raise PathError(f"the goal is {away:.1f} m from an obstacle, {clearance:.1f} m are needed")
@@ -49,7 +50,7 @@ class GlobalSearch:
             self._costs, self._parents, self._stamps, self._stamp, self._heap, self._keys,
         )  # fmt: skip
         if outcome != REACHED:
-            raise PathError("there is no way to the goal on the map")
+            raise PathError("there is no path to the goal on the map")
         points = level.middle(cells)
         points[0] = start[:2]
         return np.vstack([points[:-1] if len(points) > 1 else points, goal[:2]])

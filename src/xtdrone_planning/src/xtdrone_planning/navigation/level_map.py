@@ -1,4 +1,4 @@
-"""The map of a level: what a given map says and what a 2D lidar sees, with distances to obstacles and costs.
+"""Plane map: combines a given map with the scans of a 2D lidar, with distances to obstacles and costs.
 
 Evidence is that of ``voxel_grid``, in a single layer. The costs are those of costmap_2d (D. Lu, D. Hershberger,
 W. Smart, Layered costmaps for context-sensitive navigation, IROS 2014) as its publisher scales them.
@@ -19,12 +19,12 @@ from xtdrone_planning.navigation.settings import CostmapSettings
 Array = NDArray[np.float64]
 
 LETHAL, INSCRIBED, UNKNOWN = 100, 99, -1
-"""Costs of an obstacle, of where the vehicle's centre may not be, and of what is unknown."""
+"""Costs of an obstacle, of cells where the vehicle's centre may not be, and of unknown cells."""
 
-_STEEPNESS = 3.0  # 1/m, how fast costs fall with the distance
-_GIVEN_FROM = 65  # percent, from which a cell of a given map is occupied, as map_server's
+_STEEPNESS = 3.0  # 1/m, rate at which costs decrease with distance
+_GIVEN_FROM = 65  # percent, from which a cell of a given map is occupied, as in map_server
 _GIVEN_FREE_TO = 20
-_MOST_GIVEN = 16_000_000  # cells of a given map: 4000 x 4000, as SLAMs publish; a larger one would fill memory
+_MOST_GIVEN = 16_000_000  # cells of a given map: 4000 x 4000, as from SLAM; a larger one would exhaust memory
 _FARTHEST_ORIGIN = 1e5  # m
 
 
@@ -33,11 +33,11 @@ class MapError(ValueError):
 
 
 class LevelMap:
-    """A level.
+    """A plane map.
 
     Attributes:
         cell: side of a cell, m.
-        corner: (3,) number of the lowest cell on the lattice whose cell 0 begins at the origin of map; the last is 0.
+        corner: (3,) index of the lowest cell; cell 0 begins at the origin of map; the third is 0.
         evidence: (nx, ny, 1) int16, log-odds in hundredths; see ``voxel_grid``.
         distance: (nx, ny, 1) float32, m to the nearest occupied cell, at most ``farthest``.
         farthest: m.
@@ -68,23 +68,23 @@ class LevelMap:
         self.update_distance()
 
     def begin_around(self, position: Array) -> None:
-        """Begin an unknown map around a position, (2,) or longer, m in map."""
+        """Start an unknown map around a position, (2,) or longer, m in map."""
         count = round(self.settings.side / self.cell)
         first = np.floor(np.asarray(position)[:2] / self.cell).astype(np.int64) - count // 2
         self._resize(first, np.zeros((count, count), np.int16))
 
     def take(self, values: NDArray[np.int8], origin: Array, cell: float) -> None:
-        """Begin with a given map; what was seen before is forgotten.
+        """Start with a given map; earlier observations are discarded.
 
         Args:
             values: (nx, ny) percent of occupation, -1 unknown.
-            origin: (2,) lowest corner, m in map; it is moved to the nearest corner of a cell.
+            origin: (2,) lowest corner, m in map; it is rounded to the nearest corner of a cell.
             cell: side of its cells, m.
 
         Raises:
-            MapError: another size of cells, no cells or too many, or an origin that is too far away.
+            MapError: the cell size differs, there are no cells or too many, or the origin is too far away.
         """
-        if not abs(cell - self.cell) <= 1e-4:  # a NaN is refused, too
+        if not abs(cell - self.cell) <= 1e-4:  # a NaN is rejected, too
             raise MapError(f"map: cells of {cell:g} m are not allowed, {self.cell:g} m (cell)")
         if not 1 <= values.size <= _MOST_GIVEN:
             raise MapError(f"map: {values.size} cells are not allowed, 1 to {_MOST_GIVEN}")
@@ -97,11 +97,11 @@ class LevelMap:
         self._resize(np.rint(np.asarray(origin)[:2] / self.cell).astype(np.int64), evidence)
 
     def enter(self, origins: Array, ends: Array, hits: NDArray[np.bool_]) -> None:
-        """Enter the rays of a scan; call ``update_distance`` afterwards.
+        """Insert the rays of a scan; call ``update_distance`` afterwards.
 
         Args:
             origins, ends: (n, 2) or longer, m in map; beyond the map is allowed.
-            hits: (n,) whether something was met at the end.
+            hits: (n,) whether the ray ends at a surface.
         """
         self._mark += 2
         middle = 0.5 * self.cell  # all rays run in the single layer
@@ -110,7 +110,7 @@ class LevelMap:
         np.copyto(self.evidence, self._given, where=self._given >= OCCUPIED_FROM)
 
     def forget_around(self, position: Array) -> None:
-        """Forget what was seen in the local costmap around a position, (2,) or longer, m in map."""
+        """Clear observations in the local costmap around a position, (2,) or longer, m in map."""
         part = self.local(position)
         self.evidence[part] = self._given[part]
         self.update_distance()
@@ -120,7 +120,7 @@ class LevelMap:
         distance_field(self.evidence, OCCUPIED_FROM, self.cell, self.farthest, self.distance)
 
     def update_distance_around(self, position: Array) -> None:
-        """Compute the distances in the local costmap around a position, (2,) or longer, m in map."""
+        """Update the distances in the local costmap around a position, (2,) or longer, m in map."""
         inner, reach = self.local(position), math.ceil(self.farthest / self.cell)
         outer = tuple(slice(max(0, part.start - reach), part.stop + reach) for part in inner)
         evidence = np.ascontiguousarray(self.evidence[outer])
@@ -138,7 +138,7 @@ class LevelMap:
         return slice(*spans[0]), slice(*spans[1])
 
     def index(self, position: Array) -> tuple[int, int]:
-        """Return the cell of a position, (2,) or longer, m in map; it may be outside."""
+        """Return the cell of a position, (2,) or longer, m in map; it may lie outside."""
         i, j = (np.floor(np.asarray(position)[:2] / self.cell).astype(np.int64) - self.corner[:2]).tolist()
         return i, j
 

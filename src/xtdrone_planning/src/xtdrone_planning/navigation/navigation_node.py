@@ -1,4 +1,4 @@
-"""Navigation on a level as a ROS node, with the topics of ROS's move_base.
+"""ROS node for navigation in the plane, with the topics of ROS's move_base.
 
 For a vehicle ``T`` (as ``iris_2d_lidar_0`` or ``ugv_0``); with ``~global_names`` the first six rows without ``/T``:
 
@@ -9,8 +9,8 @@ topic                                 type                       meaning
 feedback, result                      MoveBaseAction
 /T/move_base_simple/goal              geometry_msgs/PoseStamped  in: a goal without an action client
 /T/move_base/NavfnROS/plan            nav_msgs/Path              out, while subscribed: the global path
-/T/move_base/DWAPlannerROS/           nav_msgs/Path              out, while subscribed: what is commanded, and the part
-local_plan, global_plan                                          of the global path on the local costmap
+/T/move_base/DWAPlannerROS/           nav_msgs/Path              out, while subscribed: the commanded motion, and the
+part local_plan, global_plan                                          of the global path on the local costmap
 /T/move_base/global_costmap/costmap,  nav_msgs/OccupancyGrid     out, while subscribed: 100 obstacle, 99 too near to
 local_costmap/costmap                                            one, 98 to 0 with the distance, -1 unknown
 /T/move_base/current_goal             geometry_msgs/PoseStamped  out: each goal
@@ -64,7 +64,7 @@ Array = NDArray[np.float64]
 
 RATE = 20.0  # Hz, as move_base's controller
 
-_PIECES = 4  # of a scan's time, between which the vehicle's pose is interpolated
+_PIECES = 4  # intervals per scan, within which the vehicle's pose is interpolated
 _STALE_POSE = 0.5  # s
 _LOCAL_PERIOD, _GLOBAL_PERIOD = 0.2, 1.0  # s between two publications of a costmap
 _REPORT_PERIOD = 1.0  # s
@@ -74,14 +74,14 @@ _LEAST_NORM = 0.1  # of a goal's quaternion
 
 @dataclass(frozen=True)
 class NavigationSettings(Settings):
-    """Names and reports of the node."""
+    """Topic names and reports of the node."""
 
-    global_names: bool = setting(False, text="topics of move_base without the vehicle's name: /move_base/goal")
+    global_names: bool = setting(False, text="publish move_base's topics without the vehicle's name: /move_base/goal")
     timings: str = setting("", text="file for the wall times of scans and plans, JSON; empty: none")
 
 
 class VehicleNavigation:
-    """Topics of one vehicle around its navigator."""
+    """ROS topics of one vehicle's navigator."""
 
     def __init__(self, name: str, *, is_robot: bool, rviz_goal: bool) -> None:
         """Declare the topics.
@@ -89,7 +89,7 @@ class VehicleNavigation:
         Args:
             name: of the vehicle.
             is_robot: whether it is a ground robot.
-            rviz_goal: whether /move_base_simple/goal is this vehicle's.
+            rviz_goal: whether this vehicle subscribes to /move_base_simple/goal.
 
         Raises:
             SettingError: a parameter is not allowed.
@@ -168,7 +168,7 @@ class VehicleNavigation:
         ranges = np.array(message.ranges, float)
         numbers = (message.angle_min, message.angle_increment, message.time_increment, message.range_max)
         if not all(map(math.isfinite, numbers)) or not len(ranges):
-            self._watch.rejected("scans without rays, or with angles, times or a range_max that are not finite")
+            self._watch.rejected("scans without rays, or with angles, times or range_max that are not finite")
             return
         limits = message.range_min, message.range_max
         rays = ScanRays(ranges, *numbers[:3], limits, self._costs.scan_yaw)
@@ -176,12 +176,12 @@ class VehicleNavigation:
             return
         poses, spacing = self._poses_of(message.header.stamp.to_nsec(), message.time_increment * len(ranges))
         if poses is None:
-            self._watch.rejected("no pose is known for the scans")
+            self._watch.rejected("no pose at the time of the scans")
             return
         if not self.level.is_ready:
             if self._costs.map_topic:
                 self._watch.rejected(f"no map has been received on {self._costs.map_topic}")
-                return  # the given map comes first
+                return  # wait for the given map
             self.level.begin_around(poses[-1])
         self.level.enter(*rays.placed(poses, spacing, np.array(self._costs.scan_position), self._costs.slab))
         self.level.update_distance_around(poses[-1])
@@ -244,14 +244,14 @@ class VehicleNavigation:
         self._publish_report(stamp, self._judged(turn))
 
     def _step_without_pose(self, stamp: rospy.Time) -> None:
-        """Halt; clients still get the results of goals that were rejected, cancelled or aborted."""
+        """Stop; clients still get the results of goals that were rejected, cancelled or aborted."""
         self.navigator.pause()
         self._drive.halt()
         self._action.publish(None, stamp)
         self._publish_report(stamp, (2, "no position of the vehicle"))
 
     def _fault(self, now: float) -> str:
-        """Return why the vehicle has to brake; empty if it need not."""
+        """Return why the vehicle must brake; empty if it need not."""
         if not self._drive.obeys():
             return "the vehicle is not in OFFBOARD"
         if self._costs.scan_topic and (fault := self._watch.fault(now)):
@@ -339,7 +339,7 @@ class VehicleNavigation:
 
     def _publish_report(self, stamp: rospy.Time, report: tuple[int, str]) -> None:
         now, (level, text) = stamp.to_sec(), report
-        kind = (level, self.navigator.state)  # not the text: it counts the seconds without a scan
+        kind = (level, self.navigator.state)  # the text is not compared: it counts the seconds without a scan
         if kind == self._report and now - self._reported < _REPORT_PERIOD:
             return
         if level == 2 and kind != self._report:
@@ -360,7 +360,7 @@ def _values_of(message: OccupancyGrid) -> NDArray[np.int8]:
     """Return the cells (nx, ny) of a map.
 
     Raises:
-        MapError: another number of cells than the map's size says, or axes that are not those of its frame.
+        MapError: the number of cells does not match the map's size, or its axes are rotated relative to its frame.
     """
     info, turn = message.info, message.info.origin.orientation
     values = np.array(message.data, np.int8)
@@ -372,7 +372,7 @@ def _values_of(message: OccupancyGrid) -> NDArray[np.int8]:
 
 
 def _with_yaws(path: Array) -> Array:
-    """Return the poses (n, 3) along a path (n, 2): each looks at the next point, the last as the one before."""
+    """Return the poses (n, 3) along a path (n, 2), each facing the next point; the last keeps the previous heading."""
     if len(path) < 2:
         return np.column_stack([path, np.zeros(len(path))])
     steps = np.diff(path, axis=0)
@@ -384,7 +384,7 @@ class NavigationNode:
     """The navigation of one or several vehicles in one process."""
 
     def __init__(self, names: Sequence[str], *, are_robots: bool) -> None:
-        """Declare the topics; rviz's goals are the first vehicle's.
+        """Declare the topics; goals from rviz go to the first vehicle.
 
         Args:
             names: of the vehicles.
@@ -402,7 +402,7 @@ class NavigationNode:
         ]
 
     def step(self) -> None:
-        """Advance every vehicle by a turn."""
+        """Run one cycle of every vehicle."""
         for vehicle in self._vehicles:
             vehicle.step()
 

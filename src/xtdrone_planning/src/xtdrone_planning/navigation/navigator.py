@@ -1,11 +1,11 @@
-"""The states of a navigation to a goal, as those of ROS's move_base.
+"""State machine of navigation to a goal, as in ROS's move_base.
 
 ::
 
     Waiting -> Planning -> Following -> turning to the goal's yaw -> Waiting (reached)
                  ^  |          | no path, or no progress
                  |  v          v
-               Recovering: first clear the local map, then turn on the spot; after both: Waiting (aborted)
+               Recovering: first clear the local map, then rotate in place; after both: Waiting (aborted)
 
 A new goal leads to Planning without a stop. In every state other than Following and turning the vehicle brakes.
 """
@@ -31,8 +31,8 @@ SUCCEEDED, ABORTED = "reached", "aborted"
 
 _PLAN_SPACING = 0.5  # s between two searches while there is no path
 _PROGRESS = 0.3  # m or rad that count as progress
-_RECOVERED = 1.0  # m of way after which recoveries begin with the first again
-_APPROACH = 0.5  # part of the acceleration that is used to stop at the goal
+_RECOVERED = 1.0  # m travelled after which recoveries start over with the first
+_APPROACH = 0.5  # fraction of the acceleration used to stop at the goal
 _GAIN = 1.5  # 1/s, of the yaw at the goal
 _LARGEST = 1e5  # m
 _ARC_POINTS = 10
@@ -40,13 +40,13 @@ _ARC_POINTS = 10
 
 @dataclass(frozen=True)
 class Turn:
-    """A turn's inputs.
+    """Inputs of one cycle.
 
     Attributes:
         time: s of ROS time.
-        duration: of a turn, s.
+        duration: of a cycle, s.
         pose: (3,) x, y, m in map, and yaw, rad.
-        fault: why the map cannot be relied on; empty if it can.
+        fault: why the map is unreliable; empty if it is reliable.
     """
 
     time: float
@@ -61,8 +61,8 @@ class Navigator:
     Attributes:
         state: one of the names above.
         goal: (3,) x, y, m in map, yaw, rad; None without one.
-        outcome: SUCCEEDED or ABORTED of the last goal, empty while there is one, and before the first.
-        reason: why there is no path, or no progress.
+        outcome: SUCCEEDED or ABORTED of the last goal; empty before the first goal and while one is active.
+        reason: why there is no path or no progress.
         path: (n, 2) global path, m in map; empty without.
         command: what was commanded last.
     """
@@ -71,8 +71,8 @@ class Navigator:
         """Start waiting.
 
         Args:
-            level: the map, which others update.
-            settings, limits: how it decides and moves.
+            level: the map, updated by the caller.
+            settings, limits: of decisions and of motion.
         """
         self.level, self.settings, self.limits = level, settings, limits
         self.restart()
@@ -102,10 +102,10 @@ class Navigator:
         return self.command != AT_REST
 
     def set_goal(self, goal: Array) -> None:
-        """Accept a goal, (3,) x, y, m in map, yaw, rad, for the next turn.
+        """Accept a goal, (3,) x, y, m in map, yaw, rad, for the next cycle.
 
         Raises:
-            GoalError: not finite, or too far; the current goal stays.
+            GoalError: not finite, or too far; the active goal is unchanged.
         """
         goal = np.asarray(goal, float)
         if not np.isfinite(goal).all() or np.abs(goal[:2]).max() > _LARGEST:
@@ -122,12 +122,12 @@ class Navigator:
         self.state = WAITING
 
     def pause(self) -> None:
-        """Rest while the pose of the vehicle is unknown; the goal waits, with new patience."""
+        """Stop while the pose of the vehicle is unknown; the goal is kept, and its timeout restarts."""
         self.command = AT_REST
         self._since = math.nan
 
     def local_plan(self, now: Turn) -> Array:
-        """Return the poses (n, 3) of the motion that is commanded, x, y, m in map, yaw, rad."""
+        """Return the poses (n, 3) of the commanded motion, x, y, m in map, yaw, rad."""
         return arc(self._expected(now), self.command, self.limits.horizon, _ARC_POINTS)
 
     def step(self, now: Turn) -> Motion:
@@ -141,7 +141,7 @@ class Navigator:
 
     def _commanded(self, now: Turn) -> Motion:
         if self.goal is None or now.fault:
-            self._since = now.time  # a goal waits as long as the fault lasts
+            self._since = now.time  # the goal's timeout is suspended during the fault
             return self._braked(now)
         if self.state == PLANNING:
             return self._plan_first(now)
@@ -177,7 +177,7 @@ class Navigator:
         return self._braked(now) if found is None else found
 
     def _finish(self, now: Turn) -> Motion:
-        """Stop, turn to the yaw of the goal, and report success."""
+        """Stop, turn to the goal's yaw, and report success."""
         assert self.goal is not None
         off = wrap_pi(float(self.goal[2]) - float(now.pose[2]))
         slowed = self._braked(now)
@@ -188,7 +188,7 @@ class Navigator:
         return Motion(slowed.speed, self._towards(_GAIN * off, now))
 
     def _recover(self, now: Turn) -> None:
-        """Begin the next recovery, or give up after the last."""
+        """Start the next recovery, or give up after the last."""
         self._recoveries += 1
         self._recovered_at = now.pose
         if self._recoveries == 1:
@@ -201,7 +201,7 @@ class Navigator:
             self._end(ABORTED)
 
     def _turn(self, now: Turn) -> Motion:
-        """Turn once on the spot, to see all around, and plan again."""
+        """Rotate once in place to see all around, and plan again."""
         rate = self._towards(self.limits.turn_rate, now)
         self._turned += rate * now.duration
         if self._turned >= 2.0 * math.pi:
@@ -219,7 +219,7 @@ class Navigator:
         self.cancel()
 
     def _plan(self, now: Turn) -> bool:
-        """Search a global path; return whether there is one."""
+        """Search for a global path; return whether there is one."""
         assert self.goal is not None
         self._planned = now.time
         self.level.update_distance()
@@ -232,7 +232,8 @@ class Navigator:
         return True
 
     def _note_progress(self, now: Turn) -> None:
-        """Renew the patience when the vehicle has moved or turned, and the recoveries when it has come far."""
+        """Restart the timeout when the vehicle has moved or turned, and the recoveries when it has travelled far
+        enough."""
         moved_by = math.hypot(*(now.pose[:2] - self._place[:2]).tolist())
         turned_by = abs(wrap_pi(float(now.pose[2] - self._place[2])))
         if moved_by > _PROGRESS or (turned_by > _PROGRESS and self._recoveries == 0):
@@ -242,7 +243,7 @@ class Navigator:
             self._recoveries, self._recovered_at = 0, None
 
     def _expected(self, now: Turn) -> Array:
-        """Return the pose in which the next command acts."""
+        """Return the pose at which the next command takes effect."""
         x, y, yaw = now.pose.tolist()
         return np.array(moved(x, y, yaw, self.command.speed, self.command.rate, self.limits.lag))
 
@@ -250,6 +251,6 @@ class Navigator:
         return braked(self.limits, self.command, now.duration)
 
     def _towards(self, rate: float, now: Turn) -> float:
-        """Return the yaw rate that is nearest to a wanted one, rad/s, within the limits."""
+        """Return the yaw rate within the limits that is closest to a desired one, rad/s."""
         most, change = self.limits.turn_rate, self.limits.turn_acceleration * now.duration
         return min(max(min(max(rate, -most), most), self.command.rate - change), self.command.rate + change)

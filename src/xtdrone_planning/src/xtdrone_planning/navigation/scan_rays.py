@@ -1,4 +1,4 @@
-"""The rays of a 2D lidar's scan, as they are entered into the map of a level."""
+"""Rays of a 2D lidar's scan, prepared for insertion into a plane map."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ class ScanRays:
     """Rays of one scan in the lidar's frame.
 
     Attributes:
-        ranges: (n,) m; to the end of what the ray has seen free.
+        ranges: (n,) m; up to the end of the free part of the ray.
         directions: (n, 3) unit vectors in base_link.
         times: (n,) s after the scan's stamp.
-        hits: (n,) whether there is something at the end.
+        hits: (n,) whether the ray ends at a surface.
     """
 
     def __init__(
@@ -25,14 +25,14 @@ class ScanRays:
     ) -> None:
         """Read the values of a scan.
 
-        A ray without a return is free up to the largest range if its neighbours have none either, since a single
-        missing return may be a dropout; rays that are too near, or no number, are left out (REP 117).
+        A ray without a return is free up to the maximum range if its neighbours have none either, since a single
+        missing return may be a dropout; rays below the minimum range and NaN are skipped (REP 117).
 
         Args:
             ranges: (n,) m; infinite: no return.
             first, step: angle of the first ray and between two rays, rad.
             time_step: between two rays, s.
-            limits: smallest and largest range, m.
+            limits: minimum and maximum range, m.
             yaw: of the lidar in base_link, rad.
         """
         low, high = limits
@@ -47,13 +47,13 @@ class ScanRays:
         self.hits = hits[used]
 
     def placed(self, poses: Array, spacing: float, mount: Array, slab: float) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return where the rays begin and end, (n, 3) m in map, and which of them end at something.
+        """Return the start and end points of the rays, (n, 3) m in map, and which of them end at a surface.
 
-        A ray of a tilted vehicle is cut off where it leaves the slab: it may end at the ground there.
+        When the vehicle is tilted, a ray is cut off where it leaves the slab, because it may hit the ground.
 
         Args:
             poses, spacing, mount: see ``ray_places.place_rays``.
-            slab: m above and below the lidar in which rays count.
+            slab: m above and below the lidar within which rays count.
         """
         origins, ends = np.empty_like(self.directions), np.empty_like(self.directions)
         place_rays(poses, spacing, mount, self.ranges, self.directions, self.times, origins, ends)

@@ -1,4 +1,5 @@
-"""What a navigation moves: a ground robot, or a UAV at a fixed height by MAVROS's or XTDrone's velocity setpoints."""
+"""Drives of the navigation: a ground robot, or a UAV at a fixed height through MAVROS's or XTDrone's velocity
+setpoints."""
 
 from __future__ import annotations
 
@@ -24,8 +25,8 @@ from xtdrone_planning.navigation.dynamic_window import AT_REST, Motion
 
 Array = NDArray[np.float64]
 
-_CLIMB_GAIN, _MOST_CLIMB = 1.0, 0.5  # 1/s, m/s, towards the height of flight
-_HOLD_GAIN, _MOST_HOLD = 0.8, 0.5  # 1/s, m/s, towards the place where the vehicle came to rest
+_CLIMB_GAIN, _MOST_CLIMB = 1.0, 0.5  # 1/s, m/s, towards the flight height
+_HOLD_GAIN, _MOST_HOLD = 0.8, 0.5  # 1/s, m/s, towards the position where the vehicle came to rest
 _STREAM_LEAD = 0.5  # s of setpoints before OFFBOARD is requested; PX4 rejects it without a stream
 _REQUEST_SPACING = 2.0  # s between requests
 _LEAST_NORM = 0.1  # of a quaternion
@@ -33,7 +34,7 @@ _LEAST_NORM = 0.1  # of a quaternion
 
 @dataclass(frozen=True)
 class DriveSettings(Settings):
-    """What is moved, and how."""
+    """Type of drive, and its settings."""
 
     drive: str = setting(
         "auto",
@@ -42,7 +43,7 @@ class DriveSettings(Settings):
         "auto: mavros for the fleet's vehicles, ground for others",
     )
     height: float = setting(
-        0.0, low=0.0, high=1000.0, unit="m", text="height of flight; 0: that at which a goal is received"
+        0.0, low=0.0, high=1000.0, unit="m", text="flight height; 0: the height when a goal is received"
     )
     offboard: bool = setting(True, text="request OFFBOARD for a goal (of drive mavros); false: wait for the pilot")
 
@@ -66,13 +67,13 @@ class Drive(Protocol):
         """Return whether a pilot or another program has taken the vehicle over since ``begin``."""
 
     def command(self, motion: Motion, stamp: rospy.Time, *, active: bool) -> None:
-        """Command a motion; ``active``: there is a goal, or the vehicle still moves."""
+        """Command a motion; ``active``: there is a goal, or the vehicle is still moving."""
 
     def halt(self) -> None:
-        """Stop, as the pose of the vehicle is unknown; call it in every turn until the pose is known again."""
+        """Stop because the vehicle's pose is unknown; call it in every turn until the pose is known again."""
 
     def close(self) -> None:
-        """Cancel what is pending."""
+        """Cancel pending requests."""
 
 
 class PoseFeed(Protocol):
@@ -83,14 +84,14 @@ class PoseFeed(Protocol):
 
 
 def _entry(p: Point | Vector3, q: Quaternion) -> Array | None:
-    """Return an entry of the pose history, None for numbers that are not finite or no rotation."""
+    """Return an entry of the pose history, or None if numbers are not finite or the quaternion is invalid."""
     entry: Array = np.array([p.x, p.y, p.z, q.w, q.x, q.y, q.z])
     usable = np.isfinite(entry).all() and float(np.linalg.norm(entry[3:])) > _LEAST_NORM
     return entry if usable else None
 
 
 class GroundDrive:
-    """A robot: its odometry from its start pose, which is on /tf_static, and ``cmd_vel``."""
+    """A ground robot: odometry relative to its start pose on /tf_static, and ``cmd_vel``."""
 
     def __init__(self, name: str, feed: PoseFeed) -> None:
         """Declare the topics."""
@@ -135,13 +136,13 @@ class GroundDrive:
         return False
 
     def command(self, motion: Motion, stamp: rospy.Time, *, active: bool) -> None:
-        """Publish the command; at the end one of rest, then nothing."""
+        """Publish the command; at the end a single stop command, then nothing."""
         if active or self._was_active:
             self._publisher.publish(Twist(linear=Vector3(x=motion.speed), angular=Vector3(z=motion.rate)))
         self._was_active = active
 
     def halt(self) -> None:
-        """Command rest: the robot would go on with the last command."""
+        """Command a stop: the robot would continue with the last command."""
         if self._was_active:
             self._publisher.publish(Twist())
 
@@ -150,7 +151,7 @@ class GroundDrive:
 
 
 class UavDrive:
-    """A UAV at a fixed height: MAVROS's estimate in, velocity setpoints out."""
+    """A UAV at a fixed height: subscribes to MAVROS's estimate and publishes velocity setpoints."""
 
     def __init__(self, name: str, settings: DriveSettings, feed: PoseFeed) -> None:
         """Declare the topics."""
@@ -195,12 +196,12 @@ class UavDrive:
         return "" if self._armed and self._in_air else "the vehicle is not flying"
 
     def begin(self) -> None:
-        """Begin with a goal, at the current height if none is given."""
+        """Start flying to a goal, at the current height if none is set."""
         assert self._pose is not None
         self._height = self._settings.height or float(self._pose[2])
         if not self._streams:
             self._streaming_since, self._was_offboard = rospy.get_time(), self._offboard
-            self._hold = None  # the vehicle may have been flown elsewhere since
+            self._hold = None  # the vehicle may have been moved since
         self._streams = True
 
     def obeys(self) -> bool:
@@ -212,7 +213,7 @@ class UavDrive:
         return self._streams and not (self._armed and self._in_air and (self._offboard or not self._was_offboard))
 
     def command(self, motion: Motion, stamp: rospy.Time, *, active: bool) -> None:
-        """Publish velocity and yaw rate; once the vehicle is at rest, it stays where it is until it is taken over."""
+        """Publish velocity and yaw rate; once at rest, the vehicle holds its position until it is taken over."""
         if self.is_lost() and not active:
             self._streams = False
         if not self._streams or self._pose is None:
@@ -228,7 +229,8 @@ class UavDrive:
             )
 
     def _level_velocity(self, motion: Motion, yaw: float) -> tuple[float, float]:
-        """Return the velocity, m/s east and north, of a motion; at rest that towards where the vehicle stopped."""
+        """Return the velocity, m/s east and north, of a motion; at rest, the velocity back to where the vehicle
+        stopped."""
         assert self._pose is not None
         if motion.speed != AT_REST.speed:
             self._hold = None
@@ -256,7 +258,7 @@ class UavDrive:
             self._services.submit(Request("OFFBOARD", None))
 
     def halt(self) -> None:
-        """Command nothing: without setpoints, and without a position, the autopilot's failsafe acts."""
+        """Publish nothing: without setpoints and position, the autopilot's failsafe acts."""
 
     def close(self) -> None:
         """Cancel pending service calls."""

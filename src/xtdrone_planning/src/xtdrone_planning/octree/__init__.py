@@ -1,1 +1,2 @@
-"""The map of all that a vehicle has seen, as octomap's octree: messages, files and the node ``octomap_server.py``."""
+"""Map of everything that a vehicle has seen, as an octomap octree: messages, files and the node
+``octomap_server.py``."""

@@ -1,4 +1,4 @@
-"""The octree of one vehicle: measurements in, each from the poses of its time, as soon as these are known."""
+"""Octree of one vehicle: inserts each measurement as soon as the poses at its time are known."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from xtdrone_planning.mapping.range_images import RangeImage
 from xtdrone_planning.mapping.ray_places import rays_in_map
 from xtdrone_planning.octree.octree_map import OctreeMap, OctreeSettings
 
-_REACH = 0.002  # s by which a pose may be off the time of a ray
-_ROUNDING_NS = 1_000_000  # by which stamps may be off a multiple of the interval
-_WAITING = 5  # measurements that wait for their poses; odometry is published after the scan that it is from
+_REACH = 0.002  # s: maximum time between a pose and a ray
+_ROUNDING_NS = 1_000_000  # tolerance of stamps relative to multiples of the interval
+_WAITING = 5  # measurements that wait for their poses; odometry is published after the scan that it comes from
 
 
 class _Waiting(NamedTuple):
@@ -22,13 +22,13 @@ class _Waiting(NamedTuple):
 
 
 class GlobalMap:
-    """Enters range images into an octree.
+    """Inserts range images into an octree.
 
     Attributes:
         octree: the map.
-        poses: of base_link, entries x, y, z, m in map, and quaternion w, x, y, z; ``poses.add`` adds the latest.
+        poses: history of base_link poses: x, y, z, m in map, and quaternion w, x, y, z; ``poses.add`` appends one.
         entered: number of measurements in the map.
-        left_out: number of measurements that were dropped, as their poses were not known in time.
+        left_out: number of measurements dropped because their poses did not arrive in time.
     """
 
     def __init__(self, settings: OctreeSettings, interval: float = 0.0) -> None:
@@ -36,7 +36,7 @@ class GlobalMap:
 
         Args:
             settings: of the octree.
-            interval: s; a measurement that follows the last one sooner is left out.
+            interval: minimum time between two mapped measurements, s; others are skipped.
         """
         self._interval_ns = round(interval * 1e9)
         self.octree = OctreeMap(settings)
@@ -52,7 +52,7 @@ class GlobalMap:
         self.entered = self.left_out = 0
 
     def enter(self, image: RangeImage, stamp_ns: int, mount: tuple[float, float, float]) -> bool:
-        """Keep a measurement until ``update`` knows its poses; see ``LocalMap.enter``."""
+        """Queue a measurement until ``update`` knows its poses; see ``LocalMap.enter``."""
         if self._last_ns is not None and stamp_ns - self._last_ns < self._interval_ns - _ROUNDING_NS:
             return True
         self._last_ns = stamp_ns
@@ -63,7 +63,7 @@ class GlobalMap:
         return True
 
     def update(self) -> None:
-        """Enter the measurements whose poses are known by now."""
+        """Insert the measurements whose poses are known by now."""
         for _ in range(len(self._waiting)):
             waiting = self._waiting.popleft()
             rays = rays_in_map(*waiting, self.poses)

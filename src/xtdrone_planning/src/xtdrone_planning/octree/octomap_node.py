@@ -1,4 +1,4 @@
-"""The global map of a vehicle as a ROS node, with the names of octomap_server.
+"""ROS node for the global map of a vehicle, with the names of octomap_server.
 
 For each vehicle ``T``, in addition to the sensor's topics of ``mapping.map_feed``:
 
@@ -8,8 +8,8 @@ topic or service                    type                             meaning
 /T/octomap_binary, octomap_full     octomap_msgs/Octomap             out, while subscribed: free and occupied; log-odds
 /T/octomap_point_cloud_centers      sensor_msgs/PointCloud2          out, while subscribed: occupied voxels
 /T/projected_map                    nav_msgs/OccupancyGrid           out, while subscribed: seen from above
-/T/octomap_binary, octomap_full     octomap_msgs/GetOctomap          service: the map as it is now
-/T/octomap_server/reset             std_srvs/Empty                   service: forget the map
+/T/octomap_binary, octomap_full     octomap_msgs/GetOctomap          service: the current map
+/T/octomap_server/reset             std_srvs/Empty                   service: clear the map
 /diagnostics                        diagnostic_msgs/DiagnosticArray  out: once a second, and on change
 ==================================  ===============================  =================================================
 """
@@ -58,20 +58,20 @@ _REPORT_PERIOD = 1.0  # s
 
 @dataclass(frozen=True)
 class OctomapOptions(Settings):
-    """What the node uses and publishes."""
+    """Inputs and outputs of the node."""
 
     odometry: str = setting(
         "",
-        text="odometry whose poses place the measurements: lidar_odometry, slam, ...; empty: the autopilot's estimate",
+        text="odometry used to place the measurements: lidar_odometry, slam, ...; empty: the autopilot's estimate",
     )
-    frame_id: str = setting("map", text="frame of the map, in which these poses are")
+    frame_id: str = setting("map", text="frame of the map and of these poses")
     interval: float = setting(
-        0.0, low=0.0, high=60.0, unit="s", text="measurements that follow the last mapped one sooner are left out"
+        0.0, low=0.0, high=60.0, unit="s", text="minimum time between two mapped measurements; others are skipped"
     )
     period: float = setting(2.0, low=0.05, high=60.0, unit="s", text="time between two publications")
-    occupancy_min_z: float = setting(0.3, low=-1e4, high=1e4, unit="m", text="lowest voxels in projected_map")
-    occupancy_max_z: float = setting(1e4, low=-1e4, high=1e4, unit="m", text="highest voxels in projected_map")
-    file: str = setting("", text="file of the map at the end, .bt or .ot; several vehicles: .VEHICLE.bt; empty: none")
+    occupancy_min_z: float = setting(0.3, low=-1e4, high=1e4, unit="m", text="lowest voxel height in projected_map")
+    occupancy_max_z: float = setting(1e4, low=-1e4, high=1e4, unit="m", text="highest voxel height in projected_map")
+    file: str = setting("", text="file for the map at the end, .bt or .ot; several vehicles: .VEHICLE.bt; empty: none")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -95,7 +95,7 @@ class NodeSettings(NamedTuple):
 
 
 def read_settings() -> NodeSettings:
-    """Return the settings that the private parameters give.
+    """Return the settings read from the private parameters.
 
     Raises:
         SettingError: a parameter is not allowed.
@@ -111,13 +111,13 @@ def read_settings() -> NodeSettings:
 
 
 class VehicleOctomap:
-    """Topics and services of one vehicle around its map."""
+    """ROS topics and services of one vehicle's map."""
 
     def __init__(self, name: str, settings: NodeSettings) -> None:
         """Declare the topics and services."""
         self._name, self._settings = name, settings
         self._map = GlobalMap(settings.octree, settings.options.interval)
-        self._lock = threading.Lock()  # services run in threads of their own
+        self._lock = threading.Lock()  # services run in their own threads
         self._watch = SensorWatch(settings.watch)
         MapFeed(
             name, self._map, self._watch, settings.sensor.sensor, settings.lidar, settings.depth,
@@ -160,7 +160,7 @@ class VehicleOctomap:
         return self._settings.options.frame_id
 
     def octree(self, binary: bool) -> Octree:
-        """Return the map as it is now."""
+        """Return the current map."""
         return encode(*self._blocks(), self._settings.octree.resolution, binary)
 
     def _blocks(self) -> tuple[NDArray[np.int64], NDArray[np.int16]]:
@@ -171,7 +171,7 @@ class VehicleOctomap:
     # turns
 
     def step(self) -> None:
-        """Enter what has come; publish what is due. Call it at 20 Hz."""
+        """Insert queued measurements; publish what is due. Call it at 20 Hz."""
         stamp = rospy.Time.now()
         with self._lock:
             self._map.update()
@@ -204,12 +204,12 @@ class VehicleOctomap:
         """Return level and text for the diagnostics."""
         octree = self._map.octree
         if octree.is_full:
-            return DiagnosticStatus.ERROR, f"the map is full: {octree.memory:.0f} MB; new places are left out"
+            return DiagnosticStatus.ERROR, f"the map is full: {octree.memory:.0f} MB; new voxels are dropped"
         fault = self._watch.fault(now)
         if fault:
             return DiagnosticStatus.WARN, fault
         if not self._map.entered:
-            return DiagnosticStatus.WARN, "no poses for the measurements yet"
+            return DiagnosticStatus.WARN, "no poses for the measurements so far"
         return DiagnosticStatus.OK, "mapping"
 
     def _publish_report(self, stamp: rospy.Time) -> None:
@@ -232,7 +232,7 @@ class VehicleOctomap:
 
 
 class OctomapNode:
-    """The maps of one or several vehicles in one process."""
+    """Maps of one or several vehicles in one process."""
 
     def __init__(self, names: Sequence[str]) -> None:
         """Declare the topics.
@@ -245,7 +245,7 @@ class OctomapNode:
         self._maps = {name: VehicleOctomap(name, settings) for name in names}
 
     def step(self) -> None:
-        """Advance every map by a turn."""
+        """Run one cycle of every map."""
         for vehicle in self._maps.values():
             vehicle.step()
 

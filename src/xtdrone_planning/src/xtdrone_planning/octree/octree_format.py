@@ -1,9 +1,9 @@
-"""octomap's serialised octrees: the data of octomap_msgs/Octomap, and the files .bt and .ot, written and read.
+"""Reader and writer of octomap's serialised octrees: the data of octomap_msgs/Octomap, and the files .bt and .ot.
 
 Every inner node of the binary format is two bits for each of its eight children, lowest first: 0 unknown, 1 free,
-2 occupied, 3 an inner node, which follows; inner nodes come depth first. Every node of the full format is its log-odds
-(float32) and a byte that tells which children follow. Eight equal leaves are one. The formats are those of octomap's
-OcTree.cpp and OccupancyOcTreeBase.hxx (BSD), version 1.6 and later.
+2 occupied, 3 an inner node, which follows; inner nodes are stored depth first. Every node of the full format is its
+log-odds (float32) and a byte that flags which children follow. Eight equal leaves are merged into one. The formats are
+those of octomap's OcTree.cpp and OccupancyOcTreeBase.hxx (BSD), version 1.6 and later.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ _NEVER = int(NEVER)
 _FREE, _OCCUPIED, _INNER = 1, 2, 3
 _BINARY_LINE, _FULL_LINE = "# Octomap OcTree binary file", "# Octomap OcTree file"
 _LARGEST = 1 << 30  # bytes of a file
-_MOST_VOXELS = 200_000_000  # of the leaves that are read, as a limit for damaged or hostile files
+_MOST_VOXELS = 200_000_000  # of the leaves read; guards against damaged or hostile files
 
 
 class OctreeError(ValueError):
-    """Data that are not an octree of octomap; the message names what is wrong and what is allowed."""
+    """Data that are not an octomap octree; the message names the problem and what is allowed."""
 
 
 class Octree(NamedTuple):
@@ -44,7 +44,7 @@ class Octree(NamedTuple):
         data: after the header of a file; also of the message.
         size: number of nodes; 0: empty.
         resolution: side of a voxel, m.
-        binary: whether leaves are free or occupied only.
+        binary: whether leaves are only free or occupied.
     """
 
     data: bytes
@@ -54,10 +54,10 @@ class Octree(NamedTuple):
 
 
 class Leaves(NamedTuple):
-    """Leaves of an octree that was read.
+    """Leaves of a deserialised octree.
 
     Attributes:
-        corners: (n, 3) lowest voxel of each, from the octree's centre.
+        corners: (n, 3) lowest voxel of each, relative to the octree's centre.
         sides: (n,) voxels along an edge.
         occupied: (n,) whether the log-odds are at least 0.
         resolution: side of a voxel, m.
@@ -103,9 +103,9 @@ def encode(places: NDArray[np.int64], values: NDArray[np.int16], resolution: flo
 
     Args:
         places: (n, 3) of the blocks, in Morton order; see ``OctreeMap.blocks``.
-        values: (n, 4096) log-odds in hundredths, ``NEVER`` where nothing is known.
+        values: (n, 4096) log-odds in hundredths, ``NEVER`` where unknown.
         resolution: side of a voxel, m.
-        binary: whether leaves are free or occupied only.
+        binary: whether leaves are only free or occupied.
     """
     if not len(places):
         return Octree(b"", 0, resolution, binary)
@@ -114,7 +114,7 @@ def encode(places: NDArray[np.int64], values: NDArray[np.int16], resolution: flo
 
 
 def _binary(places: NDArray[np.int64], values: NDArray[np.int16]) -> bytes:
-    """Return the binary data: those of the nodes above blocks, with those of each block after its parent's."""
+    """Return the binary data: nodes above blocks, with the data of each block after its parent's."""
     words = np.zeros((len(values), _WORDS), np.uint16)
     counts, states = np.zeros(len(values), np.int64), np.zeros(len(values), np.uint8)
     _block_words(values, words, counts, states)
@@ -221,13 +221,13 @@ def _leaf_states(values: NDArray[np.int16]) -> NDArray[np.uint8]:
 
 
 def _are_one(states: NDArray[np.uint8], values: NDArray[np.int16]) -> NDArray[np.bool_]:
-    """Return (n,) whether eight children (n, 8) are equal leaves, or all unknown."""
+    """Return (n,) whether all eight children (n, 8) are equal leaves or unknown."""
     equal = (states == states[:, :1]).all(axis=1) & (states[:, 0] != _INNER)
     return equal & (values == values[:, :1]).all(axis=1)
 
 
 def _depth_first(codes: NDArray[np.int64], level: int) -> NDArray[np.int64]:
-    """Return numbers (n,) by which nodes of all levels are sorted depth first."""
+    """Return sort keys (n,) that order nodes of all levels depth first."""
     return (codes << 3 * (DEPTH - level)) * 32 + level
 
 
@@ -275,7 +275,7 @@ def read_file(path: Path) -> Leaves:
     """Return the leaves of a .bt or .ot file.
 
     Raises:
-        OctreeError: it is not one, or damaged.
+        OctreeError: it is not such a file, or it is damaged.
         OSError: it cannot be read, or is larger than 1 GB.
     """
     contents = read_bytes(path, _LARGEST)
@@ -287,7 +287,7 @@ def read_file(path: Path) -> Leaves:
     try:
         size, resolution = int(fields["size"]), float(fields["res"])
     except (KeyError, ValueError) as error:
-        raise OctreeError(f"{path}: size and res of its header cannot be read") from error
+        raise OctreeError(f"{path}: size or res in its header cannot be read") from error
     if fields.get("id") != "OcTree":
         raise OctreeError(f"{path}: id {fields.get('id')!r} is not allowed, OcTree")
     return decode(Octree(data, size, resolution, first == _BINARY_LINE))
@@ -311,13 +311,13 @@ def decode(octree: Octree) -> Leaves:
         data, values = nodes["children"].copy(), nodes["value"].copy()
     count = 0 if not octree.size else int(_read(data, values, octree.binary, corners, sides, occupied))
     if count < 0 or int((sides[:count][occupied[:count]] ** 3).sum()) > _MOST_VOXELS:
-        raise OctreeError(f"octree of {len(octree.data)} bytes: it ends too early, is too deep or too large")
+        raise OctreeError(f"octree of {len(octree.data)} bytes: truncated, too deep or too large")
     return Leaves(corners[:count], sides[:count], occupied[:count], octree.resolution)
 
 
 @kernel
 def _read(data, values, binary, corners, sides, occupied):
-    """Fill the leaves of an octree; return their number, or -1 for data that end too early or are too deep.
+    """Fill the leaves of an octree; return their number, or -1 if the data are truncated or too deep.
 
     Args:
         data: uint8; binary: all bytes; otherwise the children of each node.
@@ -325,7 +325,7 @@ def _read(data, values, binary, corners, sides, occupied):
         binary: which format.
         corners, sides, occupied: see ``Leaves``; filled.
     """
-    stack = np.empty((8 * DEPTH + 8, 4), np.int64)  # lowest voxel and level of nodes that follow, the next one last
+    stack = np.empty((8 * DEPTH + 8, 4), np.int64)  # lowest voxel and level of pending nodes, the next one last
     stack[0] = (-HALF, -HALF, -HALF, 0)
     waiting, place, count = 1, 0, 0
     while waiting:

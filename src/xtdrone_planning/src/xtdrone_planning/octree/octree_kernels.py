@@ -1,9 +1,9 @@
-"""Kernels that enter the rays of a measurement into blocks of voxels, which are found by a hash table.
+"""Kernels that insert the rays of a measurement into blocks of voxels, which are found through a hash table.
 
 A block has 16 x 16 x 16 voxels in Morton order (bits z, y, x of the first halving, then of the second, ...), which is
-the order of an octree's children. Voxels of a ray: J. Amanatides and A. Woo, A fast voxel traversal algorithm for ray
-tracing, Eurographics 1987. One measurement changes a voxel once, and a hit outweighs rays that pass (A. Hornung et al.,
-OctoMap, Autonomous Robots 34, 2013, section 4.1).
+the order of an octree's children. Ray traversal: J. Amanatides and A. Woo, A fast voxel traversal algorithm for ray
+tracing, Eurographics 1987. One measurement changes a voxel once, and a hit takes precedence over rays that pass (A.
+Hornung et al., OctoMap, Autonomous Robots 34, 2013, section 4.1).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from xtdrone_planning.mapping.ray_casting import axis_crossing
 SIDE = 16
 VOXELS = SIDE**3
 HALF = 1 << 15
-"""Voxels on each side of the origin, along an axis: an octree of 16 levels."""
+"""Voxels on each side of the origin, along each axis: an octree of 16 levels."""
 _SPREAD = np.array([sum(((n >> bit) & 1) << (3 * bit) for bit in range(4)) for n in range(SIDE)], np.int64)
 
 UNKNOWN = 0
@@ -30,10 +30,10 @@ _PASSED, _HIT = 1, 2  # of a voxel in the current measurement
 
 @kernel
 def find_block(table, keys, key):
-    """Return the number of a block, or -1 - its place in the table if there is none.
+    """Return the index of a block, or -1 - its slot in the table if there is none.
 
     Args:
-        table: (2^m,) int64, number of a block or -1.
+        table: (2^m,) int64, index of a block or -1.
         keys: (n,) int64, key of each block: x + 4096 y + 4096^2 z, in blocks.
         key: of the block.
     """
@@ -48,7 +48,7 @@ def find_block(table, keys, key):
 
 @kernel
 def _block(table, keys, counts, key):
-    """Return the number of a block, which is added if there is room; otherwise -1, and it is counted."""
+    """Return the index of a block, which is added if there is memory; otherwise count it and return -1."""
     found = find_block(table, keys, key)
     if found >= 0:
         return found
@@ -64,19 +64,19 @@ def _block(table, keys, counts, key):
 
 @kernel
 def enter_rays(table, keys, counts, voxels, seen, touched, touched_at, change, resolution, origins, ends, hits):
-    """Enter the rays of a measurement.
+    """Insert the rays of a measurement.
 
     Args:
         table, keys: see ``find_block``; changed in place.
-        counts: (2,) int64: blocks in use; visits of blocks for which there was no room. Changed in place.
+        counts: (2,) int64: blocks in use; visits of blocks for which there was no memory. Changed in place.
         voxels: (n, 4096) uint16: ``OFFSET`` and log-odds in hundredths. Changed in place.
         seen: (n, 4096) uint8, zeros before and after.
-        touched: (n,) int64, room for the numbers of blocks.
+        touched: (n,) int64, scratch array for block indices.
         touched_at: (n,) bool, False before and after.
         change: hit, miss, least, most, hundredths.
         resolution: side of a voxel, m.
         origins, ends: (m, 3) m in map.
-        hits: (m,) whether the ray ends at something.
+        hits: (m,) whether the ray ends at a surface.
     """
     count = 0
     carves = np.ones(len(ends), np.bool_)
@@ -94,7 +94,7 @@ def enter_rays(table, keys, counts, voxels, seen, touched, touched_at, change, r
                 touched_at[block], touched[count] = True, block
                 count += 1
             voxel = _SPREAD[i & 15] | _SPREAD[j & 15] << 1 | _SPREAD[k & 15] << 2
-            carves[r] = seen[block, voxel] != _HIT  # a second ray to the same voxel passes nearly the same ones
+            carves[r] = seen[block, voxel] != _HIT  # a second ray to the same voxel traverses nearly the same voxels
             seen[block, voxel] = _HIT
     for r in range(len(ends)):
         if carves[r]:
@@ -113,7 +113,7 @@ def _is_inside(i, j, k):
 
 @kernel
 def _pass_through(table, keys, counts, seen, touched, touched_at, count, resolution, origin, end):
-    """Note that the voxels of a ray are free; return the number of touched blocks. See ``enter_rays``."""
+    """Mark the voxels of a ray as free; return the number of touched blocks. See ``enter_rays``."""
     x, y, z = origin[0] / resolution, origin[1] / resolution, origin[2] / resolution
     dx, dy, dz = end[0] / resolution - x, end[1] / resolution - y, end[2] / resolution - z
     if not math.isfinite(x + y + z + dx + dy + dz):
@@ -154,7 +154,7 @@ def _pass_through(table, keys, counts, seen, touched, touched_at, count, resolut
 
 @kernel
 def _apply(voxels, seen, touched, touched_at, count, change):
-    """Change the voxels that the measurement has seen, and forget what it has seen."""
+    """Update the voxels seen by the measurement, and clear its marks."""
     hit, miss, least, most = change[0], change[1], change[2] + OFFSET, change[3] + OFFSET
     for n in range(count):
         block = touched[n]

@@ -1,9 +1,9 @@
-"""The global map: voxels of all that was seen, with the log-odds that each is occupied, in bounded memory.
+"""Global map: all observed voxels with their log-odds of occupancy, in bounded memory.
 
 Log-odds and their defaults are those of octomap (A. Hornung et al., OctoMap: an efficient probabilistic 3D mapping
 framework based on octrees, Autonomous Robots 34, 2013, equations 2 to 4; hit 0.7, miss 0.4, clamped to 0.12 and 0.97).
-In memory the voxels are blocks of 16 x 16 x 16, which are faster to enter rays into than nodes; ``octree_format`` makes
-the octree of them.
+In memory the voxels form blocks of 16 x 16 x 16, into which rays are inserted faster than into octree nodes;
+``octree_format`` converts them to the octree.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from xtdrone_planning.octree.octree_kernels import HALF, OFFSET, SIDE, UNKNOWN, 
 
 Array = NDArray[np.float64]
 
-_BYTES = VOXELS * 3  # of a block: log-odds, and what the current measurement has seen
-_BLOCK_BITS = 12  # of a block's place along an axis
+_BYTES = VOXELS * 3  # of a block: log-odds, and marks of the current measurement
+_BLOCK_BITS = 12  # of a block's index along an axis
 
 
 @dataclass(frozen=True)
 class OctreeSettings(Settings):
     """Voxels of the global map, and its memory."""
 
-    resolution: float = setting(0.2, low=0.02, high=2.0, unit="m", text="side of a voxel")
+    resolution: float = setting(0.2, low=0.02, high=2.0, unit="m", text="voxel size")
     hit: float = setting(0.7, low=0.5, high=0.999, text="probability that a voxel in which a ray ends is occupied")
     miss: float = setting(
         0.4, low=0.001, high=0.5, text="probability that a voxel through which a ray passes is occupied"
     )
-    least: float = setting(0.12, low=0.01, high=0.49, text="lowest probability of a voxel")
-    most: float = setting(0.97, low=0.51, high=0.99, text="highest probability of a voxel")
+    least: float = setting(0.12, low=0.01, high=0.49, text="minimum occupancy probability of a voxel")
+    most: float = setting(0.97, low=0.51, high=0.99, text="maximum occupancy probability of a voxel")
     memory: float = setting(512.0, low=1.0, high=16384.0, unit="MB", text="maximum memory of the map")
 
 
@@ -43,7 +43,7 @@ def log_odds(probability: float) -> int:
 
 
 class OctreeMap:
-    """All that was seen.
+    """The global map.
 
     Attributes:
         resolution: side of a voxel, m.
@@ -63,7 +63,7 @@ class OctreeMap:
         self._table = np.full(1 << (2 * capacity - 1).bit_length(), -1, np.int64)
         self._keys = np.zeros(capacity, np.int64)
         self._counts = np.zeros(2, np.int64)
-        self._voxels = np.zeros((capacity, VOXELS), np.uint16)  # the system provides memory when it is first written
+        self._voxels = np.zeros((capacity, VOXELS), np.uint16)  # the system allocates memory on the first write
         self._seen = np.zeros((capacity, VOXELS), np.uint8)
         self._touched = np.zeros(capacity, np.int64)
         self._touched_at = np.zeros(capacity, np.bool_)
@@ -75,16 +75,16 @@ class OctreeMap:
 
     @property
     def is_full(self) -> bool:
-        """Whether something was seen for which there was no room."""
+        """Whether voxels were dropped because memory was full."""
         return bool(self._counts[1])
 
     def insert(self, origins: Array, ends: Array, hits: NDArray[np.bool_]) -> None:
-        """Enter the rays of one measurement; places for which there is no room are left out.
+        """Insert the rays of one measurement; voxels for which there is no memory are dropped.
 
         Args:
             origins: (n, 3) where the rays begin, m in map.
             ends: (n, 3) where they end.
-            hits: (n,) whether something was met at the end; otherwise the ray is free to its end.
+            hits: (n,) whether the ray ends at a surface; otherwise it is free to its end.
         """
         enter_rays(
             self._table, self._keys, self._counts, self._voxels, self._seen, self._touched, self._touched_at,
@@ -114,7 +114,7 @@ class OctreeMap:
 
 
 NEVER = np.int16(-(1 << 15))
-"""Log-odds of a voxel of which nothing is known."""
+"""Log-odds of an unknown voxel."""
 
 
 def morton(places: NDArray[np.int64]) -> NDArray[np.int64]:

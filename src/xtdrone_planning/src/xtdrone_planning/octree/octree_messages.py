@@ -1,4 +1,4 @@
-"""The octree as ROS messages: octomap_msgs, the centres of occupied voxels, and the map seen from above."""
+"""Conversion of the octree to ROS messages: octomap_msgs, centres of occupied voxels, and the projected map."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def octree_of(message: Octomap) -> Octree:
     """Return the serialised octree of a message.
 
     Raises:
-        OctreeError: it is of another kind, as a ColorOcTree, whose nodes have other data.
+        OctreeError: it is of another kind, e.g. a ColorOcTree, whose nodes have other data.
     """
     if message.id != _ID:
         raise OctreeError(f"id {message.id!r} is not allowed, {_ID}")
@@ -57,11 +57,11 @@ def seen_from_above(
         places: (n, 3) of the blocks; see ``OctreeMap.blocks``.
         values: (n, 4096) log-odds.
         resolution: side of a voxel, m.
-        heights: lowest and highest centre of a voxel that counts, m.
+        heights: minimum and maximum height of voxel centres that count, m.
 
     Returns:
-        Cells (ny, nx): 100 with an occupied voxel, 0 with free ones only, -1 unknown; and x and y of the first cell,
-        in voxels from the origin. No cells if the map is empty, or has more than ``MOST_CELLS`` from above.
+        Cells (ny, nx): 100 with an occupied voxel, 0 with free voxels only, -1 unknown; and x and y of the first cell,
+        in voxels from the origin. No cells if the map is empty or larger than ``MOST_CELLS``.
     """
     if not len(places):
         return np.zeros((0, 0), np.int8), (0, 0)

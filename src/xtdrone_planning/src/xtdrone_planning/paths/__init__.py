@@ -1,1 +1,1 @@
-"""Paths through a map, without time: searched on the local grid."""
+"""Geometric paths through a map, found on the local grid."""

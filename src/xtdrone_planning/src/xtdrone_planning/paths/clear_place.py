@@ -1,4 +1,4 @@
-"""The place nearest to a wanted one at which a vehicle has room."""
+"""Nearest position with enough clearance for a vehicle."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ _REACH = 2.0  # m
 
 
 def nearest_clear(grid: VoxelGrid, place: Array, clearance: float) -> Array:
-    """Return the place nearest to ``place``, at its height, that is at least ``clearance`` m from all obstacles.
+    """Return the position nearest to ``place``, at the same height, that is at least ``clearance`` m from all
+    obstacles.
 
     Args:
         grid: the map.
@@ -21,8 +22,8 @@ def nearest_clear(grid: VoxelGrid, place: Array, clearance: float) -> Array:
         clearance: from the centre of an occupied voxel, m.
 
     Returns:
-        (3,) m in map: ``place`` itself if it is clear or outside of the map, or if no place within 2 m is clear; else
-        the centre of a voxel, at the height of ``place``.
+        (3,) m in map: ``place`` itself if it is clear, outside the map, or if no position within 2 m is clear; else the
+        centre of a voxel, at the height of ``place``.
     """
     if not grid.is_inside(place):
         return np.array(place, float)

@@ -1,8 +1,8 @@
-"""Kernels of the search for a path on the local grid: A* (P. Hart, N. Nilsson, B. Raphael, IEEE Transactions on Systems
+"""Kernels of the path search on the local grid: A* (P. Hart, N. Nilsson, B. Raphael, IEEE Transactions on Systems
 Science and Cybernetics 4, 1968) over the 26 neighbours of a voxel.
 
-The estimate of the remaining way is weighted by slightly more than 1 (I. Pohl, 1970), which opens far fewer voxels; a
-path is then at most that much longer than the shortest.
+The heuristic is weighted by slightly more than 1 (I. Pohl, 1970), which expands far fewer voxels; a path is at most
+longer than the shortest by this factor.
 """
 
 from __future__ import annotations
@@ -14,36 +14,36 @@ import numpy as np
 from xtdrone_planning.kernel import kernel
 
 REACHED, BLOCKED, UNDECIDED = 1, 0, 2
-"""A path was found; there is none; the search has ended before either was known."""
+"""Outcomes: a path was found; there is none; the search ended before either was known."""
 
 _FREE_TO = -30  # see voxel_grid
-_WEIGHT = 1.2  # of the estimate
+_WEIGHT = 1.2  # of the heuristic
 STEEP = 2.0
-"""Cost of a metre up or down, in level metres: lidars and cameras see best ahead."""
+"""Cost of a metre up or down, in horizontal metres: lidars and cameras see best straight ahead."""
 _UNKNOWN = 1.0  # additional cost of a metre through unknown space
-_NEAR, _NEAR_COST = 0.4, 1.5  # m beyond the clearance within which obstacles cost, and how much at most
+_NEAR, _NEAR_COST = 0.4, 1.5  # m beyond the clearance within which obstacles add cost, and the maximum cost
 
 
 @kernel
 def search(
     distance, evidence, clearance, start, goal, lowest, highest, most, costs, parents, stamps, stamp, heap, keys
 ):
-    """Search a path from a voxel to a goal, which may be outside: then to where the way to it leaves the grid.
+    """Search for a path from a voxel to a goal; if the goal is outside, to where the path leaves the grid.
 
     Args:
         distance: (nx, ny, nz) to the nearest obstacle, m.
-        evidence: (nx, ny, nz), of which unknown voxels cost more.
-        clearance: minimum distance of a voxel on the path; near the start less, as long as it grows.
+        evidence: (nx, ny, nz); unknown voxels cost more.
+        clearance: minimum distance to obstacles along the path; near the start it may be less while it increases.
         start: (3,) voxel.
         goal: (3,) of float, in voxels of the grid.
         lowest, highest: layers that may be used.
-        most: number of voxels that are opened at most.
+        most: maximum number of expanded voxels.
         costs, parents, stamps: (nx * ny * nz) scratch space of float32, int32 and int32.
-        stamp: number of this search; must not be in ``stamps``.
+        stamp: id of this search; must not be in ``stamps``.
         heap, keys: scratch space of equal size, int32 and float32.
 
     Returns:
-        (outcome, voxels): the voxels (n, 3) from the start on; unless reached, up to the one nearest to the goal.
+        (outcome, voxels): the voxels (n, 3) from the start; if the goal is not reached, up to the one nearest to it.
     """
     nx, ny, nz = distance.shape
     gi, gj, gk = math.floor(goal[0]), math.floor(goal[1]), math.floor(goal[2])
@@ -62,7 +62,7 @@ def search(
         i, j, k = node // (ny * nz), node // nz % ny, node % nz
         way = _way(i - goal[0], j - goal[1], k - goal[2])
         if key > costs[node] + _WEIGHT * way + 1e-3:
-            continue  # a better way to this voxel was found after it was entered
+            continue  # a better path to this voxel was found after it was queued
         if way < nearest_way:
             nearest, nearest_way = node, way
         if (i == gi and j == gj and k == gk) or (outside and (i == 0 or j == 0 or i == nx - 1 or j == ny - 1)):
@@ -98,7 +98,7 @@ def search(
 
 @kernel
 def _way(di, dj, dk):
-    """Return the cost of a straight way in free space, in voxels."""
+    """Return the cost of a straight path in free space, in voxels."""
     return math.sqrt(di * di + dj * dj + STEEP * STEEP * dk * dk)
 
 
@@ -119,7 +119,7 @@ def _voxels(parents, node, ny, nz):
 
 @kernel
 def rise(heap, keys, place, node, key):
-    """Enter a node at the end, ``place``, of the binary heap."""
+    """Insert a node at the end, ``place``, of the binary heap."""
     while place > 0:
         above = (place - 1) // 2
         if keys[above] <= key:

@@ -1,4 +1,4 @@
-"""Kernels on lines through the map: how far they are seen, and which corners of a path can be left out."""
+"""Kernels on lines through the map: visible length, and shortcuts of paths."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from xtdrone_planning.mapping.field_lookup import distance_at, is_seen
 
 @kernel
 def is_open(distance, evidence, corner, resolution, a, b, clearance, radius):
-    """Return whether a straight line is clear of obstacles and was seen.
+    """Return whether a straight line is clear of obstacles and has been seen.
 
     Args:
         distance, evidence, corner, resolution: the map.
         a, b: (3,) ends, m.
         clearance: minimum distance to an obstacle, m.
-        radius: of the disc that must have been seen, m; 0: only the line itself; below 0: nothing.
+        radius: of the disc that must have been seen around each point, m; 0: only the line itself; below 0: nothing.
     """
     length = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
     steps = max(1, math.ceil(2.0 * length / resolution))
@@ -34,7 +34,7 @@ def is_open(distance, evidence, corner, resolution, a, b, clearance, radius):
 
 @kernel
 def is_clear(distance, corner, resolution, a, b, clearance):
-    """Return whether a straight line is clear of obstacles; where it begins too near to one, it may leave.
+    """Return whether a straight line is clear of obstacles; if it starts too close to one, it may lead away.
 
     Args:
         distance, corner, resolution: the map.
@@ -56,14 +56,14 @@ def is_clear(distance, corner, resolution, a, b, clearance):
 
 @kernel
 def seen_count(evidence, corner, resolution, points, radius, exempt, farthest):
-    """Return how many of the first points were seen, each with a disc around it.
+    """Return how many of the first points have been seen, each with a disc around it.
 
     Args:
         evidence, corner, resolution: the map.
         points: (n, 3) m.
         radius: of the disc, m.
-        exempt: the first points up to this way from the start need not have been seen: the vehicle is there, m.
-        farthest: points beyond this way from the start do not count, m.
+        exempt: points within this path length from the start need not have been seen: the vehicle is there, m.
+        farthest: points beyond this path length from the start do not count, m.
     """
     way = 0.0
     for n in range(len(points)):
@@ -79,12 +79,12 @@ def seen_count(evidence, corner, resolution, points, radius, exempt, farthest):
 
 @kernel
 def without_corners(distance, evidence, corner, resolution, points, clearance, radius):
-    """Return the points (m, 3) that are left of a path when straight lines replace its corners where they are open.
+    """Shorten a path: return the points (m, 3) that remain after replacing corners by clear straight lines.
 
     Args:
         distance, evidence, corner, resolution: the map.
-        points: (n, 3) m; the first and last remain.
-        clearance, radius: see ``is_open``; the line between neighbours is always used.
+        points: (n, 3) m; the first and last are kept.
+        clearance, radius: see ``is_open``; lines between adjacent points are not checked.
     """
     kept = np.empty_like(points)
     kept[0] = points[0]

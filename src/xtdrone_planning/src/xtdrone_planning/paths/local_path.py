@@ -22,9 +22,11 @@ class LocalPath:
     """A path.
 
     Attributes:
-        outcome: REACHED, BLOCKED or UNDECIDED; see ``grid_search``. Reached also means: the edge of the map towards it.
-        points: (n, 3) corners of its seen part, m in map, the start first; a single point if nothing ahead was seen.
-        ahead: (3,) point of the path, seen or not, 3 m from the start or at its end: where to look.
+        outcome: REACHED, BLOCKED or UNDECIDED; see ``grid_search``. REACHED also covers the edge of the map towards the
+        goal.
+        points: (n, 3) corners of its seen part, m in map, the start first; a single point if nothing ahead has been
+        seen.
+        ahead: (3,) point of the path, seen or not, 3 m from the start or at its end; the vehicle faces it.
         is_whole: whether the seen part ends at the goal.
     """
 
@@ -48,17 +50,17 @@ class Search(Protocol):
         farthest: float,
         distance: NDArray[np.float32] | None = None,
     ) -> LocalPath:
-        """Search a path; see ``PathSearch.find``."""
+        """Search for a path; see ``PathSearch.find``."""
 
 
 class PathSearch:
-    """Searches paths; has the scratch space of the search."""
+    """Searches paths; holds the scratch arrays of the search."""
 
     def __init__(self, most: int) -> None:
-        """Prepare.
+        """Allocate the search.
 
         Args:
-            most: number of voxels that a search opens at most, which bounds its time.
+            most: maximum number of voxels that a search expands, which bounds its time.
         """
         self._most = most
         self._stamp = 0
@@ -82,9 +84,9 @@ class PathSearch:
             start, goal: (3,) m in map.
             clearance: minimum distance of the path to obstacles, m.
             radius: of the disc that must have been seen around each point, m.
-            heights: lowest and highest flight, m in map.
-            farthest: longest way that is returned, m.
-            distance: distances to obstacles in place of the map's, m.
+            heights: minimum and maximum flight height, m in map.
+            farthest: maximum length of the returned path, m.
+            distance: distances to obstacles to use instead of the map's, m.
         """
         self._prepare(grid)
         distance = grid.distance if distance is None else distance
@@ -126,7 +128,7 @@ def seen_path(
     radius: float,
     farthest: float,
 ) -> LocalPath:
-    """Return the seen part of a path, without needless corners.
+    """Return the seen part of a path, without unnecessary corners.
 
     Args:
         grid: the map.

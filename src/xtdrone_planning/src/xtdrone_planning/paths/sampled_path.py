@@ -28,7 +28,7 @@ _PLANNERS = {
     INFORMED_RRT_STAR: geometric.InformedRRTstar,
 }
 _FROM_EDGE = 1.5  # voxels between the edge of the map and a path that leaves it
-_SAME = 0.05  # m from the goal at which a path has reached it
+_SAME = 0.05  # m from the goal within which a path counts as reaching it
 
 
 class _Lines(base.MotionValidator):  # type: ignore[misc]
@@ -48,7 +48,7 @@ class _Lines(base.MotionValidator):  # type: ignore[misc]
 
 
 def _place(state: base.State) -> Array:
-    """Return the place (3,), m in map, of a state, whose height is stretched: metres up or down cost more."""
+    """Return the place (3,), m in map, of a state, whose height is scaled because metres up or down cost more."""
     return np.array([state[0], state[1], state[2] / STEEP])
 
 
@@ -56,7 +56,7 @@ class SampledSearch:
     """Searches paths like ``local_path.PathSearch``."""
 
     def __init__(self, planner: str, iterations: int, seed: int) -> None:
-        """Prepare.
+        """Allocate the search.
 
         Args:
             planner: RRT_STAR, BIT_STAR or INFORMED_RRT_STAR.
@@ -77,7 +77,8 @@ class SampledSearch:
         farthest: float,
         distance: NDArray[np.float32] | None = None,
     ) -> LocalPath:
-        """Search a path; see ``PathSearch.find``. A goal outside of the map is replaced by the nearest place within."""
+        """Search for a path; see ``PathSearch.find``. A goal outside the map is replaced by the nearest position
+        inside."""
         distance = grid.distance if distance is None else distance
         target = goal if grid.is_inside(goal) else _nearest_within(grid, distance, goal, clearance, heights)
         if target is None:
@@ -97,7 +98,7 @@ class SampledSearch:
         clearance: float,
         heights: tuple[float, float],
     ) -> Array | None:
-        """Return the corners (n, 3) of the best path that was found, m in map; None without one."""
+        """Return the corners (n, 3) of the best path found, m in map, or None."""
         util.RNG.setSeed(self._seed)
         space = base.RealVectorStateSpace(3)
         bounds = base.RealVectorBounds(3)
@@ -109,7 +110,7 @@ class SampledSearch:
             bounds.setHigh(axis, float(high[axis] * scale))
         space.setBounds(bounds)
         information = base.SpaceInformation(space)
-        information.setStateValidityChecker(lambda state: True)  # a state counts with the lines to it
+        information.setStateValidityChecker(lambda state: True)  # states are checked together with the lines to them
         lines = _Lines(information, grid, distance, clearance)
         information.setMotionValidator(lines)
         information.setup()
@@ -133,7 +134,7 @@ class SampledSearch:
 def _nearest_within(
     grid: VoxelGrid, distance: NDArray[np.float32], goal: Array, clearance: float, heights: tuple[float, float]
 ) -> Array | None:
-    """Return the place on the map nearest to a goal outside, (3,) m in map, with the clearance; None without one."""
+    """Return the position on the map, with enough clearance, nearest to a goal outside, (3,) m in map, or None."""
     edge = _FROM_EDGE * grid.resolution
     inside = np.clip(goal, grid.origin + edge, grid.upper - edge)
     inside[2] = np.clip(inside[2], *heights)

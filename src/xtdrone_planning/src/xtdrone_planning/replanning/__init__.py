@@ -1,1 +1,1 @@
-"""The planner of one vehicle: its states from a goal to hovering there, and the node around them."""
+"""Planner of one vehicle: its state machine from goal to hover, and its ROS node."""

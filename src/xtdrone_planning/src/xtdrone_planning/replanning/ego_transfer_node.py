@@ -1,4 +1,4 @@
-"""Between EGO-Planner and a vehicle, as a ROS node: the camera's pose out, the planner's setpoints in.
+"""ROS node between EGO-Planner and a vehicle: publishes the camera's pose, and forwards the planner's setpoints.
 
 For a vehicle ``T`` (as ``iris_0``):
 
@@ -11,7 +11,7 @@ topic                              type                            meaning
 /T/mavros/setpoint_raw/local       mavros_msgs/PositionTarget      out: the same, one turn (16.7 ms) later at most
 =================================  ==============================  ===================================================
 
-``world`` is ``map``. The camera looks ahead from the vehicle's centre, as for upstream's program of this name.
+``world`` is ``map``. The camera looks ahead from the vehicle's centre, as in upstream's program of this name.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ class TransferSettings(Settings):
 
 
 def optical_pose(pose: PoseStamped) -> PoseStamped | None:
-    """Return the pose of the optical frame (x right, y down, z ahead) of a camera in the vehicle's centre.
+    """Return the pose of the optical frame (x right, y down, z ahead) of a camera at the vehicle's centre.
 
     Args:
         pose: of base_link (FLU) in map.
 
     Returns:
-        The pose in ``world``, of the same time; None for numbers that are not finite.
+        The pose in ``world`` at the same time; None if a number is not finite.
     """
     p, q = pose.pose.position, pose.pose.orientation
     if not all(map(math.isfinite, (p.x, p.y, p.z, q.x, q.y, q.z, q.w))):
@@ -63,7 +63,7 @@ def optical_pose(pose: PoseStamped) -> PoseStamped | None:
 
 
 def setpoint_of(command: PositionCommand, stamp: rospy.Time) -> PositionTarget | None:
-    """Return the setpoint of a command, ENU; None unless its trajectory is ready and its numbers are finite.
+    """Return the setpoint of a command, ENU; None if its trajectory is not ready or a number is not finite.
 
     Args:
         command: in ``world``.
@@ -113,7 +113,7 @@ class EgoTransfer:
         self._command = message
 
     def step(self) -> None:
-        """Publish what is new; a planner that is silent leaves the vehicle to the autopilot's failsafe."""
+        """Publish new setpoints; if the planner is silent, the autopilot's failsafe takes over."""
         pose, command = self._pose, self._command
         self._pose = self._command = None
         if pose is not None and (camera := optical_pose(pose)) is not None:
@@ -123,7 +123,7 @@ class EgoTransfer:
         setpoint = setpoint_of(command, rospy.Time.now())
         if setpoint is None:
             rospy.logwarn_throttle(
-                5.0, f"{self._name}: a command whose trajectory is not ready or that is not finite is not forwarded"
+                5.0, f"{self._name}: command dropped: its trajectory is not ready, or a number is not finite"
             )
         else:
             self._setpoint.publish(setpoint)

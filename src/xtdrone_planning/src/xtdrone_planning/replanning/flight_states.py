@@ -1,4 +1,4 @@
-"""The states of a flight to a goal, and what leads from one to the next.
+"""State machine of a flight to a goal.
 
 ::
 
@@ -7,8 +7,8 @@
                  v  |        v   +----> Braking (obstacle or sensor) -> Planning
            Unreachable     Planning (end of what has been seen)
 
-A new goal leads to Planning, from Following without a stop. When the pilot takes over or the vehicle is on the ground
-the planner is Waiting.
+A new goal leads to Planning, from Following without a stop. When the pilot takes over, or the vehicle is on the ground,
+the planner returns to Waiting.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ OK, WARNING, ERROR = 0, 1, 2
 
 
 class _Planner(Protocol):
-    """What the states need of the planner; see ``planner.Planner``."""
+    """Interface of the planner to its states; see ``planner.Planner``."""
 
     goal: np.ndarray | None
     goal_number: int
@@ -50,14 +50,14 @@ class FlightState:
 
     Attributes:
         name: for reports.
-        looks: whether the vehicle turns to where the path leads.
+        looks: whether the vehicle yaws towards the path ahead.
     """
 
     name = ""
     looks = False
 
     def step(self, planner: _Planner, now: Situation) -> FlightState:
-        """Return the state of the next turn."""
+        """Return the state for the next cycle."""
         raise NotImplementedError
 
     def report(self, planner: _Planner, now: Situation) -> tuple[int, str]:
@@ -66,12 +66,12 @@ class FlightState:
 
 
 class Waiting(FlightState):
-    """No goal; nothing is commanded."""
+    """No goal; no setpoints."""
 
     name = "waiting"
 
     def step(self, planner: _Planner, now: Situation) -> FlightState:
-        """Begin with a goal in flight; on the ground a goal is dropped."""
+        """Start planning to a goal in flight; on the ground the goal is dropped."""
         if planner.goal is None:
             return self
         if not now.is_flying:
@@ -88,7 +88,7 @@ class Waiting(FlightState):
 
 
 class Planning(FlightState):
-    """Hovers, looks to where the path leads, and searches a trajectory in every new map."""
+    """Hovers, yaws towards the path, and searches for a trajectory in every new map."""
 
     name = "planning"
     looks = True
@@ -105,11 +105,11 @@ class Planning(FlightState):
         self._map_count = -1
 
     def step(self, planner: _Planner, now: Situation) -> FlightState:
-        """Follow a trajectory once there is one."""
+        """Switch to following once there is a trajectory."""
         if planner.goal is None:
             return Hovering()
         if not now.is_offboard:
-            planner.hold(now.position, now.time)  # setpoints are sent, so that OFFBOARD can begin
+            planner.hold(now.position, now.time)  # publish setpoints, so that OFFBOARD can be entered
             self._since = now.time
             return self
         if self._goal_number != planner.goal_number:
@@ -133,12 +133,12 @@ class Planning(FlightState):
 
 
 class Following(FlightState):
-    """Flies a trajectory, and replaces it by one through the newest map."""
+    """Follows a trajectory, and replans it in the newest map."""
 
     name = "following"
 
     def __init__(self, now: Situation, goal_number: int) -> None:
-        """Begin with the trajectory of the planner."""
+        """Start with the planner's trajectory."""
         self._planned = now.time
         self._map_count = now.map_count
         self._goal_number = goal_number
@@ -165,7 +165,7 @@ class Following(FlightState):
         return self
 
     def _from_estimate(self, planner: _Planner, now: Situation) -> FlightState:
-        """Plan from where the vehicle is rather than from where it should be."""
+        """Replan from the vehicle's actual state instead of the commanded one."""
         state = planner.estimate(now)
         if planner.plan(now, state):
             self._planned, self._goal_number = now.time, planner.goal_number
@@ -185,7 +185,7 @@ class Following(FlightState):
             self._planned, self._goal_number = now.time, planner.goal_number
         elif blocked:
             planner.brake(now.time)
-            return Braking("an obstacle on the trajectory, and no other found")
+            return Braking("an obstacle on the trajectory, and no alternative found")
         elif is_new:
             planner.brake(now.time)
             return Braking("no trajectory to the new goal")
@@ -197,16 +197,16 @@ class Following(FlightState):
 
 
 class Braking(FlightState):
-    """Stops on the path that was checked."""
+    """Brakes along the checked path."""
 
     name = "braking"
 
     def __init__(self, reason: str) -> None:
-        """Begin; the planner's trajectory is the one that brakes."""
+        """Start; the planner's trajectory is the braking one."""
         self.reason = reason
 
     def step(self, planner: _Planner, now: Situation) -> FlightState:
-        """Plan from where the vehicle has stopped."""
+        """Plan from where the vehicle stopped."""
         assert planner.trajectory is not None
         if now.time < planner.trajectory.end:
             return self
@@ -237,7 +237,7 @@ class HoveringAtGoal(FlightState):
         self._goal_number = goal_number
 
     def step(self, planner: _Planner, now: Situation) -> FlightState:
-        """Begin with another goal, or follow one that has moved."""
+        """Start planning to another goal, or follow a moved one."""
         if planner.goal is None:
             return Hovering()
         assert planner.trajectory is not None
@@ -245,12 +245,12 @@ class HoveringAtGoal(FlightState):
         return self if stays else Planning(now.time, planner.goal_number)
 
     def report(self, planner: _Planner, now: Situation) -> tuple[int, str]:
-        """Return level and text; nothing is flown, so a failed sensor is only a warning."""
+        """Return level and text; the vehicle hovers, so a failed sensor is only a warning."""
         return (WARNING, f"{self.name}; {now.fault}") if now.fault else (OK, self.name)
 
 
 class Unreachable(FlightState):
-    """Hovers, as no trajectory to the goal was found, and tries again from time to time."""
+    """Hovers because no trajectory to the goal was found, and retries periodically."""
 
     name = "goal unreachable"
 
@@ -260,7 +260,7 @@ class Unreachable(FlightState):
         self._goal_number = goal_number
 
     def step(self, planner: _Planner, now: Situation) -> FlightState:
-        """Try again; another goal is planned at once."""
+        """Retry; a new goal is planned at once."""
         if planner.goal is None:
             return Hovering()
         if planner.goal_number != self._goal_number:
@@ -277,6 +277,6 @@ class Unreachable(FlightState):
 
 
 def _rest(planner: _Planner) -> State:
-    """Return the state of the vehicle that hovers at the end of its trajectory."""
+    """Return the state of a vehicle hovering at the end of its trajectory."""
     assert planner.trajectory is not None
     return State(planner.trajectory.points[-1], np.zeros(3), np.zeros(3))

@@ -1,4 +1,4 @@
-"""The planner of one vehicle: a goal and a map in, setpoints out. Its states are in ``flight_states``."""
+"""Planner of one vehicle: computes setpoints from a goal and a map. Its states are in ``flight_states``."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ from xtdrone_planning.trajectories.uniform_spline import UniformSpline, resting
 
 Array = NDArray[np.float64]
 
-_LOOK_AHEAD = 0.6  # s: the yaw looks where the vehicle is then
-_SLOW = 0.3  # m in that time: the yaw is kept
-_AT_MOVED_GOAL = 0.05  # m; a voxel would be a formation's error
+_LOOK_AHEAD = 0.6  # s: the vehicle faces its position at this time ahead
+_SLOW = 0.3  # m in that time: when slower, the yaw is kept
+_AT_MOVED_GOAL = 0.05  # m; a voxel would be too coarse for a formation
 LEAST_WAY = 0.6
-"""A shorter seen path is not worth flying, unless it ends at the goal, m."""
+"""Minimum length of a seen path worth flying, unless it ends at the goal, m."""
 
 
 class Planner:
     """Plans for one vehicle.
 
     Attributes:
-        settings: how it decides.
+        settings: of its decisions.
         limits: of its trajectories.
         state: the current state of flight.
         goal: (3,) m in map, None without one.
-        trajectory: what is flown; at rest where the vehicle hovers; None before the first goal.
+        trajectory: the trajectory being flown; at rest where the vehicle hovers; None before the first goal.
         number: counts the trajectories.
         path: the last path.
-        searched: outcome of the last search and why it gave no trajectory, for the report.
+        searched: why the last search gave no trajectory, for the report; empty if it gave one.
     """
 
     def __init__(
@@ -55,9 +55,9 @@ class Planner:
         """Start waiting.
 
         Args:
-            grid: the map, which others update.
+            grid: the map, updated by the caller.
             settings, limits: see the attributes.
-            timed: returns a context in which each plan is made.
+            timed: returns a context manager around each plan.
         """
         self._timed = timed
         self.grid = grid
@@ -82,10 +82,10 @@ class Planner:
         self._commanded: deque[tuple[float, Array]] = deque()
 
     def set_goal(self, goal: Array) -> None:
-        """Accept a goal, (3,) m in map, for the next turn.
+        """Accept a goal, (3,) m in map, for the next cycle.
 
         Raises:
-            GoalError: see ``PlannerSettings.check_goal``; the current goal stays.
+            GoalError: see ``PlannerSettings.check_goal``; the current goal is kept.
         """
         self.settings.check_goal(goal)
         self.goal = np.array(goal, float)
@@ -93,12 +93,12 @@ class Planner:
         self._goal_moves = False
 
     def move_goal(self, goal: Array) -> None:
-        """Move the current goal to (3,) m in map; without one, as after the pilot has taken over, nothing happens.
+        """Move the current goal to (3,) m in map; without a goal (e.g. after the pilot took over), do nothing.
 
-        The vehicle does not stop for it. Where the goal is too near to an obstacle, the nearest clear place counts.
+        The vehicle does not stop. If the goal is too close to an obstacle, the nearest clear position replaces it.
 
         Raises:
-            GoalError: see ``PlannerSettings.check_goal``; the current goal stays.
+            GoalError: see ``PlannerSettings.check_goal``; the current goal is kept.
         """
         self.settings.check_goal(goal)
         if self.goal is not None:
@@ -106,11 +106,11 @@ class Planner:
             self._goal_moves = True
 
     def cancel(self) -> None:
-        """Drop the goal; in flight the vehicle brakes on its path and hovers."""
+        """Drop the goal; in flight the vehicle brakes along its path and hovers."""
         self.goal = None
 
     def step(self, now: Situation) -> Command | None:
-        """Advance by a turn; return the setpoint, or None while the planner commands nothing."""
+        """Run one cycle; return the setpoint, or None while the planner is inactive."""
         if self._was_offboard and not now.is_offboard:
             self._release()
         self._was_offboard = now.is_offboard
@@ -126,7 +126,7 @@ class Planner:
         return Command(position, velocity, acceleration, self._slewed_yaw(now))
 
     def _release(self) -> None:
-        """Give the vehicle up: the pilot or the autopilot has taken over, or it is on the ground."""
+        """Release the vehicle: the pilot or the autopilot has taken over, or it is on the ground."""
         if not isinstance(self.state, Waiting):
             self.goal, self.trajectory = None, None
             self.state = Waiting()
@@ -140,7 +140,7 @@ class Planner:
     def plan(self, now: Situation, start: State) -> bool:
         """Plan from a state at the current time; return whether the new trajectory is flown.
 
-        ``searched`` then says why not.
+        ``searched`` gives the reason if it is not.
         """
         with self._timed():
             return self._plan(now, start)
@@ -148,7 +148,7 @@ class Planner:
     def _plan(self, now: Situation, start: State) -> bool:
         assert self.goal is not None
         if not self.grid.is_inside(start.position):
-            self.searched = "the vehicle is outside of its map"
+            self.searched = "the vehicle is outside its map"
             return False
         clearance = self.limits.clearance(self.grid.resolution)
         if self.grid.is_inside(self.goal):
@@ -158,10 +158,10 @@ class Planner:
                 return False
         self.path = self._find_path(start.position)
         if self.path.outcome == BLOCKED:
-            self.searched = "there is no way to the goal on the map"
+            self.searched = "there is no path to the goal on the map"
             return False
         if length_of(self.path.points) < LEAST_WAY and not self.path.is_whole:
-            self.searched = "the way ahead has not been seen"
+            self.searched = "the path ahead has not been seen"
             return False
         found = self._trajectory_along(self.path.points, start, now.time)
         if found is None:
@@ -172,7 +172,7 @@ class Planner:
         return True
 
     def _find_path(self, start: Array, distance: NDArray[np.float32] | None = None) -> LocalPath:
-        """Search a path to the goal; ``distance`` in place of the map's, see ``PathSearch.find``."""
+        """Search for a path to the goal; ``distance`` replaces the map's, see ``PathSearch.find``."""
         assert self.goal is not None
         heights = self.settings.heights
         clearance, radius = self.limits.clearance(self.grid.resolution), self.limits.radius
@@ -184,23 +184,23 @@ class Planner:
         return plan_along(self.grid, corners, start, time, self.limits, heights=self.settings.heights)
 
     def brake(self, time: float) -> None:
-        """Stop on the current path."""
+        """Brake along the current path."""
         assert self.trajectory is not None
         self._fly(stopping(self.trajectory, time, 0.8 * self.limits.acceleration))
 
     def conflict(self, now: Situation) -> float:
-        """Return when the trajectory meets an obstacle of the current map, s of ROS time; infinite if it does not."""
+        """Return when the trajectory hits an obstacle of the current map, s of ROS time; infinite if never."""
         if self.trajectory is None:
             return math.inf
         return conflict_time(self.grid, self.trajectory, now.time, self.limits, unknown=False)
 
     def is_at_goal(self, position: Array) -> bool:
-        """Return whether a position is the goal."""
+        """Return whether a position is at the goal."""
         near = _AT_MOVED_GOAL if self._goal_moves else self.grid.resolution
         return self.goal is not None and float(np.sqrt(((position - self.goal) ** 2).sum())) < near
 
     def is_astray(self, now: Situation) -> bool:
-        """Return whether the vehicle is too far from where it should be by now."""
+        """Return whether the vehicle deviates too far from its trajectory."""
         present = now.time - self.settings.lead
         while len(self._commanded) > 1 and self._commanded[1][0] <= present:
             self._commanded.popleft()
@@ -210,7 +210,7 @@ class Planner:
         return float(np.sqrt((away * away).sum())) > self.settings.astray
 
     def estimate(self, now: Situation) -> State:
-        """Return the state in which the vehicle will be at the time of the next setpoint, from its estimate."""
+        """Predict the vehicle's state at the time of the next setpoint from its estimate."""
         self._commanded.clear()
         return State(now.position + self.settings.lead * now.velocity, now.velocity, np.zeros(3))
 
@@ -224,7 +224,7 @@ class Planner:
         self.number += 1
 
     def _slewed_yaw(self, now: Situation) -> float:
-        """Return the yaw towards the way ahead, within the yaw rate."""
+        """Return the yaw towards the path ahead, limited by the yaw rate."""
         passed = now.time - self._yaw_time
         if self._yaw is None or passed < 0.0:
             self._yaw, passed = now.yaw, 0.0
@@ -246,7 +246,7 @@ class Planner:
 
 
 def _search_of(settings: PlannerSettings) -> Search:
-    """Return the search for paths that the settings name."""
+    """Return the path search selected by the settings."""
     if settings.global_planner == "astar":
         return PathSearch(settings.voxels)
     from xtdrone_planning.paths.sampled_path import SampledSearch  # OMPL is loaded only where it is used

@@ -1,4 +1,4 @@
-"""The planner of a vehicle as a ROS node.
+"""ROS node of a vehicle's planner.
 
 For each vehicle ``T`` (as ``iris_3d_lidar_0``), in addition to the sensor's topics of ``mapping.map_feed``:
 
@@ -13,16 +13,16 @@ topic                               type                            meaning
 /T/mavros/state, extended_state     mavros_msgs/State, ...          in: mode; whether it is armed and in the air
 /T/mavros/setpoint_raw/local        mavros_msgs/PositionTarget      out: position, velocity, acceleration and yaw
 /T/planner/trajectory               xtdrone_msgs/SplineTrajectory   out: latched, each new trajectory
-/T/planner/path                     nav_msgs/Path                   out: its places, for rviz
+/T/planner/path                     nav_msgs/Path                   out: its positions, for rviz
 /T/planner/state                    std_msgs/String                 out: latched, on change: see ``flight_states``
 /T/map/occupied                     sensor_msgs/PointCloud2         out, while subscribed: centres of occupied voxels
 /T/map/slice                        nav_msgs/OccupancyGrid          out, while subscribed: the layer of flight
 /diagnostics                        diagnostic_msgs/DiagnosticArray out: once a second, and on change
 ==================================  ==============================  ==================================================
 
-With ``~carry`` the planner takes the communication node's place for velocities: it flies along them, round obstacles
-and other vehicles. The goal is where the velocity would lead in that time. A goal on /T/planner/goal begins this, and
-when another mode than OFFBOARD is chosen, it ends.
+With ``~carry`` the planner replaces the communication node for velocity commands: it follows them around obstacles and
+other vehicles. The goal is the position that the velocity would reach in the time ``~carry``. This starts with a goal
+on /T/planner/goal, and ends when the vehicle leaves OFFBOARD.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ from xtdrone_planning.swarm.swarm_topics import SwarmTopics
 from xtdrone_planning.trajectories.local_trajectory import TrajectorySettings
 from xtdrone_planning.trajectories.trajectory_messages import path_message, spline_message
 
-RATE = 50.0  # Hz, as the MAVROS layer's
+RATE = 50.0  # Hz, as in the MAVROS layer
 
 _STREAM_LEAD = 0.5  # s of setpoints before OFFBOARD is requested; PX4 rejects it without a stream
 _REQUEST_SPACING = 2.0  # s between requests
@@ -74,7 +74,7 @@ _REPORT_PERIOD = 1.0  # s
 
 @dataclass(frozen=True)
 class TimingSettings(Settings):
-    """What the node reports at its end."""
+    """Reports written when the node ends."""
 
     timings: str = setting("", text="file for the wall times of map updates and plans, JSON; empty: none")
 
@@ -84,12 +84,12 @@ class NodeSettings:
     """All settings of the node.
 
     Attributes:
-        sensor, lidar, depth, watch: of the sensor.
+        sensor, lidar, depth, watch: settings of the sensor.
         grid: of the local map.
         limits: of trajectories.
         planner: of the planner.
         report: at the end.
-        swarm: how it agrees with others, None: others are not regarded.
+        swarm: coordination with other vehicles; None: others are ignored.
     """
 
     sensor: SensorChoice
@@ -104,7 +104,7 @@ class NodeSettings:
 
 
 def read_settings() -> NodeSettings:
-    """Return the settings that the private parameters give.
+    """Return the settings read from the private parameters.
 
     Raises:
         SettingError: a parameter is not allowed.
@@ -123,7 +123,7 @@ def read_settings() -> NodeSettings:
 
 
 class VehiclePlanner:
-    """Topics of one vehicle around its planner."""
+    """ROS topics of one vehicle's planner."""
 
     def __init__(self, name: str, fleet: Sequence[str], settings: NodeSettings, *, rviz_goal: bool) -> None:
         """Declare the topics.
@@ -132,7 +132,7 @@ class VehiclePlanner:
             name: of the vehicle.
             fleet: names of all vehicles.
             settings: see ``NodeSettings``.
-            rviz_goal: whether /move_base_simple/goal is this vehicle's.
+            rviz_goal: whether this vehicle subscribes to /move_base_simple/goal.
         """
         self.name = name
         self._settings = settings
@@ -231,7 +231,7 @@ class VehiclePlanner:
         try:
             self.planner.move_goal(goal)
         except GoalError as error:
-            rospy.logwarn_throttle(_WARNINGS, f"{self.name}: wanted velocity: {error}; the goal stays")
+            rospy.logwarn_throttle(_WARNINGS, f"{self.name}: velocity command: {error}; the goal is unchanged")
 
     def _set_goal(self, message: PoseStamped, height: float) -> None:
         if message.header.frame_id.lstrip("/") not in ("", FRAME):
@@ -357,10 +357,10 @@ class VehiclePlanner:
 
 
 class PlannerNode:
-    """The planners of one or several vehicles in one process."""
+    """Planners of one or several vehicles in one process."""
 
     def __init__(self, names: Sequence[str], fleet: Sequence[str] = ()) -> None:
-        """Declare the topics; rviz's goals are the first vehicle's.
+        """Declare the topics; goals from rviz go to the first vehicle.
 
         Raises:
             SettingError: a parameter is not allowed.
@@ -372,7 +372,7 @@ class PlannerNode:
         ]
 
     def step(self) -> None:
-        """Advance every planner by a turn."""
+        """Run one cycle of every planner."""
         for planner in self._planners:
             planner.step()
 

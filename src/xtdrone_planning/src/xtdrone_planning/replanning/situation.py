@@ -1,4 +1,4 @@
-"""What the planner of a vehicle knows in a turn, and what it commands."""
+"""Inputs and outputs of one planner cycle, and the planner's settings."""
 
 from __future__ import annotations
 
@@ -22,30 +22,30 @@ class GoalError(ValueError):
 
 @dataclass(frozen=True)
 class PlannerSettings(Settings):
-    """How the planner decides."""
+    """Settings of the planner's decisions."""
 
-    lowest: float = setting(0.8, low=0.0, high=1000.0, unit="m", text="lowest height of flight and of goals")
-    highest: float = setting(5.0, low=0.5, high=1000.0, unit="m", text="highest height of flight and of goals")
-    horizon: float = setting(12.0, low=2.0, high=60.0, unit="m", text="longest way that is planned at once")
+    lowest: float = setting(0.8, low=0.0, high=1000.0, unit="m", text="minimum height of flight and of goals")
+    highest: float = setting(5.0, low=0.5, high=1000.0, unit="m", text="maximum height of flight and of goals")
+    horizon: float = setting(12.0, low=2.0, high=60.0, unit="m", text="maximum length of a planned path")
     period: float = setting(0.2, low=0.02, high=5.0, unit="s", text="time between two plans in flight")
     patience: float = setting(
-        6.0, low=0.5, high=120.0, unit="s", text="a goal to which no trajectory is found for so long is unreachable"
+        6.0, low=0.5, high=120.0, unit="s", text="time without a trajectory after which a goal is unreachable"
     )
     retry: float = setting(2.0, low=0.1, high=60.0, unit="s", text="time between attempts at an unreachable goal")
-    voxels: int = setting(25000, low=100, high=10_000_000, text="voxels that a search opens at most, bounds its time")
+    voxels: int = setting(25000, low=100, high=10_000_000, text="maximum number of voxels that a search expands")
     global_planner: str = setting(
         "astar",
         choices=("astar", "rrt_star", "bit_star", "informed_rrt_star"),
-        text="search for the path: A*, or OMPL's",
+        text="path search: A*, or a planner of OMPL",
     )
-    iterations: int = setting(400, low=10, high=100_000, text="iterations of OMPL's planners in a search")
+    iterations: int = setting(400, low=10, high=100_000, text="iterations per search of OMPL's planners")
     sampling_seed: int = setting(1, low=1, high=2**31 - 1, text="seed of each search of OMPL's planners")
     lead: float = setting(
         0.2,
         low=0.0,
         high=1.0,
         unit="s",
-        text="setpoints are so much ahead of the trajectory: the lag of autopilot and vehicle",
+        text="time by which setpoints lead the trajectory, to compensate for the lag of autopilot and vehicle",
     )
     astray: float = setting(
         1.0, low=0.1, high=10.0, unit="m", text="deviation from the trajectory beyond which the vehicle replans"
@@ -53,21 +53,21 @@ class PlannerSettings(Settings):
     yaw_rate: float = setting(1.5, low=0.1, high=6.0, unit="rad/s", text="maximum yaw rate")
     carry: float = setting(
         0.0, low=0.0, high=10.0, unit="s",
-        text="velocities on /xtdrone/VEHICLE/cmd_vel_enu keep the goal so much ahead of the vehicle, as those of a "
+        text="velocities on /xtdrone/VEHICLE/cmd_vel_enu keep the goal this time ahead of the vehicle, e.g. those of a "
         "follower; 0: they are not used",
     )  # fmt: skip
     offboard: bool = setting(True, text="request OFFBOARD for a new goal; false: wait for the pilot to do so")
 
     @property
     def heights(self) -> tuple[float, float]:
-        """Lowest and highest flight, m in map."""
+        """Minimum and maximum flight height, m in map."""
         return self.lowest, self.highest
 
     def check_goal(self, goal: Array) -> None:
         """Check a goal, (3,) m in map.
 
         Raises:
-            GoalError: not finite, too far, or outside of the allowed heights.
+            GoalError: not finite, too far away, or outside the allowed heights.
         """
         if not all(math.isfinite(value) and abs(value) <= _LARGEST for value in goal.tolist()):
             raise GoalError(f"goal: {_text(goal)} is not allowed, finite numbers within +-{_LARGEST:g} m")
@@ -83,16 +83,16 @@ def _text(values: Array) -> str:
 
 @dataclass(frozen=True)
 class Situation:
-    """A turn's inputs.
+    """Inputs of one cycle.
 
     Attributes:
-        time: s of ROS time for which setpoints are made: the current and the lead.
+        time: s of ROS time of the setpoints: the current time plus the lead.
         position, velocity: (3,) m and m/s in map, the autopilot's estimate.
         yaw: rad, counter-clockwise from east.
         is_flying: armed and off the ground.
-        is_offboard: whether setpoints are obeyed.
+        is_offboard: whether the autopilot follows setpoints.
         map_count: number of measurements in the map.
-        fault: why the sensor cannot be relied on; empty if it can.
+        fault: the sensor's fault; empty: none.
     """
 
     time: float

@@ -1,4 +1,4 @@
-"""How long map updates and plans take, in wall time: for a file of its own, as no topic may depend on it."""
+"""Wall time taken by map updates and plans; written to a separate file, because no topic may depend on it."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ class Stopwatch:
 
     @contextmanager
     def measuring(self, kind: str) -> Iterator[None]:
-        """Add the duration of the context to those of a kind."""
+        """Record the duration of the context under a kind."""
         begin = time.perf_counter()
         yield
         self._seconds.setdefault(kind, []).append(time.perf_counter() - begin)
 
     def summary(self) -> dict[str, dict[str, float]]:
-        """Return, by kind, the number of durations, and their median, 95th percentile and greatest, ms."""
+        """Return, by kind, the number of durations, and their median, 95th percentile and maximum, ms."""
         return {kind: _summary(1000.0 * np.array(seconds)) for kind, seconds in self._seconds.items()}
 
 

@@ -1,1 +1,1 @@
-"""Correction of setpoints that would bring a vehicle too near to others or to obstacles."""
+"""Correction of setpoints that would bring a vehicle too close to other vehicles or obstacles."""

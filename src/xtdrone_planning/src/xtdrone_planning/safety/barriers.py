@@ -1,10 +1,10 @@
-"""Half-spaces of velocities that keep a vehicle away from other vehicles and from obstacles.
+"""Half-spaces of velocities that keep a vehicle clear of other vehicles and obstacles.
 
 Control barriers for vehicles that follow a velocity with a lag, after Wang, Ames, Egerstedt, *Safety barrier
-certificates for collisions-free multirobot systems*, 2017: the speed of approach is at most the one from which the
-vehicles can brake within the distance that is left, after they have flown on for the lag. Of the speed at which two
-vehicles approach, each has half. Standing still is therefore always allowed unless another vehicle takes more than its
-half: then this one retreats at the rest.
+certificates for collisions-free multirobot systems*, 2017: the closing speed is at most the one from which the vehicles
+can still brake within the remaining distance, after the lag. Each of two vehicles is allotted half of the closing
+speed. Standing still is therefore always allowed, unless another vehicle exceeds its half: then this one retreats by
+the excess.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ _TINY = 1e-9
 
 @kernel
 def approach_speed(distance, lag, deceleration):
-    """Return the highest speed (m/s) of approach; below 0, a retreat within the lag, if the distance is.
+    """Return the maximum closing speed (m/s); negative (a retreat within the lag) if the distance is negative.
 
     Args:
-        distance: that is left, m.
+        distance: remaining distance, m.
         lag: time until braking begins, s, above 0.
-        deceleration: of braking, m/s^2, above 0.
+        deceleration: when braking, m/s^2, above 0.
     """
     if distance <= 0.0:
         return distance / lag
@@ -33,7 +33,7 @@ def approach_speed(distance, lag, deceleration):
 
 @kernel
 def away_from(place, other, normal):
-    """Store the unit vector from ``other`` to ``place``, upwards if they are the same; return their distance in m."""
+    """Store the unit vector from ``other`` to ``place`` (upwards if they coincide); return their distance in m."""
     x, y, z = place[0] - other[0], place[1] - other[1], place[2] - other[2]
     distance = math.sqrt(x * x + y * y + z * z)
     if distance < _TINY:
@@ -45,7 +45,7 @@ def away_from(place, other, normal):
 
 @kernel
 def vehicle_barrier(place, other, other_velocity, least, lag, deceleration, normal):
-    """Store the direction away from another vehicle; return the minimum velocity along it and the distance.
+    """Store the direction away from another vehicle; return the minimum velocity along it, and the distance.
 
     Args:
         place, other: centres of the vehicles, shape (3,), m.
@@ -63,7 +63,7 @@ def vehicle_barrier(place, other, other_velocity, least, lag, deceleration, norm
 
 @kernel
 def obstacle_barrier(place, other, least, lag, deceleration, normal):
-    """Store the direction away from a point of an obstacle; return the minimum velocity along it and the distance.
+    """Store the direction away from a point of an obstacle; return the minimum velocity along it, and the distance.
 
     Args: see ``vehicle_barrier``.
     """

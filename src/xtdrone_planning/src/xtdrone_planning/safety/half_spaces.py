@@ -1,9 +1,9 @@
-"""The velocity nearest to the wanted one that lies in every half-space and in a ball.
+"""Closest velocity to the desired one that lies in every half-space and in a ball.
 
 The half-spaces ``normals[k] . v >= offsets[k]`` enter one by one, as in Seidel's incremental linear programming (Seidel
-1991; for collision avoidance: van den Berg, Guy, Lin, Manocha 2011, in two dimensions). As long as the next one is
-satisfied the solution stays. Otherwise the new solution lies on its plane, and the same problem is solved there in one
-dimension less. The result is exact, and depends only on the order of the half-spaces.
+1991; for collision avoidance: van den Berg, Guy, Lin, Manocha 2011, in two dimensions). While the next one is
+satisfied, the solution is unchanged. Otherwise the new solution lies on its plane, and the same problem is solved there
+in one dimension less. The result is exact, and depends only on the order of the half-spaces.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ _BISECTIONS = 30
 
 @kernel
 def nearest(normals, offsets, weights, count, wanted, radius, result):
-    """Store the point of all half-spaces and the ball round zero that is nearest to ``wanted``.
+    """Store the point nearest to ``wanted`` in the intersection of all half-spaces and the ball around zero.
 
-    If there is none, the half-spaces are moved outwards, in proportion to their weights, by the minimum distances that
-    leave one.
+    If the intersection is empty, the half-spaces are moved outwards, in proportion to their weights, by the smallest
+    distances that make it non-empty.
 
     Args:
         normals: unit vectors, shape (K, 3), K at least ``count``.
         offsets: shape (K,).
-        weights: of the half-spaces when they are moved, shape (K,), above 0.
+        weights: by which the half-spaces are moved, shape (K,), above 0.
         count: number of half-spaces.
         wanted: shape (3,).
         radius: of the ball, above 0.
         result: shape (3,); written.
 
     Returns:
-        The distance by which a half-space of weight 1 was moved, 0 if they have a common point in the ball.
+        The distance by which a half-space of weight 1 was moved; 0 if none was moved.
     """
     if _in_space(normals, offsets, weights, count, 0.0, wanted, radius, result):
         return 0.0
     low, high = 0.0, 0.0
     for k in range(count):
-        high = max(high, offsets[k] / weights[k])  # then zero itself is allowed
+        high = max(high, offsets[k] / weights[k])  # with this, zero itself is allowed
     high += _TINY
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
@@ -97,9 +97,9 @@ def _on_line(normals, offsets, weights, i, j, moved, wanted, radius, result):
     cosine = _dot(normals[i], normals[j])
     sine_square = 1.0 - cosine * cosine
     if sine_square < _TINY:
-        return False  # parallel planes, and the solution on i is beyond j
+        return False  # parallel planes, and the solution on i violates j
     a, b = offsets[i] - moved * weights[i], offsets[j] - moved * weights[j]
-    foot = ((a - b * cosine) * normals[i] + (b - a * cosine) * normals[j]) / sine_square  # the line's nearest to zero
+    foot = ((a - b * cosine) * normals[i] + (b - a * cosine) * normals[j]) / sine_square  # nearest to zero
     way = np.cross(normals[i], normals[j]) / math.sqrt(sine_square)
     square = radius * radius - _dot(foot, foot)
     if square < 0.0:

@@ -1,4 +1,4 @@
-"""The points of a cloud that matter to a vehicle: in each direction the nearest."""
+"""Relevant points of a cloud: the nearest one in each direction."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from xtdrone_planning.kernel import kernel
 
 _AZIMUTHS, _HEIGHTS = 32, 16
 SECTORS = _AZIMUTHS * _HEIGHTS
-_OWN_BODY = 0.3  # m; nearer points are of the vehicle itself
+_OWN_BODY = 0.3  # m; closer points belong to the vehicle itself
 
 
 @kernel
@@ -22,7 +22,7 @@ def placed(points, mount, mount_attitude, position, attitude, reach):
         points: in the sensor's frame, shape (N, 3), m; not finite: no return.
         mount: of the sensor in the body frame (FLU), shape (3,), m.
         mount_attitude: sensor to FLU, (w, x, y, z).
-        position: of the vehicle when they were measured, ENU, shape (3,), m.
+        position: of the vehicle at the time of measurement, ENU, shape (3,), m.
         attitude: FLU to ENU, (w, x, y, z).
         reach: m.
     """
@@ -41,9 +41,9 @@ def placed(points, mount, mount_attitude, position, attitude, reach):
 
 @kernel
 def nearest_by_sector(points, position, reach, near):
-    """Store the nearest point of each sector of directions round a position; return their number.
+    """Store the nearest point in each sector of directions around a position; return their number.
 
-    Sectors are equally wide in azimuth and equally high in the sine of the elevation.
+    Sectors are uniform in azimuth and in the sine of the elevation.
 
     Args:
         points: shape (N, 3), m.

@@ -1,8 +1,8 @@
 """The safety filter as the last node before MAVROS.
 
 With the parameter ``/xtdrone/setpoint_namespace`` (``safety``) the MAVROS layer subscribes to setpoints below
-``/T/safety`` in place of ``/T/mavros``. Nodes publish as ever; the filter takes what they publish and passes it on. A
-real MAVROS gets the same by a remap of each topic. For each vehicle ``T``:
+``/T/safety`` in place of ``/T/mavros``. Nodes publish as usual; the filter subscribes to their setpoints and forwards
+them. For a real MAVROS, remap each topic. For each vehicle ``T``:
 
 =======================================  ================================  ============================================
 topic                                    type                              meaning
@@ -62,9 +62,9 @@ USAGE = "safety_filter.py [VEHICLE ...]   (as iris_0; default: all of /xtdrone/f
 NAMESPACE = "safety"
 
 _TARGET = "setpoint_raw/local"
-_HOLD = 0.5  # s for which a setpoint stays in force without another; then the autopilot's own timeout counts
+_HOLD = 0.5  # s for which a setpoint remains in force; after that the autopilot's own timeout applies
 _REPORT_PERIOD = 1.0  # s
-_PATH_LENGTH = 100  # poses kept, to place clouds by the pose at their time
+_PATH_LENGTH = 100  # poses kept, to transform clouds by the pose at their time
 _MAP_FRAMES = ("map", "/map")
 _NO_POINTS = np.empty((0, 3))
 
@@ -78,7 +78,7 @@ class _Pose(NamedTuple):
 
 
 class GuardedVehicle:
-    """Setpoints of one vehicle on their way through the filter."""
+    """Filter of one vehicle's setpoints."""
 
     def __init__(self, names: Sequence[str], index: int, swarm: SwarmPositions, settings: SafetySettings) -> None:
         """Declare the topics.
@@ -86,7 +86,7 @@ class GuardedVehicle:
         Args:
             names: of all vehicles.
             index: of this one.
-            swarm: where all vehicles are.
+            swarm: positions of all vehicles.
             settings: of the filter.
         """
         self.name = name = names[index]
@@ -172,7 +172,7 @@ class GuardedVehicle:
     # turns
 
     def step(self, stamp: rospy.Time) -> None:
-        """Pass the setpoint on, corrected if necessary; call it at 30 Hz."""
+        """Forward the setpoint, corrected if necessary; call it at 30 Hz."""
         now, fresh, self._fresh = stamp.to_sec(), self._fresh, False
         if fresh:
             self._came = now
@@ -242,7 +242,7 @@ class GuardedVehicle:
         if self._setpoint is None:
             return DiagnosticStatus.OK, "no setpoints"
         if verdict is not None and verdict.excess > 0.0:
-            return DiagnosticStatus.ERROR, f"too near to {self._cause(verdict)}, {verdict.nearest:.1f} m"
+            return DiagnosticStatus.ERROR, f"too close to {self._cause(verdict)}, {verdict.nearest:.1f} m"
         old = [self._names[i] for i in self._swarm.old(now, timeout) if i != self._index]
         if old:
             return DiagnosticStatus.WARN, f"no recent position of {', '.join(old)}"
@@ -257,14 +257,14 @@ class GuardedVehicle:
 
 
 class SafetyNode:
-    """The filters of the vehicles that this process serves."""
+    """Filters of the vehicles served by this process."""
 
     def __init__(self, fleet: Sequence[str], served: Sequence[str], settings: SafetySettings, swarm_topic: str) -> None:
         """Declare the topics.
 
         Args:
             fleet: names of all vehicles.
-            served: names of those whose setpoints pass here.
+            served: names of the vehicles whose setpoints are filtered here.
             settings: of the filters.
             swarm_topic: topic with the states of all vehicles; empty: each vehicle's own topics.
         """
@@ -283,7 +283,7 @@ class SafetyNode:
         lockstep.add_reset_hook(self._restart)
 
     def step(self) -> None:
-        """Pass the setpoints of all vehicles on; call it at 30 Hz."""
+        """Forward the setpoints of all vehicles; call it at 30 Hz."""
         stamp = rospy.Time.now()
         for vehicle in self._vehicles:
             vehicle.step(stamp)
@@ -315,7 +315,7 @@ class SafetyNode:
 
 
 def served_names(arguments: Sequence[str], fleet: Sequence[str]) -> list[str]:
-    """Return the vehicles that a command line names, all of the fleet if it names none.
+    """Return the vehicles named on the command line, or the whole fleet if there are none.
 
     Raises:
         ArgumentError: a vehicle is not in the fleet.

@@ -1,4 +1,4 @@
-"""The velocity that a setpoint means, and the setpoint of a corrected velocity; messages are filled in place."""
+"""Conversion of setpoints to velocities, and of corrected velocities to setpoints; messages are filled in place."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _POSITION_BITS, _VELOCITY_BITS, _ACCELERATION_BITS = (1, 2, 4), (8, 16, 32), (64
 
 @dataclass(frozen=True)
 class Motion:
-    """What the filter knows of its vehicle.
+    """State of the filtered vehicle.
 
     Attributes:
         position: m ENU.
@@ -43,7 +43,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Meaning:
-    """What a setpoint asks for.
+    """Motion demanded by a setpoint.
 
     Attributes:
         velocity: m/s ENU.
@@ -58,11 +58,11 @@ class Meaning:
 
 @dataclass(frozen=True)
 class Gains:
-    """How position and acceleration setpoints become velocities.
+    """Gains that convert position and acceleration setpoints to velocities.
 
     Attributes:
         kp: speed per position error, 1/s.
-        lag: time for which an acceleration counts, s.
+        lag: time for which an acceleration is applied, s.
         max_speed: towards a position, m/s.
     """
 
@@ -72,7 +72,7 @@ class Gains:
 
 
 def meaning_of_target(target: Any, motion: Motion, gains: Gains) -> Meaning | None:
-    """Return the meaning of a mavros_msgs/PositionTarget; None if it has none that can be checked: a force, say."""
+    """Return the meaning of a mavros_msgs/PositionTarget; None if it cannot be checked, e.g. a force."""
     mask, frame = target.type_mask, target.coordinate_frame or FRAME_LOCAL_NED
     nothing = IGNORE_POSITION | IGNORE_VELOCITY | IGNORE_ACCELERATION
     if frame not in (FRAME_LOCAL_NED, FRAME_BODY_NED, FRAME_BODY_OFFSET_NED) or mask & nothing == nothing:
@@ -142,7 +142,7 @@ def _numbers(vector: Any, mask: int, bits: Sequence[int]) -> Vector:
 
 
 def _level(vector: Vector, yaw: float) -> Vector:
-    """Turn a vector of the level body frame into ENU."""
+    """Rotate a vector from the horizontal body frame to ENU."""
     x, y, z = vector
     return math.cos(yaw) * x - math.sin(yaw) * y, math.sin(yaw) * x + math.cos(yaw) * y, z
 

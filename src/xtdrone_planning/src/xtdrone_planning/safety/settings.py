@@ -12,7 +12,8 @@ class SafetySettings(Settings):
     """Distances, limits and sources of the safety filter.
 
     The defaults of ``lag`` and ``deceleration`` are those of a vehicle with PX4's default gains, whose horizontal
-    velocity follows its setpoint with a time constant of 0.55 s, one tick of the filter and one of the simulator later.
+    velocity follows its setpoint with a time constant of 0.55 s, delayed by one tick of the filter and one of the
+    simulator.
     """
 
     distance: float = setting(
@@ -22,22 +23,22 @@ class SafetySettings(Settings):
         1.0, low=0.2, high=20.0, unit="m", text="minimum distance from the vehicle's centre to a point of an obstacle"
     )
     deceleration: float = setting(
-        1.5, low=0.2, high=10.0, unit="m/s^2", text="deceleration that every vehicle is capable of"
+        1.5, low=0.2, high=10.0, unit="m/s^2", text="deceleration that every vehicle can achieve"
     )
     lag: float = setting(
-        1.0, low=0.1, high=5.0, unit="s", text="time for which a vehicle flies on before it begins to brake"
+        1.0, low=0.1, high=5.0, unit="s", text="delay before a vehicle begins to brake"
     )
-    max_speed: float = setting(5.0, low=0.2, high=20.0, unit="m/s", text="highest speed of a corrected setpoint")
+    max_speed: float = setting(5.0, low=0.2, high=20.0, unit="m/s", text="maximum speed of a corrected setpoint")
     kp: float = setting(
-        0.95, low=0.05, high=5.0, unit="1/s", text="speed per position error that a position setpoint means (MPC_XY_P)"
+        0.95, low=0.05, high=5.0, unit="1/s", text="speed per position error of a position setpoint (MPC_XY_P)"
     )
-    range: float = setting(20.0, low=1.0, high=200.0, unit="m", text="distance beyond which nothing is looked at")
+    range: float = setting(20.0, low=1.0, high=200.0, unit="m", text="range of vehicles and obstacles that count")
     timeout: float = setting(
-        0.5, low=0.05, high=10.0, unit="s", text="age from which a position or a cloud is reported as old"
+        0.5, low=0.05, high=10.0, unit="s", text="age beyond which a position or a cloud is reported as outdated"
     )
     cloud: str = setting(
         "",
-        text="topic of a PointCloud2 with obstacles below the vehicle's name, as ``velodyne_points``; empty: none",
+        text="topic of a PointCloud2 with obstacles, below the vehicle's name, e.g. ``velodyne_points``; empty: none",
     )
     mount: tuple[float, float, float, float, float, float] = setting(
         (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), low=-10.0, high=10.0,

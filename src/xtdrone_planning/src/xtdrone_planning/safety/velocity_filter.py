@@ -1,4 +1,4 @@
-"""The velocity nearest to the wanted one with which a vehicle stays away from others and from obstacles."""
+"""Safety filter: closest velocity to the desired one with which a vehicle stays clear of others and of obstacles."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from xtdrone_planning.safety.half_spaces import nearest
 from xtdrone_planning.safety.near_points import SECTORS, nearest_by_sector
 from xtdrone_planning.safety.settings import SafetySettings
 
-MARGIN = 0.2  # m, added to the distance between vehicles: what is left of the lag when two have just braked
+MARGIN = 0.2  # m, added to the distance between vehicles: covers the residual of the lag after two have braked
 _TURN_LEAST, _TURN_MOST = 0.2, 1.8  # rad
 _TURN_RATE = 4.0  # rad/s
-_BLOCKED = 0.3  # share of the wanted velocity below which a vehicle is blocked
-_WEIGHT_LEAST = 0.1  # of what is at the minimum distance or nearer, when not everything can be avoided
+_BLOCKED = 0.3  # fraction of the desired velocity below which a vehicle counts as blocked
+_WEIGHT_LEAST = 0.1  # weight of constraints at or below the minimum distance, when not all can be satisfied
 _NOTHING = -1
 _NO_POINTS = np.empty((0, 3))
 
@@ -27,11 +27,11 @@ class Verdict(NamedTuple):
     """Result of the filter.
 
     Attributes:
-        velocity: allowed velocity, shape (3,), m/s; the wanted one if that is allowed.
-        corrected: whether it differs from the wanted one.
+        velocity: allowed velocity, shape (3,), m/s; the desired one if it is allowed.
+        corrected: whether it differs from the desired one.
         nearest: distance of the nearest vehicle or obstacle, m; infinite if there is none within range.
-        cause: number of the vehicle that forbids most of the wanted velocity, -1: none or an obstacle.
-        excess: velocity by which the limits had to be exceeded, m/s; 0 if all are kept.
+        cause: index of the vehicle that restricts the desired velocity most, -1: none or an obstacle.
+        excess: velocity by which the limits had to be exceeded, m/s; 0 if all are satisfied.
     """
 
     velocity: NDArray[np.float64]
@@ -44,8 +44,8 @@ class Verdict(NamedTuple):
 class VelocityFilter:
     """The safety filter of one vehicle.
 
-    Vehicles that block each other give way to their right: the wanted velocity turns clockwise, seen from above, the
-    longer it is forbidden. A group that meets in one place goes round it like cars on a roundabout.
+    Vehicles that block each other give way to the right: the longer the desired velocity is blocked, the further it is
+    rotated clockwise, seen from above. A group that meets in one place circulates like cars on a roundabout.
     """
 
     def __init__(self, settings: SafetySettings, period: float) -> None:
@@ -56,7 +56,7 @@ class VelocityFilter:
         self._near = np.empty((SECTORS, 3))
 
     def restart(self) -> None:
-        """Return to the state after construction."""
+        """Reset to the initial state."""
         self._turn[0] = _TURN_LEAST
 
     def check(

@@ -1,1 +1,1 @@
-"""Trajectories of several vehicles that keep clear of each other, agreed on by radio."""
+"""Collision-free trajectories of several vehicles, coordinated by radio."""

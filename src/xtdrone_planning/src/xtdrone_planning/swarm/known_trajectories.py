@@ -1,4 +1,4 @@
-"""What a vehicle has heard of the trajectories of others."""
+"""Trajectories of other vehicles as received by radio."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from dataclasses import dataclass, field
 
 from xtdrone_planning.trajectories.uniform_spline import UniformSpline
 
-FORGET = 1.5  # s after its start; a proposal of which no decision was heard until then was dropped by its vehicle
+FORGET = 1.5  # s after its start; a proposal without a decision by then was dropped by its vehicle
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """A trajectory that a vehicle wants to fly, unless another objects.
+    """A trajectory that a vehicle proposes to fly, unless another vehicle objects.
 
     Attributes:
         number: counts the vehicle's trajectories.
-        spline: the trajectory; until it begins the vehicle follows the one that it has decided on.
-        made: ROS time of its making, s.
-        rank: of the vehicle: of two proposals of the same time that of the lower one counts.
+        spline: the trajectory; until it begins, the vehicle follows its last committed one.
+        made: ROS time of its creation, s.
+        rank: of the vehicle; of two proposals with the same time, the lower rank takes precedence.
     """
 
     number: int
@@ -26,19 +26,19 @@ class Proposal:
     rank: int
 
     def precedes(self, other: Proposal) -> bool:
-        """Return whether this one counts, if both cannot be flown."""
+        """Return whether this proposal takes precedence over a conflicting one."""
         return (self.made, self.rank) < (other.made, other.rank)
 
 
 @dataclass
 class Known:
-    """What was heard of one vehicle.
+    """Data received from one vehicle.
 
     Attributes:
         radius: of the vehicle, m.
-        number: of the trajectory that it has decided on, -1: none was heard.
-        decided: this trajectory.
-        proposals: those of which no decision was heard, by number.
+        number: of its committed trajectory, -1: none received.
+        decided: its committed trajectory.
+        proposals: undecided ones, by number.
     """
 
     radius: float
@@ -47,21 +47,21 @@ class Known:
     proposals: dict[int, Proposal] = field(default_factory=dict)
 
     def on_decided(self, number: int, spline: UniformSpline) -> None:
-        """Store the trajectory that the vehicle flies; an older one, overtaken on its way, is ignored."""
+        """Store the trajectory that the vehicle flies; an older one that arrives late is ignored."""
         if number >= self.number:
             self.number, self.decided = number, spline
             self.proposals = {n: entry for n, entry in self.proposals.items() if n > number}
 
     def on_proposal(self, proposal: Proposal) -> None:
-        """Store a proposal, unless it has been decided on."""
+        """Store a proposal, unless it is already decided."""
         if proposal.number > self.number:
             self.proposals[proposal.number] = proposal
 
     def forget(self, now: float) -> None:
-        """Forget proposals that were dropped."""
+        """Discard dropped proposals."""
         self.proposals = {n: entry for n, entry in self.proposals.items() if now <= entry.spline.start + FORGET}
 
     def trajectories(self) -> list[UniformSpline]:
-        """Return every trajectory that the vehicle may fly."""
+        """Return all trajectories that the vehicle may fly."""
         decided = [] if self.decided is None else [self.decided]
         return decided + [self.proposals[n].spline for n in sorted(self.proposals)]

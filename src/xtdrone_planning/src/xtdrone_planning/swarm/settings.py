@@ -1,4 +1,4 @@
-"""Settings of planning for many."""
+"""Settings of multi-vehicle planning."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from xtdrone_control.settings import Settings, setting
 
 @dataclass(frozen=True)
 class AgreementSettings(Settings):
-    """How vehicles agree on trajectories."""
+    """Coordination of trajectories between vehicles."""
 
     check: float = setting(
         0.4, low=0.0, high=5.0, unit="s",
-        text="time for which a proposed trajectory is open to objections: at least the radio's delay, and 0.1 s for "
+        text="time for which a proposed trajectory is open to objections: at least the radio delay, plus 0.1 s for "
         "each message that may be lost",
     )  # fmt: skip
     separation: float = setting(
-        0.4, low=0.0, high=10.0, unit="m", text="distance between two planned vehicles, beyond their radii"
+        0.4, low=0.0, high=10.0, unit="m", text="clearance between two planned vehicles, beyond their radii"
     )
     pause: float = setting(0.3, low=0.0, high=10.0, unit="s", text="time between a decision and the next proposal")

@@ -1,11 +1,11 @@
-"""The planner of a vehicle among others, which agree on their trajectories by radio.
+"""Planner of one vehicle in a group whose vehicles coordinate their trajectories by radio.
 
-A new trajectory is first proposed: it begins some time from now on the one that is flown. If within this time nothing
-is heard that conflicts with it, it is flown, otherwise dropped, and the vehicle stays on the one that it has decided
-on, which ends at rest and was clear of all others. The check during a delay is that of K. Kondo et al., Robust MADER:
-decentralized and asynchronous multiagent trajectory planner robust to communication delay, ICRA 2023, after
-J. Tordesillas, J. How, MADER, IEEE Transactions on Robotics 38, 2022. Of two proposals that conflict, the one that was
-made first counts; its vehicle may ignore the other, as that hears of the first within its own time of checking.
+A new trajectory is first proposed; it branches off the current one some time ahead. If no conflicting trajectory is
+received within this time, the vehicle commits to it; otherwise it is dropped, and the vehicle stays on its committed
+trajectory, which ends at rest and is clear of all others. The check during a delay is that of K. Kondo et al., Robust
+MADER: decentralized and asynchronous multiagent trajectory planner robust to communication delay, ICRA 2023, after J.
+Tordesillas, J. How, MADER, IEEE Transactions on Robotics 38, 2022. Of two conflicting proposals, the earlier one takes
+precedence; its vehicle may ignore the later one, whose vehicle receives the earlier one within its own check period.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from xtdrone_planning.trajectories.uniform_spline import UniformSpline
 Array = NDArray[np.float64]
 
 _SAME_PLACE = 0.05  # m
-_BRAKING = 1.0  # s before an obstacle on the trajectory that is flown, in which the vehicle brakes rather than waits
+_BRAKING = 1.0  # s before an obstacle on the current trajectory, within which the vehicle brakes instead of waiting
 
 
 class SwarmPlanner(Planner):
-    """Plans for one vehicle among others.
+    """Plans for one vehicle of a group.
 
     Attributes:
         rank: number of the vehicle in the fleet.
-        proposal: the trajectory that is open to objections, None without one.
+        proposal: the trajectory open to objections, or None.
         dropped: number of proposals that were dropped.
     """
 
@@ -56,7 +56,7 @@ class SwarmPlanner(Planner):
 
         Args:
             grid, settings, limits, timed: see ``Planner``.
-            swarm: how vehicles agree.
+            swarm: settings of the coordination.
             rank: see above.
         """
         self.swarm, self.rank = swarm, rank
@@ -73,15 +73,15 @@ class SwarmPlanner(Planner):
         self._pause_until = -math.inf
 
     def on_decided(self, rank: int, number: int, spline: UniformSpline, radius: float) -> None:
-        """Hear of the trajectory that another vehicle flies."""
+        """Receive the committed trajectory of another vehicle."""
         self._of(rank, radius).on_decided(number, spline)
 
     def on_proposal(self, proposal: Proposal, radius: float) -> None:
-        """Hear of the trajectory that another vehicle wants to fly."""
+        """Receive the proposed trajectory of another vehicle."""
         self._of(proposal.rank, radius).on_proposal(proposal)
 
     def step(self, now: Situation) -> Command | None:
-        """Decide on the proposal if it is time, then advance by a turn."""
+        """Decide on the proposal if it is due, then run one cycle."""
         for known in self._known.values():
             known.forget(now.time)
         self._judge(now.time)
@@ -91,9 +91,9 @@ class SwarmPlanner(Planner):
         return command
 
     def plan(self, now: Situation, start: State) -> bool:
-        """Propose a trajectory, unless one is proposed; return whether one is.
+        """Propose a trajectory, unless one is pending; return whether one is pending.
 
-        Only from the trajectory that is flown: from elsewhere, as after a gust, nothing can be proposed.
+        A proposal starts from the current trajectory; from elsewhere, e.g. after a gust, none is possible.
         """
         trajectory = self.trajectory
         if self.proposal is not None or now.time < self._pause_until:
@@ -105,12 +105,12 @@ class SwarmPlanner(Planner):
         return super().plan(replace(now, time=begin), State(*trajectory.at(begin)))
 
     def hold(self, position: Array, time: float) -> None:
-        """Hover at a position at once; others hear of it."""
+        """Hover at a position immediately, and inform the others."""
         self._abandon()
         super().hold(position, time)
 
     def brake(self, time: float) -> None:
-        """Stop on the current path at once; others hear of it."""
+        """Brake along the current path immediately, and inform the others."""
         self._abandon()
         super().brake(time)
 
@@ -120,9 +120,9 @@ class SwarmPlanner(Planner):
         return found if found is not None or not len(others) else self._trajectory_round(others, start, time)
 
     def _trajectory_round(self, others: MovingVehicles, start: State, time: float) -> UniformSpline | None:
-        """Return a trajectory on a path round the places where others come to rest, None if there is none.
+        """Return a trajectory on a path around the positions where others come to rest, or None.
 
-        The path on the map may lead through a vehicle that waits, and no bend of a trajectory along it leads round.
+        The path on the map may lead through a waiting vehicle, which deforming a trajectory along it cannot avoid.
         """
         clearance = self.limits.clearance(self.grid.resolution)
         self.path = path = self._find_path(start.position, others.near_rest(self.grid, clearance))
@@ -131,7 +131,7 @@ class SwarmPlanner(Planner):
         return plan_along(self.grid, path.points, start, time, self.limits, others, self.settings.heights)
 
     def _fly(self, trajectory: UniformSpline) -> None:
-        """Propose what begins later; what begins at once is flown."""
+        """Propose trajectories that begin later; fly those that begin immediately."""
         self._made += 1
         if self._planning_ahead(trajectory):
             self.proposal = Proposal(self._made, trajectory, trajectory.start - self.swarm.check, self.rank)
@@ -158,7 +158,7 @@ class SwarmPlanner(Planner):
             self._pause_until = now + self.swarm.pause
 
     def _others(self, against: Proposal | None) -> MovingVehicles:
-        """Return what others may fly, without proposals that have to give way to ``against``."""
+        """Return the trajectories that others may fly, without proposals that must yield to ``against``."""
         splines: list[UniformSpline] = []
         distances: list[float] = []
         for rank in sorted(self._known):

@@ -1,12 +1,12 @@
-"""What vehicles that plan among others tell each other, as topics.
+"""Topics on which vehicles exchange their planned trajectories.
 
 For each vehicle ``T``; the topics of others come by ``radio.py``:
 
 ==============================  =============================  ======================================================
 topic                           type                           meaning
 ==============================  =============================  ======================================================
-/T/planner/trajectory           xtdrone_msgs/SplineTrajectory  out: what is flown, repeated for those who missed it
-/T/planner/proposal             xtdrone_msgs/SplineTrajectory  out: what is proposed, repeated; stamp: when it was made
+/T/planner/trajectory           xtdrone_msgs/SplineTrajectory  out: committed trajectory, repeated in case of loss
+/T/planner/proposal             xtdrone_msgs/SplineTrajectory  out: proposal, repeated; stamp: time of its creation
 /T/radio/planner/trajectory     xtdrone_msgs/SplineTrajectory  in: of all others
 /T/radio/planner/proposal       xtdrone_msgs/SplineTrajectory  in
 ==============================  =============================  ======================================================
@@ -25,12 +25,12 @@ from xtdrone_planning.swarm.swarm_planner import SwarmPlanner
 from xtdrone_planning.trajectories.trajectory_messages import TrajectoryError, spline_message, spline_of
 from xtdrone_planning.trajectories.uniform_spline import UniformSpline
 
-_OFTEN, _SELDOM = 0.1, 0.5  # s between repetitions: of news and proposals, of what has been said often
+_OFTEN, _SELDOM = 0.1, 0.5  # s between repetitions: of new trajectories and proposals, of older ones
 _NEWS = 0.6  # s
 
 
 class SwarmTopics:
-    """The topics of one vehicle."""
+    """ROS topics of one vehicle."""
 
     def __init__(self, name: str, fleet: Sequence[str], planner: SwarmPlanner, frame: str) -> None:
         """Declare the topics.
@@ -38,7 +38,7 @@ class SwarmTopics:
         Args:
             name: of the vehicle.
             fleet: names of all.
-            planner: gets what is heard.
+            planner: receives the messages.
             frame: of the points.
         """
         self._name, self._planner, self._frame = name, planner, frame
@@ -55,7 +55,7 @@ class SwarmTopics:
         self._since = self._said = self._asked = -1e9
 
     def publish(self, stamp: rospy.Time) -> None:
-        """Tell the others what is flown and what is proposed, if it is time."""
+        """Publish the committed and the proposed trajectory, if due."""
         planner, now = self._planner, stamp.to_sec()
         if planner.trajectory is not None:
             if planner.number != self._number:
@@ -84,10 +84,10 @@ class SwarmTopics:
             self._planner.on_proposal(proposal, message.radius)
 
     def _heard(self, message: SplineTrajectory) -> tuple[int, UniformSpline] | None:
-        """Return the sender's rank and its trajectory; None, with a warning, if it cannot be used."""
+        """Return the sender's rank and its trajectory; warn and return None if the message is invalid."""
         rank = self._ranks.get(message.vehicle)
         if rank is None:
-            rospy.logwarn_throttle_identical(5.0, f"{self._name}: trajectory of {message.vehicle!r}, not in the fleet")
+            rospy.logwarn_throttle_identical(5.0, f"{self._name}: {message.vehicle!r} is not in the fleet; ignored")
             return None
         try:
             return rank, spline_of(message)

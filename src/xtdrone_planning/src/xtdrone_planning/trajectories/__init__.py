@@ -1,1 +1,1 @@
-"""Smooth trajectories with time, within limits of speed and acceleration, clear of obstacles."""
+"""Smooth, collision-free trajectories over time, within limits of speed and acceleration."""

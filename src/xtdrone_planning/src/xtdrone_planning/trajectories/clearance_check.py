@@ -9,19 +9,19 @@ from xtdrone_planning.mapping.field_lookup import distance_at, is_seen
 from xtdrone_planning.trajectories.spline_kernels import spline_at
 
 CLEAR = math.inf
-"""Returned for a trajectory with nothing in its way."""
+"""Returned for a trajectory without conflict."""
 
 
 @kernel
 def first_conflict(points, interval, since, distance, evidence, corner, resolution, clearance, radius, exempt):
-    """Return the time at which a trajectory comes too near to an obstacle, or into space that was not seen.
+    """Return the time at which a trajectory comes too close to an obstacle, or enters unseen space.
 
     Args:
         points, interval: the spline.
-        since: the check begins so many s after its start.
+        since: start of the check, s after the trajectory's start.
         distance, evidence, corner, resolution: the map.
-        clearance: minimum distance to an obstacle, m. A trajectory that begins nearer may leave, not approach.
-        radius: of the level disc that must have been seen, m; below 0: unknown space is not regarded.
+        clearance: minimum distance to an obstacle, m. A trajectory that begins closer may lead away, not approach.
+        radius: of the horizontal disc that must have been seen, m; below 0: unknown space is ignored.
         exempt: discs within this distance of the first point need not have been seen, m.
 
     Returns:

@@ -1,8 +1,8 @@
-"""A trajectory along a path: smooth, within the limits, clear of obstacles, and at rest at the path's end.
+"""Trajectory along a path: smooth, within the limits, collision-free, and at rest at the path's end.
 
-As it ends at rest within space that was seen, the vehicle can follow it to its end whatever happens to the planner; the
-idea of J. Tordesillas et al., FASTER: fast and safe trajectory planner for navigation in unknown environments, IEEE
-Transactions on Robotics 38, 2022.
+Since it ends at rest within seen space, the vehicle can follow it to its end even if the planner fails; the idea of J.
+Tordesillas et al., FASTER: fast and safe trajectory planner for navigation in unknown environments, IEEE Transactions
+on Robotics 38, 2022.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ Array = NDArray[np.float64]
 
 _INTERVAL = 0.25  # s between knots, as far as the number of segments allows
 _FEWEST, _MOST = 6, 40  # segments
-_PACES = (1.0, 0.8, 0.6, 0.4)  # parts of the speed limit that are tried in turn
-_WEIGHTS = (300.0, 1500.0)  # of nearness to obstacles, tried in turn
-_STRETCHES = 4  # of time, until the limits hold
+_PACES = (1.0, 0.8, 0.6, 0.4)  # fractions of the speed limit, tried in this order
+_WEIGHTS = (300.0, 1500.0)  # of the obstacle cost, tried in this order
+_STRETCHES = 4  # attempts to slow down until the limits are met
 _ITERATIONS = 60
-_SLOW_SPEED, _SLOW_ACCELERATION = 0.8, 0.5  # m/s, m/s^2: close to the path itself
+_SLOW_SPEED, _SLOW_ACCELERATION = 0.8, 0.5  # m/s, m/s^2: slow enough to stay close to the path
 _SLOW_WAY = 6.0  # m
 _AT_REST = 0.05  # m/s
 _TOLERANCE = 1e-6
-_HEIGHT_TOLERANCE = 0.02  # m: what the speed at the start may need to turn
+_HEIGHT_TOLERANCE = 0.02  # m: margin for a vertical speed at the start
 
 
 @dataclass(frozen=True)
@@ -43,10 +43,10 @@ class TrajectorySettings(Settings):
 
     speed: float = setting(4.0, low=0.2, high=15.0, unit="m/s", text="greatest speed")
     acceleration: float = setting(3.0, low=0.3, high=8.0, unit="m/s²", text="greatest acceleration")
-    radius: float = setting(0.4, low=0.1, high=3.0, unit="m", text="the vehicle's, around its rotors")
-    margin: float = setting(0.15, low=0.0, high=2.0, unit="m", text="between vehicle and obstacles, beyond the radius")
+    radius: float = setting(0.4, low=0.1, high=3.0, unit="m", text="radius of the vehicle, rotors included")
+    margin: float = setting(0.15, low=0.0, high=2.0, unit="m", text="clearance to obstacles, beyond the radius")
     comfort: float = setting(
-        0.35, low=0.0, high=3.0, unit="m", text="further distance to obstacles that is kept where there is room"
+        0.35, low=0.0, high=3.0, unit="m", text="additional clearance to obstacles where space allows"
     )
 
     def clearance(self, resolution: float) -> float:
@@ -55,7 +55,7 @@ class TrajectorySettings(Settings):
 
 
 class State(NamedTuple):
-    """Where a trajectory begins: position, velocity and acceleration, (3,) each, m, m/s, m/s^2 in map."""
+    """Initial state of a trajectory: position, velocity and acceleration, (3,) each, m, m/s, m/s^2 in map."""
 
     position: Array
     velocity: Array
@@ -71,7 +71,7 @@ def plan_along(
     others: MovingVehicles = NO_VEHICLES,
     heights: tuple[float, float] = (-math.inf, math.inf),
 ) -> UniformSpline | None:
-    """Return a trajectory along a path, or None if no attempt has held all limits.
+    """Return a trajectory along a path, or None if no attempt meets all limits.
 
     Args:
         grid: the map.
@@ -79,14 +79,14 @@ def plan_along(
         state: at the start.
         time: of the start, s of ROS time.
         settings: limits.
-        others: vehicles to keep clear of.
-        heights: lowest and highest flight, m in map; from outside of them the trajectory may come back.
+        others: vehicles to avoid.
+        heights: minimum and maximum flight height, m in map; a trajectory that starts outside may return.
     """
     length = length_of(corners)
     if len(corners) < 2 or length < _TOLERANCE:
         return None
     ahead = corners[1] - corners[0]
-    height = float(state.position[2])  # within the tolerance the limits stay, so that no plan goes lower than the last
+    height = float(state.position[2])  # within the tolerance the limits are kept, so that successive plans do not sink
     heights = (
         heights[0] if height >= heights[0] - _HEIGHT_TOLERANCE else height,
         heights[1] if height <= heights[1] + _HEIGHT_TOLERANCE else height,
@@ -117,8 +117,8 @@ def _slowly_along(
 ) -> UniformSpline | None:
     """Return a slow trajectory from rest whose control points are on the path itself, or None if it is not flyable.
 
-    The optimisation ends in a local minimum, which may be in an obstacle; a spline stays in the hull of its control
-    points, and so at low speed close to the path, which is clear.
+    The optimisation may end in a local minimum inside an obstacle; a spline stays in the convex hull of its control
+    points, and hence, at low speed, close to the collision-free path.
     """
     if float(np.linalg.norm(state.velocity)) > _AT_REST:
         return None
@@ -132,21 +132,21 @@ def _slowly_along(
 
 
 def is_flyable(grid: VoxelGrid, spline: UniformSpline, time: float, settings: TrajectorySettings) -> bool:
-    """Return whether a trajectory is clear and seen from a time, s, on; the limits are not checked."""
+    """Return whether a trajectory is clear and seen from a time, s, onwards; the limits are not checked."""
     return math.isinf(conflict_time(grid, spline, time, settings))
 
 
 def conflict_time(
     grid: VoxelGrid, spline: UniformSpline, time: float, settings: TrajectorySettings, *, unknown: bool = True
 ) -> float:
-    """Return the ROS time, s, at which a trajectory meets an obstacle or space that was not seen; inf if it does not.
+    """Return the ROS time, s, at which a trajectory hits an obstacle or enters unseen space; inf if never.
 
     Args:
         grid: the map.
         spline: the trajectory.
-        time: from which on it is checked, s.
+        time: start of the check, s.
         settings: the vehicle's size.
-        unknown: whether space that was not seen is in the way.
+        unknown: whether unseen space counts as a conflict.
     """
     clearance = settings.radius + 0.5 * grid.resolution
     found = first_conflict(
@@ -167,10 +167,10 @@ def _attempt(
     others: MovingVehicles,
     heights: tuple[float, float],
 ) -> UniformSpline | None:
-    """Optimise, and slow down until the limits hold; None if they do not.
+    """Optimise, and slow down until the limits are met; None if they cannot be met.
 
-    A spline stays in the hull of its control points, so those that are free are kept within the heights. The first
-    three follow from the state at the start; whether the spline leaves the heights there is computed exactly.
+    A spline stays in the convex hull of its control points, so the free ones are kept within the heights. The first
+    three follow from the initial state; whether the spline leaves the heights there is computed exactly.
     """
     points = reference.copy()
     points[-3:] = reference[-1]

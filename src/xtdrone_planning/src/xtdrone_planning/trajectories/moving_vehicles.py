@@ -1,4 +1,4 @@
-"""Other vehicles on their trajectories, as obstacles that move."""
+"""Trajectories of other vehicles, as moving obstacles."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from xtdrone_planning.trajectories.uniform_spline import UniformSpline
 
 Array = NDArray[np.float64]
 
-_COMFORT = 0.5  # m beyond the minimum distance, in which nearness costs
+_COMFORT = 0.5  # m beyond the minimum distance, within which proximity adds cost
 _LEAST_POINTS = 4
 
 
 class MovingVehicles:
-    """Trajectories of others, with the distance to be kept from each."""
+    """Trajectories of other vehicles, with the clearance to each."""
 
     def __init__(self, trajectories: Sequence[UniformSpline] = (), distances: Sequence[float] = ()) -> None:
         """Store the trajectories and the minimum distances, m, between the vehicles' centres."""
@@ -34,20 +34,20 @@ class MovingVehicles:
 
     @property
     def apart(self) -> Array:
-        """Distances (m,) below which nearness costs, m."""
+        """Distances (m,) below which proximity adds cost, m."""
         return self._distances + _COMFORT
 
     def places(self, times: Array) -> Array:
-        """Return where the others are at ROS times (n,), s: (n, m, 3), m."""
+        """Return the positions of the others at ROS times (n,), s: (n, m, 3), m."""
         found = np.empty((len(self._trajectories), len(times), 3))
         for places, spline in zip(found, self._trajectories, strict=True):
             places_at(spline.points, spline.interval, spline.start, times, places)
         return np.ascontiguousarray(found.transpose(1, 0, 2))
 
     def near_rest(self, grid: VoxelGrid, clearance: float) -> NDArray[np.float32]:
-        """Return the distances of a map, m, shortened around the places where the others come to rest.
+        """Return the distances of a map, m, reduced around the positions where the others come to rest.
 
-        Where another is nearer than allowed they are below ``clearance``, m, so that paths lead round it.
+        Where another vehicle is closer than allowed they are below ``clearance``, m, so that paths avoid it.
         """
         distance = grid.distance.copy()
         places = np.array([spline.points[-1] for spline in self._trajectories]).reshape(-1, 3)
@@ -59,7 +59,7 @@ class MovingVehicles:
         return len(self._trajectories)
 
     def conflict_time(self, spline: UniformSpline, begin: float) -> float:
-        """Return the ROS time, s, from ``begin`` on at which a trajectory is too near to another; inf: never."""
+        """Return the ROS time, s, from ``begin`` on, at which a trajectory is too close to another; inf: never."""
         end = max((other.end for other in (spline, *self._trajectories)), default=begin)
         return float(
             first_approach(

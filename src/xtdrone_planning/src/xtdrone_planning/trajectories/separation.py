@@ -1,4 +1,4 @@
-"""Kernels on trajectories of two vehicles: where they are at the same time, and how near."""
+"""Kernels that check the separation of two vehicles' trajectories over time."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from xtdrone_planning.trajectories.spline_cost import UPRIGHT
 from xtdrone_planning.trajectories.spline_kernels import spline_at
 
 _LEAST_STEP, _MOST_STEP = 0.02, 0.5  # s
-_LEAST = 0.01  # m: distances stay positive, as a search leaves obstacles only through such voxels
+_LEAST = 0.01  # m: distances stay positive, because a search leaves obstacles only through such voxels
 
 
 @kernel
 def first_approach(points, interval, start, others, intervals, starts, counts, distance, begin, end):
-    """Return the time at which a trajectory comes nearer to another one than a distance; infinite if it does not.
+    """Return the time at which a trajectory comes closer to another than a distance; infinite if never.
 
-    Trajectories that are nearer at ``begin`` may part, not approach further. The step is such that no approach of more
-    than a tenth of the distance is missed: the distance shrinks at most at the sum of both speeds.
+    Trajectories that are closer at ``begin`` may separate, not approach further. The step is chosen so that no approach
+    by more than 10 % of the distance is missed: the distance decreases at most at the sum of both speeds.
 
     Args:
         points: (n, 3) control points of the trajectory, m.
         interval: s between its knots.
         start: its time, s.
-        others: (m, k, 3) control points of the others, filled up to the maximum number k.
+        others: (m, k, 3) control points of the others, padded to the maximum number k.
         intervals, starts: (m,) of the others, s.
         counts: (m,) numbers of their control points.
         distance: (m,) m.
@@ -55,7 +55,7 @@ def first_approach(points, interval, start, others, intervals, starts, counts, d
 
 @kernel
 def _state(points, interval, since):
-    """Return the position at a time after the start, s, and a bound of the speed on the segment there."""
+    """Return the position at a time after the start, s, and an upper bound of the speed on that segment."""
     last = interval * (len(points) - 3)
     state = spline_at(points, interval, min(max(since, 0.0), last))
     if since < 0.0 or since > last:
@@ -74,14 +74,14 @@ def places_at(points, interval, start, times, places):
 
 @kernel
 def shorten_near(distance, corner, resolution, places, apart, clearance):
-    """Shorten the distances of a map near vehicles, in place: below ``clearance`` where one is nearer than allowed.
+    """Reduce the distances of a map near vehicles, in place: below ``clearance`` where one is closer than allowed.
 
     Args:
         distance: (nx, ny, nz) m.
-        corner: (3,) number of the lowest voxel.
+        corner: (3,) index of the lowest voxel.
         resolution: side of a voxel, m.
         places: (m, 3) of the vehicles, m in map.
-        apart: (m,) distance to be kept from each, m; above and below ``1 / UPRIGHT`` times as much.
+        apart: (m,) clearance to each, m; vertically ``1 / UPRIGHT`` times as much.
         clearance: m.
     """
     nx, ny, nz = distance.shape

@@ -1,4 +1,4 @@
-"""Stopping on the path of a trajectory: the same places, later and later."""
+"""Braking along the path of a trajectory: the same positions, at increasing delays."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ _MOST = 200  # knots
 
 
 def stopping(spline: UniformSpline, time: float, deceleration: float) -> UniformSpline:
-    """Return the trajectory that brakes on the path of another one.
+    """Return a trajectory that brakes along the path of another one.
 
     Args:
-        spline: the trajectory that is flown.
-        time: from which on to brake, s of ROS time.
+        spline: the current trajectory.
+        time: start of braking, s of ROS time.
         deceleration: m/s^2.
 
     Returns:
-        A trajectory that begins at ``time`` with position and velocity of the other, follows its path (to the fourth
+        A trajectory that begins at ``time`` with position and velocity of the given one, follows its path (to fourth
         order in the interval of 0.1 s), and ends at rest.
     """
     position, velocity, acceleration = spline.at(time)
@@ -38,7 +38,7 @@ def stopping(spline: UniformSpline, time: float, deceleration: float) -> Uniform
 
 
 def _slower_places(spline: UniformSpline, time: float, deceleration: float) -> Array:
-    """Return the places (n, 3), m, at the knots of the trajectory that brakes; at least 4."""
+    """Return the positions (n, 3), m, at the knots of the braking trajectory; at least 4."""
     places, at, rate = [spline.at(time)[0]], time, 1.0
     while len(places) < _MOST:
         _, velocity, acceleration = spline.at(at)

@@ -15,16 +15,16 @@ from xtdrone_planning.kernel import kernel
 from xtdrone_planning.mapping.field_lookup import distance_at
 
 FIXED = 3
-"""Control points at either end that are given by the states there."""
+"""Control points at either end that are determined by the boundary states."""
 
 _JERK, _LIMIT, _NEAR_PATH = 0.02, 4.0, 0.15  # weights
 SAMPLES = 3
-"""Of a segment, at which its distance to obstacles and others is regarded."""
+"""Sampling points per segment for the distance to obstacles and other vehicles."""
 _MEMORY = 6
-_SAME_PLACE = 1e-6  # m: the direction from another is undefined
+_SAME_PLACE = 1e-6  # m: closer than this, the direction from another vehicle is undefined
 UPRIGHT = 0.5
-"""Factor of heights in distances from others, so that vehicles pass beside each other rather than through downwash and
-into heights that no sensor has seen; the ellipsoid of X. Zhou et al., EGO-Swarm, ICRA 2021."""
+"""Scale of heights in distances from others, so that vehicles pass beside each other rather than through downwash and
+at heights that no sensor has seen; the ellipsoid of X. Zhou et al., EGO-Swarm, ICRA 2021."""
 _ARMIJO = 1e-4
 
 
@@ -38,13 +38,13 @@ def cost(
     Args:
         points: (n, 3) control points, m.
         interval: s between knots.
-        reference: (n, 3) places to which the control points are drawn, weakly, m.
+        reference: (n, 3) positions that weakly attract the control points, m.
         distance, corner, resolution: of the map.
-        clearance: distance to obstacles below which it costs, m.
+        clearance: distance to obstacles below which cost is added, m.
         weight: of that cost.
         speed, acceleration: limits, m/s and m/s^2.
-        moving: ((n - 3) * SAMPLES, m, 3) places of m others at the times of the samples, m.
-        apart: (m,) distance from each of them below which it costs, m.
+        moving: ((n - 3) * SAMPLES, m, 3) positions of m other vehicles at the sample times, m.
+        apart: (m,) distance from each of them below which cost is added, m.
         gradient: (n, 3), the result.
     """
     n = len(points)
@@ -111,7 +111,7 @@ def _collision(points, k, interval, distance, corner, resolution, clearance, wei
 
 @kernel
 def _limits(points, interval, speed, acceleration, gradient):
-    """Return the cost of control velocities and accelerations beyond the limits, and add its derivatives."""
+    """Return the cost of exceeding the velocity and acceleration limits, and add its derivatives."""
     total = 0.0
     n = len(points)
     for k in range(n - 1):
@@ -142,7 +142,7 @@ def optimise(
     points, interval, reference, distance, corner, resolution, clearance, weight, speed, acceleration, moving, apart,
     iterations,
 ):  # fmt: skip
-    """Minimise the cost over the control points that are not fixed, in place; see ``cost``. Return the cost."""
+    """Minimise the cost over the free control points, in place; see ``cost``. Return the cost."""
     free = points[FIXED:-FIXED].size
     old_steps, old_slopes = np.zeros((_MEMORY, free)), np.zeros((_MEMORY, free))
     shares, curvatures = np.zeros(_MEMORY), np.zeros(_MEMORY)
@@ -190,7 +190,7 @@ def optimise(
 
 @kernel
 def _dot(a, b):
-    """Return the scalar product, added up in order: BLAS's order depends on the machine."""
+    """Return the scalar product, summed in a fixed order: that of BLAS depends on the machine."""
     total = 0.0
     for n in range(len(a)):
         total += a[n] * b[n]
@@ -199,7 +199,7 @@ def _dot(a, b):
 
 @kernel
 def _direction(slope, steps, changes, shares, curvatures, kept):
-    """Return the step of L-BFGS's two loops."""
+    """Return the step by the two-loop recursion of L-BFGS."""
     step = -slope
     count = min(kept, _MEMORY)
     for back in range(count):

@@ -47,8 +47,8 @@ def greatest_acceleration(points, interval):
 def greatest_speed(points, interval):
     """Return the maximum speed, m/s.
 
-    It is reached at a knot, or where velocity and acceleration are orthogonal: at a root of a cubic polynomial, each of
-    which lies alone between the extremes of that polynomial.
+    The maximum lies at a knot, or where velocity and acceleration are orthogonal: at a root of a cubic polynomial,
+    whose roots are separated by its extrema.
     """
     most = 0.0
     cubic, bounds = np.empty(4), np.empty(4)
@@ -83,7 +83,7 @@ def greatest_speed(points, interval):
 
 @kernel
 def extremes(points, axis):
-    """Return the least and the greatest coordinate of a spline along an axis, m: at a knot, or where it turns."""
+    """Return the minimum and maximum coordinate of a spline along an axis, m: at a knot or at an extremum."""
     least, most = math.inf, -math.inf
     for k in range(len(points) - 3):
         a, b, c, d = points[k, axis], points[k + 1, axis], points[k + 2, axis], points[k + 3, axis]
@@ -112,7 +112,7 @@ def _value(cubic, u):
 
 @kernel
 def _monotone_parts(cubic, bounds):
-    """Write the bounds of the parts of [0, 1] in which a cubic rises or falls; return their number."""
+    """Write the bounds of the intervals of [0, 1] in which a cubic is monotonic; return their number."""
     bounds[0] = 0.0
     count = 1
     a, b, c = 3.0 * cubic[3], 2.0 * cubic[2], cubic[1]

@@ -1,4 +1,4 @@
-"""The time at which a vehicle is where on a line: it speeds up, keeps a speed, and stops at the end."""
+"""Trapezoidal speed profile along a line: accelerate, cruise, and stop at the end."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TimeLaw:
-    """Way over time with constant accelerations, from ``speed`` to ``peak`` to rest.
+    """Distance over time with constant accelerations, from ``speed`` to ``peak`` to rest.
 
     Attributes:
         length: of the line, m.
@@ -29,13 +29,13 @@ class TimeLaw:
 
     @classmethod
     def along(cls, length: float, speed: float, limit: float, acceleration: float) -> TimeLaw:
-        """Return the fastest law with speeds up to ``limit``, m/s; from a higher ``speed`` it brakes at once."""
+        """Return the fastest profile with speeds up to ``limit``, m/s; from a higher ``speed`` it brakes at once."""
         reachable = math.sqrt(acceleration * length + 0.5 * speed * speed)
         return cls(length, speed, max(speed, min(limit, reachable)), acceleration)
 
     @property
     def _parts(self) -> tuple[float, float, float, float]:
-        """Duration and way of speeding up; duration and way of braking."""
+        """Duration and distance of acceleration; duration and distance of braking."""
         rise = (self.peak - self.speed) / self.acceleration
         rise_way = 0.5 * (self.peak + self.speed) * rise
         fall_way = min(0.5 * self.peak * self.peak / self.acceleration, self.length - rise_way)
@@ -48,7 +48,7 @@ class TimeLaw:
         return rise + fall + (self.length - rise_way - fall_way) / self.peak if self.peak > 0.0 else 0.0
 
     def way(self, times: Array) -> Array:
-        """Return the way (n,), m, at times (n,), s; before the start 0 and after the end ``length``."""
+        """Return the distance (n,), m, at times (n,), s; 0 before the start and ``length`` after the end."""
         rise, rise_way, fall, _ = self._parts
         total = self.duration
         t = np.clip(times, 0.0, total)
@@ -60,7 +60,7 @@ class TimeLaw:
 
 
 def points_along(corners: Array, ways: Array) -> Array:
-    """Return the points (n, 3) at ways (n,), m, along a line of ``corners`` (m, 3)."""
+    """Return the points (n, 3) at distances (n,), m, along a line of ``corners`` (m, 3)."""
     sides = np.linalg.norm(np.diff(corners, axis=0), axis=1)
     reached = np.concatenate([[0.0], np.cumsum(sides)])
     return np.stack([np.interp(ways, reached, corners[:, c]) for c in range(3)], axis=1)

@@ -17,7 +17,7 @@ _SPACING = 0.1  # s between the poses of a path
 
 
 class TrajectoryError(ValueError):
-    """A message that is no trajectory; the message names the field, its value and what is allowed."""
+    """A message that is not a valid trajectory; the text names the field, its value and what is allowed."""
 
 
 def spline_message(
@@ -53,12 +53,12 @@ def spline_of(message: SplineTrajectory) -> UniformSpline:
         raise TrajectoryError(f"interval: {message.interval} is not allowed, above 0 s")
     points = np.array([(point.x, point.y, point.z) for point in message.control_points])
     if not np.isfinite(points).all():
-        raise TrajectoryError("control_points: not finite numbers are not allowed")
+        raise TrajectoryError("control_points: numbers that are not finite are not allowed")
     return UniformSpline(message.start.to_sec(), float(message.interval), points)
 
 
 def path_message(spline: UniformSpline, stamp: rospy.Time, frame: str) -> Path:
-    """Return the places of a trajectory every 0.1 s, for rviz."""
+    """Return the positions of a trajectory every 0.1 s, for rviz."""
     message = Path()
     message.header.stamp, message.header.frame_id = stamp, frame
     times = spline.start + np.arange(0.0, spline.duration + _SPACING, _SPACING)

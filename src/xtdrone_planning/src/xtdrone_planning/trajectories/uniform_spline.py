@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class UniformSpline:
-    """A trajectory; before its start and after its end the vehicle is at its ends.
+    """A trajectory; before its start and after its end, the vehicle is at rest at its ends.
 
     Attributes:
         start: s of ROS time.
@@ -62,18 +62,18 @@ class UniformSpline:
         return float(greatest_acceleration(self.points, self.interval))
 
     def heights(self) -> tuple[float, float]:
-        """Return the lowest and the highest point, m, exactly."""
+        """Return the minimum and maximum height, m, exactly."""
         low, high = extremes(self.points, 2)
         return float(low), float(high)
 
 
 def resting(position: Array, time: float) -> UniformSpline:
-    """Return the trajectory of a vehicle that stays, (3,) m in map, from a ROS time, s, on."""
+    """Return the trajectory of a vehicle that hovers at (3,) m in map from a ROS time, s, onwards."""
     return UniformSpline(time, 1.0, np.tile(np.asarray(position, float), (4, 1)))
 
 
 def first_points(position: Array, velocity: Array, acceleration: Array, interval: float) -> Array:
-    """Return the three control points (3, 3) that give a spline its state at the start.
+    """Return the three control points (3, 3) that give a spline its initial state.
 
     Args:
         position, velocity, acceleration: (3,) m, m/s, m/s^2 in map.
