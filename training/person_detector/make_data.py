@@ -338,9 +338,7 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=100, help="how many scenes (%(default)s)")
     parser.add_argument("--first", type=int, default=0, help="number of the first scene (%(default)s)")
     parser.add_argument("--pictures", type=int, default=24, help="of each scene (%(default)s)")
-    parser.add_argument(
-        "--crowd", type=int, default=16, help="people to a scene; 3 and more in an image (%(default)s)"
-    )
+    parser.add_argument("--crowd", type=int, default=16, help="people to a scene; 3 and more in an image (%(default)s)")
     parser.add_argument("--empty", type=float, default=0.15, help="part of images without people (%(default)s)")
     parser.add_argument("--people", type=Path, action="append", default=[], help="folder of random_people.py")
     parser.add_argument("--seed", type=int, default=1)

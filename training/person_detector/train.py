@@ -225,9 +225,7 @@ class Trainer:
         val = arguments.data / "val"
         self.val = [read_picture(val, label) for label in read_labels(val)[: arguments.val]]
         if rank == 0:
-            print(
-                f"{len(cropper.pictures)} images, {len(cropper.sprites)} people cut out, {len(self.val)} to judge by"
-            )
+            print(f"{len(cropper.pictures)} images, {len(cropper.sprites)} people cut out, {len(self.val)} to judge by")
         self.feeder = Feeder(cropper, arguments.batch // arguments.processes, folder, read)
         self.feeder._read_hard()
 

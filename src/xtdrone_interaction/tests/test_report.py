@@ -210,7 +210,9 @@ def test_pairs_that_came_too_close_are_counted_and_the_closest_is_reported() -> 
     assert [pair["time"] for pair in found["closest"]] == pytest.approx([10.0, 20.0])
     assert found["first_time"] == pytest.approx(9.6)
     assert found["last_time"] == pytest.approx(20.3, abs=0.11)
-    words = "minimum distance 0.00 m (iris_1 and iris_2, at 10.0 s), at least 0.5 m; 2 pairs of 3 vehicles came closer, "
+    words = (
+        "minimum distance 0.00 m (iris_1 and iris_2, at 10.0 s), at least 0.5 m; 2 pairs of 3 vehicles came closer, "
+    )
     assert words + "between 9.6 and 20.3 s" in report["shortcomings"]
     json.dumps(report, allow_nan=False)
 

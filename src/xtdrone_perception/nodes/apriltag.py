@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""Find AprilTags in camera images and tell the autopilot its landing target: ``apriltag.py iris_downward_camera 0``.
+"""Detect AprilTags in camera images and send the landing target to the autopilot: ``apriltag.py iris_downward_camera
+0``.
 
 One process serves one vehicle (``0``) or several (``0-5``, ``1,3``, ``all``: all of that type in /xtdrone/fleet).
 Topics are listed in ``xtdrone_perception.tags.apriltag_node``.

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Odometry of a vehicle by a 2D laser and a range finder: ``laser_odometry.py iris_slam_laser 0``.
+"""Estimate a vehicle's odometry from a 2D laser and a range finder: ``laser_odometry.py iris_slam_laser 0``.
 
 One process serves one vehicle. ``xtdrone_perception.slam.laser.laser_odometry_node`` lists the topics.
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The pose of a laser SLAM to the autopilot: ``laser_transfer.py iris 0 aloam``, as upstream's program of this name.
+"""Forward the pose of a laser SLAM to the autopilot: ``laser_transfer.py iris 0 aloam``, like upstream's program.
 
 SLAM is hector, cartographer (in the plane, with the height of a range finder), aloam, fastlio, or odometry, which is
 any nav_msgs/Odometry on ``~topic``. Topics are listed in ``xtdrone_perception.slam.transfer.transfer_node``.
@@ -29,7 +29,7 @@ def main(arguments: Sequence[str]) -> None:
         raise ArgumentError(f"SLAM: {slam!r} is not allowed, {', '.join(LASERS)}")
     _, ids, name = served_vehicles(arguments[:-1], rospy.get_param("/xtdrone/fleet", None))
     if len(ids) != 1:
-        raise ArgumentError(f"id: {len(ids)} vehicles are not allowed, one for each node")
+        raise ArgumentError(f"id: {len(ids)} vehicles are not allowed, one per node")
     lockstep.init_node(f"{name}_{slam}_laser_transfer", rate=RATE)
     transfer = transfer_of(name, slam)
     lockstep.start()

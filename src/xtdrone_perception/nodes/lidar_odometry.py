@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Odometry of a vehicle by its 3D lidar: ``lidar_odometry.py iris_slam 0``.
+"""Estimate a vehicle's odometry from its 3D lidar: ``lidar_odometry.py iris_slam 0``.
 
 One process serves one vehicle. ``xtdrone_perception.slam.lidar_odometry_node`` lists the topics.
 

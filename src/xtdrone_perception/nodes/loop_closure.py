@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Loop closure beside lidar odometry: ``loop_closure.py iris_slam 0``.
+"""Close loops on top of lidar odometry: ``loop_closure.py iris_slam 0``.
 
 One process serves one vehicle. ``xtdrone_perception.slam.loops.loop_closure_node`` lists the topics.
 

@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
-"""The poses of several VINS-Fusions to the autopilots: ``multi_vins_transfer.py iris 4``, as upstream's program.
+"""Forward the poses of several VINS-Fusions to the autopilots: ``multi_vins_transfer.py iris 4``, like upstream's
+program.
 
 Vehicle ``T``'s VINS-Fusion runs in the namespace ``/T``. Topics are listed in
 ``xtdrone_perception.slam.transfer.transfer_node``.
 
 Parameters:
-    ~starts: list of x, y, z for each vehicle, m in map: where its VINS-Fusion began, ``[[0, 0, 0], [0, 3, 0]]``.
+    ~starts: list of x, y, z for each vehicle, m in map: start position of its VINS-Fusion, ``[[0, 0, 0], [0, 3, 0]]``.
     ~heading, ~sensor_position: see docs/settings.md.
 """
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Estimate where the other vehicles are from ranges and odometry: ``relative_localisation.py iris_uwb 0 5``.
+"""Estimate the positions of the other vehicles from ranges and odometry: ``relative_localisation.py iris_uwb 0 5``.
 
 One process serves one vehicle (``0``) or several (``0-4``, ``1,3``, ``all``).
 Topics are listed in ``xtdrone_perception.localisation.relative_node``.

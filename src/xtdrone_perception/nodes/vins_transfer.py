@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""VINS-Fusion's pose to the autopilot: ``vins_transfer.py iris 0``, as upstream's program of this name.
+"""Forward VINS-Fusion's pose to the autopilot: ``vins_transfer.py iris 0``, like upstream's program of this name.
 
 Topics are listed in ``xtdrone_perception.slam.transfer.transfer_node``.
 

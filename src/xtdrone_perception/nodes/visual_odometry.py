@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Odometry of a vehicle by a depth camera or a stereo pair: ``visual_odometry.py iris_slam_rgbd 0``.
+"""Estimate a vehicle's odometry from a depth camera or a stereo pair: ``visual_odometry.py iris_slam_rgbd 0``.
 
 One process serves one vehicle. ``xtdrone_perception.slam.visual.visual_odometry_node`` lists the topics.
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Detect people and objects in camera pictures: ``yolo.py typhoon_h480 0``.
+"""Detect people and objects in camera images: ``yolo.py typhoon_h480 0``.
 
 One process serves one vehicle (``0``) or several (``0-5``, ``1,3``, ``all``: all of that type in /xtdrone/fleet).
 Topics are listed in ``xtdrone_perception.detection.yolo_node``.

@@ -41,13 +41,13 @@ Angles = tuple[float, float, float]
 class GimbalOptions(Settings):
     """Private parameters of the node, for all its vehicles."""
 
-    roll: float = setting(0.0, low=-180.0, high=180.0, unit="deg", text="roll at the start")
-    pitch: float = setting(-60.0, low=-180.0, high=180.0, unit="deg", text="pitch at the start, negative down")
-    yaw: float = setting(0.0, low=-180.0, high=180.0, unit="deg", text="yaw at the start")
+    roll: float = setting(0.0, low=-180.0, high=180.0, unit="deg", text="initial roll")
+    pitch: float = setting(-60.0, low=-180.0, high=180.0, unit="deg", text="initial pitch, negative down")
+    yaw: float = setting(0.0, low=-180.0, high=180.0, unit="deg", text="initial yaw")
     source: str = setting(
         "vehicle",
         choices=("vehicle", "gazebo"),
-        text="camera pose: from position and gimbal orientation as the vehicle reports them, or the true one",
+        text="camera pose: from the position and gimbal orientation reported by the vehicle, or the true pose",
     )
     camera_offset: tuple[float, float, float] = setting(
         OFFSET, low=-10.0, high=10.0, unit="m", text="camera position relative to base_link, FLU, for source vehicle"
@@ -56,7 +56,7 @@ class GimbalOptions(Settings):
 
     @property
     def angles(self) -> Angles:
-        """Roll, pitch and yaw at the start, deg."""
+        """Initial roll, pitch and yaw, deg."""
         return self.roll, self.pitch, self.yaw
 
 

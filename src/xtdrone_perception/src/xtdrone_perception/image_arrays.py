@@ -1,4 +1,4 @@
-"""Images of cameras as arrays."""
+"""Conversion of camera images to arrays."""
 
 from __future__ import annotations
 

@@ -74,16 +74,16 @@ class DetectorSettings(Settings):
         "auto", choices=("auto", *LAYOUTS), text="layout of the outputs; auto derives it from their shapes"
     )
     width: int = setting(
-        0, low=0, high=2048, unit="px", check=_check_multiple, text="width of the network's input, 0 for the file's"
+        0, low=0, high=2048, unit="px", check=_check_multiple, text="width of the network's input; 0: from the file"
     )
     height: int = setting(
-        0, low=0, high=2048, unit="px", check=_check_multiple, text="height of the network's input, 0 for the file's"
+        0, low=0, high=2048, unit="px", check=_check_multiple, text="height of the network's input; 0: from the file"
     )
-    confidence: float = setting(0.5, low=0.01, high=1.0, text="lowest probability of a detection")
+    confidence: float = setting(0.5, low=0.01, high=1.0, text="minimum probability of a detection")
     nms: float = setting(
-        0.45, low=0.0, high=1.0, text="intersection over union above which two boxes of a class are one object"
+        0.45, low=0.0, high=1.0, text="intersection over union above which two boxes of a class count as one object"
     )
-    letterbox: bool = setting(True, text="fit the image in with grey edges instead of stretching it")
+    letterbox: bool = setting(True, text="pad the image with grey edges instead of stretching it")
     threads: int = setting(1, low=1, high=64, text="OpenCV threads of the process")
 
     def __post_init__(self) -> None:

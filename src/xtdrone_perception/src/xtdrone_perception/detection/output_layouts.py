@@ -1,4 +1,4 @@
-"""Output layouts of YOLO networks: arrays of a network in, boxes, classes and probabilities out.
+"""Output layouts of YOLO networks: conversion of a network's arrays to boxes, classes and probabilities.
 
 Four layouts, C classes and N candidates:
 

@@ -1,4 +1,4 @@
-"""Detection node: images of one or several vehicles in, boxes and positions on the ground out.
+"""Detection node: publishes boxes and ground positions from the images of one or several vehicles.
 
 For each vehicle ``T`` (as ``typhoon_h480_0``) with the number ``i``:
 
@@ -16,9 +16,9 @@ topic                                    type                            meaning
 /xtdrone/T/camera_ok                     std_msgs/Bool                   out, latched: whether the camera works
 =======================================  ==============================  =============================================
 
-The results of an image are published a fixed simulated time (``~latency``) after processing began, whatever the
-processing takes; the flight continues meanwhile. One image per vehicle is processed at a time; of those that arrive
-meanwhile the newest waits, the others are dropped and counted.
+The results of an image are published a fixed simulated time (``~latency``) after processing began, however long it
+takes; the flight continues meanwhile. One image per vehicle is processed at a time; of those that arrive meanwhile, the
+newest waits, and the others are dropped and counted.
 """
 
 from __future__ import annotations
@@ -72,12 +72,12 @@ class DetectionOptions(Settings):
     locator: Geolocator
     tracker: TrackerSettings
     latency: float = setting(0.1, low=0.0, high=10.0, unit="s", text="simulated time from an image to its results")
-    workers: int = setting(1, low=1, high=16, text="images of different vehicles processed at a time")
+    workers: int = setting(1, low=1, high=16, text="images of different vehicles processed at the same time")
     camera: str = setting("cgo3_camera", text="name of the camera's topics below the vehicle's namespace")
     camera_offset: tuple[float, float, float] = setting(
         CAMERA_OFFSET, unit="m", text="camera position relative to base_link, FLU"
     )
-    persons: tuple[str, ...] = setting(("human", "person"), text="classes that are located on the ground")
+    persons: tuple[str, ...] = setting(("human", "person"), text="classes of objects located on the ground")
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class GroundOptions(Settings):
     """Private parameters of the ground and the range of detection."""
 
     ground: float = setting(0.0, low=-1e4, high=1e4, unit="m", text="height of the ground in the map frame")
-    farthest: float = setting(200.0, low=1.0, high=1e4, unit="m", text="highest distance of a located person")
+    farthest: float = setting(200.0, low=1.0, high=1e4, unit="m", text="maximum distance of a located person")
 
 
 class Picture(NamedTuple):
@@ -220,13 +220,13 @@ class VehicleDetection:
         if fx > 0.0 and fy > 0.0 and message.width and message.height:
             self._pinhole = Pinhole(message.width, message.height, fx, fy, cx, cy)
         else:
-            rospy.logwarn_throttle(10.0, f"{self.name}: ignored camera_info without focal lengths or size")
+            rospy.logwarn_throttle(10.0, f"{self.name}: camera_info ignored: no focal lengths or no size")
 
     def _on_image(self, message: Image) -> None:
         try:
             rgb = picture_of(message)
         except ValueError as error:
-            rospy.logwarn_throttle(10.0, f"{self.name}: ignored a picture: {error}")
+            rospy.logwarn_throttle(10.0, f"{self.name}: image ignored: {error}")
             return
         last = self._poses.last
         place = None if last is None else (float(last[0]), float(last[1]), float(last[2]))
@@ -295,7 +295,7 @@ class VehicleDetection:
         try:
             tracks = self._tracker.update(stamp.to_sec(), located, lambda place: in_view(view, place, self._options))
         except ValueError as error:
-            rospy.logwarn_throttle(10.0, f"{self.name}: ignored the positions of a picture: {error}")
+            rospy.logwarn_throttle(10.0, f"{self.name}: positions ignored: {error}")
             return
         message = ObjectsOnGround(vehicle=self.name, dropped=self._dropped)
         message.header.stamp, message.header.frame_id = stamp, "map"
@@ -402,7 +402,7 @@ def object_message(track: Track) -> ObjectOnGround:
 
 
 def in_view(view: View, place: NDArray[np.float64], options: DetectionOptions) -> bool:
-    """Return whether an image should show a person standing at a place (2,), m."""
+    """Return whether an image should show a person standing at a position (2,), m."""
     foot = options.locator.foot(place)
     middle = foot + np.array([0.0, 0.0, 0.5 * options.locator.person.height])
     x, y = view.pinhole.project(((middle - view.position) @ view.rotation)[None])[0]

@@ -20,7 +20,7 @@ Vector = tuple[float, float, float]
 
 IDLE, FOLLOWING, SEARCHING, LOST = "idle", "following", "searching", "lost"
 ANY = 0
-"""Instead of a track's id: the first person found."""
+"""Track id that stands for the first person found."""
 
 _PAUSE = 1.0  # s of HOVER for the vehicle to stop before the search
 _NEAR = 0.5  # m; closer than this the direction to the person is undefined
@@ -48,7 +48,11 @@ class FollowSettings(Settings):
     sweep: float = setting(0.6, low=0.0, high=3.0, unit="rad", text="gimbal yaw to each side during the search")
     sweep_period: float = setting(8.0, low=1.0, high=60.0, unit="s", text="period of the gimbal sweep")
     reach: float = setting(
-        3.0, low=0.1, high=50.0, unit="m", text="a new track this close to the predicted position is the same person"
+        3.0,
+        low=0.1,
+        high=50.0,
+        unit="m",
+        text="a new track within this distance of the predicted position is the same person",
     )
     reach_speed: float = setting(
         2.0, low=0.1, high=20.0, unit="m/s", text="growth of ``reach`` with the time since the last sighting"
@@ -80,7 +84,7 @@ class Command(NamedTuple):
         velocity: forward, left, up, m/s; None: no velocity command.
         yaw_rate: rad/s, positive to the left.
         gimbal: pitch (negative down) and yaw (positive right of the heading), rad; None: unchanged.
-        order: single command for the communication node: ``HOVER``; empty: none.
+        order: one-off command for the communication node: ``HOVER``; empty: none.
     """
 
     velocity: Vector | None = None

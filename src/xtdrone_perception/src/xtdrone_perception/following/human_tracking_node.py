@@ -1,4 +1,4 @@
-"""Node that follows people: tracked people on the ground in, velocity and gimbal commands out.
+"""Node that follows people: publishes velocity and gimbal commands from tracks of people on the ground.
 
 For each vehicle ``T`` (as ``typhoon_h480_0``):
 
@@ -48,7 +48,7 @@ class TrackingOptions(Settings):
     wait: bool = setting(
         False, text="follow only the track named on /xtdrone/T/follow instead of the first person detected"
     )
-    offboard: bool | None = setting(None, text="command OFFBOARD when following begins; as ``wait`` by default")
+    offboard: bool | None = setting(None, text="command OFFBOARD when following begins; default: the value of ``wait``")
     gimbal: bool = setting(True, text="point the gimbal at the person")
     following: FollowSettings = field(default_factory=FollowSettings)
 

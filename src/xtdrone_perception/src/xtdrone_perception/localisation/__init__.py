@@ -1,1 +1,1 @@
-"""Relative localisation: where the other vehicles are, from ranges, bearings and odometry."""
+"""Relative localisation: positions of the other vehicles from ranges, bearings and odometry."""

@@ -1,10 +1,10 @@
 """First position of a neighbour from ranges alone, along the relative motion of both vehicles.
 
 With D the displacement of the neighbour relative to this vehicle from a measurement until now, and a the lever arm of
-the antennas, a range is rho = |r - D + a|. The sum of the squared errors has several minima: seen along a straight
-line, the neighbour may be anywhere on a circle around it, and along a plane on either side. Gauss-Newton therefore
-starts in many directions, and there is a fix only if the information determines all directions and no other minimum
-explains the ranges.
+the antennas, a range is rho = |r - D + a|. The sum of squared errors has several minima: after relative motion along a
+straight line, the neighbour may be anywhere on a circle around it; after motion in a plane, on either side.
+Gauss-Newton is therefore started in many directions, and there is a fix only if all directions are observable and no
+other minimum explains the ranges.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _DIRECTIONS = 32
-_FEW, _STEPS = 40, 15  # ranges and steps from all starts; the minima found are refined with all ranges
+_FEW, _STEPS = 40, 15  # ranges and steps for all starts; the minima found are refined with all ranges
 _LAST_STEPS = 8
-_HUBER = 2.0  # standard deviations from which errors count linearly
-_RIVAL = 12.0  # difference of the sums of squares, in variances, below which another minimum may be the right one
+_HUBER = 2.0  # standard deviations beyond which errors count linearly
+_RIVAL = 12.0  # difference of normalised squared sums below which another minimum may be the right one
 _MARGIN = 4.0  # two standard deviations
 _APART = 0.3  # m, between two minima
 
@@ -38,13 +38,13 @@ class Fix(NamedTuple):
 
 
 class Ranges(NamedTuple):
-    """Ranges of some seconds.
+    """Ranges over some seconds.
 
     Attributes:
         measured: (k,) m.
         deviation: their standard deviations, (k,) m.
         shift: lever arm minus displacement until now, a - D, (k, 3) m.
-        wander: variance of each axis of the displacement, (k,) m^2.
+        wander: variance of the displacement per axis, (k,) m^2.
     """
 
     measured: Array
@@ -54,13 +54,13 @@ class Ranges(NamedTuple):
 
 
 def first_fix(ranges: Ranges, height: float, height_deviation: float, worst: float) -> Fix | None:
-    """Return the position that explains the ranges; None while there is no such or more than one.
+    """Return the position that explains the ranges; None if there is none, or more than one.
 
     Args:
         ranges: at least four.
         height: of the neighbour above this vehicle, m.
-        height_deviation: its standard deviation, m; infinite where it is unknown.
-        worst: largest standard deviation in any direction, m.
+        height_deviation: its standard deviation, m; infinite if unknown.
+        worst: maximum standard deviation in any direction, m.
     """
     if len(ranges.measured) < 4:
         return None
@@ -82,7 +82,7 @@ def first_fix(ranges: Ranges, height: float, height_deviation: float, worst: flo
 
 
 def _descend(positions: Array, ranges: Ranges, height: float, height_deviation: float, steps: int) -> Array:
-    """Return the positions, (n, 3), after steps of Gauss-Newton; those that leave the finite numbers are left out."""
+    """Return the positions, (n, 3), after Gauss-Newton steps; diverged ones are dropped."""
     for _ in range(steps):
         gradient, information, _ = _normal_equations(positions, ranges, height, height_deviation)
         damped = information + 1e-6 * np.eye(3) * np.trace(information, axis1=1, axis2=2)[:, None, None]
@@ -91,7 +91,7 @@ def _descend(positions: Array, ranges: Ranges, height: float, height_deviation: 
 
 
 def _distinct(positions: Array) -> Array:
-    """Return one of each group of positions that are nearer to each other than two minima."""
+    """Return one position per cluster; positions closer than two minima belong to one cluster."""
     kept: list[Array] = []
     for position in positions:
         if all(np.linalg.norm(position - other) > 0.5 * _APART for other in kept):
@@ -100,10 +100,11 @@ def _distinct(positions: Array) -> Array:
 
 
 def _apparent(position: Array, ranges: Ranges) -> Array:
-    """Return the information, (3, 3), that errors of the displacement feign: they look like motion across.
+    """Return the spurious information, (3, 3), from displacement errors, which look like motion across the line of
+    sight.
 
-    An error of variance s^2 in each axis turns the direction u by s / rho, so the sum of u u' expects s^2 / rho^2 (I -
-    u u') too much in each term; twice the standard deviation is subtracted.
+    An error of variance s^2 per axis rotates the direction u by s / rho, so each term u u' is too large by s^2 / rho^2
+    (I - u u') on average; twice the standard deviation is subtracted.
     """
     lines = position + ranges.shift
     lengths = np.maximum(np.linalg.norm(lines, axis=1), 1e-6)
@@ -113,7 +114,7 @@ def _apparent(position: Array, ranges: Ranges) -> Array:
 
 
 def _starts(distance: float) -> Array:
-    """Return points all around at a distance, (n, 3) m: a Fibonacci lattice."""
+    """Return points on a sphere of a radius, (n, 3) m: a Fibonacci lattice."""
     k = np.arange(_DIRECTIONS) + 0.5
     z = 1.0 - 2.0 * k / _DIRECTIONS
     angle = np.pi * (1.0 + 5.0**0.5) * k

@@ -1,9 +1,9 @@
 """Position of one neighbour relative to this vehicle: an extended Kalman filter on ranges and bearings.
 
-The state is r = x_neighbour - x_own in the axes of map (all vehicles share a compass). It moves with the difference of
-the velocities that both estimate of themselves; their errors, which last for a second or so, are the process noise (A.
-Martinelli et al., Multi-robot localization using relative observations, ICRA 2005, for the same state). Ranges alone
-observe r only along with a relative motion that turns; the covariance tells.
+The state is r = x_neighbour - x_own in the axes of map (all vehicles share a compass). It is propagated by the
+difference of the vehicles' own velocity estimates; their errors, correlated over about 1 s, are the process noise (A.
+Martinelli et al., Multi-robot localization using relative observations, ICRA 2005, for the same state). From ranges
+alone, r is observable only if the relative motion changes direction; the covariance shows it.
 """
 
 from __future__ import annotations
@@ -31,30 +31,28 @@ class FilterSettings(Settings):
         low=0.0,
         high=10.0,
         unit="m/sqrt(s)",
-        text="growth of the error of relative odometry: standard deviation after one second",
+        text="growth of the relative odometry error: standard deviation after one second",
     )
-    gate: float = setting(
-        4.0, low=1.0, high=100.0, text="standard deviations from which on a measurement is an outlier"
-    )
+    gate: float = setting(4.0, low=1.0, high=100.0, text="standard deviations beyond which a measurement is an outlier")
     height_deviation: float = setting(
         0.5,
         low=0.0,
         high=100.0,
         unit="m",
-        text="standard deviation of the difference of broadcast heights; 0: not used",
+        text="standard deviation of the difference of broadcast heights; 0: heights are not used",
     )
-    window: float = setting(20.0, low=1.0, high=300.0, unit="s", text="ranges of this time give the first fix")
+    window: float = setting(20.0, low=1.0, high=300.0, unit="s", text="time span of the ranges used for the first fix")
     worst_start: float = setting(
-        1.0, above=0.0, high=100.0, unit="m", text="largest standard deviation, in any direction, of the first fix"
+        1.0, above=0.0, high=100.0, unit="m", text="maximum standard deviation, in any direction, of the first fix"
     )
     worst: float = setting(
         2.0,
         above=0.0,
         high=1000.0,
         unit="m",
-        text="largest standard deviation, in any direction, of a position that is used",
+        text="maximum standard deviation, in any direction, of a position that is used",
     )
-    lost: int = setting(30, low=1, high=10000, text="outliers in a row after which the filter starts again")
+    lost: int = setting(30, low=1, high=10000, text="consecutive outliers after which the filter restarts")
 
 
 class _Heard(NamedTuple):
@@ -68,7 +66,7 @@ class _Heard(NamedTuple):
 
 
 class RelativeFilter:
-    """Where one neighbour is.
+    """Position filter of one neighbour.
 
     Attributes:
         position: relative to this vehicle, (3,) m, axes of map; NaN before the first fix.
@@ -97,7 +95,7 @@ class RelativeFilter:
 
     @property
     def known(self) -> bool:
-        """Whether the position is known well enough to be used."""
+        """Whether the position is accurate enough to be used."""
         return self._ready and self.deviation <= self._settings.worst
 
     @property
@@ -106,7 +104,7 @@ class RelativeFilter:
         return math.sqrt(max(float(np.linalg.eigvalsh(self.covariance)[-1]), 0.0)) if self._ready else math.inf
 
     def predict(self, dt: float, velocity: Array) -> None:
-        """Move on by ``dt`` s with the neighbour's velocity relative to this vehicle's, (3,) m/s."""
+        """Predict ``dt`` s ahead with the neighbour's velocity relative to this vehicle's, (3,) m/s."""
         step = np.asarray(velocity, float) * dt
         self._time += dt
         self._moved = self._moved + step
@@ -115,11 +113,11 @@ class RelativeFilter:
             self.covariance = self.covariance + self._settings.drift**2 * dt * np.eye(3)
 
     def add_height(self, height: float) -> None:
-        """Fuse the neighbour's height above this vehicle, m, as both report theirs."""
+        """Fuse the neighbour's height above this vehicle, m, from the heights that both report."""
         if self._settings.height_deviation == 0.0 or not math.isfinite(height):
             return
         self._height = height
-        if self._ready:  # the error lasts: it limits the covariance, and does not average out
+        if self._ready:  # the error is persistent: it bounds the covariance and does not average out
             variance = self._settings.height_deviation**2
             if self.covariance[2, 2] > variance:
                 excess = variance * self.covariance[2, 2] / (self.covariance[2, 2] - variance)
@@ -168,7 +166,7 @@ class RelativeFilter:
             return
         line = self.position + lever
         length = max(float(np.linalg.norm(line)), 0.1)
-        flat = max(ce, 0.05) * deviation  # an error of the azimuth moves the direction by its cosine
+        flat = max(ce, 0.05) * deviation  # an azimuth error shifts the direction in proportion to cos(elevation)
         slope = across.T @ (np.eye(3) - np.outer(line, line) / length**2) / length
         self._correct(slope, -across.T @ line / length, np.array([flat**2, deviation**2]))
 

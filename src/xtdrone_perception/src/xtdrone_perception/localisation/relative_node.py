@@ -1,4 +1,4 @@
-"""Relative localisation node: each vehicle's estimate of where the others are.
+"""Relative localisation node: estimates the positions of the other vehicles for each vehicle.
 
 For each vehicle ``T`` that the node serves, and every other vehicle ``S`` of its type:
 
@@ -40,7 +40,7 @@ from xtdrone_control.settings import Settings, setting
 from xtdrone_perception.localisation.relative_filter import FilterSettings, RelativeFilter
 
 RATE = 30.0  # Hz, of followers
-_STALE = 1.0  # s without odometry after which a neighbour is forgotten
+_STALE = 1.0  # s without odometry after which a neighbour is dropped
 _FIELDS = 6  # of a vehicle in a swarm topic
 
 Array = NDArray[np.float64]
@@ -52,17 +52,17 @@ class RelativeOptions(Settings):
 
     sensor: str = setting("uwb", text="name of the range sensor's topic below the vehicle's namespace")
     antenna: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.08), low=-10.0, high=10.0, unit="m", text="antenna of every vehicle relative to base_link, FLU"
+        (0.0, 0.0, 0.08), low=-10.0, high=10.0, unit="m", text="position of every vehicle's antenna in base_link, FLU"
     )
 
 
 @dataclass
 class _Broadcast:
-    """What a vehicle tells of itself.
+    """State broadcast by a vehicle.
 
     Attributes:
         attitude: rotation from base_link to map, (3, 3); None before the first pose.
-        place: m, map; used of the own vehicle, of others the height only.
+        place: m, map; of other vehicles only the height is used.
         velocity: m/s, axes of map.
         heard: time of the last velocity, s; negative before the first.
     """
@@ -91,7 +91,7 @@ class Estimates:
             names: of all vehicles.
             fleet: broadcasts of all vehicles, shared.
             options: of the node.
-            how: of the filters.
+            how: settings of the filters.
         """
         self._index, self._fleet = index, fleet
         self._options = options
@@ -121,13 +121,13 @@ class Estimates:
             if other.attitude is None:
                 continue
             lever = (other.attitude - own.attitude) @ np.array(self._options.antenna)
-            lever = lever - (other.velocity - own.velocity) * age  # where it was when it was measured
+            lever = lever - (other.velocity - own.velocity) * age  # its position at the time of measurement
             one.add_range(entry.range, entry.range_std, lever)
             if entry.has_bearing:
                 one.add_bearing(entry.azimuth, entry.elevation, entry.bearing_std, own.attitude, lever, entry.range)
 
     def step(self, dt: float, now: float) -> None:
-        """Move the estimates on by ``dt`` s and publish them."""
+        """Predict the estimates ``dt`` s ahead and publish them."""
         own = self._fleet[self._index]
         for number, one in self.filters.items():
             other = self._fleet[number]
@@ -177,7 +177,7 @@ class RelativeLocalisationNode:
             ids: vehicles whose estimates are computed here.
             count: number of vehicles.
             options: of the node.
-            how: of the filters.
+            how: settings of the filters.
         """
         names = [f"{kind}_{i}" for i in range(count)]
         self._fleet = [_Broadcast(None, np.full(3, np.nan), np.zeros(3)) for _ in names]
@@ -210,7 +210,7 @@ class RelativeLocalisationNode:
             self._fleet[index].velocity, self._fleet[index].heard = velocity, rospy.get_time()
 
     def step(self) -> None:
-        """Move all estimates on and publish them; call it at 30 Hz."""
+        """Predict all estimates and publish them; call it at 30 Hz."""
         now = rospy.get_time()
         dt = 0.0 if self._time is None else max(now - self._time, 0.0)
         self._time = now

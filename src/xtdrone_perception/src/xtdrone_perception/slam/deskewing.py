@@ -1,4 +1,4 @@
-"""Points of a scan that was taken in motion, as if all had been measured at its end."""
+"""Motion compensation (deskewing) of scans: transform all points to the end of the scan."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ class ScanMotion:
 
     Attributes:
         times: (k,) s after the first ray, ascending; the last one is the end of the scan. k >= 2.
-        turns: (k, 3) rotation vector, rad, from the body at that time to the body at the end, in the latter's axes.
+        turns: (k, 3) rotation vector, rad, from the body at that time to the body at the end, in the axes of the
+        latter.
         velocity: (3,) m/s of the body, in its axes at the end.
     """
 
@@ -46,7 +47,7 @@ def motion_of(times: Array, attitudes: Rotation, velocity: Array) -> ScanMotion:
 def deskewed(points: Array, times: Array, motion: ScanMotion) -> Array:
     """Return the points in the body's frame at the end of the scan.
 
-    Rotation vectors are interpolated in time, and rotate to the second order: 0.1 rad in a scan are right to 0.2 mrad.
+    Rotation vectors are interpolated in time and applied to second order: for 0.1 rad per scan the error is 0.2 mrad.
 
     Args:
         points: (n, 3) m, each in the body's frame at its own time.

@@ -1,13 +1,13 @@
-"""Lidar odometry: scans are registered, one after the other, to the map that they make.
+"""Lidar odometry: each scan is registered to the map built from the previous ones.
 
 The registration is voxelised generalised ICP (K. Koide et al., Voxelized GICP for fast and accurate 3D point cloud
-registration, ICRA 2021) by small_gicp, against a map of Gaussians that forgets what has not been seen for a long time.
-A point corresponds to the voxel in which it is, so a surface close to the side of its voxel is lost where the
-prediction is a little off: a second map, whose voxels are shifted by half their side, then has it in the middle of a
-voxel. Point-to-point ICP was measured beside it: of a lidar's few rings on the ground the points are drawn along with
-the vehicle, so it lost 1 m of height on 80 m of way where this loses 0.1 m, and took several times as long.
+registration, ICRA 2021) by small_gicp, against a map of Gaussians from which voxels not seen for a long time are
+removed. A point corresponds to the voxel that contains it, so a surface close to a voxel boundary is missed if the
+prediction is slightly off: a second map, whose voxels are shifted by half their size, has it near a voxel's centre.
+Point-to-point ICP was measured for comparison: the few rings on the ground move along with the lidar, so it lost 1 m of
+height over 80 m (this method: 0.1 m), and took several times as long.
 
-One thread: the sums of several threads would depend on their order.
+Registration uses one thread: sums over several threads would depend on their order.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ Array = NDArray[np.float64]
 
 _ITERATIONS = 20
 _ROTATION_STEP, _TRANSLATION_STEP = 1e-4, 1e-4  # rad and m: smaller steps end the iteration
-_CLEAR_CYCLE = 50  # scans between two looks for what is to be forgotten
+_CLEAR_CYCLE = 50  # scans between two removals of old voxels
 _CORRELATION = 50.0
-"""By which the covariance is larger than that of independent points: those that share a surface share its errors.
+"""Factor by which the covariance exceeds that of independent points: points on one surface share its errors.
 
 Calibrated on ten flights of 244 m (cities 1 to 10, seeds 0 to 9): with it the mean square of a pose's errors in the
-map's frame, normalised by the covariance, is 0.94 for each degree of freedom, 0.63 to 1.47 in a flight.
+map's frame, normalised by the covariance, is 0.94 per degree of freedom, 0.63 to 1.47 per flight.
 """
 
 
@@ -44,25 +44,25 @@ map's frame, normalised by the covariance, is 0.94 for each degree of freedom, 0
 class RegistrationOptions(Settings):
     """Private parameters of the registration."""
 
-    range_min: float = setting(0.5, low=0.0, high=100.0, unit="m", text="nearer points are not used")
-    range_max: float = setting(100.0, low=1.0, high=1000.0, unit="m", text="farther points are not used")
-    spacing: float = setting(0.8, low=0.05, high=5.0, unit="m", text="side of the cells in which a scan is averaged")
-    voxel: float = setting(1.0, low=0.1, high=10.0, unit="m", text="side of the map's voxels")
-    neighbours: int = setting(20, low=5, high=100, text="points from which the surface around a point is estimated")
+    range_min: float = setting(0.5, low=0.0, high=100.0, unit="m", text="closer points are ignored")
+    range_max: float = setting(100.0, low=1.0, high=1000.0, unit="m", text="farther points are ignored")
+    spacing: float = setting(0.8, low=0.05, high=5.0, unit="m", text="cell size for downsampling a scan")
+    voxel: float = setting(1.0, low=0.1, high=10.0, unit="m", text="voxel size of the map")
+    neighbours: int = setting(20, low=5, high=100, text="number of points used to estimate the surface around a point")
     reach: float = setting(1.0, low=0.1, high=10.0, unit="m", text="maximum distance of corresponding points")
     memory: int = setting(
-        3000, low=10, high=1_000_000, text="scans after which a part of the map that was not seen is forgotten"
+        3000, low=10, high=1_000_000, text="scans after which voxels not seen are removed from the map"
     )
-    least_points: int = setting(100, low=10, high=100_000, text="points that a scan needs to be registered")
+    least_points: int = setting(100, low=10, high=100_000, text="minimum number of points of a scan that is registered")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Registration(Estimate):
-    """Result of one scan, at its end; the residual is about 0.5 for 2 cm of noise.
+    """Result of one scan, at its end; the residual is about 0.5 with 2 cm of noise.
 
     Attributes:
-        points: (n, 3) of the scan, without skew, in the body's frame at its end.
-        surfaces: the scan as the map takes it; None: too few points.
+        points: (n, 3) of the deskewed scan, in the body's frame at its end.
+        surfaces: the scan prepared for the map; None: too few points.
     """
 
     points: Array
@@ -70,7 +70,7 @@ class Registration(Estimate):
 
 
 class _Map:
-    """A map of Gaussians whose voxels are shifted.
+    """A map of Gaussians with shifted voxels.
 
     Attributes:
         gaussians: in the shifted frame.
@@ -127,7 +127,7 @@ class LidarOdometry:
         self.pose = start
 
     def points_of(self, scan: PointScan, motion: ScanMotion) -> Array:
-        """Return the points that are in range, (n, 3) m, without skew, in the body's frame at the end of the scan."""
+        """Return the points within range, (n, 3) m, deskewed, in the body's frame at the end of the scan."""
         settings = self._settings
         ranges = np.linalg.norm(scan.points, axis=1)
         near = (ranges >= settings.range_min) & (ranges <= settings.range_max)
@@ -174,7 +174,7 @@ class LidarOdometry:
                 part.insert(registration.surfaces, registration.pose)
 
     def move(self, pose: Array) -> None:
-        """Move to a pose that was not found by registration."""
+        """Move to a predicted pose, without registration."""
         self.pose = pose
 
     def local_map(self, radius: float) -> Array:
@@ -188,14 +188,14 @@ class LidarOdometry:
         return found
 
     def _surfaces(self, points: Array) -> small_gicp.PointCloud:
-        """Return a scan that is averaged in cells, with the surfaces around its points."""
+        """Return a downsampled scan with the surfaces around its points."""
         source = small_gicp.voxelgrid_sampling(points, self._settings.spacing)
         small_gicp.estimate_covariances(source, None, self._settings.neighbours)
         return source
 
 
 def _unregistered(predicted: Array, points: Array, source: small_gicp.PointCloud | None, count: int) -> Registration:
-    """Return the result of a scan with nothing to compare with: the first one, or one with too few points."""
+    """Return the result of a scan that cannot be compared: the first one, or one with too few points."""
     is_first = source is not None
     return Registration(
         pose=predicted,
@@ -212,12 +212,12 @@ def _unregistered(predicted: Array, points: Array, source: small_gicp.PointCloud
 
 
 def _orthonormal(pose: Array) -> Array:
-    """Return a pose whose rotation is exact, so that errors of rounding do not add up."""
+    """Return a pose with an orthonormal rotation, so that rounding errors do not accumulate."""
     return pose_of(pose[:3, 3], Rotation.from_matrix(pose[:3, :3]))
 
 
 def _weakest(information: Array) -> float:
-    """Return the least over the largest eigenvalue of the information on translation, 0..1."""
+    """Return the ratio of the smallest to the largest eigenvalue of the information on translation, 0..1."""
     values = np.linalg.eigvalsh(information[3:, 3:])
     return float(max(values[0], 0.0) / values[-1]) if values[-1] > 0.0 else 0.0
 

@@ -1,10 +1,10 @@
-"""Lidar odometry of one vehicle ``T`` as a ROS node; ``odometry_node`` lists the topics of every odometry.
+"""ROS node for lidar odometry of one vehicle ``T``; ``odometry_node`` lists the topics of every odometry.
 
 =========================================  ================================  =========================================
 topic                                      type                              meaning
 =========================================  ================================  =========================================
 /T/velodyne_points (``~cloud``)            sensor_msgs/PointCloud2           in: with the points' times
-/T/lidar_odometry/cloud                    sensor_msgs/PointCloud2           out: the scan without skew, T/base_link
+/T/lidar_odometry/cloud                    sensor_msgs/PointCloud2           out: the deskewed scan, T/base_link
 /T/lidar_odometry/local_map                sensor_msgs/PointCloud2           out, latched: ``~map_rate``, T/odom
 =========================================  ================================  =========================================
 """
@@ -33,7 +33,7 @@ from .poses import pose_of
 from .scan_points import PointScan, read_cloud
 
 _KNOTS = 6  # attitudes in a scan
-_STILL = 0.05  # s without motion for a cloud without times
+_STILL = 0.05  # s assumed without motion for a cloud without times
 
 Array = NDArray[np.float64]
 
@@ -43,16 +43,22 @@ class LidarOdometryOptions(OdometryOptions):
     """Private parameters of the node."""
 
     cloud: str = setting("velodyne_points", text="topic of the clouds below the vehicle's namespace")
-    lidar_position: tuple[float, float, float] = setting((0.0, 0.0, 0.06), unit="m", text="of the lidar in base_link")
-    lidar_rpy: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.0), low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad", text="roll, pitch, yaw in base_link"
+    lidar_position: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.06), unit="m", text="position of the lidar in base_link"
     )
-    map_rate: float = setting(1.0, low=0.0, high=10.0, unit="Hz", text="of the local map; 0: none")
-    map_radius: float = setting(40.0, low=1.0, high=1000.0, unit="m", text="of the local map")
+    lidar_rpy: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.0),
+        low=-2.0 * math.pi,
+        high=2.0 * math.pi,
+        unit="rad",
+        text="roll, pitch, yaw of the sensor in base_link",
+    )
+    map_rate: float = setting(1.0, low=0.0, high=10.0, unit="Hz", text="publishing rate of the local map; 0: off")
+    map_radius: float = setting(40.0, low=1.0, high=1000.0, unit="m", text="radius of the local map")
 
 
 class _MovedScan(NamedTuple):
-    """A scan and the vehicle's motion meanwhile."""
+    """A scan and the vehicle's motion during it."""
 
     scan: PointScan
     motion: ScanMotion
@@ -87,7 +93,7 @@ class LidarOdometryNode(OdometryNode):
         try:
             scan = read_cloud(message)
         except ValueError as error:
-            rospy.logwarn_throttle(10.0, f"{self._name}: ignored a cloud: {error}")
+            rospy.logwarn_throttle(10.0, f"{self._name}: cloud ignored: {error}")
             return
         if self._is_late():
             return

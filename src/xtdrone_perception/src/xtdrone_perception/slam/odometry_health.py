@@ -1,4 +1,4 @@
-"""Whether odometry may be trusted: the faults of a scan, and what follows from them."""
+"""Health monitoring of odometry: faults of a scan, and the resulting state."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 class Fault(Enum):
-    """A reason not to trust odometry; ``words`` says it."""
+    """A fault of odometry; ``words`` describes it."""
 
     SILENT = "no {noun}s arrive"
     FROZEN = "{noun}s do not change"
@@ -28,7 +28,7 @@ class Fault(Enum):
     LATE = "{noun}s are dropped, as registration takes too long"
 
     def words(self, noun: str) -> str:
-        """Return the reason in words; noun: of a measurement, as ``scan``."""
+        """Return the fault in words; noun: name of a measurement, e.g. ``scan``."""
         return self.value.format(noun=noun)
 
 
@@ -40,7 +40,7 @@ class State(Enum):
     LOST = "lost"
 
     def words(self, noun: str) -> str:
-        """Return the state in words; noun: of a measurement, as ``scan``."""
+        """Return the state in words; noun: name of a measurement, e.g. ``scan``."""
         return self.value.format(noun=noun)
 
 
@@ -48,21 +48,23 @@ class State(Enum):
 class HealthLimits(Settings):
     """Private parameters of the supervision."""
 
-    silence: float = setting(0.35, low=0.05, high=10.0, unit="s", text="time without a scan that is a fault")
-    frozen: int = setting(2, low=1, high=100, text="identical scans in succession that are a fault")
-    least_share: float = setting(0.5, low=0.0, high=1.0, text="minimum share of points with a correspondence in the map")
+    silence: float = setting(0.35, low=0.05, high=10.0, unit="s", text="time without a scan that counts as a fault")
+    frozen: int = setting(2, low=1, high=100, text="consecutive identical scans that count as a fault")
+    least_share: float = setting(0.5, low=0.0, high=1.0, text="minimum fraction of map correspondences")
     least_information: float = setting(
-        0.01, low=0.0, high=1.0, text="minimum information on the least known direction, over that on the best known one"
+        0.01, low=0.0, high=1.0, text="minimum information in the weakest direction, relative to the strongest"
     )
-    most_residual: float = setting(3.0, above=0.0, high=100.0, text="maximum root mean square of normalised residuals")
+    most_residual: float = setting(3.0, above=0.0, high=100.0, text="maximum RMS of normalised residuals")
     most_jump: float = setting(
         0.5, above=0.0, high=100.0, unit="m", text="maximum distance of a scan's position from the predicted one"
     )
     most_turn: float = setting(
         0.15, above=0.0, high=3.2, unit="rad", text="maximum angle of a scan's attitude from the predicted one"
     )
-    patience: int = setting(2, low=1, high=100, text="bad scans in succession after which odometry is lost")
-    recovery: int = setting(10, low=1, high=1000, text="good scans in succession after which odometry is good again")
+    patience: int = setting(2, low=1, high=100, text="consecutive bad scans after which odometry counts as lost")
+    recovery: int = setting(
+        10, low=1, high=1000, text="consecutive good scans after which odometry counts as good again"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,12 +75,12 @@ class Estimate:
         pose: (4, 4) body to map, at the time of the measurement.
         predicted: (4, 4) before the registration.
         count: points that were registered.
-        share: of these that have a correspondence, 0..1.
-        residual: root mean square of the normalised residuals.
-        weakest: information on the least known direction over that on the best known one, 0..1; small where the
-            surroundings do not tell where the vehicle is: a plain, a long corridor.
+        share: fraction of these that have a correspondence, 0..1.
+        residual: RMS of the normalised residuals.
+        weakest: information in the weakest direction relative to the strongest, 0..1; small where the surroundings do
+            not constrain the position: a plain, a long corridor.
         covariance: (6, 6) of x, y, z (m, map's axes) and rotation (rad, body's axes).
-        is_first: nothing to compare with: the map was empty.
+        is_first: whether the map was empty.
     """
 
     pose: Array
@@ -103,13 +105,13 @@ class Estimate:
 
 @dataclass(frozen=True)
 class ScanFigures:
-    """What is known of one measurement.
+    """Quality figures of one measurement.
 
     Attributes:
         count: points used.
         share, residual, weakest, jump (m), turn (rad): see ``Estimate``.
-        same: identical ones in succession, 0 for a new one.
-        least_points: that a registration needs.
+        same: number of identical measurements before it, 0 for a new one.
+        least_points: minimum for a registration.
         is_first: no map yet.
     """
 
@@ -125,12 +127,12 @@ class ScanFigures:
 
 
 def figures_of(found: Estimate, same: int, least_points: int) -> ScanFigures:
-    """Return what is known of a registered measurement.
+    """Return the quality figures of a registered measurement.
 
     Args:
         found: the result.
-        same: identical measurements in succession, 0 for a new one.
-        least_points: that a registration needs.
+        same: number of identical measurements before it, 0 for a new one.
+        least_points: minimum for a registration.
     """
     return ScanFigures(
         found.count,
@@ -166,13 +168,13 @@ def fault_of(figures: ScanFigures, limits: HealthLimits) -> Fault | None:
 class Health:
     """State of the odometry over time.
 
-    A bad scan is never passed on. After ``patience`` of them, or silence, odometry is lost, and needs ``recovery`` good
-    scans to be good again.
+    Bad scans are never published. After ``patience`` of them, or silence, odometry counts as lost, and as good again
+    after ``recovery`` good scans.
 
     Attributes:
         limits: of the supervision.
         state: of the odometry.
-        fault: of the last scan, or the reason for which odometry is lost.
+        fault: of the last scan, or the reason why odometry is lost.
     """
 
     limits: HealthLimits
@@ -183,7 +185,7 @@ class Health:
     _last: float | None = field(default=None, repr=False)  # s, time of the last scan
 
     def on_scan(self, now: float, fault: Fault | None) -> bool:
-        """Record a scan and return whether its pose may be passed on.
+        """Record a scan and return whether its pose may be published.
 
         Args:
             now: time, s.
@@ -202,7 +204,7 @@ class Health:
         return True
 
     def on_time(self, now: float) -> None:
-        """Look whether scans have ceased.
+        """Check whether scans have stopped.
 
         Args:
             now: time, s.

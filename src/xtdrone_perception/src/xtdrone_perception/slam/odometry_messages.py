@@ -1,4 +1,4 @@
-"""Poses, clouds and states of odometry as ROS messages, whose quaternions are (x, y, z, w)."""
+"""Conversion of odometry's poses, clouds and states to ROS messages, whose quaternions are (x, y, z, w)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 class Frames(NamedTuple):
-    """Names of the frames of REP 105."""
+    """Frame names of REP 105."""
 
     map: str
     odom: str
@@ -35,12 +35,12 @@ class Frames(NamedTuple):
 
 
 class Reporter(NamedTuple):
-    """Whose state diagnostics tell.
+    """Identity under which diagnostics are published.
 
     Attributes:
         vehicle: its name.
         source: name of the odometry, as ``lidar_odometry``.
-        noun: of a measurement, as ``scan``.
+        noun: name of a measurement, e.g. ``scan``.
     """
 
     vehicle: str
@@ -98,7 +98,7 @@ def transform(pose: Array, stamp: Time, parent: str, child: str) -> TFMessage:
 
 
 def identity(parent: str, child: str) -> TFMessage:
-    """Return the transform of two frames that are the same."""
+    """Return the identity transform between two frames."""
     return transform(np.eye(4), Time(), parent, child)
 
 
@@ -118,10 +118,10 @@ def diagnostics(
     """Return the state of a vehicle's odometry.
 
     Args:
-        reporter: whose state it is.
+        reporter: identity in the message.
         health: of the odometry.
         figures: of the last measurement, None before the first.
-        dropped: measurements that were not registered for want of time.
+        dropped: measurements that were not registered for lack of time.
         stamp: now.
     """
     noun = reporter.noun

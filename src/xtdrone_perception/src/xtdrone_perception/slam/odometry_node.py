@@ -1,21 +1,20 @@
-"""Odometry of one vehicle ``T`` as a ROS node, whatever sensor it has.
+"""ROS node for odometry of one vehicle ``T``, independent of the sensor.
 
 =========================================  ================================  =========================================
 topic                                      type                              meaning
 =========================================  ================================  =========================================
-/T/mavros/imu/data                         sensor_msgs/Imu                   in: attitude, for skew and prediction
-/T/mavros/local_position/velocity_local    geometry_msgs/TwistStamped        in: velocity, for skew and prediction
+/T/mavros/imu/data                         sensor_msgs/Imu                   in: attitude, for deskewing and prediction
+/T/mavros/local_position/velocity_local    geometry_msgs/TwistStamped        in: velocity, for deskewing and prediction
 /T/SOURCE/odometry                         nav_msgs/Odometry                 out: T/odom to T/base_link
 /T/SOURCE/path                             nav_msgs/Path                     out, latched: ``~path_rate``
-/T/mavros/vision_pose/pose                 geometry_msgs/PoseStamped         out: to the autopilot, while good
-/diagnostics                               diagnostic_msgs/DiagnosticArray   out: at every change, and 1 Hz
+/T/mavros/vision_pose/pose                 geometry_msgs/PoseStamped         out: to the autopilot, while odometry is
+good /diagnostics                               diagnostic_msgs/DiagnosticArray   out: at every change, and 1 Hz
 /tf, /tf_static                            tf2_msgs/TFMessage                out with ``~tf``: map, T/odom, T/base_link
 =========================================  ================================  =========================================
 
-The result of a measurement (a scan, an image) is published ``~latency`` of simulated time after its arrival, whatever
-the computation takes; the flight continues meanwhile. A pose for the autopilot, which takes it for one of the time of
-its arrival, is carried forward to this time. A measurement that may not be trusted (``odometry_health``) is not passed
-on.
+The result of a measurement (a scan, an image) is published ``~latency`` of simulated time after its arrival, however
+long the computation takes; the flight continues meanwhile. Poses for the autopilot, which assumes them to be of the
+time of arrival, are extrapolated to that time. An unreliable measurement (``odometry_health``) is not published.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ from .odometry_health import Estimate, Fault, Health, HealthLimits, State, fault
 from .poses import pose_of, predicted_pose, rotation_of, turned_about_z, yaw_of
 
 RATE = 50.0  # Hz
-_MOST_WAITING = 3  # measurements; on a real vehicle further ones are dropped
+_MOST_WAITING = 3  # measurements; further ones, which occur only on a real vehicle, are dropped
 _LEAST_STEP = 0.05  # m between two poses of the path
 _MOST_PATH = 20_000  # poses
 _REPORT_NS = 1_000_000_000
@@ -58,21 +57,27 @@ class OdometryOptions(Settings):
     """Private parameters of every node for odometry."""
 
     start: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.0), low=-1e5, high=1e5, unit="m", text="where base_link is at the first measurement, in map"
+        (0.0, 0.0, 0.0), low=-1e5, high=1e5, unit="m", text="position of base_link at the first measurement, in map"
     )
     heading: float | None = setting(
-        None, low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad", text="its yaw then, ENU; none: the autopilot's"
+        None,
+        low=-2.0 * math.pi,
+        high=2.0 * math.pi,
+        unit="rad",
+        text="yaw of base_link at the first measurement, ENU; none: the autopilot's",
     )
-    level: bool = setting(True, text="take base_link for level then; false: its roll and pitch are the autopilot's")
+    level: bool = setting(
+        True, text="assume base_link to be level at the first measurement; false: use the autopilot's roll and pitch"
+    )
     latency: float = setting(0.04, low=0.0, high=1.0, unit="s", text="simulated time from a measurement to its result")
     feed: bool = setting(True, text="send poses to the autopilot")
     tf: bool = setting(False, text="publish T/odom to T/base_link")
     tf_map: bool = setting(True, text="publish map to T/odom, the identity; false: loop closure does")
-    path_rate: float = setting(2.0, low=0.0, high=10.0, unit="Hz", text="of the path; 0: none")
+    path_rate: float = setting(2.0, low=0.0, high=10.0, unit="Hz", text="publishing rate of the path; 0: off")
 
 
 class Core(Protocol):
-    """What the node needs of an odometry without ROS.
+    """Interface of an odometry without ROS to the node.
 
     Attributes:
         pose: (4, 4) body to map, at the last measurement.
@@ -81,19 +86,19 @@ class Core(Protocol):
     pose: Array
 
     def accept(self, found: Any) -> None:
-        """Move to the pose of a measurement and remember what it has shown."""
+        """Move to the pose of a measurement and add it to the map."""
 
     def move(self, pose: Array) -> None:
-        """Move to a pose that was not measured."""
+        """Move to a predicted pose."""
 
 
 class Source(NamedTuple):
-    """What distinguishes one odometry from another.
+    """Properties of a kind of odometry.
 
     Attributes:
-        name: of the node and its topics, as ``lidar_odometry``.
-        noun: of a measurement, as ``scan``.
-        least_points: that a measurement needs.
+        name: of the node and its topics, e.g. ``lidar_odometry``.
+        noun: name of a measurement, e.g. ``scan``.
+        least_points: minimum for a measurement.
     """
 
     name: str
@@ -196,10 +201,10 @@ class OdometryNode:
         raise NotImplementedError
 
     def _publish_more(self, found: Any, stamp: rospy.Time) -> None:
-        """Publish what only this source has, after the odometry."""
+        """Publish additional topics of this source, after the odometry."""
 
     def _clear(self) -> None:
-        """Forget everything, as after a reset of time."""
+        """Discard all state, e.g. after a reset of time."""
         self._motion.clear()
         self._core: Core | None = None
         self._health = Health(self._limits)
@@ -229,11 +234,11 @@ class OdometryNode:
         return True
 
     def _submit(self, payload: Any, digest: int, end_ns: int) -> None:
-        """Begin the registration of a measurement.
+        """Start the registration of a measurement.
 
         Args:
             payload: for ``_register``.
-            digest: of the raw data: two measurements of a working sensor differ.
+            digest: of the raw data; two measurements of a working sensor differ.
             end_ns: its time.
         """
         self._same = self._same + 1 if digest == self._digest else 0
@@ -254,7 +259,7 @@ class OdometryNode:
         )
 
     def _started(self, job: Job) -> Core:
-        """Return the odometry, which starts with the first measurement."""
+        """Return the odometry, created at the first measurement."""
         if self._core is None:
             options = self._options
             own = yaw_of(pose_of((0.0, 0.0, 0.0), job.attitude))
@@ -316,7 +321,7 @@ class OdometryNode:
             self._tf.publish(messages.transform(pose, stamp, self._frames.odom, self._frames.body))
 
     def _carried(self, pose: Array, outcome: _Outcome, job: Job, now: rospy.Time) -> Array:
-        """Return a pose carried forward from the time of its measurement to now."""
+        """Extrapolate a pose from the time of its measurement to now."""
         attitude = self._motion.attitude(now.to_nsec())
         turn = Rotation.identity() if attitude is None else job.attitude.inv() * attitude
         return predicted_pose(pose, turn, outcome.velocity, (now.to_nsec() - job.end_ns) * 1e-9)
@@ -345,6 +350,6 @@ class OdometryNode:
     def _log(self, state: State, fault: Fault | None) -> None:
         if state is State.LOST and fault is not None:
             words = fault.words(self._source.noun)
-            rospy.logwarn(f"{self._name}: odometry is lost, the autopilot gets no poses: {words}")
+            rospy.logwarn(f"{self._name}: odometry is lost, the autopilot receives no poses: {words}")
         elif state is State.GOOD and self._told is not None and self._told[0] is State.LOST:
             rospy.loginfo(f"{self._name}: odometry is good again")

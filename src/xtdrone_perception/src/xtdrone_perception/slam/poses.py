@@ -68,7 +68,7 @@ def predicted_pose(pose: Array, turn: Rotation, velocity: Array, seconds: float)
 
     Args:
         pose: (4, 4).
-        turn: of the body meanwhile, in its axes.
+        turn: rotation of the body meanwhile, in its axes.
         velocity: (3,) m/s, mean, in the map.
         seconds: of the time.
     """
@@ -86,5 +86,6 @@ def angle_between(first: Array, second: Array) -> float:
 
 
 def moved(pose: Array, step: Array) -> Array:
-    """Return a pose (4, 4) changed by a shift (m, reference axes), then a rotation vector (rad, body's axes), (6,)."""
+    """Return a pose (4, 4) changed by a translation (m, reference axes) and a rotation vector (rad, body axes),
+    (6,)."""
     return pose_of(pose[:3, 3] + step[:3], rotation_of(pose) * Rotation.from_rotvec(step[3:]))

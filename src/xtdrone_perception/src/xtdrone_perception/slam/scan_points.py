@@ -1,4 +1,4 @@
-"""Point clouds of lidars as arrays."""
+"""Conversion of lidar clouds to arrays."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField
-_TIMES = ("time", "t", "timestamp", "time_offset")  # s, except for whole numbers, which are ns
+_TIMES = ("time", "t", "timestamp", "time_offset")  # s; integer fields are ns
 MOST_POINTS = 2_000_000
 _LONGEST = 1.0  # s, of a scan
 
@@ -38,9 +38,9 @@ class PointScan:
 
 
 def read_cloud(message: Any) -> PointScan:
-    """Return the points of a sensor_msgs/PointCloud2; those that are not finite are left out.
+    """Return the points of a sensor_msgs/PointCloud2; those that are not finite are dropped.
 
-    Times are read from a field ``time`` (s) as velodyne_pointcloud's, or ``t`` (whole ns) as Ouster's.
+    Times are read from a field ``time`` (s), as in velodyne_pointcloud, or ``t`` (integer ns), as in Ouster's driver.
 
     Raises:
         ValueError: fields, sizes or number of points are not allowed; the text names them.

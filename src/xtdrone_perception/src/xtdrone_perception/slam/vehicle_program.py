@@ -1,4 +1,4 @@
-"""The program of a node that serves one vehicle: ``NODE.py TYPE ID``."""
+"""Main program of nodes that serve one vehicle: ``NODE.py TYPE ID``."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ class VehicleNode(Protocol):
     """The node of a vehicle."""
 
     def step(self) -> Any:
-        """Work at a turn of the lockstep."""
+        """Run one turn of the lockstep."""
 
     def close(self) -> None:
-        """Release what the node holds."""
+        """Release the node's resources."""
 
 
 def serve_vehicle(arguments: Sequence[str], suffix: str, rate: float, make: Callable[[str], VehicleNode]) -> None:
@@ -27,15 +27,15 @@ def serve_vehicle(arguments: Sequence[str], suffix: str, rate: float, make: Call
     Args:
         arguments: type and id of the vehicle.
         suffix: the node is called ``TYPE_ID_suffix``.
-        rate: turns a second of simulated time, Hz.
-        make: creates the node, by the vehicle's name.
+        rate: turns per second of simulated time, Hz.
+        make: creates the node for the vehicle's name.
 
     Raises:
         ArgumentError: the arguments do not name one vehicle of the fleet.
     """
     _, ids, name = served_vehicles(arguments, rospy.get_param("/xtdrone/fleet", None))
     if len(ids) != 1:
-        raise ArgumentError(f"id: {len(ids)} vehicles are not allowed, one for each node")
+        raise ArgumentError(f"id: {len(ids)} vehicles are not allowed, one per node")
     lockstep.init_node(f"{name}_{suffix}", rate=rate)
     node = make(name)
     try:

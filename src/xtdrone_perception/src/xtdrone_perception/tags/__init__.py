@@ -1,1 +1,1 @@
-"""AprilTags: detection, pose, and the landing target that they mark."""
+"""AprilTags: detection, pose, and landing target."""

@@ -1,4 +1,4 @@
-"""AprilTag node: images of one or several vehicles in, poses of tags and the landing target out.
+"""AprilTag node: publishes poses of tags and the landing target from the images of one or several vehicles.
 
 For each vehicle ``T`` (as ``iris_downward_camera_0``):
 
@@ -13,8 +13,8 @@ topic                                  type                                   me
                                                                               the exposure's stamp
 =====================================  =====================================  ==========================================
 
-The results of an image are published ``~latency`` of simulated time after it came. An image that comes meanwhile
-waits; of several the newest.
+The results of an image are published ``~latency`` of simulated time after its arrival. Of the images that arrive
+meanwhile, the newest waits.
 """
 
 from __future__ import annotations
@@ -73,12 +73,12 @@ class AprilTagOptions(Settings):
         low=0.0,
         high=0.5,
         unit="px",
-        text="place of the upper left pixel's centre in the camera's calibration: 0.5 of simulated cameras, 0 of those "
-        "that OpenCV has calibrated",
+        text="coordinate of the upper left pixel's centre in the camera's calibration: 0.5 for simulated cameras, 0 "
+        "for cameras calibrated with OpenCV",
     )
-    level: bool = setting(True, text="boards lie level, which decides where an image leaves two poses possible")
+    level: bool = setting(True, text="boards are horizontal; resolves ambiguous poses")
     max_error: float = setting(
-        2.0, above=0.0, high=100.0, unit="px", text="maximum reprojection error of a pose that is published"
+        2.0, above=0.0, high=100.0, unit="px", text="maximum reprojection error of a published pose"
     )
     latency: float = setting(0.04, low=0.0, high=10.0, unit="s", text="simulated time from an image to its results")
 
@@ -147,13 +147,13 @@ class VehicleTags:
         try:
             self._optics = Optics(np.array(message.K, float).reshape(3, 3), np.array(message.D, float))
         except ValueError as error:
-            rospy.logwarn_throttle(_WARNING_PERIOD, f"{self.name}: ignored {error}")
+            rospy.logwarn_throttle(_WARNING_PERIOD, f"{self.name}: ignored: {error}")
 
     def _on_image(self, message: Image) -> None:
         try:
             self._waiting = Picture(message.header, grey_of(message))
         except ValueError as error:
-            rospy.logwarn_throttle(_WARNING_PERIOD, f"{self.name}: ignored a picture: {error}")
+            rospy.logwarn_throttle(_WARNING_PERIOD, f"{self.name}: image ignored: {error}")
 
     # steps
 

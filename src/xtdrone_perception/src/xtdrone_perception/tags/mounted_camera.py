@@ -1,4 +1,4 @@
-"""Pose of a board of tags in ``map``, from its pose in the image of a camera that is fixed to the vehicle."""
+"""Pose of a board of tags in ``map``, from its pose in the image of a camera fixed to the vehicle."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def optical_frame(position: Vector, attitude: Quaternion, offset: Vector, rpy: V
 
 
 def in_map(camera: CameraPose, turn: Array, place: Array) -> tuple[Array, Array]:
-    """Return rotation, (3, 3), and position, (3,) m, in ``map`` of what has these in the optical frame."""
+    """Transform rotation, (3, 3), and position, (3,) m, from the optical frame to ``map``."""
     out = rotation_matrix(camera.orientation)
     return out @ turn, out @ place + np.asarray(camera.position)
 
 
 def up_in(camera: CameraPose) -> Array:
-    """Return the direction upwards in the optical frame, (3,)."""
+    """Return the upward direction in the optical frame, (3,)."""
     return np.asarray(rotation_matrix(camera.orientation)[2])
 
 

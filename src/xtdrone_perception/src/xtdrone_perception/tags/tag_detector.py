@@ -1,7 +1,7 @@
 """Detection of AprilTags of the family 36h11 in grey images, by OpenCV's aruco module.
 
-Corners are refined to parts of a pixel. OpenCV's dictionary has the patterns of the family turned by 180 degrees; the
-order of the corners is that of the images of the family's authors, so that poses agree with apriltag_ros.
+Corners are refined to subpixel accuracy. OpenCV's dictionary has the family's patterns rotated by 180 degrees; the
+order of the corners is that of the authors' images, so that poses agree with apriltag_ros.
 """
 
 from __future__ import annotations
@@ -20,11 +20,9 @@ from xtdrone_control.settings import Settings, setting
 class TagDetectorSettings(Settings):
     """Settings of the detection."""
 
-    least_edge: float = setting(
-        12.0, low=8.0, high=1000.0, unit="px", text="edge of the smallest tag that is searched for"
-    )
+    least_edge: float = setting(12.0, low=8.0, high=1000.0, unit="px", text="minimum edge length of a tag")
     corrected_bits: int = setting(
-        2, low=0, high=5, text="largest number of wrong bits of a tag; more are found, and more that are none"
+        2, low=0, high=5, text="maximum number of wrong bits of a tag; higher values find more tags and more false ones"
     )
 
 
@@ -44,7 +42,7 @@ class SeenTag(NamedTuple):
 class TagDetector:
     """Finds the tags in images; one thread at a time."""
 
-    _LEAST_RATE = 1e-3  # of OpenCV's perimeter by the image's greater side
+    _LEAST_RATE = 1e-3  # of OpenCV's perimeter rate, relative to the image's longer side
 
     def __init__(self, settings: TagDetectorSettings) -> None:
         """Prepare the dictionary."""
@@ -59,7 +57,7 @@ class TagDetector:
         self._detector = cv2.aruco.ArucoDetector(family, parameters)
 
     def detect(self, grey: NDArray[np.uint8]) -> list[SeenTag]:
-        """Return the tags of an image, (height, width), by number; of several with one number the largest."""
+        """Return the tags of an image, (height, width), by id; of several with the same id, the largest."""
         rate = 4.0 * self._settings.least_edge / max(grey.shape)
         self._parameters.minMarkerPerimeterRate = max(rate, self._LEAST_RATE)
         self._detector.setDetectorParameters(self._parameters)

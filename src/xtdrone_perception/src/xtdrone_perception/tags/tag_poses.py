@@ -1,9 +1,9 @@
 """Pose of a board of tags from the corners in an image.
 
-The start is IPPE, the closed form for points of a plane (T. Collins and A. Bartoli, Infinitesimal plane-based pose
-estimation, IJCV 2014), which gives two poses: seen from afar, a plane can be tilted towards the observer or away with
-almost the same image. Both are refined to the minimum reprojection error (Levenberg-Marquardt). Where the errors do
-not tell them apart, the orientation that is expected decides.
+The initial pose is from IPPE, the closed form for coplanar points (T. Collins and A. Bartoli, Infinitesimal plane-based
+pose estimation, IJCV 2014), which gives two poses: seen from afar, a plane tilted towards the observer or away has
+almost the same image. Both are refined to the minimum reprojection error (Levenberg-Marquardt). If the errors do not
+discriminate, the expected orientation decides.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 CORNER_NOISE = 0.3  # px, standard deviation of a refined corner, each axis
 _COUNTS = (0, 4, 5, 8)  # of OpenCV's distortion coefficients
 _SAME = 1e-3  # rad
-_CLEAR = 3.0  # ratio of squared errors above which the better pose is the right one
+_CLEAR = 3.0  # ratio of squared errors above which the better pose is accepted
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Optics:
         """Check the values.
 
         Raises:
-            SettingError: no focal lengths, not finite, or another number of coefficients.
+            SettingError: no focal lengths, numbers not finite, or a wrong number of coefficients.
         """
         if not (np.isfinite(self.matrix).all() and self.matrix[0, 0] > 0.0 and self.matrix[1, 1] > 0.0):
             raise SettingError("camera_info K", self.matrix.ravel().tolist(), "finite, with focal lengths above 0")
@@ -60,8 +60,8 @@ class BoardPose:
         position: of the board's origin, (3,) m.
         covariance: of position, m, and of small turns about the optical frame's axes, rad, (6, 6).
         error: root mean square of the reprojection error per corner, pixels.
-        tags: numbers of the tags that were seen.
-        certain: whether the other pose of the plane has a clearly greater error.
+        tags: ids of the tags seen.
+        certain: whether the alternative pose has a clearly larger error.
     """
 
     rotation: Array
@@ -78,11 +78,11 @@ def board_pose(
     """Return the pose of a board; None if none of its tags is seen, or no pose explains the corners.
 
     Args:
-        board: the tags and their places.
+        board: the tags and their positions.
         seen: tags of the image.
         optics: of the camera.
-        expected_normal: of the board in the optical frame, (3,), as of a board that lies level; decides between two
-            poses that explain the corners about as well.
+        expected_normal: normal of the board in the optical frame, (3,), e.g. of a horizontal board; decides between two
+            poses with similar errors.
     """
     there = {tag.id: tag for tag in board.tags}
     used = [tag for tag in seen if tag.id in there]
@@ -132,7 +132,7 @@ def _candidates(points: Array, pixels: Array, optics: Optics) -> list[tuple[floa
 
 
 def _same(one: Array, other: Array) -> bool:
-    """Return whether two rotation vectors are the same rotation, as where both refinements end in one minimum."""
+    """Return whether two rotation vectors are the same rotation, e.g. when both refinements end in one minimum."""
     between = cv2.Rodrigues(one)[0] @ cv2.Rodrigues(other)[0].T
     return bool(np.linalg.norm(cv2.Rodrigues(between)[0]) < _SAME)
 
@@ -146,7 +146,8 @@ def _covariance(points: Array, turn: Array, place: Array, optics: Optics, noise:
 
 
 def _left_jacobian(vector: Array) -> Array:
-    """Return the matrix from changes of a rotation vector to small turns about fixed axes (J. Sola, 2018, eq. 145)."""
+    """Return the left Jacobian: from changes of a rotation vector to small rotations about fixed axes (J. Sola, 2018,
+    eq. 145)."""
     angle = float(np.linalg.norm(vector))
     x, y, z = vector
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

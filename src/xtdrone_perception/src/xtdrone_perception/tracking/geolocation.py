@@ -100,7 +100,7 @@ class Geolocator:
         farthest: float = 200.0,
         least_dip: float = math.radians(3.0),
     ) -> None:
-        """Set the prior knowledge.
+        """Set the priors.
 
         Args:
             ground: height of flat ground, m, map; or a function of x and y that returns the height.
@@ -119,10 +119,10 @@ class Geolocator:
         self._least_dip = check_range("least_dip", least_dip, 0.001, 1.5, "rad")
 
     def point(self, view: View, pixel: tuple[float, float]) -> Array | None:
-        """Return the point where the ray of a pixel meets the ground, (3,) m, map.
+        """Return the intersection of a pixel's ray with the ground, (3,) m, map.
 
         Returns:
-            None if the ray is too close to the horizon, or meets the ground too far away.
+            None if the ray is too close to the horizon, or hits the ground too far away.
         """
         return self._hit(view, pixel, 0.0)
 
@@ -167,7 +167,7 @@ class Geolocator:
         return self._ground_point(view, state, known, weight)
 
     def foot(self, place: Array) -> Array:
-        """Return the point on the ground, (3,) m, at a place (2,)."""
+        """Return the point on the ground, (3,) m, at horizontal coordinates (2,)."""
         x, y = float(place[0]), float(place[1])
         return np.array([x, y, self._ground(x, y)])
 
@@ -192,7 +192,7 @@ class Geolocator:
         """Return which sides of a box are not cut off by the image."""
         limits = np.array([0.0, 0.0, pinhole.width, pinhole.height])
         known = np.abs(box - limits) > _EDGE
-        # A person as large as the image leaves no side to use: use all, that is, the centre of the image.
+        # A person that fills the image leaves no usable side: use all, i.e. the centre of the image.
         return known if known.sum() >= 2 else np.ones(4, bool)
 
     def _linear(self, view: View, state: Array) -> tuple[Array, Array]:
@@ -251,7 +251,7 @@ def cylinder_box(view: View, foot: Array, height: float, radius: float) -> Array
         height, radius: m.
 
     Returns:
-        NaN if a part of it is not in front of the camera.
+        NaN if any part of it is not in front of the camera.
     """
     return cylinder_boxes(view.pinhole, view.position, view.rotation, np.asarray(foot, float)[None], height, radius)[0]
 

@@ -1,4 +1,4 @@
-"""Poses of the last seconds, interpolated between messages."""
+"""History of recent poses, interpolated between messages."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 class PoseHistory:
-    """Poses or attitudes of the last seconds with interpolation.
+    """Recent poses or attitudes, with interpolation.
 
     An entry is an array whose last four numbers are a unit quaternion; the others are interpolated linearly.
     """
@@ -35,7 +35,7 @@ class PoseHistory:
         self._entries.clear()
 
     def add(self, time_ns: int, entry: Array) -> None:
-        """Add an entry; one that is not later than the last is ignored."""
+        """Add an entry, unless it is not later than the last one."""
         if self._times and time_ns <= self._times[-1]:
             return
         self._times.append(time_ns)

@@ -1,7 +1,7 @@
 """Multi-object tracker on the ground plane.
 
 Each track is a constant-velocity Kalman filter in the plane. The detections of an image are assigned to the tracks at
-least cost within a gate (Hungarian method), confirmed tracks first. Time steps may vary. No ROS.
+minimum cost within a gate (Hungarian method), confirmed tracks first. Time steps may vary. No ROS.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ class TrackerSettings(Settings):
         13.8,
         low=1.0,
         high=100.0,
-        text="highest squared Mahalanobis distance between a track and its detection; 13.8 keeps 99.9 %",
+        text="maximum squared Mahalanobis distance between a track and its detection; 13.8 keeps 99.9 %",
     )
-    birth: float = setting(0.5, low=0.0, high=1.0, text="lowest probability of a detection that begins a track")
+    birth: float = setting(0.5, low=0.0, high=1.0, text="minimum probability of a detection that starts a track")
     confirm_hits: int = setting(3, low=1, high=50, text="detections in ``confirm_of`` images that confirm a track")
     confirm_of: int = setting(5, low=1, high=50, text="images in which ``confirm_hits`` are counted")
     misses: int = setting(8, low=1, high=1000, text="consecutive expected detections missed that end a track")
@@ -64,7 +64,7 @@ class GroundDetection:
         point: position on the ground.
         object_class: name of its class.
         probability: above 0, at most 1.
-        box: in the picture: xmin, ymin, xmax, ymax, px.
+        box: in the image: xmin, ymin, xmax, ymax, px.
     """
 
     point: GroundPoint
@@ -153,7 +153,7 @@ class Tracker:
         Args:
             time: of the exposure, s; not before that of the last image.
             detections: of the image, may be empty.
-            in_view: returns whether the image should show an object at a place (2,), m; None: always.
+            in_view: returns whether the image should show an object at a position (2,), m; None: always.
 
         Raises:
             ValueError: the time is not finite or before that of the last image.
@@ -215,7 +215,7 @@ class Tracker:
         """Return minus twice the log-likelihood that a detection belongs to the track, up to a constant."""
         if detection.object_class != track.object_class:
             return _FORBIDDEN
-        # The shared error may have changed a little since the track began.
+        # The shared error may have changed slightly since the track began.
         spread = track.covariance[:2, :2] + detection.point.covariance[:2, :2]
         error = detection.point.position[:2] - track.state[:2]
         distance = float(error @ np.linalg.solve(spread, error))

@@ -11,9 +11,7 @@ from xtdrone_control.settings import Settings, setting
 class WatchSettings(Settings):
     """Conditions under which a sensor counts as failed."""
 
-    silence: float = setting(
-        0.5, low=0.05, high=10.0, unit="s", text="a sensor silent for longer counts as failed"
-    )
+    silence: float = setting(0.5, low=0.05, high=10.0, unit="s", text="a sensor silent for longer counts as failed")
     repeats: int = setting(
         4, low=2, high=100, text="number of bit-identical measurements in a row after which a sensor counts as failed"
     )

@@ -49,9 +49,7 @@ class FitSettings(Settings):
         choices=("required", "tried", "off"),
         text="registration: required; tried: relative estimates suffice where it fails; off: relative estimates only",
     )
-    cell: float = setting(
-        0.3, low=0.02, high=5.0, unit="m", text="cell size for downsampling before registration"
-    )
+    cell: float = setting(0.3, low=0.02, high=5.0, unit="m", text="cell size for downsampling before registration")
     reach: float = setting(0.6, low=0.05, high=20.0, unit="m", text="maximum distance of corresponding points")
     least_overlap: float = setting(
         0.15, low=0.0, high=1.0, text="minimum fraction of the smaller map's vertical surfaces that the other shares"

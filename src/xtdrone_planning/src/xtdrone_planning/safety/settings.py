@@ -25,9 +25,7 @@ class SafetySettings(Settings):
     deceleration: float = setting(
         1.5, low=0.2, high=10.0, unit="m/s^2", text="deceleration that every vehicle can achieve"
     )
-    lag: float = setting(
-        1.0, low=0.1, high=5.0, unit="s", text="delay before a vehicle begins to brake"
-    )
+    lag: float = setting(1.0, low=0.1, high=5.0, unit="s", text="delay before a vehicle begins to brake")
     max_speed: float = setting(5.0, low=0.2, high=20.0, unit="m/s", text="maximum speed of a corrected setpoint")
     kp: float = setting(
         0.95, low=0.05, high=5.0, unit="1/s", text="speed per position error of a position setpoint (MPC_XY_P)"

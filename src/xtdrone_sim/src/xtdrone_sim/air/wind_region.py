@@ -28,7 +28,11 @@ class RegionSettings(Settings):
         (_FAR, _FAR, _FAR), unit="m", low=-_FAR, high=_FAR, text="greatest x, y, z, ENU"
     )
     wind: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.0), unit="m/s", low=-_STRONGEST, high=_STRONGEST, text="wind in the box, ENU, in addition to the world's"
+        (0.0, 0.0, 0.0),
+        unit="m/s",
+        low=-_STRONGEST,
+        high=_STRONGEST,
+        text="wind in the box, ENU, in addition to the world's",
     )
     edge: float = setting(1.0, low=0.0, high=1e3, unit="m", text="distance inside the box over which it grows")
 

@@ -1,8 +1,8 @@
-"""Odometry by a 2D laser: level scans are matched to the map that they make; the height is a range finder's.
+"""Odometry by a 2D laser: levelled scans are matched to a map built from them; the height comes from a range finder.
 
-Roll and pitch are the autopilot's. A scan's points are brought into the horizontal plane by them, and those that may be
-the ground's are left out. Where the ground below has a step (a table), the range's jump against the predicted height
-moves the ground, not the vehicle.
+Roll and pitch come from the autopilot. They project a scan's points onto the horizontal plane; points that may belong
+to the ground are dropped. At a step of the ground (a table), a jump of the range relative to the predicted height
+changes the ground height, not the vehicle's.
 """
 
 from __future__ import annotations
@@ -22,30 +22,34 @@ from .scan_matching import LineMap, Match, normals_of
 
 Array = NDArray[np.float64]
 
-_HEIGHT_NOISE, _TILT_NOISE = 0.02, 0.01  # m, rad: standard deviations of what the scan does not tell
+_HEIGHT_NOISE, _TILT_NOISE = 0.02, 0.01  # m, rad: standard deviations of the axes that the scan does not observe
 
 
 @dataclass(frozen=True)
 class ScanMatchSettings(Settings):
     """Private parameters of the matching."""
 
-    range_min: float = setting(0.3, low=0.0, high=100.0, unit="m", text="nearer points are not used")
-    range_max: float = setting(30.0, low=1.0, high=1000.0, unit="m", text="farther points are not used")
+    range_min: float = setting(0.3, low=0.0, high=100.0, unit="m", text="closer points are ignored")
+    range_max: float = setting(30.0, low=1.0, high=1000.0, unit="m", text="farther points are ignored")
     reach: float = setting(0.5, low=0.05, high=10.0, unit="m", text="maximum distance of corresponding points")
-    noise: float = setting(0.02, above=0.0, high=1.0, unit="m", text="standard deviation of points about their lines")
-    ground: float = setting(0.1, low=0.0, high=10.0, unit="m", text="points lower above the ground are not used")
+    noise: float = setting(0.02, above=0.0, high=1.0, unit="m", text="standard deviation of points from their lines")
+    ground: float = setting(0.1, low=0.0, high=10.0, unit="m", text="points closer to the ground are ignored")
     slab: float = setting(
-        1.5, low=0.05, high=10.0, unit="m", text="points farther above or below the vehicle are not used"
+        1.5, low=0.05, high=10.0, unit="m", text="points farther above or below the vehicle are ignored"
     )
-    key_step: float = setting(0.3, above=0.0, high=100.0, unit="m", text="way after which a scan joins the map")
-    key_turn: float = setting(0.2, above=0.0, high=3.2, unit="rad", text="turn after which one does")
-    step: float = setting(0.12, above=0.0, high=10.0, unit="m", text="a jump of the range that is a step of the ground")
-    least_points: int = setting(60, low=10, high=100_000, text="points that a scan needs to be matched")
+    key_step: float = setting(
+        0.3, above=0.0, high=100.0, unit="m", text="distance after which a scan is added to the map"
+    )
+    key_turn: float = setting(0.2, above=0.0, high=3.2, unit="rad", text="rotation after which one is added")
+    step: float = setting(
+        0.12, above=0.0, high=10.0, unit="m", text="jump of the range that counts as a step of the ground"
+    )
+    least_points: int = setting(60, low=10, high=100_000, text="minimum number of points of a scan that is matched")
 
 
 @dataclass(frozen=True)
 class LaserSweep:
-    """A scan and what else is known.
+    """A scan with the vehicle's motion and height.
 
     Attributes:
         points: (n, 3) m, in the body, in the order of the rays, each at its own time.
@@ -67,7 +71,7 @@ class LaserEstimate(Estimate):
     """Result of one scan.
 
     Attributes:
-        points: (n, 2) m, level, about the body.
+        points: (n, 2) m, in the horizontal plane, relative to the body.
         floor: height of the ground below, m, None where it is unknown.
     """
 
@@ -137,7 +141,7 @@ class LaserOdometry:
         self._map.insert(found.points @ turn.T + place[:2], normals_of(found.points) @ turn.T)
 
     def move(self, pose: Array) -> None:
-        """Move to a pose that was not found by a scan."""
+        """Move to a predicted pose, without a scan."""
         self.pose = pose
 
     def _is_far(self, step: Array) -> bool:
@@ -167,13 +171,13 @@ class LaserOdometry:
 
 
 def _weakest(information: Array) -> float:
-    """Return the least over the largest eigenvalue of the information on x and y, 0..1."""
+    """Return the ratio of the smallest to the largest eigenvalue of the information on x and y, 0..1."""
     values = np.linalg.eigvalsh(information[:2, :2])
     return float(max(values[0], 0.0) / values[-1]) if values[-1] > 0.0 else 0.0
 
 
 def _covariance(found: Match, is_first: bool) -> Array:
-    """Return the covariance of x, y, z and rotation; height and tilt are those of other sensors."""
+    """Return the covariance of x, y, z and rotation; height and tilt come from other sensors."""
     covariance = np.diag([0.0, 0.0, _HEIGHT_NOISE**2, _TILT_NOISE**2, _TILT_NOISE**2, 0.0])
     known = 1e-6 * np.eye(3) if is_first else np.linalg.pinv(found.information, hermitian=True)
     order = [0, 1, 5]

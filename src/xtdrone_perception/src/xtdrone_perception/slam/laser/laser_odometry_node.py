@@ -1,10 +1,10 @@
-"""Odometry by a 2D laser of one vehicle ``T`` as a ROS node; ``odometry_node`` lists the topics of every odometry.
+"""ROS node for odometry of one vehicle ``T`` by a 2D laser; ``odometry_node`` lists the topics of every odometry.
 
 =========================================  ================================  =========================================
 topic                                      type                              meaning
 =========================================  ================================  =========================================
-/T/scan (``~scan``)                        sensor_msgs/LaserScan             in: all round or a part
-/T/distance (``~distance``)                sensor_msgs/LaserScan             in: its first ray looks down
+/T/scan (``~scan``)                        sensor_msgs/LaserScan             in: full circle or a sector
+/T/distance (``~distance``)                sensor_msgs/LaserScan             in: its first ray points down
 /T/laser_odometry/local_map                sensor_msgs/PointCloud2           out, latched: ``~map_rate``, T/odom
 =========================================  ================================  =========================================
 """
@@ -34,7 +34,7 @@ from .laser_scans import ReadScan, read_scan
 
 _KNOTS = 6  # attitudes in a scan
 _LEAST_DURATION = 0.01  # s
-_OLD_NS = 300_000_000  # ns after which a range says nothing
+_OLD_NS = 300_000_000  # ns after which a range is too old
 
 Array = NDArray[np.float64]
 
@@ -44,13 +44,17 @@ class LaserOdometryOptions(OdometryOptions):
     """Private parameters of the node."""
 
     scan: str = setting("scan", text="topic of the scans below the vehicle's namespace")
-    distance: str = setting("distance", text="topic of the ranges downwards below the vehicle's namespace")
-    laser_position: tuple[float, float, float] = setting((0.0, 0.0, 0.06), unit="m", text="of the laser in base_link")
-    laser_yaw: float = setting(0.0, low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad", text="its yaw in base_link")
-    distance_below: float = setting(
-        0.05, low=-10.0, high=10.0, unit="m", text="of the range finder below base_link's origin"
+    distance: str = setting("distance", text="topic of the downward ranges below the vehicle's namespace")
+    laser_position: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.06), unit="m", text="position of the laser in base_link"
     )
-    map_rate: float = setting(1.0, low=0.0, high=10.0, unit="Hz", text="of the local map; 0: none")
+    laser_yaw: float = setting(
+        0.0, low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad", text="yaw of the laser in base_link"
+    )
+    distance_below: float = setting(
+        0.05, low=-10.0, high=10.0, unit="m", text="distance of the range finder below base_link's origin"
+    )
+    map_rate: float = setting(1.0, low=0.0, high=10.0, unit="Hz", text="publishing rate of the local map; 0: off")
 
 
 class LaserOdometryNode(OdometryNode):
@@ -87,7 +91,7 @@ class LaserOdometryNode(OdometryNode):
         try:
             scan = read_scan(message)
         except ValueError as error:
-            rospy.logwarn_throttle(10.0, f"{self._name}: ignored a scan: {error}")
+            rospy.logwarn_throttle(10.0, f"{self._name}: scan ignored: {error}")
             return
         begin_ns = message.header.stamp.to_nsec()
         duration = max(scan.duration, _LEAST_DURATION)
@@ -99,7 +103,7 @@ class LaserOdometryNode(OdometryNode):
             self._submit(sweep, zlib.crc32(np.asarray(message.ranges, "<f4").tobytes()), end_ns)
 
     def _sweep(self, scan: ReadScan, begin_ns: int, duration: float, end_ns: int) -> LaserSweep | None:
-        """Return a scan with all that is known of its time; None if the attitude is unknown."""
+        """Return a scan with the vehicle's motion and height at its time; None if the attitude is unknown."""
         times = np.linspace(0.0, duration, _KNOTS)
         found = [self._motion.attitude(begin_ns + round(t * 1e9)) for t in times.tolist()]
         known = [attitude for attitude in found if attitude is not None]

@@ -1,4 +1,4 @@
-"""Scans of 2D lasers as arrays."""
+"""Conversion of 2D laser scans to arrays."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class ReadScan(NamedTuple):
 
 
 def read_scan(message: Any) -> ReadScan:
-    """Return the returns of a sensor_msgs/LaserScan, whose others are infinite or out of range (REP 117).
+    """Return the valid returns of a sensor_msgs/LaserScan; other ranges are infinite or out of range (REP 117).
 
     Raises:
         ValueError: angles, times or number of rays are not allowed; the text names them.

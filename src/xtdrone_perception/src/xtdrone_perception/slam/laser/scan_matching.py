@@ -1,7 +1,7 @@
-"""Matching of level laser scans to a map of points: point-to-line ICP in the plane.
+"""Matching of levelled laser scans to a map of points: point-to-line ICP in the plane.
 
-The metric is that of A. Censi (An ICP variant using a point-to-line metric, ICRA 2008), with the line at a map's point
-given by its neighbours in the scan that has put it there, Huber's weights, and Gauss-Newton steps.
+The metric is that of A. Censi (An ICP variant using a point-to-line metric, ICRA 2008), with the line at a map point
+fitted to its neighbours in its own scan, Huber weights, and Gauss-Newton steps.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ from scipy.spatial import cKDTree
 Array = NDArray[np.float64]
 
 _ITERATIONS = 25
-_SMALL = 1e-5  # m and rad, of a step that ends the iteration
-_KNEE = 2.0  # normalised residual from which on weights fall
-_GAP = 0.4  # m between neighbours of a scan that are on one surface
-_SIDE = 3  # neighbours on each side that give the line
-_CELL = 0.05  # m, side of a cell of which the map keeps one point
-_MOST = 60_000  # points of the map; the oldest are forgotten
+_SMALL = 1e-5  # m and rad: smaller steps end the iteration
+_KNEE = 2.0  # normalised residual beyond which weights decrease
+_GAP = 0.4  # m: maximum gap between neighbouring points on one surface
+_SIDE = 3  # neighbours on each side to which the line is fitted
+_CELL = 0.05  # m, cell size; the map keeps one point per cell
+_MOST = 60_000  # points of the map; the oldest are dropped
 
 
 class Match(NamedTuple):
-    """Where a scan fits.
+    """Result of matching a scan.
 
     Attributes:
         place: (3,) x, y (m), yaw (rad).
-        share: of the points that have a correspondence.
-        residual: root mean square of the normalised distances from the lines.
+        share: fraction of points that have a correspondence.
+        residual: RMS of the normalised distances from the lines.
         information: (3, 3) of x, y, yaw.
     """
 
@@ -43,7 +43,7 @@ def normals_of(points: Array) -> Array:
     """Return unit normals (n, 2) of a scan's surface, NaN where neighbours do not lie on a line.
 
     Args:
-        points: (n, 2) m, in the order of the rays, which go round.
+        points: (n, 2) m, in the order of the rays, counter-clockwise or clockwise.
     """
     shifted = np.stack([np.roll(points, k, axis=0) for k in range(-_SIDE, _SIDE + 1)], axis=1)
     near = np.linalg.norm(shifted - points[:, None], axis=2) <= _GAP
@@ -60,7 +60,7 @@ def normals_of(points: Array) -> Array:
 
 
 class LineMap:
-    """Points with normals, one in each cell."""
+    """Points with normals, one per cell."""
 
     def __init__(self) -> None:
         """Start empty."""
@@ -71,7 +71,7 @@ class LineMap:
         return len(self.points)
 
     def insert(self, points: Array, normals: Array) -> None:
-        """Add points (n, 2) m with their normals; those without, and those in cells that are full, are left out."""
+        """Add points (n, 2) m with their normals; points without a normal or in occupied cells are skipped."""
         good = np.isfinite(normals).all(axis=1)
         joined = np.concatenate([self.points, points[good]])
         _, first = np.unique(np.floor(joined / _CELL).astype(np.int64), axis=0, return_index=True)
@@ -80,11 +80,11 @@ class LineMap:
         self._tree = cKDTree(self.points)
 
     def match(self, points: Array, start: Array, reach: float, noise: float) -> Match:
-        """Return where a scan fits.
+        """Match a scan to the map.
 
         Args:
-            points: (n, 2) m, level, about the body.
-            start: (3,) x, y (m), yaw (rad), the first guess.
+            points: (n, 2) m, in the horizontal plane, relative to the body.
+            start: (3,) x, y (m), yaw (rad), initial guess.
             reach: maximum distance of correspondences, m; it shrinks to a third.
             noise: standard deviation of a distance from a line, m.
         """
@@ -102,7 +102,7 @@ class LineMap:
         return Match(place, share, float(np.sqrt(square)), information)
 
     def _rows(self, points: Array, place: Array, reach: float, noise: float) -> tuple[Array, Array, float]:
-        """Return derivatives (m, 3), normalised residuals (m,) of the correspondences, and their share."""
+        """Return derivatives (m, 3) and normalised residuals (m,) of the correspondences, and their fraction."""
         sin, cos = np.sin(place[2]), np.cos(place[2])
         turned = points @ np.array([[cos, sin], [-sin, cos]])
         moved = turned + place[:2]

@@ -1,7 +1,8 @@
-"""Loop closure: where the vehicle is again at a place that it knows, drift since then is found and taken back.
+"""Loop closure: when the vehicle revisits a known place, the drift accumulated since then is estimated and removed.
 
-Every few metres a keyframe keeps the scan. A new one is registered, by generalised ICP on submaps, with one that is
-near in space and far off on the way; what fits well becomes an edge of the pose graph beside those of odometry.
+Every few metres a keyframe stores the scan. A new one is registered, by generalised ICP on submaps, with one that is
+close in space but far back along the path; a good match becomes an edge of the pose graph, in addition to those of
+odometry.
 """
 
 from __future__ import annotations
@@ -20,36 +21,38 @@ from .pose_graph import Edge, optimised
 Array = NDArray[np.float64]
 
 _NEIGHBOURS = 20
-_COARSE = 3  # times the reach in the first of two registrations
-_DRIFT_TURN = 0.2  # of the drift a metre: rad of rotation for each m of translation
+_COARSE = 3  # factor of the reach in the first of two registrations
+_DRIFT_TURN = 0.2  # rotational per translational drift, rad/m
 
 
 @dataclass(frozen=True)
 class LoopOptions(Settings):
     """Private parameters of loop closure."""
 
-    spacing: float = setting(3.0, low=0.2, high=100.0, unit="m", text="way between two keyframes")
-    radius: float = setting(12.0, low=1.0, high=200.0, unit="m", text="maximum distance of the places of a loop")
-    way: float = setting(40.0, low=1.0, high=1e5, unit="m", text="minimum way between the places of a loop")
-    submap: int = setting(2, low=0, high=20, text="keyframes on each side that join the map of a known place")
-    resolution: float = setting(
-        0.5, low=0.05, high=5.0, unit="m", text="side of the cells in which points are averaged"
+    spacing: float = setting(3.0, low=0.2, high=100.0, unit="m", text="path length between two keyframes")
+    radius: float = setting(
+        12.0, low=1.0, high=200.0, unit="m", text="maximum distance between the two keyframes of a loop"
     )
+    way: float = setting(
+        40.0, low=1.0, high=1e5, unit="m", text="minimum path length between the two keyframes of a loop"
+    )
+    submap: int = setting(2, low=0, high=20, text="keyframes on each side that form the submap of a known place")
+    resolution: float = setting(0.5, low=0.05, high=5.0, unit="m", text="cell size for downsampling")
     reach: float = setting(1.5, low=0.1, high=20.0, unit="m", text="maximum distance of corresponding points")
-    least_share: float = setting(0.6, low=0.0, high=1.0, text="minimum share of points with a correspondence")
-    most_residual: float = setting(2.0, above=0.0, high=100.0, text="maximum root mean square of normalised residuals")
-    drift: float = setting(0.005, above=0.0, high=1.0, text="drift of odometry, m for each m of way")
-    loop_noise: float = setting(0.05, above=0.0, high=10.0, unit="m", text="error of the position of a loop")
+    least_share: float = setting(0.6, low=0.0, high=1.0, text="minimum fraction of points with a correspondence")
+    most_residual: float = setting(2.0, above=0.0, high=100.0, text="maximum RMS of normalised residuals")
+    drift: float = setting(0.005, above=0.0, high=1.0, text="drift of odometry, m per m travelled")
+    loop_noise: float = setting(0.05, above=0.0, high=10.0, unit="m", text="standard deviation of a loop's position")
 
 
 @dataclass
 class Keyframe:
-    """A place on the way.
+    """A keyframe.
 
     Attributes:
         odometry: (4, 4) its pose by odometry.
         points: (n, 3) m, its scan, in the body's frame.
-        way: m from the start.
+        way: path length from the start, m.
     """
 
     odometry: Array
@@ -83,7 +86,7 @@ class LoopClosure:
 
     @property
     def loops(self) -> list[Edge]:
-        """The edges between places that are apart on the way."""
+        """The edges of closed loops."""
         return [edge for edge in self.edges if edge.robust]
 
     def is_due(self, odometry: Array) -> bool:
@@ -95,7 +98,7 @@ class LoopClosure:
 
         Args:
             odometry: (4, 4) pose by odometry.
-            points: (n, 3) m, the scan without skew, in the body's frame.
+            points: (n, 3) m, the deskewed scan, in the body's frame.
         """
         if not self.keyframes:
             self.keyframes.append(Keyframe(odometry, _thinned(points, self.options.resolution), 0.0))
@@ -119,7 +122,7 @@ class LoopClosure:
         return True
 
     def corrected(self, odometry: Array) -> Array:
-        """Return the pose (4, 4) in map of a pose by odometry, of now."""
+        """Return the current pose (4, 4) in map for a pose by odometry."""
         found: Array = self.correction @ odometry
         return found
 
@@ -142,7 +145,7 @@ class LoopClosure:
         return Edge(known, number, relative, _information(self.options.loop_noise), robust=True)
 
     def _registered(self, known: int, number: int) -> Array | None:
-        """Return the pose of a keyframe in a known one by their scans, None if they do not fit."""
+        """Return the pose of a keyframe in a known one from their scans, or None if they do not match."""
         options = self.options
         guess = inverse(self.poses[known]) @ self.poses[number]
         target, tree = small_gicp.preprocess_points(self._submap(known), options.resolution, _NEIGHBOURS, 1)

@@ -1,17 +1,17 @@
-"""Loop closure of one vehicle ``T`` as a ROS node: takes odometry's drift out of map.
+"""ROS node for loop closure of one vehicle ``T``: corrects the drift of odometry in map.
 
 ================================  =========================  ======================================================
 topic                             type                       meaning
 ================================  =========================  ======================================================
 /T/lidar_odometry/odometry        nav_msgs/Odometry          in: T/odom to T/base_link
-/T/lidar_odometry/cloud           sensor_msgs/PointCloud2    in: scans without skew, T/base_link, of the same stamps
-/T/slam/odometry                  nav_msgs/Odometry          out: map to T/base_link, with the correction of now
+/T/lidar_odometry/cloud           sensor_msgs/PointCloud2    in: deskewed scans, T/base_link, with the same stamps
+/T/slam/odometry                  nav_msgs/Odometry          out: map to T/base_link, with the current correction
 /T/slam/path                      nav_msgs/Path              out, latched: the keyframes, as corrected by all loops
 /tf                               tf2_msgs/TFMessage         out: map to T/odom, the correction
 ================================  =========================  ======================================================
 
-The correction of a keyframe is published ``~latency`` of simulated time after it, whatever the registration takes.
-The autopilot keeps odometry's frame, in which nothing jumps; goals in map are to be taken to T/odom by tf.
+The correction of a keyframe is published ``~latency`` of simulated time after it, however long the registration takes.
+The autopilot stays in the odometry frame, in which poses do not jump; transform goals from map to T/odom by tf.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from xtdrone_perception.slam.scan_points import read_cloud
 from .loop_closure import LoopClosure, LoopOptions
 
 RATE = 20.0  # Hz
-_WAITING = 20  # scans kept until their odometry comes
+_WAITING = 20  # scans kept until their odometry arrives
 
 Array = NDArray[np.float64]
 
@@ -103,7 +103,7 @@ class VehicleLoops:
         self._clouds[message.header.stamp.to_nsec()] = message
 
     def step(self) -> None:
-        """Begin the keyframes that are due, and publish the corrections that are."""
+        """Start processing due keyframes, and publish due corrections."""
         now = rospy.Time.now()
         for stamp, correction in self._deferred.ready(now.to_nsec() // 1000):
             self._correction = correction.pose
@@ -111,7 +111,7 @@ class VehicleLoops:
             self._path.publish(messages.path(poses, stamp, self._frames.map))
             if correction.closed:
                 shift = float(np.linalg.norm(correction.pose[:3, 3]))
-                rospy.loginfo(f"{self._name}: a loop is closed; map to odom is now {shift:.2f} m")
+                rospy.loginfo(f"{self._name}: loop closed; map to odom is now {shift:.2f} m")
         for stamp_ns in sorted(self._clouds.keys() & self._poses.keys()):
             self._take(self._clouds.pop(stamp_ns), self._poses.pop(stamp_ns), now)
         for waiting in (self._clouds, self._poses):
@@ -128,7 +128,7 @@ class VehicleLoops:
         try:
             points = read_cloud(cloud).points
         except ValueError as error:
-            rospy.logwarn_throttle(10.0, f"{self._name}: ignored a cloud: {error}")
+            rospy.logwarn_throttle(10.0, f"{self._name}: cloud ignored: {error}")
             return
         self._last = pose
         due_us = now.to_nsec() // 1000 + self._latency_us

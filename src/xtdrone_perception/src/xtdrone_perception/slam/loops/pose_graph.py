@@ -1,9 +1,9 @@
-"""Pose graph: the poses that agree best with measured relative poses, some of which may be wrong.
+"""Pose graph optimisation: poses that best fit measured relative poses, some of which may be outliers.
 
 Nonlinear least squares over SE(3) (G. Grisetti et al., A Tutorial on Graph-Based SLAM, IEEE ITS Magazine 2(4), 2010)
-by Levenberg-Marquardt steps on sparse normal equations. Loops have Cauchy's robust kernel: a wrong one loses its
-weight. The kernel is narrowed by and by (H. Yang et al., Graduated Non-Convexity for Robust Spatial Perception, RA-L
-5(2), 2020), for drift makes right loops look wrong at first.
+by Levenberg-Marquardt steps on sparse normal equations. Loops have a robust Cauchy kernel, which reduces the weight of
+wrong ones. The kernel is narrowed gradually (H. Yang et al., Graduated Non-Convexity for Robust Spatial Perception,
+RA-L 5(2), 2020), because drift makes correct loops look wrong at first.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ..poses import pose_of_vector
 
 Array = NDArray[np.float64]
 
-_WIDER = (100.0, 30.0, 10.0, 3.0, 1.0)  # times the kernel, one after the other
+_WIDER = (100.0, 30.0, 10.0, 3.0, 1.0)  # factors of the kernel, applied in this order
 _STEPS = 20
 _SMALL = 1e-7  # m or rad: smaller steps end the iteration
 _DIFFERENCE = 1e-6
@@ -33,10 +33,10 @@ class Edge:
     """A measured relative pose.
 
     Attributes:
-        first, second: numbers of the poses.
+        first, second: indices of the poses.
         measured: (4, 4) pose of the second in the first.
         information: (6, 6) inverse covariance; x, y, z (m), rotation vector (rad), in the second's axes.
-        robust: whether it may be wrong, as a loop.
+        robust: whether it may be wrong, like a loop.
     """
 
     first: int
@@ -47,7 +47,7 @@ class Edge:
 
 
 def optimised(poses: Sequence[Array], edges: Sequence[Edge], kernel: float = 3.0) -> list[Array]:
-    """Return the poses of least error; the first one stays.
+    """Return the optimised poses; the first one is fixed.
 
     Args:
         poses: (4, 4) each, the initial estimate.
@@ -69,7 +69,7 @@ def optimised(poses: Sequence[Array], edges: Sequence[Edge], kernel: float = 3.0
 
 
 def _descended(found: Array, graph: _Edges) -> Array:
-    """Return the poses (n, 4, 4) at the nearest least cost."""
+    """Return the poses (n, 4, 4) at the nearest minimum of the cost."""
     cost, damping = graph.cost(found), 1e-6
     for _ in range(_STEPS):
         matrix, vector = graph.normal_equations(found)
@@ -107,7 +107,7 @@ class _Edges:
         return squares
 
     def cost(self, poses: Array) -> float:
-        """Return the sum of squares, less for robust edges."""
+        """Return the sum of squares, with robust edges down-weighted."""
         squares, limit = self._squares(self._errors(poses)), self._kernel**2
         return float(np.where(self._robust, limit * np.log1p(squares / limit), squares).sum())
 
@@ -134,7 +134,8 @@ class _Edges:
         return coo_matrix(entries, shape=(size, size)).tocsc()[6:, 6:], vector.ravel()[6:]
 
     def _jacobians(self, poses: Array, errors: Array) -> tuple[Array, Array]:
-        """Return the derivatives (e, 6, 6) of the errors by small motions of the first and the second poses."""
+        """Return the derivatives (e, 6, 6) of the errors with respect to small motions of the first and second
+        poses."""
         before = self._back @ _inverses(poses[self._first])
         between = _inverses(poses[self._first]) @ poses[self._second]
         left, right = np.empty((len(errors), 6, 6)), np.empty((len(errors), 6, 6))

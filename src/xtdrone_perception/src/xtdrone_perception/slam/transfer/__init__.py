@@ -1,1 +1,1 @@
-"""Poses of others' odometry and SLAM (VINS-Fusion, FAST-LIO, A-LOAM, ...) for the autopilot, as upstream's programs."""
+"""Forwarding of poses from third-party odometry and SLAM (VINS-Fusion, FAST-LIO, A-LOAM, ...) to the autopilot."""

@@ -1,4 +1,4 @@
-"""Poses of a sensor, from odometry or SLAM programs of others, as poses of the vehicle in map."""
+"""Conversion of sensor poses from third-party odometry or SLAM to poses of the vehicle in map."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from xtdrone_perception.slam.poses import inverse, pose_of, turned_about_z
 
 Array = NDArray[np.float64]
 
-_UNIT = 0.05  # by which the norm of a quaternion may be off 1
+_UNIT = 0.05  # tolerance of a quaternion's norm
 
 
 @dataclass(frozen=True)
 class PlaceSettings(Settings):
-    """Where the other program's frames are."""
+    """Frames of the third-party program."""
 
     start: tuple[float, float, float] = setting(
         (0.0, 0.0, 0.0), low=-1e5, high=1e5, unit="m", text="origin of the other program's frame in map, ENU"
@@ -29,7 +29,11 @@ class PlaceSettings(Settings):
         0.0, low=-6.3, high=6.3, unit="rad", text="heading of the x axis of that frame in map, from east to north"
     )
     sensor_position: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.0), low=-5.0, high=5.0, unit="m", text="place of the sensor whose pose it is in base_link, FLU"
+        (0.0, 0.0, 0.0),
+        low=-5.0,
+        high=5.0,
+        unit="m",
+        text="position in base_link of the sensor whose pose is received, FLU",
     )
 
 
@@ -56,25 +60,25 @@ def pose_from(position: Array, quaternion: Array) -> Array | None:
         quaternion: (w, x, y, z).
 
     Returns:
-        None for numbers that are not finite or a quaternion whose norm is not near 1.
+        None if a number is not finite, or the quaternion's norm is not close to 1.
     """
     norm = float(np.linalg.norm(quaternion))
-    if not (np.isfinite(position).all() and abs(norm - 1.0) <= _UNIT):  # the norm of a NaN is none
+    if not (np.isfinite(position).all() and abs(norm - 1.0) <= _UNIT):  # false for NaN
         return None
     w, x, y, z = quaternion / norm
     return pose_of(position, Rotation.from_quat([x, y, z, w]))
 
 
 class ForeignFrame:
-    """Brings poses of a sensor in the other program's frame to the vehicle in map."""
+    """Converts poses of a sensor in the third-party program's frame to poses of the vehicle in map."""
 
     def __init__(self, settings: PlaceSettings, optical: bool) -> None:
         """Prepare the transforms.
 
         Args:
             settings: of the frames.
-            optical: whether poses are of an optical frame (x right, y down, z ahead) of a camera that looks ahead;
-                otherwise of a frame with the axes of base_link (FLU).
+            optical: whether poses refer to the optical frame (x right, y down, z ahead) of a forward camera; otherwise
+                to a frame with the axes of base_link (FLU).
         """
         self._frame = pose_of(settings.start, turned_about_z(settings.heading))
         turn = Rotation.from_quat(to_xyzw(LINK_FROM_OPTICAL)) if optical else Rotation.identity()
@@ -86,11 +90,11 @@ class ForeignFrame:
         Args:
             position: (3,) m, of the sensor.
             quaternion: (w, x, y, z), of the sensor.
-            height: of base_link in map, m, from another sensor, for a program that works in the plane; None: that of
-                the pose.
+            height: of base_link in map, m, from another sensor, for programs that work in the plane; None: that of the
+                pose.
 
         Returns:
-            None for a pose that ``pose_from`` does not accept.
+            None if ``pose_from`` rejects the pose.
         """
         sensor = pose_from(position, quaternion)
         if sensor is None:
@@ -102,7 +106,7 @@ class ForeignFrame:
 
 
 class TransformChain:
-    """The newest transforms of /tf, of which chains are composed."""
+    """The newest transforms of /tf, which are composed to chains."""
 
     def __init__(self) -> None:
         """Start without any."""
@@ -113,11 +117,11 @@ class TransformChain:
         self._parents.clear()
 
     def add(self, parent: str, child: str, stamp_ns: int, pose: Array) -> None:
-        """Enter the pose (4, 4) of ``child`` in ``parent`` at a time, ns."""
+        """Store the pose (4, 4) of ``child`` in ``parent`` at a time, ns."""
         self._parents[child.lstrip("/")] = (parent.lstrip("/"), stamp_ns, pose)
 
     def pose(self, parent: str, child: str) -> tuple[int, Array] | None:
-        """Return the pose of a frame in one above it.
+        """Return the pose of a frame in one of its ancestors.
 
         Returns:
             The time of the newest link between them, ns, and the pose (4, 4) of ``child`` in ``parent``; None if they

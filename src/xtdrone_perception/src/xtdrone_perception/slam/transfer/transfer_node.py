@@ -1,4 +1,4 @@
-"""Poses of odometry and SLAM programs of others for the autopilot, as a ROS node: for vehicle ``T``
+"""ROS node that forwards poses of third-party odometry and SLAM to the autopilot. For vehicle ``T``
 
 ===============================  ===============================  ====================================================
 topic                            type                             meaning
@@ -12,8 +12,8 @@ the source's                     Odometry, PoseStamped or /tf     in: see ``SOUR
 /diagnostics                     diagnostic_msgs/DiagnosticArray  out: once a second, and on change
 ===============================  ===============================  ====================================================
 
-A source or range finder that falls silent leaves the vehicle to the autopilot's failsafe: no pose is sent twice, nor
-with an old height.
+If the source or range finder falls silent, the autopilot's failsafe takes over: no pose is sent twice, or with an old
+height.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ Array = NDArray[np.float64]
 
 
 class Source(NamedTuple):
-    """The output of a program of others.
+    """Output of a third-party program.
 
     Attributes:
         kind: ``odometry``, ``pose`` or ``tf``.
@@ -77,7 +77,7 @@ SOURCES = {
     "fastlio": Source("odometry", "/Odometry"),
     "odometry": Source("odometry", "/{}/odometry"),
 }
-"""By name; ``odometry`` is any nav_msgs/Odometry of a sensor with the axes of base_link."""
+"""Sources by name; ``odometry`` is any nav_msgs/Odometry of a sensor with the axes of base_link."""
 
 LASERS = ("hector", "cartographer", "aloam", "fastlio", "odometry")
 """The sources of ``laser_transfer.py``."""
@@ -85,9 +85,11 @@ LASERS = ("hector", "cartographer", "aloam", "fastlio", "odometry")
 
 @dataclass(frozen=True)
 class ForeignOptions(Settings):
-    """Which topics the node uses."""
+    """Topics of the node."""
 
-    topic: str = setting("", text="topic of the source, or parent and child frames of its tf; empty: the program's own")
+    topic: str = setting(
+        "", text="topic of the source, or parent and child frames of its tf; empty: the program's default"
+    )
     distance: str = setting(
         "distance", text="topic of the downward range finder below /VEHICLE/, for sources in the plane"
     )
@@ -168,7 +170,7 @@ class PoseTransfer:
             self._last_height, self._measured = min(ranges) + self._below, rospy.get_time()
 
     def _height(self) -> float | None:
-        """Return the height of base_link, m; None if the range finder has not measured it lately."""
+        """Return the height of base_link, m; None if the range finder has no recent measurement."""
         return self._last_height if rospy.get_time() - self._measured <= _OLD_HEIGHT else None
 
     def _on_odometry(self, message: Odometry) -> None:
@@ -193,7 +195,7 @@ class PoseTransfer:
             self._enter(Header(stamp=rospy.Time(*divmod(found[0], 10**9))), messages.pose_message(found[1]))
 
     def _enter(self, header: Header, pose: Pose) -> None:
-        """Keep the vehicle's pose until the next turn."""
+        """Store the vehicle's pose until the next turn."""
         p, q = pose.position, pose.orientation
         height = self._height() if self._source.plane else None
         if self._source.plane and height is None:
@@ -201,7 +203,7 @@ class PoseTransfer:
         found = self._frame.vehicle(np.array([p.x, p.y, p.z]), np.array([q.w, q.x, q.y, q.z]), height)
         if found is None:
             self._rejected += 1
-            rospy.logwarn_throttle(5.0, f"{self._vehicle}: a pose that is not finite, or not a rotation, is not sent")
+            rospy.logwarn_throttle(5.0, f"{self._vehicle}: pose dropped: not finite, or not a rotation")
             return
         if header.stamp.to_nsec() == self._last_ns and self._last_ns > 0:
             return  # a source that repeats a pose has not measured a new one
@@ -209,7 +211,7 @@ class PoseTransfer:
         self._new = messages.stamped(found, header.stamp, _MAP)
 
     def step(self) -> None:
-        """Send what is new, and report."""
+        """Send new poses, and report."""
         stamp = rospy.Time.now()
         pose, self._new = self._new, None
         if pose is not None:

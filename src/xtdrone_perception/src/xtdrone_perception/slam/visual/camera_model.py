@@ -1,7 +1,7 @@
-"""The camera of visual odometry: where it is in the body, and what it measures of a point.
+"""Camera model of visual odometry: pose in the body, and measurement of a point.
 
-A measurement of a point is (u, v, 1 / z): pixel and inverse depth. The errors of depths by stereo and by structured
-light are those of a disparity, so that of the inverse depth is the same near and far.
+A measurement of a point is (u, v, 1 / z): pixel and inverse depth. Depth errors of stereo and of structured light stem
+from the disparity, so the error of the inverse depth does not depend on the distance.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_NEAREST = 0.05  # m, of a point before the camera
+_NEAREST = 0.05  # m, minimum depth of a point
 
 
 @dataclass(frozen=True)
 class BodyCamera:
-    """A pinhole without distortion that is fixed to the body.
+    """A pinhole camera without distortion, fixed to the body.
 
     Attributes:
         focal: (2,) fx, fy, px.
@@ -31,7 +31,7 @@ class BodyCamera:
     mount: Array
 
     def measured(self, pose: Array, points: Array) -> tuple[Array, Array]:
-        """Return what a camera would measure, (n, 3), and the points in its frame, (n, 3) m.
+        """Return the predicted measurements, (n, 3), and the points in the camera's frame, (n, 3) m.
 
         Args:
             pose: (4, 4) body to map.
@@ -50,9 +50,9 @@ class BodyCamera:
         return found
 
     def slopes(self, poses: Array, local: Array, points: Array) -> tuple[Array, Array]:
-        """Return the derivatives of measurements by pose, (n, 3, 6), and by point, (n, 3, 3).
+        """Return the derivatives of measurements with respect to pose, (n, 3, 6), and point, (n, 3, 3).
 
-        The pose is changed by a shift (m, map's axes) and then a rotation vector (rad, body's axes).
+        The pose is perturbed by a translation (m, map axes) and a rotation vector (rad, body axes).
 
         Args:
             poses: (n, 4, 4), body to map, of each measurement.
@@ -74,7 +74,7 @@ class BodyCamera:
 
 
 def _cross_matrices(vectors: Array) -> Array:
-    """Return the matrices (n, 3, 3) of the cross products with vectors (n, 3)."""
+    """Return the cross-product matrices (n, 3, 3) of vectors (n, 3)."""
     x, y, z = vectors.T
     zero = np.zeros(len(vectors))
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)

@@ -1,4 +1,4 @@
-"""Corners that are followed from image to image, by pyramidal Lucas-Kanade (OpenCV).
+"""Tracking of corners from image to image, by pyramidal Lucas-Kanade (OpenCV).
 
 Pixel coordinates here are OpenCV's: the centre of the upper left pixel is (0, 0).
 """
@@ -17,35 +17,37 @@ from xtdrone_control.settings import Settings, setting
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
-_BORDER = 6.0  # px, corners nearer to the edge are lost
+_BORDER = 6.0  # px, corners closer to the edge are lost
 _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.02)
-_MOST_SLANT = 1.0  # px, difference of the rows of a corner in the two images of a stereo pair
+_MOST_SLANT = 1.0  # px, maximum row difference of a corner in a stereo pair
 _LEAST_DISPARITY = 0.5  # px
-_EDGE = 0.08  # differences of neighbouring depths, over the depth, that are no surface
+_EDGE = 0.08  # relative difference of neighbouring depths above which they are not one surface
 
 
 @dataclass(frozen=True)
 class TrackSettings(Settings):
     """Private parameters of the corners."""
 
-    corners: int = setting(250, low=20, high=5000, text="most corners that are followed")
-    corner_distance: float = setting(14.0, low=2.0, high=200.0, unit="px", text="minimum distance of two new corners")
-    corner_quality: float = setting(
-        0.01, low=1e-4, high=0.5, text="minimum strength of a corner, over the strongest one's"
+    corners: int = setting(250, low=20, high=5000, text="maximum number of tracked corners")
+    corner_distance: float = setting(
+        14.0, low=2.0, high=200.0, unit="px", text="minimum distance between two new corners"
     )
-    window: int = setting(21, low=5, high=61, unit="px", text="side of the patch that is followed")
-    levels: int = setting(3, low=0, high=6, text="of the pyramid beyond the image itself")
+    corner_quality: float = setting(
+        0.01, low=1e-4, high=0.5, text="minimum strength of a corner, relative to the strongest"
+    )
+    window: int = setting(21, low=5, high=61, unit="px", text="side of the tracked patch")
+    levels: int = setting(3, low=0, high=6, text="pyramid levels above the image itself")
     most_return: float = setting(
-        0.7, above=0.0, high=10.0, unit="px", text="a corner that comes back farther off when followed back is lost"
+        0.7, above=0.0, high=10.0, unit="px", text="maximum error of tracking a corner forth and back"
     )
 
 
 def track(
     settings: TrackSettings, before: Grey, after: Grey, pixels: Array, guess: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return where corners are in another image, (n, 2) px, and whether they were found, (n,) bool.
+    """Track corners into another image; return positions, (n, 2) px, and whether they were found, (n,) bool.
 
-    Each is followed there and back.
+    Each is tracked forth and back.
 
     Args:
         settings: of the corners.
@@ -80,7 +82,7 @@ def new_corners(settings: TrackSettings, picture: Grey, known: Array, usable: ND
         settings: of the corners.
         picture: (height, width).
         known: (m, 2) px.
-        usable: (height, width), where corners may be; None: everywhere.
+        usable: (height, width), mask of allowed corner positions; None: everywhere.
     """
     wanted = settings.corners - len(known)
     if wanted <= 0:
@@ -97,7 +99,7 @@ def new_corners(settings: TrackSettings, picture: Grey, known: Array, usable: ND
 
 
 def depth_at(depth: NDArray[np.float32], pixels: Array) -> Array:
-    """Return the depths (n,) m at pixels (n, 2); NaN where there is none, or on an edge of it.
+    """Return the depths (n,) m at pixels (n, 2); NaN where there is none, or at a depth edge.
 
     Args:
         depth: (height, width) m along the optical axis, NaN or 0 where unknown.

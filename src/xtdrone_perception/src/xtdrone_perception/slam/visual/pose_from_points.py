@@ -1,7 +1,7 @@
-"""The pose of a camera from points that are known and seen: RANSAC, then robust least squares.
+"""Camera pose from known points and their measurements: RANSAC, then robust least squares.
 
-RANSAC with EPnP is OpenCV's, whose random numbers are the same on each call. Least squares are Gauss-Newton with
-Huber's weights, over pixels, inverse depths, and the turn that the autopilot has measured.
+RANSAC with EPnP is OpenCV's, which uses the same random numbers on each call. Least squares are solved by Gauss-Newton
+with Huber weights, over pixels, inverse depths, and the rotation measured by the autopilot.
 """
 
 from __future__ import annotations
@@ -22,26 +22,36 @@ from .camera_model import BodyCamera
 Array = NDArray[np.float64]
 
 _ITERATIONS = 10
-_SMALL = 1e-7  # m and rad, of a step that ends the iteration
-_KNEE = 2.0  # normalised residual from which on weights fall
+_SMALL = 1e-7  # m and rad: smaller steps end the iteration
+_KNEE = 2.0  # normalised residual beyond which weights decrease
 _RANSAC_ROUNDS, _RANSAC_CONFIDENCE = 60, 0.999
 _LEAST = 6  # points
 
 
 @dataclass(frozen=True)
 class NoiseSettings(Settings):
-    """Private parameters of the errors of measurements, standard deviations."""
+    """Private parameters: standard deviations of measurements."""
 
-    pixel_noise: float = setting(0.4, above=0.0, high=20.0, unit="px", text="of a corner's place")
+    pixel_noise: float = setting(0.4, above=0.0, high=20.0, unit="px", text="standard deviation of a corner")
     depth_noise: float = setting(
-        0.001, above=0.0, high=1.0, unit="1/m", text="of an inverse depth by a depth camera; at z m this is z^2 times m"
+        0.001,
+        above=0.0,
+        high=1.0,
+        unit="1/m",
+        text="standard deviation of a depth camera's inverse depth; at depth z it means z^2 times this, m",
     )
-    disparity_noise: float = setting(0.3, above=0.0, high=20.0, unit="px", text="of a disparity by a stereo pair")
+    disparity_noise: float = setting(
+        0.3, above=0.0, high=20.0, unit="px", text="standard deviation of a stereo disparity"
+    )
     turn_noise: float = setting(
-        0.003, above=0.0, high=1.0, unit="rad", text="of the autopilot's turn from one image or keyframe to the next"
+        0.003,
+        above=0.0,
+        high=1.0,
+        unit="rad",
+        text="standard deviation of the autopilot's rotation between two images or keyframes",
     )
     most_reprojection: float = setting(
-        2.5, above=0.0, high=50.0, unit="px", text="a point that is seen farther from where it should be is left out"
+        2.5, above=0.0, high=50.0, unit="px", text="reprojection error above which a point is an outlier"
     )
 
 
@@ -54,13 +64,13 @@ class Sigmas:
 
 
 class Solved(NamedTuple):
-    """A pose, which points agree, and how well.
+    """A pose, its inliers, and the quality of the fit.
 
     Attributes:
         pose: (4, 4) body to map.
         inliers: (n,) bool.
-        residual: root mean square of the normalised residuals of the inliers' pixels and depths.
-        information: (6, 6) of shift (map) and rotation (body), of the points alone.
+        residual: RMS of the normalised residuals of the inliers' pixels and depths.
+        information: (6, 6) of translation (map) and rotation (body), from the points alone.
     """
 
     pose: Array
@@ -78,7 +88,7 @@ def solve(
         camera: of the measurements.
         sigmas: of the measurements.
         most: px, maximum error of an inlier.
-        predicted: (4, 4) body to map, by the autopilot.
+        predicted: (4, 4) body to map, from the autopilot.
         points: (n, 3) m, map.
         measured: (n, 3) u, v (px), inverse depth (1/m, NaN where unknown).
     """
@@ -108,7 +118,7 @@ def _consensus(
     start = inverse(predicted @ camera.mount)
     no_lens: Any = None
     found, _, _, chosen = cv2.solvePnPRansac(
-        points - predicted[:3, 3],  # near the origin, for the sake of rounding
+        points - predicted[:3, 3],  # near the origin, to limit rounding errors
         measured[:, :2].copy(),
         matrix,
         no_lens,
@@ -127,7 +137,7 @@ def _consensus(
 def _refined(
     camera: BodyCamera, sigmas: Sigmas, start: Array, points: Array, measured: Array, predicted: Array | None = None
 ) -> Array:
-    """Return the pose with the least robust squares."""
+    """Return the robust least-squares pose."""
     predicted = start if predicted is None else predicted
     pose = start
     for _ in range(_ITERATIONS):
@@ -158,6 +168,6 @@ def _normal_equations(
 
 
 def huber(residual: Array) -> Array:
-    """Return the weights (n,) of normalised residuals (n, 3), by P. J. Huber's function."""
+    """Return the Huber weights (n,) of normalised residuals (n, 3)."""
     length = np.sqrt(np.einsum("ni,ni->n", residual, residual))
     return np.asarray(np.minimum(1.0, _KNEE / np.maximum(length, 1e-12)))

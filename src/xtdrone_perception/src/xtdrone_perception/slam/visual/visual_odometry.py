@@ -1,6 +1,6 @@
-"""Visual odometry: corners with depth are followed, images are placed among their points, keyframes adjusted.
+"""Visual odometry: track corners with depth, estimate each image's pose from their points, adjust keyframes.
 
-Each image's pose follows from the points that it sees (``pose_from_points``). From time to time an image becomes a
+Each image's pose is estimated from the points that it sees (``pose_from_points``). From time to time an image becomes a
 keyframe: the last few keyframes and their points are adjusted together (``window_adjustment``), and new corners are
 added where there are none.
 """
@@ -26,27 +26,31 @@ from .window_adjustment import WindowProblem, adjust
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 
-_MISSES = 2  # images without a pose after which odometry restarts where it is predicted to be
+_MISSES = 2  # images without a pose after which odometry restarts at the predicted pose
 
 
 @dataclass(frozen=True)
 class KeyframeSettings(Settings):
     """Private parameters of the keyframes."""
 
-    keyframes: int = setting(6, low=2, high=20, text="that are adjusted together")
+    keyframes: int = setting(6, low=2, high=20, text="number of keyframes adjusted together")
     keyframe_share: float = setting(
-        0.7, low=0.0, high=1.0, text="an image that sees less of the last keyframe's points becomes a keyframe"
+        0.7, low=0.0, high=1.0, text="fraction of the last keyframe's points below which an image becomes a keyframe"
     )
-    keyframe_step: float = setting(0.4, above=0.0, high=100.0, unit="m", text="way after which one does")
-    keyframe_turn: float = setting(0.2, above=0.0, high=3.2, unit="rad", text="turn after which one does")
-    depth_min: float = setting(0.3, low=0.05, high=100.0, unit="m", text="nearer points are not used")
-    depth_max: float = setting(25.0, low=0.5, high=1000.0, unit="m", text="farther points are not used")
-    least_points: int = setting(20, low=6, high=1000, text="points that an image needs")
+    keyframe_step: float = setting(
+        0.4, above=0.0, high=100.0, unit="m", text="distance after which an image becomes one"
+    )
+    keyframe_turn: float = setting(
+        0.2, above=0.0, high=3.2, unit="rad", text="rotation after which an image becomes one"
+    )
+    depth_min: float = setting(0.3, low=0.05, high=100.0, unit="m", text="closer points are ignored")
+    depth_max: float = setting(25.0, low=0.5, high=1000.0, unit="m", text="farther points are ignored")
+    least_points: int = setting(20, low=6, high=1000, text="minimum number of points in an image")
 
 
 @dataclass(frozen=True)
 class SeenPicture:
-    """An image with what tells depths: a depth image, or the right image of a stereo pair.
+    """An image with depth information: a depth image, or the right image of a stereo pair.
 
     Attributes:
         grey: (height, width).
@@ -65,7 +69,7 @@ class SeenPicture:
 
 @dataclass(frozen=True)
 class Tracks:
-    """Corners that are followed.
+    """Tracked corners.
 
     Attributes:
         ids: (n,) unique, ascending.
@@ -92,7 +96,7 @@ class Tracks:
 
 @dataclass(frozen=True, kw_only=True)
 class VisualEstimate(Estimate):
-    """Result of one picture: its tracks are the points that fit."""
+    """Result of one image; its tracks are the inliers."""
 
     picture: SeenPicture
     tracks: Tracks
@@ -100,7 +104,7 @@ class VisualEstimate(Estimate):
 
 @dataclass
 class _Keyframe:
-    """An image of the window: pose (4, 4), the autopilot's attitude, and what was seen of which corners."""
+    """A keyframe of the window: pose (4, 4), the autopilot's attitude, and measurements of corners."""
 
     pose: Array
     attitude: Rotation
@@ -178,13 +182,13 @@ class VisualOdometry:
         )
 
     def accept(self, found: VisualEstimate) -> None:
-        """Move to the pose of an image, and make it a keyframe if it shows enough that is new."""
+        """Move to the pose of an image, and make it a keyframe if it shows enough new points."""
         self.pose, self._grey, self._tracks, self._misses = found.pose, found.picture.grey, found.tracks, 0
         if self._is_keyframe(found):
             self._add_keyframe(found.picture)
 
     def move(self, pose: Array) -> None:
-        """Move to a pose that was not found by an image."""
+        """Move to a predicted pose, without an image."""
         self.pose = pose
         self._misses += 1
 
@@ -211,7 +215,7 @@ class VisualOdometry:
         return np.where(usable, found, np.nan)
 
     def _new_tracks(self, picture: SeenPicture, pose: Array, known: Tracks) -> Tracks:
-        """Return new corners that have a depth, in an image at a pose."""
+        """Return new corners with a depth, in an image at a pose."""
         usable = None if picture.depth is None else np.isfinite(picture.depth) & (picture.depth > 0.0)
         pixels = new_corners(self._corners, picture.grey, known.measured[:, :2], usable)
         depth = self._depths(picture, pixels, np.full(len(pixels), np.nan))
@@ -290,7 +294,7 @@ class VisualOdometry:
 
 
 def _weakest(information: Array) -> float:
-    """Return the least over the largest eigenvalue of the information on translation, 0..1."""
+    """Return the ratio of the smallest to the largest eigenvalue of the information on translation, 0..1."""
     values = np.linalg.eigvalsh(information[:3, :3])
     return float(max(values[0], 0.0) / values[-1]) if values[-1] > 0.0 else 0.0
 

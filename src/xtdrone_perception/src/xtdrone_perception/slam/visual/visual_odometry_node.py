@@ -1,4 +1,4 @@
-"""Visual odometry of one vehicle ``T`` as a ROS node; ``odometry_node`` lists the topics of every odometry.
+"""ROS node for visual odometry of one vehicle ``T``; ``odometry_node`` lists the topics of every odometry.
 
 =========================================  ==============================  ===========================================
 topic (below /T/``~camera``/)              type                            meaning
@@ -8,7 +8,7 @@ depth/image_raw                            sensor_msgs/Image               in, r
 left/, right/ image_raw, camera_info       sensor_msgs/Image, CameraInfo   in, ``~kind`` stereo: rectified
 =========================================  ==============================  ===========================================
 
-Two images belong together if their stamps are equal.
+Two images form a pair if their stamps are equal.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from .pose_from_points import NoiseSettings
 from .visual_odometry import KeyframeSettings, SeenPicture, VisualEstimate, VisualOdometry
 
 _PARTS = {"rgbd": ("color", "depth"), "stereo": ("left", "right")}
-_MOST_KEPT = 4  # images that wait for the other of their pair
+_MOST_KEPT = 4  # images that wait for the other one of their pair
 _LINK_TURN = Rotation.from_quat([-0.5, 0.5, -0.5, 0.5])  # optical frame to a camera's link (x ahead, z up)
 
 Array = NDArray[np.float64]
@@ -51,18 +51,26 @@ class VisualOdometryOptions(OdometryOptions):
     kind: str = setting("rgbd", choices=("rgbd", "stereo"), text="a depth camera with colours, or a stereo pair")
     camera: str = setting("realsense/depth_camera", text="name of the camera's topics below the vehicle's namespace")
     camera_position: tuple[float, float, float] = setting(
-        (0.1, 0.0, 0.0), low=-10.0, high=10.0, unit="m", text="of the camera, the middle of a pair, in base_link"
+        (0.1, 0.0, 0.0),
+        low=-10.0,
+        high=10.0,
+        unit="m",
+        text="position in base_link of the camera, or of the centre of a stereo pair",
     )
     camera_rpy: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.0), low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad", text="roll, pitch, yaw in base_link"
+        (0.0, 0.0, 0.0),
+        low=-2.0 * math.pi,
+        high=2.0 * math.pi,
+        unit="rad",
+        text="roll, pitch, yaw of the sensor in base_link",
     )
     pixel_centre: float = setting(
         0.5,
         low=0.0,
         high=0.5,
         unit="px",
-        text="place of the upper left pixel's centre in the camera's calibration: 0.5 of simulated cameras, 0 of those "
-        "that OpenCV has calibrated",
+        text="coordinate of the upper left pixel's centre in the camera's calibration: 0.5 for simulated cameras, 0 "
+        "for cameras calibrated with OpenCV",
     )
 
 
@@ -71,9 +79,9 @@ class VisualHealthLimits(HealthLimits):
     """Private parameters of the supervision of visual odometry."""
 
     least_information: float = setting(
-        0.002, low=0.0, high=1.0, text="minimum information on the least known direction, over that on the best known one"
+        0.002, low=0.0, high=1.0, text="minimum information in the weakest direction, relative to the strongest"
     )
-    most_residual: float = setting(5.0, above=0.0, high=100.0, text="maximum root mean square of normalised residuals")
+    most_residual: float = setting(5.0, above=0.0, high=100.0, text="maximum RMS of normalised residuals")
 
 
 class VisualOdometryNode(OdometryNode):
@@ -118,9 +126,7 @@ class VisualOdometryNode(OdometryNode):
         if np.isfinite(message.P).all() and (focal > 0.0).all():
             self._infos[index] = message
         else:
-            rospy.logwarn_throttle(
-                10.0, f"{self._name}: ignored a camera_info: P: {list(message.P)} has no focal length"
-            )
+            rospy.logwarn_throttle(10.0, f"{self._name}: camera_info ignored: P: {list(message.P)} has no focal length")
 
     def _on_image(self, index: int, message: Image) -> None:
         stamp = message.header.stamp.to_nsec()
@@ -150,11 +156,11 @@ class VisualOdometryNode(OdometryNode):
             grey = grey_of(first)
             depth, right = (None, grey_of(second)) if is_stereo else (depth_of(second), None)
         except ValueError as error:
-            rospy.logwarn_throttle(10.0, f"{self._name}: ignored a picture: {error}")
+            rospy.logwarn_throttle(10.0, f"{self._name}: image ignored: {error}")
             return
         other = right if depth is None else depth
         if other is None or other.shape != grey.shape:
-            rospy.logwarn_throttle(10.0, f"{self._name}: ignored a picture: the two of a pair differ in size")
+            rospy.logwarn_throttle(10.0, f"{self._name}: image ignored: the images of the stereo pair differ in size")
             return
         if not self._is_late():
             seen = SeenPicture(grey, attitude, depth, right, base or 0.0)

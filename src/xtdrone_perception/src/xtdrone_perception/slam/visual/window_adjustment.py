@@ -1,8 +1,8 @@
 """Bundle adjustment over the last keyframes: their poses and the points that they see, by least squares.
 
 Gauss-Newton with Huber's weights; the points are eliminated first (Schur complement, B. Triggs et al., Bundle
-Adjustment - A Modern Synthesis, 1999). The first keyframe is held fixed. Besides pixels and inverse depths the turns
-between keyframes by the autopilot's attitude are measurements.
+Adjustment - A Modern Synthesis, 1999). The first keyframe is held fixed. In addition to pixels and inverse depths, the
+autopilot's rotations between keyframes are measurements.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _ITERATIONS = 4
-_DAMPING = 1e-4  # of the points' blocks, over their diagonal
+_DAMPING = 1e-4  # of the points' blocks, relative to their diagonal
 
 
 @dataclass(frozen=True)
 class WindowProblem:
-    """What is measured in a window.
+    """Measurements in a window.
 
     Attributes:
         turns: k - 1 rotations of the body from each keyframe to the next, in its axes.
@@ -45,13 +45,13 @@ class WindowProblem:
 def adjust(
     camera: BodyCamera, sigmas: Sigmas, problem: WindowProblem, poses: Array, points: Array
 ) -> tuple[Array, Array]:
-    """Return better poses (k, 4, 4) and points (n, 3), from initial ones.
+    """Return improved poses (k, 4, 4) and points (n, 3).
 
     Args:
         camera: of the measurements.
         sigmas: of the measurements.
         problem: the measurements.
-        poses: (k, 4, 4) body to map; the first one is held.
+        poses: (k, 4, 4) body to map; the first one is fixed.
         points: (n, 3) m, map.
     """
     best = _cost(camera, sigmas, problem, poses, points)
@@ -75,7 +75,7 @@ def _residuals(
 
 
 def _turn_errors(problem: WindowProblem, poses: Array) -> Array:
-    """Return the rotation vectors (k - 1, 3) by which turns differ from the measured ones."""
+    """Return the rotation vectors (k - 1, 3) from measured to estimated rotations."""
     errors = [
         (turn.inv() * rotation_of(first).inv() * rotation_of(second)).as_rotvec()
         for turn, first, second in zip(problem.turns, poses[:-1], poses[1:], strict=True)
@@ -120,7 +120,7 @@ def _steps(
     eliminated = (mixed @ back).transpose(0, 2, 1, 3).reshape(6 * count, 3 * number)
     matrix = normal.transpose(0, 2, 1, 3).reshape(6 * count, 6 * count) - eliminated @ flat.T
     side = right.ravel() - eliminated @ goal.ravel()
-    free = slice(6, None)  # the first keyframe is held
+    free = slice(6, None)  # the first keyframe is fixed
     steps = np.zeros(6 * count)
     steps[free] = np.linalg.solve(matrix[free, free] + 1e-9 * np.eye(6 * count - 6), side[free])
     rest = goal - (flat.T @ steps).reshape(number, 3)
