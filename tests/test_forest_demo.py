@@ -71,7 +71,7 @@ def test_a_formation_passes_trees_and_forms_again(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--goal", "3"], "2 or 3 numbers with commas between"),
+        (["--goal", "3"], "2 or 3 comma-separated numbers"),
         (["--start", "a,b"], "2 numbers with commas between"),
         (["--sensor", "radar"], "radar"),
         (["--speed-limit", "0"], "0.2 to 15 m/s"),

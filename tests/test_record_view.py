@@ -226,7 +226,7 @@ def test_a_file_other_than_a_bag_is_reported(tmp_path: Path) -> None:
 def test_an_interval_outside_the_bag_is_reported(bag: Path, tmp_path: Path) -> None:
     done = record("formation", "--bag", bag, "--from", 30, "--out", tmp_path / "film.mp4")
     assert done.returncode == 2
-    assert "from, to: nothing of the flight is in that part; " in done.stderr
+    assert "from, to: the flight has no data in that interval; " in done.stderr
     assert "has 1.0 to 1.6 s" in done.stderr
 
 

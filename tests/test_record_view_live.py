@@ -159,7 +159,7 @@ def test_the_flight_continues_without_the_film(stack: Stack, tmp_path: Path) -> 
         end()
         assert program.end(END_LIMIT) == status, (name, program.output)
         assert words in program.output, name
-        assert ("what there is of the film: " in program.output) == (name == "no-node"), name
+        assert ("partial film: " in program.output) == (name == "no-node"), name
         assert (frames_of(folder / "film.mp4") > 0) == film, name
         poll(lambda: not left(stack), "nothing of the film is left", END_LIMIT)
         stack.pass_time(0.2)

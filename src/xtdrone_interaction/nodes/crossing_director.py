@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Send every vehicle through obstacles to its goal, and land it. Topics: see ``crossing.crossing_director``.
+"""Fly every vehicle through obstacles to its goal, and land it. Topics: see ``crossing.crossing_director``.
 
 Parameters:
     /xtdrone/fleet (as ``iris_3d_lidar:1``): the vehicles.
-    ~goals (list of [x, y, z], m in map): one a vehicle, in order.
+    ~goals (list of [x, y, z], m in map): one per vehicle, in order.
     those of ``xtdrone_interaction.crossing.crossing_mission.CrossingSettings``.
 
-Exit status: 0 if all have arrived; 1 for parameters that are not allowed, or if one has not arrived.
+Exit status: 0 if all have arrived; 1 for invalid parameters, or if one has not arrived.
 """
 
 from __future__ import annotations

@@ -6,8 +6,8 @@ Parameters:
     ~patterns (default ``cube,pyramid,triangle``): flown in turn between ``origin`` and ``origin``.
     ~pattern_file, ~clearance, ~out, ~recorder: see ``xtdrone_interaction.formation.director.DirectorSettings``.
 
-Exit status: 0 after a whole flight; 1 for parameters that are not allowed, after a flight that has lost a vehicle, and
-after a failed one (all vehicles are landed first).
+Exit status: 0 after a complete flight; 1 for invalid parameters, after a flight that lost a vehicle, and after a failed
+one (all vehicles are landed first).
 """
 
 from __future__ import annotations

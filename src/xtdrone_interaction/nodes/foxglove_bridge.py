@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""A live bridge to Foxglove and Lichtblick: topics, time, parameters, services, publishing.
+"""Bridge a running flight to Foxglove and Lichtblick: topics, time, parameters, services, publishing.
 
 Parameters:
     ~port (default 8765), ~address (127.0.0.1), ~topics_glob, ~services_glob, ~params_glob, ~operate, ~call_timeout,

@@ -3,7 +3,7 @@
 
 Arguments:
     view: formation or search.
-    fleet: vehicles such as iris:9; by default those of the flight in config/foxglove.
+    fleet: vehicles such as iris:9; default: the fleet of the layouts in config/foxglove.
 
 It needs no ROS master.
 """

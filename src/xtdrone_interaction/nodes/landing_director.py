@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Land a UAV on a ground robot that drives: ``landing_director.py iris_landing_camera_0``.
+"""Land a UAV on a moving ground robot: ``landing_director.py iris_landing_camera_0``.
 
 Topics: see ``landing.landing_director``; parameters: ``LandingSettings`` there, see docs/settings.md.
 
-Exit status: 0 after a landing on the tags, 1 after another one, 2 for values that are not allowed.
+Exit status: 0 after a landing on the tags, 1 after a landing elsewhere, 2 for invalid values.
 """
 
 from __future__ import annotations

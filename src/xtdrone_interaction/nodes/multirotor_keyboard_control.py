@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Steer vehicles by keys: ``multirotor_keyboard_control.py iris 9 vel`` (type, number, vel or accel).
+"""Steer vehicles from the keyboard: ``multirotor_keyboard_control.py iris 9 vel`` (type, number, vel or accel).
 
-The keys are XTDrone's and stand on the screen; topics are listed in ``xtdrone_interaction.keyboard.keyboard_node``. A
-mixed fleet is given as ``iris:3,typhoon_h480:2``. Any terminal will do, also over ssh.
+The keys are XTDrone's and are shown on the screen; topics are listed in ``xtdrone_interaction.keyboard.keyboard_node``.
+A mixed fleet is given as ``iris:3,typhoon_h480:2``. Any terminal works, also over ssh.
 
 Parameters:
-    ~patterns: the leader's YAML file with more patterns, for the digits.
-    /xtdrone/fleet (as ``iris:9``): which vehicles there are; without it the number is not checked.
+    ~patterns: the leader's YAML file with additional patterns, for the digit keys.
+    /xtdrone/fleet (as ``iris:9``): the vehicles; without it the number is not checked.
 """
 
 import signal

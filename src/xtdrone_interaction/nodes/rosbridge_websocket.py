@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""A server of the rosbridge protocol, version 2, for programs on roslibjs and roslibpy; see docs/bridges.md.
+"""Serve the rosbridge protocol, version 2, for programs based on roslibjs and roslibpy; see docs/bridges.md.
 
 Parameters:
     ~port (default 9090), ~address (127.0.0.1), ~max_message_size, ~topics_glob, ~services_glob, ~params_glob,
@@ -7,7 +7,7 @@ Parameters:
     and docs/settings.md.
     ~actual_port (set by the node): the port, also if ~port is 0.
 
-Topics and services: those that clients name. It is a plain node: the lockstep does not wait for it.
+Topics and services: those requested by clients. It is a plain node: the lockstep does not wait for it.
 """
 
 import sys

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Executes a program outside ROS packages: ``run_file.py FILE [ARGUMENTS]``.
 
-roslaunch starts programs of packages only; with this node a launch file starts a program by its path.
+roslaunch starts only programs of packages; with this node a launch file starts a program by its path.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""rviz on the screen, with a view that is made for the vehicles that fly. It takes no part in the lockstep.
+"""Open rviz with a view generated for the fleet. It is not part of the lockstep.
 
 ``rviz_view.py VIEW``; VIEW is vehicle, formation, search or an .rviz file.
 
 Parameters:
-    /xtdrone/fleet (as ``iris:9``): which vehicles there are.
-    /VEHICLE/robot_description: set where it is missing, as with the simplified simulator.
+    /xtdrone/fleet (as ``iris:9``): the vehicles.
+    /VEHICLE/robot_description: set where missing, e.g. with the simplified simulator.
 """
 
 import sys

@@ -1,16 +1,16 @@
 #!/usr/bin/env python3
-"""Films what the cameras of a search see, with the detector's boxes, and keeps the picture of the find.
+"""Films the camera views of a search, with the detector's boxes, and saves the image of the find.
 
 Topics:
-    /uav_<i>/darknet_ros/detection_image (sensor_msgs/Image, in): the pictures with boxes.
+    /uav_<i>/darknet_ros/detection_image (sensor_msgs/Image, in): the images with boxes.
     /xtdrone/search/event, /xtdrone/search/progress (std_msgs/String, in): JSON of the mission control.
 
 Parameters:
     /xtdrone/fleet (as ``typhoon_h480:6``): the vehicles.
     ~out: folder for views.mp4, views.png (when something was found, and at the end) and find.png.
-    ~film (default true): whether there is a film; else pictures only.
+    ~film (default true): whether to write a film; else images only.
 
-It takes part in the lockstep; the film has two pictures a simulated second.
+It is part of the lockstep; the film has two frames per simulated second.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ from xtdrone_interaction.pictures.search_views import Picture, Views
 from xtdrone_interaction.recording.search_record import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_swarm.view.film import FilmError, FilmWriter
 
-_RATE = 2.0  # Hz of simulated time, pictures of the film
-_PLAYED_FASTER = 4.0  # the film runs so many times as fast as the flight
+_RATE = 2.0  # Hz of simulated time, frames of the film
+_PLAYED_FASTER = 4.0  # playback speed of the film, relative to the flight
 
 
 class Recorder:
-    """Writes the film and the pictures."""
+    """Writes the film and the images."""
 
     def __init__(self, names: list[str], out: Path, film: bool) -> None:
         """Begin the film.
@@ -81,12 +81,12 @@ class Recorder:
             rospy.logerr("views: %s cannot be written", self._out / name)
 
     def turn(self) -> None:
-        """Add the next picture to the film."""
+        """Add the next frame to the film."""
         if self._film is not None and self._title:
             self._film.add(self._views.draw(self._title))
 
     def close(self) -> None:
-        """Finish the film; without a find the last views are kept."""
+        """Finish the film; without a find, save the last views."""
         if not (self._out / "views.png").exists() and self._title:
             self._save("views.png", self._views.draw(self._title)[..., :3])
         if self._film is None:

@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Markers for rviz: of a swarm (names, trails, slots, topology, avoidance, detections, finds; see ``rviz/markers.py``)
-and of the world's models and people (``rviz/world_markers.py``).
+"""Publish markers for rviz: of a swarm (names, trails, slots, topology, avoidance, detections, finds; see
+``rviz/markers.py``) and of the world's models and people (``rviz/world_markers.py``).
 
 Parameters:
     /xtdrone/fleet (as ``iris:9``): all vehicles; the first leads a formation.
     /xtdrone/world: name or file of the world; none: only the swarm is shown.
-    ~view (default none): a view, as search, that sets the defaults of the following.
+    ~view (default none): a view, e.g. search, that sets the defaults of the following parameters.
     ~rate, ~trail, ~scale, ~spot: see ``xtdrone_interaction.rviz.markers_node.MarkerSettings`` and docs/settings.md.
 
 Topics:

@@ -43,13 +43,13 @@ def main() -> int:
     except (FleetError, qgc_plan.PlanError, OSError) as error:
         rospy.logfatal("ground station: %s", error)
         return 2
-    rospy.wait_for_service(_RESUME)  # the vehicles accept connections from then on
+    rospy.wait_for_service(_RESUME)  # from then on the vehicles accept connections
     try:
         upload_plans(plans, fleet=fleet, patience=_PATIENCE, instance=instance)
     except GcsError as error:
-        rospy.logfatal("ground station: plans are not uploaded, time stays paused: %s", error)
+        rospy.logfatal("ground station: plans were not uploaded, time stays paused: %s", error)
         return 1
-    rospy.loginfo("ground station: %d plans are uploaded, time runs", len(plans))
+    rospy.loginfo("ground station: uploaded %d plans, time runs", len(plans))
     rospy.ServiceProxy(_RESUME, Empty)()
     return 0
 

@@ -1,13 +1,14 @@
 #!/usr/bin/env python3
-"""The station in a browser: a page on the running flight; see ``xtdrone_interaction.web.station_node`` and docs/web.md.
+"""Serve the browser station: a page on the running flight; see ``xtdrone_interaction.web.station_node`` and
+docs/web.md.
 
 Parameters:
     ~host, ~port, ~token, ~view_only, ~rate: see ``StationSettings`` and docs/settings.md.
-    ~url (out): where the page is, if it needs no token.
+    ~url (out): URL of the page, if it needs no token.
 
 Topics:
-    /gazebo/model_states, /clock (in): while a page is open; further ones as its panels need them.
-    /xtdrone/operator_actions (std_msgs/String, out): what the pages' users do, as JSON; bags record it.
+    /gazebo/model_states, /clock (in): while a page is open; further topics as its panels need them.
+    /xtdrone/operator_actions (std_msgs/String, out): actions of the pages' users, as JSON; recorded in bags.
 """
 
 import sys

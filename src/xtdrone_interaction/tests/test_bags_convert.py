@@ -102,8 +102,8 @@ def test_damaged_messages_are_skipped_and_reported(tmp_path: Path, capfd: pytest
     for form in ("csv", "parquet", "mcap"):
         assert cli.main(["convert", str(path), "--to", form]) == 0
         out = capfd.readouterr().out
-        assert "Note: 3 messages of /words do not match their definition; left out (the first at 4.000 s" in out
-        assert "Note: 1 messages of /pattern do not match their definition; left out (the first at 6.000 s" in out
+        assert "Note: 3 messages of /words do not match their definition; skipped (the first at 4.000 s" in out
+        assert "Note: 1 messages of /pattern do not match their definition; skipped (the first at 6.000 s" in out
         assert "its 6 bytes are no std_msgs/Float32MultiArray" in out
         assert "Note: 1 messages of /only" in out
     assert pyarrow.csv.read_csv(tmp_path / "flight-csv" / "words.csv")["data"].to_pylist() == ["word"] * 4 + ["last"]
@@ -119,8 +119,8 @@ def test_invalid_conversions_are_reported(bag: Path, tmp_path: Path, capfd: pyte
     (tmp_path / "there").mkdir()
     for arguments, status, words in (
         ([str(bag), "--to", "csv", "--out", str(tmp_path / "there")], 2, "exists already"),
-        ([str(bag), "--to", "csv", "--topics", "/none"], 1, "no messages of the selected topics"),
-        ([str(bag), "--to", "mcap", "--topics", "/none"], 1, "no messages of the selected topics"),
+        ([str(bag), "--to", "csv", "--topics", "/none"], 1, "no messages on the selected topics"),
+        ([str(bag), "--to", "mcap", "--topics", "/none"], 1, "no messages on the selected topics"),
         ([str(tmp_path / "no.bag"), "--to", "mcap"], 1, "does not exist"),
     ):
         assert cli.main(["convert", *arguments]) == status, arguments

@@ -86,7 +86,7 @@ def test_invalid_arguments_are_reported(capfd: pytest.CaptureFixture[str]) -> No
         (["heavy"], "'heavy' is unknown; there are: cameras, full, light"),
         (["light", "--duration", "long"], "'long' is not allowed"),
         (["light", "--split", "0"], "split: 0"),
-        (["light", "--split", "10", "--duration", "5"], "split: not with --duration"),
+        (["light", "--split", "10", "--duration", "5"], "split: cannot be combined with --duration"),
         (["light", "/topic"], "'/topic' is not allowed"),
     ):
         assert cli.main(["record", *arguments]) == 2

@@ -145,7 +145,7 @@ def test_a_chunk_whose_last_byte_is_wrong_is_read_and_noted(tmp_path: Path) -> N
     (tmp_path / "bad.bag").write_bytes(data)
     found, notes = read(tmp_path / "bad.bag")
     assert found == expected
-    assert any("cannot be unpacked further" in note for note in notes)
+    assert any("cannot be decompressed further" in note for note in notes)
 
 
 def test_damaged_topic_descriptions_are_read_from_the_index(tmp_path: Path) -> None:
@@ -410,8 +410,8 @@ def packed_bomb(path: Path, packing: str, stated: int, begin: bytes, megabytes: 
 
 @pytest.mark.parametrize(
     ("packing", "stated", "length", "words"),
-    [("lz4", 1000, 0xFFFFFFF0, "holds more than the size"), ("lz4", 0xFFFFFFFF, 0xFFFFFFF0, "has a record of"),
-     ("lz4", 0xFFFFFFFF, 0, ""), ("bz2", 1000, 0, "holds more than the size"),
+    [("lz4", 1000, 0xFFFFFFF0, "holds more than its stated size"), ("lz4", 0xFFFFFFFF, 0xFFFFFFF0, "has a record of"),
+     ("lz4", 0xFFFFFFFF, 0, ""), ("bz2", 1000, 0, "holds more than its stated size"),
      ("bz2", 0xFFFFFFFF, 0xFFFFFFF0, "has a record of more than")],
 )  # fmt: skip
 def test_a_chunk_that_unpacks_to_far_more_than_it_should_fills_no_memory(

@@ -109,12 +109,12 @@ def test_bytes_of_known_messages() -> None:
 
 @pytest.mark.parametrize("type_", ["mavros_msgs/State", "rosgraph_msgs/Log", "nope/Nope"])
 def test_types_that_ros_2_does_not_have_are_refused(type_: str) -> None:
-    with pytest.raises(ConversionError, match=f"type: {type_} is not carried"):
+    with pytest.raises(ConversionError, match=f"type: {type_} is not bridged"):
         converter(type_, "")
 
 
 def test_another_definition_than_the_standard_one_is_refused() -> None:
-    with pytest.raises(ConversionError, match="with md5 sum 00 is not carried"):
+    with pytest.raises(ConversionError, match="with md5 sum 00 is not bridged"):
         converter("std_msgs/String", "00")
 
 

@@ -6,9 +6,9 @@
 - ``run(arguments) -> int``: runs it and returns its exit status;
 - optionally ``parse(parser, words) -> Namespace``, where argparse's ``parse_args`` is not sufficient.
 
-Only the module of the command that runs is imported: commands that control a running simulation start fast.
+Only the module of the executed command is imported, so that commands start fast.
 
-Exit status: that of the command, 2 for a value that is not allowed, 128 + n when stopped by signal n.
+Exit status: that of the command, 2 for an invalid value, 128 + n when stopped by signal n.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Command:
 
     Attributes:
         name: one word, or two for a member of a group, as ``demo formation``.
-        module: full name; empty for the commands of the launcher itself and for groups.
+        module: full name; empty for commands of the launcher itself and for groups.
         synopsis: of the arguments.
         help: one line.
     """
@@ -66,7 +66,7 @@ def read_commands() -> dict[str, Command]:
 
 
 def parsers(command: Command) -> Iterator[tuple[str, argparse.ArgumentParser]]:
-    """Yield the parser of a command and those of its sub-commands, each with the words that lead to it."""
+    """Yield the parser of a command and those of its sub-commands, each with the words that select it."""
     yield from _with_inner(f"xtdrone {command.name}", command.parser(command.load()))
 
 
@@ -79,7 +79,7 @@ def _with_inner(path: str, parser: argparse.ArgumentParser) -> Iterator[tuple[st
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command, by default that of the program's arguments, and return its exit status."""
+    """Run a command, by default from the program's arguments, and return its exit status."""
     words = list(sys.argv[1:] if argv is None else argv)
     command, rest = _split(words)
     module = command.load()
@@ -99,22 +99,22 @@ def _split(words: Sequence[str]) -> tuple[Command, list[str]]:
     parser = argparse.ArgumentParser(prog="xtdrone", usage="xtdrone NAME ...", epilog=f"Names: {names}.")
     if {"-h", "--help"}.intersection(words):
         parser.parse_args(["--help"])
-    parser.error(f"no command is called {' '.join(words[:2])!r}; there are: {names}")
+    parser.error(f"unknown command {' '.join(words[:2])!r}; there are: {names}")
 
 
 def start() -> None:
     """Run the command of the program's arguments and exit; the entry point of ``python -m``.
 
-    Ctrl-C ends the program without a traceback from the beginning, and a shortage of the machine (memory, threads) is
-    reported on one line, even where a library cannot be loaded because of it.
+    Ctrl-C ends the program without a traceback at any time, and a lack of resources (memory, threads) is reported on
+    one line, even if a library cannot be loaded because of it.
     """
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # while modules are loaded there is nothing to clean up
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # nothing to clean up while modules are loaded
     try:
         command, rest = _split(sys.argv[1:])
         command.load()
         signal.signal(signal.SIGINT, signal.default_int_handler)
         sys.exit(main([*command.name.split(), *rest]))
-    except KeyboardInterrupt:  # outside the part of a command that handles signals
+    except KeyboardInterrupt:  # outside a command's signal handling
         print("xtdrone: stopped by SIGINT", file=sys.stderr)
         sys.exit(128 + signal.SIGINT)
     except Exception as error:

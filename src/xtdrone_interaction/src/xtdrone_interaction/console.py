@@ -1,4 +1,4 @@
-"""Output of commands on the terminal: a console that survives its reader, and errors as one line."""
+"""Terminal output of commands: a console that survives a closed pipe, and one-line errors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rich.console import Console
 
 
 class PatientConsole(Console):
-    """A console that becomes silent when its reader has gone (``| head``), where rich's own ends the program."""
+    """A console that goes silent when its reader closes the pipe (``| head``), where rich's own exits."""
 
     def on_broken_pipe(self) -> None:
         """Stop printing, and let the command continue."""
@@ -24,7 +24,7 @@ def run_reported(action: Callable[[], int]) -> int:
     """Run a demo or a report; print an error on one line.
 
     Returns:
-        Its exit status; 2 for a value that is not allowed, 1 for another error.
+        Its exit status; 2 for an invalid value, 1 for another error.
     """
     from xtdrone_control.fleet import FleetError
     from xtdrone_coordination.patterns import PatternError

@@ -1,4 +1,4 @@
-"""The TCP port of a server beside a simulation, so that several simulations on one machine do not compete."""
+"""TCP ports of servers, chosen so that several simulations on one machine do not collide."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ def instance_here() -> int:
 
 
 def port_here(port: int, usual: int) -> int:
-    """Return the port to listen on: the usual one moves with the instance, as the MAVLink ports do.
+    """Return the port to listen on: the default port shifts with the instance, like the MAVLink ports.
 
     Args:
         port: that of the settings.
-        usual: the default of the settings; another port was chosen by the user and stays.
+        usual: the default of the settings; any other port was chosen by the user and is kept.
     """
     return instance_port(port, instance_here()) if port == usual else port

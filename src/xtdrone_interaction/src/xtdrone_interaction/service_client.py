@@ -1,4 +1,4 @@
-"""Calls of ROS services over TCPROS with time limits, which rospy's client lacks, and without rospy.
+"""Client for ROS services over TCPROS with timeouts, which rospy's client lacks, and without rospy.
 
 Source of the protocol: wiki.ros.org, ROS/TCPROS and ROS/Connection Header.
 """
@@ -25,7 +25,7 @@ class ServiceError(RuntimeError):
 
 
 class ServiceRefusedError(ServiceError):
-    """A service rejects a request; the message is its own."""
+    """A service rejects a request; the message is the service's."""
 
 
 def call_service(address: tuple[str, int], name: str, kind: Any, request: Any, caller: str, limit: float | None) -> Any:
@@ -37,7 +37,7 @@ def call_service(address: tuple[str, int], name: str, kind: Any, request: Any, c
         kind: generated class of the service.
         request: an object of ``kind._request_class``.
         caller: name of the calling node.
-        limit: timeout of the response, s; None for none.
+        limit: timeout of the response, s; None: no timeout.
 
     Raises:
         ServiceError: it rejects the request (``ServiceRefusedError``), or does not respond.

@@ -6,7 +6,7 @@ indefinitely, and it uses only the master of its environment. The saved import i
 0.22 s of processor time instead of 0.34 s (Python 3.11, AMD EPYC; import of this module and of std_srvs, against rospy
 and std_srvs).
 
-Exit status: 0 on success, 1 on failure, 2 for a value that is not allowed, 130 after Ctrl-C.
+Exit status: 0 on success, 1 on failure, 2 for an invalid value, 130 after Ctrl-C.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ def call(master: str, name: str, kind: Any, request: Any, limit: float | None = 
         name: of the service.
         kind: generated class of the service.
         request: an object of ``kind._request_class``.
-        limit: timeout of the response, s; None for none.
+        limit: timeout of the response, s; None: no timeout.
 
     Raises:
         SimError: the service does not exist, rejects the request, or does not respond.

@@ -26,7 +26,7 @@ class Source(Protocol):
         size: bytes.
         connections: by number; filled while it is read.
         notes: descriptions of unreadable parts, as sentences; filled while it is read.
-        cut: whether the recorder did not finish it; known when it has been read.
+        cut: whether the recorder did not finish it; known after reading.
     """
 
     path: Path
@@ -67,7 +67,7 @@ class Ros2Bag:
             if not self.connections:
                 raise BagError(f"bag: {str(self.path)!r} cannot be read: {error}") from error
             self.cut = True
-            self.notes.append(f"it cannot be read to its end: {error}")
+            self.notes.append(f"it cannot be read to the end: {error}")
 
     def _batches(self, reader: AnyReader) -> Iterator[Batch]:
         store = get_typestore(Stores.EMPTY)
@@ -113,7 +113,7 @@ def open_source(path: Path) -> Source:
         raise BagError(f"bag: {str(path)!r} does not exist")
     if path.suffix in _ROS2 or path.is_dir():
         if path.is_dir() and not (path / "metadata.yaml").is_file():
-            raise BagError(f"bag: folder {str(path)!r} has no metadata.yaml, so it is no ROS 2 bag")
+            raise BagError(f"bag: folder {str(path)!r} has no metadata.yaml, so it is not a ROS 2 bag")
         return Ros2Bag(path)
     return BagFile(path)
 
@@ -170,7 +170,7 @@ def open_sources(paths: Sequence[Path]) -> Source:
 
 
 def large_batches(source: Source) -> Iterator[Batch]:
-    """Yield the messages in batches of about BATCH bytes, so that the cost per batch and topic hardly counts."""
+    """Yield the messages in batches of about BATCH bytes, so that the cost per batch and topic is negligible."""
     waiting: list[Batch] = []
     size = 0
     for batch in source.batches():
@@ -251,7 +251,7 @@ def _fault(layout: Layout, batch: Batch, row: int) -> str | None:
 
 
 class Losses:
-    """Messages that had to be left out.
+    """Messages that had to be skipped.
 
     Attributes:
         unknown: number of messages whose connection record is lost.
@@ -275,10 +275,10 @@ class Losses:
         self._damaged[connection.topic] = count + len(batch.time) - len(kept), first
 
     def notes(self) -> list[str]:
-        """Return sentences about the messages left out."""
+        """Return sentences about the skipped messages."""
         notes = []
         if self.unknown:
-            notes.append(f"{self.unknown} messages are of topics whose description is lost; they are left out")
+            notes.append(f"{self.unknown} messages are of topics whose description is lost; they were skipped")
         for topic, (count, first) in sorted(self._damaged.items()):
-            notes.append(f"{count} messages of {topic} do not match their definition; left out (the first {first})")
-        return notes + [f"{text}; its messages are left out" for text in self.failed.values()]
+            notes.append(f"{count} messages of {topic} do not match their definition; skipped (the first {first})")
+        return notes + [f"{text}; its messages were skipped" for text in self.failed.values()]

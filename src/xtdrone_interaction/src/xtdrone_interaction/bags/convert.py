@@ -1,6 +1,6 @@
 """``./xtdrone convert FILE --to FORMAT``: convert bags to ROS 2 bags, MCAP, CSV or Parquet, or repair them.
 
-Exit status: 0 if all readable messages were converted, 1 if none is readable, 2 for a value that is not allowed.
+Exit status: 0 if all readable messages were converted, 1 if none is readable, 2 for an invalid value.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ from xtdrone_interaction.bags.ros1bag import BagError, Batch, Connection
 from xtdrone_interaction.options import OptionError
 
 FORMATS = {
-    "mcap": "ROS 2 bag with MCAP inside, which Foxglove opens",
-    "ros2": "ROS 2 bag with SQLite inside",
-    "bag": "complete and indexed ROS 1 bag, from a truncated one",
-    "csv": "a table for each topic",
-    "parquet": "a table for each topic, typed and packed",
+    "mcap": "ROS 2 bag in MCAP format, which Foxglove opens",
+    "ros2": "ROS 2 bag in SQLite format",
+    "bag": "complete, indexed ROS 1 bag, from a truncated one",
+    "csv": "one table per topic",
+    "parquet": "one table per topic, typed and compressed",
 }
 _AT_ONCE = 200  # tables open at once; with more topics, the bag is read several times
 _WAITING = 4_000_000  # bytes of a table buffered before they are written
@@ -54,7 +54,7 @@ _BYTES = "u1"
 
 
 def chosen(patterns: Sequence[str] | None) -> Callable[[str], bool]:
-    """Return a predicate of topics that match a pattern such as /iris_*/mavros/*; all match without patterns."""
+    """Return a predicate for topics that match a pattern such as /iris_*/mavros/*; without patterns all match."""
     return lambda topic: not patterns or any(fnmatch.fnmatchcase(topic, pattern) for pattern in patterns)
 
 
@@ -65,8 +65,8 @@ def rewrite(source: Source, target: Path, wanted: Callable[[str], bool], losses:
         source: the bag to read.
         target: path of the new bag.
         wanted: predicate of topics.
-        losses: registers messages left out.
-        check: leave out messages that do not match their definition.
+        losses: records skipped messages.
+        check: skip messages that do not match their definition.
     """
     count = 0
     writer = Writer(target)
@@ -122,14 +122,14 @@ def _good(
 
 
 def to_ros2(source: Source, target: Path, storage: str, topics: Sequence[str] | None, losses: Losses) -> None:
-    """Write a ROS 2 bag by way of a temporary ROS 1 bag, since rosbags relies on the index of its input.
+    """Write a ROS 2 bag through a temporary ROS 1 bag, because rosbags relies on the index of its input.
 
     Args:
         source: the bag to read.
         target: folder that does not exist yet.
         storage: ``mcap`` or ``sqlite3``.
         topics: patterns; None for all.
-        losses: registers messages left out.
+        losses: records skipped messages.
 
     Raises:
         BagError: rosbags cannot convert it.
@@ -149,7 +149,7 @@ def to_ros2(source: Source, target: Path, storage: str, topics: Sequence[str] | 
 
 def _nothing(source: Source, losses: Losses) -> str:
     """Return the error message for a conversion without any message."""
-    text = f"convert: {str(source.path)!r} has no messages of the selected topics"
+    text = f"convert: {str(source.path)!r} has no messages on the selected topics"
     notes = [*source.notes, *losses.notes()]
     return "; ".join([f"{text} that can be read" if notes else text, *notes])
 
@@ -204,7 +204,7 @@ def to_tables(
         folder: of the tables.
         kind: ``csv`` or ``parquet``.
         wanted: predicate of topics.
-        losses: registers messages left out.
+        losses: records skipped messages.
 
     Returns:
         Topic, path and rows of each table.
@@ -353,13 +353,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add = parser.add_argument
     add("file", type=Path, help="ROS 1 bag, or ROS 2 bag")
-    add("--to", choices=FORMATS, required=True, help="format of the result")
-    add("--topics", nargs="+", metavar="TOPIC", help="only these; * and ? stand for anything (default: all)")
-    add("--out", type=Path, metavar="PATH", help="file or folder that does not exist yet (default: beside the bag)")
+    add("--to", choices=FORMATS, required=True, help="output format")
+    add("--topics", nargs="+", metavar="TOPIC", help="only these topics; * and ? are wildcards (default: all)")
+    add("--out", type=Path, metavar="PATH", help="new file or folder (default: next to the bag)")
 
 
 def convert(file: Path, form: str, out: Path | None, topics: Sequence[str] | None) -> Iterator[str]:
-    """Convert a recording, and yield lines for the user.
+    """Convert a recording, and yield status lines.
 
     Raises:
         OptionError: the target exists or cannot be written.

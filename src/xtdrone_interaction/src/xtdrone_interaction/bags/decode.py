@@ -89,7 +89,7 @@ class List:
 
 @dataclass(frozen=True)
 class Unknown:
-    """A field that cannot be traversed; nor can all fields behind it."""
+    """A field that cannot be traversed; nor can any field after it."""
 
     path: str
 
@@ -104,7 +104,7 @@ class Span:
     Attributes:
         start: offset of its content, shape (n,).
         count: bytes of the string, or entries of the list, shape (n,).
-        end: offset behind it, shape (n,).
+        end: offset after it, shape (n,).
     """
 
     start: Rows
@@ -166,7 +166,7 @@ class Layout:
             return self.store.deserialize_ros1(raw, self.type)
         except Exception as error:  # rosbags raises many kinds, some without text
             why = f": {error}" if str(error) else ""
-            raise MessageError(f"its {len(raw)} bytes are no {self.type.replace('/msg/', '/')}{why}") from error
+            raise MessageError(f"its {len(raw)} bytes are not a {self.type.replace('/msg/', '/')}{why}") from error
 
     def decode(self, data: NDArray[np.uint8], offset: Rows, length: Rows, wanted: Collection[str]) -> Decoded:
         """Decode fields of messages.
@@ -178,7 +178,7 @@ class Layout:
             wanted: paths of the fields.
 
         Returns:
-            The fields; messages that do not match the definition are left out.
+            The fields; messages that do not match the definition are skipped.
         """
         kept = np.arange(len(offset))
         at, end = offset, offset + length
@@ -274,7 +274,7 @@ class Decoded:
         if not len(self.kept):
             return []
         span: Span = self.found[path]
-        if (span.count == span.count[0]).all():  # mostly equal strings, such as a mode or a frame
+        if (span.count == span.count[0]).all():  # mostly identical strings, such as a mode or a frame
             size = int(span.count[0])
             if not size:
                 return [""] * len(span.start)
@@ -370,7 +370,7 @@ def _several(store: Typestore, path: str, what: Any, *, fixed: bool) -> Iterator
 
 
 def _merged(parts: Iterator[Part]) -> Iterator[Part]:
-    """Yield the parts, joining neighbours of fixed size."""
+    """Yield the parts, joining adjacent ones of fixed size."""
     fixed = Fixed()
     for part in parts:
         if isinstance(part, Fixed):

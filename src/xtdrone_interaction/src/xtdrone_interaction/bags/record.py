@@ -1,6 +1,6 @@
 """``./xtdrone record PROFILE``: rosbag record with the topics, compression and splitting of a profile.
 
-Exit status: that of rosbag; 1 without a ROS master; 2 for a value that is not allowed.
+Exit status: that of rosbag; 1 without a ROS master; 2 for an invalid value.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def read_profile(name: str) -> Profile:
     """Read a shipped profile by its name, or any profile by the path of its YAML file.
 
     Raises:
-        OptionError: there is none, or a value is not allowed.
+        OptionError: the profile does not exist, or a value is not allowed.
     """
     folder = options.repository() / PROFILES
     path = Path(name) if name.endswith((".yaml", ".yml")) else folder / f"{name}.yaml"
@@ -63,7 +63,7 @@ def read_profile(name: str) -> Profile:
         raw = load_yaml(read_text(path))
     except FileNotFoundError:
         shipped = ", ".join(sorted(file.stem for file in folder.glob("*.yaml")))
-        raise OptionError(f"profile: {name!r} is unknown; there are: {shipped}, and YAML files of your own") from None
+        raise OptionError(f"profile: {name!r} is unknown; there are: {shipped}, or use your own YAML file") from None
     except (OSError, ContentError) as error:
         raise OptionError(f"profile: {str(path)!r} cannot be read: {getattr(error, 'strerror', error)}") from error
     if not isinstance(raw, dict) or not raw.keys() <= _KEYS:
@@ -103,9 +103,9 @@ def rosbag_arguments(profile: Profile, out: str, duration: str | None = None, mo
 
     Args:
         profile: recording settings.
-        out: path of the files, without number and ending.
-        duration: of the recording; None for unlimited. A limited recording is one file, as rosbag applies the duration
-            to each file of a split one.
+        out: path path of the files, without number and extension.
+        duration: of the recording; None for unlimited. A limited recording is one file, because rosbag applies the
+            duration to each file of a split one.
         more: further arguments.
     """
     arguments = ["record", "-e", "-O", out, f"--buffsize={profile.buffer}", *_PACKINGS[profile.compression]]
@@ -119,7 +119,7 @@ def ros_environment(given: str, launched: bool) -> tuple[dict[str, str], str]:
     """Return the environment of the recorder, and the origin of its ROS master if that was searched for.
 
     The master is that of ROS_MASTER_URI if a simulator uses it; else that of this workspace's newest flight; else that
-    of ROS_MASTER_URI without a simulator, as for real UAVs.
+    of ROS_MASTER_URI even without a simulator, e.g. for real UAVs.
 
     Args:
         given: the master's URI, or empty.
@@ -157,28 +157,28 @@ def _answers(master: str) -> bool:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.description = (
-        "Record a running flight with rosbag, until Ctrl-C. Profiles: light, full (all but pictures), "
-        "cameras, or a YAML file of your own."
+        "Record a running flight with rosbag, until Ctrl-C. Profiles: light, full (all except images), "
+        "cameras, or your own YAML file."
     )
     add = parser.add_argument
     add("profile", help="light, full, cameras, or FILE.yaml")
-    add("--out", metavar="NAME", help="of the files, without number and ending (default: runs/<time>-<profile>)")
-    add("--split", metavar="MB", type=int, help="begin a new file after so many MB (default: the profile's)")
-    add("--duration", metavar="TIME", help="one file of so long: 30, 5m, 2h (default: until Ctrl-C)")
+    add("--out", metavar="NAME", help="path of the files without number and suffix (default: runs/<time>-<profile>)")
+    add("--split", metavar="MB", type=int, help="start a new file after this many MB (default: from the profile)")
+    add("--duration", metavar="TIME", help="record one file for this time: 30 (s), 5m, 2h (default: until Ctrl-C)")
     add("--master", metavar="PORT|URI", type=sim_cli.master_uri,
         help="the flight's ROS master (default: ROS_MASTER_URI; without a simulator there, the newest flight of "
         "./xtdrone demo)")  # fmt: skip
 
 
 def parse(parser: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Namespace:
-    """Parse a command line; words that are not known are kept in ``ros``, for a node's remappings."""
+    """Parse a command line; unknown words are kept in ``ros``, for a node's remappings."""
     arguments, ros = parser.parse_known_args(words)
     arguments.ros = ros
     return arguments
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Become rosbag, or return an exit status."""
+    """Replace this process by rosbag, or return an exit status."""
     ros = arguments.ros
     try:
         odd = [argument for argument in ros if ":=" not in argument]
@@ -186,7 +186,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise OptionError(f"record: {odd[0]!r} is not allowed; see record --help")
         profile = read_profile(arguments.profile)
         if arguments.split is not None and arguments.duration is not None:
-            raise OptionError("split: not with --duration, which makes one file")
+            raise OptionError("split: cannot be combined with --duration, which records one file")
         if arguments.split is not None:
             if not 1 <= arguments.split <= _MOST:
                 raise OptionError(f"split: {arguments.split} is not allowed; 1 to {_MOST} MB")

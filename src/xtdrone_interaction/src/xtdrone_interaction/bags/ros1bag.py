@@ -1,4 +1,4 @@
-"""Reads ROS 1 bags (format 2.0) sequentially, without their index: also bags that are cut off or damaged anywhere.
+"""Reads ROS 1 bags (format 2.0) sequentially, without their index: also truncated bags, and bags damaged anywhere.
 
 A bag is a sequence of records; messages lie in chunks, compressed or not. The recorder writes the index when it is
 closed, so a killed recorder leaves none; :attr:`BagFile.notes` describes what could not be read. A chunk that was being
@@ -29,9 +29,9 @@ _MESSAGE, _BAG_HEADER, _CHUNK, _CONNECTION = 2, 3, 5, 7
 _PIECE = 4 << 20  # bytes decompressed at once
 _FEW = 4096  # compressed bytes
 _DAMAGE = (OSError, RuntimeError, EOFError)  # raised by decompressors
-_LONGEST_HEADER = 1 << 24  # bytes; message definitions stand in the data, not in a header
-_USUAL_CHUNK = 1 << 26  # bytes; a smaller chunk may hold more than its header states, as that may be damaged
-_LONGEST_RECORD = 1 << 28  # bytes; a longer one counts as damage, so that no file fills the memory
+_LONGEST_HEADER = 1 << 24  # bytes; message definitions are in the data, not in a header
+_USUAL_CHUNK = 1 << 26  # bytes; a smaller chunk may hold more than its header states, because the header may be damaged
+_LONGEST_RECORD = 1 << 28  # bytes; a longer one counts as damage, so that no file exhausts memory
 _RECORDS = 1 << 16  # scanned at once
 _CHUNK_MARK = b"\x04\x00\x00\x00op=\x05"
 _BEFORE_MARK = (0, 20, 19)  # bytes of a chunk's header before its op: none, compression=none, compression=lz4 or bz2
@@ -86,7 +86,7 @@ class BagFile:
         size: bytes.
         connections: by number; filled while the bag is read.
         notes: descriptions of unreadable parts with the reason, as sentences; filled while the bag is read.
-        cut: whether the recorder did not finish it; known when the bag has been read.
+        cut: whether the recorder did not finish it; known after reading.
     """
 
     def __init__(self, path: Path) -> None:
@@ -109,11 +109,11 @@ class BagFile:
         if not self.size:
             raise BagError(f"bag: {str(path)!r} is empty")
         if not first.startswith(MAGIC):
-            raise BagError(f"bag: {str(path)!r} is no bag: it begins with {first!r}, not with {MAGIC.decode()!r}")
+            raise BagError(f"bag: {str(path)!r} is not a bag: it begins with {first!r}, not with {MAGIC.decode()!r}")
         if first != _VERSION:
             version = first[len(MAGIC) :].split(b"\n")[0].decode(errors="replace")
             raise BagError(
-                f"bag: {str(path)!r} has version {version!r}; 2.0 can be read, and 'rosbag fix' makes it of older ones"
+                f"bag: {str(path)!r} has version {version!r}; only 2.0 can be read; 'rosbag fix' converts older ones"
             )
 
     @property
@@ -155,7 +155,7 @@ class BagFile:
                 file.seek(begin + size)
         if not self._indexed:
             self.cut = True
-            self.notes.append("the recorder did not end it: there is no index; it was read by its records")
+            self.notes.append("the recorder did not finish it: there is no index; it was read record by record")
 
     def _check_header(self, fields: dict[bytes, bytes]) -> None:
         """Check the bag header record.
@@ -176,20 +176,22 @@ class BagFile:
 
     def _note_cut(self, at: int) -> None:
         self.cut = True
-        self.notes.append(f"it is cut off: the record at byte {at} of {self.size} is not whole; all before it was read")
+        self.notes.append(
+            f"it is cut off: the record at byte {at} of {self.size} is incomplete; it was read up to there"
+        )
 
     def _found_next_chunk(self, file: BinaryIO, at: int) -> bool:
-        """Note that the record at ``at`` is invalid, and seek the next chunk; return False if there is none."""
+        """Record that the record at ``at`` is invalid, and find the next chunk; return False if there is none."""
         place = self._next_chunk(file, at)
         if place is None:
             self._note_cut(at)
             return False
-        self.notes.append(f"bytes {at} to {place} of {self.size} are damaged and left out")
+        self.notes.append(f"bytes {at} to {place} of {self.size} are damaged and were skipped")
         file.seek(place)
         return True
 
     def _next_chunk(self, file: BinaryIO, at: int) -> int | None:
-        """Return the offset of the next chunk behind ``at``; None if there is none."""
+        """Return the offset of the next chunk after ``at``; None if there is none."""
         begin = at + 1
         while begin < self.size:
             file.seek(begin)
@@ -206,7 +208,7 @@ class BagFile:
         return None
 
     def _chunk(self, file: BinaryIO, fields: dict[bytes, bytes], begin: int, size: int) -> Iterator[Batch]:
-        """Yield the messages of a chunk, and seek its end."""
+        """Yield the messages of a chunk, and find its end."""
         packing = fields.get(b"compression", b"none")
         open_end = size == 0 and fields.get(b"size", b"\0" * 4) == b"\0" * 4
         if open_end:  # the recorder writes the size when the chunk is full
@@ -223,7 +225,7 @@ class BagFile:
             try:
                 piece = next(pieces, None)
             except (*_DAMAGE, ValueError) as error:
-                damage = f"cannot be unpacked further ({error})"
+                damage = f"cannot be decompressed further ({error})"
                 break
             if piece is None:
                 break
@@ -245,15 +247,14 @@ class BagFile:
             if open_end or rest or damage:
                 self.cut = True
                 self.notes.append(
-                    f"it is cut off in the chunk at byte {begin} of {self.size}: of that the messages up to there "
-                    "were read"
+                    f"it is cut off in the chunk at byte {begin} of {self.size}: the messages up to there were read"
                 )
             else:
                 self._note_cut(begin)
         elif damage:
             self.notes.append(f"the chunk at byte {begin} {damage}; its messages before that and the rest were read")
         elif rest:
-            self.notes.append(f"the chunk at byte {begin} ends with {len(rest)} bytes that are no record; left out")
+            self.notes.append(f"the chunk at byte {begin} ends with {len(rest)} bytes that are no record; skipped")
         file.seek(end)
 
     def _records(self, data: NDArray[np.uint8], at: int) -> tuple[Batch, int, bool]:
@@ -334,7 +335,7 @@ def _limited(pieces: Iterator[bytes], size: int) -> Iterator[bytes]:
         yield piece[:size]
         size -= len(piece)
         if size < 0:
-            raise ValueError("it holds more than the size that it states")
+            raise ValueError("it holds more than its stated size")
 
 
 def _unpacked(file: BinaryIO, packing: bytes, size: int) -> Iterator[bytes]:

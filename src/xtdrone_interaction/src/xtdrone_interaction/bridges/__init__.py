@@ -1,1 +1,1 @@
-"""Bridges from the ROS graph to other clients: Foxglove, rosbridge's protocol, ROS 2."""
+"""Bridges from the ROS graph to other clients: Foxglove, rosbridge protocol, ROS 2."""

@@ -1,4 +1,4 @@
-"""The ROS graph as a bridge's clients see it: read from the master at most once in a while, filtered by patterns."""
+"""The ROS graph as seen by a bridge's clients: cached from the master, and filtered by patterns."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class BridgeGraph:
         Args:
             uri: of the ROS master.
             topics: shell patterns of the topics' names.
-            oldest: age from which the graph is read again, s.
+            oldest: age after which the graph is read again, s.
             clock: monotonic, s.
             read: reads the graph of a master.
         """

@@ -1,4 +1,4 @@
-"""The parameters that the bridges share."""
+"""Parameters common to all bridges."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from xtdrone_interaction.bridges.ros_publications import Publications
 from xtdrone_interaction.bridges.ros_services import Services
 from xtdrone_interaction.topics.discovery import read_topics
 
-_OLDEST = 1.0  # s, age of the graph that clients are told
+_OLDEST = 1.0  # s, maximum age of the graph shown to clients
 
 
 def patterns(value: Any) -> tuple[str, ...]:
@@ -27,7 +27,7 @@ def patterns(value: Any) -> tuple[str, ...]:
     if isinstance(value, str):
         value = value.strip().removeprefix("[").removesuffix("]").split(",")
     if not isinstance(value, (list, tuple)) or not all(isinstance(part, str) for part in value):
-        raise ValueError("shell patterns with commas between, such as /iris_*/mavros/*,/tf")
+        raise ValueError("comma-separated shell patterns, such as /iris_*/mavros/*,/tf")
     return tuple(part.strip().strip("'\"") for part in value if part.strip())
 
 
@@ -41,15 +41,15 @@ class BridgeSettings(Settings):
     topics_glob: tuple[str, ...] = setting(("*",), parse=patterns, allowed="shell patterns", text="topics offered")
     services_glob: tuple[str, ...] = setting(("*",), parse=patterns, allowed="shell patterns", text="services offered")
     params_glob: tuple[str, ...] = setting(("*",), parse=patterns, allowed="shell patterns", text="parameters offered")
-    operate: bool = setting(True, text="whether clients may publish, call services and set parameters, or only watch")
-    call_timeout: float = setting(30.0, low=0.1, high=3600.0, unit="s", text="time that a service has for its response")
+    operate: bool = setting(True, text="true: clients may publish, call services and set parameters; false: only watch")
+    call_timeout: float = setting(30.0, low=0.1, high=3600.0, unit="s", text="timeout of a service's response")
 
 
 def warn_of_network(settings: BridgeSettings, name: str) -> None:
     """Log that other machines may connect."""
     if settings.address not in ("127.0.0.1", "localhost", "::1"):
         can = "watch and command" if settings.operate else "watch"
-        rospy.logwarn(f"{name}: every machine that reaches {settings.address} may {can} this simulation")
+        rospy.logwarn(f"{name}: every machine that can reach {settings.address} may {can} this simulation")
 
 
 def graph_of(settings: BridgeSettings) -> BridgeGraph:
@@ -61,7 +61,7 @@ def publications_of(graph: BridgeGraph) -> Publications:
     """Return the publishers of this process."""
 
     def subscribers(topic: str) -> int:
-        found = read_topics(rosgraph.get_master_uri()).topics.get(topic)  # not those of up to a second ago
+        found = read_topics(rosgraph.get_master_uri()).topics.get(topic)  # read anew: the cache may be 1 s old
         return 0 if found is None else len(found.subscribers)
 
     return Publications(rospy.Publisher, graph.topic_type, subscribers)

@@ -11,10 +11,10 @@ from typing import Any
 from xtdrone_interaction.topics.message_classes import MessageTypeError, installed_class
 
 MAX_TOPICS = 200
-"""Topics that the clients of a bridge may publish at a time."""
-_PATIENCE = 1.0  # s from advertising until the subscribers have connected; a first message would miss them
+"""Maximum number of topics published by the clients of a bridge."""
+_PATIENCE = 1.0  # s after advertising for the subscribers to connect, since they would miss the first message
 _LOOK = 0.005  # s
-_QUEUE = 100  # messages per connection that wait for a slow subscriber, then the oldest are dropped
+_QUEUE = 100  # messages queued per connection for a slow subscriber; beyond this, the oldest are dropped
 
 
 class PublicationError(ValueError):
@@ -33,7 +33,7 @@ class _Publication:
 
 
 class Publications:
-    """The publishers of a bridge. A topic's publisher ends with its last owner."""
+    """The publishers of a bridge. A publisher is closed with its last owner."""
 
     def __init__(
         self, publisher: Callable[..., Any], topic_type: Callable[[str], str], subscribers: Callable[[str], int]
@@ -55,9 +55,9 @@ class Publications:
         """Advertise a topic for an owner; return the class of its messages.
 
         Args:
-            owner: for whom it is kept.
+            owner: client that needs it.
             topic: its name.
-            type_: its type; empty for the type that it has in the graph.
+            type_: its type; empty: its type in the graph.
             latch: whether a later subscriber receives the last message.
 
         Raises:
@@ -69,7 +69,7 @@ class Publications:
             present = self._topics.get(topic)
             known = present.type if present is not None else self._topic_type(topic)
             if not (type_ or known):
-                raise PublicationError(f"topic: the type of {topic} is unknown, advertise it with one")
+                raise PublicationError(f"topic: the type of {topic} is unknown, advertise it with a type")
             if type_ and known and type_ != known:
                 raise PublicationError(f"topic: {topic} of type {type_} is not allowed, it has the type {known}")
             try:
@@ -85,7 +85,7 @@ class Publications:
             return kind
 
     def publish(self, topic: str, message: Any) -> None:
-        """Publish a message on an advertised topic; one just advertised waits for its subscribers, up to a second.
+        """Publish a message on an advertised topic; if just advertised, wait up to 1 s for its subscribers.
 
         Raises:
             PublicationError: it is not advertised, or the message cannot be serialised.
@@ -97,7 +97,7 @@ class Publications:
             self._wait_for_subscribers(topic, present)
         try:
             present.publisher.publish(message)
-        except Exception as error:  # rospy.ROSSerializationException, and what a field's value makes genpy raise
+        except Exception as error:  # rospy.ROSSerializationException, or any error of genpy for a field's value
             raise PublicationError(f"topic: {topic}: {error}") from error
 
     def _wait_for_subscribers(self, topic: str, present: _Publication) -> None:
@@ -107,7 +107,7 @@ class Publications:
         present.until = 0.0
 
     def unadvertise(self, owner: Hashable, topic: str) -> None:
-        """End an owner's interest in a topic; one that it has not advertised is ignored."""
+        """End an owner's interest in a topic; ignored if it has not advertised it."""
         with self._lock:
             present = self._topics.get(topic)
             if present is None or owner not in present.owners:

@@ -26,7 +26,7 @@ def service_address(lookup: Callable[[str], str], name: str) -> tuple[str, int]:
     try:
         address = urlparse(lookup(name))
         return str(address.hostname), int(address.port or 0)
-    except Exception as error:  # rosgraph.MasterError, and whatever a broken XML-RPC exchange raises
+    except Exception as error:  # rosgraph.MasterError, or any error of a broken XML-RPC exchange
         raise ServiceError(f"{name}: no such service on the ROS master") from error
 
 
@@ -56,7 +56,7 @@ class Services:
         return any(fnmatch.fnmatchcase(name, pattern) for pattern in self._patterns)
 
     def refresh(self, names: Iterable[str]) -> None:
-        """Determine the types of the current services; each one is asked once, also one that does not respond."""
+        """Determine the types of the current services; each one is queried once, even if it does not respond."""
         present = {name for name in names if self.is_offered(name)}
         self.types = {name: type_ for name, type_ in self.types.items() if name in present}
         self._silent &= present

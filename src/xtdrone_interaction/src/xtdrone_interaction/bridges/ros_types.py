@@ -29,5 +29,5 @@ def service_class(type_: str) -> Any:
     except Exception:  # a package that fails on import: roslib lets its errors through
         found = None
     if found is None:
-        raise ServiceTypeError(f"type: {type_!r} is not installed; its package is to be built and sourced")
+        raise ServiceTypeError(f"type: {type_!r} is not installed; build and source its package")
     return found

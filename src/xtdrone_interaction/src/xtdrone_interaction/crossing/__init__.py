@@ -1,1 +1,1 @@
-"""Flights through obstacles: each vehicle takes off, is sent to its goal by its planner, and lands there."""
+"""Flights through obstacles: each vehicle takes off, flies to its goal by its planner, and lands there."""

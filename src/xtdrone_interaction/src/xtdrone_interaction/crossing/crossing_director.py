@@ -1,4 +1,4 @@
-"""The director of a flight through obstacles, a lockstep node.
+"""Director of a flight through obstacles; a lockstep node.
 
 For every vehicle T of /xtdrone/fleet:
 
@@ -10,10 +10,11 @@ subscribed
 published
 /T/planner/goal                           PoseStamped              or exploration/start
 /xtdrone/demo/events                      String (JSON)            event, time (simulated s), ...
-/xtdrone/demo/progress                    String (JSON)            phase, vehicles under way, minimum way left
-========================================  =======================  ====================================================
+/xtdrone/demo/progress                    String (JSON)            phase, vehicles under way, shortest remaining
+distance ========================================  =======================
+====================================================
 
-It arms, takes off and lands by MAVROS's services.
+It arms, takes off and lands through MAVROS's services.
 """
 
 from __future__ import annotations
@@ -50,10 +51,10 @@ class GoalsError(ValueError):
 
 
 def parse_goals(value: object, names: Sequence[str]) -> dict[str, Goal]:
-    """Return each vehicle's goal from a list of [x, y, z], m in map, one a vehicle.
+    """Return each vehicle's goal from a list of [x, y, z], m in map, one per vehicle.
 
     Raises:
-        GoalsError: another number of goals, or one that is not three finite numbers.
+        GoalsError: wrong number of goals, or one that is not three finite numbers.
     """
     if not isinstance(value, list) or len(value) != len(names):
         raise GoalsError(f"goals: {value!r} is not allowed, a list of {len(names)} goals [x, y, z]")
@@ -67,7 +68,7 @@ def parse_goals(value: object, names: Sequence[str]) -> dict[str, Goal]:
 
 
 class CrossingDirector:
-    """Sends each vehicle to its goal."""
+    """Flies each vehicle to its goal."""
 
     def __init__(self, goals: Mapping[str, Goal], settings: CrossingSettings) -> None:
         """Declare the topics.
@@ -145,7 +146,7 @@ class CrossingDirector:
             services.close()
 
     def _advance_together(self) -> None:
-        """Do what concerns all vehicles, at the end of each turn: nothing, as each flies for itself."""
+        """Hook for tasks of the whole group, called at the end of each turn; does nothing here."""
 
     def _advance(self, crossing: Crossing) -> None:
         phase = crossing.phase
@@ -172,7 +173,7 @@ class CrossingDirector:
         self._goals[crossing.name].publish(message)
 
     def _event(self, event: str, **values: Any) -> None:
-        """Publish an event, and append it to the events file with the wall time, which no topic may contain."""
+        """Publish an event, and append it, with the wall time (which no topic may contain), to the events file."""
         numbers = {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in values.items()}
         values = {"event": event, "time": rospy.get_time(), **numbers}
         self._event_publisher.publish(String(json.dumps(values)))

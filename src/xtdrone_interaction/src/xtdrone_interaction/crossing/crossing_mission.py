@@ -1,4 +1,4 @@
-"""One vehicle's part of a flight through obstacles, without ROS: which command follows from which report."""
+"""State machine of one vehicle's flight through obstacles, without ROS: commands from reports."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from xtdrone_control.settings import Settings, setting
 
 
 class Task(NamedTuple):
-    """What a vehicle does between takeoff and landing.
+    """Task of a vehicle between takeoff and landing.
 
     Attributes:
-        goal, state: topics below /T/: the goal, and the reports of the node that it is sent to.
-        arrived, unreachable: reports that end it.
+        goal, state: topics below /T/ of the goal, and of the state of the node that flies to it.
+        arrived, unreachable: states that end it.
     """
 
     goal: str
@@ -28,7 +28,7 @@ TASKS = {
     "explore": Task("exploration/start", "exploration/state", "explored, home", "home unreachable"),
 }
 
-_SPACING = 2.0  # s between two equal commands
+_SPACING = 2.0  # s between two identical commands
 _SETTLED = 1.0  # s at the goal before landing
 
 
@@ -39,9 +39,9 @@ class CrossingSettings(Settings):
     time_limit: float = setting(
         180.0, low=10.0, high=3600.0, unit="s", text="simulated time after which a vehicle that has not arrived lands"
     )
-    task: str = setting("goal", choices=tuple(TASKS), text="fly to the goals, or explore a floor and then fly there")
+    task: str = setting("goal", choices=tuple(TASKS), text="fly to the goals, or first explore a floor")
     pattern: str = setting(
-        "", text="formation in which the vehicles follow the first one to its goal; empty: each flies for itself"
+        "", text="formation in which the vehicles follow the first one to its goal; empty: each flies on its own"
     )
     out: str = setting("", text="folder for events.jsonl, empty for none")
     recorder: str = setting("", text="node that records the flight; time starts when it has subscribed, or after 30 s")
@@ -49,7 +49,7 @@ class CrossingSettings(Settings):
 
 @dataclass
 class Reports:
-    """What a vehicle has reported last.
+    """Latest reports of a vehicle.
 
     Attributes:
         armed, mode: of mavros/state.
@@ -69,10 +69,10 @@ class Crossing:
         name: of the vehicle.
         goal: x, y, z, m in map.
         limit: time limit, s.
-        task: what it does.
+        task: its task.
         phase: preparing, taking off, crossing, landing, landed or failed.
-        outcome: arrived, or why not; empty before that is known.
-        reports: what the vehicle reports.
+        outcome: arrived, or why not; empty until known.
+        reports: latest reports of the vehicle.
         begun, ended: ROS times at which the goal was sent and reached, s; NaN before that.
     """
 
@@ -90,7 +90,7 @@ class Crossing:
 
     @property
     def is_over(self) -> bool:
-        """Whether the vehicle is back on the ground, or never left it."""
+        """Whether the vehicle has landed, or never took off."""
         return self.phase in ("landed", "failed")
 
     def step(self, now: float) -> list[str]:

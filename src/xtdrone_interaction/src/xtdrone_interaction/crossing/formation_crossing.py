@@ -1,4 +1,4 @@
-"""A formation's flight through obstacles, without ROS: form, follow the leader to its goal, form again, land."""
+"""State machine of a formation's flight through obstacles, without ROS: form up, follow the leader, re-form, land."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from xtdrone_interaction.crossing.crossing_mission import Crossing
 
-FORMED_ERROR = 0.3  # m; the formation is formed when every follower is nearer to its slot
+FORMED_ERROR = 0.3  # m; the formation is complete when every follower is closer than this to its slot
 STAGES = ("taking off", "forming", "crossing", "forming again", "landing", "over")
 
 _FORMED_HOLD = 2.0  # s
@@ -16,7 +16,7 @@ _FORM_LIMIT = 60.0  # s
 
 
 class Member(Crossing):
-    """The flight of one vehicle of a formation, which lands when the formation does."""
+    """Flight of one vehicle of a formation, which lands with the formation."""
 
     def _prepare(self, now: float) -> list[str]:
         if self.outcome and not self.reports.armed:  # another vehicle has failed
@@ -26,7 +26,7 @@ class Member(Crossing):
 
     def _take_off(self, now: float) -> list[str]:
         commands = super()._take_off(now)
-        return [command for command in commands if command != "GOAL"]  # which the formation sends
+        return [command for command in commands if command != "GOAL"]  # sent by the formation
 
     def _cross(self, now: float) -> list[str]:
         if not self.reports.armed:
@@ -44,7 +44,7 @@ class FormationCrossing:
 
     Attributes:
         members: the vehicles, the leader first.
-        limit: of the way to the goal, s.
+        limit: timeout of the flight to the goal, s.
         stage: one of ``STAGES``.
     """
 
@@ -56,7 +56,7 @@ class FormationCrossing:
     _slots_sent: bool = False
 
     def step(self, now: float, errors: Sequence[float] | None) -> list[str]:
-        """Advance; return what is to be sent: "pattern" or "goal" to the leader, "slots" to the followers.
+        """Run one update; return the messages to send: "pattern" or "goal" to the leader, "slots" to the followers.
 
         Args:
             now: s.
@@ -113,7 +113,7 @@ class FormationCrossing:
         return []
 
     def _is_formed(self, now: float, errors: Sequence[float]) -> bool:
-        """Return whether all followers have been in their slots for a while; False for unknown positions."""
+        """Return whether all followers have been in their slots long enough; False if positions are unknown."""
         if not all(error < FORMED_ERROR for error in errors):
             self._formed_since = math.nan
         elif math.isnan(self._formed_since):

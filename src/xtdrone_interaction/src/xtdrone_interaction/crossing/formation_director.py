@@ -1,6 +1,6 @@
 """The director of a formation's flight through obstacles, a lockstep node.
 
-Besides the topics of ``crossing_director``:
+In addition to the topics of ``crossing_director``:
 
 ========================================  =======================  ====================================================
 subscribed
@@ -78,7 +78,7 @@ class FormationCrossingDirector(CrossingDirector):
         self._leader_command.publish(String(self._pattern))
 
     def _send_slots(self) -> None:
-        """Send each follower to its slot; from then on its velocities move this goal."""
+        """Send each follower its slot as a goal; from then on its velocity commands move this goal."""
         assert self._offsets is not None
         self._event("assigned", pattern=self._pattern, offsets=self._offsets.round(4).tolist())
         here = np.array(self._positions[self._crossings[0].name])

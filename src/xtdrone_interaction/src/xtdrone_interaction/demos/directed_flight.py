@@ -1,4 +1,4 @@
-"""What demos share whose launch has a director node: their flight, their common options, and reports made again."""
+"""Common parts of demos with a director node: flight, options, and regenerated reports."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _TIMINGS = "planning_times.json"
 
 
 class DirectedDemo(Protocol):
-    """Settings that all these demos have."""
+    """Settings common to these demos."""
 
     @property
     def world(self) -> str:
@@ -41,11 +41,11 @@ class DirectedDemo(Protocol):
 
     @property
     def master_port(self) -> int:
-        """TCP port of the flight's own ROS master; 0 for the running one of ROS_MASTER_URI."""
+        """TCP port of the flight's own ROS master; 0: use the running one of ROS_MASTER_URI."""
 
     @property
     def headless(self) -> bool:
-        """Whether lines are printed instead of a live display."""
+        """Whether to print lines instead of a live display."""
 
     @property
     def instance(self) -> int:
@@ -66,8 +66,8 @@ def directed_flight(settings: DirectedDemo, file: str, arguments: Mapping[str, A
     Args:
         settings: of the demo.
         file: launch file.
-        arguments: of the launch file, besides those of ``DirectedDemo``.
-        show_event: displays an event of the director that is of interest to the user.
+        arguments: of the launch file, in addition to those of ``DirectedDemo``.
+        show_event: displays the director's events that are relevant to the user.
     """
     return Flight(
         file=file,
@@ -94,7 +94,7 @@ def directed_flight(settings: DirectedDemo, file: str, arguments: Mapping[str, A
 
 
 def show_landing(event: dict[str, Any], display: Display) -> None:
-    """Show how a vehicle's flight has ended."""
+    """Show the outcome of a vehicle's flight."""
     if event.get("outcome") and event["event"] == "landing":
         display.note(f"  {event['time']:6.1f} s  {event['vehicle']}: {escape(str(event['outcome']))}")
 
@@ -107,7 +107,7 @@ def add_place_options(parser: argparse.ArgumentParser) -> None:
 
 
 def placed(settings: _Settings, arguments: argparse.Namespace, fleet: str) -> _Settings:
-    """Return settings with results folder, master and instance, after their checks.
+    """Return validated settings with results folder, master and instance.
 
     Raises:
         OptionError: a value is not allowed.
@@ -136,7 +136,7 @@ def stored_settings(file: Path) -> dict[str, Any]:
 
 
 def planning_times(folder: Path) -> dict[str, Any]:
-    """Return the planners' times of a results folder; empty if it has none."""
+    """Return the planners' computation times from a results folder; empty if there are none."""
     times: dict[str, Any] = {}
     with contextlib.suppress(FileNotFoundError, ValueError):
         times = json.loads((folder / _TIMINGS).read_text(encoding="utf-8"))

@@ -14,21 +14,21 @@ from xtdrone_interaction.demos.explore_demo import ExploreDemoSettings, run_expl
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.description = (
-        "Explore a floor of rooms with UAVs that share it: each maps what its lidar sees, flies to where known space "
-        "ends and tells the others its map and regions, until nothing is left to see. Leaves runs/<time>/ with "
+        "Explore a floor of rooms with several UAVs: each maps what its lidar sees, flies to the frontiers of known "
+        "space, and shares its map and regions with the others, until the floor is explored. Leaves runs/<time>/ with "
         "flight.bag, report.json and floor.png."
     )
     settings = ExploreDemoSettings.add_arguments
     settings(parser, ("n", "length", "width", "delay", "loss", "speed_limit", "seed"))
     parser.add_argument(
-        "--world", metavar="WORLD", help="another world, by name or file (default: a building of the seed)"
+        "--world", metavar="WORLD", help="another world, by name or file (default: a building generated from the seed)"
     )
     settings(parser, ("bounds", "time_limit", "speed", "headless", "web"))
     add_place_options(parser)
 
 
 def settings_of(arguments: argparse.Namespace) -> ExploreDemoSettings:
-    """Return the settings of the flight, after all checks that need no ROS.
+    """Return the settings of the flight, validated as far as possible without ROS.
 
     Raises:
         OptionError: a value is not allowed.

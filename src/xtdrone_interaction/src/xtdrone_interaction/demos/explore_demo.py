@@ -32,7 +32,7 @@ from xtdrone_planning.exploration.settings import ExplorationSettings, parse_bou
 _HEIGHT = 1.5  # m
 _START = (17.0, 5.0)  # before the entrance of generated buildings and mazes
 _APART = 2.0  # m between two vehicles at the start
-_SETTINGS = "explore.json"  # in the results folder, for a report that is made again
+_SETTINGS = "explore.json"  # in the results folder, to regenerate the report
 _RESULTS = ("flight.bag", "report.json", "floor.png")
 
 
@@ -43,7 +43,7 @@ class ExploreDemoSettings(Settings):
     Attributes:
         world: name or file; see ``generated_world``.
         out: folder of the results.
-        master_port: TCP port of the flight's own ROS master; 0 for the running one of ROS_MASTER_URI.
+        master_port: TCP port of the flight's own ROS master; 0: use the running one of ROS_MASTER_URI.
         instance: number of the simulation on this machine.
     """
 
@@ -65,7 +65,7 @@ class ExploreDemoSettings(Settings):
     speed: float = speed_setting()
     out: Path = Path()
     master_port: int = 0
-    headless: bool = setting(False, text="no live display: print a line of progress every few seconds")
+    headless: bool = setting(False, text="no live display; print a progress line every few seconds")
     instance: int = 0
     web: bool = web_setting()
 
@@ -76,15 +76,15 @@ class ExploreDemoSettings(Settings):
 
     @property
     def generated_world(self) -> str:
-        """The building of the seed."""
+        """The building generated from the seed."""
         return f"indoor:seed={self.seed},length={self.length:g},width={self.width:g},door=1.5,corridor=2.4"
 
     @property
     def floor(self) -> tuple[float, float, float, float]:
-        """The bounds x0, y0, x1, y1, m in map; those of the building of the seed, unless they are given."""
+        """The bounds x0, y0, x1, y1, m in map; by default those of the generated building."""
         if self.bounds is not None:
             return self.bounds
-        from xtdrone_sim.worlds.catalogue import load_world  # takes a while to import
+        from xtdrone_sim.worlds.catalogue import load_world  # slow to import
 
         walls = [model for model in load_world(self.world).models if model.name == "walls"]
         solids, _ = solids_of(walls)
@@ -108,7 +108,7 @@ def run_explore(settings: ExploreDemoSettings, console: Console) -> int:
     """Fly.
 
     Returns:
-        The exit status: 0 if the floor was explored without a touch, 1 if not, 128 + signal when stopped.
+        The exit status: 0 if the floor was explored without a collision, 1 if not, 128 + signal when stopped.
     """
     begin = time.monotonic()
 
@@ -141,7 +141,7 @@ def is_exploration(folder: Path) -> bool:
 
 
 def report_again(bag: Path, console: Console) -> int:
-    """Make report and picture of a recorded exploration again; return the exit status.
+    """Regenerate report and picture of a recorded exploration; return the exit status.
 
     Raises:
         DemoError: it cannot be read.
@@ -153,11 +153,11 @@ def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
     """Write report.json and floor.png, print the figures, and return the exit status.
 
     Raises:
-        DemoError: the bag is not the record of such a flight.
+        DemoError: the bag is not a record of such a flight.
     """
     from xtdrone_interaction.metrics.missions.exploration_metrics import make_report, visible_cells
     from xtdrone_interaction.metrics.missions.map_report import map_rows, octrees_in
-    from xtdrone_interaction.pictures.exploration_picture import save_floor  # matplotlib takes a while to import
+    from xtdrone_interaction.pictures.exploration_picture import save_floor  # imports matplotlib, which is slow
     from xtdrone_interaction.recording.exploration_record import read_exploration
     from xtdrone_sim.worlds.catalogue import load_world
 

@@ -18,19 +18,19 @@ from xtdrone_planning.replanning.situation import PlannerSettings
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.description = (
-        "Fly a UAV through a forest that it does not know, by lidar or depth camera: it maps what it sees, plans a "
-        "smooth trajectory through it and replans as it sees more. With --formation several pass it behind their "
-        "leader, and form again. Leaves runs/<time>/ with flight.bag, report.json, map.png and a film."
+        "Fly a UAV through an unknown forest, by lidar or depth camera: it maps what it sees, plans a smooth "
+        "trajectory and replans as it sees more. With --formation several UAVs cross it behind their leader, "
+        "and re-form. Leaves runs/<time>/ with flight.bag, report.json, map.png and a film."
     )
     settings = ForestDemoSettings.add_arguments
     settings(parser, ("n", "sensor", "delay", "loss", "speed_limit", "acceleration_limit", "density", "seed"))
     parser.add_argument(
-        "--world", metavar="WORLD", help="another world, by name or file (default: a forest of the seed)"
+        "--world", metavar="WORLD", help="another world, by name or file (default: a forest generated from the seed)"
     )
     settings(parser, ("formation", "leader_speed"))
     parser.add_argument(
         "--follower", metavar="FILE.py[:CLASS]",
-        help="your own follower class (default: ForestFollower of the examples, which keeps up with the leader)",
+        help="your own follower class (default: the example ForestFollower, which keeps up with the leader)",
     )  # fmt: skip
     parser.add_argument("--leader", metavar="FILE.py:CLASS", help="your own leader class (default: the shipped one)")
     settings(parser, ("start", "goal", "highest", "time_limit", "speed", "headless", "logs", "web"))
@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def settings_of(arguments: argparse.Namespace) -> ForestDemoSettings:
-    """Return the settings of the flight, after all checks that need no ROS.
+    """Return the settings of the flight, validated as far as possible without ROS.
 
     Raises:
         OptionError: a value is not allowed.
@@ -58,7 +58,7 @@ def settings_of(arguments: argparse.Namespace) -> ForestDemoSettings:
 
 
 def _check_formation(settings: ForestDemoSettings) -> None:
-    """Check what a formation needs.
+    """Check the settings of a formation.
 
     Raises:
         OptionError, PatternError: a value is not allowed.

@@ -35,8 +35,8 @@ _TYPES = {"lidar": "iris_3d_lidar", "depth": "iris_depth_camera"}
 _HEIGHT = 2.0  # m
 _APART = 4.0  # m between the lines of several UAVs
 _ROW, _SPACING = 3, 3.0  # vehicles in a row behind the leader of a formation before takeoff, and m between them
-_LENGTH, _FORMATION_LENGTH = 73, 68  # m of the forest: a formation's slots at the goal are behind the trees
-_SETTINGS = "forest.json"  # in the results folder, for a report that is made again
+_LENGTH, _FORMATION_LENGTH = 73, 68  # m of the forest: a formation's slots at the goal are beyond the trees
+_SETTINGS = "forest.json"  # in the results folder, to regenerate the report
 _RESULTS = ("flight.bag", "report.json", "map.png", "flight.mp4", "flight.gif")
 
 
@@ -46,7 +46,7 @@ def _numbers(text: object, counts: tuple[int, ...], example: str) -> tuple[float
     except ValueError:
         values = ()
     if len(values) not in counts or not all(map(math.isfinite, values)):
-        raise ValueError(f"{' or '.join(map(str, counts))} numbers with commas between, as {example}, m in map")
+        raise ValueError(f"{' or '.join(map(str, counts))} comma-separated numbers, e.g. {example}, m in map")
     return values
 
 
@@ -66,19 +66,19 @@ class ForestDemoSettings(Settings):
     Attributes:
         world: name or file; see ``generated_world``.
         out: folder of the results.
-        master_port: TCP port of the flight's own ROS master; 0 for the running one of ROS_MASTER_URI.
+        master_port: TCP port of the flight's own ROS master; 0: use the running one of ROS_MASTER_URI.
         instance: number of the simulation on this machine.
-        film: film the flight from its record afterwards.
+        film: whether to film the recorded flight afterwards.
     """
 
-    sensor: str = setting("lidar", choices=tuple(_TYPES), text="what the UAV sees by")
-    n: int = setting(1, low=1, high=12, metavar="N", text="UAVs; several exchange sides, in pairs towards each other")
+    sensor: str = setting("lidar", choices=tuple(_TYPES), text="sensor of the UAV")
+    n: int = setting(1, low=1, high=12, metavar="N", text="number of UAVs; several swap sides in pairs")
     delay: float = setting(
         0.0, low=0.0, high=2.0, unit="s", metavar="S", text="delay of the radio between several UAVs"
     )
     loss: float = setting(0.0, low=0.0, high=0.5, metavar="PART", text="probability that a message by radio is lost")
     formation: str = setting(
-        "", metavar="PATTERN", text="follow the first UAV in this formation, as circle or grid:spacing=4; needs --n"
+        "", metavar="PATTERN", text="follow the first UAV in this formation, e.g. circle or grid:spacing=4; needs --n"
     )
     follower_class: str = ""
     leader_class: str = ""
@@ -98,7 +98,7 @@ class ForestDemoSettings(Settings):
         (65.0, 5.0, _HEIGHT), parse=_parse_goal, metavar="X,Y[,Z]", text="goal, m in map (default: 65,5,2)"
     )
     highest: float = setting(
-        5.0, low=1.0, high=100.0, unit="m", metavar="M", text="highest flight; lower than walls: round, not over them"
+        5.0, low=1.0, high=100.0, unit="m", metavar="M", text="maximum height of flight; higher walls are flown around"
     )
     time_limit: float = setting(
         180.0, low=10.0, high=3600.0, unit="s", metavar="S", text="simulated time after which the UAV lands where it is"
@@ -107,7 +107,7 @@ class ForestDemoSettings(Settings):
     speed: float = speed_setting()
     out: Path = Path()
     master_port: int = 0
-    headless: bool = setting(False, text="no live display: print a line of progress every few seconds")
+    headless: bool = setting(False, text="no live display; print a progress line every few seconds")
     logs: bool = setting(False, text="write the vehicle's flight log (PX4's ULog)")
     instance: int = 0
     web: bool = web_setting()
@@ -125,15 +125,15 @@ class ForestDemoSettings(Settings):
 
     @property
     def generated_world(self) -> str:
-        """The forest of the seed: bare trunks on 40 x 40 m between start and goal."""
+        """The generated forest: bare trunks on 40 x 40 m between start and goal."""
         length = _FORMATION_LENGTH if self.formation else _LENGTH
         return f"forest:seed={self.seed},density={self.density:g},length={length},width=40,trunks=true"
 
     def routes(self) -> tuple[list[tuple[float, ...]], list[tuple[float, ...]]]:
         """Return starts (x, y) and goals (x, y, z), m in map.
 
-        A formation stands behind its leader, whose goal is the only one that counts. Other UAVs stand in pairs on lines
-        from start to goal, beside each other; of a pair each flies to the other's place.
+        A formation starts behind its leader, whose goal is the only one used. Otherwise, UAVs start in pairs on
+        parallel lines from start to goal; the two of a pair swap positions.
         """
         if self.n == 1:
             return [self.start], [self.goal]
@@ -168,7 +168,7 @@ def run_forest(settings: ForestDemoSettings, console: Console) -> int:
     """Fly.
 
     Returns:
-        The exit status: 0 if the UAV has arrived without a touch, 1 if not, 128 + signal when stopped.
+        The exit status: 0 if the UAV arrived without a collision, 1 if not, 128 + signal when stopped.
     """
     begin = time.monotonic()
 
@@ -220,7 +220,7 @@ def is_forest(folder: Path) -> bool:
 
 
 def report_again(bag: Path, console: Console) -> int:
-    """Make report and map of a recorded flight again; return the exit status.
+    """Regenerate report and map of a recorded flight; return the exit status.
 
     Raises:
         DemoError: it cannot be read.
@@ -232,9 +232,9 @@ def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
     """Write report.json and map.png, print the figures, and return the exit status.
 
     Raises:
-        DemoError: the bag is not the record of such a flight.
+        DemoError: the bag is not a record of such a flight.
     """
-    from xtdrone_interaction.pictures.crossing_map import save_crossing_map  # matplotlib takes a while to import
+    from xtdrone_interaction.pictures.crossing_map import save_crossing_map  # imports matplotlib, which is slow
 
     record, solids = _record(folder, settings)
     report = make_report(record, solids, settings, planning_times(folder))
@@ -246,10 +246,10 @@ def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
 
 
 def _record(folder: Path, settings: Mapping[str, Any]) -> tuple[CrossingRecord, list[Solid]]:
-    """Return the record of a flight, and what stands in its world.
+    """Return the record of a flight, and the obstacles of its world.
 
     Raises:
-        DemoError: the bag is not the record of such a flight.
+        DemoError: the bag is not a record of such a flight.
     """
     from xtdrone_sim.worlds.catalogue import load_world
 
@@ -263,7 +263,7 @@ def _record(folder: Path, settings: Mapping[str, Any]) -> tuple[CrossingRecord, 
 
 
 def _film(record: CrossingRecord, solids: Sequence[Solid], folder: Path, console: Console) -> None:
-    """Film the flight beside its bag; print the path, or why there is no film."""
+    """Film the flight next to its bag; print the path, or why there is no film."""
     from xtdrone_interaction.pictures.crossing_film import save_crossing_film  # imports Matplotlib
     from xtdrone_interaction.pictures.formation_film import default_file
     from xtdrone_swarm.view import FilmError

@@ -1,6 +1,6 @@
 """``./xtdrone demo hello``: one vehicle takes off, flies a square and lands, by a script that is shown.
 
-Exit status: 0 for a flight to its end, 1 if the script or the launch has failed, 2 for a value that is not allowed,
+Exit status: 0 for a flight to its end, 1 if the script or the launch has failed, 2 for an invalid value,
 128 + n when stopped by signal n.
 """
 

@@ -1,7 +1,7 @@
 """``./xtdrone demo landing``: a UAV finds a ground robot that drives by its AprilTags, and lands on it.
 
-Exit status: 0 for a landing within 0.15 m of the centre of the tags, 1 for another one or a failed flight, 2 for a
-value that is not allowed, 128 + n when stopped by signal n.
+Exit status: 0 for a landing within 0.15 m of the centre of the tags, 1 for another one or a failed flight, 2 for an
+invalid value, 128 + n when stopped by signal n.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class LandingDemoSettings(Settings):
     Attributes:
         world: name, or absolute path of a file.
         out: folder of the results.
-        master_port: TCP port of the flight's own ROS master; 0 for the running one of ROS_MASTER_URI.
+        master_port: TCP port of the flight's own ROS master; 0: use the running one of ROS_MASTER_URI.
         instance: number of the simulation on this machine.
     """
 
@@ -130,7 +130,7 @@ def report_of(bag: Path, settings: dict[str, Any]) -> dict[str, Any]:
     Raises:
         DemoError: the bag is not the record of a landing.
     """
-    from xtdrone_interaction.landing.landing_accuracy import (  # matplotlib takes a while to import
+    from xtdrone_interaction.landing.landing_accuracy import (  # imports matplotlib, which is slow
         make_report,
         read_landing,
     )

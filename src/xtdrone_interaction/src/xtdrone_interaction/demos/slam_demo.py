@@ -1,7 +1,7 @@
 """``./xtdrone demo slam``: one vehicle flies without GPS, by lidar, camera or 2D laser alone.
 
-Exit status: 0 for a flight that came home, 1 if the script or the launch has failed or it landed elsewhere, 2 for a
-value that is not allowed, 128 + n when stopped by signal n.
+Exit status: 0 for a flight that came home, 1 if the script or the launch has failed or it landed elsewhere, 2 for an
+invalid value, 128 + n when stopped by signal n.
 """
 
 from __future__ import annotations
@@ -183,9 +183,9 @@ def report_again(bag: Path, console: Console, settings: dict[str, Any] | None = 
     """Write report and pictures beside a bag, print the figures, and return the exit status.
 
     Raises:
-        DemoError: the bag is not the record of such a flight.
+        DemoError: the bag is not a record of such a flight.
     """
-    from xtdrone_interaction.pictures.odometry_pictures import save_pictures  # matplotlib takes a while to import
+    from xtdrone_interaction.pictures.odometry_pictures import save_pictures  # imports matplotlib, which is slow
 
     settings = settings or _stored_settings(bag.parent)
     try:

@@ -176,7 +176,7 @@ class FormationDirector:
         self._leader_velocity.publish(message)
 
     def event(self, event: str, **values: Any) -> None:
-        """Publish an event, and append it to the events file with the wall time, which no topic may contain."""
+        """Publish an event, and append it, with the wall time (which no topic may contain), to the events file."""
         values = {"event": event, "time": self.view.time, **values}
         text = json.dumps(values)
         self._event_publisher.publish(String(text))

@@ -1,6 +1,6 @@
 """``./xtdrone launch``: run a launch file; report when it is ready and which nodes die.
 
-Exit status: 0 after a clean end, 1 when a node has died or the launch has failed, 2 for a value that is not allowed,
+Exit status: 0 after a clean end, 1 when a node has died or the launch has failed, 2 for an invalid value,
 128 + n when stopped by signal n.
 """
 

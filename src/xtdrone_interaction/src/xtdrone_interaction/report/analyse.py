@@ -1,6 +1,6 @@
 """``./xtdrone analyse FILE``: report and pictures of any recording.
 
-Exit status: 0 when a report was written, 1 when nothing can be read, 2 for a value that is not allowed.
+Exit status: 0 when a report was written, 1 when nothing can be read, 2 for an invalid value.
 """
 
 from __future__ import annotations

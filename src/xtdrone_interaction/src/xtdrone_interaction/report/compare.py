@@ -1,6 +1,6 @@
 """``./xtdrone compare A B ...``: two or more runs, or a run and a reference, on the same axes.
 
-Exit status: 0 when a report was written, 1 when a run cannot be read, 2 for a value that is not allowed.
+Exit status: 0 when a report was written, 1 when a run cannot be read, 2 for an invalid value.
 """
 
 from __future__ import annotations

@@ -256,7 +256,7 @@ def save_pictures(simplified: FormationRecord, full: FormationRecord, folder: st
     Raises:
         RecordError: see :func:`compare`.
     """
-    from xtdrone_interaction.pictures.drawing import NamedFigure, save_figures  # matplotlib takes a while to import
+    from xtdrone_interaction.pictures.drawing import NamedFigure, save_figures  # imports matplotlib, which is slow
 
     windows = _common_windows(simplified, full)
     names = [window.pattern for window, _ in windows]

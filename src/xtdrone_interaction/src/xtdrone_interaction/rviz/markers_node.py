@@ -33,7 +33,7 @@ from xtdrone_sim.worlds.sdf import load_world_file, read_world
 NAME = "swarm_markers"
 TOPIC = "/xtdrone/markers"
 SEARCH_EVENTS = "/xtdrone/search/event"
-CAMERA = "cgo3_camera"  # of the vehicles that search
+CAMERA = "cgo3_camera"  # of the searching vehicles
 
 
 @dataclass(frozen=True)
@@ -42,11 +42,9 @@ class MarkerSettings(Settings):
 
     rate: float = setting(30.0, low=0.1, high=50.0, unit="Hz", text="publishing rate in simulated time")
     trail: float = setting(TRAIL, low=0.0, high=60.0, unit="s", text="length of the trails")
-    scale: float = setting(
-        1.0, low=0.1, high=50.0, text="scale of letters and line widths; letters are 0.4 m high at 1, legible from 15 m"
-    )
+    scale: float = setting(1.0, low=0.1, high=50.0, text="scale of text and line widths; at 1, letters are 0.4 m high")
     spot: float = setting(
-        0.0, low=0.0, high=50.0, unit="m", text="diameter of a sphere around each vehicle for distant views, 0 for none"
+        0.0, low=0.0, high=50.0, unit="m", text="diameter of a sphere around each vehicle for distant views; 0: none"
     )
 
 
@@ -84,7 +82,7 @@ class MarkersNode:
         lockstep.add_reset_hook(self._restart)
 
     def show_world(self, world: WorldMarkers) -> None:
-        """Show a world's models and people, too."""
+        """Add a world's models and people."""
         self._world = world
         if world.has_models:
             self._markers.stand_out()
@@ -163,7 +161,7 @@ def _cameras(vehicle: Vehicle) -> list[str]:
 
 
 def _world_markers() -> WorldMarkers | None:
-    """Return the markers of the flown world; none, with a warning, if they cannot be made."""
+    """Return the markers of the world; warn and return None if they cannot be made."""
     name = str(rospy.get_param("/xtdrone/world", ""))  # the simplified simulator has none
     if not name:
         return None

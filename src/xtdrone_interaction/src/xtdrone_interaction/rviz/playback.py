@@ -1,4 +1,4 @@
-"""Playback of a recorded flight for the nodes that draw it, in place of the simulator.
+"""Playback of a recorded flight to the drawing nodes, in place of the simulator.
 
 This process runs the lockstep server and publishes the recorded messages in simulated time, so each frame shows exactly
 the state at its time.
@@ -35,7 +35,7 @@ _JOIN_LIMIT = 90.0  # wall s for the nodes to start
 _MASTER_LIMIT = 20.0  # wall s
 _HANG_LIMIT = 60.0  # wall s
 _SLICE = 0.1  # wall s
-_LAST_TURNS = 2  # after the end of the record: the last messages are drawn two turns later
+_LAST_TURNS = 2  # after the end of the record, because messages are drawn two turns later
 _NOT_PLAYED = {"/rosout", "/clock", "/tf", "/tf_static"}
 
 
@@ -167,7 +167,7 @@ def _run(
         idle(0.0)
         due_us = server.next_due_us(now_us)
         if due_us is None:
-            raise StageError("none of the nodes takes part any longer")
+            raise StageError("no node takes part any longer")
         now_us = due_us
         while following is not None and following.time_us <= min(now_us, end_us):
             publishers[following.topic].publish(following.message)

@@ -1,11 +1,11 @@
 """``./xtdrone record-view VIEW``: a film of a flight in rviz, without a screen.
 
-The flight is a bag (``--bag``), a demo that is flown first (``--demo``), or the running one. A bag is played back in
-place of the simulator (``playback``). In a running flight the drawing nodes become participants of the lockstep, which
-waits for them without any effect on the flight.
+The source is a bag (``--bag``), a demo flown first (``--demo``), or the running flight. A bag is played back in place
+of the simulator (``playback``). In a running flight the drawing nodes join the lockstep, which waits for them without
+any effect on the flight.
 
-Exit status: 0 for success, 1 without a film, 2 for an invalid argument, 128 + n after signal n (the finished part of
-the film is kept).
+Exit status: 0 for success, 1 without a film, 2 for an invalid argument, 128 + n after signal n (the part filmed so far
+is kept).
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def film_bag(settings: FilmSettings, path: Path, work: Path, console: Console) -
     end_us = min(bag.end_us, settings.end * 1e6)
     if not begin_us <= end_us:
         part = f"{bag.begin_us * 1e-6:.1f} to {bag.end_us * 1e-6:.1f} s"
-        raise OptionError(f"from, to: nothing of the flight is in that part; {path} has {part}")
+        raise OptionError(f"from, to: the flight has no data in that interval; {path} has {part}")
     began = said = 0.0
 
     def on_turn(now_us: int) -> None:
@@ -123,11 +123,11 @@ def film_bag(settings: FilmSettings, path: Path, work: Path, console: Console) -
     settings = replace(settings, world=settings.world or flown_world(path))
     frames = play(settings, bag, work, on_turn)
     rate = frames / (time.monotonic() - began)
-    console.print(f"film: {frames} frames, {rate:.1f} a second of wall time", highlight=False)
+    console.print(f"film: {frames} frames, {rate:.1f} per second of wall time", highlight=False)
 
 
 def flown_world(bag: Path) -> str:
-    """Return the world of a recorded flight, as the files beside its bag name it; empty if they do not."""
+    """Return the world of a recorded flight from the files next to its bag; empty if unknown."""
     from xtdrone_interaction.demos.search.search_prepare import WORLD  # shapely is slow to import
 
     searched = bag.absolute().parent / WORLD
@@ -159,11 +159,11 @@ def film_running(settings: FilmSettings, work: Path, console: Console) -> None:
         raise StageError(f"master: {uri} does not answer as that of a flight: {error}") from error
     running = {node for group in (publishers, subscribers, services) for _, nodes in group for node in nodes}
     if f"/{DRAWER}" in running:
-        raise StageError(f"{DRAWER}: one films this flight already")
+        raise StageError(f"{DRAWER}: this flight is already being filmed")
     os.environ.update(node_environment(uri))
     with Stage(dict(os.environ), work) as stage:
         stage.start_all(settings, fleet, running)
-        console.print(f"filming the flight at {uri} until it ends; Ctrl-C ends the film before", highlight=False)
+        console.print(f"filming the flight at {uri} until it ends; Ctrl-C ends the film earlier", highlight=False)
         while not stage.wait(DRAWER, _SLICE):
             stage.check_others()
         frames = stage.finish()

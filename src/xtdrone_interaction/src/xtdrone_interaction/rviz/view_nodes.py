@@ -35,7 +35,7 @@ _COMPLAINT = re.compile(r"\[(?: WARN|ERROR|FATAL)\] \[[\d., ]+\]: (.*?)(?:\x1b\[
 
 
 class StageError(DemoError):
-    """A node cannot be started or has ended early; the message has its last output."""
+    """A node cannot be started or has ended early; the message contains its last output."""
 
 
 def program(package: str, name: str) -> str:
@@ -152,7 +152,7 @@ class Stage:
         """Check that all nodes run.
 
         Raises:
-            StageError: one has ended.
+            StageError: a node has ended.
         """
         for name, tree in self._nodes.items():
             if tree.wait(0.0):
@@ -204,7 +204,7 @@ class Stage:
     def _rest(self) -> str:
         """Return a message with the file of an unfinished film, if any."""
         part = self._film.with_name(f".{self._film.name}.{self._nodes[DRAWER].pid}.part.mp4")
-        return f"\nwhat there is of the film: {part}" if part.exists() else ""
+        return f"\npartial film: {part}" if part.exists() else ""
 
     def close(self) -> None:
         """End all nodes."""

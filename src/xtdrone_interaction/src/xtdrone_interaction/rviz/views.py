@@ -28,7 +28,7 @@ SHIPPED = {"vehicle": "iris:1", "formation": "iris:9", "search": "typhoon_h480:6
 """Fleets of the shipped views by name."""
 
 FOR_MARKERS: dict[str, dict[str, float]] = {"vehicle": {"scale": 0.3}, "search": {"scale": 6.0, "spot": 2.0}}
-"""Parameters of the markers node for near and far views."""
+"""Parameters of the markers node for close and distant views."""
 
 _REGION_MIDDLE = (60.0, 0.0, 0.0)
 """Approximate centre of the default search region, m, map."""
@@ -59,9 +59,8 @@ def make_view(name: str, vehicles: Sequence[str], flown: Array | None = None) ->
     Args:
         name: one of SHIPPED.
         vehicles: names, such as ``iris_0``; the first one is the focus, or the leader.
-        flown: positions that the view of the search has to include, shape (k, 3), m, map; None for the default search
-            region. The formation's camera stands still if it can show all of them from nearby, else it follows the
-            leader.
+        flown: positions that the search view must include, shape (k, 3), m, map; None: the default search region. The
+            formation's camera is fixed if it can show all of them from nearby, otherwise it follows the leader.
 
     Raises:
         OptionError: unknown view.

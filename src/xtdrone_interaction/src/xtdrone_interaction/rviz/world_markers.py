@@ -7,7 +7,7 @@ world      cube, ..., mesh     the shapes of the models, in their colours and te
 people     mesh                each person, standing or walking
 =========  ==================  =========================================================
 
-A marker is sent when it is new or has moved; rviz keeps the others.
+A marker is sent only when it is new or has moved; rviz keeps the others.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ from xtdrone_sim.worlds.people import Person
 from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld
 
 MODELS, PEOPLE = "world", "people"
-_STANDS = 0.02  # m between two updates; a person that moves less stands
-_JUMP = 2.0  # m between two updates; a person that moves more has been put there
+_STANDS = 0.02  # m between two updates; a person that moves less counts as standing
+_JUMP = 2.0  # m between two updates; a person that moves more has been teleported
 _BRIGHTER = 1.6  # of models' textures: rviz's light comes from the viewer, so the ground is dark
 _FORMAT = "1"  # of the cached meshes; a new version invalidates them
-_OWN_COLOURS = ColorRGBA(0.0, 0.0, 0.0, 0.0)  # those of the mesh's file
+_OWN_COLOURS = ColorRGBA(0.0, 0.0, 0.0, 0.0)  # use those of the mesh file
 
 Key = tuple[str, int]
 
 
 @dataclass
 class _Walker:
-    """A person: where it was last, and the phase of its walk, cycles; negative: it stands."""
+    """A person: last position, and phase of the walk cycle; negative: standing."""
 
     person: Person
     number: int
@@ -58,7 +58,7 @@ class WorldMarkers:
     """Collects the poses of models and people, and creates the markers of those that have changed."""
 
     def __init__(self, world: SdfWorld) -> None:
-        """Start with all models and people where the world's file has them.
+        """Start with all models and people at their poses in the world file.
 
         Raises:
             ValueError: a person's skin is unknown.
@@ -75,12 +75,12 @@ class WorldMarkers:
         }
         self._poses = {model.name: model.pose for model in world.models}
         self._gone: set[str] = set()
-        self._sent: dict[str, object] = {}  # what rviz shows of each model and person
+        self._sent: dict[str, object] = {}  # markers shown by rviz, by model and person
         self._removed: list[Key] = []
 
     @property
     def has_models(self) -> bool:
-        """Whether the world has models now."""
+        """Whether the world currently has models."""
         return bool(self._models)
 
     def restart(self) -> None:
@@ -89,7 +89,7 @@ class WorldMarkers:
         self._removed.clear()
 
     def on_models(self, added: Sequence[SdfModel], deleted: Sequence[str]) -> None:
-        """Store which models have been added since the start, and the names of those of the file that are gone."""
+        """Store the models added since the start, and the names of removed models of the file."""
         wanted = {name: model for name, model in self._file.items() if name not in deleted}
         wanted |= {model.name: model for model in added}
         for name, model in list(self._models.items()):
@@ -137,7 +137,7 @@ class WorldMarkers:
 
 
 def _walk(walker: _Walker, pose: Pose) -> None:
-    """Move a person; the phase of the walk follows from its way."""
+    """Move a person; the phase of the walk follows from the distance walked."""
     step = math.dist(walker.pose.position[:2], pose.position[:2])
     if pose == walker.pose:
         return
@@ -192,7 +192,7 @@ def _scale(shape: Geometry) -> Vector3:
 
 
 def _textured(shape: Geometry, texture: Path, colour: Colour, brighter: float) -> Path:
-    """Return a Wavefront file with texture and colour, in the user's cache: rviz reads textures from such files alone.
+    """Return a Wavefront file with texture and colour, in the user's cache: rviz reads textures only from such files.
 
     Raises:
         MeshError, OSError: a file cannot be read, or the cache cannot be written.

@@ -40,7 +40,7 @@ def installed_class(type_name: str) -> type[Any]:
     """
     found = _installed(type_name)
     if found is None:
-        raise MessageTypeError(f"type: {type_name!r} is not installed; its package is to be built and sourced")
+        raise MessageTypeError(f"type: {type_name!r} is not installed; build and source its package")
     return found
 
 

@@ -1,6 +1,6 @@
 """``./xtdrone web``: the page of the running flight in a browser.
 
-Exit status: 0 after Ctrl-C, 1 without a flight, 2 for a value that is not allowed.
+Exit status: 0 after Ctrl-C, 1 without a flight, 2 for an invalid value.
 """
 
 from __future__ import annotations

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from xtdrone_control.kernel import compiler
 
 CONNECTION = -1
-"""Used instead of a connection's number: the record describes a connection."""
+"""Returned instead of a connection number: the record describes a connection."""
 OTHER = -2
-"""Used instead of a connection's number: a record of another kind."""
+"""Returned instead of a connection number: a record of another kind."""
 
 kernel = compiler(Path(__file__).parent)
 

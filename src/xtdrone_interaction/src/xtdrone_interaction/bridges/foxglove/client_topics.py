@@ -1,4 +1,4 @@
-"""Topics that Foxglove's clients publish, in ROS 1's serialisation or JSON: checked, then published in the graph."""
+"""Topics that Foxglove's clients publish, in ROS 1's serialisation or JSON: validated, then published in the graph."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class ClientTopics:
         Args:
             publications: the process's publishers.
             is_open: returns whether clients may publish a topic.
-            report: tells clients an error; called with an identifier and a text.
+            report: sends clients an error; called with an identifier and a text.
         """
         self._publications = publications
         self._is_open = is_open
@@ -43,7 +43,7 @@ class ClientTopics:
         self._channels: dict[tuple[int, int], _Channel] = {}
 
     def advertise(self, client: int, channel: int, topic: str, encoding: str, type_: str) -> None:
-        """Advertise a topic for a client's channel; what is not allowed is reported."""
+        """Advertise a topic for a client's channel; violations are reported."""
         try:
             if encoding not in ENCODINGS:
                 raise PublicationError(
@@ -63,10 +63,10 @@ class ClientTopics:
         self._publications.leave((client, channel))
 
     def publish(self, client: int, channel: int, data: bytes) -> None:
-        """Publish a message of a client's channel; what is not allowed is reported."""
+        """Publish a message of a client's channel; violations are reported."""
         found = self._channels.get((client, channel))
         if found is None:
-            return  # refused when it was advertised
+            return  # rejected when it was advertised
         try:
             self._publications.publish(found.topic, _message(found, data))
         except _ERRORS as error:

@@ -28,9 +28,9 @@ from xtdrone_interaction.topics.raw_subscriptions import RawSubscriptions
 
 NAME = "foxglove_bridge"
 PORT = 8765
-_CLOCK_PERIOD = 0.05  # s of wall time between two times told to clients
-_GRAPH_PERIOD = 1.0  # s between two looks at the graph
-_PARAMETER_PERIOD = 2.0  # s between two looks at the parameters that clients watch
+_CLOCK_PERIOD = 0.05  # s of wall time between two time updates to clients
+_GRAPH_PERIOD = 1.0  # s between two reads of the graph
+_PARAMETER_PERIOD = 2.0  # s between two reads of the parameters that clients watch
 
 
 @dataclass(frozen=True)
@@ -41,19 +41,20 @@ class FoxgloveSettings(BridgeSettings):
         PORT,
         low=0,
         high=65535,
-        text="TCP port; 0: any free one, which the log names; 8765 is 540 N higher for instance N",
+        text="TCP port; 0: any free one, which is logged; 8765 is 540 N higher for instance N",
     )
     send_buffer_limit: int = setting(
         1024,
         low=16,
         high=100_000,
         unit="messages",
-        text="messages that wait for a slow client, then the oldest are dropped",
+        text="messages queued for a slow client; beyond this, the oldest are dropped",
     )
 
 
 class Listener(ServerListener):
-    """What clients do, passed on to the parts. Called by the SDK's threads; what waits for the master has its own."""
+    """Dispatches the clients' requests. Called in the SDK's threads; calls that wait for the master have their own
+    threads."""
 
     def __init__(self, topics: TopicChannels, published: ClientTopics, parameters: RosParameters, report: Any) -> None:
         self._topics = topics
@@ -107,18 +108,18 @@ class Listener(ServerListener):
         self.watched -= set(param_names)
 
     def _told(self, what: str, function: Callable[[], list[Parameter]]) -> list[Parameter]:
-        """Return what a function returns; tell clients of its failure."""
+        """Return the result of a function; report its failure to clients."""
         try:
             return function()
         except ParameterError as error:
             self._report(what, str(error))
-        except Exception as error:  # rosgraph.MasterError, and whatever a broken XML-RPC exchange raises
+        except Exception as error:  # rosgraph.MasterError, or any error of a broken XML-RPC exchange
             self._report(what, f"{what}: the ROS master does not answer: {error}")
         return []
 
 
 class FoxgloveBridge:
-    """The server and what it offers."""
+    """The server, with its channels, services and parameters."""
 
     def __init__(self, settings: FoxgloveSettings) -> None:
         """Open the port.
@@ -159,12 +160,12 @@ class FoxgloveBridge:
         self._time = -1
 
     def _warn(self, id_: str, text: str) -> None:
-        """Tell clients and the log of what was refused; a new text of an identifier replaces the old one."""
+        """Report a rejection to clients and the log; a new text replaces the old one of the same identifier."""
         rospy.logwarn(f"{NAME}: {text}")
         self._server.publish_status(text, StatusLevel.Warning, id_)
 
     def tell_time(self) -> None:
-        """Tell clients the simulated time, if it has changed; after a reset they restart."""
+        """Send clients the simulated time, if it has changed; after a reset they restart."""
         now = rospy.get_rostime().to_nsec()
         if now == self._time:
             return
@@ -174,7 +175,7 @@ class FoxgloveBridge:
         self._server.broadcast_time(now)
 
     def update(self) -> None:
-        """Offer the current topics and services of the graph."""
+        """Update the offered topics and services from the graph."""
         try:
             graph = self._graph.read()
         except MasterError as error:
@@ -186,12 +187,12 @@ class FoxgloveBridge:
             self._services.update(graph.services)
 
     def tell_parameters(self) -> None:
-        """Tell clients the parameters that they watch, where they have changed."""
+        """Send clients the watched parameters that have changed."""
         if not self._listener.watched:
             return
         try:
             found = self._parameters.get(sorted(self._listener.watched))
-        except Exception as error:  # rosgraph.MasterError, and whatever a broken XML-RPC exchange raises
+        except Exception as error:  # rosgraph.MasterError, or any error of a broken XML-RPC exchange
             self._warn("parameters", f"parameters: the ROS master does not answer: {error}")
             return
         changed = [p for p in found if self._told.get(p.name) != p.get_value()]
@@ -206,7 +207,7 @@ class FoxgloveBridge:
 
 
 def _run(bridge: FoxgloveBridge) -> None:
-    """Tell clients time, topics, services and parameters until shutdown."""
+    """Send clients time, topics, services and parameters until shutdown."""
     duties = (
         (_CLOCK_PERIOD, bridge.tell_time),
         (_GRAPH_PERIOD, bridge.update),

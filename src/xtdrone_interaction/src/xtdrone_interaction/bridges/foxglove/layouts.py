@@ -1,4 +1,4 @@
-"""Layouts of Foxglove and Lichtblick for this project's flights: panels and what they show, as a JSON file to import.
+"""Layouts of Foxglove and Lichtblick for this project's flights: panels and their contents, as a JSON file to import.
 
 The format is that of Foxglove Studio 1.x, which both programs import: panels by name, and a tree of halves.
 """
@@ -14,7 +14,7 @@ from xtdrone_control.fleet import Vehicle
 from xtdrone_interaction.recording.search_record import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.rviz.markers_node import TOPIC as MARKERS_TOPIC
 
-_PLOTTED = 12  # vehicles with lines in a plot; more are not told apart
+_PLOTTED = 12  # vehicles with lines in a plot; more could not be distinguished
 _PICTURES = 6
 _COLOURS = ("#4e98e2", "#f5774d", "#f7df71", "#5cd6a9", "#a395e2", "#f5a8c9")
 _CAMERA_VIEW = {
@@ -30,7 +30,7 @@ Panel = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class _Half:
-    """Two parts of a window, the first left or above."""
+    """Two halves of a window, the first left or above."""
 
     direction: str
     first: Any

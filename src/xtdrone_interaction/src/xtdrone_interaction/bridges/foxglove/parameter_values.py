@@ -9,7 +9,7 @@ from typing import Any
 
 from foxglove import Parameter
 
-_MAX = 5000  # parameters told at a time
+_MAX = 5000  # parameters sent at a time
 _MAX_INTEGER = 1 << 31  # of the parameter server's XML-RPC
 
 
@@ -31,7 +31,7 @@ def flat(tree: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def to_parameter(name: str, value: Any) -> Parameter | None:
-    """Return a parameter for clients; None for a value that the protocol cannot hold."""
+    """Return a parameter for clients; None if the protocol cannot represent the value."""
     try:
         return Parameter(name, value=_plain(value))
     except (TypeError, ValueError, OverflowError):
@@ -66,7 +66,7 @@ class RosParameters:
         self._operate = operate
 
     def get(self, names: Sequence[str]) -> list[Parameter]:
-        """Return parameters; all of them without names; those that are not set are left out."""
+        """Return the named parameters, all without names; parameters that are not set are skipped."""
         values = flat(self._master().getParam("/"))
         chosen: Iterable[str] = names or sorted(values)
         found = (to_parameter(n, values[n]) for n in chosen if n in values and self._is_open(n))
@@ -76,7 +76,7 @@ class RosParameters:
         """Set parameters, delete those without a value, and return the state after it.
 
         Raises:
-            ParameterError: one is not allowed; those before it are set.
+            ParameterError: one is not allowed; the ones before it have been set.
         """
         names = []
         for parameter in parameters:
@@ -91,7 +91,7 @@ class RosParameters:
 
     def _check(self, name: str, value: Any) -> None:
         if not self._operate:
-            raise ParameterError(f"parameter: {name} is not set: this bridge only shows, see its parameter operate")
+            raise ParameterError(f"parameter: {name} is not set: this bridge is read-only, see its parameter operate")
         if not (name.startswith("/") and self._is_open(name)):
             raise ParameterError(f"parameter: {name!r} is not allowed, {', '.join(self._patterns)}")
         if type(value) is int and not -_MAX_INTEGER <= value < _MAX_INTEGER:

@@ -33,7 +33,7 @@ def offered(name: str, type_: str, call: Callable[[ServiceRequest], bytes]) -> S
 
 
 class ServiceOffers:
-    """Keeps the server's services those of the graph."""
+    """Keeps the server's services in step with the graph."""
 
     def __init__(self, services: Services, server: Any, limit: float, report: Callable[[str, str], None]) -> None:
         """Initialise without services.
@@ -42,7 +42,7 @@ class ServiceOffers:
             services: of the graph.
             server: the WebSocket server.
             limit: timeout of a response, s.
-            report: tells clients a warning; called with an identifier and a text.
+            report: sends clients a warning; called with an identifier and a text.
         """
         self._services = services
         self._server = server
@@ -52,7 +52,7 @@ class ServiceOffers:
         self._refused: set[tuple[str, str]] = set()
 
     def update(self, names: Mapping[str, Any]) -> None:
-        """Add and remove services; asks new ones for their types."""
+        """Add and remove services; query the types of new ones."""
         self._services.refresh(names)
         types = self._services.types
         gone = [name for name, type_ in self._offered.items() if types.get(name) != type_]
@@ -77,9 +77,9 @@ class ServiceOffers:
             return None
 
     def _call(self, name: str, type_: str, request: ServiceRequest) -> bytes:
-        """Call a service for a client; runs in a thread of the SDK, which tells the client of an exception."""
+        """Call a service for a client; runs in a thread of the SDK, which reports exceptions to the client."""
         if request.encoding != ENCODING:
             raise ServiceError(f"{name}: encoding {request.encoding!r} is not allowed, {ENCODING}")
         kind = service_class(type_)
-        decode(kind._request_class, request.payload)  # raises for bytes that would confuse the service
+        decode(kind._request_class, request.payload)  # raises for malformed requests
         return self._services.call_with_bytes(name, kind, request.payload, self._limit)

@@ -1,4 +1,4 @@
-"""The topics of the graph as channels of Foxglove's protocol, subscribed to only while a client wants them."""
+"""Topics of the graph as channels of Foxglove's protocol, subscribed to only while a client needs them."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class _Topic:
 class TopicChannels:
     """Keeps channels for the topics of the graph.
 
-    The SDK's threads tell of subscriptions by ``on_subscribe`` and ``on_unsubscribe``, which must not wait: a thread of
-    this object subscribes to the topic, which asks the ROS master.
+    The SDK's threads call ``on_subscribe`` and ``on_unsubscribe``, which must not block; subscribing to a topic waits
+    for the ROS master, so a thread of this object does it.
     """
 
     def __init__(
@@ -54,8 +54,8 @@ class TopicChannels:
         Args:
             context: of the server.
             raw: the process's subscriptions.
-            report: tells clients a warning; called with an identifier and a text.
-            channel: makes a channel, as ``foxglove.Channel``.
+            report: sends clients a warning; called with an identifier and a text.
+            channel: creates a channel, like ``foxglove.Channel``.
         """
         self._context = context
         self._raw = raw
@@ -68,7 +68,7 @@ class TopicChannels:
         self._lock = threading.Lock()
 
     def update(self, types: Mapping[str, str]) -> None:
-        """Open and close channels, so that they are those of the graph.
+        """Open and close channels to match the graph.
 
         Args:
             types: of the current topics, by name.
@@ -103,7 +103,7 @@ class TopicChannels:
         self._worker.submit(self._listen, name)
 
     def on_unsubscribe(self, name: str) -> None:
-        """Count a client less."""
+        """Remove a client of a topic."""
         with self._lock:
             self._clients[name] -= 1
             if self._clients[name] <= 0:
@@ -113,7 +113,7 @@ class TopicChannels:
                     self._worker.submit(self._unlisten, topic, name)
 
     def _listen(self, name: str) -> None:
-        """Subscribe to a topic once more for each client, so that it gets the latched messages, too."""
+        """Subscribe anew for each client, so that it receives latched messages, too."""
         topic = self._topics.get(name)
         if topic is None or self._clients[name] <= 0:
             return
@@ -130,7 +130,7 @@ class TopicChannels:
         if raw.md5sum != topic.md5sum:
             if not topic.failed:
                 topic.failed = True
-                text = f"topic: {raw.topic}: {raw.publisher} publishes another {raw.type} than the one installed"
+                text = f"topic: {raw.topic}: {raw.publisher} publishes a different {raw.type} than the installed one"
                 self._report(f"topic {raw.topic}", text)
             return
         topic.channel.log(raw.data, log_time=max(0, round(raw.time * 1e9)))

@@ -1,4 +1,4 @@
-"""The bridge's participant in a DDS domain: writers and readers of ROS 2's topics, and what others publish."""
+"""The bridge's participant in a DDS domain: writers and readers of ROS 2's topics, and topics that others publish."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from xtdrone_interaction.bridges.ros2.dds_types import carrier, dds_topic, ros1_
 _DEPTH = 10  # samples of a topic that a writer keeps for slow readers
 _LATCHED = 100  # samples kept for later readers of a topic with many latched messages
 _MANY_LATCHED = ("/tf_static",)
-_PARTICIPANTS = 60  # participants that are looked for on this machine
+_PARTICIPANTS = 60  # participants searched for on this machine
 _INTERFACE = re.compile(r"[A-Za-z0-9_.:-]{1,40}")
 _AT_ONCE = 100  # samples taken at a time
 _READABLE = SampleState.NotRead | ViewState.Any | InstanceState.Any
@@ -57,14 +57,14 @@ def configuration(interface: str) -> str:
 
 
 class Participant:
-    """A participant. Its methods are called by one thread, but for ``write``."""
+    """A participant. All methods except ``write`` are called by one thread."""
 
     def __init__(self, domain_id: int, interface: str) -> None:
         """Join a domain.
 
         Args:
             domain_id: ROS 2's ROS_DOMAIN_ID.
-            interface: network interface; empty for the choice of CYCLONEDDS_URI or cyclonedds.
+            interface: network interface; empty: chosen by CYCLONEDDS_URI or cyclonedds.
 
         Raises:
             ValueError: the interface is not allowed.
@@ -79,7 +79,8 @@ class Participant:
     def writer(self, topic: str, name: str) -> DataWriter[Any]:
         """Return a writer of a topic; ``name``: its type in ROS 2.
 
-        A reader that is too slow loses samples. A later reader that asks for it gets the last, as of a latched topic.
+        A reader that is too slow loses samples. A late reader that requests it receives the last sample, as from a
+        latched topic.
         """
         kept = _LATCHED if topic in _MANY_LATCHED else 1
         qos = Qos(
@@ -138,7 +139,7 @@ def is_fed(reader: DataReader[Any]) -> bool:
 
 
 def write(writer: DataWriter[Any], name: str, cdr: bytes) -> bool:
-    """Write a sample; return False if a slow reader left no room for it."""
+    """Write a sample; return False if a slow reader blocks the queue."""
     try:
         writer.write(carrier(name)(cdr))
     except DDSException as error:
@@ -149,7 +150,7 @@ def write(writer: DataWriter[Any], name: str, cdr: bytes) -> bool:
 
 
 def take(reader: DataReader[Any]) -> Iterator[bytes]:
-    """Yield the CDR of the samples that have arrived."""
+    """Yield the CDR of received samples."""
     for sample in reader.take(N=_AT_ONCE):
         cdr = getattr(sample, "cdr", None)
         if cdr is not None and sample.sample_info.valid_data:

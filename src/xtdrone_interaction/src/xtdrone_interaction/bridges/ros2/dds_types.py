@@ -51,7 +51,7 @@ def dds_type_name(name: str) -> str:
 
 
 def ros1_type(name: str) -> str:
-    """Return the type in ROS 1 of a type name in DDS, empty if it is none of a message."""
+    """Return the type in ROS 1 of a type name in DDS, empty if it is not a message type."""
     parts = name.split("::")
     if len(parts) != 4 or parts[1:3] != ["msg", "dds_"] or not parts[3].endswith("_"):
         return ""
@@ -90,7 +90,7 @@ def _type(description: Any) -> Any:
 
 @functools.cache
 def carrier(name: str) -> type[Any]:
-    """Return a structure whose samples carry their CDR as it is: ``carrier(name)(cdr)``, and ``sample.cdr``.
+    """Return a structure whose samples carry their CDR unchanged: ``carrier(name)(cdr)``, and ``sample.cdr``.
 
     cyclonedds calls ``serialize`` and ``deserialize`` of a type, which these replace: the bytes come from
     ``message_conversion``, without a Python object for each field.

@@ -1,4 +1,4 @@
-"""Standard messages between ROS 1's serialisation and ROS 2's (CDR), by the definitions of both distributions.
+"""Conversion of standard messages between the serialisations of ROS 1 and ROS 2 (CDR), by the definitions of both.
 
 Definitions and conversion are those of rosbags: ROS 1 Noetic and ROS 2 Humble. Where the fields of a type differ, those
 of the same name, or of the same type in the same order, are copied, and the rest have their defaults.
@@ -18,11 +18,11 @@ _MISSING = {"tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transfor
 
 
 class ConversionError(ValueError):
-    """A type that is not carried, or bytes that are no message of it."""
+    """A type that is not bridged, or bytes that are not a message of it."""
 
 
 class Converter(NamedTuple):
-    """The conversion of one message type, both ways.
+    """Conversion of one message type in both directions.
 
     Attributes:
         name: of the type in ROS 2, such as ``std_msgs/msg/String``.
@@ -60,17 +60,15 @@ def converter(type_: str, md5sum: str) -> Converter:
         md5sum: of the definition in use.
 
     Raises:
-        ConversionError: ROS 1 or ROS 2 has no such standard type, or the definition in use is another one.
+        ConversionError: ROS 1 or ROS 2 has no such standard type, or the definition in use differs.
     """
     ros1, ros2 = stores()
     name = ros2_name(type_)
     if name not in ros1.fielddefs or name not in ros2.fielddefs:
-        raise ConversionError(f"type: {type_} is not carried, only standard types that ROS 1 and ROS 2 both have")
+        raise ConversionError(f"type: {type_} is not bridged, only standard types of both ROS 1 and ROS 2 are")
     standard = ros1.generate_msgdef(name)[1]
     if md5sum != standard:
-        raise ConversionError(
-            f"type: {type_} with md5 sum {md5sum} is not carried, that of ROS 1 Noetic has {standard}"
-        )
+        raise ConversionError(f"type: {type_} with md5 sum {md5sum} is not bridged; ROS 1 Noetic's has {standard}")
     if is_same_wireformat(ros1, ros2, name, name):
         return Converter(name, _checked(name, ros2.ros1_to_cdr, name), _checked(name, ros2.cdr_to_ros1, name))
     return Converter(
@@ -88,7 +86,7 @@ def _checked(name: str, convert: Callable[..., Any], *arguments: Any) -> Callabl
     def checked(data: bytes) -> bytes:
         try:
             return bytes(convert(data, *arguments))
-        except Exception as error:  # SerdeError, struct and unicode errors, by the place of the fault
-            raise ConversionError(f"message: its {len(data)} bytes are no {name}: {error}") from error
+        except Exception as error:  # SerdeError, struct and unicode errors, depending on the fault
+            raise ConversionError(f"message: its {len(data)} bytes are not a {name}: {error}") from error
 
     return checked

@@ -37,7 +37,7 @@ from xtdrone_interaction.topics.message_classes import MessageTypeError, decode,
 from xtdrone_interaction.topics.raw_subscriptions import Listener, RawMessage, RawSubscriptions
 
 NAME = "ros2_bridge"
-_PERIOD = 1.0  # s between two looks at both graphs
+_PERIOD = 1.0  # s between two reads of both graphs
 _WAIT = 0.1  # s, longest wait for samples
 _COMMANDS = ("/xtdrone/*/cmd*", "*/mavros/setpoint_*")
 
@@ -45,7 +45,7 @@ _COMMANDS = ("/xtdrone/*/cmd*", "*/mavros/setpoint_*")
 def _domain() -> int:
     """Return ROS_DOMAIN_ID; the number of the instance if it is not set or not 0 to 232.
 
-    Two simulations on a machine have topics of the same names, which must not meet in one domain.
+    Two simulations on a machine have topics of the same names, which must not share a domain.
     """
     text = os.environ.get("ROS_DOMAIN_ID", "")
     return int(text) if text.isdigit() and int(text) <= 232 else instance_here()
@@ -66,19 +66,19 @@ class Ros2Settings(Settings):
     interface: str = setting(
         "lo",
         check=_interface,
-        text="network interface; lo: this machine only; empty: the choice of CYCLONEDDS_URI or of cyclonedds",
+        text="network interface; lo: this machine only; empty: chosen by CYCLONEDDS_URI or cyclonedds",
     )
     to_ros2: tuple[str, ...] = setting(
-        ("*",), parse=patterns, allowed="shell patterns", text="topics that ROS 2 receives, of standard types"
+        ("*",), parse=patterns, allowed="shell patterns", text="topics of standard types bridged to ROS 2"
     )
     from_ros2: tuple[str, ...] = setting(
-        _COMMANDS, parse=patterns, allowed="shell patterns", text="topics that ROS 2 publishes; none: only watching"
+        _COMMANDS, parse=patterns, allowed="shell patterns", text="topics bridged from ROS 2; none: read-only"
     )
 
 
 @dataclass
 class _Sent:
-    """A topic that ROS 2 receives."""
+    """A topic bridged to ROS 2."""
 
     converter: Converter
     md5sum: str
@@ -89,7 +89,7 @@ class _Sent:
 
 @dataclass
 class _Received:
-    """A topic that ROS 2 publishes."""
+    """A topic bridged from ROS 2."""
 
     converter: Converter
     kind: Any
@@ -98,7 +98,7 @@ class _Received:
 
 
 class Ros2Bridge:
-    """Topics of both sides."""
+    """The bridged topics."""
 
     def __init__(self, settings: Ros2Settings) -> None:
         """Join the DDS domain; raises as ``Participant``."""
@@ -166,7 +166,7 @@ class Ros2Bridge:
             self._sent[name] = _Sent(made, kind._md5sum, self._participant.writer(name, made.name))
         except (ConversionError, MessageTypeError, DDSException) as error:
             self._refused.add((name, type_))
-            rospy.logdebug(f"{NAME}: {name} is not carried to ROS 2: {error}")
+            rospy.logdebug(f"{NAME}: {name} is not bridged to ROS 2: {error}")
 
     def _unlisten(self, sent: _Sent) -> None:
         if sent.listener is not None:
@@ -182,7 +182,7 @@ class Ros2Bridge:
         except (ConversionError, DDSException) as error:
             if str(error) != sent.failed:
                 sent.failed = str(error)
-                rospy.logwarn(f"{NAME}: {raw.topic} is not carried to ROS 2: {error}")
+                rospy.logwarn(f"{NAME}: {raw.topic} is not bridged to ROS 2: {error}")
 
     # ---- from ROS 2
 
@@ -203,7 +203,7 @@ class Ros2Bridge:
             self._received[topic] = _Received(made, kind, self._participant.reader(topic.topic, made.name))
         except (ConversionError, MessageTypeError, PublicationError, MasterError, DDSException) as error:
             self._refused.add((topic.topic, topic.type))
-            rospy.logwarn(f"{NAME}: {topic.topic} is not carried from ROS 2: {error}")
+            rospy.logwarn(f"{NAME}: {topic.topic} is not bridged from ROS 2: {error}")
 
     def _take(self, topic: str, received: _Received) -> None:
         for cdr in take(received.reader):
@@ -213,7 +213,7 @@ class Ros2Bridge:
             except (ConversionError, MessageTypeError, PublicationError, MasterError) as error:
                 if str(error) != received.failed:
                     received.failed = str(error)
-                    rospy.logwarn(f"{NAME}: {topic} is not carried from ROS 2: {error}")
+                    rospy.logwarn(f"{NAME}: {topic} is not bridged from ROS 2: {error}")
 
 
 def _matches(name: str, shell_patterns: Sequence[str]) -> bool:
@@ -238,5 +238,5 @@ def main(arguments: Sequence[str]) -> None:
             raise
         text = f"{NAME}: the DDS domain cannot be joined on interface {settings.interface!r}: {error}"
         raise rospy.ROSInitException(text) from error
-    rospy.loginfo(f"{NAME}: topics of standard types are in ROS 2's DDS domain")
+    rospy.loginfo(f"{NAME}: topics of standard types are bridged to ROS 2's DDS domain")
     bridge.run()

@@ -1,1 +1,1 @@
-"""A server of the rosbridge protocol, version 2, for programs on roslibjs, roslibpy and their like."""
+"""Server of the rosbridge protocol, version 2, for roslibjs, roslibpy and similar clients."""

@@ -1,4 +1,4 @@
-"""Services that a client offers: a call from the graph is sent to the client, whose answer is the service's."""
+"""Services that a client offers: a call from the graph is forwarded to the client, whose answer is returned."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from xtdrone_interaction.bridges.ros_types import ServiceTypeError, service_clas
 from xtdrone_interaction.topics.message_json import MessageJsonError, NotFinite, from_json, to_json
 
 MAX_SERVICES = 50
-"""Services that one client may offer at a time."""
+"""Maximum number of services offered by one client."""
 MAX_CALLS = 50
-"""Calls of a client's service that may wait for an answer at a time."""
+"""Maximum number of pending calls of a client's service."""
 
 
 class ClientServiceError(ValueError):
@@ -45,7 +45,7 @@ class ClientServices:
         Args:
             serve: ``rospy.Service``, or another function of name, class and handler.
             send: sends an operation to the client.
-            limit: time that the client has for an answer, s.
+            limit: timeout of the client's answer, s.
         """
         self._serve = serve
         self._send = send
@@ -62,7 +62,7 @@ class ClientServices:
             ClientServiceError: the type is unknown, the name is in use here, or there are too many services.
         """
         if name in self._services:
-            raise ClientServiceError(f"service: {name} is offered already")
+            raise ClientServiceError(f"service: {name} is already offered")
         if len(self._services) >= MAX_SERVICES:
             raise ClientServiceError(f"service: {name} is one too many, at most {MAX_SERVICES} for a client")
         try:
@@ -71,7 +71,7 @@ class ClientServices:
             raise ClientServiceError(f"service: {name}: {error}") from error
         try:
             self._services[name] = self._serve(name, kind, lambda request: self._ask(name, kind, request))
-        except Exception as error:  # rospy.service.ServiceException: this node offers it already
+        except Exception as error:  # rospy.service.ServiceException: this node already offers it
             raise ClientServiceError(f"service: {name}: {error}") from error
 
     def unadvertise(self, name: str) -> None:
@@ -83,7 +83,7 @@ class ClientServices:
         service = self._services.pop(name, None)
         if service is None:
             raise ClientServiceError(f"service: {name} is not offered by this client")
-        service.shutdown("its client has ended it")
+        service.shutdown("its client has withdrawn it")
 
     def answer(self, id_: object, values: Any, result: bool) -> None:
         """Take a client's answer.
@@ -99,7 +99,7 @@ class ClientServices:
         with self._lock:
             call = self._calls.pop(str(id_), None)
         if call is None:
-            raise ClientServiceError(f"id: no call with the id {id_!r} waits for an answer")
+            raise ClientServiceError(f"id: no pending call has the id {id_!r}")
         call.error = f"the client answers: {values}"
         try:
             call.response = from_json(call.kind._response_class, values) if result else None
@@ -119,11 +119,11 @@ class ClientServices:
             call.answered.set()
 
     def _ask(self, name: str, kind: Any, request: Any) -> Any:
-        """Return the client's response to a call; rospy tells the caller of an exception."""
+        """Return the client's response to a call; rospy reports exceptions to the caller."""
         call = _Call(kind)
         with self._lock:
             if len(self._calls) >= MAX_CALLS:
-                raise ClientServiceError(f"{MAX_CALLS} calls of the client's services wait for an answer")
+                raise ClientServiceError(f"{MAX_CALLS} calls of the client's services are pending")
             id_ = f"service_request:{name}:{next(self._numbers)}"
             self._calls[id_] = call
         values = to_json(request, not_finite=NotFinite.NULL)

@@ -1,4 +1,4 @@
-"""What a session needs of the connection to its client."""
+"""Interface of a client connection to its session."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ class Connection(Protocol):
         """Send a frame; may be called by any thread."""
 
     def has_room(self) -> bool:
-        """Return whether the client has taken most of what was sent to it."""
+        """Return whether the client has received most of the sent data."""
 
     def call_soon(self, function: Callable[[], None]) -> None:
-        """Have the server's thread call a function; may be called by any thread."""
+        """Call a function in the server's thread; may be called from any thread."""
 
     def call_later(self, delay: float, function: Callable[[], None]) -> None:
-        """Have the server's thread call a function after a delay, s."""
+        """Call a function in the server's thread after a delay, s."""

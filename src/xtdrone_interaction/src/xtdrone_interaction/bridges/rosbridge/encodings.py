@@ -1,4 +1,4 @@
-"""How a topic's message is sent to a client: as JSON, as JSON in a PNG picture, as CBOR, or as CBOR with ROS's bytes.
+"""Encodings of a topic's messages for clients: JSON, JSON in a PNG image, CBOR, or CBOR with the ROS serialisation.
 
 Sources: ROSBRIDGE_PROTOCOL.md, sections 3.1.2 and 4; RFC 8949 (CBOR) and RFC 8746 (its typed arrays).
 """
@@ -23,7 +23,7 @@ def encode_json(operation: Mapping[str, Any], compression: str = "none") -> str:
     """Return an operation as JSON text.
 
     Args:
-        operation: of JSON's types, without NaN.
+        operation: of JSON types, without NaN.
         compression: ``none``, or ``png``: packed by ``to_png`` into an operation ``png``.
     """
     text = json.dumps(operation, allow_nan=False, separators=(",", ":"))
@@ -33,7 +33,7 @@ def encode_json(operation: Mapping[str, Any], compression: str = "none") -> str:
 
 
 def to_png(data: bytes) -> bytes:
-    """Return bytes as the pixels of an RGB picture in PNG, row by row, padded with line feeds."""
+    """Return bytes as the pixels of an RGB image in PNG, row by row, padded with line feeds."""
     width = max(1, math.isqrt(len(data) // _CHANNELS))
     height = max(1, math.ceil(len(data) / (_CHANNELS * width)))
     padded = data.ljust(width * height * _CHANNELS, _PADDING)

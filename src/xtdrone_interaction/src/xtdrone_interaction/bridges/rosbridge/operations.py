@@ -1,4 +1,4 @@
-"""The operations of rosbridge's protocol, version 2, that a client sends: parsing and validation, without ROS.
+"""Client operations of the rosbridge protocol, version 2: parsing and validation, without ROS.
 
 Source: ROSBRIDGE_PROTOCOL.md of RobotWebTools/rosbridge_suite, branch ros1. An operation is a JSON object in a text
 frame.
@@ -13,26 +13,26 @@ from typing import Any, NamedTuple
 
 COMPRESSIONS = ("none", "png", "cbor", "cbor-raw")
 LEVELS = ("none", "error", "warning", "info")
-"""Levels of status messages, each with those before it."""
-_SHOWN = 80  # characters of a value that an error repeats
+"""Levels of status messages; each includes those before it."""
+_SHOWN = 80  # characters of a value quoted in an error
 _MAX_TIME = 3_600_000  # ms of throttle_rate
 _MAX_QUEUE = 10_000  # messages
-_FRAGMENTS = "fragments are not supported, send and request whole messages"
+_FRAGMENTS = "fragments are not supported, send and request complete messages"
 _REFUSED = {
     "fragment": _FRAGMENTS,
-    "png": "packed operations are not accepted from a client, send JSON",
+    "png": "PNG operations are not accepted from clients, send JSON",
     "auth": "this server has no passwords, see docs/bridges.md on who may connect",
-    "cancel_action_goal": "ROS 1 has no actions in the protocol, use the action's topics",
-    "send_action_goal": "ROS 1 has no actions in the protocol, use the action's topics",
-    "advertise_action": "ROS 1 has no actions in the protocol, use the action's topics",
+    "cancel_action_goal": "the protocol has no actions for ROS 1, use the action's topics",
+    "send_action_goal": "the protocol has no actions for ROS 1, use the action's topics",
+    "advertise_action": "the protocol has no actions for ROS 1, use the action's topics",
 }
 
 
 class OperationError(ValueError):
-    """An operation that is refused.
+    """A rejected operation.
 
     Attributes:
-        id: the client's for it, if it gave one.
+        id: the client's id for it, if given.
     """
 
     def __init__(self, text: str, id_: str | int | None = None) -> None:
@@ -125,7 +125,7 @@ class Operation:
 
     Attributes:
         op: its name.
-        id: the client's for it, if it gave one.
+        id: the client's id for it, if given.
         fields: its known fields, with the defaults of those not given.
     """
 
@@ -138,7 +138,7 @@ class Operation:
 
 
 def shown(value: object) -> str:
-    """Return a value for a message, cut where it is long."""
+    """Return a value for a message, truncated if long."""
     text = repr(value)
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 

@@ -1,4 +1,4 @@
-"""The services ``/rosapi/...``, which clients of rosbridge expect beside it, answered by the server itself.
+"""The services ``/rosapi/...``, which rosbridge clients expect, answered by the server itself.
 
 Names and fields are those of the package rosapi of rosbridge_suite (branch ros1); each service is a function of its
 arguments that returns the response's fields.
@@ -22,7 +22,7 @@ from xtdrone_interaction.topics.message_classes import MessageTypeError, class_o
 PREFIX = "/rosapi/"
 _EXAMPLES = {"bool": "False", "string": "", "float32": "0.0", "float64": "0.0", "time": "0", "duration": "0"}
 _CHANGES = {"set_param", "delete_param"}
-"""Services that change something."""
+"""Services that modify the system."""
 Fields = Mapping[str, Any]
 
 
@@ -31,7 +31,7 @@ class RosapiError(ValueError):
 
 
 class Parameters(Protocol):
-    """The calls of the parameter server that are used, as in ``rosgraph.Master``."""
+    """The methods of the parameter server in use, as in ``rosgraph.Master``."""
 
     def getParam(self, key: str) -> Any:  # noqa: N802
         """Return a parameter."""
@@ -125,14 +125,14 @@ class Rosapi:
         name = service.removeprefix(PREFIX)
         function = self._services.get(name)
         if function is None:
-            raise RosapiError(f"service: {service!r} is not there, {PREFIX} with {', '.join(self._services)}")
+            raise RosapiError(f"service: {service!r} does not exist, {PREFIX} with {', '.join(self._services)}")
         if name in _CHANGES and not self._operate:
-            raise RosapiError(f"{service}: this bridge only shows, see its parameter operate")
+            raise RosapiError(f"{service}: this bridge is read-only, see its parameter operate")
         try:
             return function(arguments)
         except RosapiError:
             raise
-        except Exception as error:  # rosgraph.MasterError, and whatever a broken XML-RPC exchange raises
+        except Exception as error:  # rosgraph.MasterError, or any error of a broken XML-RPC exchange
             raise RosapiError(f"{service}: {error}") from error
 
     def _types(self) -> dict[str, str]:

@@ -25,7 +25,7 @@ from xtdrone_interaction.topics.raw_subscriptions import RawSubscriptions
 NAME = "rosbridge_websocket"
 PORT = 9090
 _CALLS = 64  # service calls at a time, of all clients
-_LOOK = 0.2  # s between looks at whether the node is to end
+_LOOK = 0.2  # s between checks for shutdown
 
 
 @dataclass(frozen=True)
@@ -36,21 +36,25 @@ class RosbridgeSettings(BridgeSettings):
         PORT,
         low=0,
         high=65535,
-        text="TCP port; 0: any free one, which the log names; 9090 is 540 N higher for instance N",
+        text="TCP port; 0: any free one, which is logged; 9090 is 540 N higher for instance N",
     )
     max_message_size: int = setting(
-        10_000_000, low=1000, high=1_000_000_000, unit="bytes", text="longest frame of a client; a longer one ends it"
+        10_000_000,
+        low=1000,
+        high=1_000_000_000,
+        unit="bytes",
+        text="maximum frame size; a larger frame closes the connection",
     )
     origins: tuple[str, ...] = setting(
         (),
         parse=patterns,
         allowed="origins such as http://10.0.0.2:8000, null for pages opened as files, or *",
-        text="web pages that may connect beside those served by this machine",
+        text="web pages that may connect, in addition to those served by this machine",
     )
 
 
 class _Parameters:
-    """The parameter server, with a connection for each call, so that any thread may call."""
+    """The parameter server, with one connection per call, so that any thread may call it."""
 
     def __getattr__(self, method: str) -> Callable[..., Any]:
         return lambda *arguments: getattr(rosgraph.Master(rospy.get_name()), method)(*arguments)

@@ -1,4 +1,4 @@
-"""The messages of one subscription that wait for their client, without ROS and without a socket."""
+"""Queue of one subscription's messages for its client, without ROS or sockets."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 MAX_BYTES = 8_000_000
-"""Bytes of messages that wait in a queue; a single message may be larger."""
+"""Maximum bytes of messages in a queue; a single message may be larger."""
 UNTHROTTLED = 100
-"""Messages that wait for a client that wants all of them and names no length."""
+"""Maximum queue length for a client that requests all messages and no length."""
 
 
 class SendQueue(Generic[T]):
-    """Messages that wait until the client may have the next one; the oldest are dropped where they are too many.
+    """Queue of messages until the client may receive the next one; if it is full, the oldest are dropped.
 
-    A client that wants few messages (``throttle_rate``), or takes them slowly, thus always gets the newest. One thread
-    adds messages, another takes them.
+    A client that throttles messages (``throttle_rate``), or reads slowly, thus always receives the newest. One thread
+    adds messages, another removes them.
     """
 
     def __init__(self, interval: float, length: int) -> None:
@@ -26,7 +26,7 @@ class SendQueue(Generic[T]):
 
         Args:
             interval: minimum time between two messages, s.
-            length: messages that may wait; 0 for one with an interval, and ``UNTHROTTLED`` without.
+            length: maximum queue length; 0: one message with an interval, ``UNTHROTTLED`` without.
         """
         self._lock = threading.Lock()
         self._waiting: deque[tuple[T, int]] = deque()
@@ -45,14 +45,14 @@ class SendQueue(Generic[T]):
             self._drop()
 
     def add(self, message: T, size: int) -> None:
-        """Add a message of some bytes."""
+        """Add a message of ``size`` bytes."""
         with self._lock:
             self._waiting.append((message, size))
             self._bytes += size
             self._drop()
 
     def delay(self, now: float) -> float:
-        """Return the time until the next message may be sent, s; 0 for now.
+        """Return the time until the next message may be sent, s; 0: now.
 
         Args:
             now: monotonic time, s.
@@ -60,7 +60,7 @@ class SendQueue(Generic[T]):
         return max(0.0, self._free_at - now)
 
     def pop(self, now: float) -> T:
-        """Return the oldest waiting message, which is then sent.
+        """Remove and return the oldest message.
 
         Raises:
             IndexError: none is waiting.

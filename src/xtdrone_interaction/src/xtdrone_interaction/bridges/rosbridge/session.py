@@ -1,4 +1,4 @@
-"""The session of one client: carries out its operations, and answers what it cannot do by a status message."""
+"""The session of one client: executes its operations, and reports failures by status messages."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from xtdrone_interaction.topics.message_json import MessageJsonError, NotFinite,
 from xtdrone_interaction.topics.raw_subscriptions import RawSubscriptions
 
 MAX_CALLS = 20
-"""Service calls of one client that may wait for a response at a time."""
+"""Maximum number of pending service calls of one client."""
 _OPERATE = {"advertise", "publish", "call_service", "advertise_service"}
-"""Operations of clients that may do more than watch."""
+"""Operations that require permission to operate."""
 _REFUSALS = (
     OperationError,
     PublicationError,
@@ -42,7 +42,7 @@ _REFUSALS = (
 
 @dataclass(frozen=True)
 class Bridge:
-    """What all sessions share.
+    """Resources shared by all sessions.
 
     Attributes:
         graph: the ROS graph.
@@ -54,7 +54,7 @@ class Bridge:
         serve: ``rospy.Service``.
         calls: threads for service calls.
         call_limit: timeout of a service's response, s.
-        operate: whether clients may do more than watch.
+        operate: whether clients may publish, call services and set parameters.
     """
 
     graph: BridgeGraph
@@ -98,7 +98,7 @@ class Session:
         }
 
     def handle(self, frame: str | bytes) -> None:
-        """Carry out the operation in a frame; may wait for the ROS master, not for a service."""
+        """Execute the operation in a frame; may wait for the ROS master, not for a service."""
         with self._lock:
             if not self._closed:
                 self._carry_out(frame)
@@ -108,14 +108,14 @@ class Session:
         try:
             operation = parse_operation(frame)
             if operation.op in _OPERATE and not self._bridge.operate and not _is_rosapi(operation):
-                raise OperationError(f"{operation.op}: this bridge only shows, see its parameter operate", operation.id)
+                raise OperationError(f"{operation.op}: this bridge is read-only, see parameter operate", operation.id)
             self._handlers[operation.op](operation)
         except _REFUSALS as error:
             id_ = operation.id if operation is not None else getattr(error, "id", None)
             self.status("error", str(error), id_)
 
     def close(self) -> None:
-        """End what the client has begun."""
+        """Close the client's subscriptions, publications and services."""
         with self._lock:
             self._closed = True
             self.subscriptions.close()
@@ -123,7 +123,7 @@ class Session:
             self._bridge.publications.leave(self)
 
     def status(self, level: str, text: str, id_: str | int | None = None) -> None:
-        """Send a status message, if the client wants this level; may be called by any thread."""
+        """Send a status message, if the client requested this level; may be called from any thread."""
         if LEVELS.index(level) <= LEVELS.index(self._level):
             self._send({"op": "status", "level": level, "msg": text, **({} if id_ is None else {"id": id_})})
 
@@ -168,13 +168,13 @@ class Session:
 
     def _call_service(self, operation: Operation) -> None:
         if self._waiting_calls >= MAX_CALLS:
-            self._answer(operation, f"{MAX_CALLS} calls of this client wait for a response", False)
+            self._answer(operation, f"{MAX_CALLS} calls of this client are pending", False)
             return
         self._waiting_calls += 1
         self._bridge.calls.submit(self._call, operation)
 
     def _call(self, operation: Operation) -> None:
-        """Call a service and answer the client; runs in a thread of its own."""
+        """Call a service and answer the client; runs in its own thread."""
         name = _absolute(operation["service"])
         try:
             if name.startswith(rosapi.PREFIX):
@@ -184,7 +184,7 @@ class Session:
             self._answer(operation, values, True)
         except (ServiceError, ServiceTypeError, MessageJsonError, rosapi.RosapiError, OperationError) as error:
             self._answer(operation, str(error), False)
-        except Exception as error:  # of a response that does not match its type, or a master that has gone
+        except Exception as error:  # the response does not match its type, or the master is gone
             self._answer(operation, f"{name}: {error}", False)
         finally:
             self._waiting_calls -= 1
@@ -217,17 +217,17 @@ def _is_rosapi(operation: Operation) -> bool:
 
 
 def _absolute(name: str) -> str:
-    """Return the name of a topic or service as the graph has it; clients of rosbridge write some without the slash."""
+    """Return the resolved name of a topic or service; rosbridge clients may omit the leading slash."""
     return f"/{name.strip('/')}"
 
 
 def _short(type_: str) -> str:
-    """Return a type as ROS 1 names it, from the name of ROS 2, too."""
+    """Return a type's name in ROS 1, also from its name in ROS 2."""
     return type_.replace("/msg/", "/").replace("/srv/", "/")
 
 
 def _fields(arguments: Mapping[str, Any] | Sequence[Any], names: Sequence[str]) -> Mapping[str, Any]:
-    """Return the fields of a request, which a client may also give in their order.
+    """Return the fields of a request, which a client may also send as a list in order.
 
     Raises:
         OperationError: there are more values than fields.

@@ -1,4 +1,4 @@
-"""The topics that one client subscribes to: messages from rospy's threads to the client, at the rate that it takes."""
+"""Subscriptions of one client: passes messages from rospy's threads to the client, at the rate that it can receive."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from xtdrone_interaction.topics.message_json import NotFinite, to_json
 from xtdrone_interaction.topics.raw_subscriptions import RawMessage, RawSubscriptions
 
 MAX_TOPICS = 500
-"""Topics that one client may subscribe to at a time."""
+"""Maximum number of topics subscribed to by one client."""
 Id = str | int | None
 
 
 class SubscriptionError(ValueError):
-    """A subscription that is refused, or that has failed."""
+    """A rejected or failed subscription."""
 
 
 def encode(raw: RawMessage, compression: str) -> Frame:
     """Return the frame of a message.
 
     Raises:
-        MessageTypeError: its type is not installed and its definition is not valid, or its bytes do not match the type.
+        MessageTypeError: its type is not installed and its definition is invalid, or its bytes do not match the type.
     """
     if compression == "cbor-raw":
         return encode_cbor_raw(raw.topic, raw.data, _time(raw.time))
@@ -44,7 +44,7 @@ def _time(seconds: float) -> tuple[int, int]:
 
 
 class Encoder:
-    """Frames of messages, the last one of each topic and compression kept for the next client."""
+    """Cache of encoded frames: the last one per topic and compression."""
 
     def __init__(self) -> None:
         self._kept: dict[tuple[str, str], tuple[RawMessage, Frame]] = {}
@@ -58,13 +58,13 @@ class Encoder:
         return kept[1]
 
     def forget(self, topic: str) -> None:
-        """Drop what is kept of a topic."""
+        """Discard the cached frames of a topic."""
         for key in [key for key in self._kept if key[0] == topic]:
             self._kept.pop(key, None)
 
 
 class _Subscription:
-    """A topic that the client has subscribed to, perhaps several times with different ids.
+    """A topic to which the client has subscribed, possibly several times with different ids.
 
     As in rosbridge_suite, the client gets each message once: at the shortest of the intervals, with the longest queue,
     in the compression of the last request.
@@ -101,7 +101,7 @@ class Subscriptions:
             raw: the process's subscriptions.
             encoder: of all clients.
             connection: to the client.
-            report: tells the client an error.
+            report: sends the client an error.
             clock: monotonic, s.
         """
         self._raw = raw
@@ -120,7 +120,7 @@ class Subscriptions:
             topic: resolved name; it need not exist yet.
             id_: of the request; a later one with the same id replaces it.
             throttle_rate: minimum time between two messages, ms.
-            queue_length: messages that wait for the client; of a topic that is faster, the newest are sent.
+            queue_length: messages queued for the client; of faster topics, the newest are sent.
             compression: ``none``, ``png``, ``cbor`` or ``cbor-raw``.
 
         Raises:
@@ -150,7 +150,7 @@ class Subscriptions:
             raise SubscriptionError(str(error)) from error
 
     def unsubscribe(self, topic: str, id_: Id) -> None:
-        """End one request for a topic, all without an id.
+        """End one request for a topic; without an id, all of them.
 
         Raises:
             SubscriptionError: the client has no such subscription.
@@ -180,7 +180,8 @@ class Subscriptions:
         self._connection.call_soon(self.send_waiting)
 
     def send_waiting(self) -> None:
-        """Send what is due and has room; to be called by the server's thread, also when the client has taken frames."""
+        """Send due messages as the connection permits; called by the server's thread, also after the client has
+        received frames."""
         with self._lock:
             self._woken = False
         for subscription in list(self._topics.values()):

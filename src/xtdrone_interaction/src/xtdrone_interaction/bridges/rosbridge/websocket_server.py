@@ -1,4 +1,4 @@
-"""The WebSocket server of rosbridge's protocol: connections, their limits, and which pages may connect."""
+"""The WebSocket server of rosbridge's protocol: connections, their limits, and allowed origins."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from xtdrone_interaction.bridges.rosbridge.session import Bridge, Session
 
 MAX_CLIENTS = 100
 _LOCAL = ("localhost", "127.0.0.1", "::1")
-_ROOM = 1_000_000  # bytes sent and not yet taken, above which messages wait
-_MOST_UNTAKEN = 32_000_000  # bytes; a client that leaves more has its connection closed
-_PING = 10.0  # s between pings; a client that answers none is closed
-_WORKERS = 16  # threads that carry out operations
+_ROOM = 1_000_000  # bytes sent but not yet received, above which messages are queued
+_MOST_UNTAKEN = 32_000_000  # bytes; the connection of a client that lags further is closed
+_PING = 10.0  # s between pings; a client that does not answer is disconnected
+_WORKERS = 16  # threads that execute operations
 _TOO_MANY = 1013  # close code "try again later"
 _POLICY = 1008
 
@@ -34,9 +34,9 @@ class WebSocketServer:
         """Initialise; ``listen`` opens the port.
 
         Args:
-            bridge: what the sessions share.
-            max_message_size: bytes of a client's frame.
-            origins: of pages that may connect beside those of this machine; ``*`` for all.
+            bridge: resources shared by the sessions.
+            max_message_size: maximum bytes of a client's frame.
+            origins: of pages that may connect, in addition to those of this machine; ``*`` for all.
         """
         self.bridge = bridge
         self.origins = tuple(origins)
@@ -70,7 +70,7 @@ class WebSocketServer:
         self.workers.shutdown(wait=False, cancel_futures=True)
 
     def allows(self, origin: str) -> bool:
-        """Return whether a page of this origin may connect; programs that are no browsers send none."""
+        """Return whether a page of this origin may connect; programs other than browsers send none."""
         return "*" in self.origins or origin in self.origins or urlparse(origin).hostname in _LOCAL
 
 
@@ -112,29 +112,29 @@ class _Handler(tornado.websocket.WebSocketHandler):
     # ---- the session's side
 
     def send(self, frame: str | bytes) -> None:
-        """Send a frame; called by any thread."""
+        """Send a frame; called from any thread."""
         if threading.get_ident() == self._server.thread:
             self._write(frame)  # so that has_room() counts it
         else:
             self.call_soon(lambda: self._write(frame))
 
     def has_room(self) -> bool:
-        """Return whether the client has taken most of what was sent."""
+        """Return whether the client has received most of the sent data."""
         return self._untaken < _ROOM
 
     def call_soon(self, function: Callable[[], None]) -> None:
-        """Have the loop call a function; called by any thread."""
+        """Call a function in the loop; called from any thread."""
         with contextlib.suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(function)
 
     def call_later(self, delay: float, function: Callable[[], None]) -> None:
-        """Have the loop call a function later."""
+        """Call a function in the loop after a delay."""
         self._loop.call_later(delay, function)
 
     def _write(self, frame: str | bytes) -> None:
         size = len(frame)
         if self._untaken + size > max(_MOST_UNTAKEN, size):
-            self.close(_POLICY, f"{self._untaken} bytes were not taken")
+            self.close(_POLICY, f"{self._untaken} bytes were not received")
             return
         try:
             written: Any = self.write_message(frame, binary=isinstance(frame, bytes))
@@ -145,7 +145,7 @@ class _Handler(tornado.websocket.WebSocketHandler):
 
     def _on_taken(self, done: asyncio.Future[None], size: int) -> None:
         if not done.cancelled() and done.exception() is not None:
-            return  # the connection has gone
+            return  # the connection is closed
         had_room = self.has_room()
         self._untaken -= size
         if not had_room and self.has_room() and self._session is not None:

@@ -1,4 +1,4 @@
-"""The fields of ROS messages as rosbridge's protocol has them in CBOR.
+"""Encoding of ROS message fields in CBOR by the rosbridge protocol.
 
 A time or duration is an object of ``secs`` and ``nsecs``; uint8[] and char[] are a byte string, arrays of other numbers
 typed arrays of RFC 8746, little endian. CBOR has NaN and infinity; JSON does not (see ``topics.message_json``).

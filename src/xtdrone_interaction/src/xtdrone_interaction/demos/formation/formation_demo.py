@@ -49,11 +49,11 @@ class DemoSettings(Settings):
         follower_class: the user's follower class, ``/absolute/file.py`` or ``/absolute/file.py:Class``, or empty.
         leader_class: the user's leader class, as ``follower_class``, or empty.
         out: folder of the results.
-        master_port: TCP port of the flight's own ROS master; 0 for the running one of ROS_MASTER_URI.
+        master_port: TCP port of the flight's own ROS master; 0: use the running one of ROS_MASTER_URI.
         simulator: ``full`` or ``simplified``.
         model: of simplified vehicles: ``first-order``, ``second-order``, a YAML file; empty for the type's.
         window: open a live window.
-        film: film the flight from its record afterwards.
+        film: whether to film the recorded flight afterwards.
         instance: number of the simulation on this machine.
     """
 
@@ -89,7 +89,7 @@ class DemoSettings(Settings):
     waive: tuple[str, ...] = waive_setting()
     out: Path = Path()
     master_port: int = 0
-    headless: bool = setting(False, text="no live display: print a line of progress every few seconds")
+    headless: bool = setting(False, text="no live display; print a progress line every few seconds")
     logs: bool = setting(False, text="write the vehicles' flight logs (PX4's ULog) to logs/ in the results")
     simulator: str = "full"
     model: str = ""
@@ -199,7 +199,7 @@ def _conclude(settings: DemoSettings, console: Console, command_wall: float, end
 
 
 def _film(bag: Path, console: Console) -> None:
-    """Film the flight beside its bag; print the path, or why there is no film."""
+    """Film the flight next to its bag; print the path, or why there is no film."""
     from xtdrone_interaction.pictures.formation_film import default_file, make_film  # imports Matplotlib
     from xtdrone_swarm.view import FilmError
 
@@ -242,7 +242,7 @@ def report_flight(
     Raises:
         DemoError: the bag is not a flight record.
     """
-    from xtdrone_interaction.pictures.drawing import save_figures  # matplotlib takes a while to import
+    from xtdrone_interaction.pictures.drawing import save_figures  # imports matplotlib, which is slow
     from xtdrone_interaction.pictures.formation_pictures import figures
 
     try:

@@ -98,7 +98,7 @@ class SwarmSettings(Settings):
     speed: float = speed_setting("target speed (default: 10 with a window, else unlimited)")
     waive: tuple[str, ...] = waive_setting()
     out: Path = Path()
-    headless: bool = setting(False, text="no window, no live display: print a line of progress every few seconds")
+    headless: bool = setting(False, text="no window, no live display; print a progress line every few seconds")
     model: str = setting(
         "",
         metavar="MODEL",
@@ -299,7 +299,7 @@ def _show(swarm: Swarm, turns: Iterator[None], speed: float, display: Display) -
 def _conclude(
     record: FormationRecord, report: dict[str, Any], settings: SwarmSettings, film: FilmSettings, console: Console
 ) -> int:
-    from xtdrone_interaction.pictures.drawing import save_figures  # matplotlib takes a while to import
+    from xtdrone_interaction.pictures.drawing import save_figures  # imports matplotlib, which is slow
     from xtdrone_interaction.pictures.formation_pictures import figures
 
     print_formation(report, console)

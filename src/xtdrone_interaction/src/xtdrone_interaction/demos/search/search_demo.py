@@ -158,7 +158,7 @@ def _report(
     Raises:
         DemoError: the bag is not the record of a search.
     """
-    from xtdrone_interaction.pictures.search_map import save_map  # matplotlib takes a while to import
+    from xtdrone_interaction.pictures.search_map import save_map  # imports matplotlib, which is slow
 
     folder = bag.parent
     try:

@@ -55,7 +55,7 @@ class SearchSettings(Settings):
         plans: folder with the user's .plan files, or empty to generate them for the region.
         world: name or file, or empty to generate one from the seed.
         out: folder of the results.
-        master_port: TCP port of the flight's own ROS master; 0 for the running one of ROS_MASTER_URI.
+        master_port: TCP port of the flight's own ROS master; 0: use the running one of ROS_MASTER_URI.
         instance: number of the simulation on this machine.
     """
 
@@ -90,7 +90,7 @@ class SearchSettings(Settings):
     speed: float = speed_setting()
     out: Path = Path()
     master_port: int = 0
-    headless: bool = setting(False, text="no live display: print a line of progress every few seconds")
+    headless: bool = setting(False, text="no live display; print a progress line every few seconds")
     logs: bool = setting(False, text="write the vehicles' flight logs (PX4's ULog)")
     instance: int = 0
     web: bool = web_setting()

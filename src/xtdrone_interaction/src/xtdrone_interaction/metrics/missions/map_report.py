@@ -50,7 +50,7 @@ def _points_of(path: Path) -> Array:
     if path.suffix in _OCTREE_ENDINGS:
         return read_file(path).middles()
     if path.suffix == ".ply":
-        import trimesh  # takes a while to import
+        import trimesh  # slow to import
 
         cloud: Any = trimesh.load(path)
         return np.asarray(cloud.vertices, np.float64)

@@ -1,6 +1,6 @@
 """``./xtdrone replay-actions BAG``: repeat what the users of pages did in a recorded session, tick by tick.
 
-Exit status: 0 when all actions were repeated, 1 when one was not, 2 for a value that is not allowed.
+Exit status: 0 when all actions were repeated, 1 when one was not, 2 for an invalid value.
 """
 
 from __future__ import annotations
