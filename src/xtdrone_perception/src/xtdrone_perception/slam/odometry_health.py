@@ -22,10 +22,10 @@ class Fault(Enum):
     FROZEN = "{noun}s do not change"
     BLIND = "too few points are seen"
     UNMATCHED = "too few points fit the map"
-    DEGENERATE = "the surroundings do not tell the position"
+    DEGENERATE = "the surroundings do not constrain the position"
     RESIDUAL = "the {noun} does not fit the map"
     DIVERGED = "the position contradicts the autopilot's motion"
-    LATE = "{noun}s are dropped, as registration takes too long"
+    LATE = "{noun}s are dropped: registration takes too long"
 
     def words(self, noun: str) -> str:
         """Return the fault in words; noun: name of a measurement, e.g. ``scan``."""
