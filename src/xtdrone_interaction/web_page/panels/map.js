@@ -174,7 +174,7 @@ class Map2D {
           <button data-map="plan" disabled=${!selection.size} title="divide among the selected vehicles" onclick=${() => this.#makePlan()}>Plan for ${selection.size}</button>
           <button data-map="upload" class="primary operate" disabled=${!this.#plan} onclick=${() => this.#upload()}>Upload</button>
           <button onclick=${() => { this.#region = this.#plan = null; this.#draw(); this.#drawTools(); }}>Clear</button>` : null}</div>
-      ${this.#drawing ? html`<div class="soft">Click the corners; a click on the first one closes.</div>` : null}
+      ${this.#drawing ? html`<div class="soft">Click the corners; click the first one again to close.</div>` : null}
       ${progress ? html`<div>search: ${progress.phase}, ${progress.text}</div>` : null}`, this.#tools);
   }
 

@@ -98,7 +98,7 @@ function mount(element, station) {
         ${topics.length > MOST_MEASURED ? html`<p class="soft">Rates of the first ${MOST_MEASURED}.</p>` : ''}</div>`;
     }
     const node = graph.nodes.find(({ name }) => name === state.selected);
-    if (!node) return html`<p class="soft">Click on a node or on a line. Blue frames: participants of the lockstep.</p>`;
+    if (!node) return html`<p class="soft">Click a node or a line. Blue frames: lockstep participants.</p>`;
     const services = Object.entries(state.graph.services).filter(([, names]) => names.some((name) => node.members.includes(name)));
     return html`<div class="card"><b class="mono">${node.name}</b> ${node.participant ? html`<span class="pill good">lockstep</span>` : ''}
       ${node.members.length > 1 ? html`<p class="soft">${node.members.join(', ')}</p>` : ''}

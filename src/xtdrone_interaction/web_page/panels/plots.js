@@ -163,7 +163,7 @@ function mount(element, station) {
   };
 
   const chips = () => axes.map((axis, i) => html`<div class="row"><button class=${`quiet ${i === state.axis ? 'on' : ''}`}
-      title="new curves go here" onclick=${() => { state.axis = i; drawControls(); }}>Axis ${i + 1}</button>
+      title="new curves are added here" onclick=${() => { state.axis = i; drawControls(); }}>Axis ${i + 1}</button>
     ${axis.curves.map((curve) => html`<span class="pill" data-curve=${curve.label} title=${curve.fault}>
       <b style=${`color:${curve.colour}`}>●</b> <span class="mono">${curve.label}</span>
       ${curve.fault ? html`<span class="bad"> ${curve.fault}</span>` : ''}
@@ -185,13 +185,13 @@ function mount(element, station) {
   function drawControls() {
     render(html`${chooser()}<div class="row">
       <button class=${state.paused ? 'on' : ''} onclick=${() => { state.paused = !state.paused; update(true); drawControls(); }}>Pause</button>
-      <select title="shown time" onchange=${(event) => { state.window = Number(event.target.value); update(true); }}>
+      <select title="time span" onchange=${(event) => { state.window = Number(event.target.value); update(true); }}>
         ${WINDOWS.map((seconds) => html`<option value=${seconds} selected=${seconds === state.window}>last ${seconds} s</option>`)}</select>
       <button disabled=${!state.zoomed} onclick=${() => { state.zoomed = false; update(true); drawControls(); }}>Whole</button>
       <button onclick=${() => { addAxis(); drawControls(); }}>New axis</button>
       <button onclick=${() => { axes.forEach(({ curves }) => curves.forEach((curve) => curve.clear())); update(true); }}>Clear</button>
       <button onclick=${exportCsv}>CSV</button></div>${chips()}
-      <p class="soft">Drag to zoom, double click for the whole. Times are the messages' stamps.</p>`, controls);
+      <p class="soft">Drag to zoom, double-click for the full range. Times are the messages' stamps.</p>`, controls);
   }
 
   const list = () => station.call('topics.list').then(({ topics }) => {

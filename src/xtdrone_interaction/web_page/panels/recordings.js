@@ -179,7 +179,7 @@ function mount(element, station) {
   const recorder = () => (state.recorder.recording
     ? html`<span class="pill bad">● recording</span><span class="mono">${state.recorder.name}</span>
       <span class="soft">${stamp(state.recorder.seconds)}, ${bytes(state.recorder.bytes)}</span><button class="danger" data-role="stop" onclick=${stop}>Stop</button>`
-    : html`<select title="what is recorded" onchange=${(event) => { state.profile = event.target.value; }}>
+    : html`<select title="recording profile" onchange=${(event) => { state.profile = event.target.value; }}>
       ${state.profiles.map((profile) => html`<option value=${profile} selected=${profile === state.profile}>${profile}</option>`)}</select>
       <button class="primary" data-role="record" onclick=${start}>● Record</button>`);
 

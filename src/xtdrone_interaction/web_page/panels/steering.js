@@ -109,15 +109,17 @@ function mount(element, station) {
   const ready = () => html`<div class="card operate"><p>The keys fly ${station.selection.size ? station.selection.names.join(', ') : 'all vehicles'} on
       the topics of multirotor_keyboard_control. The vehicles stop when this panel or the page is closed, or says nothing for a second.</p>
     <div class="row"><label><input type="checkbox" checked=${state.leader} onchange=${() => { state.leader = !state.leader; draw(); }}/> the leader first</label>
-      <select title="what the keys set" onchange=${(event) => { state.mode = event.target.value; }}><option value="vel">velocities</option>
-        <option value="accel">accelerations</option></select>
+      <select title="quantity set by the keys" onchange=${(event) => { state.mode = event.target.value; }}><option
+        value="vel">velocities</option> <option value="accel">accelerations</option></select>
       <button class="primary" data-role="begin" onclick=${begin}>Begin</button></div></div>`;
 
   function draw() {
-    render(html`${station.role === 'operate' ? (state.open && state.pilot ? flying() : ready()) : html`<p class="soft">This page may only watch.</p>`}
-      <div class="card"><b>Gamepad</b> <span class=${state.pad ? 'good' : 'soft'}>${state.pad || 'none: press a button of it'}</span>
-        <p class="soft">Left stick: up and turn; right stick: forward and left. A land, B disarm, X hover, Y take off, back arm, start offboard.</p>
-        <div class="row"><label>most m/s <input type="number" min="0.5" max="20" step="0.5" value=${state.speed}
+    render(html`${station.role === 'operate' ? (state.open && state.pilot ? flying() : ready()) : html`<p
+      class="soft">This page has watch-only access.</p>`} <div class="card"><b>Gamepad</b> <span class=${state.pad ?
+      'good' : 'soft'}>${state.pad || 'none: press a button
+        on it'}</span> <p class="soft">Left stick: up and turn; right stick: forward and left. A land, B disarm, X
+        hover, Y take off, back arm, start offboard.</p> <div class="row"><label>most m/s <input type="number" min="0.5"
+        max="20" step="0.5" value=${state.speed}
             onchange=${(event) => { state.speed = Math.min(20, Math.max(0.5, Number(event.target.value) || 2)); draw(); }}/></label>
           <label>most rad/s <input type="number" min="0.1" max="3" step="0.1" value=${state.turn}
             onchange=${(event) => { state.turn = Math.min(3, Math.max(0.1, Number(event.target.value) || 1)); draw(); }}/></label></div></div>`, element);

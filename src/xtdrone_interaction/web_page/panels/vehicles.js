@@ -65,7 +65,8 @@ class Table {
 
   async #kill() {
     const names = this.#station.selection.names.join(', ');
-    if (await confirmed(`Stop the motors of ${names} at once? A vehicle in the air falls.`, 'Kill')) this.#command({ action: 'kill' });
+    if (await confirmed(`Stop the motors of ${names} immediately? A vehicle in the air will fall.`, 'Kill'))
+    this.#command({ action: 'kill' });
   }
 
   #goto() {
@@ -100,18 +101,18 @@ class Table {
           oninput=${(event) => { this.#height = event.target.valueAsNumber; }}/> m</label>
         ${act('arm', 'Arm', 'arm')}
         ${act('takeoff', 'Take off', 'arm and climb to the height', { height: this.#height })}
-        <button data-action="goto" class=${this.#station.picking ? 'on' : ''} title="click the goal; the height is that beside"
-          disabled=${none} onclick=${() => this.#goto()}>Go to…</button>
+        <button data-action="goto" class=${this.#station.picking ? 'on' : ''} title="click the goal; the height is set
+          here" disabled=${none} onclick=${() => this.#goto()}>Go to…</button>
         ${act('hold', 'Hold', 'hold the position')}
         ${act('land', 'Land', 'land here')}
         ${act('rtl', 'Return', 'return home and land')}
         ${act('disarm', 'Disarm', 'disarm on the ground')}
-        <button data-action="kill" class="danger" title="stop the motors at once" disabled=${none}
+        <button data-action="kill" class="danger" title="stop the motors immediately" disabled=${none}
           onclick=${() => this.#kill()}>Kill…</button></div>
       <div class="row"><select value=${this.#mode} onchange=${(event) => { this.#mode = event.target.value; }}>
           ${MODES.map((mode) => html`<option value=${mode}>${mode}</option>`)}</select>
         <button data-action="mode" disabled=${none} onclick=${() => this.#command({ action: 'mode', mode: this.#mode })}>Set mode</button>
-        <button data-action="reset" disabled=${none} title="set back to the start place, rebooted"
+        <button data-action="reset" disabled=${none} title="reset to the start pose, rebooted"
           onclick=${() => this.#reset()}>Reset</button></div></div>`;
   }
 
