@@ -138,8 +138,8 @@ def compare_page(runs: Sequence[ComparedRun], metrics: Sequence[dict[str, Any]],
     keys = ("duration", "way", "greatest_speed", "least_distance", "difference_rms", "difference_greatest",
             "difference_time")  # fmt: skip
     rows = [(row["name"], *(number(row[key]) for key in keys)) for row in metrics]
-    head = ("run", "time (s)", "way (m)", "fastest (m/s)", "minimum distance (m)", "difference, RMS (m)", "greatest (m)",
-            "at (s)")  # fmt: skip
+    head = ("run", "time (s)", "path (m)", "max. speed (m/s)", "minimum distance (m)", "difference, RMS (m)",
+            "maximum (m)", "at (s)")  # fmt: skip
     page.tables.append(ReportTable("Runs", head, rows))
     flown = [run for run in runs if run.patterns]
     if flown:

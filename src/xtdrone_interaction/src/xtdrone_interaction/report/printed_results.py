@@ -98,7 +98,7 @@ def _search_table(vehicles: dict[str, dict[str, Any]]) -> ReportTable:
         )
         for name, item in vehicles.items()
     ]
-    return ReportTable("Vehicles", ("vehicle", "way (m)", "top (m)", "pictures", "passed over"), rows)
+    return ReportTable("Vehicles", ("vehicle", "path (m)", "top (m)", "images", "skipped"), rows)
 
 
 def print_crossing(report: dict[str, Any], console: Console) -> None:

@@ -21,9 +21,9 @@ _MOST_ROWS = 300  # of a table of texts
 _MANY_ROWS = 20  # of texts; longer tables are folded
 _METRICS = (  # head of the column, digits, key
     ("armed (s)", 1, "armed_time"),
-    ("way (m)", 1, "way"),
+    ("path (m)", 1, "way"),
     ("highest (m)", 2, "highest"),
-    ("fastest (m/s)", 2, "greatest_speed"),
+    ("max. speed (m/s)", 2, "greatest_speed"),
     ("fastest climb (m/s)", 2, "greatest_climb"),
     ("minimum voltage (V)", 2, "least_voltage"),
 )
@@ -72,7 +72,7 @@ def odometry_table(rows: Iterable[dict[str, Any]]) -> ReportTable:
     Args:
         rows: see :class:`~xtdrone_interaction.metrics.missions.odometry_errors.OdometryErrors`.
     """
-    head = ("odometry", "aligned", "way (m)", "ATE (m)", "most (m)", "end (m)", "drift (%)", "RPE (%)")
+    head = ("odometry", "aligned", "path (m)", "ATE (m)", "max (m)", "end (m)", "drift (%)", "RPE (%)")
     keys = (("way", 1), ("ate", 3), ("greatest", 3), ("end", 3), ("drift", 3), ("rpe_percent", 2))
     texts = [
         (f"{row['vehicle']} {row['source']}", row["alignment"], *(number(row[key], digits) for key, digits in keys))
