@@ -166,7 +166,7 @@ class Layout:
             return self.store.deserialize_ros1(raw, self.type)
         except Exception as error:  # rosbags raises many kinds, some without text
             why = f": {error}" if str(error) else ""
-            raise MessageError(f"its {len(raw)} bytes are not a {self.type.replace('/msg/', '/')}{why}") from error
+            raise MessageError(f"its {len(raw)} bytes are no {self.type.replace('/msg/', '/')}{why}") from error
 
     def decode(self, data: NDArray[np.uint8], offset: Rows, length: Rows, wanted: Collection[str]) -> Decoded:
         """Decode fields of messages.

@@ -87,6 +87,6 @@ def _checked(name: str, convert: Callable[..., Any], *arguments: Any) -> Callabl
         try:
             return bytes(convert(data, *arguments))
         except Exception as error:  # SerdeError, struct and unicode errors, depending on the fault
-            raise ConversionError(f"message: its {len(data)} bytes are not a {name}: {error}") from error
+            raise ConversionError(f"message: its {len(data)} bytes are no {name}: {error}") from error
 
     return checked
