@@ -165,7 +165,7 @@ def test_damaged_topic_descriptions_are_read_from_the_index(tmp_path: Path) -> N
     ("content", "words"),
     [
         (b"", "is empty"),
-        (b"PK\x03\x04 an archive", "is no bag"),
+        (b"PK\x03\x04 an archive", "is not a bag"),
         (b"ULog\x01\x12\x35\x01", "Header too short"),  # a flight log, whatever its name
         (b"#ROSBAG V1.2\n" + bytes(100), "version '1.2'"),
         (
