@@ -22,7 +22,7 @@ from xtdrone_interaction.rviz.markers_node import MarkerSettings
 from xtdrone_interaction.web.station_settings import StationSettings
 from xtdrone_perception.detection.detector import DetectorSettings
 from xtdrone_perception.detection.yolo_node import DetectionOptions, GroundOptions
-from xtdrone_perception.following.following import FollowSettings
+from xtdrone_perception.following.person_following import FollowSettings
 from xtdrone_perception.following.human_tracking_node import TrackingOptions
 from xtdrone_perception.gimbal_node import GimbalOptions
 from xtdrone_perception.localisation.relative_filter import FilterSettings

@@ -11,7 +11,7 @@ import pytest
 from toy_flight import LIMITS, PERIOD, ToyFlight, forest, wall
 
 from xtdrone_control.network.message_radio import MessageRadio
-from xtdrone_control.network.options import NetworkOptions
+from xtdrone_control.network.network_options import NetworkOptions
 from xtdrone_planning.paths.local_path import PathSearch
 from xtdrone_planning.swarm.known_trajectories import FORGET, Known, Proposal
 from xtdrone_planning.swarm.settings import AgreementSettings

@@ -24,7 +24,7 @@ from xtdrone_control.fleet import (
     check_instance,
     parse_fleet,
 )
-from xtdrone_control.programs.program import ArgumentError
+from xtdrone_control.programs.node_command_line import ArgumentError
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.patterns import Patterns, absolute_name
 from xtdrone_coordination.user_classes import load_class

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.mavlink.streams.rare_telemetry import VehicleTelemetry
+from xtdrone_control.mavlink.streams.esc_gimbal_traffic_telemetry import VehicleTelemetry
 from xtdrone_control.mavlink.streams.stream_schedule import GCS_RATES, ONBOARD_RATES, PAYLOAD_RATES, Payloads
 
 from .client_link import Address, Link

@@ -22,7 +22,7 @@ from xtdrone_coordination.known_swarm_state import NEVER, ArraySwarm
 from xtdrone_coordination.laws.consensus import Vector
 from xtdrone_coordination.laws.topology import check_adjacency, weights_of_row
 from xtdrone_coordination.network import Near, Network
-from xtdrone_coordination.patterns.offsets import slots_of_all
+from xtdrone_coordination.patterns.slot_offsets_and_spacing import slots_of_all
 
 from . import kernels
 from .neighbourhood import UNUSABLE, make_grid

@@ -20,7 +20,7 @@ from xtdrone_msgs.msg import ObjectsOnGround, SceneModels
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.programs.program import check_no_arguments, needed_fleet
+from xtdrone_control.programs.node_command_line import check_no_arguments, needed_fleet
 from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction.formation.distances import PATTERN_TOPIC, TOPOLOGY_TOPIC, TRUTH_TOPIC, offsets_from_message
 from xtdrone_interaction.rviz.markers import TRAIL, SwarmMarkers, ground_view

@@ -31,7 +31,7 @@ from xtdrone_msgs.msg import SceneModels, SceneState
 
 from xtdrone_control import lockstep
 from xtdrone_control.lockstep.deferred_work import Deferred
-from xtdrone_control.programs.program import ArgumentError, check_no_arguments, fleet_of
+from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments, fleet_of
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.cameras.camera_worker import Changes, DrawingProcess, Drawn
 from xtdrone_sim.cameras.cameras_of_fleet import MOST_TURNS, Camera, Exposures, cameras_of, turn_rate

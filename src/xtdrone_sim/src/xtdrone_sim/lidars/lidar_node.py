@@ -34,7 +34,7 @@ from xtdrone_msgs.msg import SceneModels, SceneState
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.lockstep.deferred_work import Deferred
-from xtdrone_control.programs.program import ArgumentError, check_no_arguments, fleet_of
+from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments, fleet_of
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.early_parameters import private_parameters
 from xtdrone_sim.lidars.lidar_messages import scan_message

@@ -16,7 +16,7 @@ from tf2_msgs.msg import TFMessage
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.frames import to_xyzw
-from xtdrone_control.programs.program import ArgumentError, check_no_arguments, needed_fleet
+from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments, needed_fleet
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.topics.fleet_changes import FleetChanges

@@ -31,7 +31,7 @@ from xtdrone_msgs.msg import RelativeRanges, SceneModels, SceneState
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.programs.program import ArgumentError, check_no_arguments, fleet_of
+from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments, fleet_of
 from xtdrone_control.settings import Settings
 from xtdrone_sim.early_parameters import private_parameters
 from xtdrone_sim.sensors.measurement_times import Due, rate_setting, time_us

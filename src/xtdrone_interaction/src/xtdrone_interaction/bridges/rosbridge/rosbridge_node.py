@@ -11,7 +11,7 @@ from typing import Any
 import rosgraph
 import rospy
 
-from xtdrone_control.programs.program import check_no_arguments
+from xtdrone_control.programs.node_command_line import check_no_arguments
 from xtdrone_control.settings import setting
 from xtdrone_interaction.bridges import bridge_settings
 from xtdrone_interaction.bridges.bridge_settings import BridgeSettings, patterns

@@ -6,7 +6,7 @@ state to it after a long rejection; ``stop_timed_out_sources`` handles timeouts.
 
 from __future__ import annotations
 
-from xtdrone_control.autopilot.estimator.aiding.sources.ev_control import process_vision
+from xtdrone_control.autopilot.estimator.aiding.sources.external_vision_control import process_vision
 from xtdrone_control.autopilot.estimator.aiding.sources.flow_control import process_flow
 from xtdrone_control.autopilot.estimator.aiding.sources.gps_control import process_gps
 from xtdrone_control.autopilot.estimator.aiding.sources.height_control import process_baro

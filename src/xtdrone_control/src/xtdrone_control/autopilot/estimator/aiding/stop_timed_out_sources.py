@@ -10,7 +10,7 @@ from xtdrone_control.autopilot.estimator.aiding.source_timeouts import (
     VISION_STOP_US,
     is_recent,
 )
-from xtdrone_control.autopilot.estimator.aiding.sources.ev_control import stop_vision
+from xtdrone_control.autopilot.estimator.aiding.sources.external_vision_control import stop_vision
 from xtdrone_control.autopilot.state import HEIGHT_BARO, HEIGHT_GPS, HEIGHT_RANGE, HEIGHT_VISION
 from xtdrone_control.kernel import kernel
 

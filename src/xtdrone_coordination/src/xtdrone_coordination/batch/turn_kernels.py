@@ -14,7 +14,10 @@ from numpy.typing import NDArray
 from xtdrone_control.network.channel import sample
 from xtdrone_coordination.kernel import kernel
 from xtdrone_coordination.known_swarm_state import NEVER
-from xtdrone_coordination.laws import avoidance, consensus
+from xtdrone_coordination.laws import (
+    consensus,
+)
+from xtdrone_coordination.laws import formation_avoidance
 
 from .neighbourhood import fill_grid, find_near, relative
 
@@ -73,8 +76,8 @@ _lead = kernel(consensus.lead)
 _attraction = kernel(consensus.attraction)
 _scaled = kernel(consensus.scaled)
 _clip = kernel(consensus.clip)
-_contribution = kernel(avoidance.contribution)
-_yielding = kernel(avoidance.yielding)
+_contribution = kernel(formation_avoidance.contribution)
+_yielding = kernel(formation_avoidance.yielding)
 
 
 @kernel
@@ -205,7 +208,7 @@ def _avoid(f: Any, positions: NDArray[Any], grid: NDArray[Any], found: int) -> t
     ax = ay = az = 0.0
     for entry in range(found):
         j = grid[entry].near
-        dx, dy, dz = _contribution(relative(positions, index, j), radius, avoidance.GAIN, index < j)
+        dx, dy, dz = _contribution(relative(positions, index, j), radius, formation_avoidance.GAIN, index < j)
         ax, ay, az = ax + dx, ay + dy, az + dz
     return ax, ay, az
 
@@ -277,7 +280,7 @@ def _command(
 def _give_way(f: Any, positions: NDArray[Any], command: Any, grid: NDArray[Any], found: int) -> Any:
     """Return ``command`` with its components towards near vehicles reduced, m/s."""
     index, radius, clearance = f.id, f.radius, f.clearance
-    for _ in range(avoidance.ROUNDS):
+    for _ in range(formation_avoidance.ROUNDS):
         for entry in range(found):
             command = _yielding(relative(positions, index, grid[entry].near), command, radius, clearance)
     return command
