@@ -68,13 +68,13 @@ from xtdrone_sim.air.ground_effect import GroundSettings
 from xtdrone_sim.air.wind_region import RegionSettings
 from xtdrone_sim.cameras.camera_node import CameraSettings
 from xtdrone_sim.lidars.lidar_node import LidarSettings
-from xtdrone_sim.robots.floating import BoatLimits, HullSettings
-from xtdrone_sim.robots.kinematics import AckermannLimits, DifferentialLimits, DriveLimits
+from xtdrone_sim.robots.boat_dynamics import BoatLimits, HullSettings
+from xtdrone_sim.robots.wheel_drives import AckermannLimits, DifferentialLimits, DriveLimits
 from xtdrone_sim.robots.robot_model import BodySettings, PlatformSettings
 from xtdrone_sim.robots.waves import WaveSettings
 from xtdrone_sim.runtime.full_simulation import FullSettings
 from xtdrone_sim.runtime.simulator_node import NodeSettings
-from xtdrone_sim.topics.robot_tf import TfSettings
+from xtdrone_sim.tf.vehicle_tf_node import TfSettings
 from xtdrone_sim.uwb.uwb_node import UwbSettings
 from xtdrone_sim.vehicles.mounts.body_sensors import BodySensor
 from xtdrone_sim.vehicles.mounts.imu_mounts import ImuMount
@@ -83,7 +83,7 @@ from xtdrone_sim.vehicles.mounts.uwb_mounts import UwbMount
 from xtdrone_sim.video.video_node import VideoSettings
 from xtdrone_sim.worlds.floor_plan import FloorPlanSettings
 from xtdrone_sim.worlds.generated.city import CitySettings
-from xtdrone_sim.worlds.generated.countryside import CountrysideSettings
+from xtdrone_sim.worlds.generated.countryside_settings import CountrysideSettings
 from xtdrone_sim.worlds.generated.forest import ForestSettings
 from xtdrone_sim.worlds.generated.indoor import IndoorSettings
 from xtdrone_sim.worlds.generated.maze import MazeSettings

@@ -1,4 +1,4 @@
-"""Compares flights by their digest files (see ``xtdrone_sim.runtime.digests``); needs no ROS.
+"""Compares flights by their digest files (see ``xtdrone_sim.runtime.digest_file``); needs no ROS.
 
 For each second of simulated time, a digest file contains the number, bytes and checksum of the messages published by a
 node on each of its topics so far, and the checksum of the true states of all vehicles at every tick. The comparison is
@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-TRUTH = "truth"  # as xtdrone_sim.runtime.digests names it
+TRUTH = "truth"  # as xtdrone_sim.runtime.digest_file names it
 State = tuple[int, int, int]
 """Messages, bytes, checksum."""
 Key = tuple[str, str]

@@ -17,8 +17,8 @@ from xtdrone_planning.swarm.known_trajectories import FORGET, Known, Proposal
 from xtdrone_planning.swarm.settings import AgreementSettings
 from xtdrone_planning.swarm.swarm_planner import SwarmPlanner
 from xtdrone_planning.trajectories.moving_vehicles import MovingVehicles
-from xtdrone_planning.trajectories.spline_cost import UPRIGHT
-from xtdrone_planning.trajectories.uniform_spline import UniformSpline, resting
+from xtdrone_planning.trajectories.splines.spline_cost import UPRIGHT
+from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, resting
 
 RADIUS = LIMITS.radius
 LENGTH = 16.0

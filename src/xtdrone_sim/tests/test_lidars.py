@@ -11,12 +11,12 @@ import pytest
 
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.rotation import from_euler
-from xtdrone_sim.lidars.patterns import PatternError, rays_of, read_pattern
+from xtdrone_sim.lidars.ray_patterns import PatternError, rays_of, read_pattern
 from xtdrone_sim.lidars.scan_measurement import begin_us, cast_scan, end_us, measured
 from xtdrone_sim.lidars.scene_history import SceneHistory
 from xtdrone_sim.rays.scene import Hits, RayScene
 from xtdrone_sim.shapes.visual import Box, Pose, Visual
-from xtdrone_sim.topics.robot_frames import RobotFrames
+from xtdrone_sim.tf.vehicle_frames import RobotFrames
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import MountError
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount, read_lidars
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from xtdrone_planning.mapping.voxel_grid import VoxelGrid
 from xtdrone_planning.paths.grid_search import BLOCKED, REACHED, UNDECIDED, search
-from xtdrone_planning.paths.lines import seen_count, without_corners
+from xtdrone_planning.paths.lines_of_sight import seen_count, without_corners
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from ompl import base, geometric, util
 
 from xtdrone_planning.mapping.voxel_grid import VoxelGrid
 from xtdrone_planning.paths.grid_search import BLOCKED, REACHED, STEEP, UNDECIDED
-from xtdrone_planning.paths.lines import is_clear
+from xtdrone_planning.paths.lines_of_sight import is_clear
 from xtdrone_planning.paths.local_path import LocalPath, seen_path
 
 Array = NDArray[np.float64]

@@ -20,7 +20,7 @@ from xtdrone_planning.replanning.situation import Command, PlannerSettings, Situ
 from xtdrone_planning.trajectories.local_trajectory import State, TrajectorySettings, conflict_time, plan_along
 from xtdrone_planning.trajectories.slowing_down import stopping
 from xtdrone_planning.trajectories.time_law import length_of
-from xtdrone_planning.trajectories.uniform_spline import UniformSpline, resting
+from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, resting
 
 Array = NDArray[np.float64]
 

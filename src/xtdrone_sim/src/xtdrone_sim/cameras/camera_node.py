@@ -36,7 +36,7 @@ from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.cameras.camera_worker import Changes, DrawingProcess, Drawn
 from xtdrone_sim.cameras.cameras_of_fleet import MOST_TURNS, Camera, Exposures, cameras_of, turn_rate
 from xtdrone_sim.cameras.drawn_scene import View
-from xtdrone_sim.cameras.outputs import COSTLY, messages, topics_of
+from xtdrone_sim.cameras.camera_messages import COSTLY, messages, topics_of
 from xtdrone_sim.cameras.rendering import BACKENDS
 from xtdrone_sim.cameras.shutter import RecentScenes, exposure_times, middle_us
 from xtdrone_sim.early_parameters import private_parameters

@@ -24,7 +24,7 @@ from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.programs.log_output import survive_full_disk
 from xtdrone_control.programs.under_roslaunch import announce, end_launch
 from xtdrone_control.settings import Settings, setting
-from xtdrone_sim.runtime.digests import DigestFile
+from xtdrone_sim.runtime.digest_file import DigestFile
 from xtdrone_sim.runtime.end_by_signal import Stop
 from xtdrone_sim.runtime.other_simulator import obstacle, ready_words, stale_uri
 from xtdrone_sim.runtime.requests.control_services import Services

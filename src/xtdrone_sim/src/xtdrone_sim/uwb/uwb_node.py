@@ -39,7 +39,7 @@ from xtdrone_sim.shapes.pose_arithmetic import compose
 from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.topics.failure_services import FailureServices
 from xtdrone_sim.topics.fleet_changes import FleetChanges, vehicles_may_join
-from xtdrone_sim.topics.live_rays import LiveRays
+from xtdrone_sim.rays.live_rays import LiveRays
 from xtdrone_sim.topics.scene_messages import scene_of
 from xtdrone_sim.uwb.antennas import Antenna, antennas_of, neighbours_of
 from xtdrone_sim.uwb.line_of_sight import Moment, Sights

@@ -35,7 +35,10 @@ from xtdrone_interaction.options import (
     web_setting,
 )
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds import people, scenery
+from xtdrone_sim.worlds import (
+    scenery,
+)
+from xtdrone_sim.worlds import people_meshes
 from xtdrone_sim.worlds.catalogue import load_world
 from xtdrone_sim.worlds.sdf import SdfWorld, load_world_file, write_world
 
@@ -242,7 +245,7 @@ def generate_world(region: Polygon, seed: int, persons: int, *, walking: bool = 
         region=bounds,
         persons=persons,
         walking=walking,
-        skins=people.names(),
+        skins=people_meshes.names(),
         within=lambda x, y: inner.contains(Point(x, y)),
     )
 

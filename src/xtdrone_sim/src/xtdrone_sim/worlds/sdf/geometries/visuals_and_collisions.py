@@ -23,7 +23,7 @@ from xtdrone_sim.worlds.sdf.geometries.mesh_files import (
     extruded,
     read_mesh,
 )
-from xtdrone_sim.worlds.sdf.model_uris import (
+from xtdrone_sim.worlds.sdf.models.model_uris import (
     ForbiddenError,
     resolve,
     uri_of,

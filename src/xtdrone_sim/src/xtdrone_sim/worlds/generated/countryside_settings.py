@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from xtdrone_control.settings import Settings, setting
-from xtdrone_sim.worlds.people import names
-from xtdrone_sim.worlds.scenery.outdoor import LIGHTS, outdoor
+from xtdrone_sim.worlds.people_meshes import names
+from xtdrone_sim.worlds.scenery.countryside_layout import LIGHTS, outdoor
 from xtdrone_sim.worlds.sdf import SdfWorld
 
 

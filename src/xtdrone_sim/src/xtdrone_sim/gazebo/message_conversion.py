@@ -10,7 +10,7 @@ from geometry_msgs.msg import Pose as PoseMessage
 
 from xtdrone_control.rotation import Vector
 from xtdrone_sim.gazebo.frames import State
-from xtdrone_sim.gazebo.limits import FARTHEST, FASTEST, STRONGEST, check_quaternion, check_vector
+from xtdrone_sim.gazebo.request_limits import FARTHEST, FASTEST, STRONGEST, check_quaternion, check_vector
 from xtdrone_sim.shapes.visual import Pose
 
 

@@ -28,7 +28,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, Poi
 
 from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_sim.cameras.cameras_of_fleet import Camera
-from xtdrone_sim.cameras.colours import Exposure, noise_of, opencv
+from xtdrone_sim.cameras.lens_and_noise import Exposure, noise_of, opencv
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import CameraMount
 
 COSTLY = frozenset(

@@ -17,7 +17,7 @@ import numpy as np
 
 from xtdrone_control.rotation import Vector, from_euler, multiply, yaw_of
 from xtdrone_control.settings import SettingError, Settings, setting
-from xtdrone_sim.robots.rolling import (
+from xtdrone_sim.robots.wheels_on_uneven_ground import (
     STEP,
     Footprint,
     Ground,

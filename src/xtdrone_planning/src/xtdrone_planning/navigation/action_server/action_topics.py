@@ -14,7 +14,7 @@ from geometry_msgs.msg import PoseStamped
 from move_base_msgs.msg import MoveBaseActionFeedback, MoveBaseActionGoal, MoveBaseActionResult
 
 from xtdrone_control import lockstep
-from xtdrone_planning.navigation.action_goals import PREEMPTED, ActionGoal, ActionGoals
+from xtdrone_planning.navigation.action_server.action_goals import PREEMPTED, ActionGoal, ActionGoals
 from xtdrone_planning.navigation.settings import GoalError
 
 _STATUS_PERIOD = 0.2  # s
