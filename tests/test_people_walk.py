@@ -35,7 +35,7 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
     """A simulator alone, as fast as it goes."""
     wait_for_ports(FLEET)
     folder = tmp_path_factory.mktemp("people")
-    (folder / "people_meshes.world").write_text(WORLD)
+    (folder / "people.world").write_text(WORLD)
     stack = Stack(graph, folder, FLEET)
     try:
         stack.launch(
@@ -45,7 +45,7 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
             "speed:=0",
             "participants:=0",
             "mavros:=false",
-            f"world:={folder / 'people_meshes.world'}",
+            f"world:={folder / 'people.world'}",
         )
         states = graph.hear("/gazebo/model_states", ModelStates)
         poll(lambda: states.messages, "the simulator says where models are", START_LIMIT)

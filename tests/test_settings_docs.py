@@ -16,14 +16,14 @@ from xtdrone_interaction.bridges.foxglove.foxglove_node import FoxgloveSettings
 from xtdrone_interaction.bridges.ros2.ros2_node import Ros2Settings
 from xtdrone_interaction.bridges.rosbridge.rosbridge_node import RosbridgeSettings
 from xtdrone_interaction.crossing.crossing_mission import CrossingSettings
-from xtdrone_interaction.formation.director import DirectorSettings
+from xtdrone_interaction.formation.formation_director import DirectorSettings
 from xtdrone_interaction.landing.landing_director import LandingSettings
 from xtdrone_interaction.rviz.markers_node import MarkerSettings
 from xtdrone_interaction.web.station_settings import StationSettings
 from xtdrone_perception.detection.detector import DetectorSettings
 from xtdrone_perception.detection.yolo_node import DetectionOptions, GroundOptions
-from xtdrone_perception.following.person_following import FollowSettings
 from xtdrone_perception.following.human_tracking_node import TrackingOptions
+from xtdrone_perception.following.person_following import FollowSettings
 from xtdrone_perception.gimbal_node import GimbalOptions
 from xtdrone_perception.localisation.relative_filter import FilterSettings
 from xtdrone_perception.localisation.relative_node import RelativeOptions
@@ -69,9 +69,9 @@ from xtdrone_sim.air.wind_region import RegionSettings
 from xtdrone_sim.cameras.camera_node import CameraSettings
 from xtdrone_sim.lidars.lidar_node import LidarSettings
 from xtdrone_sim.robots.boat_dynamics import BoatLimits, HullSettings
-from xtdrone_sim.robots.wheel_drives import AckermannLimits, DifferentialLimits, DriveLimits
 from xtdrone_sim.robots.robot_model import BodySettings, PlatformSettings
 from xtdrone_sim.robots.waves import WaveSettings
+from xtdrone_sim.robots.wheel_drives import AckermannLimits, DifferentialLimits, DriveLimits
 from xtdrone_sim.runtime.full_simulation import FullSettings
 from xtdrone_sim.runtime.simulator_node import NodeSettings
 from xtdrone_sim.tf.vehicle_tf_node import TfSettings

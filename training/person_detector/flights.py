@@ -31,10 +31,7 @@ from xtdrone_coordination.search.search_settings import MissionSettings
 from xtdrone_sim.shapes.pose_arithmetic import rotate
 from xtdrone_sim.shapes.visual import Mesh, Pose, Visual
 from xtdrone_sim.worlds import people_meshes
-from xtdrone_sim.worlds.scenery import (
-    Ground,
-)
-from xtdrone_sim.worlds.scenery import countryside_layout
+from xtdrone_sim.worlds.scenery import Ground, outdoor
 from xtdrone_sim.worlds.sdf import SdfWorld
 
 RATE = 2.0  # pictures a second

@@ -36,10 +36,7 @@ from xtdrone_sim.shapes.visual import Mesh, Pose, Visual
 from xtdrone_sim.vehicles.urdf import Description
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
 from xtdrone_sim.worlds import people_meshes
-from xtdrone_sim.worlds.scenery import (
-    Ground,
-)
-from xtdrone_sim.worlds.scenery import countryside_layout
+from xtdrone_sim.worlds.scenery import Ground, outdoor
 from xtdrone_sim.worlds.sdf import SdfWorld
 
 VEHICLE = "typhoon_h480"

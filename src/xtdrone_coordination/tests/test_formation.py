@@ -282,7 +282,7 @@ def test_an_update_searches_for_near_vehicles_once_and_keeps_none_for_the_next(
         searches.append(radius)
         return search(index, positions, radius)
 
-    monkeypatch.setattr(avoidance, "near_vehicles", counted)
+    monkeypatch.setattr(formation_avoidance, "near_vehicles", counted)
     for distance in (0.5, 1.2, 4.0):
         for j, p in enumerate([(0.0, 0.0, 0.0), (5.0, distance, 0.0), (5.0, 0.0, 0.0)]):
             follower.swarm.on_position(j, p)

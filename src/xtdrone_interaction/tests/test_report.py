@@ -24,9 +24,9 @@ from xtdrone_interaction.formation.distances import (
 )
 from xtdrone_interaction.formation.flight_criteria import CRITERIA
 from xtdrone_interaction.metrics.missions import formation_metrics as reports
-from xtdrone_interaction.pictures.drawing import NamedFigure, save_figures
-from xtdrone_interaction.pictures.formation_pictures import figures
-from xtdrone_interaction.recording.formation_record import FormationRecord, read_formation
+from xtdrone_interaction.pictures.missions.formation_pictures import figures
+from xtdrone_interaction.pictures.picture_style import NamedFigure, save_figures
+from xtdrone_interaction.recording.missions.formation_record import FormationRecord, read_formation
 from xtdrone_interaction.recording.positions import FleetTrack, regular_times
 from xtdrone_interaction.recording.recorded_flight import Change, RecordError
 from xtdrone_interaction.report.printed_results import print_formation

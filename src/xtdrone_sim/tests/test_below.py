@@ -137,7 +137,7 @@ PEOPLE = """<sdf version="1.6"><world name="w">
 
 
 def test_a_walking_person_below_is_seen(tmp_path):
-    path = tmp_path / "people_meshes.world"
+    path = tmp_path / "people.world"
     path.write_text(PEOPLE)
     simulation = quiet("iris_rangefinder:1", str(path))
     v = simulation.world.plant[0]

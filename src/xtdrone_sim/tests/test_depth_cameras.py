@@ -16,9 +16,9 @@ from sensor_msgs.msg import PointField
 
 from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.rotation import from_euler
+from xtdrone_sim.cameras.camera_messages import measured, messages, noise_of, topics_of
 from xtdrone_sim.cameras.cameras_of_fleet import Camera, cameras_of
 from xtdrone_sim.cameras.drawn_scene import DrawnScene, View
-from xtdrone_sim.cameras.camera_messages import measured, messages, noise_of, topics_of
 from xtdrone_sim.cameras.rendering import Renderer, RendererError
 from xtdrone_sim.rays.scene import RayScene
 from xtdrone_sim.shapes.pose_arithmetic import compose, rotate

@@ -13,11 +13,7 @@ from xtdrone_control.rotation import from_euler
 from xtdrone_sim.package_files import MODELS
 from xtdrone_sim.shapes.pose_arithmetic import compose
 from xtdrone_sim.shapes.visual import Box, Mesh, Pose
-from xtdrone_sim.worlds.scenery import (
-    Ground,
-    is_free,
-)
-from xtdrone_sim.worlds.scenery import countryside_layout
+from xtdrone_sim.worlds.scenery import Ground, is_free, outdoor
 from xtdrone_sim.worlds.scenery import __main__ as program
 from xtdrone_sim.worlds.scenery.scenery_objects import HIGHEST
 from xtdrone_sim.worlds.sdf import SdfWorld, load_world_file, read_world, write_world

@@ -28,8 +28,8 @@ from numpy.typing import ArrayLike
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_coordination.known_swarm_state import SwarmState, as_vector
 from xtdrone_coordination.laws import formation_avoidance
-from xtdrone_coordination.laws.formation_avoidance import Near
 from xtdrone_coordination.laws.consensus import Peer, Vector, acceleration_law, clip, critical_damping, velocity_law
+from xtdrone_coordination.laws.formation_avoidance import Near
 from xtdrone_coordination.laws.topology import check_adjacency, weights_of_row
 from xtdrone_coordination.patterns.slot_offsets_and_spacing import slots_of_all
 

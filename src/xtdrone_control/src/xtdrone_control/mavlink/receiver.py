@@ -17,8 +17,8 @@ from xtdrone_control.mavlink.wire.frame_packing import COMPONENT_ID
 
 from .client_link import Address, Link
 from .list_of_services import all_services
-from .port import Port
 from .service_base import Handler, Service, Vehicle
+from .udp_port_and_clients import Port
 
 if TYPE_CHECKING:
     from xtdrone_control.autopilot.autopilot import Autopilot

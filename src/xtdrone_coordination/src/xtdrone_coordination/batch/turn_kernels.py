@@ -1,6 +1,6 @@
 """One turn of all followers of a process: sense, law, command. Bit-identical to ``Follower.update`` of each.
 
-The formulas are those of ``laws.consensus`` and ``laws.avoidance``, compiled here.
+The formulas are those of ``laws.consensus`` and ``laws.formation_avoidance``, compiled here.
 """
 
 from __future__ import annotations
@@ -14,10 +14,7 @@ from numpy.typing import NDArray
 from xtdrone_control.network.channel import sample
 from xtdrone_coordination.kernel import kernel
 from xtdrone_coordination.known_swarm_state import NEVER
-from xtdrone_coordination.laws import (
-    consensus,
-)
-from xtdrone_coordination.laws import formation_avoidance
+from xtdrone_coordination.laws import consensus, formation_avoidance
 
 from .neighbourhood import fill_grid, find_near, relative
 

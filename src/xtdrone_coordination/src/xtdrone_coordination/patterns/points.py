@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .offsets import Offsets
+from .slot_offsets_and_spacing import Offsets
 
 Points = NDArray[np.float64]
 

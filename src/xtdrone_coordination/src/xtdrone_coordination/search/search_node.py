@@ -52,15 +52,15 @@ from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments, needed_fleet
 from xtdrone_control.programs.under_roslaunch import end_launch
 
-from .search import actions
-from .search.actions import Action
-from .search.coverage_map import CoverageGrid
-from .search.mission_control import SearchMission
-from .search.people.candidates import Sighting
-from .search.planning.plans import DatumSettings
-from .search.planning.region import RegionError, read_region
-from .search.search_settings import MissionSettings
-from .search.searching_vehicle import State as VehicleState
+from . import actions
+from .actions import Action
+from .coverage_map import CoverageGrid
+from .mission_control import SearchMission
+from .people.candidates import Sighting
+from .planning.plans import DatumSettings
+from .planning.region import RegionError, read_region
+from .search_settings import MissionSettings
+from .searching_vehicle import State as VehicleState
 
 EVENT_TOPIC = "/xtdrone/search/event"
 PROGRESS_TOPIC = "/xtdrone/search/progress"

@@ -21,7 +21,7 @@ from xtdrone_interaction.formation.formation_mission import (
     FormationMission,
     MissionError,
 )
-from xtdrone_interaction.recording.formation_record import FormationRecord
+from xtdrone_interaction.recording.missions.formation_record import FormationRecord
 from xtdrone_interaction.recording.positions import FleetTrack
 from xtdrone_interaction.recording.recorded_flight import Change
 

@@ -24,7 +24,7 @@ from xtdrone_control.programs.node_command_line import check_no_arguments, neede
 from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction.formation.distances import PATTERN_TOPIC, TOPOLOGY_TOPIC, TRUTH_TOPIC, offsets_from_message
 from xtdrone_interaction.rviz.markers import TRAIL, SwarmMarkers, ground_view
-from xtdrone_interaction.rviz.views import FOR_MARKERS
+from xtdrone_interaction.rviz.view_configurations import FOR_MARKERS
 from xtdrone_interaction.rviz.world_markers import WorldMarkers
 from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle

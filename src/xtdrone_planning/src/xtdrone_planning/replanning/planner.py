@@ -19,8 +19,8 @@ from xtdrone_planning.replanning.flight_states import FlightState, Planning, Wai
 from xtdrone_planning.replanning.situation import Command, PlannerSettings, Situation
 from xtdrone_planning.trajectories.local_trajectory import State, TrajectorySettings, conflict_time, plan_along
 from xtdrone_planning.trajectories.slowing_down import stopping
-from xtdrone_planning.trajectories.time_law import length_of
 from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, resting
+from xtdrone_planning.trajectories.time_law import length_of
 
 Array = NDArray[np.float64]
 

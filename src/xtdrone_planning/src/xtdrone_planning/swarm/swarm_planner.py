@@ -25,8 +25,8 @@ from xtdrone_planning.swarm.known_trajectories import Known, Proposal
 from xtdrone_planning.swarm.settings import AgreementSettings
 from xtdrone_planning.trajectories.local_trajectory import State, TrajectorySettings, conflict_time, plan_along
 from xtdrone_planning.trajectories.moving_vehicles import MovingVehicles
-from xtdrone_planning.trajectories.time_law import length_of
 from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline
+from xtdrone_planning.trajectories.time_law import length_of
 
 Array = NDArray[np.float64]
 

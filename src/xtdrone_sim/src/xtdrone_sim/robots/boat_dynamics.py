@@ -22,8 +22,8 @@ from xtdrone_control.rotation import Vector, from_euler, yaw_of
 from xtdrone_control.rotation_kernels import integrate, rotate, rotate_inverse
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_sim.kernel import kernel
-from xtdrone_sim.robots.wheel_drives import Joint
 from xtdrone_sim.robots.waves import GRAVITY, WaveSettings, water_at
+from xtdrone_sim.robots.wheel_drives import Joint
 from xtdrone_sim.shapes.visual import Pose
 
 DENSITY = 1000.0

@@ -3,7 +3,7 @@
 The origin of a robot is on the ground below the middle of its driven axle. Speed, yaw rate and steering angle follow
 their commands within limits of their rates; along a step, the origin moves on the exact arc of its speed and yaw rate.
 K. Lynch and F. Park, *Modern Robotics*, 13.3, give the equations. On slopes the way is along the robot's x axis, and
-height and attitude follow the ground below the wheels, see ``rolling``.
+height and attitude follow the ground below the wheels, see ``wheels_on_uneven_ground``.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class DriveState:
         steering: angle of a front wheel in the middle, rad; 0 with a differential drive.
         left, right: angles that the driven wheels have turned, rad.
         roll, pitch: rad; 0 on level ground.
-        heights: of the ground below the wheels, m, see ``rolling.places``.
+        heights: of the ground below the wheels, m, see ``wheels_on_uneven_ground.places``.
     """
 
     x: float = 0.0

@@ -19,8 +19,8 @@ from xtdrone_control.frames import to_xyzw
 from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments, needed_fleet
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.descriptions import ModelError
-from xtdrone_sim.topics.fleet_changes import FleetChanges
 from xtdrone_sim.tf.vehicle_frames import Frame, RobotFrames
+from xtdrone_sim.topics.fleet_changes import FleetChanges
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
 

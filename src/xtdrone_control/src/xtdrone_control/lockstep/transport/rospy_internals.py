@@ -62,8 +62,8 @@ def topic_server_address() -> tuple[str, int]:
 def lengthen_connection_queue() -> None:
     """Let many nodes connect to this node's topics and services at the same time.
 
-    rospy queues five connections. When thirty vehicles call a service in the same tick, Linux drops those in excess, and
-    TCP tries again only after 1 s.
+    rospy queues five connections. When thirty vehicles call a service in the same tick, Linux drops those in excess,
+    and TCP tries again only after 1 s.
     """
     rospy.impl.tcpros_base.start_tcpros_server()
     rospy.impl.tcpros_base._tcpros_server.tcp_ros_server.server_sock.listen(_CONNECTION_QUEUE)

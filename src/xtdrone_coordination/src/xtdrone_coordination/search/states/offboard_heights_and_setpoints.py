@@ -6,7 +6,7 @@ import math
 
 from ..actions import GoTo, Position
 from ..searching_vehicle import Vehicle
-from .base import VehicleState
+from .common_supervision import VehicleState
 from .searching import FALLEN
 
 _CLEARANCE = 6.0  # m; no height change within this horizontal distance of a vehicle in between

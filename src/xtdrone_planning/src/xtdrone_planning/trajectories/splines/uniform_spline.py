@@ -11,7 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_planning.trajectories.splines.spline_kernels import extremes, greatest_acceleration, greatest_speed, spline_at
+from xtdrone_planning.trajectories.splines.spline_kernels import (
+    extremes,
+    greatest_acceleration,
+    greatest_speed,
+    spline_at,
+)
 
 Array = NDArray[np.float64]
 

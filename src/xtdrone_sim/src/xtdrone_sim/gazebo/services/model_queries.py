@@ -11,9 +11,9 @@ from gazebo_msgs.msg import LinkState
 from std_msgs.msg import Header
 
 from xtdrone_sim.gazebo.frames import seen_from
-from xtdrone_sim.gazebo.request_limits import RequestError, unknown
-from xtdrone_sim.gazebo.models_by_name import Models
 from xtdrone_sim.gazebo.message_conversion import pose_message, twist_message
+from xtdrone_sim.gazebo.models_by_name import Models
+from xtdrone_sim.gazebo.request_limits import RequestError, unknown
 from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.vehicles.urdf import Inertial

@@ -90,7 +90,7 @@ def mark_near_bodies(plant, models, boxes, speeds, moving, limits, horizon, want
 
 
 class Drive(Protocol):
-    """Moves a body along its own way; see ``robots.kinematics.Drive``.
+    """Moves a body along its own way; see ``robots.wheel_drives.Drive``.
 
     Attributes:
         yields: whether what stands stops it.

@@ -13,9 +13,7 @@ from xtdrone_sim.worlds.sdf.geometries.heightmaps import read_heightmap
 from xtdrone_sim.worlds.sdf.geometries.materials import GREY
 from xtdrone_sim.worlds.sdf.geometries.mesh_files import MeshPart, check_wavefront, read_mesh
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
-from xtdrone_sim.worlds.sdf.models.model_uris import (
-    resolve,
-)
+from xtdrone_sim.worlds.sdf.models.model_uris import resolve
 from xtdrone_sim.worlds.sdf.models.rigid_links import MOST_SHAPES
 from xtdrone_sim.worlds.sdf.world_records import SdfError, SdfLink, SdfModel
 from xtdrone_sim.worlds.sdf.xml_elements import Element, File
