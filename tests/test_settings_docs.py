@@ -57,7 +57,7 @@ from xtdrone_planning.octree.octomap_node import OctomapOptions
 from xtdrone_planning.octree.octree_map import OctreeSettings
 from xtdrone_planning.replanning.ego_transfer_node import TransferSettings
 from xtdrone_planning.replanning.planner_node import TimingSettings
-from xtdrone_planning.replanning.situation import PlannerSettings
+from xtdrone_planning.replanning.settings import PlannerSettings
 from xtdrone_planning.safety.settings import SafetySettings
 from xtdrone_planning.swarm.settings import AgreementSettings
 from xtdrone_planning.trajectories.local_trajectory import TrajectorySettings

@@ -38,7 +38,7 @@ from xtdrone_msgs.srv import SetSpeed
 from benchmarks.nodes import bus_statistics
 from benchmarks.nodes.free_running_speeds import Trial, next_speed
 from benchmarks.process_use import CpuSample
-from xtdrone_interaction.formation.distances import EVENTS_TOPIC
+from xtdrone_interaction.formation.shared_topics_and_names import EVENTS_TOPIC
 
 _FIRST_PHASE = "climb"  # from this phase on all followers publish commands
 _ENDS = {"failed", "giving up", "interrupted", "done"}

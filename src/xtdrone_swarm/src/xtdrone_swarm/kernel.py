@@ -1,9 +1,9 @@
-"""``@kernel`` for the simplified simulator's inner loops; see ``xtdrone_control.kernel``."""
+"""``@kernel`` for the inner loops of this package; see ``xtdrone_control.kernel_cache``."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from xtdrone_control import kernel as control_kernel
+from xtdrone_control import kernel_cache
 
-kernel = control_kernel.compiler(Path(__file__).resolve().parents[1])
+kernel = kernel_cache.compiler(Path(__file__).resolve().parent)

@@ -25,13 +25,8 @@ from xtdrone_control import lockstep
 from xtdrone_interaction.crossing.crossing_director import CrossingDirector, Goal, GoalsError
 from xtdrone_interaction.crossing.crossing_mission import TASKS, CrossingSettings
 from xtdrone_interaction.crossing.formation_crossing import STAGES, FormationCrossing, Member
-from xtdrone_interaction.formation.distances import (
-    PATTERN_TOPIC,
-    Array,
-    formation_error,
-    least_distances,
-    offsets_from_message,
-)
+from xtdrone_interaction.formation.distances import Array, formation_error, least_distances, offsets_from_message
+from xtdrone_interaction.formation.shared_topics_and_names import PATTERN_TOPIC
 
 
 class FormationCrossingDirector(CrossingDirector):

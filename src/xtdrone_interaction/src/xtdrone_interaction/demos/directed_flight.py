@@ -12,7 +12,7 @@ from typing import Any, Protocol, TypeVar
 
 from xtdrone_interaction import command_options
 from xtdrone_interaction.command_options import MachineSettings
-from xtdrone_interaction.formation.distances import EVENTS_TOPIC, PROGRESS_TOPIC
+from xtdrone_interaction.formation.shared_topics_and_names import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, escape, master_port
 from xtdrone_interaction.monitoring.progress_display import Display
 

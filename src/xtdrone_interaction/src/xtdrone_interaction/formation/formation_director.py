@@ -37,19 +37,17 @@ from std_msgs.msg import Float32MultiArray, String
 from xtdrone_control import lockstep
 from xtdrone_control.rotation import yaw_of
 from xtdrone_control.settings import Settings, setting
-from xtdrone_interaction.formation.distances import (
+from xtdrone_interaction.formation.distances import Array, least_distances, offsets_from_message
+from xtdrone_interaction.formation.flight_events import EventsFile
+from xtdrone_interaction.formation.formation_mission import FleetState, FormationMission, MissionError
+from xtdrone_interaction.formation.shared_topics_and_names import (
     ESTIMATE,
     EVENTS_TOPIC,
     PATTERN_TOPIC,
     PROGRESS_TOPIC,
     TRUTH,
     TRUTH_TOPIC,
-    Array,
-    least_distances,
-    offsets_from_message,
 )
-from xtdrone_interaction.formation.flight_events import EventsFile
-from xtdrone_interaction.formation.formation_mission import FleetState, FormationMission, MissionError
 
 RATE = 30.0  # Hz
 _PROGRESS_TICKS = 6  # 5 Hz of simulated time

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from xtdrone_interaction.bags.ros1bag import BagError
-from xtdrone_interaction.formation.distances import EVENTS_TOPIC, TRUTH_TOPIC, odometry_topic
+from xtdrone_interaction.formation.shared_topics_and_names import EVENTS_TOPIC, TRUTH_TOPIC, odometry_topic
 from xtdrone_interaction.metrics.missions.formation_metrics import versions
 from xtdrone_interaction.recording.flight_from_bag import read_bag
 from xtdrone_interaction.recording.recorded_flight import LOG_TOPIC, RecordError, Recording

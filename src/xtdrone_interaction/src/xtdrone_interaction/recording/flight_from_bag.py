@@ -20,15 +20,15 @@ from numpy.typing import NDArray
 from xtdrone_interaction.bags.bag_kinds import Layouts, Losses, Source, by_connection, large_batches, open_sources
 from xtdrone_interaction.bags.decode import STAMP, Decoded, Fixed, Layout, List, MessageError, Texts, records_at
 from xtdrone_interaction.bags.ros1bag import BagError, Batch, Connection
-from xtdrone_interaction.formation.distances import (
+from xtdrone_interaction.formation.distances import offsets_from_message
+from xtdrone_interaction.formation.flight_events import EVENTS_FILE, parse_event, read_events
+from xtdrone_interaction.formation.shared_topics_and_names import (
     EVENTS_TOPIC,
     PATTERN_TOPIC,
     TOPOLOGY_TOPIC,
     TRUTH_TOPIC,
     natural_order,
-    offsets_from_message,
 )
-from xtdrone_interaction.formation.flight_events import EVENTS_FILE, parse_event, read_events
 from xtdrone_interaction.recording.positions import complete, plausible, regular_times
 from xtdrone_interaction.recording.recorded_flight import LOG_TOPIC, Change, Recording, TopicStatistics, VehicleRecord
 from xtdrone_interaction.recording.series_in_bounded_memory import MOST_VALUES, Array, Columns, Series

@@ -18,7 +18,8 @@ from typing import Protocol
 
 import numpy as np
 
-from xtdrone_planning.replanning.situation import PlannerSettings, Situation
+from xtdrone_planning.replanning.settings import PlannerSettings
+from xtdrone_planning.replanning.situation import Situation
 from xtdrone_planning.trajectories.local_trajectory import State
 from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline
 

@@ -16,7 +16,8 @@ from xtdrone_planning.paths.clear_place import nearest_clear
 from xtdrone_planning.paths.grid_search import BLOCKED, REACHED
 from xtdrone_planning.paths.local_path import LocalPath, PathSearch, Search
 from xtdrone_planning.replanning.flight_states import FlightState, Planning, Waiting
-from xtdrone_planning.replanning.situation import Command, PlannerSettings, Situation
+from xtdrone_planning.replanning.settings import PlannerSettings
+from xtdrone_planning.replanning.situation import Command, Situation
 from xtdrone_planning.trajectories.local_trajectory import State, TrajectorySettings, conflict_time, plan_along
 from xtdrone_planning.trajectories.slowing_down import stopping
 from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, resting

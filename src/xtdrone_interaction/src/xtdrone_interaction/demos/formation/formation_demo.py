@@ -25,7 +25,7 @@ from xtdrone_interaction.command_options import (
     waive_setting,
     web_setting,
 )
-from xtdrone_interaction.formation.distances import EVENTS_TOPIC, PROGRESS_TOPIC
+from xtdrone_interaction.formation.shared_topics_and_names import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, escape, run_flight
 from xtdrone_interaction.metrics.missions.formation_metrics import make_report, write_report
 from xtdrone_interaction.monitoring.ended_nodes import EndedNode, EndedNodes

@@ -23,7 +23,7 @@ from xtdrone_interaction.demos.formation.simplified_demo import (
     run_in_process,
     run_on_ros,
 )
-from xtdrone_interaction.formation.distances import ORIGIN
+from xtdrone_interaction.formation.shared_topics_and_names import ORIGIN
 from xtdrone_interaction.launching.supervised_launch import master_port
 from xtdrone_interaction.recording.missions.formation_record import FormationRecord, read_formation
 from xtdrone_interaction.report.compare_simulators import check_comparable

@@ -15,7 +15,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from xtdrone_interaction.formation.distances import ORIGIN, SETTLED_ERROR, formation_error
+from xtdrone_interaction.formation.distances import formation_error
+from xtdrone_interaction.formation.flight_criteria import SETTLED_ERROR
+from xtdrone_interaction.formation.shared_topics_and_names import ORIGIN
 from xtdrone_interaction.metrics.missions.formation_metrics import DISTANCE_LIMIT, flight_part
 from xtdrone_interaction.pictures.picture_style import (
     LEADER_COLOUR,

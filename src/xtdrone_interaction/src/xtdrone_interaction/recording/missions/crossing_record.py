@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from xtdrone_interaction.bags.ros1bag import BagError
-from xtdrone_interaction.formation.distances import EVENTS_TOPIC, TRUTH, TRUTH_TOPIC, odometry_topic
+from xtdrone_interaction.formation.shared_topics_and_names import EVENTS_TOPIC, TRUTH, TRUTH_TOPIC, odometry_topic
 from xtdrone_interaction.recording.flight_from_bag import read_bag
 from xtdrone_interaction.recording.positions import fleet_track
 from xtdrone_interaction.recording.recorded_flight import LOG_TOPIC, RecordError

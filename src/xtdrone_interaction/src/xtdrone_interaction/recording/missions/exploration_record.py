@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_interaction.bags.ros1bag import BagError
-from xtdrone_interaction.formation.distances import EVENTS_TOPIC, TRUTH, TRUTH_TOPIC, odometry_topic
+from xtdrone_interaction.formation.shared_topics_and_names import EVENTS_TOPIC, TRUTH, TRUTH_TOPIC, odometry_topic
 from xtdrone_interaction.recording.flight_from_bag import read_bag
 from xtdrone_interaction.recording.missions.crossing_record import CrossingRecord
 from xtdrone_interaction.recording.positions import fleet_track

@@ -18,15 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_interaction.bags.ros1bag import BagError
-from xtdrone_interaction.formation.distances import (
+from xtdrone_interaction.formation.distances import Array
+from xtdrone_interaction.formation.flight_events import parse_event
+from xtdrone_interaction.formation.shared_topics_and_names import (
     ESTIMATE,
     EVENTS_TOPIC,
     PATTERN_TOPIC,
     TOPOLOGY_TOPIC,
     TRUTH_TOPIC,
-    Array,
 )
-from xtdrone_interaction.formation.flight_events import parse_event
 from xtdrone_interaction.recording.flight_from_bag import read_bag
 from xtdrone_interaction.recording.positions import FleetTrack, fleet_track
 from xtdrone_interaction.recording.recorded_flight import LOG_TOPIC, Change, RecordError, Recording, VehicleRecord

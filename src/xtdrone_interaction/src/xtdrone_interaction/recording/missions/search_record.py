@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from xtdrone_interaction.bags.ros1bag import BagError
-from xtdrone_interaction.formation.distances import TRUTH, TRUTH_TOPIC, odometry_topic
+from xtdrone_interaction.formation.shared_topics_and_names import TRUTH, TRUTH_TOPIC, odometry_topic
 from xtdrone_interaction.recording.flight_from_bag import SEARCH_EVENTS_TOPIC, read_bag
 from xtdrone_interaction.recording.positions import fleet_track
 from xtdrone_interaction.recording.recorded_flight import LOG_TOPIC, RecordError, Recording

@@ -11,7 +11,7 @@ import math
 from xtdrone_control.autopilot.estimator.aiding.horizontal_aiding import (
     mark_located,
 )
-from xtdrone_control.autopilot.estimator.aiding.source_timeouts import AIDING_US, VISION_STOP_US, is_recent
+from xtdrone_control.autopilot.estimator.aiding.source_timeouts import AIDING_US, VISION_STOP_US, is_recent, stop_vision
 from xtdrone_control.autopilot.estimator.aiding.sources.height_control import (
     OFFSET_GAIN,
     fuse_height,
@@ -61,12 +61,6 @@ def process_vision(e, s, p, work):
         down = s.vision_position[2]
         e.innovation.vision_pos[2] = down + e.height_offset[HEIGHT_VISION] - e.position[2]
         e.test_ratio.vision_hgt = fuse_height(e, s, p, HEIGHT_VISION, down, variance, p.ekf2_evp_gate, work)
-
-
-@kernel
-def stop_vision(e):
-    """Stop the fusion of all vision measurements."""
-    e.vision_position_used = e.vision_velocity_used = e.vision_yaw_used = e.height_used[HEIGHT_VISION] = 0
 
 
 @kernel
