@@ -186,17 +186,22 @@ class SpeedProbe:
         self._events.flush()
 
 
-def main() -> int:
-    """Run the node and return its exit status."""
-    rospy.init_node("formation_speed_meter")
+def run_probe(name: str, probe: type[SpeedProbe]) -> int:
+    """Run a node that measures one flight, and return its exit status.
+
+    Args:
+        name: of the node.
+        probe: what it measures.
+    """
+    rospy.init_node(name)
     plan = json.loads(Path(rospy.get_param("~plan")).read_text(encoding="utf-8"))
     out = Path(rospy.get_param("~out"))
     with (out / "events.jsonl").open("w", encoding="utf-8") as events:
-        return SpeedProbe(plan, events).run()
+        return probe(plan, events).run()
 
 
 if __name__ == "__main__":
     try:
-        sys.exit(main())
+        sys.exit(run_probe("formation_speed_meter", SpeedProbe))
     except rospy.ROSInterruptException:
         sys.exit(1)

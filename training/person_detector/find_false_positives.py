@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Finds a detector's false positives in its training pictures, to train on these places more often.
 
-    mine.py DATA/train --weights RUN/last.weights
+    find_false_positives.py DATA/train --weights RUN/last.weights
 
 Writes DATA/train/hard.json, which train.py reads, also while it runs. Runs in `./xtdrone shell`.
 """
