@@ -1,6 +1,6 @@
 // The table of vehicles, and commands to the selected ones.
 import { html, render } from '../vendor/preact_htm.js';
-import { COLUMNS } from '../fleet.js';
+import { COLUMNS } from '../fleet_frame.js';
 import { confirmed, toast } from '../station.js';
 
 const PERIOD = 300; // ms
