@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .points import from_middle, led
+from .even_selection_and_leader import from_middle, led
 from .slot_offsets_and_spacing import PITCH, Offsets, rescaled
 
 _SPHERE_SHIFT = 0.36  # of a step: distance of the lattice's ends from the poles for the largest least distance
