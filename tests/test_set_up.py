@@ -49,7 +49,8 @@ def root(tmp_path: Path) -> Path:
 def start(root: Path) -> subprocess.Popen[str]:
     """Start the part of the set-up that makes the virtual environment, in a process group of its own."""
     built = "is_built() { :; }; are_kernels_prepared() { :; }"
-    script = f'set -euo pipefail; root="{root}"; source "$root/scripts/install_and_build.bash"; {built}; set_up demo; echo ready'
+    begin = f'set -euo pipefail; root="{root}"; source "$root/scripts/install_and_build.bash"'
+    script = f"{begin}; {built}; set_up demo; echo ready"
     environment = os.environ | {"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": str(root / "wheels")}
     return subprocess.Popen(
         ["bash", "-c", script],
