@@ -167,7 +167,9 @@ def measured_rows(tree: Tree, request: Request, bench: Bench) -> list[Row]:
     bench.progress("measuring")
     added = {"tree": tree.name, "request": request.number}
     try:
-        status = _run(bench, [str(tree.folder / "xtdrone"), *request.words(file)], log, request.part, (0, 1, 2))
+        # Python may look for the module `benchmarks` in the working directory first, so that must be the tree's own.
+        command = ["env", "-C", str(tree.folder), str(tree.folder / "xtdrone"), *request.words(file)]
+        status = _run(bench, command, log, request.part, (0, 1, 2))
     except BenchError as error:
         return [added | {"error": str(error)}]
     if status == 2:

@@ -1,12 +1,17 @@
 // node_launcher SCRIPT ARGUMENT...: runs a Python node of a launch file as a fork of the launch's zygote.
+// node_launcher --ahead MODULE,... PROGRAM ARGUMENT...: starts the zygote and becomes PROGRAM, which is roslaunch.
 //
 // To be the launch-prefix of a node. The zygote (xtdrone_control/programs/zygote.py) is a process that has imported the
 // nodes' modules; there is one for each parent of launchers, that is for each roslaunch, started by the first of them.
 // The launcher stands for the node in roslaunch: it forwards signals to it and ends as the node does. A program that
 // the zygote cannot run (no Python script, another environment than the first node's) replaces the launcher, as without
 // it.
+//
+// With --ahead the zygote imports the nodes' modules while roslaunch reads its files and starts the master, on another
+// core.
 
 #include <fcntl.h>
+#include <limits.h>
 #include <poll.h>
 #include <sched.h>
 #include <signal.h>
@@ -128,9 +133,10 @@ socklen_t makeAddress(pid_t parent, const std::string& interpreter, sockaddr_un&
   return static_cast<socklen_t>(offsetof(sockaddr_un, sun_path) + 1 + length);
 }
 
-// Starts the zygote, which owns the listening socket; it becomes a child of `parent`, as the launchers are.
-void startZygote(const std::string& interpreter, pid_t parent, int listener) {
-  const long pid = syscall(SYS_clone, CLONE_PARENT | SIGCHLD, nullptr, nullptr, nullptr, nullptr);
+// Starts the zygote, which owns the listening socket; with CLONE_PARENT it becomes a sibling of this process.
+// It imports `modules`, separated by commas, while no launcher waits.
+void startZygote(const std::string& interpreter, pid_t parent, int listener, int flags, const char* modules) {
+  const long pid = syscall(SYS_clone, flags | SIGCHLD, nullptr, nullptr, nullptr, nullptr);
   if (pid != 0) return;  // after an error no process listens, and the program runs directly
   setsid();
   const int null = open("/dev/null", O_RDONLY | O_CLOEXEC);
@@ -139,8 +145,25 @@ void startZygote(const std::string& interpreter, pid_t parent, int listener) {
   fcntl(listener, F_SETFD, 0);
   const std::string title(TITLE_SIZE, ' ');
   execlp(interpreter.c_str(), interpreter.c_str(), "-P", "-m", "xtdrone_control.programs.zygote",
-         std::to_string(listener).c_str(), std::to_string(parent).c_str(), title.c_str(), nullptr);
+         std::to_string(listener).c_str(), std::to_string(parent).c_str(), modules, title.c_str(), nullptr);
   _exit(127);
+}
+
+// Starts the zygote of this process, which is to become roslaunch. The nodes' interpreter is that of the scripts beside
+// this program; without one the first node starts the zygote.
+void startAhead(const char* modules) {
+  std::string path(PATH_MAX, '\0');
+  const ssize_t length = readlink("/proc/self/exe", path.data(), path.size());
+  if (length <= 0) return;
+  path.resize(static_cast<size_t>(length));
+  const std::string interpreter = interpreterOf((path.substr(0, path.rfind('/') + 1) + "mavros_node.py").c_str());
+  const int listener = interpreter.empty() ? -1 : socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  if (listener < 0) return;
+  sockaddr_un address;
+  const socklen_t size = makeAddress(getpid(), interpreter, address);
+  if (bind(listener, reinterpret_cast<const sockaddr*>(&address), size) == 0 && listen(listener, BACKLOG) == 0)
+    startZygote(interpreter, getpid(), listener, 0, modules);
+  close(listener);
 }
 
 // Returns a connection to the zygote of the launch, which is started if there is none, or -1.
@@ -151,7 +174,8 @@ int connectToZygote(const std::string& interpreter) {
   const auto* there = reinterpret_cast<const sockaddr*>(&address);
   const int listener = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
   if (listener < 0) return -1;
-  if (bind(listener, there, length) == 0 && listen(listener, BACKLOG) == 0) startZygote(interpreter, parent, listener);
+  if (bind(listener, there, length) == 0 && listen(listener, BACKLOG) == 0)
+    startZygote(interpreter, parent, listener, CLONE_PARENT, "");
   const int connection = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
   const timeval limit = {CONNECT_LIMIT, 0};
   setsockopt(connection, SOL_SOCKET, SO_SNDTIMEO, &limit, sizeof limit);  // of connect and of the request
@@ -256,9 +280,14 @@ void forward(int number, pid_t node) {
 }  // namespace
 
 int main(int count, char** words) {
-  if (count < 2) {
-    fprintf(stderr, "usage: node_launcher PROGRAM ARGUMENT...\n");
+  const bool ahead = count > 1 && strcmp(words[1], "--ahead") == 0;
+  if (count < (ahead ? 4 : 2)) {
+    fprintf(stderr, "usage: node_launcher [--ahead MODULE,...] PROGRAM ARGUMENT...\n");
     return 2;
+  }
+  if (ahead) {
+    startAhead(words[2]);
+    runDirectly(words + 3);
   }
   std::vector<std::string> copies(words + 1, words + count);
   std::vector<char*> command_words;

@@ -11,9 +11,8 @@ import signal
 import socket
 import struct
 import subprocess
-import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -21,6 +20,7 @@ import pytest
 from xtdrone_control.programs import zygote
 
 LAUNCHER = os.environ.get("XTDRONE_NODE_LAUNCHER", "")
+AHEAD = [LAUNCHER, "--ahead", "no_such_module,colorsys"]  # before the command line of roslaunch
 LIMIT = 240.0  # s of wall time; only a broken run takes it
 needs_ros = pytest.mark.skipif(not (LAUNCHER and shutil.which("roslaunch")), reason="ROS is not there")
 
@@ -46,7 +46,13 @@ seen = {{
     "streams": [[s.encoding, s.errors, s.line_buffering, s.fileno()] for s in (sys.stdin, sys.stdout, sys.stderr)],
 }}
 json.dump(
-    {{"seen": seen, "random": [random.random(), numpy.random.random()], "parent": os.getppid(), "pid": os.getpid()}},
+    {{
+        "seen": seen,
+        "ahead": "colorsys" in sys.modules,
+        "random": [random.random(), numpy.random.random()],
+        "parent": os.getppid(),
+        "pid": os.getpid(),
+    }},
     open("{folder}/" + name + ".json", "w"),
 )
 print("output of", name)
@@ -82,7 +88,7 @@ MODULES = {
 class Launch:
     """A running roslaunch, with a master of its own."""
 
-    def __init__(self, folder: Path, nodes: str) -> None:
+    def __init__(self, folder: Path, nodes: str, before: list[str]) -> None:
         self.folder = folder
         file = folder / "test.launch"
         file.write_text(f"<launch>{nodes}</launch>")
@@ -90,10 +96,11 @@ class Launch:
             free.bind(("127.0.0.1", 0))
             port = free.getsockname()[1]
         self.log = folder / "roslaunch.log"
+        # roslaunch writes the master's URI in another way
         environment = {**os.environ, "ROS_MASTER_URI": f"http://127.0.0.1:{port}", "ROS_LOG_DIR": str(folder / "logs")}
         with self.log.open("wb") as output:
             self.process = subprocess.Popen(
-                ["roslaunch", "-p", str(port), str(file)],
+                [*before, "roslaunch", "-p", str(port), str(file)],
                 env={**environment, "ROS_HOME": str(folder), "ZYGOTE_TEST": str(folder)},
                 stdin=subprocess.DEVNULL,
                 stdout=output,
@@ -140,17 +147,22 @@ class Launch:
         self.process.wait(LIMIT)
 
 
+def interpreter() -> str:
+    """Return the Python of the workspace's nodes, as the first line of their scripts has it."""
+    return (Path(LAUNCHER).parent / "mavros_node.py").read_text().partition("\n")[0].removeprefix("#!")
+
+
 @pytest.fixture
-def launches(tmp_path: Path) -> Iterator[type[Launch]]:
+def launches(tmp_path: Path) -> Iterator[Callable[..., Launch]]:
     ender = "#!{python}\nimport ending\n"
     for name, text in (("probe", PROBE), ("sleeper", SLEEPER), ("ender", ender), ("threaded", THREADED)):
         script = tmp_path / name
-        script.write_text(text.format(python=sys.executable, folder=tmp_path))
+        script.write_text(text.format(python=interpreter(), folder=tmp_path))
         script.chmod(0o755)
     made = []
 
-    def launch(nodes: str) -> Launch:
-        made.append(Launch(tmp_path, nodes))
+    def launch(nodes: str, before: Sequence[str] = ()) -> Launch:
+        made.append(Launch(tmp_path, nodes, [*before]))
         return made[-1]
 
     yield launch
@@ -167,14 +179,16 @@ def node(folder: Path, script: str, name: str, *, prefix: str = LAUNCHER, more: 
 
 
 @needs_ros
-def test_a_forked_node_is_as_one_started_by_the_interpreter(tmp_path, launches):
+@pytest.mark.parametrize("before", [(), AHEAD], ids=["by_first_node", "ahead"])
+def test_a_forked_node_is_as_one_started_by_the_interpreter(tmp_path, launches, before):
     args = 'args="forked chatter:=other"'
     launch = launches(
         node(tmp_path, "probe", "plain", prefix="", more=args)
         + node(tmp_path, "probe", "first", more=args)
         + node(tmp_path, "probe", "second", more=args)
         + node(tmp_path, "probe", "other_environment", more=args).replace("/>", '><env name="A" value="b"/></node>')
-        + node(tmp_path, "probe", "last", more='args="last" required="true"')
+        + node(tmp_path, "probe", "last", more='args="last" required="true"'),
+        before,
     )
     for name in ("plain", "first", "second", "other_environment"):
         launch.wait_for(rf"\[{name}-\d+\] process has finished cleanly")
@@ -186,6 +200,7 @@ def test_a_forked_node_is_as_one_started_by_the_interpreter(tmp_path, launches):
     assert results["first"]["seen"] == results["second"]["seen"] == results["plain"]["seen"]
     assert results["first"]["seen"]["mappings"] == "other"
     assert results["first"]["parent"] == results["second"]["parent"] != results["plain"]["parent"]
+    assert [result["ahead"] for result in results.values()] == [False, bool(before), bool(before)]
     assert len({number for result in results.values() for number in result["random"]}) == 6
     assert json.loads((tmp_path / "other_environment.json").read_text())["seen"]["environment"]["A"] == "b"
     outputs = [path.read_text() for path in tmp_path.glob("logs/latest/first-*-stdout.log")]
@@ -226,8 +241,9 @@ def test_no_process_outlives_those_it_belongs_to(tmp_path, launches):
 
 
 @needs_ros
-def test_nodes_are_interrupted_when_roslaunch_is_killed(tmp_path, launches):
-    launch = launches(node(tmp_path, "sleeper", "node"))
+@pytest.mark.parametrize("before", [(), AHEAD], ids=["by_first_node", "ahead"])
+def test_nodes_are_interrupted_when_roslaunch_is_killed(tmp_path, launches, before):
+    launch = launches(node(tmp_path, "sleeper", "node"), before)
     launch.wait_for_file("node.ready")
     launch.process.kill()
     launch.wait_for_file("node.interrupted")

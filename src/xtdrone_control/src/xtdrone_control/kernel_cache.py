@@ -7,6 +7,7 @@ from the same packages. Any change to these starts a new, empty cache.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
 import re
@@ -91,6 +92,10 @@ def cache_folder(*packages: Path) -> Path:
     return base / "xtdrone" / f"kernels-{digest.hexdigest()[:16]}"
 
 
+_cache_folder_of_this_run = functools.cache(cache_folder)
+"""As ``cache_folder``, for a package's several decorators: the files are read once in a process."""
+
+
 def _usable(folder: Path) -> bool:
     """Create a folder if it is missing; return whether kernels can be written to it."""
     try:
@@ -157,7 +162,7 @@ def compiler(*packages: Path, nogil: bool = False, allocates: bool = True) -> Ca
     the time of a simulation step: compile them without ``allocates``. Division by zero gives inf or NaN as in numpy.
     Floating-point operations are not reordered, so that results are the same in every run.
     """
-    folder = str(cache_folder(*packages))
+    folder = str(_cache_folder_of_this_run(*packages))
     options: dict[str, Any] = {"error_model": "numpy", "fastmath": False, "nogil": nogil, "_nrt": allocates}
     # without write access do not cache: numba would cache beside the sources and miss changes to callees
     cached = _usable(Path(folder))

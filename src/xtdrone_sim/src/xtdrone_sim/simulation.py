@@ -88,7 +88,7 @@ class Simulation:
             StartError: a vehicle would start below the ground, in an obstacle or in another vehicle.
         """
         model = load_world(world)
-        known = {vehicle.model: load_vehicle(vehicle.model) for vehicle in fleet}
+        known = {model: load_vehicle(model) for model in dict.fromkeys(vehicle.model for vehicle in fleet)}
         models = [known[vehicle.model] for vehicle in fleet]
         poses = start_poses(fleet, rows) if places is None else [StartPose(*place) for place in places]
         self.vehicles: list[Vehicle | None] = [*fleet, *[None] * reserve]

@@ -1,9 +1,13 @@
 """A process that has imported the modules of a launch's Python nodes and forks each node on request.
 
 A fork starts in milliseconds and shares the memory of the modules with all others. ``node_launcher``, the launch-prefix
-of the nodes, starts one zygote for each roslaunch, connects to it and represents the forked node to roslaunch. A node
-runs as under the interpreter: same command line, environment, working directory, descriptors and signal handlers, in a
-session of its own. The zygote imports the modules that the node's script imports at the top; the node imports the rest.
+of the nodes, connects to the zygote of its roslaunch and represents the forked node to roslaunch. The zygote is started
+by the first of them, or before roslaunch (``node_launcher --ahead``): then it imports modules of nodes to come while no
+request waits.
+
+A node runs as under the interpreter: same command line, environment, working directory, descriptors and signal
+handlers, in a session of its own. The zygote imports the modules that the node's script imports at the top; the node
+imports the rest.
 
 No node outlives its launcher or the zygote. When roslaunch ends, the zygote interrupts the remaining nodes and ends. It
 also ends some seconds after its last node: a launcher whose roslaunch has been killed is a child of the system's first
@@ -28,7 +32,7 @@ import struct
 import sys
 import threading
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -41,6 +45,8 @@ _MOST = 1 << 24  # bytes of a request
 _LIMIT = 5.0  # s for a launcher to send its request
 _PATIENCE = 10.0  # s for nodes to end after roslaunch has ended
 _IDLE = 3.0  # s without a node
+_FIRST_NODE = 60.0  # s from the start of roslaunch
+_SET_BY_ROSLAUNCH = frozenset({"ROS_MASTER_URI", "ROS_LOG_FILENAME"})  # no module reads them when it is imported
 _DESCRIPTORS = 4  # of a request: standard input, output, error; working directory
 _BLOCKED = {signal.SIGINT, signal.SIGTERM}  # during a fork, so that a node receives them with its own handlers
 _COMMON = ("xtdrone_control.lockstep.client.api", "logging.config", "rosgraph.roslogging")
@@ -166,15 +172,18 @@ class Zygote:
     Attributes:
         listener: where launchers connect.
         roslaunch: its process id.
+        ahead: modules to import while no request waits, if the zygote was started before roslaunch.
         title: address and size of the memory with this process's command line.
     """
 
     listener: _Peer
     roslaunch: int
+    ahead: Sequence[str]
     title: tuple[int, int]
     _nodes: dict[int, _Node] = field(default_factory=dict)  # by both descriptors
     _known: set[str] = field(default_factory=set)
     _environment: set[bytes] = field(default_factory=set)
+    _forked: bool = False
     _interrupt: Any = signal.SIG_DFL
     _poll: select.poll = field(default_factory=select.poll)
     _spare: int = field(default_factory=lambda: os.open(os.devnull, os.O_RDONLY))
@@ -190,6 +199,7 @@ class Zygote:
         self._prepare()
         self._poll.register(watch, select.POLLIN)
         self._poll.register(self.listener, select.POLLIN)
+        self._import_ahead()
         roslaunch_runs = True
         while roslaunch_runs or self._nodes:
             ready = self._poll.poll(self._patience(roslaunch_runs))
@@ -212,7 +222,7 @@ class Zygote:
         """Return how long to wait for something to happen, ms, before the zygote ends; None for any time."""
         if self._nodes:
             return None if roslaunch_runs else 1000.0 * _PATIENCE
-        return 1000.0 * _IDLE
+        return 1000.0 * (_IDLE if self._forked or not self.ahead else _FIRST_NODE)
 
     def _accept(self, watch: int) -> Callable[[], None] | None:
         """Serve a launcher; without a reply it runs the node itself."""
@@ -228,7 +238,7 @@ class Zygote:
             return None
         script = Path(os.fsdecode(request.command[0]))
         run = None
-        if set(request.environment) == self._environment and self._import(script):
+        if self._is_same(request.environment) and self._import(script):
             run = self._fork(request, script, connection, watch)
         else:
             _reply(connection, b"R", 0)
@@ -236,6 +246,17 @@ class Zygote:
         if run is None:
             request.close()
         return run
+
+    def _is_same(self, environment: Sequence[bytes]) -> bool:
+        """Return whether a node has the zygote's environment; before the first one, roslaunch sets some of it."""
+        new = set(environment)
+        differing = {os.fsdecode(word.partition(b"=")[0]) for word in new ^ self._environment}
+        if not self._forked and differing <= _SET_BY_ROSLAUNCH:
+            for name in differing:
+                os.environ.pop(name, None)
+            os.environb.update(word.partition(b"=")[::2] for word in new - self._environment)
+            self._environment = new
+        return new == self._environment
 
     def _turn_away(self) -> None:
         """Close the next connection by means of the spare descriptor, as all others are in use."""
@@ -257,6 +278,7 @@ class Zygote:
             _become(request, zygote, self.title, self._interrupt)
             return lambda: _execute(script)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _BLOCKED)
+        self._forked = True
         if pid > 0 and self._attend(connection, pid):
             _reply(connection, b"P", pid)
         else:
@@ -292,6 +314,16 @@ class Zygote:
                 importlib.import_module(name)
         with contextlib.suppress(Exception):
             _share_package_index()
+
+    def _import_ahead(self) -> None:
+        for name in self.ahead:
+            if self._poll.poll(0):
+                return
+            with contextlib.suppress(Exception):  # the nodes report it
+                importlib.import_module(name)
+        if self.ahead and not self._poll.poll(0):
+            with contextlib.suppress(Exception):
+                _prepare_numba()
 
     def _import(self, script: Path) -> bool:
         """Import a script's modules; return whether it can run in a fork, which lacks the threads of modules."""
@@ -339,6 +371,14 @@ def _share_package_index() -> None:
                 self._location_cache = dict(index._location_cache)
 
     rospkg.RosPack = RosPack
+
+
+def _prepare_numba() -> None:
+    """Load what numba would load at the first call of a compiled function."""
+    from numba.core.registry import cpu_target
+
+    cpu_target.typing_context.refresh()
+    cpu_target.target_context.refresh()
 
 
 def _reply(connection: _Peer, kind: bytes, value: int) -> None:
@@ -421,9 +461,13 @@ def _title() -> tuple[int, int]:
 
 
 def main() -> None:
-    """Serve launchers: arguments are the descriptor of the listening socket and the process id of roslaunch."""
+    """Serve launchers.
+
+    Arguments: descriptor of the listening socket, process id of roslaunch, modules to import ahead with commas.
+    """
     listener, roslaunch = (int(word) for word in sys.argv[1:3])
-    run = Zygote(socket.socket(fileno=listener), roslaunch, _title()).serve()
+    ahead = [name for name in sys.argv[3].split(",") if name]
+    run = Zygote(socket.socket(fileno=listener), roslaunch, ahead, _title()).serve()
     if run is not None:
         run()
 

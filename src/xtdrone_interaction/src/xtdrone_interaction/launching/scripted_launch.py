@@ -14,6 +14,7 @@ from typing import Any
 
 from xtdrone_interaction import command_options
 from xtdrone_interaction.launching.process_tree import end_descendants
+from xtdrone_interaction.launching.roslaunch_ahead import roslaunch_words
 
 PATIENCE = 25.0  # s for roslaunch to stop its nodes
 NODE_PATIENCE = 8.0  # s for a node to stop
@@ -86,7 +87,7 @@ def launch_command(launch_file: str, arguments: Mapping[str, object], port: int)
         LaunchError: roslaunch is not installed.
     """
     return [
-        roslaunch_program(), "--sigint-timeout", str(NODE_PATIENCE), "-p", str(port),
+        *roslaunch_words(roslaunch_program()), "--sigint-timeout", str(NODE_PATIENCE), "-p", str(port),
         str(command_options.repository() / "launch" / launch_file),
         *(f"{name}:={value}" for name, value in arguments.items()),
     ]  # fmt: skip

@@ -25,6 +25,7 @@ from xtdrone_interaction.command_options import OptionError, check_master_port, 
 from xtdrone_interaction.formation.flight_events import read_events
 from xtdrone_interaction.launching.message_feed import Feed, answers
 from xtdrone_interaction.launching.process_tree import ProcessTree
+from xtdrone_interaction.launching.roslaunch_ahead import roslaunch_words
 from xtdrone_interaction.monitoring.ended_nodes import EndedNode, EndedNodes
 from xtdrone_interaction.monitoring.launch_log_errors import advice, error_lines
 from xtdrone_interaction.monitoring.missing_nodes import not_joined
@@ -119,7 +120,7 @@ class Launch:
             raise DemoError("roslaunch: not found; source the workspace's devel/setup.bash first")
         port = ["-p", str(self.master_port)] if self.master_port else ["--wait"]
         return [
-            program, "--sigint-timeout", str(_NODE_PATIENCE), *port,
+            *roslaunch_words(program), "--sigint-timeout", str(_NODE_PATIENCE), *port,
             str(repository() / "launch" / self.file),
             *(f"{name}:={value}" for name, value in self.arguments.items()),
         ]  # fmt: skip

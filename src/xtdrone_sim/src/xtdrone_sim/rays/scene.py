@@ -116,8 +116,9 @@ class RayScene:
             )
 
     def _add_fleet(self, fleet: Sequence[Vehicle]) -> None:
+        moving = {model: load_vehicle(model).urdf.moving for model in dict.fromkeys(vehicle.model for vehicle in fleet)}
         for vehicle in fleet:
-            for link in load_vehicle(vehicle.model).urdf.moving:
+            for link in moving[vehicle.model]:
                 part = vehicle.model, link.name
                 if part not in self._parts:
                     self._parts[part] = surfaces_of(seen(link.visuals, link.collisions), 0)

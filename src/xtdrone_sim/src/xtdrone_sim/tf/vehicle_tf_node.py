@@ -21,7 +21,7 @@ from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.tf.vehicle_frames import Frame, RobotFrames
 from xtdrone_sim.topics.fleet_changes import FleetChanges
-from xtdrone_sim.vehicles.vehicle_model import load_vehicle
+from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
 
 
 @dataclass(frozen=True)
@@ -66,13 +66,17 @@ class RobotTf:
         self._publisher = lockstep.Publisher("/tf", TFMessage)
         self._static = lockstep.Publisher("/tf_static", TFMessage, latch=True)
         self._robots: dict[str, _Robot] = {}
+        self._models: dict[str, VehicleModel] = {}  # by vehicle type
         for vehicle in fleet:
             self._serve(vehicle)
         self._publish_fixed()
         FleetChanges(fleet, self._join, self._leave)
 
     def _serve(self, vehicle: Vehicle) -> None:
-        name, model = vehicle.name, load_vehicle(vehicle.model)
+        name = vehicle.name
+        if vehicle.model not in self._models:
+            self._models[vehicle.model] = load_vehicle(vehicle.model)
+        model = self._models[vehicle.model]
         frames = RobotFrames(name, model)
         pose_topic = f"/{name}/mavros/local_position/pose"
         subscribers = [lockstep.Subscriber(pose_topic, PoseStamped, partial(self._on_pose, frames))]
