@@ -19,18 +19,18 @@ from rich.console import Console
 
 from benchmarks.calibration import calibrate
 from benchmarks.compare_with_commit import Request, Tree, measured_rows, prepare, print_comparison, resolve, turns
+from benchmarks.flights.search_flights import SEARCHERS
 from benchmarks.measurement_runner import TYPE, Bench, Case, Length
 from benchmarks.measurement_table import MEASUREMENTS
-from benchmarks.printed_tables import print_results, short_result
 from benchmarks.progress_and_files import print_machine, progress, write_results
-from benchmarks.search_flights import SEARCHERS
+from benchmarks.tables.printed_tables import print_results, short_result
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.patterns import PatternError
-from xtdrone_interaction import options
+from xtdrone_interaction import command_options
+from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.launching.scripted_launch import LaunchError, Stopped, StopRequest
 from xtdrone_interaction.machine_facts import machine_facts
-from xtdrone_interaction.options import OptionError
 
 SCHEMA = 1  # of the JSON file
 _FLOWN = ("stack", "sensing", "formation", "free", "web")
@@ -141,12 +141,12 @@ def bench_settings(arguments: argparse.Namespace) -> BenchSettings:
         arguments, vehicles=vehicles, json=_result_file(arguments.json), baseline=trees
     )
     for count in {count for part in _FORMATIONS for count in vehicles.get(part, ())}:
-        options.swarm_patterns(count, list(settings.length.patterns))
+        command_options.swarm_patterns(count, list(settings.length.patterns))
     flown = max((count for part in _FLOWN for count in vehicles.get(part, ())), default=0)
     if "search" in vehicles:
         flown = max(flown, SEARCHERS)
     if flown:
-        options.check_vehicle_ports(parse_fleet(f"{TYPE}:{flown}"))
+        command_options.check_vehicle_ports(parse_fleet(f"{TYPE}:{flown}"))
     return settings
 
 
@@ -250,7 +250,7 @@ def new_results(settings: BenchSettings) -> dict[str, Any]:
             "repeat": settings.repeat,
             **asdict(length),
         },
-        "machine": machine_facts(options.repository()),
+        "machine": machine_facts(command_options.repository()),
         "calibration": calibrate(),
         **({"rows": {}} if settings.baseline else {part: [] for part in settings.vehicles}),
     }

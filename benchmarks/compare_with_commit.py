@@ -23,10 +23,10 @@ from rich.table import Table
 
 from benchmarks.measurement_runner import Bench, BenchError, Row
 from benchmarks.measurement_table import MEASUREMENTS
-from benchmarks.printed_tables import MIN_CPU, grouped
+from benchmarks.tables.printed_tables import MIN_CPU, grouped
+from xtdrone_interaction.command_options import OptionError, repository
 from xtdrone_interaction.launching.process_tree import ProcessTree
 from xtdrone_interaction.launching.scripted_launch import PATIENCE, cause, log_text
-from xtdrone_interaction.options import OptionError, repository
 
 BASELINE, THIS = "baseline", "this"
 """The names of the two trees in the results."""

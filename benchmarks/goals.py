@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from benchmarks.table_columns import Field, goal
+from benchmarks.tables.table_columns import Field, goal
 
 
 class Goal(NamedTuple):

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_interaction import options
+from xtdrone_interaction import command_options
 from xtdrone_interaction.formation.flight_events import read_events
 from xtdrone_interaction.launching.process_tree import ProcessTree
 from xtdrone_interaction.launching.scripted_launch import (
@@ -206,7 +206,7 @@ def run_program(bench: Bench, part: str, name: str, module: str, arguments: Sequ
 
 def _environment(environment: Mapping[str, str]) -> dict[str, str]:
     """Return the environment of a Python program that imports this package."""
-    path = os.pathsep.join(filter(None, [environment.get("PYTHONPATH"), str(options.repository())]))
+    path = os.pathsep.join(filter(None, [environment.get("PYTHONPATH"), str(command_options.repository())]))
     return {**environment, "PYTHONPATH": path}
 
 
@@ -253,9 +253,9 @@ def fly(
         BenchError: it failed.
         OptionError: a UDP port that the vehicles need is taken.
     """
-    options.check_vehicle_ports(parse_fleet(f"{TYPE}:{vehicles}"))
+    command_options.check_vehicle_ports(parse_fleet(f"{TYPE}:{vehicles}"))
     log = folder / "logs" / "roslaunch.log"
-    port = options.free_port()
+    port = command_options.free_port()
     command = launch_command(launch_file, arguments, port)
     tree = ProcessTree(command, launch_environment(port, folder / "logs"), log)
     try:

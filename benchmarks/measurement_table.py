@@ -11,13 +11,10 @@ import statistics
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from benchmarks.free_running_flights import measure_free
-from benchmarks.goals import goal_of
-from benchmarks.measurement_runner import Bench, Case, Flight, Program, Row
-from benchmarks.programs.effects import EFFECTS
-from benchmarks.search_flights import SEARCHERS, search_arguments, search_figures
-from benchmarks.sensing_flights import SENSORS, limiting, sensing_arguments, sensing_figures
-from benchmarks.stack_and_formation_flights import (
+from benchmarks.flights.free_running_flights import measure_free
+from benchmarks.flights.search_flights import SEARCHERS, search_arguments, search_figures
+from benchmarks.flights.sensing_flights import SENSORS, limiting, sensing_arguments, sensing_figures
+from benchmarks.flights.stack_and_formation_flights import (
     formation_arguments,
     formation_figures,
     formation_probe,
@@ -25,7 +22,11 @@ from benchmarks.stack_and_formation_flights import (
     stack_arguments,
     stack_figures,
 )
-from benchmarks.table_columns import (
+from benchmarks.flights.web_flights import CLIENTS, measure_web
+from benchmarks.goals import goal_of
+from benchmarks.measurement_runner import Bench, Case, Flight, Program, Row
+from benchmarks.programs.effects import EFFECTS
+from benchmarks.tables.table_columns import (
     DRAWING_PROGRAMS,
     Field,
     flight_time,
@@ -35,7 +36,6 @@ from benchmarks.table_columns import (
     share,
     spread,
 )
-from benchmarks.web_flights import CLIENTS, measure_web
 from xtdrone_control.fleet import MAX_VEHICLES
 
 _MESSAGES = ("PositionTarget", "PoseStamped", "Imu", "Odometry", "TFMessage", "ModelStates")

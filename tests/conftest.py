@@ -24,8 +24,8 @@ from typing import Any
 import pytest
 
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_interaction.command_options import OptionError, check_vehicle_ports
 from xtdrone_interaction.launching.process_tree import ProcessTree
-from xtdrone_interaction.options import OptionError, check_vehicle_ports
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 FLEET = "iris:2"

@@ -24,7 +24,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from xtdrone_msgs.srv import Step
 
-from validation.replay.digests import compare, read_digests
+from validation.replay.digest_comparison import compare, read_digests
 
 FLEET = "iris:2"
 HELLO = REPOSITORY / "src" / "xtdrone_control" / "examples" / "hello.py"

@@ -19,7 +19,7 @@ pytest.importorskip("websockets")
 import rospy
 from websockets.sync.client import connect
 
-from validation.replay.digests import Digests, compare, read_digests
+from validation.replay.digest_comparison import Digests, compare, read_digests
 from xtdrone_interaction.web.actions.recorded_actions import read_actions
 
 FLEET = "iris:2"

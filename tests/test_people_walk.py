@@ -17,7 +17,7 @@ from ros_actor_cmd_pose_plugin_msgs.msg import ActorMotion
 from std_srvs.srv import Empty
 from xtdrone_msgs.msg import SceneState
 
-from xtdrone_sim.worlds import people
+from xtdrone_sim.worlds import people_meshes
 
 FLEET = "iris:1"
 WORLD = """<?xml version="1.0"?>
@@ -81,7 +81,7 @@ def test_told_by_topic_it_turns_and_walks_straight(stack: Stack) -> None:
         assert yaw == pytest.approx(heading) if share > 0.0 else 0.0 <= yaw <= heading + 1e-9
         assert places(message)["bob"][:2] == (-4.0, 0.0)
     poll(lambda: scenes.last.actor_poses[0].position.y == 6.0, "cameras see her there")
-    stride = people.read("bela").stride
+    stride = people_meshes.read("bela").stride
     seen = [(scene.header.stamp.to_sec(), scene.actor_phases[0]) for scene in scenes.messages]
     walked = [(time, phase) for time, phase in seen if phase > 0.0]
     assert seen[-1][1] < 0.0

@@ -207,7 +207,7 @@ def test_invalid_values_are_reported(
 
 
 def test_options_after_two_dashes_are_the_demos(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from xtdrone_interaction.rviz.record_view import film_settings
+    from xtdrone_interaction.rviz.films.record_view import film_settings
 
     monkeypatch.chdir(tmp_path)
     settings = film_settings(["search", "--demo", "formation", "--faster", "2", "--", "--n", "3", "--headless"])

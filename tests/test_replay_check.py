@@ -16,7 +16,7 @@ from conftest import WALL_LIMIT, wait_for_ports
 pytest.importorskip("rospy")
 
 from validation.replay import replay_check
-from validation.replay.digests import compare, read_digests
+from validation.replay.digest_comparison import compare, read_digests
 
 LIMIT = 1200.0  # s of wall time; a starved machine takes twenty times as long as a quiet one
 

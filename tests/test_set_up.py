@@ -49,7 +49,8 @@ def root(tmp_path: Path) -> Path:
 def start(root: Path) -> subprocess.Popen[str]:
     """Start the part of the set-up that makes the virtual environment, in a process group of its own."""
     built = "is_built() { :; }; are_kernels_prepared() { :; }"
-    script = f'set -euo pipefail; root="{root}"; source "$root/scripts/setup.bash"; {built}; set_up demo; echo ready'
+    begin = f'set -euo pipefail; root="{root}"; source "$root/scripts/install_and_build.bash"'
+    script = f"{begin}; {built}; set_up demo; echo ready"
     environment = os.environ | {"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": str(root / "wheels")}
     return subprocess.Popen(
         ["bash", "-c", script],
@@ -73,7 +74,7 @@ def is_whole(root: Path) -> bool:
 
 def believes_to_be_ready(root: Path) -> bool:
     """Return whether the next set-up would leave the virtual environment as it is."""
-    script = f'root="{root}"; source "$root/scripts/setup.bash"; has_venv && has_python requirements'
+    script = f'root="{root}"; source "$root/scripts/install_and_build.bash"; has_venv && has_python requirements'
     return subprocess.run(["bash", "-c", script], capture_output=True).returncode == 0
 
 
@@ -146,7 +147,7 @@ def test_files_of_a_killed_build_are_removed(root: Path) -> None:
     marker.touch()
     new = [root / "build/new.o", root / "devel/include/new.h"]
     poll(lambda: _touched_later(new, marker), "files that are newer", 10.0)
-    script = f'set -eu; root="{root}"; source "$root/scripts/setup.bash"; remove_unfinished'
+    script = f'set -eu; root="{root}"; source "$root/scripts/install_and_build.bash"; remove_unfinished'
     subprocess.run(["bash", "-c", script], check=True)
     assert sorted(p.name for p in root.glob("[bd]*/**/*.[oh]")) == ["old.h", "old.o"]
 

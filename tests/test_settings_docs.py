@@ -16,14 +16,14 @@ from xtdrone_interaction.bridges.foxglove.foxglove_node import FoxgloveSettings
 from xtdrone_interaction.bridges.ros2.ros2_node import Ros2Settings
 from xtdrone_interaction.bridges.rosbridge.rosbridge_node import RosbridgeSettings
 from xtdrone_interaction.crossing.crossing_mission import CrossingSettings
-from xtdrone_interaction.formation.director import DirectorSettings
+from xtdrone_interaction.formation.formation_director import DirectorSettings
 from xtdrone_interaction.landing.landing_director import LandingSettings
 from xtdrone_interaction.rviz.markers_node import MarkerSettings
 from xtdrone_interaction.web.station_settings import StationSettings
 from xtdrone_perception.detection.detector import DetectorSettings
 from xtdrone_perception.detection.yolo_node import DetectionOptions, GroundOptions
-from xtdrone_perception.following.following import FollowSettings
 from xtdrone_perception.following.human_tracking_node import TrackingOptions
+from xtdrone_perception.following.person_following import FollowSettings
 from xtdrone_perception.gimbal_node import GimbalOptions
 from xtdrone_perception.localisation.relative_filter import FilterSettings
 from xtdrone_perception.localisation.relative_node import RelativeOptions
@@ -57,7 +57,7 @@ from xtdrone_planning.octree.octomap_node import OctomapOptions
 from xtdrone_planning.octree.octree_map import OctreeSettings
 from xtdrone_planning.replanning.ego_transfer_node import TransferSettings
 from xtdrone_planning.replanning.planner_node import TimingSettings
-from xtdrone_planning.replanning.situation import PlannerSettings
+from xtdrone_planning.replanning.settings import PlannerSettings
 from xtdrone_planning.safety.settings import SafetySettings
 from xtdrone_planning.swarm.settings import AgreementSettings
 from xtdrone_planning.trajectories.local_trajectory import TrajectorySettings
@@ -68,13 +68,13 @@ from xtdrone_sim.air.ground_effect import GroundSettings
 from xtdrone_sim.air.wind_region import RegionSettings
 from xtdrone_sim.cameras.camera_node import CameraSettings
 from xtdrone_sim.lidars.lidar_node import LidarSettings
-from xtdrone_sim.robots.floating import BoatLimits, HullSettings
-from xtdrone_sim.robots.kinematics import AckermannLimits, DifferentialLimits, DriveLimits
+from xtdrone_sim.robots.boat_dynamics import BoatLimits, HullSettings
 from xtdrone_sim.robots.robot_model import BodySettings, PlatformSettings
 from xtdrone_sim.robots.waves import WaveSettings
+from xtdrone_sim.robots.wheel_drives import AckermannLimits, DifferentialLimits, DriveLimits
 from xtdrone_sim.runtime.full_simulation import FullSettings
 from xtdrone_sim.runtime.simulator_node import NodeSettings
-from xtdrone_sim.topics.robot_tf import TfSettings
+from xtdrone_sim.tf.vehicle_tf_node import TfSettings
 from xtdrone_sim.uwb.uwb_node import UwbSettings
 from xtdrone_sim.vehicles.mounts.body_sensors import BodySensor
 from xtdrone_sim.vehicles.mounts.imu_mounts import ImuMount
@@ -83,7 +83,7 @@ from xtdrone_sim.vehicles.mounts.uwb_mounts import UwbMount
 from xtdrone_sim.video.video_node import VideoSettings
 from xtdrone_sim.worlds.floor_plan import FloorPlanSettings
 from xtdrone_sim.worlds.generated.city import CitySettings
-from xtdrone_sim.worlds.generated.countryside import CountrysideSettings
+from xtdrone_sim.worlds.generated.countryside_settings import CountrysideSettings
 from xtdrone_sim.worlds.generated.forest import ForestSettings
 from xtdrone_sim.worlds.generated.indoor import IndoorSettings
 from xtdrone_sim.worlds.generated.maze import MazeSettings

@@ -18,7 +18,7 @@ pytest.importorskip("rospy")
 
 from validation.soak import soak_script
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_interaction.options import OptionError, check_vehicle_ports
+from xtdrone_interaction.command_options import OptionError, check_vehicle_ports
 
 SEED, COUNT = 1, 3
 LIMIT = 900.0  # s of wall time, on a machine that is busy otherwise

@@ -25,9 +25,9 @@ from xtdrone_msgs.msg import SimulationStatus
 from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_coordination.search.coverage_map import CoverageMap
 from xtdrone_coordination.search.planning.region import make_region
-from xtdrone_coordination.search_node import coverage_message
+from xtdrone_coordination.search.search_node import coverage_message
+from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline
 from xtdrone_planning.trajectories.trajectory_messages import path_message
-from xtdrone_planning.trajectories.uniform_spline import UniformSpline
 
 pytestmark = needs_chromium
 FLEET = "iris:2,iris_3d_lidar:1"

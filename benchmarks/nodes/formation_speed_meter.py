@@ -38,7 +38,7 @@ from xtdrone_msgs.srv import SetSpeed
 from benchmarks.nodes import bus_statistics
 from benchmarks.nodes.free_running_speeds import Trial, next_speed
 from benchmarks.process_use import CpuSample
-from xtdrone_interaction.formation.distances import EVENTS_TOPIC
+from xtdrone_interaction.formation.shared_topics_and_names import EVENTS_TOPIC
 
 _FIRST_PHASE = "climb"  # from this phase on all followers publish commands
 _ENDS = {"failed", "giving up", "interrupted", "done"}
@@ -186,17 +186,22 @@ class SpeedProbe:
         self._events.flush()
 
 
-def main() -> int:
-    """Run the node and return its exit status."""
-    rospy.init_node("formation_speed_meter")
+def run_probe(name: str, probe: type[SpeedProbe]) -> int:
+    """Run a node that measures one flight, and return its exit status.
+
+    Args:
+        name: of the node.
+        probe: what it measures.
+    """
+    rospy.init_node(name)
     plan = json.loads(Path(rospy.get_param("~plan")).read_text(encoding="utf-8"))
     out = Path(rospy.get_param("~out"))
     with (out / "events.jsonl").open("w", encoding="utf-8") as events:
-        return SpeedProbe(plan, events).run()
+        return probe(plan, events).run()
 
 
 if __name__ == "__main__":
     try:
-        sys.exit(main())
+        sys.exit(run_probe("formation_speed_meter", SpeedProbe))
     except rospy.ROSInterruptException:
         sys.exit(1)

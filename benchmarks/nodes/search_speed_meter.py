@@ -42,7 +42,7 @@ from xtdrone_msgs.msg import ObjectsOnGround
 
 from benchmarks.process_use import CpuSample, memory, process_tree
 from xtdrone_control.fleet import FleetError, parse_fleet
-from xtdrone_interaction.recording.search_record import PROGRESS_TOPIC
+from xtdrone_interaction.recording.missions.search_record import PROGRESS_TOPIC
 
 _SEARCHES = {"searching", "second look", "back to its lane"}  # states of a searching vehicle
 _OVER = {"returning", "finished"}  # phases

@@ -15,11 +15,10 @@ import os
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import rospy
 
-from benchmarks.nodes.formation_speed_meter import SETTLING, ProbeError, SpeedProbe
+from benchmarks.nodes.formation_speed_meter import SETTLING, ProbeError, SpeedProbe, run_probe
 from benchmarks.process_use import CpuSample
 from xtdrone_interaction.web.station_node import NAME, URL_PARAMETER
 
@@ -95,17 +94,8 @@ class WebProbe(SpeedProbe):
         )
 
 
-def main() -> int:
-    """Run the node and return its exit status."""
-    rospy.init_node("web_station_meter")
-    plan = json.loads(Path(rospy.get_param("~plan")).read_text(encoding="utf-8"))
-    out = Path(rospy.get_param("~out"))
-    with (out / "events.jsonl").open("w", encoding="utf-8") as events:
-        return WebProbe(plan, events).run()
-
-
 if __name__ == "__main__":
     try:
-        sys.exit(main())
+        sys.exit(run_probe("web_station_meter", WebProbe))
     except rospy.ROSInterruptException:
         sys.exit(1)

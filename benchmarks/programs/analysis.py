@@ -110,7 +110,7 @@ def measure(megabytes: int, folder: Path) -> dict[str, Any]:
     """
     from rich.console import Console
 
-    from xtdrone_interaction.recording.bag import read_bag
+    from xtdrone_interaction.recording.flight_from_bag import read_bag
     from xtdrone_interaction.report.analyse import analyse
 
     bag = folder / "made.bag"

@@ -33,7 +33,7 @@ from xtdrone_control.fleet import MAX_VEHICLES
 from xtdrone_control.lockstep.protocol import BASE_STEP_US
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.settings import Settings, setting
-from xtdrone_interaction import options
+from xtdrone_interaction import command_options
 
 PROGRAMS = {"python": "lockstep_idle.py", "cpp": "lockstep_idle"}
 """Programs of xtdrone_control by kind."""
@@ -138,7 +138,7 @@ def _master() -> Iterator[str]:
     program = shutil.which("rosmaster")
     if program is None:
         raise BarrierError("rosmaster: not found; source the workspace's devel/setup.bash first")
-    port = options.free_port()
+    port = command_options.free_port()
     uri = f"http://127.0.0.1:{port}"
     process = subprocess.Popen([program, "--core", "-p", str(port)], stdout=subprocess.DEVNULL)
     try:

@@ -68,7 +68,7 @@ def _clouds(rings: int) -> list[Any]:
         motion = history.motion(scene, f"{_NAME}::base_link", begin_us(mount, number), end_us(mount, number))
         assert motion is not None
         rays, hits = cast_scan(mount, number, motion, -1)
-        clouds.append(scan_message(Lidar(_NAME, mount), number, measured(mount, _NAME, number, rays, hits)))
+        clouds.append(scan_message(Lidar(_NAME, mount.link, mount), number, measured(mount, _NAME, number, rays, hits)))
         if len(clouds) == _SCANS:
             break
     return clouds

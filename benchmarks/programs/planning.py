@@ -24,7 +24,8 @@ from xtdrone_planning.mapping.local_map import LocalMap
 from xtdrone_planning.mapping.range_images import RangeImage
 from xtdrone_planning.mapping.voxel_grid import MapSettings
 from xtdrone_planning.replanning.planner import Planner
-from xtdrone_planning.replanning.situation import PlannerSettings, Situation
+from xtdrone_planning.replanning.settings import PlannerSettings
+from xtdrone_planning.replanning.situation import Situation
 from xtdrone_planning.trajectories.local_trajectory import TrajectorySettings
 
 Array = NDArray[np.float64]

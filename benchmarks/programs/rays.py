@@ -62,7 +62,9 @@ def measure(lidars: int, kind: str, seconds: float) -> dict[str, Any]:
             motion = history.motion(scene, f"{vehicle.name}::base_link", begin_us(mount, number), end_us(mount, number))
             assert motion is not None
             rays, hits = cast_scan(mount, number, motion, scene.number(vehicle.name))
-            scan_message(Lidar(vehicle.name, mount), number, measured(mount, vehicle.name, number, rays, hits))
+            scan_message(
+                Lidar(vehicle.name, mount.link, mount), number, measured(mount, vehicle.name, number, rays, hits)
+            )
         if number:  # the first scan loads the kernels
             used, waited, cast = used + time.thread_time() - cpu, waited + time.perf_counter() - wall, cast + 1
         number += 1

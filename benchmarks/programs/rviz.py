@@ -24,12 +24,12 @@ from std_msgs.msg import Float32MultiArray, Header, Int32MultiArray
 from benchmarks.process_use import CpuSample
 from benchmarks.programs.program_frame import Column, Row, run
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_interaction.formation.distances import PATTERN_TOPIC, TOPOLOGY_TOPIC
-from xtdrone_interaction.rviz.bag import Timed
-from xtdrone_interaction.rviz.film_options import film_settings
-from xtdrone_interaction.rviz.playback import play
-from xtdrone_interaction.rviz.view_nodes import StageError, check_tools
-from xtdrone_interaction.rviz.views import Array
+from xtdrone_interaction.formation.shared_topics_and_names import PATTERN_TOPIC, TOPOLOGY_TOPIC
+from xtdrone_interaction.rviz.films.film_options import film_settings
+from xtdrone_interaction.rviz.films.messages_from_bag import Timed
+from xtdrone_interaction.rviz.films.playback import play
+from xtdrone_interaction.rviz.films.view_nodes import StageError, check_tools
+from xtdrone_interaction.rviz.view_configurations import Array
 
 _TYPE = "iris"
 _STEP_US = 40_000  # of poses and avoidance
@@ -43,7 +43,7 @@ class Circles:
     """A flight of vehicles that circle side by side until it is stopped; replaces a bag.
 
     Attributes:
-        fleet, types, begin_us, flown: see :class:`xtdrone_interaction.rviz.playback.Record`.
+        fleet, types, begin_us, flown: see :class:`xtdrone_interaction.rviz.films.playback.Record`.
         ended: set to end the flight.
     """
 

@@ -28,13 +28,9 @@ from rich.console import Console
 from tornado.ioloop import IOLoop, PeriodicCallback
 
 from benchmarks import bench_cli as bench
-from benchmarks import (
-    calibration,
-    compare_with_commit,
+from benchmarks import calibration, compare_with_commit, measurement_runner, process_use
+from benchmarks.flights import (
     free_running_flights,
-    measurement_runner,
-    printed_tables,
-    process_use,
     search_flights,
     sensing_flights,
     stack_and_formation_flights,
@@ -43,9 +39,10 @@ from benchmarks import (
 from benchmarks.measurement_table import MEASUREMENTS
 from benchmarks.nodes import bus_statistics, free_running_speeds, search_speed_meter, web_clients
 from benchmarks.programs import barrier
+from benchmarks.tables import printed_tables
 from xtdrone_control.fleet import read_fleet_file
 from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_interaction import cli, machine_facts, options
+from xtdrone_interaction import cli, command_options, machine_facts
 from xtdrone_interaction.launching import scripted_launch
 from xtdrone_interaction.web.fleet.fleet_frame import CHANNEL, pack_fleet_frame
 from xtdrone_interaction.web.fleet.model_states_bytes import COLUMNS
@@ -110,7 +107,7 @@ PATIENCE = 120.0  # s of wall time; bounds a broken test
 def test_invalid_values_are_reported(
     arguments: list[str], message: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(options, "check_vehicle_ports", lambda fleet: None)  # another simulation may be running
+    monkeypatch.setattr(command_options, "check_vehicle_ports", lambda fleet: None)  # another simulation may be running
     try:
         status = cli.main(["bench", *arguments])
     except SystemExit as error:  # argparse
@@ -640,7 +637,7 @@ def test_turns_are_counted_by_asking_the_nodes() -> None:
 @pytest.mark.parametrize("lockstep", ["true", "false"])
 def test_flights_to_compare_differ_in_the_lockstep_alone(lockstep: str, tmp_path: Path) -> None:
     words = ["n:=2", f"lockstep:={lockstep}", f"plan:={tmp_path}/plan.json", f"out:={tmp_path}"]
-    command = ["roslaunch", "--dump-params", str(options.repository() / "launch" / "bench_free.launch"), *words]
+    command = ["roslaunch", "--dump-params", str(command_options.repository() / "launch" / "bench_free.launch"), *words]
     printed = subprocess.run(command, check=True, capture_output=True, text=True, timeout=PATIENCE).stdout
     parameters = yaml.safe_load(printed)
     assert parameters["/lockstep/wait"] is parameters["/simulator/lockstep"] is (lockstep == "true")
@@ -727,7 +724,7 @@ def test_the_station_s_readers_count_frames_of_the_fleet() -> None:
     with _station_that_sends(frame) as url:
         command = [sys.executable, "-m", "benchmarks.nodes.web_clients", url, "2"]
         readers = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=options.repository()
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=command_options.repository()
         )
         assert readers.stdout is not None
         assert readers.stdout.readline() == "reading\n"
@@ -751,7 +748,7 @@ def _station_that_sends(frame: bytes) -> Iterator[str]:
 
     def serve() -> None:
         asyncio.set_event_loop(asyncio.new_event_loop())
-        server = StationServer(Address("127.0.0.1", 0, Credentials("a-token-to-use")), options.repository(), ())
+        server = StationServer(Address("127.0.0.1", 0, Credentials("a-token-to-use")), command_options.repository(), ())
         url = server.address.urls(server.start())["operate"]
         timer = PeriodicCallback(
             lambda: [session.push_latest(CHANNEL, frame) for session in server.sessions.values()], 20.0
@@ -773,7 +770,7 @@ def _station_that_sends(frame: bytes) -> Iterator[str]:
 
 def test_the_probe_is_launched_beside_a_flight_with_its_page(tmp_path: Path) -> None:
     words = ["n:=2", f"plan:={tmp_path}/plan.json", f"out:={tmp_path}"]
-    command = ["roslaunch", "--dump-params", str(options.repository() / "launch" / "bench_web.launch"), *words]
+    command = ["roslaunch", "--dump-params", str(command_options.repository() / "launch" / "bench_web.launch"), *words]
     parameters = yaml.safe_load(
         subprocess.run(command, check=True, capture_output=True, text=True, timeout=PATIENCE).stdout
     )
@@ -1153,7 +1150,7 @@ def commits(tmp_path: Path) -> Path:
 
 def _compare(commits: Path, monkeypatch: pytest.MonkeyPatch, parts: str) -> tuple[int, dict[str, Any]]:
     """Compare with the first commit; return exit status and results."""
-    monkeypatch.setattr(options, "check_vehicle_ports", lambda fleet: None)  # another simulation may be running
+    monkeypatch.setattr(command_options, "check_vehicle_ports", lambda fleet: None)  # another simulation may be running
     monkeypatch.setattr(bench, "resolve", lambda name: compare_with_commit.resolve(name, commits))
     monkeypatch.setattr(bench, "calibrate", lambda: CALIBRATION)
     file = commits.with_name("b.json")
@@ -1278,7 +1275,7 @@ def _bench_with_fake_roslaunch(
         from benchmarks import bench_cli
         from xtdrone_interaction import cli, options
         bench_cli.calibrate = lambda: {CALIBRATION}
-        options.check_vehicle_ports = lambda fleet: None
+        command_options.check_vehicle_ports = lambda fleet: None
         sys.exit(cli.main(["bench", *{arguments!r}, "--json", {str(file)!r}]))
     """)
     done = subprocess.run(

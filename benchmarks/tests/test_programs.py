@@ -26,8 +26,8 @@ from benchmarks.programs import (
     rays,
     simplified,
 )
-from xtdrone_interaction.options import repository
-from xtdrone_interaction.recording.bag import read_bag
+from xtdrone_interaction.command_options import repository
+from xtdrone_interaction.recording.flight_from_bag import read_bag
 from xtdrone_sim.air import AIR
 
 

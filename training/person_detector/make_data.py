@@ -35,7 +35,7 @@ from xtdrone_sim.shapes.pose_arithmetic import compose, rotate
 from xtdrone_sim.shapes.visual import Mesh, Pose, Visual
 from xtdrone_sim.vehicles.urdf import Description
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
-from xtdrone_sim.worlds import people
+from xtdrone_sim.worlds import people_meshes
 from xtdrone_sim.worlds.scenery import Ground, outdoor
 from xtdrone_sim.worlds.sdf import SdfWorld
 
@@ -178,7 +178,7 @@ class Crowd:
     """People in random postures for a scene."""
 
     def __init__(
-        self, scene: Scene, bodies: list[tuple[str, people.Body, Path]], count: int, folder: Path, random: Any
+        self, scene: Scene, bodies: list[tuple[str, people_meshes.Body, Path]], count: int, folder: Path, random: Any
     ):
         self.scene, self.random = scene, random
         self.members: list[tuple[str, int, float]] = []
@@ -186,7 +186,7 @@ class Crowd:
             name, body, texture = bodies[random.integers(len(bodies))]
             posture = 0 if random.random() < 0.35 else int(random.integers(1, len(body.poses)))
             file = folder / f"{number}.obj"
-            file.write_text(people.wavefront(body, posture))
+            file.write_text(people_meshes.wavefront(body, posture))
             size = float(random.uniform(0.93, 1.07))
             tint = tuple(float(v) for v in np.clip(random.uniform(0.75, 1.0) * random.uniform(0.9, 1.0, 3), 0, 1))
             mesh = Mesh(file, (size * float(random.uniform(0.95, 1.05)), size, size))
@@ -230,12 +230,12 @@ class Crowd:
                 self.scene.renderer.hide(index)
 
 
-def people_of(split: str, folders: list[Path]) -> list[tuple[str, people.Body, Path]]:
+def people_of(split: str, folders: list[Path]) -> list[tuple[str, people_meshes.Body, Path]]:
     """Return name, body and texture of a split's people, from the simulator and from folders."""
     found = []
-    for folder in [people.models_folder(), *folders]:
+    for folder in [people_meshes.models_folder(), *folders]:
         for file in sorted(folder.glob("*.npz")):
-            body = people.read_file(file)
+            body = people_meshes.read_file(file)
             if body.split == split:
                 found.append((file.stem, body, file.with_suffix(".png")))
     return found

@@ -13,12 +13,12 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from validation.compare_px4 import events, flown_scripts, pictures, reference, response_figures
-from validation.compare_px4.events import Match
+from validation.compare_px4 import event_tolerances, flown_scripts, pictures, reference, response_tolerances
+from validation.compare_px4.event_tolerances import Match
 from validation.compare_px4.pilot import PilotError
-from validation.compare_px4.response_figures import Figure
-from xtdrone_interaction import options
-from xtdrone_interaction.options import OptionError
+from validation.compare_px4.response_tolerances import Figure
+from xtdrone_interaction import command_options
+from xtdrone_interaction.command_options import OptionError
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.package_files import CONFIG
 
@@ -40,8 +40,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Fly, draw, print, and return the exit status."""
     try:
-        options.one_of_files("vehicle type", arguments.vehicle, CONFIG / "vehicles")
-        folder = options.new_folder(arguments.out or Path("runs") / time.strftime("px4-%Y%m%d-%H%M%S"))
+        command_options.one_of_files("vehicle type", arguments.vehicle, CONFIG / "vehicles")
+        folder = command_options.new_folder(arguments.out or Path("runs") / time.strftime("px4-%Y%m%d-%H%M%S"))
     except OptionError as error:
         print(f"xtdrone: {error}", file=sys.stderr)
         return 2
@@ -54,8 +54,8 @@ def run(arguments: argparse.Namespace) -> int:
     except (ModelError, PilotError, OSError) as error:
         print(f"xtdrone: {error}", file=sys.stderr)
         return 1
-    figures = [figure for flight in flights for figure in response_figures.figures(theirs, ours, flight)]
-    matches = [match for flight in flights for match in events.compare(theirs, ours, flight)]
+    figures = [figure for flight in flights for figure in response_tolerances.figures(theirs, ours, flight)]
+    matches = [match for flight in flights for match in event_tolerances.compare(theirs, ours, flight)]
     folder.mkdir(parents=True, exist_ok=True)
     for flight in flights:
         pictures.save(theirs, ours, flight, folder)

@@ -25,11 +25,12 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from validation.replay.digests import Comparison, DigestError, Digests, compare, read_digests
+from validation.replay.digest_comparison import Comparison, DigestError, Digests, compare, read_digests
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.patterns import PatternError
-from xtdrone_interaction import options
+from xtdrone_interaction import command_options
+from xtdrone_interaction.command_options import OptionError, patterns_setting, seed_setting, vehicles_setting
 from xtdrone_interaction.console import PatientConsole
 from xtdrone_interaction.formation.flight_events import read_events
 from xtdrone_interaction.launching.process_tree import ProcessTree
@@ -43,7 +44,6 @@ from xtdrone_interaction.launching.scripted_launch import (
     launch_command,
     launch_environment,
 )
-from xtdrone_interaction.options import OptionError, patterns_setting, seed_setting, vehicles_setting
 
 TYPE = "iris"
 _POLL = 0.2  # s of wall time between polls of signals and progress
@@ -163,9 +163,9 @@ def replay_settings(arguments: argparse.Namespace) -> ReplaySettings:
     settings = ReplaySettings.from_arguments(
         arguments, **{name: value for name, value in short.items() if not hasattr(arguments, name)}
     )
-    options.swarm_patterns(settings.n, settings.patterns)
-    options.check_vehicle_ports(parse_fleet(f"{TYPE}:{settings.n}"))
-    folder = options.new_folder(arguments.out or Path("runs") / f"replay-{time.strftime('%Y%m%d-%H%M%S')}")
+    command_options.swarm_patterns(settings.n, settings.patterns)
+    command_options.check_vehicle_ports(parse_fleet(f"{TYPE}:{settings.n}"))
+    folder = command_options.new_folder(arguments.out or Path("runs") / f"replay-{time.strftime('%Y%m%d-%H%M%S')}")
     return replace(settings, folder=folder)
 
 
@@ -232,7 +232,7 @@ def fly(settings: ReplaySettings, circumstance: Circumstance, stop: StopRequest,
         "out": folder,
         "bag": folder / "flight.bag" if circumstance.recorded else "none",
     }
-    port = options.free_port()
+    port = command_options.free_port()
     command = launch_command("formation.launch", arguments, port)
     if circumstance.one_core:
         core = min(os.sched_getaffinity(0))

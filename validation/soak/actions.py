@@ -17,14 +17,14 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 
 from validation.soak.resource_samples import figures
-from validation.soak.stack import Node, Nodes, Stack
+from validation.soak.simulation_under_test import Node, Nodes, Stack
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import FRAME_MISSION, PlanItem
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.geodesy import projection
 from xtdrone_control.plans.qgc_plan import FRAME_RELATIVE, Plan
 from xtdrone_interaction.gcs import GcsError, GroundStation, Peer
-from xtdrone_interaction.gcs.exchanges import flight, parameters
+from xtdrone_interaction.gcs.exchanges import commands_and_refusals, parameters
 from xtdrone_interaction.gcs.exchanges.exchange import Exchange, Heartbeat
 from xtdrone_interaction.gcs.exchanges.plans import cancel_transfers, upload_plan
 
@@ -129,8 +129,8 @@ class Actions:
 
         def fly(heartbeat: Heartbeat, _number: int) -> Exchange[Any]:
             if not _armed(heartbeat):
-                yield from flight.set_mode(heartbeat, "MISSION")
-                yield from flight.arm(heartbeat)
+                yield from commands_and_refusals.set_mode(heartbeat, "MISSION")
+                yield from commands_and_refusals.arm(heartbeat)
 
         self._exchange("fly_mission", fly)
 
@@ -139,7 +139,7 @@ class Actions:
 
         def climb(heartbeat: Heartbeat, _number: int) -> Exchange[Any]:
             if not _armed(heartbeat):
-                yield from flight.take_off(heartbeat, height)
+                yield from commands_and_refusals.take_off(heartbeat, height)
 
         self._exchange("take_off", climb)
 
@@ -158,7 +158,7 @@ class Actions:
 
         def descend(heartbeat: Heartbeat, _number: int) -> Exchange[None]:
             if _armed(heartbeat):
-                yield from flight.land(heartbeat)
+                yield from commands_and_refusals.land(heartbeat)
 
         self._exchange("land", descend)
 
@@ -167,7 +167,7 @@ class Actions:
 
         def force(heartbeat: Heartbeat, _number: int) -> Exchange[bool]:
             if _armed(heartbeat):
-                yield from flight.arm(heartbeat, armed=False, force=True)
+                yield from commands_and_refusals.arm(heartbeat, armed=False, force=True)
             return _armed(heartbeat)
 
         self.forced += sum(self._exchange("disarm", force))

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from xtdrone_interaction import options
+from xtdrone_interaction import command_options
 from xtdrone_interaction.console import PatientConsole
 from xtdrone_interaction.demos.formation import formation_demo
 from xtdrone_interaction.demos.formation.formation_demo import DemoSettings
@@ -52,7 +52,8 @@ _END_LIMIT = 420.0  # s of wall time until the flight has ended
 _SETTLE = 1.0  # s of wall time in a phase before the signal
 _WORDS = 6  # last lines of the demo's output
 _SETTINGS = DemoSettings(
-    n=2, type="iris", patterns=("cube",), pattern_file="", processes="per_uav", follower=options.DEFAULT_FOLLOWER,
+    n=2, type="iris", patterns=("cube",), pattern_file="", processes="per_uav",
+    follower=command_options.DEFAULT_FOLLOWER,
     follower_class="", control="vel", avoidance="own", clearance=3.0, world="empty", seed=0, speed=0.0, out=Path(),
     master_port=0, headless=True, logs=False,
 )  # fmt: skip
@@ -85,7 +86,7 @@ class Case:
 
 def fly(out: Path) -> int:
     """Fly the demo as its command does, with a short hang limit; return its exit status."""
-    settings = replace(_SETTINGS, out=out, master_port=options.free_port())
+    settings = replace(_SETTINGS, out=out, master_port=command_options.free_port())
     flight = formation_demo.flight(settings)
     flight = replace(flight, arguments={**flight.arguments, "hang_limit": HANG_LIMIT})
     console = PatientConsole()

@@ -16,22 +16,20 @@ from typing import Any
 
 from rich.console import Console
 
-from validation.soak import report, soak_script
+from validation.soak import soak_script
+from validation.soak.judging import report
+from validation.soak.judging.verdict import Outcome, judge
+from validation.soak.simulation_under_test import SoakError, Stack
 from validation.soak.soak_runner import Runner
 from validation.soak.soak_script import Episode
-from validation.soak.stack import SoakError, Stack
-from validation.soak.verdict import (
-    Outcome,
-    judge,
-)
 from xtdrone_control.fleet import FleetError, parse_fleet
 from xtdrone_control.lockstep.simulation_speed import speed_setting
 from xtdrone_control.settings import Settings, setting
-from xtdrone_interaction import options
+from xtdrone_interaction import command_options
+from xtdrone_interaction.command_options import OptionError, seed_setting, vehicles_setting
 from xtdrone_interaction.console import PatientConsole
 from xtdrone_interaction.launching.scripted_launch import LaunchError, Stopped, StopRequest
 from xtdrone_interaction.machine_facts import machine_facts
-from xtdrone_interaction.options import OptionError, seed_setting, vehicles_setting
 from xtdrone_interaction.sim_cli import SimError
 
 _JUDGE_LIMIT = 1800.0  # s of wall time to judge the remaining files at the end
@@ -122,8 +120,8 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.script:
             _print_script(episodes, console)
             return 0
-        options.check_vehicle_ports(parse_fleet(f"iris:{settings.n}"))
-        folder = options.results_folder(arguments.out, recorded=True)
+        command_options.check_vehicle_ports(parse_fleet(f"iris:{settings.n}"))
+        folder = command_options.results_folder(arguments.out, recorded=True)
         return _soak(settings, episodes, folder, console, short=arguments.short)
     except (OptionError, FleetError) as error:
         print(f"xtdrone: {error}", file=sys.stderr)
@@ -177,11 +175,11 @@ def _soak(settings: SoakSettings, episodes: Sequence[Episode], folder: Path, con
     console.print(f"Results: {folder}", highlight=False, soft_wrap=True)
     facts = {
         "n": settings.n, "seed": settings.seed, "hours": hours, "short": short, "speed": settings.speed,
-        "begun": time.strftime("%Y-%m-%d %H:%M:%S"), "machine": machine_facts(options.repository()),
+        "begun": time.strftime("%Y-%m-%d %H:%M:%S"), "machine": machine_facts(command_options.repository()),
     }  # fmt: skip
     progress = _Progress(console, hours)
     with StopRequest() as stop:
-        stack = Stack(folder, settings.n, settings.seed, settings.speed, options.free_port(), stop)
+        stack = Stack(folder, settings.n, settings.seed, settings.speed, command_options.free_port(), stop)
         runner: Runner | None = None
         end = ""
         try:

@@ -11,12 +11,12 @@ from typing import Any
 
 from benchmarks.process_use import CpuSample
 from validation.soak.actions import Actions, bag_of
-from validation.soak.file_checks import Judge
-from validation.soak.growth_and_pace import Stretch
+from validation.soak.judging.file_checks import Judge
+from validation.soak.judging.robust_fits import Stretch
+from validation.soak.judging.warnings_in_logs import TextLogs, tracebacks_in
 from validation.soak.resource_samples import PROCESSES, SampleFile, figures, folder_size, open_files
+from validation.soak.simulation_under_test import Node, Nodes, Stack
 from validation.soak.soak_script import Episode
-from validation.soak.stack import Node, Nodes, Stack
-from validation.soak.textlogs import TextLogs, tracebacks_in
 
 _MICRO = 1_000_000
 _MINUTE = 60 * _MICRO

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from validation.compare_px4 import events, flown_scripts, pictures, reference, response_figures
+from validation.compare_px4 import event_tolerances, flown_scripts, pictures, reference, response_tolerances
 from validation.compare_px4.compare_px4_cli import report
 from validation.compare_px4.reference import Event, Flight, Track
 from xtdrone_control.fleet import Vehicle
@@ -16,7 +16,7 @@ from xtdrone_interaction import cli
 
 def test_first_order_step_has_its_known_figures():
     time = np.arange(0.0, 10.0, 0.001)
-    step = response_figures.step_response(time, 2.0 + 3.0 * (1.0 - np.exp(-time)), 2.0, 5.0)
+    step = response_tolerances.step_response(time, 2.0 + 3.0 * (1.0 - np.exp(-time)), 2.0, 5.0)
     assert step.t90 == pytest.approx(math.log(10.0), abs=0.002)
     assert step.t90 - step.t10 == pytest.approx(math.log(9.0), abs=0.002)
     assert step.settle == pytest.approx(math.log(20.0), abs=0.002)
@@ -27,21 +27,21 @@ def test_second_order_step_has_its_known_overshoot():
     time, damping = np.arange(0.0, 20.0, 0.001), 0.5
     damped = math.sqrt(1.0 - damping**2)
     value = 1.0 - np.exp(-damping * time) * np.cos(damped * time - math.asin(damping)) / damped
-    step = response_figures.step_response(time, -value, 0.0, -1.0)
+    step = response_tolerances.step_response(time, -value, 0.0, -1.0)
     assert step.overshoot == pytest.approx(100.0 * math.exp(-math.pi * damping / damped), abs=0.1)
 
 
 def test_step_that_is_not_reached_counts_as_outside():
     time = np.arange(0.0, 5.0, 0.01)
-    step = response_figures.step_response(time, 0.5 * np.ones_like(time), 0.0, 1.0)
+    step = response_tolerances.step_response(time, 0.5 * np.ones_like(time), 0.0, 1.0)
     assert math.isnan(step.t90)
     assert math.isnan(step.settle)
-    assert not response_figures.Figure("f", "n", "s", 1.0, step.t90, 0.15).within
+    assert not response_tolerances.Figure("f", "n", "s", 1.0, step.t90, 0.15).within
 
 
 def test_recordings_hold_the_figures_that_are_known_of_them():
     flight = reference.load()
-    found = {figure.name: figure.reference for figure in response_figures.figures(flight, flight, "position_step")}
+    found = {figure.name: figure.reference for figure in response_tolerances.figures(flight, flight, "position_step")}
     assert found["90 % reached"] == pytest.approx(1.94, abs=0.04)
     assert found["overshoot"] == pytest.approx(7.8, abs=0.3)
     assert found["settled within 5 %"] == pytest.approx(4.36, abs=0.08)
@@ -51,8 +51,8 @@ def test_recordings_hold_the_figures_that_are_known_of_them():
 @pytest.mark.parametrize("flight", flown_scripts.FLIGHTS)
 def test_recording_is_within_its_own_allowances(flight, tmp_path):
     recorded = reference.load()
-    assert all(figure.within for figure in response_figures.figures(recorded, recorded, flight))
-    assert all(match.within for match in events.compare(recorded, recorded, flight))
+    assert all(figure.within for figure in response_tolerances.figures(recorded, recorded, flight))
+    assert all(match.within for match in event_tolerances.compare(recorded, recorded, flight))
     assert pictures.save(recorded, recorded, flight, tmp_path).stat().st_size > 10_000
 
 
@@ -65,25 +65,25 @@ def test_events_are_compared_by_order_and_time():
     theirs = recording((1.0, "ack", "176 0"), (1.5, "text", "6 first"), (2.5, "text", "6 second"))
     assert all(
         m.within
-        for m in events.compare(
+        for m in event_tolerances.compare(
             theirs, recording(*[(e.time + 0.15, e.kind, e.value) for e in theirs.events[1:]]), "takeoff"
         )
     )
     late = recording((1.0, "ack", "176 0"), (1.75, "text", "6 first"), (2.5, "text", "6 second"))
-    assert [m.within for m in events.compare(theirs, late, "takeoff")] == [True, False, True]
+    assert [m.within for m in event_tolerances.compare(theirs, late, "takeoff")] == [True, False, True]
     swapped = recording((1.0, "ack", "176 0"), (2.5, "text", "6 second"), (2.0, "text", "6 first"))
-    assert not all(m.within for m in events.compare(theirs, swapped, "takeoff"))
+    assert not all(m.within for m in event_tolerances.compare(theirs, swapped, "takeoff"))
     missing = recording((1.0, "ack", "176 0"), (1.5, "text", "6 first"))
-    assert [m.within for m in events.compare(theirs, missing, "takeoff")] == [True, True, False]
+    assert [m.within for m in event_tolerances.compare(theirs, missing, "takeoff")] == [True, True, False]
     more = recording(*[(e.time, e.kind, e.value) for e in theirs.events[1:]], (3.0, "text", "6 third"))
-    assert [m.within for m in events.compare(theirs, more, "takeoff")] == [True, True, True, False]
+    assert [m.within for m in event_tolerances.compare(theirs, more, "takeoff")] == [True, True, True, False]
 
 
 def test_changes_in_a_heartbeat_may_be_one_second_older():
     theirs = recording((1.0, "ack", "176 0"), (1.9, "mode", "157 33816576 4"))
     for time, within in ((1.0, True), (1.9, True), (2.05, True), (2.2, False)):
         ours = recording((1.0, "ack", "176 0"), (time, "mode", "157 33816576 4"))
-        assert events.compare(theirs, ours, "takeoff")[1].within is within
+        assert event_tolerances.compare(theirs, ours, "takeoff")[1].within is within
 
 
 def test_required_flights_come_first():
@@ -92,7 +92,7 @@ def test_required_flights_come_first():
 
 
 def test_report_counts_values_outside():
-    text = report("iris", [response_figures.Figure("yaw step", "90 % reached", "s", 1.0, 2.0, 0.15)], [])
+    text = report("iris", [response_tolerances.Figure("yaw step", "90 % reached", "s", 1.0, 2.0, 0.15)], [])
     assert "1 outside" in text
     assert "OUTSIDE" in text
 
@@ -124,9 +124,9 @@ def flown():
 @pytest.mark.parametrize("flight", flown_scripts.FLIGHTS)
 def test_our_autopilot_flies_as_the_recorded_px4(flown, flight):
     recorded = reference.load()
-    outside = [f for f in response_figures.figures(recorded, flown, flight) if not f.within]
+    outside = [f for f in response_tolerances.figures(recorded, flown, flight) if not f.within]
     assert not outside
-    assert not [match for match in events.compare(recorded, flown, flight) if not match.within]
+    assert not [match for match in event_tolerances.compare(recorded, flown, flight) if not match.within]
 
 
 def test_flights_are_the_same_to_the_last_bit(monkeypatch):

@@ -12,9 +12,9 @@ import pytest
 from rich.console import Console
 
 from validation.replay import replay_check as replay_check
-from validation.replay.digests import DigestError, compare, read_digests
+from validation.replay.digest_comparison import DigestError, compare, read_digests
 from xtdrone_interaction import cli
-from xtdrone_interaction.options import OptionError
+from xtdrone_interaction.command_options import OptionError
 
 SECOND = 1_000_000
 LATE = 100 * SECOND

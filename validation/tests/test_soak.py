@@ -16,13 +16,14 @@ import pytest
 from bags import Bag
 from rich.console import Console
 
-from validation.soak import report, soak_cli, soak_script
+from validation.soak import soak_cli, soak_script
 from validation.soak.actions import Actions, mission
-from validation.soak.file_checks import Finding, Judge, judge_bag, judge_log
-from validation.soak.growth_and_pace import Stretch, growth, pace
+from validation.soak.judging import report
+from validation.soak.judging.file_checks import Finding, Judge, judge_bag, judge_log
+from validation.soak.judging.robust_fits import Stretch, growth, pace
+from validation.soak.judging.verdict import Outcome, judge
+from validation.soak.judging.warnings_in_logs import TextLogs, kind_of
 from validation.soak.resource_samples import COLUMNS, PROCESSES, SampleFile, figures, open_files
-from validation.soak.textlogs import TextLogs, kind_of
-from validation.soak.verdict import Outcome, judge
 from xtdrone_control.autopilot.logger.message_definitions import message_format
 from xtdrone_control.autopilot.logger.ulog_format import UlogWriter, data_template
 from xtdrone_interaction import cli

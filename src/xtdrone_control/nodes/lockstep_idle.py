@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 
 from xtdrone_control import lockstep
-from xtdrone_control.programs.program import ArgumentError, run_program
+from xtdrone_control.programs.node_command_line import ArgumentError, run_program
 
 
 def main(arguments: Sequence[str]) -> None:

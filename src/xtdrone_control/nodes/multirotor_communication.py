@@ -23,7 +23,7 @@ import rospy
 from xtdrone_control import lockstep
 from xtdrone_control.communication.commands import CommandSettings
 from xtdrone_control.communication.multirotor import RATE, MultirotorCommunication
-from xtdrone_control.programs.program import run_program, served_vehicles
+from xtdrone_control.programs.node_command_line import run_program, served_vehicles
 
 USAGE = "multirotor_communication.py TYPE ID   (ID: 0, 0-8, 1,3,5 or all)"
 

@@ -5,7 +5,7 @@ Topics are listed in ``xtdrone_control.network.radio_node``.
 
 Parameters:
     ~topics: names and types, comma-separated, e.g. planner/trajectory:xtdrone_msgs/SplineTrajectory.
-    ~range, ~delay, ~jitter, ~loss, ~burst, ~bandwidth, ~queue: see ``xtdrone_control.network.options.NetworkOptions``.
+    ~range, ~delay, ~jitter, ~loss, ~burst, ~bandwidth, ~queue: see ``xtdrone_control.network.NetworkOptions``.
     ~seed: of losses and jitter (0).
 """
 

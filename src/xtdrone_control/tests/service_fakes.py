@@ -12,7 +12,7 @@ from xtdrone_control.autopilot.logger.mavlink_log_pieces import LogStream
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.mavlink.receiver import Receiver
-from xtdrone_control.mavlink.streams.rare_telemetry import VehicleTelemetry
+from xtdrone_control.mavlink.streams.esc_gimbal_traffic_telemetry import VehicleTelemetry
 from xtdrone_control.mavlink.streams.stream_schedule import GCS_RATES, Streams
 from xtdrone_control.mavlink.wire.codec import decoder, split
 from xtdrone_control.mavlink.wire.dialect import MESSAGES

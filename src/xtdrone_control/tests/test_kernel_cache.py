@@ -11,7 +11,7 @@ import pytest
 from numba.core import event
 from numba.core.errors import NumbaError
 
-from xtdrone_control import kernel
+from xtdrone_control import kernel_cache
 
 
 @pytest.fixture
@@ -25,17 +25,17 @@ def package(tmp_path):
 
 
 def test_a_change_in_what_kernels_use_starts_a_new_cache(package):
-    assert [path.name for path in kernel.sources([package])] == ["constants.py", "helper.py", "loops.py"]
+    assert [path.name for path in kernel_cache.sources([package])] == ["constants.py", "helper.py", "loops.py"]
     for name in ("loops.py", "helper.py", "constants.py"):
-        before = kernel.cache_folder(package)
+        before = kernel_cache.cache_folder(package)
         (package / name).write_text((package / name).read_text() + "# changed\n")
-        assert kernel.cache_folder(package) != before
+        assert kernel_cache.cache_folder(package) != before
 
 
 def test_a_change_elsewhere_does_not(package):
-    before = kernel.cache_folder(package)
+    before = kernel_cache.cache_folder(package)
     (package / "logic.py").write_text("from .loops import f  # changed\n")
-    assert kernel.cache_folder(package) == before
+    assert kernel_cache.cache_folder(package) == before
 
 
 def parsed_imports(name, is_package, source):
@@ -50,14 +50,14 @@ def parsed_imports(name, is_package, source):
 
 
 def test_no_import_of_a_package_with_kernels_is_missed():
-    for path in Path(kernel.__file__).parents[4].glob("xtdrone_*/src/**/*.py"):
+    for path in Path(kernel_cache.__file__).parents[4].glob("xtdrone_*/src/**/*.py"):
         given = ("a.b.c", path.name == "__init__.py", path.read_bytes())
-        assert set(parsed_imports(*given)) <= kernel.imported(*given), path
+        assert set(parsed_imports(*given)) <= kernel_cache.imported(*given), path
 
 
 def test_every_kernel_of_the_autopilot_counts():
-    folder = Path(kernel.__file__).parent
-    found = {path.name for path in kernel.sources([folder])}
+    folder = Path(kernel_cache.__file__).parent
+    found = {path.name for path in kernel_cache.sources([folder])}
     assert {"ekf.py", "rotation.py", "projection.py", "state.py", "parameters.py"} <= found
     assert "commander.py" not in found
 
@@ -70,12 +70,12 @@ def half(x):
 def test_compilation_is_announced_and_cached_where_possible(tmp_path, monkeypatch, place, times):
     monkeypatch.setenv("XDG_CACHE_HOME", place or str(tmp_path))
     told = []
-    announcer = kernel.Announcer(told.append, lambda name, seconds: told.append((name, seconds >= 0.0)))
+    announcer = kernel_cache.Announcer(told.append, lambda name, seconds: told.append((name, seconds >= 0.0)))
     with event.install_listener("numba:compile", announcer):
         for _ in range(2):
-            assert kernel.compiler(tmp_path)(half)(3.0) == 1.5
+            assert kernel_cache.compiler(tmp_path)(half)(3.0) == 1.5
     assert told == ["test_kernel_cache.half", ("test_kernel_cache.half", True)] * times
-    assert ("cannot be written" in kernel.cache_words()) == bool(place)
+    assert ("cannot be written" in kernel_cache.cache_words()) == bool(place)
 
 
 def ones(n):
@@ -85,6 +85,6 @@ def ones(n):
 @pytest.mark.parametrize("allocates", [True, False])
 def test_only_kernels_with_reference_counts_create_arrays(tmp_path, monkeypatch, allocates):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    compiled = kernel.compiler(tmp_path, allocates=allocates)(ones)
+    compiled = kernel_cache.compiler(tmp_path, allocates=allocates)(ones)
     with nullcontext() if allocates else pytest.raises(NumbaError):
         assert compiled(3).tolist() == [1.0, 1.0, 1.0]

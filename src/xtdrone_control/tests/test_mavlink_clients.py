@@ -17,9 +17,9 @@ from test_mavlink_server import Client, World, heartbeat, named
 
 from xtdrone_control.autopilot.autopilot import STEP_US
 from xtdrone_control.fleet import GCS_REMOTE_PORT
-from xtdrone_control.mavlink.port import CLIENTS, MAX_CLIENTS, VEHICLE_CLIENTS
 from xtdrone_control.mavlink.rate_limit import CLIENT_CREDIT, MAX_CLIENT_CREDIT, MAX_CREDIT, STEP_CREDIT, VEHICLE_CREDIT
 from xtdrone_control.mavlink.receiver import Receiver
+from xtdrone_control.mavlink.udp_port_and_clients import CLIENTS, MAX_CLIENTS, VEHICLE_CLIENTS
 from xtdrone_control.mavlink.wire.codec import decoder, split
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
 from xtdrone_control.mavlink.wire.frame_packing import Format, as_version_1

@@ -15,7 +15,7 @@ from xtdrone_control.autopilot.autopilot import STEP_US
 from xtdrone_control.autopilot.estimator.vibration import update_vibration
 from xtdrone_control.autopilot.state import TASK_GOTO
 from xtdrone_control.fleet import GCS_REMOTE_PORT
-from xtdrone_control.mavlink.streams.rare_telemetry import SILENT
+from xtdrone_control.mavlink.streams.esc_gimbal_traffic_telemetry import SILENT
 from xtdrone_control.mavlink.streams.stream_schedule import GCS_RATES, ONBOARD_RATES
 from xtdrone_control.mavlink.wire.codec import decoder, message_name, split
 

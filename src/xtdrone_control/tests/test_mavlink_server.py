@@ -19,7 +19,7 @@ from xtdrone_control.autopilot.parameters.parameters import NAMES, Parameters
 from xtdrone_control.autopilot.state import TASK_ATTITUDE, TASK_RATES, TASK_TRAJECTORY
 from xtdrone_control.fleet import GCS_REMOTE_PORT, Vehicle
 from xtdrone_control.mavlink.mavlink_server import MavlinkServer
-from xtdrone_control.mavlink.port import LinkError
+from xtdrone_control.mavlink.udp_port_and_clients import LinkError
 from xtdrone_control.mavlink.wire.dialect import MESSAGES
 
 _SYSTEM = FIRST_ID + 1

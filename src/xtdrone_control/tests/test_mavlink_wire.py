@@ -19,7 +19,7 @@ from xtdrone_native import mavlink_wire
 
 from xtdrone_control import rotation
 from xtdrone_control.geodesy import projection
-from xtdrone_control.mavlink.streams.rare_telemetry import VehicleTelemetry
+from xtdrone_control.mavlink.streams.esc_gimbal_traffic_telemetry import VehicleTelemetry
 from xtdrone_control.mavlink.wire import codec
 from xtdrone_control.mavlink.wire.dialect import MESSAGES
 from xtdrone_control.mavlink.wire.frame_packing import Format, PackingError

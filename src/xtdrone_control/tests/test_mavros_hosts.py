@@ -6,7 +6,7 @@ import socket
 
 import pytest
 
-from xtdrone_control.mavlink.port import LinkError, Port
+from xtdrone_control.mavlink.udp_port_and_clients import LinkError, Port
 from xtdrone_control.mavros.link import autopilot_links
 from xtdrone_control.mavros.link.autopilot_links import FcuUrl, bind_host_for
 from xtdrone_control.mavros.mavros_node import connections

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from xtdrone_control.network.message_radio import MessageRadio
-from xtdrone_control.network.options import RATE, NetworkOptions
+from xtdrone_control.network.network_options import RATE, NetworkOptions
 
 LINE = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [25.0, 0.0, 0.0], [np.nan, 0.0, 0.0]])
 

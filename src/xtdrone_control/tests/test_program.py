@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from xtdrone_control.programs.program import (
+from xtdrone_control.programs.node_command_line import (
     ArgumentError,
     check_multirotor,
     fleet_of,

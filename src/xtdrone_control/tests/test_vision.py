@@ -15,7 +15,7 @@ from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.autopilot.state import VISION_BODY, VISION_FRD, VISION_NED
 from xtdrone_control.fleet import Vehicle as FleetVehicle
-from xtdrone_control.mavlink.commands.vision_service import VisionService
+from xtdrone_control.mavlink.commands.external_sensors_service import VisionService
 from xtdrone_control.mavlink.service_base import Vehicle
 
 NAN = math.nan

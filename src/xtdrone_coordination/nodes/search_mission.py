@@ -13,13 +13,13 @@ Parameters (all of them, with their ranges, are in ``config/search.yaml``):
     ~datum: {latitude, longitude, altitude} of the map frame's origin.
     ~on_find, ~follow_time, ...: see ``xtdrone_coordination.search.search_settings.MissionSettings``.
 
-Topics: see ``xtdrone_coordination.search_node``.
+Topics: see ``xtdrone_coordination.search.search_node``.
 """
 
 import sys
 
-from xtdrone_control.programs.program import run_program
-from xtdrone_coordination.search_node import run
+from xtdrone_control.programs.node_command_line import run_program
+from xtdrone_coordination.search.search_node import run
 
 if __name__ == "__main__":
     sys.exit(run_program(run, sys.argv, "search_mission.py   (see its parameters in config/search.yaml)"))

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_coordination.laws.avoidance import avoid, contribution, give_way
+from xtdrone_coordination.laws.formation_avoidance import avoid, contribution, give_way
 
 
 def vectors() -> list[tuple[float, float, float]]:

@@ -21,7 +21,7 @@ from ros_graph import PATIENCE, ROSMASTER, Graph
 
 from xtdrone_control import lockstep
 from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_coordination.laws.avoidance import RADIUS, avoid
+from xtdrone_coordination.laws.formation_avoidance import RADIUS, avoid
 
 try:
     import rospy

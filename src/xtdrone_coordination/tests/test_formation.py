@@ -12,7 +12,7 @@ import pytest
 
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions, StarFollower
 from xtdrone_coordination.known_swarm_state import SwarmState
-from xtdrone_coordination.laws import avoidance
+from xtdrone_coordination.laws import formation_avoidance
 from xtdrone_coordination.laws.assignment import Assignment, assign
 from xtdrone_coordination.laws.consensus import Peer, Vector
 from xtdrone_coordination.leader import CommandError, Leader, LeaderOptions, number_list
@@ -266,7 +266,7 @@ def test_an_avoidance_that_never_came_is_replaced_by_the_own_one() -> None:
     for j, p in enumerate([(0.0, 0.0, 0.0), (5.0, 0.5, 0.0), (5.0, 0.0, 0.0)]):
         follower.swarm.on_position(j, p)
     follower.update()
-    assert follower.avoidance_vector == avoidance.avoid(1, follower.swarm.positions)
+    assert follower.avoidance_vector == formation_avoidance.avoid(1, follower.swarm.positions)
     assert len(warnings) == 1
 
 
@@ -276,20 +276,20 @@ def test_an_update_searches_for_near_vehicles_once_and_keeps_none_for_the_next(
     follower, _ = follower_alone(avoid="own", clearance=0.7, vel_max=9.0)
     follower.on_pattern(OFFSETS)
     searches: list[float] = []
-    search = avoidance.near_vehicles
+    search = formation_avoidance.near_vehicles
 
-    def counted(index: int, positions: Sequence[Vector | None], radius: float) -> avoidance.Near:
+    def counted(index: int, positions: Sequence[Vector | None], radius: float) -> formation_avoidance.Near:
         searches.append(radius)
         return search(index, positions, radius)
 
-    monkeypatch.setattr(avoidance, "near_vehicles", counted)
+    monkeypatch.setattr(formation_avoidance, "near_vehicles", counted)
     for distance in (0.5, 1.2, 4.0):
         for j, p in enumerate([(0.0, 0.0, 0.0), (5.0, distance, 0.0), (5.0, 0.0, 0.0)]):
             follower.swarm.on_position(j, p)
         searches.clear()
         follower.update()
         assert len(searches) == 1
-        expected = avoidance.avoid(1, follower.swarm.positions)
+        expected = formation_avoidance.avoid(1, follower.swarm.positions)
         assert follower.avoidance_vector == follower.avoidance() == expected
 
 

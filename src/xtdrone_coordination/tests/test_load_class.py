@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from test_formation import Swarm
 
-from xtdrone_control.programs.program import ArgumentError
+from xtdrone_control.programs.node_command_line import ArgumentError
 from xtdrone_coordination.follower import Follower, StarFollower
 from xtdrone_coordination.leader import Leader
 from xtdrone_coordination.user_classes import load_class, nothing_overridden

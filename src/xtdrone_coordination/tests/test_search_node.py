@@ -22,7 +22,7 @@ from search_world import REGION, World, person
 
 from xtdrone_control import lockstep
 from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_control.programs.program import ArgumentError
+from xtdrone_control.programs.node_command_line import ArgumentError
 from xtdrone_coordination.search import actions as control
 from xtdrone_coordination.search.planning.region import region_data
 from xtdrone_coordination.search.search_settings import MissionSettings
@@ -36,7 +36,7 @@ try:
     from std_msgs.msg import Int32
     from xtdrone_msgs.msg import ObjectOnGround, ObjectsOnGround
 
-    from xtdrone_coordination import search_node
+    from xtdrone_coordination.search import search_node
 except ImportError:
     rospy = None
 

@@ -21,7 +21,7 @@ from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.programs.under_roslaunch import end_launch
 from xtdrone_interaction.crossing.crossing_director import RATE, CrossingDirector, parse_goals
 from xtdrone_interaction.crossing.crossing_mission import CrossingSettings
-from xtdrone_interaction.crossing.formation_director import FormationCrossingDirector
+from xtdrone_interaction.crossing.formation_crossing_director import FormationCrossingDirector
 
 RECORDER_LIMIT = 30.0  # s of wall time
 

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Fly the formation demo: takeoff, the patterns in turn, landing. Topics: see xtdrone_interaction.formation.director.
+"""Fly the formation demo: takeoff, the patterns in turn, landing. See formation.formation_director for topics.
 
 Parameters:
     /xtdrone/fleet (as ``iris:9``): the vehicles; the first leads.
     ~patterns (default ``cube,pyramid,triangle``): flown in turn between ``origin`` and ``origin``.
-    ~pattern_file, ~clearance, ~out, ~recorder: see ``xtdrone_interaction.formation.director.DirectorSettings``.
+    ~pattern_file, ~clearance, ~out, ~recorder: see ``formation.formation_director.DirectorSettings``.
 
 Exit status: 0 after a complete flight; 1 for invalid parameters, after a flight that lost a vehicle, and after a failed
 one (all vehicles are landed first).
@@ -19,14 +19,14 @@ import rospy
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.programs.under_roslaunch import end_launch
-from xtdrone_interaction.formation.director import (
+from xtdrone_interaction.command_options import split_patterns, swarm_patterns
+from xtdrone_interaction.formation.formation_director import (
     RATE,
     RECORDER_LIMIT,
     DirectorSettings,
     FormationDirector,
     open_events,
 )
-from xtdrone_interaction.options import split_patterns, swarm_patterns
 
 
 def main() -> int:

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Records a flight with rosbag, by a profile; see ``xtdrone_interaction.bags.record``."""
+"""Records a flight with rosbag, by a profile; see ``xtdrone_interaction.bags.record_by_profile``."""
 
 import sys
 

@@ -29,8 +29,8 @@ from std_msgs.msg import String
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import FleetError, parse_fleet
-from xtdrone_interaction.pictures.search_views import Picture, Views
-from xtdrone_interaction.recording.search_record import EVENTS_TOPIC, PROGRESS_TOPIC
+from xtdrone_interaction.pictures.missions.search_views import Picture, Views
+from xtdrone_interaction.recording.missions.search_record import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_swarm.view.film import FilmError, FilmWriter
 
 _RATE = 2.0  # Hz of simulated time, frames of the film

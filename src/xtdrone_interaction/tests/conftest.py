@@ -9,18 +9,18 @@ from pathlib import Path
 
 import pytest
 
+from xtdrone_interaction import command_options
+
 sys.path.insert(0, str(Path(__file__).parent))
 
 from synthetic import make_bag
-
-from xtdrone_interaction import options
 
 
 @pytest.fixture(autouse=True)
 def kept_names(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Give instances and folders back that a command run by a test has taken for this process."""
     kept: dict[str, socket.socket] = {}
-    monkeypatch.setattr(options, "_kept", kept)
+    monkeypatch.setattr(command_options, "_kept", kept)
     yield
     for keeper in kept.values():
         keeper.close()

@@ -14,7 +14,7 @@ from bags import Bag, helix, make_flight
 from rosbags.highlevel import AnyReader
 
 from xtdrone_interaction import cli
-from xtdrone_interaction.recording.bag import read_bag
+from xtdrone_interaction.recording.flight_from_bag import read_bag
 
 
 def contents(path: Path) -> list[tuple[str, int, Any]]:

@@ -16,7 +16,7 @@ from pathlib import Path
 import fake_roslaunch
 import pytest
 
-from xtdrone_interaction import cli, options
+from xtdrone_interaction import cli, command_options
 from xtdrone_interaction.demos.formation import formation_cli
 from xtdrone_interaction.demos.search import search_cli
 
@@ -89,7 +89,7 @@ def test_a_class_that_cannot_fly_is_rejected_before_anything_starts(
 
 
 def test_a_master_port_in_use_is_rejected(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(options, "check_vehicle_ports", lambda fleet: None)  # another simulation may be running
+    monkeypatch.setattr(command_options, "check_vehicle_ports", lambda fleet: None)  # another simulation may be running
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         assert cli.main([*DEMO, "--master-port", str(port)]) == 2
@@ -97,7 +97,7 @@ def test_a_master_port_in_use_is_rejected(monkeypatch: pytest.MonkeyPatch, capfd
 
 
 def test_a_mavlink_port_in_use_is_rejected(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(options, "_taken", lambda number, kind: number == 24542)
+    monkeypatch.setattr(command_options, "_taken", lambda number, kind: number == 24542)
     assert cli.main([*DEMO, "--instance", "0"]) == 2
     assert "port: UDP 24542 of iris_2 is taken" in capfd.readouterr().err
 
@@ -106,7 +106,9 @@ def test_a_mavlink_port_in_use_is_rejected(monkeypatch: pytest.MonkeyPatch, capf
 def test_a_demo_uses_the_first_instance_with_free_ports(
     demo: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(options, "_taken", lambda number, kind: number in (24542, 19110))  # of instances 0 and 1
+    monkeypatch.setattr(
+        command_options, "_taken", lambda number, kind: number in (24542, 19110)
+    )  # of instances 0 and 1
     flown: list[int] = []
     monkeypatch.setattr(formation_cli, "run_demo", lambda settings, console: flown.append(settings.instance) or 0)
     monkeypatch.setattr(search_cli, "run_search", lambda settings, console: flown.append(settings.instance) or 0)
@@ -117,9 +119,9 @@ def test_a_demo_uses_the_first_instance_with_free_ports(
 
 
 def test_a_missing_master_is_reported(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
-    uri = f"http://127.0.0.1:{options.free_port()}"
+    uri = f"http://127.0.0.1:{command_options.free_port()}"
     monkeypatch.setenv("ROS_MASTER_URI", uri)
-    monkeypatch.setattr(options, "_taken", lambda number, kind: False)
+    monkeypatch.setattr(command_options, "_taken", lambda number, kind: False)
     assert cli.main([*DEMO, "--use-master"]) == 2
     assert uri in capfd.readouterr().err
 
@@ -127,7 +129,7 @@ def test_a_missing_master_is_reported(monkeypatch: pytest.MonkeyPatch, capfd: py
 def test_a_used_folder_is_rejected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(options, "_taken", lambda number, kind: False)
+    monkeypatch.setattr(command_options, "_taken", lambda number, kind: False)
     (tmp_path / "report.json").touch()
     assert cli.main([*DEMO, "--out", str(tmp_path)]) == 2
     assert "not an empty folder" in capfd.readouterr().err
@@ -199,7 +201,7 @@ def test_nothing_is_left_running(tmp_path: Path, then: str, number: int | None, 
         from xtdrone_interaction.demos.search import search_cli
         from xtdrone_interaction.launching import process_tree
         process_tree._STEPS = tuple((s, 0.5) for s, _ in process_tree._STEPS)
-        options._taken = lambda number, kind: False
+        command_options._taken = lambda number, kind: False
         sys.exit(cli.main(["demo", "formation", "--headless", "--out", {str(tmp_path / "out")!r}]))
     """)
     demo = subprocess.Popen(

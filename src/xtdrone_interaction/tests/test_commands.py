@@ -10,7 +10,7 @@ import subprocess
 import pytest
 
 from xtdrone_interaction import cli
-from xtdrone_interaction.options import repository
+from xtdrone_interaction.command_options import repository
 
 COMMANDS = cli.read_commands()
 OF_MODULES = [name for name, command in COMMANDS.items() if command.module]

@@ -7,7 +7,7 @@ import pytest
 
 from xtdrone_interaction.crossing.formation_crossing import FORMED_ERROR, FormationCrossing, Member
 from xtdrone_interaction.metrics.missions.formation_crossing_metrics import formation_figures
-from xtdrone_interaction.recording.crossing_record import CrossingRecord
+from xtdrone_interaction.recording.missions.crossing_record import CrossingRecord
 
 PERIOD = 0.1  # s
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from xtdrone_interaction.command_options import swarm_patterns
 from xtdrone_interaction.formation.formation_mission import (
     CLEARANCE,
     COMMAND_LIMIT,
@@ -16,7 +17,6 @@ from xtdrone_interaction.formation.formation_mission import (
     FormationMission,
     MissionError,
 )
-from xtdrone_interaction.options import swarm_patterns
 
 STEP = 1.0 / 30.0
 COUNT = 9
@@ -256,7 +256,7 @@ def test_the_director_ignores_invalid_offsets(monkeypatch: pytest.MonkeyPatch) -
     pytest.importorskip("rospy")
     from std_msgs.msg import Float32MultiArray
 
-    from xtdrone_interaction.formation import director as module
+    from xtdrone_interaction.formation import formation_director as module
 
     heard: dict[str, Callable[..., None]] = {}
     warnings: list[str] = []

@@ -14,8 +14,8 @@ from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.plans.qgc_plan import Plan
 from xtdrone_interaction.gcs import GcsError, Peer, peers_of, station, upload_plans
-from xtdrone_interaction.gcs.commands import terminal_output
-from xtdrone_interaction.gcs.commands.gcs_cli import main
+from xtdrone_interaction.gcs.command_line import terminal_output
+from xtdrone_interaction.gcs.command_line.gcs_cli import main
 from xtdrone_interaction.gcs.exchanges import plans as plan_exchanges
 
 NAN = float("nan")

@@ -10,10 +10,10 @@ from gcs_script import ARDUPILOT, COPTER, PLANE, PX4, ROVER, ack, beat, talk, to
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_interaction.gcs import GcsError, Peer, station
-from xtdrone_interaction.gcs.commands.gcs_cli import main
-from xtdrone_interaction.gcs.exchanges import flight
+from xtdrone_interaction.gcs.command_line.gcs_cli import main
+from xtdrone_interaction.gcs.exchanges import commands_and_refusals
+from xtdrone_interaction.gcs.exchanges.commands_and_refusals import Target
 from xtdrone_interaction.gcs.exchanges.exchange import RefusalError
-from xtdrone_interaction.gcs.exchanges.flight import Target
 
 PATIENCE = 120.0  # s; only a broken run takes so long
 ORIGIN = mavlink.MAVLink_gps_global_origin_message(473977420, 85455940, 488_000, 0)
@@ -48,16 +48,16 @@ class Obedient:
 
 def test_a_px4_gets_a_takeoff_altitude_and_is_then_armed():
     vehicle = Obedient()
-    assert talk(flight.take_off(beat(), 5.0), vehicle) == 5.0
+    assert talk(commands_and_refusals.take_off(beat(), 5.0), vehicle) == 5.0
     assert vehicle.numbers == [mavlink.MAV_CMD_NAV_TAKEOFF, mavlink.MAV_CMD_COMPONENT_ARM_DISARM]
     assert vehicle.obeyed[0].param7 == 494.0
     assert math.isnan(vehicle.obeyed[0].param5)
-    assert talk(flight.take_off(beat(), 1.0), vehicle) == 2.5  # its least
+    assert talk(commands_and_refusals.take_off(beat(), 1.0), vehicle) == 2.5  # its least
 
 
 def test_an_ardupilot_is_guided_and_armed_and_takes_off_to_a_height():
     vehicle = Obedient()
-    talk(flight.take_off(beat(ARDUPILOT), 5.0), vehicle)
+    talk(commands_and_refusals.take_off(beat(ARDUPILOT), 5.0), vehicle)
     assert vehicle.numbers == [
         mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_NAV_TAKEOFF
     ]  # fmt: skip
@@ -68,7 +68,7 @@ def test_no_vehicle_takes_off_twice():
     flying = mavlink.MAVLink_extended_sys_state_message(0, mavlink.MAV_LANDED_STATE_IN_AIR)
     vehicle = Obedient(KNOWN | {flying.id: flying})
     with pytest.raises(RefusalError, match="in the air"):
-        talk(flight.take_off(beat(), 5.0), vehicle)
+        talk(commands_and_refusals.take_off(beat(), 5.0), vehicle)
     assert vehicle.obeyed == []
 
 
@@ -82,7 +82,7 @@ def test_no_vehicle_takes_off_twice():
 )
 def test_positions_have_amsl_altitudes(target, altitude):
     vehicle = Obedient()
-    talk(flight.go_to(beat(), target), vehicle)
+    talk(commands_and_refusals.go_to(beat(), target), vehicle)
     (message,) = vehicle.obeyed
     assert (message.command, message.x, message.y, message.z) == (
         mavlink.MAV_CMD_DO_REPOSITION, 473977420, 85455940, altitude
@@ -91,7 +91,7 @@ def test_positions_have_amsl_altitudes(target, altitude):
 
 def test_local_places_are_east_north_up():
     vehicle = Obedient()
-    talk(flight.go_to(beat(), Target(local=(0.0, 100.0, 0.0), speed=2.0)), vehicle)
+    talk(commands_and_refusals.go_to(beat(), Target(local=(0.0, 100.0, 0.0), speed=2.0)), vehicle)
     (message,) = vehicle.obeyed
     assert message.x - 473977420 == pytest.approx(100.0 / 6371000.0 * 180.0 / math.pi * 1e7, abs=2)
     assert (message.y, message.param1) == (85455940, 2.0)
@@ -100,7 +100,7 @@ def test_local_places_are_east_north_up():
 @pytest.mark.parametrize("target", [Target(local=(0.0, 0.0, 0.0)), Target(place=(1.0, 1.0), over_home=True)])
 def test_a_vehicles_missing_state_is_reported(target):
     with pytest.raises(RefusalError, match="has no"):
-        talk(flight.go_to(beat(), target), Obedient({}))
+        talk(commands_and_refusals.go_to(beat(), target), Obedient({}))
 
 
 @pytest.mark.parametrize(
@@ -115,22 +115,22 @@ def test_a_vehicles_missing_state_is_reported(target):
 )
 def test_modes_by_name(autopilot, kind, name, params):
     vehicle = Obedient()
-    talk(flight.set_mode(beat(autopilot, kind), name), vehicle)
+    talk(commands_and_refusals.set_mode(beat(autopilot, kind), name), vehicle)
     (message,) = vehicle.obeyed
     assert (message.param1, message.param2, message.param3) == (1, *params)
 
 
 def test_an_invalid_mode():
     with pytest.raises(RefusalError, match=r"mode: 'GUIDED' is not allowed, one of the vehicle's: ACRO, ALTCTL, AUTO"):
-        talk(flight.set_mode(beat(), "GUIDED"), Obedient())
+        talk(commands_and_refusals.set_mode(beat(), "GUIDED"), Obedient())
     with pytest.raises(RefusalError, match="neither PX4 nor ArduPilot"):
-        talk(flight.set_mode(beat(0), "GUIDED"), Obedient())
+        talk(commands_and_refusals.set_mode(beat(0), "GUIDED"), Obedient())
 
 
 @pytest.mark.parametrize(("kind", "mode"), [(COPTER, 17), (ROVER, 4), (PLANE, 12)])
 def test_each_ardupilot_holds_in_its_own_way(kind, mode):
     vehicle = Obedient()
-    talk(flight.hold(beat(ARDUPILOT, kind)), vehicle)
+    talk(commands_and_refusals.hold(beat(ARDUPILOT, kind)), vehicle)
     assert vehicle.obeyed[0].param2 == mode
 
 
@@ -140,13 +140,16 @@ def test_a_rejection_has_a_reason_and_completion_is_awaited():
     number = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
     text = r"arm: the vehicle answers TEMPORARILY_REJECTED \(Arming denied: no GPS\)"
     with pytest.raises(RefusalError, match=text):
-        talk(flight.arm(beat()), lambda _: [ack(number, busy), ack(512, 0), ack(number, denied), told(why)])
+        talk(
+            commands_and_refusals.arm(beat()),
+            lambda _: [ack(number, busy), ack(512, 0), ack(number, denied), told(why)],
+        )
 
 
 def test_a_vehicle_that_never_finishes_is_abandoned():
     number = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
     with pytest.raises(RefusalError, match="does not tell how it ends"):
-        talk(flight.arm(beat()), lambda _: [ack(number, mavlink.MAV_RESULT_IN_PROGRESS)])
+        talk(commands_and_refusals.arm(beat()), lambda _: [ack(number, mavlink.MAV_RESULT_IN_PROGRESS)])
 
 
 # ---- real doors, while time stands
@@ -182,7 +185,7 @@ def test_commands_over_a_line_that_loses_a_third(field):
     try:
         peers = [Peer(name, 0, "127.0.0.1", port) for name, port in line.ports.items()]
         for armed in (True, False):
-            jobs = dict.fromkeys(peers, lambda beat, armed=armed: flight.arm(beat, armed, force=True))
+            jobs = dict.fromkeys(peers, lambda beat, armed=armed: commands_and_refusals.arm(beat, armed, force=True))
             results = station.run(jobs, timeout=0.05, patience=PATIENCE, on_abort=station.no_abort_messages)
             assert set(results.values()) == {None}
             assert [commander.armed for commander in field.commanders] == [armed] * 3
@@ -192,7 +195,7 @@ def test_commands_over_a_line_that_loses_a_third(field):
 
 def test_a_goto_on_the_ground_is_rejected(field):
     peer = field.peers()[0]
-    job = {peer: lambda beat: flight.go_to(beat, Target(place=(47.0, 8.0), altitude=500.0))}
+    job = {peer: lambda beat: commands_and_refusals.go_to(beat, Target(place=(47.0, 8.0), altitude=500.0))}
     (result,) = station.run(job, on_abort=station.no_abort_messages).values()
     assert isinstance(result, GcsError)
     assert "goto: the vehicle answers TEMPORARILY_REJECTED" in str(result)

@@ -13,7 +13,7 @@ from test_gcs import survey
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.plans.qgc_plan import Plan
-from xtdrone_interaction.gcs.commands.gcs_cli import main
+from xtdrone_interaction.gcs.command_line.gcs_cli import main
 from xtdrone_interaction.gcs.exchanges import plans as plan_exchanges
 
 

@@ -11,8 +11,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.logger.log_folder import LogFolder
 from xtdrone_interaction.gcs import GcsError, Peer, station
-from xtdrone_interaction.gcs.commands import logs as log_commands
-from xtdrone_interaction.gcs.commands.gcs_cli import main
+from xtdrone_interaction.gcs.command_line import logs as log_commands
+from xtdrone_interaction.gcs.command_line.gcs_cli import main
 from xtdrone_interaction.gcs.exchanges import logs
 from xtdrone_interaction.gcs.exchanges.exchange import RefusalError
 from xtdrone_interaction.gcs.exchanges.logs import Log

@@ -15,7 +15,7 @@ from xtdrone_control.autopilot.parameters import parameter_file
 from xtdrone_control.autopilot.parameters.parameter_file import LIMITS, REAL32, ParameterFile
 from xtdrone_control.autopilot.parameters.parameters import NAMES
 from xtdrone_interaction.gcs import GcsError, Peer, station
-from xtdrone_interaction.gcs.commands.gcs_cli import main
+from xtdrone_interaction.gcs.command_line.gcs_cli import main
 from xtdrone_interaction.gcs.exchanges import parameters
 from xtdrone_interaction.gcs.exchanges.exchange import RefusalError
 

@@ -18,10 +18,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_interaction.gcs import GcsError, Peer, discovery
-from xtdrone_interaction.gcs.commands import status_table as status_command
-from xtdrone_interaction.gcs.commands.gcs_cli import main
-from xtdrone_interaction.gcs.commands.terminal_output import Screen
+from xtdrone_interaction.gcs import GcsError, Peer, search_for_vehicles
+from xtdrone_interaction.gcs.command_line import status_table as status_command
+from xtdrone_interaction.gcs.command_line.gcs_cli import main
+from xtdrone_interaction.gcs.command_line.terminal_output import Screen
 from xtdrone_interaction.gcs.exchanges import exchange
 from xtdrone_interaction.gcs.station import GroundStation
 from xtdrone_interaction.gcs.udp_tcp_serial import open_connection, split_stream
@@ -50,7 +50,7 @@ def words(field):
 
 
 def test_all_vehicles_are_found_with_their_system_ids(field):
-    found = {peer.port: peer for peer in discovery.find(limit=PATIENCE)}
+    found = {peer.port: peer for peer in search_for_vehicles.find(limit=PATIENCE)}
     assert [found[v.gcs_local_port].system for v in field.vehicles] == [v.system_id for v in field.vehicles]
     assert found[field.vehicles[0].gcs_local_port].name == f"vehicle_{FIRST}"
 
@@ -227,7 +227,7 @@ def test_several_vehicles_over_one_line(field):
     thread = threading.Thread(target=fly)
     thread.start()
     try:
-        peers = discovery.listen(("udpin", "127.0.0.1", port), 2.0)
+        peers = search_for_vehicles.listen(("udpin", "127.0.0.1", port), 2.0)
         assert [peer.system for peer in peers] == [3, 7]
         with GroundStation(peers) as ground:
             greeted = ground.run({peer: exchange.await_heartbeat(peer.system) for peer in peers}, patience=PATIENCE)

@@ -17,7 +17,7 @@ from pathlib import Path
 import fake_roslaunch
 import pytest
 
-from xtdrone_interaction import options
+from xtdrone_interaction import command_options
 from xtdrone_interaction.launching.supervised_launch import master_port
 
 pytestmark = pytest.mark.skipif(shutil.which("roslaunch") is None, reason="ROS is not there")
@@ -298,7 +298,7 @@ def test_a_mute_master_is_rejected(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     with socket.create_server(("127.0.0.1", 0)) as server:
         uri = f"http://127.0.0.1:{server.getsockname()[1]}"
         monkeypatch.setenv("ROS_MASTER_URI", uri)
-        with pytest.raises(options.OptionError, match=re.escape(uri)):
+        with pytest.raises(command_options.OptionError, match=re.escape(uri)):
             master_port(None, use_running=True)
 
 
@@ -318,6 +318,6 @@ WITHOUT_PAGE = {
 
 
 def test_each_flight_has_its_page() -> None:
-    files = sorted((options.repository() / "launch").glob("*.launch"))
+    files = sorted((command_options.repository() / "launch").glob("*.launch"))
     without = {file.name for file in files if 'file="$(dirname)/web.launch"' not in file.read_text(encoding="utf-8")}
     assert without == set(WITHOUT_PAGE)

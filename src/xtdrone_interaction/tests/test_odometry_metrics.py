@@ -17,7 +17,7 @@ from xtdrone_interaction.metrics.missions.odometry_errors import (
     write_kitti,
     write_tum,
 )
-from xtdrone_interaction.recording.series import Series
+from xtdrone_interaction.recording.series_in_bounded_memory import Series
 
 TIME = np.linspace(0.0, 20.0, 201)
 

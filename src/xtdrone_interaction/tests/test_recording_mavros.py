@@ -14,7 +14,7 @@ from rosbags.typesys import get_types_from_msg
 
 from xtdrone_interaction import cli
 from xtdrone_interaction.pictures.recording_pictures import pictures
-from xtdrone_interaction.recording.bag import read_bag
+from xtdrone_interaction.recording.flight_from_bag import read_bag
 from xtdrone_interaction.recording.recorded_flight import Recording
 
 SUMS = {  # of MAVROS master and common_msgs, as rosmsg md5 prints them

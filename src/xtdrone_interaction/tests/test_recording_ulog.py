@@ -12,14 +12,14 @@ import pytest
 from xtdrone_control.autopilot.logger.message_definitions import message_format
 from xtdrone_control.autopilot.logger.ulog_format import UlogWriter, data_template, logged_string
 from xtdrone_interaction import cli
+from xtdrone_interaction.metrics.setpoint_tracking import tracking, trackings
 from xtdrone_interaction.metrics.spectrum import (
     spectrum,
 )
-from xtdrone_interaction.metrics.tracking import tracking, trackings
 from xtdrone_interaction.metrics.vehicle_metrics import summarise_log
-from xtdrone_interaction.recording.open import log_recording
-from xtdrone_interaction.recording.series import Series
-from xtdrone_interaction.recording.ulog import LogError, euler, read_log
+from xtdrone_interaction.recording.flight_from_ulog import LogError, euler, read_log
+from xtdrone_interaction.recording.open_recording import log_recording
+from xtdrone_interaction.recording.series_in_bounded_memory import Series
 
 SECONDS, RATE = 20.0, 250.0
 PITCHING, LATE, AMPLITUDE = 3.0, 0.048, 0.4  # Hz, s, rad/s

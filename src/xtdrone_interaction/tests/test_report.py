@@ -15,18 +15,13 @@ from matplotlib import image
 from rich.console import Console
 from synthetic import GRID, PATTERNS, RATE, WINDOW, make_bag
 
-from xtdrone_interaction.formation.distances import (
-    ESTIMATE,
-    SETTLED_ERROR,
-    TRUTH,
-    least_distances,
-    offsets_from_message,
-)
-from xtdrone_interaction.formation.flight_criteria import CRITERIA
+from xtdrone_interaction.formation.distances import least_distances, offsets_from_message
+from xtdrone_interaction.formation.flight_criteria import CRITERIA, SETTLED_ERROR
+from xtdrone_interaction.formation.shared_topics_and_names import ESTIMATE, TRUTH
 from xtdrone_interaction.metrics.missions import formation_metrics as reports
-from xtdrone_interaction.pictures.drawing import NamedFigure, save_figures
-from xtdrone_interaction.pictures.formation_pictures import figures
-from xtdrone_interaction.recording.formation_record import FormationRecord, read_formation
+from xtdrone_interaction.pictures.missions.formation_pictures import figures
+from xtdrone_interaction.pictures.picture_style import NamedFigure, save_figures
+from xtdrone_interaction.recording.missions.formation_record import FormationRecord, read_formation
 from xtdrone_interaction.recording.positions import FleetTrack, regular_times
 from xtdrone_interaction.recording.recorded_flight import Change, RecordError
 from xtdrone_interaction.report.printed_results import print_formation

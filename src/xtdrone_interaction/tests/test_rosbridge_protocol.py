@@ -15,10 +15,10 @@ from random_messages import random_message
 
 pytest.importorskip("rospy")
 
-from xtdrone_interaction.bridges.rosbridge.encodings import encode_cbor, encode_cbor_raw, encode_json, to_png
-from xtdrone_interaction.bridges.rosbridge.operations import OperationError, parse_operation
-from xtdrone_interaction.bridges.rosbridge.send_queue import MAX_BYTES, UNTHROTTLED, SendQueue
-from xtdrone_interaction.bridges.rosbridge.wire_values import cbor_values
+from xtdrone_interaction.bridges.rosbridge.clients.subscription_queues import MAX_BYTES, UNTHROTTLED, SendQueue
+from xtdrone_interaction.bridges.rosbridge.protocol.cbor_values import cbor_values
+from xtdrone_interaction.bridges.rosbridge.protocol.encodings import encode_cbor, encode_cbor_raw, encode_json, to_png
+from xtdrone_interaction.bridges.rosbridge.protocol.operations import OperationError, parse_operation
 from xtdrone_interaction.topics.message_classes import installed_class
 from xtdrone_interaction.topics.message_json import NotFinite, to_json
 

@@ -11,7 +11,7 @@ pytest.importorskip("rospy")
 from bags import helix, make_flight
 
 from xtdrone_interaction.bags.ros1bag import BagError
-from xtdrone_interaction.rviz.bag import FlightBag
+from xtdrone_interaction.rviz.films.messages_from_bag import FlightBag
 
 POSES = [f"/iris_{i}/mavros/local_position/pose" for i in range(2)]
 

@@ -9,9 +9,9 @@ from visualization_msgs.msg import Marker
 
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_coordination.patterns import Patterns
-from xtdrone_interaction.options import OptionError
+from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.rviz.markers import SwarmMarkers, ground_view
-from xtdrone_interaction.rviz.views import (
+from xtdrone_interaction.rviz.view_configurations import (
     FOR_MARKERS,
     MARKERS_TOPIC,
     SHIPPED,
@@ -195,7 +195,7 @@ def test_a_camera_that_sees_the_horizon_has_no_view():
 def test_shipped_views_are_those_that_are_made(name):
     vehicles = [vehicle.name for vehicle in parse_fleet(SHIPPED[name])]
     text = (shipped_folder() / f"{name}.rviz").read_text(encoding="utf-8")
-    assert text == make_view(name, vehicles), "python -m xtdrone_interaction.rviz.views writes them"
+    assert text == make_view(name, vehicles), "python -m xtdrone_interaction.rviz.view_configurations writes them"
     displays = yaml.safe_load(text)["Visualization Manager"]["Displays"]
     assert [d["TF Prefix"] for d in displays if d["Class"] == "rviz/RobotModel"] == vehicles
     assert MARKERS_TOPIC in [d.get("Marker Topic") for d in displays]

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 from PIL import ImageGrab
 
-from xtdrone_interaction import cli, options
+from xtdrone_interaction import cli, command_options
 from xtdrone_interaction.demos.formation import formation_cli, formation_demo, simplified_demo
 from xtdrone_interaction.demos.formation.formation_demo import DemoSettings
 from xtdrone_interaction.launching import supervised_launch
-from xtdrone_interaction.pictures.formation_film import frames as frames_of
-from xtdrone_interaction.recording.formation_record import FormationRecord
+from xtdrone_interaction.pictures.missions.formation_film import frames as frames_of
+from xtdrone_interaction.recording.missions.formation_record import FormationRecord
 from xtdrone_interaction.recording.positions import FleetTrack
 from xtdrone_interaction.recording.recorded_flight import Change
 
@@ -87,14 +87,14 @@ def test_a_film_that_cannot_be_written_is_reported(capfd: pytest.CaptureFixture[
 def test_options_unavailable_on_ros_are_reported(
     arguments: list[str], message: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(options, "_taken", lambda number, kind: False)
+    monkeypatch.setattr(command_options, "_taken", lambda number, kind: False)
     assert _status([*DEMO, *arguments]) == 2
     assert message in capfd.readouterr().err
 
 
 def test_ros_gets_the_window_and_the_classes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The launch file gets them, with absolute paths."""
-    monkeypatch.setattr(options, "_taken", lambda number, kind: False)
+    monkeypatch.setattr(command_options, "_taken", lambda number, kind: False)
     monkeypatch.setattr(supervised_launch.shutil, "which", lambda program: program)
     flown: list[DemoSettings] = []
     monkeypatch.setattr(simplified_demo, "run_ros_demo", lambda demo, console: flown.append(demo) or 1)

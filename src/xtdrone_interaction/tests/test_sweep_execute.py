@@ -17,7 +17,7 @@ import pytest
 import sweep_standin
 from distributed import Client, as_completed
 
-from xtdrone_interaction import options
+from xtdrone_interaction import command_options
 from xtdrone_interaction.sweep import dask_execution
 from xtdrone_interaction.sweep.dask_execution import (
     Executor,
@@ -27,8 +27,8 @@ from xtdrone_interaction.sweep.dask_execution import (
     remote_client,
 )
 from xtdrone_interaction.sweep.fly_one_run import fly_batch
-from xtdrone_interaction.sweep.list_of_runs import Plan
-from xtdrone_interaction.sweep.study import make_study
+from xtdrone_interaction.sweep.study.list_of_runs import Plan
+from xtdrone_interaction.sweep.study.study_file import make_study
 
 SHORT = {"n": 3, "pattern": "triangle", "limit": 4.0, "hold": 0.5}
 PATIENCE = 120.0  # s; bounds a broken test
@@ -205,7 +205,7 @@ def scheduler_of_its_own(port: int) -> Iterator[subprocess.Popen[bytes]]:
 
 
 def test_scheduler_lost_during_a_sweep_ends_it_with_the_results_so_far() -> None:
-    port = options.free_port()
+    port = command_options.free_port()
     rows: list[dict[str, Any]] = []
     with scheduler_of_its_own(port) as scheduler:
         deadline = time.monotonic() + PATIENCE

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from matplotlib import pyplot as plt
 
-from xtdrone_interaction.options import OptionError
-from xtdrone_interaction.sweep.picture import Results, draw, read_results, save_picture
+from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.sweep.result_store import Store
+from xtdrone_interaction.sweep.sweep_picture import Results, draw, read_results, save_picture
 
 
 @pytest.fixture(autouse=True)

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from xtdrone_interaction.options import OptionError
+from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.sweep.fly_one_run import fly_row
-from xtdrone_interaction.sweep.list_of_runs import Plan
-from xtdrone_interaction.sweep.sources import Source, load
-from xtdrone_interaction.sweep.study import make_study
+from xtdrone_interaction.sweep.study.list_of_runs import Plan
+from xtdrone_interaction.sweep.study.study_file import make_study
+from xtdrone_interaction.sweep.study.user_code import Source, load
 
 MINE = """
 import sys, threading

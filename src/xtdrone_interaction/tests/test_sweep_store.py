@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from xtdrone_interaction.options import OptionError
+from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.sweep import result_store as stores
 from xtdrone_interaction.sweep.result_store import METADATA, Store
 

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from xtdrone_coordination.patterns import PatternError
-from xtdrone_interaction.options import OptionError, repository
-from xtdrone_interaction.sweep.list_of_runs import Plan
-from xtdrone_interaction.sweep.study import Study, make_study, read_study
+from xtdrone_interaction.command_options import OptionError, repository
+from xtdrone_interaction.sweep.study.list_of_runs import Plan
+from xtdrone_interaction.sweep.study.study_file import Study, make_study, read_study
 from xtdrone_interaction.sweep.sweep_cli import main
 
 FOLLOWER = """

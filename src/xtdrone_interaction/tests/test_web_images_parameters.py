@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from sensor_msgs.msg import CompressedImage, Image
 
-from xtdrone_interaction import options
+from xtdrone_interaction import command_options
 from xtdrone_interaction.topics.discovery import join_topics
 from xtdrone_interaction.web.images.image_jpeg import ImageError, jpeg_of
 from xtdrone_interaction.web.images.image_room import pack_picture
@@ -112,7 +112,7 @@ def test_the_parameter_server_gets_only_what_it_can_hold(value: Any) -> None:
 
 
 def test_parameters_have_their_own_nodes_declaration() -> None:
-    tables = read_declared((options.repository() / "docs" / "settings.md").read_text())
+    tables = read_declared((command_options.repository() / "docs" / "settings.md").read_text())
     speed = declared_for(tables, "/simulator/speed")
     assert speed is not None
     assert speed.meaning.startswith("target real-time factor")

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.keyboard.key_bindings import Message, Pilot, Setpoint, Target
-from xtdrone_interaction.options import OptionError
-from xtdrone_interaction.recording.open import open_recording
+from xtdrone_interaction.recording.open_recording import open_recording
 from xtdrone_interaction.recording.recorded_flight import Recording, VehicleRecord
-from xtdrone_interaction.recording.series import Series
+from xtdrone_interaction.recording.series_in_bounded_memory import Series
 from xtdrone_interaction.web.recordings.playable_flight import playable
 from xtdrone_interaction.web.recordings.recorder_process import RecorderProcess
 from xtdrone_interaction.web.recordings.recording_room import allowed_file, listed

@@ -1,5 +1,5 @@
 // The page's connection to the station: calls, events and binary frames, and what all panels share.
-import { readFleetFrame } from './fleet.js';
+import { readFleetFrame } from './fleet_frame.js';
 
 const FLEET = 1; // channel of the fleet's frames
 const FIRST_WAIT = 300; // ms between two attempts to connect; doubled up to the last

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 import rospy
 
 from xtdrone_control import lockstep
-from xtdrone_control.programs.program import run_program, served_vehicles
+from xtdrone_control.programs.node_command_line import run_program, served_vehicles
 from xtdrone_perception.tags.apriltag_node import RATE, AprilTagNode, AprilTagOptions
 from xtdrone_perception.tags.tag_detector import TagDetectorSettings
 

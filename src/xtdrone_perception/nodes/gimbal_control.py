@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import rospy
 
 from xtdrone_control import lockstep
-from xtdrone_control.programs.program import run_program, served_vehicles
+from xtdrone_control.programs.node_command_line import run_program, served_vehicles
 from xtdrone_perception.gimbal_node import RATE, GimbalNode, GimbalOptions
 
 USAGE = "gimbal_control.py TYPE ID   (ID: 0, 0-5, 1,3,5 or all)"

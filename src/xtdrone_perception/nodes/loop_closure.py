@@ -14,7 +14,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from xtdrone_control.programs.program import run_program
+from xtdrone_control.programs.node_command_line import run_program
 from xtdrone_perception.slam.loops.loop_closure_node import RATE, VehicleLoops, read_settings
 from xtdrone_perception.slam.vehicle_program import serve_vehicle
 

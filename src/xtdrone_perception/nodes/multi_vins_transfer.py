@@ -19,7 +19,7 @@ from dataclasses import replace
 import rospy
 
 from xtdrone_control import lockstep
-from xtdrone_control.programs.program import ArgumentError, parse_count, run_program
+from xtdrone_control.programs.node_command_line import ArgumentError, parse_count, run_program
 from xtdrone_perception.slam.transfer.foreign_pose import PlaceSettings, read_starts
 from xtdrone_perception.slam.transfer.transfer_node import RATE, SOURCES, ForeignOptions, PoseTransfer
 

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import rospy
 
 from xtdrone_control import lockstep
-from xtdrone_control.programs.program import ArgumentError, parse_count, parse_ids, run_program
+from xtdrone_control.programs.node_command_line import ArgumentError, parse_count, parse_ids, run_program
 from xtdrone_perception.localisation.relative_filter import FilterSettings
 from xtdrone_perception.localisation.relative_node import RATE, RelativeLocalisationNode, RelativeOptions
 

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import rospy
 
 from xtdrone_control import lockstep
-from xtdrone_control.programs.program import ArgumentError, run_program, served_vehicles
+from xtdrone_control.programs.node_command_line import ArgumentError, run_program, served_vehicles
 from xtdrone_perception.slam.transfer.transfer_node import RATE, transfer_of
 
 USAGE = "vins_transfer.py TYPE ID   (ID: a number, as 0)"

@@ -6,7 +6,7 @@ Needs ``yolo.py`` and the communication node; topics are listed in ``xtdrone_per
 
 Parameters:
     those of ``xtdrone_perception.following.human_tracking_node.TrackingOptions`` and
-    ``xtdrone_perception.following.following.FollowSettings``, see docs/settings.md.
+    ``xtdrone_perception.following.person_following.FollowSettings``, see docs/settings.md.
     /xtdrone/fleet (as ``typhoon_h480:6``): the fleet; without it ids are not checked against a count.
 """
 
@@ -18,7 +18,7 @@ from collections.abc import Sequence
 import rospy
 
 from xtdrone_control import lockstep
-from xtdrone_control.programs.program import run_program, served_vehicles
+from xtdrone_control.programs.node_command_line import run_program, served_vehicles
 from xtdrone_perception.following.human_tracking_node import RATE, HumanTracking, read_options
 
 USAGE = "yolo_human_tracking.py TYPE ID   (ID: 0, 0-5, 1,3,5 or all)"

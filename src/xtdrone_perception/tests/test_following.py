@@ -10,7 +10,15 @@ import pytest
 from xtdrone_control import frames
 from xtdrone_control.cameras.camera_pose import camera_link_pose, mount_orientation, optical_pose
 from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_perception.following.following import ANY, FOLLOWING, LOST, SEARCHING, Following, FollowSettings, Seen
+from xtdrone_perception.following.person_following import (
+    ANY,
+    FOLLOWING,
+    LOST,
+    SEARCHING,
+    Following,
+    FollowSettings,
+    Seen,
+)
 from xtdrone_perception.tracking.geolocation import Geolocator, View, cylinder_box
 from xtdrone_perception.tracking.tracker import GroundDetection, Tracker
 

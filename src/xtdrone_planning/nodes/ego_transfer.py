@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import rospy
 
 from xtdrone_control import lockstep
-from xtdrone_control.programs.program import run_program, served_vehicles
+from xtdrone_control.programs.node_command_line import run_program, served_vehicles
 from xtdrone_planning.replanning.ego_transfer_node import RATE, EgoTransfer
 
 USAGE = "ego_transfer.py TYPE ID   (ID: 0, 0-5, 1,3,5 or all)"

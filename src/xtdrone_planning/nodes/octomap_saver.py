@@ -13,7 +13,7 @@ from pathlib import Path
 import rospy
 from octomap_msgs.srv import GetOctomap
 
-from xtdrone_control.programs.program import ArgumentError, run_program
+from xtdrone_control.programs.node_command_line import ArgumentError, run_program
 from xtdrone_planning.octree.octree_format import OctreeError, file_of
 from xtdrone_planning.octree.octree_messages import octree_of
 

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 import rospy
 
 from xtdrone_control import lockstep
-from xtdrone_control.programs.program import run_program, served_vehicles
+from xtdrone_control.programs.node_command_line import run_program, served_vehicles
 from xtdrone_planning.octree.octomap_node import RATE, OctomapNode
 
 USAGE = "octomap_server.py TYPE ID   (ID: 0, 0-5, 1,3,5 or all)"

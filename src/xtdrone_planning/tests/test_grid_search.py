@@ -8,7 +8,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from xtdrone_planning.mapping.voxel_grid import MapSettings, VoxelGrid
-from xtdrone_planning.paths.local_path import BLOCKED, REACHED, UNDECIDED, PathSearch
+from xtdrone_planning.paths.local_path import BLOCKED, REACHED, UNDECIDED, PathQuery, PathSearch
 
 HEIGHTS = (-10.0, 10.0)
 
@@ -24,7 +24,7 @@ def a_grid(seed: int = 0, share: float = 0.0) -> VoxelGrid:
 
 def find(grid, start, goal, most=100_000, **others):
     options = {"clearance": 0.1, "radius": 0.0, "heights": HEIGHTS, "farthest": 100.0, **others}
-    return PathSearch(most).find(grid, np.array(start, float), np.array(goal, float), **options)
+    return PathSearch(most).find(grid, PathQuery(np.array(start, float), np.array(goal, float), **options))
 
 
 def test_in_the_open_it_is_the_straight_line():

@@ -12,8 +12,8 @@ from actionlib_msgs.msg import GoalID
 from move_base_msgs.msg import MoveBaseActionGoal
 
 from xtdrone_control.settings import SettingError
-from xtdrone_planning.navigation import action_goals, action_topics
-from xtdrone_planning.navigation.action_goals import ActionGoals
+from xtdrone_planning.navigation.action_server import action_goals, action_topics
+from xtdrone_planning.navigation.action_server.action_goals import ActionGoals
 from xtdrone_planning.navigation.dynamic_window import AT_REST, Motion, choose, moved, window
 from xtdrone_planning.navigation.global_path import GlobalSearch, PathError
 from xtdrone_planning.navigation.level_map import INSCRIBED, LETHAL, UNKNOWN, LevelMap, MapError

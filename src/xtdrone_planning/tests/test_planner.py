@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from toy_flight import LIMITS, ToyFlight, forest, wall
 
-from xtdrone_planning.replanning.situation import GoalError, PlannerSettings
+from xtdrone_planning.replanning.settings import GoalError, PlannerSettings
 
 GOAL = np.array([28.0, 0.0, 2.0])
 ARRIVED = "hovering at the goal"

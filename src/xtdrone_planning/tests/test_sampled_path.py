@@ -8,9 +8,9 @@ from toy_flight import ToyFlight, forest, wall
 
 from xtdrone_planning.mapping.voxel_grid import MapSettings, VoxelGrid
 from xtdrone_planning.paths.grid_search import BLOCKED, REACHED, UNDECIDED
-from xtdrone_planning.paths.local_path import LocalPath, PathSearch, Search
+from xtdrone_planning.paths.local_path import LocalPath, PathQuery, PathSearch, Search
 from xtdrone_planning.paths.sampled_path import SampledSearch
-from xtdrone_planning.replanning.situation import PlannerSettings
+from xtdrone_planning.replanning.settings import PlannerSettings
 
 PLANNERS = ["rrt_star", "bit_star", "informed_rrt_star"]
 CLEARANCE, START, GOAL = 0.5, np.array([-7.0, -7.0, 0.3]), np.array([7.0, 7.0, 0.1])
@@ -27,7 +27,7 @@ def a_grid(seed: int) -> VoxelGrid:
 
 
 def find(search: Search, grid: VoxelGrid, goal: np.ndarray = GOAL) -> LocalPath:
-    return search.find(grid, START, goal, CLEARANCE, 0.3, (-0.8, 0.8), 100.0)
+    return search.find(grid, PathQuery(START, goal, CLEARANCE, 0.3, (-0.8, 0.8), 100.0))
 
 
 def length(path: LocalPath) -> float:

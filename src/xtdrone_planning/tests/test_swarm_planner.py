@@ -11,14 +11,14 @@ import pytest
 from toy_flight import LIMITS, PERIOD, ToyFlight, forest, wall
 
 from xtdrone_control.network.message_radio import MessageRadio
-from xtdrone_control.network.options import NetworkOptions
-from xtdrone_planning.paths.local_path import PathSearch
+from xtdrone_control.network.network_options import NetworkOptions
+from xtdrone_planning.paths.local_path import PathQuery, PathSearch
 from xtdrone_planning.swarm.known_trajectories import FORGET, Known, Proposal
 from xtdrone_planning.swarm.settings import AgreementSettings
 from xtdrone_planning.swarm.swarm_planner import SwarmPlanner
 from xtdrone_planning.trajectories.moving_vehicles import MovingVehicles
-from xtdrone_planning.trajectories.spline_cost import UPRIGHT
-from xtdrone_planning.trajectories.uniform_spline import UniformSpline, resting
+from xtdrone_planning.trajectories.splines.spline_cost import UPRIGHT
+from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, resting
 
 RADIUS = LIMITS.radius
 LENGTH = 16.0
@@ -161,7 +161,7 @@ def test_a_path_leads_round_the_place_where_another_rests():
         if off < 1.5:
             assert 0.0 < distance[voxel] < clearance
         assert distance[voxel] <= grid.distance[voxel]
-    path = PathSearch(25000).find(grid, flight.position, np.array([12.0, 0.0, 2.0]), clearance, LIMITS.radius,
-                                  (0.8, 5.0), 20.0, distance)  # fmt: skip
+    query = PathQuery(flight.position, np.array([12.0, 0.0, 2.0]), clearance, LIMITS.radius, (0.8, 5.0), 20.0)
+    path = PathSearch(25000).find(grid, query, distance)
     along = np.vstack([np.linspace(a, b, 20) for a, b in itertools.pairwise(path.points)])
     assert np.linalg.norm(along - (6.0, 0.0, 2.0), axis=1).min() > 1.4

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from xtdrone_planning.trajectories.slowing_down import stopping
+from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, first_points, resting
 from xtdrone_planning.trajectories.time_law import TimeLaw, points_along
-from xtdrone_planning.trajectories.uniform_spline import UniformSpline, first_points, resting
 
 
 def a_spline(seed: int) -> UniformSpline:

@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import sys
 
-from xtdrone_control.programs.program import run_program
-from xtdrone_sim.topics.robot_tf import main
+from xtdrone_control.programs.node_command_line import run_program
+from xtdrone_sim.tf.vehicle_tf_node import main
 
 if __name__ == "__main__":
     sys.exit(run_program(main, sys.argv, "robot_tf.py"))

@@ -14,7 +14,7 @@ from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.shapes.visual import Box, Collision, Pose
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.worlds import people
+from xtdrone_sim.worlds import people_meshes
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
 
 WORLD = """<sdf version="1.6"><world name="w">
@@ -141,8 +141,8 @@ def test_a_walking_person_below_is_seen(tmp_path):
     path.write_text(PEOPLE)
     simulation = quiet("iris_rangefinder:1", str(path))
     v = simulation.world.plant[0]
-    (skin,) = people.skins([""])
-    body = people.read(skin)
+    (skin,) = people_meshes.skins([""])
+    body = people_meshes.read(skin)
     for time_us in (1_000_000, 2_320_000):
         ((_, state),) = simulation.actors.present(time_us)
         assert state.position == pytest.approx((time_us * 1e-6, 0.0, 0.0))

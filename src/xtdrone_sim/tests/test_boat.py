@@ -13,7 +13,7 @@ from xtdrone_control.rotation import from_euler, to_euler
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.physics.world_environment import load_world
-from xtdrone_sim.robots.floating import DENSITY, Boat, BoatLimits, HullSettings
+from xtdrone_sim.robots.boat_dynamics import DENSITY, Boat, BoatLimits, HullSettings
 from xtdrone_sim.robots.robot_model import BoatModel, load_robot
 from xtdrone_sim.robots.robot_urdf import urdf_of
 from xtdrone_sim.robots.waves import GRAVITY, WaveSettings, water_at

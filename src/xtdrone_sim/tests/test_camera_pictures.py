@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from xtdrone_control.cameras import Equidistant, PlumbBob, drawing_of
 from xtdrone_control.cameras.pinhole import Pinhole
+from xtdrone_sim.cameras.camera_messages import camera_info, messages, topics_of
 from xtdrone_sim.cameras.cameras_of_fleet import Camera
-from xtdrone_sim.cameras.colours import through_lens
 from xtdrone_sim.cameras.drawn_scene import View
-from xtdrone_sim.cameras.outputs import camera_info, messages, topics_of
+from xtdrone_sim.cameras.lens_and_noise import through_lens
 from xtdrone_sim.cameras.rendering import Renderer
 from xtdrone_sim.shapes.pose_arithmetic import OPTICAL_FRAME, compose, conjugate
 from xtdrone_sim.shapes.visual import Pose, Sphere, Visual

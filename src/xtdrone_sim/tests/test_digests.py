@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from xtdrone_control.lockstep.protocol import Digest
-from xtdrone_sim.runtime.digests import TRUTH, DigestFile
+from xtdrone_sim.runtime.digest_file import TRUTH, DigestFile
 
 
 def truth(value: float = 0.0) -> bytes:

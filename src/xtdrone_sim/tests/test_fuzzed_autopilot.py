@@ -20,7 +20,7 @@ from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.parameters.parameters import INT32, NAMES, describe
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.mavlink.receiver import Receiver
-from xtdrone_control.mavlink.streams.rare_telemetry import VehicleTelemetry
+from xtdrone_control.mavlink.streams.esc_gimbal_traffic_telemetry import VehicleTelemetry
 from xtdrone_control.mavlink.streams.stream_schedule import GCS_RATES, Streams
 from xtdrone_sim.simulation import Simulation
 

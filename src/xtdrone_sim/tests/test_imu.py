@@ -11,7 +11,7 @@ import pytest
 from xtdrone_control.autopilot import modes
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.rotation_kernels import rotate_inverse
-from xtdrone_sim.sensors.imu import Imu
+from xtdrone_sim.sensors.additional_imus import Imu
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import MountError
 from xtdrone_sim.vehicles.mounts.imu_mounts import ImuMount, read_imus

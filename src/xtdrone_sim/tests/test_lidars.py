@@ -11,12 +11,12 @@ import pytest
 
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.rotation import from_euler
-from xtdrone_sim.lidars.patterns import PatternError, rays_of, read_pattern
+from xtdrone_sim.lidars.ray_patterns import PatternError, rays_of, read_pattern
 from xtdrone_sim.lidars.scan_measurement import begin_us, cast_scan, end_us, measured
 from xtdrone_sim.lidars.scene_history import SceneHistory
 from xtdrone_sim.rays.scene import Hits, RayScene
 from xtdrone_sim.shapes.visual import Box, Pose, Visual
-from xtdrone_sim.topics.robot_frames import RobotFrames
+from xtdrone_sim.tf.vehicle_frames import RobotFrames
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import MountError
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount, read_lidars
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
@@ -243,7 +243,7 @@ def test_messages_have_the_scan_s_times_and_limits_and_points_only_where_there_i
     mount = LidarMount(kind="scan", samples=5, angle_min=-1.0, angle_max=1.0, rate=3.0, frame_id="laser")
     rays = rays_of(mount, 2)
     hits = Hits(np.array([10.0, 0.1, 31.0, 20.0, 12.5]), np.ones(5, int), np.array([1.0, 1.0, 1.0, 0.5, 0.25]))
-    message = scan_message(Lidar("iris_0", mount), 2, measured(mount, "iris_0", 2, rays, hits))
+    message = scan_message(Lidar("iris_0", mount.link, mount), 2, measured(mount, "iris_0", 2, rays, hits))
     assert message.header.frame_id == "iris_0/laser"
     assert message.header.stamp.to_nsec() == 666_667_000
     assert message.ranges == [10.0, -math.inf, math.inf, 20.0, 12.5]
@@ -253,7 +253,7 @@ def test_messages_have_the_scan_s_times_and_limits_and_points_only_where_there_i
     turn = replace(mount, kind="spinning", channels=2, samples=2, vertical_min=-0.5, vertical_max=0.5)
     rays = rays_of(turn, 0)
     hits = Hits(np.array([10.0, np.inf, 20.0, 30.0]), np.ones(4, int), np.ones(4))
-    cloud = scan_message(Lidar("iris_0", turn), 0, measured(turn, "iris_0", 0, rays, hits))
+    cloud = scan_message(Lidar("iris_0", turn.link, turn), 0, measured(turn, "iris_0", 0, rays, hits))
     points = np.frombuffer(cloud.data, POINT)
     assert (cloud.width, cloud.height, cloud.point_step, cloud.row_step) == (3, 1, 22, 66)
     assert [(field.name, field.offset) for field in cloud.fields][-2:] == [("ring", 16), ("time", 18)]

@@ -10,7 +10,7 @@ import pytest
 
 from xtdrone_control.autopilot.commander.commander import Result
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.mavlink.streams.rare_telemetry import VehicleTelemetry
+from xtdrone_control.mavlink.streams.esc_gimbal_traffic_telemetry import VehicleTelemetry
 from xtdrone_sim.simulation import Simulation
 
 BOOTED_US = 2_000_000

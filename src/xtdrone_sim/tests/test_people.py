@@ -6,14 +6,14 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from xtdrone_sim.worlds import people
+from xtdrone_sim.worlds import people_meshes
 
-NAMES = people.names()
+NAMES = people_meshes.names()
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_body_is_whole(name):
-    body = people.read(name)
+    body = people_meshes.read(name)
     assert np.allclose(body.weights.sum(axis=1), 1.0)
     assert body.triangles.max() == len(body.vertices) - 1
     assert body.texture_triangles.max() == len(body.texture_points) - 1
@@ -29,7 +29,7 @@ def test_body_is_whole(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_standing_foot_goes_back_with_the_ground(name):
-    body = people.read(name)
+    body = people_meshes.read(name)
     frames = len(body.poses) - 1
     # Flat on the ground from 8 % to 38 % of the cycle; the right foot half a cycle later.
     flat = [i for i in range(frames) if 0.08 <= i / frames <= 0.37]
@@ -45,20 +45,20 @@ def test_standing_foot_goes_back_with_the_ground(name):
 
 
 def test_splits_share_no_person():
-    train, test = people.names("train"), people.names("test")
+    train, test = people_meshes.names("train"), people_meshes.names("test")
     assert sorted(train + test) == NAMES
     assert not set(train) & set(test)
     with pytest.raises(ValueError, match=r"split: 'all' is not allowed, train or test"):
-        people.names("all")
+        people_meshes.names("all")
     with pytest.raises(ValueError, match="person: 'nobody' is not known, there are "):
-        people.load("nobody")
+        people_meshes.load("nobody")
 
 
 def _load(cache, name):
     import os
 
     os.environ["XDG_CACHE_HOME"] = str(cache)
-    return [str(visual.geometry.path) for frame in people.load(name).walk for visual in frame]
+    return [str(visual.geometry.path) for frame in people_meshes.load(name).walk for visual in frame]
 
 
 def test_several_processes_make_the_files_at_once(tmp_path, monkeypatch):
@@ -66,8 +66,8 @@ def test_several_processes_make_the_files_at_once(tmp_path, monkeypatch):
         paths = pool.starmap(_load, [(tmp_path, NAMES[0])] * 3)
     assert paths[0] == paths[1] == paths[2]
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    person = people.load(NAMES[0])
-    body = people.read(NAMES[0])
+    person = people_meshes.load(NAMES[0])
+    body = people_meshes.read(NAMES[0])
     assert len(list((tmp_path / "xtdrone" / "people").iterdir())) == 1
     assert person.posture(-1.0) == person.standing
     assert person.posture(2.51) == person.walk[len(person.walk) // 2]

@@ -17,10 +17,10 @@ from xtdrone_sim.physics.contacts.start_collisions import StartError, check_heig
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.physics.world_environment import load_world
 from xtdrone_sim.rays.solid_ground import SolidGround, shapes_of
-from xtdrone_sim.robots.kinematics import Drive
 from xtdrone_sim.robots.list_of_robots import parse_robots
 from xtdrone_sim.robots.robot_model import load_robot
 from xtdrone_sim.robots.robot_urdf import urdf_of, wheel_frames, wheel_joints
+from xtdrone_sim.robots.wheel_drives import Drive
 from xtdrone_sim.shapes.pose_arithmetic import compose, inverse
 from xtdrone_sim.shapes.visual import Box, Pose
 from xtdrone_sim.simulation import Simulation

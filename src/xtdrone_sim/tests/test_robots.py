@@ -16,9 +16,9 @@ from xtdrone_sim.physics.world_environment import (
     load_world,
 )
 from xtdrone_sim.rays.scene import RayScene
-from xtdrone_sim.robots.kinematics import Ackermann, AckermannLimits, Differential, DifferentialLimits, Drive
 from xtdrone_sim.robots.list_of_robots import parse_robots
 from xtdrone_sim.robots.robot_model import load_robot, robot_types
+from xtdrone_sim.robots.wheel_drives import Ackermann, AckermannLimits, Differential, DifferentialLimits, Drive
 from xtdrone_sim.shapes.pose_arithmetic import compose
 from xtdrone_sim.shapes.visual import Box, Collision, Pose
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle

@@ -12,7 +12,7 @@ from xtdrone_control.rotation import from_euler, rotate_inverse
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.rays.scene import RayScene
 from xtdrone_sim.shapes.visual import Box, Pose, Visual
-from xtdrone_sim.topics.robot_frames import RobotFrames
+from xtdrone_sim.tf.vehicle_frames import RobotFrames
 from xtdrone_sim.uwb.antennas import Antenna, antennas_of, neighbours_of
 from xtdrone_sim.uwb.line_of_sight import Moment, Sights
 from xtdrone_sim.uwb.ranging import Neighbours, measured, seen_from

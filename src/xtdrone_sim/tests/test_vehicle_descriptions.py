@@ -19,7 +19,7 @@ from xtdrone_sim.package_files import CONFIG
 from xtdrone_sim.shapes.pose_arithmetic import compose, inverse, rotate
 from xtdrone_sim.shapes.visual import Box, Cylinder, Pose
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.topics.robot_frames import RobotFrames
+from xtdrone_sim.tf.vehicle_frames import RobotFrames
 from xtdrone_sim.vehicles.urdf import UrdfError, parse_urdf
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 

@@ -27,11 +27,11 @@ from numpy.typing import ArrayLike
 
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_coordination.known_swarm_state import SwarmState, as_vector
-from xtdrone_coordination.laws import avoidance
-from xtdrone_coordination.laws.avoidance import Near
+from xtdrone_coordination.laws import formation_avoidance
 from xtdrone_coordination.laws.consensus import Peer, Vector, acceleration_law, clip, critical_damping, velocity_law
+from xtdrone_coordination.laws.formation_avoidance import Near
 from xtdrone_coordination.laws.topology import check_adjacency, weights_of_row
-from xtdrone_coordination.patterns.offsets import slots_of_all
+from xtdrone_coordination.patterns.slot_offsets_and_spacing import slots_of_all
 
 RATE = 30  # Hz
 STOPPED = "its own position has stopped: standing still"
@@ -59,9 +59,9 @@ class FollowerOptions(Settings):
         "received; none",
     )
     Kp_avoid: float = setting(1.0, low=0.0, text="gain of the avoidance")
-    avoid_radius: float = setting(avoidance.RADIUS, above=0.0, unit="m", text="radius b of the avoidance")
+    avoid_radius: float = setting(formation_avoidance.RADIUS, above=0.0, unit="m", text="radius b of the avoidance")
     clearance: float = setting(
-        avoidance.CLEARANCE,
+        formation_avoidance.CLEARANCE,
         low=0.0,
         unit="m",
         text="distance within which a follower does not fly towards another vehicle, in vel mode with avoidance; 0 "
@@ -264,7 +264,7 @@ class Follower:
             return _ZERO
         radius = self.options.avoid_radius
         if self.options.avoid != "off":
-            self._found = radius, avoidance.near_vehicles(self.id, self.swarm.positions, radius)
+            self._found = radius, formation_avoidance.near_vehicles(self.id, self.swarm.positions, radius)
         try:
             self.avoidance_vector = self.checked_vector(self.avoidance(), "avoidance")
             return self._limited(self.law_output(own, self.offsets))
@@ -304,17 +304,17 @@ class Follower:
         clearance = self.options.clearance
         if self.options.avoid == "off" or self.options.mode == "accel" or clearance <= 0.0:
             return command
-        return avoidance.give_way_to(self._near(), command, self.options.avoid_radius, clearance)
+        return formation_avoidance.give_way_to(self._near(), command, self.options.avoid_radius, clearance)
 
     def _own_avoidance(self) -> Vector:
-        return avoidance.avoid_near(self.id, self._near(), self.options.avoid_radius)
+        return formation_avoidance.avoid_near(self.id, self._near(), self.options.avoid_radius)
 
     def _near(self) -> Near:
         """Return the vehicles within the avoidance's radius; an update searches for them once."""
         radius = self.options.avoid_radius
         if self._found is not None and self._found[0] == radius:
             return self._found[1]
-        return avoidance.near_vehicles(self.id, self.swarm.positions, radius)
+        return formation_avoidance.near_vehicles(self.id, self.swarm.positions, radius)
 
     def _avoidance_of_topic(self) -> Vector:
         """Return the received avoidance while it is recent, else its own; log each change once."""

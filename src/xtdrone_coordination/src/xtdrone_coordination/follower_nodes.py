@@ -37,7 +37,7 @@ from std_msgs.msg import Float32MultiArray, Float64MultiArray, Int32MultiArray
 from xtdrone_control import lockstep
 from xtdrone_control.communication.commands import CommandSettings
 from xtdrone_control.communication.multirotor import MultirotorCommunication
-from xtdrone_control.programs.program import (
+from xtdrone_control.programs.node_command_line import (
     ArgumentError,
     check_multirotor,
     fleet_of,
@@ -49,7 +49,7 @@ from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.compiled_follower import CompiledFollower, is_stock
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions
 from xtdrone_coordination.known_swarm_state import STATE_FIELDS, ArraySwarm, SwarmState, number_list
-from xtdrone_coordination.laws import avoidance
+from xtdrone_coordination.laws import formation_avoidance
 from xtdrone_coordination.laws.consensus import Vector
 from xtdrone_coordination.laws.topology import without_neighbours
 from xtdrone_coordination.patterns import PatternError
@@ -299,7 +299,7 @@ class AvoidanceNode:
         """Publish the avoidance of each vehicle whose position is known; call it at 30 Hz."""
         for i, publisher in self._publishers.items():
             if self.swarm.positions[i] is not None:
-                publisher.publish(Vector3(*avoidance.avoid(i, self.swarm.positions, self._radius)))
+                publisher.publish(Vector3(*formation_avoidance.avoid(i, self.swarm.positions, self._radius)))
 
 
 @dataclass(frozen=True)
@@ -403,7 +403,7 @@ def run_follower(cls: type[Follower] = Follower, *, mode_argument: bool = False)
 class AvoidanceSettings(Settings):
     """Settings of the avoidance node."""
 
-    avoid_radius: float = setting(avoidance.RADIUS, above=0.0, unit="m", text="radius b of the avoidance")
+    avoid_radius: float = setting(formation_avoidance.RADIUS, above=0.0, unit="m", text="radius b of the avoidance")
 
 
 def run_avoidance() -> int:

@@ -1,15 +1,15 @@
-"""``@kernel`` for the inner loops of this package; see ``kernel`` in ``xtdrone_control``."""
+"""``@kernel`` for the inner loops of this package; see ``xtdrone_control.kernel_cache``."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from xtdrone_control import kernel as control_kernel
+from xtdrone_control import kernel_cache
 
 _PACKAGE = Path(__file__).resolve().parent
 
-_CONTROL = Path(control_kernel.__file__).resolve().parent
+_CONTROL = Path(kernel_cache.__file__).resolve().parent
 
-kernel = control_kernel.compiler(
+kernel = kernel_cache.compiler(
     _PACKAGE, _PACKAGE / "laws", _PACKAGE / "batch", _PACKAGE / "network", _CONTROL / "network"
 )

@@ -20,7 +20,7 @@ from xtdrone_control.communication.commands import OWN_COMMANDS, PX4_MODES
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.follower import RATE
 from xtdrone_coordination.known_swarm_state import SwarmState, number_list
-from xtdrone_coordination.laws import avoidance
+from xtdrone_coordination.laws import formation_avoidance
 from xtdrone_coordination.laws.assignment import Assignment, assign
 from xtdrone_coordination.laws.consensus import Vector
 from xtdrone_coordination.laws.topology import check_adjacency, unreachable, veteran_topology, without_neighbours
@@ -46,7 +46,7 @@ class LeaderOptions(Settings):
     )
     Kp_avoid: float = setting(1.0, low=0.0, text="gain of its avoidance")
     avoid_radius: float = setting(
-        avoidance.RADIUS,
+        formation_avoidance.RADIUS,
         above=0.0,
         unit="m",
         text="radius b of the avoidance; patterns with slots closer than this cause a warning",
@@ -163,7 +163,7 @@ class Leader:
     def avoidance(self) -> Vector:
         """Return the leader's own avoidance, m/s ENU, before its gain; zero by default settings."""
         if self.options.avoid == "own":
-            return avoidance.avoid(0, self.swarm.positions, self.options.avoid_radius)
+            return formation_avoidance.avoid(0, self.swarm.positions, self.options.avoid_radius)
         return 0.0, 0.0, 0.0
 
     # inputs

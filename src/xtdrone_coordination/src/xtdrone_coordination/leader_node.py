@@ -13,7 +13,7 @@ from std_msgs.msg import Float32MultiArray, Int32MultiArray, MultiArrayDimension
 
 from xtdrone_control import lockstep
 from xtdrone_control.communication.setpoint import yaw_of
-from xtdrone_control.programs.program import ArgumentError, run_program
+from xtdrone_control.programs.node_command_line import ArgumentError, run_program
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.follower import RATE
 from xtdrone_coordination.follower_nodes import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from typing import TypeVar
 
-from xtdrone_control.programs.program import ArgumentError
+from xtdrone_control.programs.node_command_line import ArgumentError
 from xtdrone_control.programs.user_module import import_user_module
 
 _Base = TypeVar("_Base")

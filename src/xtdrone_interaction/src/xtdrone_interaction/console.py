@@ -28,8 +28,8 @@ def run_reported(action: Callable[[], int]) -> int:
     """
     from xtdrone_control.fleet import FleetError
     from xtdrone_coordination.patterns import PatternError
+    from xtdrone_interaction.command_options import OptionError
     from xtdrone_interaction.launching.supervised_launch import DemoError
-    from xtdrone_interaction.options import OptionError
 
     try:
         return action()

@@ -1,6 +1,6 @@
 // The map: vehicles from above, search with region, coverage, finds and progress, missions, and plans that are drawn and uploaded.
 import { html, render } from '../vendor/preact_htm.js';
-import { COLUMNS } from '../fleet.js';
+import { COLUMNS } from '../fleet_frame.js';
 import { LayerFeed } from '../layers/layer_feed.js';
 import { UNKNOWN } from '../layers/layer_frame.js';
 import { colourOf } from '../scene/vehicle_meshes.js';

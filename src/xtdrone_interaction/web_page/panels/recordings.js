@@ -1,10 +1,10 @@
 // Recordings: started and stopped; a bag, a flight log or an archive played with a time line in place of the flight.
 import { html, render } from '../vendor/preact_htm.js';
-import { COLUMNS } from '../fleet.js';
+import { COLUMNS } from '../fleet_frame.js';
 import { toast } from '../station.js';
 import { bytes } from '../topic_choice.js';
 
-const HEADER = 24; // of the fleet's frame, see fleet.js
+const HEADER = 24; // of the fleet's frame, see fleet_frame.js
 const SPEEDS = [0.25, 0.5, 1, 2, 5, 10, 30];
 const STATE_PERIOD = 1000; // ms
 const LIST_PERIOD = 5000; // ms: demos and other programs record, too

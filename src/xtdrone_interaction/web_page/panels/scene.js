@@ -3,7 +3,7 @@ import {
   Color, DirectionalLight, GridHelper, HemisphereLight, MapControls, Matrix4, Mesh, MeshBasicMaterial, PerspectiveCamera, Plane,
   PlaneGeometry, Raycaster, Scene, SRGBColorSpace, Vector2, Vector3, WebGLRenderer,
 } from '../vendor/three.js';
-import { COLUMNS } from '../fleet.js';
+import { COLUMNS } from '../fleet_frame.js';
 import { LayerFeed } from '../layers/layer_feed.js';
 import { LayerList } from '../layers/layer_list.js';
 import { toast } from '../station.js';

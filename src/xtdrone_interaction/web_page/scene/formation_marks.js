@@ -3,7 +3,7 @@ import {
   BufferAttribute, BufferGeometry, DynamicDrawUsage, Group, InstancedMesh, LineBasicMaterial, LineSegments, Matrix4, MeshBasicMaterial,
   SphereGeometry,
 } from '../vendor/three.js';
-import { COLUMNS } from '../fleet.js';
+import { COLUMNS } from '../fleet_frame.js';
 
 const matrix = new Matrix4(); // of no motion
 

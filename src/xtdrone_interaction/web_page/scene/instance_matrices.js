@@ -1,5 +1,5 @@
 // Matrices of instances, written in place: a hundred vehicles make no object in a frame.
-import { COLUMNS } from '../fleet.js';
+import { COLUMNS } from '../fleet_frame.js';
 
 /** Writes the matrix of a row's pose (x, y, z, quaternion w, x, y, z) as column 16 * index of an array. */
 export function writePose(array, index, rows, row) {

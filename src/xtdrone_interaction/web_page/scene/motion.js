@@ -1,5 +1,5 @@
 // The fleet's motion between two frames: the page draws more often than the station sends.
-import { COLUMNS } from '../fleet.js';
+import { COLUMNS } from '../fleet_frame.js';
 
 const LONGEST = 400; // ms between two frames over which to interpolate; more is a pause
 

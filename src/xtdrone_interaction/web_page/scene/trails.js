@@ -1,6 +1,6 @@
 // Trails of the vehicles, as line segments in a ring: each step writes one segment of each vehicle.
 import { BufferAttribute, BufferGeometry, DynamicDrawUsage, LineBasicMaterial, LineSegments } from '../vendor/three.js';
-import { COLUMNS } from '../fleet.js';
+import { COLUMNS } from '../fleet_frame.js';
 import { colourOf } from './vehicle_meshes.js';
 
 const STEPS = 240; // of a trail; fewer of many vehicles

@@ -1,5 +1,5 @@
 // Names over the vehicles, each drawn once and then copied to where its vehicle is seen.
-import { COLUMNS } from '../fleet.js';
+import { COLUMNS } from '../fleet_frame.js';
 
 const ABOVE = 28; // px from a vehicle to the top of its name
 

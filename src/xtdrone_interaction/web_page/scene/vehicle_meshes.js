@@ -3,7 +3,7 @@ import {
   BoxGeometry, BufferAttribute, BufferGeometry, Color, DoubleSide, DynamicDrawUsage, Group, InstancedMesh, MeshBasicMaterial,
   MeshLambertMaterial, Points, PointsMaterial, TorusGeometry,
 } from '../vendor/three.js';
-import { COLUMNS } from '../fleet.js';
+import { COLUMNS } from '../fleet_frame.js';
 import { writePose, writeTurned } from './instance_matrices.js';
 import { matrixOf, release } from './shapes.js';
 import { simplerMesh } from './simpler_mesh.js';

@@ -1,6 +1,6 @@
 // The surroundings: what stands is one mesh for each texture; of people and models that move, equal shapes are one instanced mesh.
 import { Color, Group, InstancedMesh, Matrix4, Mesh, MeshLambertMaterial, Quaternion, SRGBColorSpace, Vector3 } from '../vendor/three.js';
-import { COLUMNS } from '../fleet.js';
+import { COLUMNS } from '../fleet_frame.js';
 import { matrixOf, release } from './shapes.js';
 
 export class WorldMeshes {

@@ -1,9 +1,9 @@
-"""``@kernel`` for the inner loops of this package; see ``kernel`` in ``xtdrone_control``."""
+"""``@kernel`` for the inner loops of this package; see ``xtdrone_control.kernel_cache``."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from xtdrone_control import kernel as control_kernel
+from xtdrone_control import kernel_cache
 
-kernel = control_kernel.compiler(Path(__file__).resolve().parent, Path(control_kernel.__file__).resolve().parent)
+kernel = kernel_cache.compiler(Path(__file__).resolve().parent, Path(kernel_cache.__file__).resolve().parent)

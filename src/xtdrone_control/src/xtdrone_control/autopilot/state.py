@@ -334,7 +334,8 @@ ESTIMATOR = np.dtype(
     align=True,
 )
 
-# The one record that kernels only read, except for task_changed. Comments name the module that writes the fields.
+# The one record that kernels only read, except for task_changed and the goal_position of a goal that moves. Comments
+# name the module that writes the fields.
 SETPOINT = np.dtype(
     [
         ("armed", "i4"),  # commander/motors

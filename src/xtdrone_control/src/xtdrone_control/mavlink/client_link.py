@@ -25,7 +25,7 @@ _NEVER_US = -1
 
 
 class Endpoint(Protocol):
-    """The port of a link, as the link uses it; see ``port.Port``."""
+    """The port of a link, as the link uses it; see ``udp_port_and_clients.Port``."""
 
     system_id: int
     telemetry: Telemetry

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from xtdrone_control.mavlink.commands.command_service import CommandService
+from xtdrone_control.mavlink.commands.external_sensors_service import VisionService
 from xtdrone_control.mavlink.commands.follow_service import FollowService
 from xtdrone_control.mavlink.commands.gimbal_service import GimbalService
 from xtdrone_control.mavlink.commands.home_service import HomeService
 from xtdrone_control.mavlink.commands.manual_service import ManualService
 from xtdrone_control.mavlink.commands.setpoint_service import SetpointService
-from xtdrone_control.mavlink.commands.vision_service import VisionService
 from xtdrone_control.mavlink.microservices.autopilot_version import VersionService
 from xtdrone_control.mavlink.microservices.event import EventService
 from xtdrone_control.mavlink.microservices.files_and_logs.ftp import FtpService

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.mavlink.streams.rare_telemetry import VehicleTelemetry
+from xtdrone_control.mavlink.streams.esc_gimbal_traffic_telemetry import VehicleTelemetry
 from xtdrone_control.mavlink.streams.stream_schedule import GCS_RATES, ONBOARD_RATES, PAYLOAD_RATES, Payloads
 
 from .client_link import Address, Link
-from .port import CLIENTS, LOOPBACK, VEHICLE_CLIENTS, ClientLimit, Port
 from .rate_limit import MAX_CREDIT, STEP_CREDIT, VEHICLE_CREDIT, Credit, DatagramQueues, cost
 from .receiver import Receiver
+from .udp_port_and_clients import CLIENTS, LOOPBACK, VEHICLE_CLIENTS, ClientLimit, Port
 
 if TYPE_CHECKING:
     from xtdrone_control.autopilot.autopilot import Autopilot

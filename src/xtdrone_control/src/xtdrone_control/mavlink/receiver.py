@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 from xtdrone_native.mavlink_wire import split
 
 from xtdrone_control.autopilot.commander.commander import Commander
-from xtdrone_control.mavlink.streams.rare_telemetry import silent
+from xtdrone_control.mavlink.streams.esc_gimbal_traffic_telemetry import silent
 from xtdrone_control.mavlink.wire.codec import decoder, frame_error, version
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
 from xtdrone_control.mavlink.wire.frame_packing import COMPONENT_ID
 
 from .client_link import Address, Link
 from .list_of_services import all_services
-from .port import Port
 from .service_base import Handler, Service, Vehicle
+from .udp_port_and_clients import Port
 
 if TYPE_CHECKING:
     from xtdrone_control.autopilot.autopilot import Autopilot

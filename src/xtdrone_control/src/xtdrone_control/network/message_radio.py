@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.network.channel import JITTER, LOSS, draw, out_since
-from xtdrone_control.network.options import RATE, NetworkOptions, transition_probabilities
+from xtdrone_control.network.network_options import RATE, NetworkOptions, transition_probabilities
 
 
 class Arrival(NamedTuple):

@@ -31,8 +31,8 @@ from std_msgs.msg import Float64MultiArray
 
 from xtdrone_control import lockstep
 from xtdrone_control.network.message_radio import MessageRadio
-from xtdrone_control.network.options import NetworkOptions
-from xtdrone_control.programs.program import ArgumentError, check_no_arguments, needed_fleet, run_program
+from xtdrone_control.network.network_options import NetworkOptions
+from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments, needed_fleet, run_program
 
 RATE = 50.0  # Hz
 USAGE = "radio.py   (parameters: ~topics, ~seed, ~range, ~delay, ~jitter, ~loss, ~burst, ~bandwidth, ~queue)"

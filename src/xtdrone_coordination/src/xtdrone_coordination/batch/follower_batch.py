@@ -22,9 +22,9 @@ from xtdrone_coordination.known_swarm_state import NEVER, ArraySwarm
 from xtdrone_coordination.laws.consensus import Vector
 from xtdrone_coordination.laws.topology import check_adjacency, weights_of_row
 from xtdrone_coordination.network import Near, Network
-from xtdrone_coordination.patterns.offsets import slots_of_all
+from xtdrone_coordination.patterns.slot_offsets_and_spacing import slots_of_all
 
-from . import kernels
+from . import turn_kernels
 from .neighbourhood import UNUSABLE, make_grid
 
 _OVERRIDABLE = ("avoidance", "neighbours", "control_law")
@@ -98,8 +98,8 @@ class FollowerBatch:
     def _allocate(self) -> None:
         """Create the arrays of the kernels."""
         rows = len(self._rows)
-        self._records = np.zeros(rows, dtype=kernels.FOLLOWER)
-        self._states = np.zeros(rows, dtype=kernels.STATE)
+        self._records = np.zeros(rows, dtype=turn_kernels.FOLLOWER)
+        self._states = np.zeros(rows, dtype=turn_kernels.STATE)
         self._reported = np.zeros(rows, dtype=np.int64)
         for k in range(rows):
             self._read_settings(k)
@@ -173,16 +173,16 @@ class FollowerBatch:
             are overwritten by the next update.
         """
         self._read_changes()
-        phases = kernels.ALL
+        phases = turn_kernels.ALL
         if self._overridden:
-            self._run(kernels.SENSE)
+            self._run(turn_kernels.SENSE)
             self._call_own_methods()
-            phases -= kernels.SENSE
+            phases -= turn_kernels.SENSE
         if self._laws:
-            self._run(phases - kernels.COMMAND)
+            self._run(phases - turn_kernels.COMMAND)
             for (cls, options), rows in self._laws.items():
                 self._apply_laws(cls, options, rows)
-            phases = kernels.COMMAND
+            phases = turn_kernels.COMMAND
         reported = self._run(phases)
         if reported:
             self._report(self._reported[:reported].tolist())
@@ -199,9 +199,9 @@ class FollowerBatch:
 
     def _run(self, phases: int) -> int:
         state, network = self._state, self.network
-        if network is not None and phases & kernels.SENSE:
+        if network is not None and phases & turn_kernels.SENSE:
             self._radio = network.near(self._widest)
-        return kernels.turn(
+        return turn_kernels.turn(
             phases,
             self._now,
             state.position_rows,
@@ -227,7 +227,7 @@ class FollowerBatch:
         status = self._states["status"].tolist()
         avoidance = self._states["avoidance"].tolist()
         for k in self._overridden:
-            if status[k] != kernels.READY:
+            if status[k] != turn_kernels.READY:
                 continue
             follower, own, state = self._rows[k], self._own[k], self._states[k]
             options = follower.options
@@ -254,7 +254,7 @@ class FollowerBatch:
     def _apply_laws(self, cls: type[ArrayFollower], options: FollowerOptions, rows: NDArray[np.int64]) -> None:
         """Replace the stock law's results by those of a class's array law."""
         states = self._states[rows]
-        rows = rows[(states["status"] == kernels.READY) & (states["problems"] & kernels.ALONE == 0)]
+        rows = rows[(states["status"] == turn_kernels.READY) & (states["problems"] & turn_kernels.ALONE == 0)]
         if not len(rows):
             return
         result = cls.control_laws(options, self._own_rows(rows), self._peer_rows(rows))
@@ -302,7 +302,7 @@ class FollowerBatch:
         avoidance = self._states["avoidance"].tolist()
         for k in rows:
             follower, problems = self._rows[k], all_problems[k]
-            overridden, stopped = bool(self._own[k]), bool(problems & kernels.HAS_STOPPED)
+            overridden, stopped = bool(self._own[k]), bool(problems & turn_kernels.HAS_STOPPED)
             if not overridden and not stopped:
                 x, y, z = avoidance[k]
                 follower.avoidance_vector = (x, y, z)
@@ -310,11 +310,11 @@ class FollowerBatch:
                 follower.problem_log.begin_update()
             if stopped:
                 follower.problem_log.report(STOPPED)
-            if problems & kernels.MISSING:
+            if problems & turn_kernels.MISSING:
                 timeout = follower.options.timeout_ticks
                 missing = [j for j in self._mappings[k] if not follower.swarm.fresh(j, timeout)]
-                follower.report_missing(missing, alone=bool(problems & kernels.ALONE))
-            if problems & kernels.BAD_LAW:
+                follower.report_missing(missing, alone=bool(problems & turn_kernels.ALONE))
+            if problems & turn_kernels.BAD_LAW:
                 name = "control_laws" if _flies_by_arrays(follower) else "control_law"
                 follower.checked_vector(self._rejected.pop(k, tuple(self._states["law"][k].tolist())), name)
 
@@ -354,7 +354,7 @@ class FollowerBatch:
         bounds = np.zeros(len(self._mappings) + 1, dtype=np.int64)
         np.cumsum([len(row) for row in self._mappings], out=bounds[1:])
         self._records["first_link"], self._records["last_link"] = bounds[:-1], bounds[1:]
-        links = np.zeros(bounds[-1], dtype=kernels.LINK)
+        links = np.zeros(bounds[-1], dtype=turn_kernels.LINK)
         links["peer"] = np.fromiter(chain.from_iterable(self._mappings), np.int64)
         links["weight"] = np.fromiter(chain.from_iterable(row.values() for row in self._mappings), np.float64)
         peers = links["peer"]

@@ -1,6 +1,6 @@
 """The radio network between the vehicles: :class:`Network` and its settings, :class:`NetworkOptions`."""
 
-from xtdrone_control.network.options import MESSAGE_BITS, NetworkOptions
+from xtdrone_control.network.network_options import MESSAGE_BITS, NetworkOptions
 
 from .radio_network import KnownSwarm, Near, Network, Samples, make_network
 

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xtdrone_control.network import channel
-from xtdrone_control.network.options import RATE, NetworkOptions, transition_probabilities
+from xtdrone_control.network.network_options import RATE, NetworkOptions, transition_probabilities
 from xtdrone_coordination.known_swarm_state import SwarmState, as_vector
 from xtdrone_coordination.laws.consensus import Vector
 from xtdrone_coordination.laws.topology import check_adjacency

@@ -3,7 +3,7 @@
 from .catalogue import Patterns, read_patterns, shipped_file
 from .generated import origin_columns
 from .names import Request, absolute_name, parse_name
-from .offsets import (
+from .slot_offsets_and_spacing import (
     DENSE_PITCH,
     MAX_SPACING,
     MIN_SEPARATION,

@@ -32,7 +32,7 @@ from .clouds import cloud
 from .generated import FAMILIES, SHAPES
 from .letters import text
 from .names import ARGUMENTS, Request, parse_name
-from .offsets import DENSE_PITCH, PITCH, Offsets, PatternError, check_offsets, rescaled
+from .slot_offsets_and_spacing import DENSE_PITCH, PITCH, Offsets, PatternError, check_offsets, rescaled
 
 
 class Patterns:

@@ -12,8 +12,8 @@ import numpy as np
 from xtdrone_control import bounded_file
 from xtdrone_control.bounded_file import ContentError
 
-from .offsets import Offsets, PatternError, rescaled
-from .points import ALL_AS_HIGH, Points, farthest, led
+from .even_selection_and_leader import ALL_AS_HIGH, Points, farthest, led
+from .slot_offsets_and_spacing import Offsets, PatternError, rescaled
 
 MAX_CLOUD_FILE = 16 * bounded_file.MB
 MAX_TEXT_POINTS = 500_000  # of a cloud whose file is text

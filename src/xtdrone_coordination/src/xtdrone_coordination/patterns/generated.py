@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .offsets import PITCH, Offsets, rescaled
-from .points import from_middle, led
+from .even_selection_and_leader import from_middle, led
+from .slot_offsets_and_spacing import PITCH, Offsets, rescaled
 
 _SPHERE_SHIFT = 0.36  # of a step: distance of the lattice's ends from the poles for the largest minimum distance
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))

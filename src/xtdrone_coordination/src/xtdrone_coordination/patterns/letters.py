@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from xtdrone_control import bounded_file
 
-from .offsets import Offsets, PatternError, rescaled
-from .points import ALL_AS_HIGH, Points, farthest, led
+from .even_selection_and_leader import ALL_AS_HIGH, Points, farthest, led
+from .slot_offsets_and_spacing import Offsets, PatternError, rescaled
 
 MAX_LETTERS = 100  # of a text
 MAX_FONT_FILE = 64 * bounded_file.MB

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from .offsets import MAX_SPACING, MIN_SEPARATION, PatternError
+from .slot_offsets_and_spacing import MAX_SPACING, MIN_SEPARATION, PatternError
 
 ARGUMENTS = {"text": "WORDS", "cloud": "FILE"}
 _EXAMPLES = {"text": "XTD", "cloud": "/data/points.ply"}

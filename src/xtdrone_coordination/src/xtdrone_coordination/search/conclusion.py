@@ -9,7 +9,7 @@ from .losses.reallocation import Reallocation
 from .people.candidates import Candidate
 from .reports import Find, outcome_report, possible_report
 from .searching_vehicle import BUSY, DONE, State, Vehicle
-from .states.base import MissionControl
+from .states.common_supervision import MissionControl
 from .states.following import FollowingPerson
 
 

@@ -35,7 +35,7 @@ from .people.finds import Finds
 from .reports import Event, make_event, progress_report
 from .search_settings import MissionSettings
 from .searching_vehicle import DONE, SecondLook, State, Vehicle
-from .states.base import VehicleState, because
+from .states.common_supervision import VehicleState, because
 from .states.following import FollowingPerson
 from .states.on_ground import TakingOff, Waiting
 from .states.rejoining import Rejoining
@@ -47,7 +47,7 @@ _MAX_PUSHES = 8
 
 
 class SearchMission:
-    """Mission control: coordinates the vehicles; implements ``states.base.MissionControl``.
+    """Mission control: coordinates the vehicles; implements ``states.common_supervision.MissionControl``.
 
     Attributes:
         settings: see :class:`MissionSettings`.

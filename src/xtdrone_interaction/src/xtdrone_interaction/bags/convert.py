@@ -38,7 +38,7 @@ from xtdrone_interaction.bags.bag_kinds import (
 )
 from xtdrone_interaction.bags.decode import Decoded, Layout, List, MessageError, Rows, Text, Texts
 from xtdrone_interaction.bags.ros1bag import BagError, Batch, Connection
-from xtdrone_interaction.options import OptionError
+from xtdrone_interaction.command_options import OptionError
 
 FORMATS = {
     "mcap": "ROS 2 bag in MCAP format, which Foxglove opens",

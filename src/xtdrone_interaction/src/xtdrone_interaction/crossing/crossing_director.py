@@ -35,8 +35,8 @@ from xtdrone_control import lockstep
 from xtdrone_control.communication.commands import Request
 from xtdrone_control.communication.multirotor import MavrosServices
 from xtdrone_interaction.crossing.crossing_mission import TASKS, Crossing, CrossingSettings
-from xtdrone_interaction.formation.distances import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.formation.flight_events import EVENTS_FILE, EventsFile
+from xtdrone_interaction.formation.shared_topics_and_names import EVENTS_TOPIC, PROGRESS_TOPIC
 
 RATE = 10.0  # Hz
 _PROGRESS_TICKS = 2

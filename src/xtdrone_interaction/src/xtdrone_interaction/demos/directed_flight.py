@@ -10,11 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from xtdrone_interaction import options
-from xtdrone_interaction.formation.distances import EVENTS_TOPIC, PROGRESS_TOPIC
+from xtdrone_interaction import command_options
+from xtdrone_interaction.command_options import MachineSettings
+from xtdrone_interaction.formation.shared_topics_and_names import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, escape, master_port
 from xtdrone_interaction.monitoring.progress_display import Display
-from xtdrone_interaction.options import MachineSettings
 
 _START_LIMIT = 180.0  # s of wall time until the first progress message; kernels may have to be compiled
 _TIMINGS = "planning_times.json"
@@ -102,8 +102,8 @@ def show_landing(event: dict[str, Any], display: Display) -> None:
 def add_place_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of results, master and instance."""
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
-    options.add_master(parser)
-    options.add_instance(parser)
+    command_options.add_master(parser)
+    command_options.add_instance(parser)
 
 
 def placed(settings: _Settings, arguments: argparse.Namespace, fleet: str) -> _Settings:
@@ -115,9 +115,9 @@ def placed(settings: _Settings, arguments: argparse.Namespace, fleet: str) -> _S
     machine = MachineSettings.from_arguments(arguments)
     done: _Settings = replace(
         settings,
-        out=options.results_folder(arguments.out, recorded=True),
+        out=command_options.results_folder(arguments.out, recorded=True),
         master_port=master_port(machine.master_port, use_running=arguments.use_master),
-        instance=options.take_instance(fleet, machine.instance),
+        instance=command_options.take_instance(fleet, machine.instance),
     )
     return done
 

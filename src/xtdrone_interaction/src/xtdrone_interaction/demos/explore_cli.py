@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 
-from xtdrone_interaction import options
+from xtdrone_interaction import command_options
 from xtdrone_interaction.console import PatientConsole, run_reported
 from xtdrone_interaction.demos.directed_flight import add_place_options, placed
 from xtdrone_interaction.demos.explore_demo import ExploreDemoSettings, run_explore
@@ -34,7 +34,7 @@ def settings_of(arguments: argparse.Namespace) -> ExploreDemoSettings:
         OptionError: a value is not allowed.
     """
     settings = ExploreDemoSettings.from_arguments(arguments, world="")
-    settings = replace(settings, world=options.world(arguments.world or settings.generated_world))
+    settings = replace(settings, world=command_options.world(arguments.world or settings.generated_world))
     return placed(settings, arguments, settings.fleet)
 
 

@@ -14,6 +14,7 @@ from rich.console import Console
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.lockstep.simulation_speed import speed_setting
 from xtdrone_control.settings import Settings, setting
+from xtdrone_interaction.command_options import seed_setting, web_setting
 from xtdrone_interaction.demos.directed_flight import (
     directed_flight,
     planning_times,
@@ -23,7 +24,6 @@ from xtdrone_interaction.demos.directed_flight import (
 from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, run_flight
 from xtdrone_interaction.metrics.clearance import solids_of
 from xtdrone_interaction.metrics.missions.formation_metrics import write_report
-from xtdrone_interaction.options import seed_setting, web_setting
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.printed_results import print_exploration, print_paths
 from xtdrone_interaction.report.report_tables import map_table, print_table
@@ -157,8 +157,10 @@ def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
     """
     from xtdrone_interaction.metrics.missions.exploration_metrics import make_report, visible_cells
     from xtdrone_interaction.metrics.missions.map_report import map_rows, octrees_in
-    from xtdrone_interaction.pictures.exploration_picture import save_floor  # imports matplotlib, which is slow
-    from xtdrone_interaction.recording.exploration_record import read_exploration
+    from xtdrone_interaction.pictures.missions.exploration_picture import (
+        save_floor,  # matplotlib takes a while to import
+    )
+    from xtdrone_interaction.recording.missions.exploration_record import read_exploration
     from xtdrone_sim.worlds.catalogue import load_world
 
     try:

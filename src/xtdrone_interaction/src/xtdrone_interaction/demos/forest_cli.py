@@ -7,12 +7,12 @@ from dataclasses import replace
 
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
-from xtdrone_interaction import options
+from xtdrone_interaction import command_options
+from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.console import PatientConsole, run_reported
 from xtdrone_interaction.demos.directed_flight import add_place_options, placed
 from xtdrone_interaction.demos.forest_demo import ForestDemoSettings, run_forest
-from xtdrone_interaction.options import OptionError
-from xtdrone_planning.replanning.situation import PlannerSettings
+from xtdrone_planning.replanning.settings import PlannerSettings
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,11 +47,11 @@ def settings_of(arguments: argparse.Namespace) -> ForestDemoSettings:
         OptionError: a value is not allowed.
     """
     settings = ForestDemoSettings.from_arguments(arguments, world="", film=arguments.film)
-    settings = replace(settings, world=options.world(arguments.world or settings.generated_world))
+    settings = replace(settings, world=command_options.world(arguments.world or settings.generated_world))
     settings = replace(
         settings,
-        follower_class=options.follower_class(arguments.follower),
-        leader_class=options.leader_class(arguments.leader),
+        follower_class=command_options.follower_class(arguments.follower),
+        leader_class=command_options.leader_class(arguments.leader),
     )
     _check_formation(settings)
     return placed(settings, arguments, settings.fleet)
@@ -70,15 +70,17 @@ def _check_formation(settings: ForestDemoSettings) -> None:
         return
     if settings.n < 2:
         raise OptionError(f"n: {settings.n} is not allowed with --formation, 2 to 12")
-    heights = settings.goal[2] + options.swarm_patterns(settings.n, [settings.formation])[settings.formation][:, 2]
+    heights = (
+        settings.goal[2] + command_options.swarm_patterns(settings.n, [settings.formation])[settings.formation][:, 2]
+    )
     lowest = PlannerSettings().lowest
     if heights.min() < lowest or heights.max() > settings.highest:
         raise OptionError(
             f"formation: {settings.formation!r} is not allowed, its slots are at {heights.min():g} to "
             f"{heights.max():g} m; {lowest:g} to {settings.highest:g} m (--highest)"
         )
-    options.checked_class(settings.follower_class, Follower, "follower")
-    options.checked_class(settings.leader_class, Leader, "leader")
+    command_options.checked_class(settings.follower_class, Follower, "follower")
+    command_options.checked_class(settings.leader_class, Leader, "leader")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -16,6 +16,7 @@ from rich.console import Console
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.lockstep.simulation_speed import speed_setting
 from xtdrone_control.settings import Settings, setting
+from xtdrone_interaction.command_options import seed_setting, web_setting
 from xtdrone_interaction.demos.directed_flight import (
     directed_flight,
     planning_times,
@@ -26,8 +27,7 @@ from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, e
 from xtdrone_interaction.metrics.clearance import Solid, solids_of
 from xtdrone_interaction.metrics.missions.crossing_metrics import make_report
 from xtdrone_interaction.metrics.missions.formation_metrics import write_report
-from xtdrone_interaction.options import seed_setting, web_setting
-from xtdrone_interaction.recording.crossing_record import CrossingRecord, read_crossing
+from xtdrone_interaction.recording.missions.crossing_record import CrossingRecord, read_crossing
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.printed_results import print_crossing, print_paths
 
@@ -234,7 +234,9 @@ def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
     Raises:
         DemoError: the bag is not a record of such a flight.
     """
-    from xtdrone_interaction.pictures.crossing_map import save_crossing_map  # imports matplotlib, which is slow
+    from xtdrone_interaction.pictures.missions.crossing_map import (
+        save_crossing_map,  # matplotlib takes a while to import
+    )
 
     record, solids = _record(folder, settings)
     report = make_report(record, solids, settings, planning_times(folder))
@@ -263,9 +265,9 @@ def _record(folder: Path, settings: Mapping[str, Any]) -> tuple[CrossingRecord, 
 
 
 def _film(record: CrossingRecord, solids: Sequence[Solid], folder: Path, console: Console) -> None:
-    """Film the flight next to its bag; print the path, or why there is no film."""
-    from xtdrone_interaction.pictures.crossing_film import save_crossing_film  # imports Matplotlib
-    from xtdrone_interaction.pictures.formation_film import default_file
+    """Film the flight beside its bag; print the path, or why there is no film."""
+    from xtdrone_interaction.pictures.missions.crossing_film import save_crossing_film  # imports Matplotlib
+    from xtdrone_interaction.pictures.missions.formation_film import default_file
     from xtdrone_swarm.view import FilmError
 
     try:

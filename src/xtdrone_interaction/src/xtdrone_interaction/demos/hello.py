@@ -15,7 +15,8 @@ from rich.syntax import Syntax
 
 from xtdrone_control.lockstep.simulation_speed import speed_setting
 from xtdrone_control.settings import Settings
-from xtdrone_interaction import options
+from xtdrone_interaction import command_options
+from xtdrone_interaction.command_options import MachineSettings, OptionError, seed_setting, web_setting
 from xtdrone_interaction.console import PatientConsole, run_reported
 from xtdrone_interaction.launching.flown_script import fly_script
 from xtdrone_interaction.launching.supervised_launch import (
@@ -26,10 +27,9 @@ from xtdrone_interaction.launching.supervised_launch import (
     watching,
 )
 from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
-from xtdrone_interaction.options import MachineSettings, OptionError, seed_setting, web_setting
 
 FLEET = "iris:1"
-SCRIPT = options.repository() / "src" / "xtdrone_control" / "examples" / "hello.py"
+SCRIPT = command_options.repository() / "src" / "xtdrone_control" / "examples" / "hello.py"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,10 +64,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--script", type=Path, default=SCRIPT, metavar="FILE.py", help="script that flies iris_0 (default: the example)"
     )
     HelloSettings.add_arguments(parser, ("speed", "seed", "web"))
-    options.add_world(parser)
+    command_options.add_world(parser)
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="new folder for the logs (default: runs/<time>)")
     MachineSettings.add_arguments(parser, ("master_port",))
-    options.add_instance(parser)
+    command_options.add_instance(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -88,10 +88,10 @@ def _settings(arguments: argparse.Namespace) -> HelloSettings:
     return HelloSettings.from_arguments(
         arguments,
         script=script.resolve(),
-        world=options.world(arguments.world),
-        out=options.results_folder(arguments.out),
+        world=command_options.world(arguments.world),
+        out=command_options.results_folder(arguments.out),
         master_port=master_port(machine.master_port, use_running=False),
-        instance=options.take_instance(FLEET, machine.instance),
+        instance=command_options.take_instance(FLEET, machine.instance),
     )
 
 

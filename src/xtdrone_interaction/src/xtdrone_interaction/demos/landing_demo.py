@@ -17,7 +17,8 @@ from rich.console import Console
 
 from xtdrone_control.lockstep.simulation_speed import speed_setting
 from xtdrone_control.settings import Settings, setting
-from xtdrone_interaction import options
+from xtdrone_interaction import command_options
+from xtdrone_interaction.command_options import seed_setting, web_setting
 from xtdrone_interaction.console import PatientConsole, run_reported
 from xtdrone_interaction.demos.directed_flight import add_place_options, directed_flight, placed
 from xtdrone_interaction.landing.robot_start import robot_start
@@ -25,7 +26,6 @@ from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, e
 from xtdrone_interaction.metrics.missions.formation_metrics import write_report
 from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
 from xtdrone_interaction.monitoring.progress_display import Display
-from xtdrone_interaction.options import seed_setting, web_setting
 from xtdrone_interaction.recording.recorded_flight import RecordError
 
 TYPE, ROBOT = "iris_landing_camera", "ugv_0"
@@ -67,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "landing.png."
     )
     LandingDemoSettings.add_arguments(parser, ("ugv_speed", "ugv_turn", "seed", "speed", "headless", "web"))
-    options.add_world(parser)
+    command_options.add_world(parser)
     add_place_options(parser)
 
 
@@ -82,7 +82,7 @@ def settings_of(arguments: argparse.Namespace) -> LandingDemoSettings:
     Raises:
         OptionError: a value is not allowed.
     """
-    settings = LandingDemoSettings.from_arguments(arguments, world=options.world(arguments.world))
+    settings = LandingDemoSettings.from_arguments(arguments, world=command_options.world(arguments.world))
     return placed(settings, arguments, f"{TYPE}:1")
 
 
@@ -134,7 +134,7 @@ def report_of(bag: Path, settings: dict[str, Any]) -> dict[str, Any]:
         make_report,
         read_landing,
     )
-    from xtdrone_interaction.pictures.landing_picture import save_landing
+    from xtdrone_interaction.pictures.missions.landing_picture import save_landing
 
     try:
         record = read_landing(bag, f"{TYPE}_0", ROBOT)

@@ -16,19 +16,19 @@ from rich.console import Console
 
 from xtdrone_control.lockstep.simulation_speed import speed_setting
 from xtdrone_control.settings import Settings, setting
-from xtdrone_interaction import options
+from xtdrone_interaction import command_options
+from xtdrone_interaction.command_options import MachineSettings, OptionError, seed_setting, web_setting
 from xtdrone_interaction.console import PatientConsole, run_reported
 from xtdrone_interaction.launching.flown_script import fly_script
 from xtdrone_interaction.launching.supervised_launch import DemoError, Launch, master_port, run_launch, watching
 from xtdrone_interaction.metrics.missions.formation_metrics import write_report
 from xtdrone_interaction.metrics.missions.slam_report import slam_report
 from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
-from xtdrone_interaction.options import MachineSettings, OptionError, seed_setting, web_setting
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.report_tables import map_table, odometry_table, print_table
 
 TYPES = {"lidar": "iris_slam", "rgbd": "iris_slam_rgbd", "stereo": "iris_slam_stereo", "laser": "iris_slam_laser"}
-SCRIPT = options.repository() / "src" / "xtdrone_control" / "examples" / "slam.py"
+SCRIPT = command_options.repository() / "src" / "xtdrone_control" / "examples" / "slam.py"
 _WORLDS = {"lidar": "city", "rgbd": "outdoor", "stereo": "outdoor", "laser": "indoor"}
 _WAYS = {
     "lidar": (),
@@ -87,7 +87,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
     MachineSettings.add_arguments(parser, ("master_port",))
-    options.add_instance(parser)
+    command_options.add_instance(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -112,10 +112,10 @@ def _settings(arguments: argparse.Namespace) -> SlamSettings:
         script=script.resolve(),
         odometry=arguments.by,
         way=tuple(arguments.way) or _WAYS[arguments.by],
-        world=options.world(arguments.world or _WORLDS[arguments.by]),
-        out=options.results_folder(arguments.out, recorded=True),
+        world=command_options.world(arguments.world or _WORLDS[arguments.by]),
+        out=command_options.results_folder(arguments.out, recorded=True),
         master_port=master_port(machine.master_port, use_running=False),
-        instance=options.take_instance(f"{TYPES[arguments.by]}:1", machine.instance),
+        instance=command_options.take_instance(f"{TYPES[arguments.by]}:1", machine.instance),
     )
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from rich.text import Text
 
-from xtdrone_interaction import options
+from xtdrone_interaction import command_options
 from xtdrone_interaction.console import PatientConsole
 from xtdrone_interaction.doctor.findings import (
     Finding,
@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _report(given: str) -> tuple[list[Line], bool]:
     """Return the lines, and whether all is well."""
     holders = port_holders()
-    machine = [*examine_ports(holders), *examine_packages(options.repository())]
+    machine = [*examine_ports(holders), *examine_packages(command_options.repository())]
     lines = [Line(f"machine   instances: {instance_words(holders)}"), *finding_lines(machine)]
     try:
         running, healthy = _running(given)

@@ -162,7 +162,10 @@ def examine_packages(repository: Path) -> list[Finding]:
 
 def _missing_debian(repository: Path) -> list[str]:
     """Return missing Debian packages, by the set-up's own list; empty where there is no dpkg."""
-    script = 'root="$1"; source "$root/scripts/setup.bash"; ! command -v dpkg-query >/dev/null || missing_packages'
+    script = (
+        'root="$1"; source "$root/scripts/install_and_build.bash"; '
+        "! command -v dpkg-query >/dev/null || missing_packages"
+    )
     try:
         done = subprocess.run(
             ["bash", "-c", script, "_", str(repository)],

@@ -1,11 +1,10 @@
-"""Distances in a formation, and names shared by the parts of the demo. Imports NumPy only: nodes must start fast.
+"""Distances between vehicles, and to the slots of a formation. Imports NumPy only: nodes must start fast.
 
 Positions are ENU in the ``map`` frame, metres; index 0 is the leader.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 
 import numpy as np
@@ -13,29 +12,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-EVENTS_TOPIC = "/xtdrone/demo/events"
-PROGRESS_TOPIC = "/xtdrone/demo/progress"
-PATTERN_TOPIC = "/xtdrone/formation_pattern"
-TOPOLOGY_TOPIC = "/xtdrone/communication_topology"
-TRUTH_TOPIC = "/gazebo/model_states"
 
-TRUTH = "ground truth of the simulator"
-ESTIMATE = "estimate (mavros/local_position/pose)"
-
-ORIGIN = "origin"  # the pattern that is the spawn grid
-SETTLED_ERROR = 0.15  # m; a follower closer to its slot than this has settled
 _CHUNK = 1_000_000  # distances in memory at once
 _MANY = 250  # vehicles; of more, only neighbours are searched
-
-
-def odometry_topic(name: str) -> str:
-    """Return the topic of a model's true pose and velocity, with time stamps."""
-    return f"/xtdrone/{name}/ground_truth/odom"
-
-
-def natural_order(name: str) -> list[tuple[int, str]]:
-    """Return a sort key that puts iris_10 behind iris_9."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
 def relative(positions: Array) -> Array:

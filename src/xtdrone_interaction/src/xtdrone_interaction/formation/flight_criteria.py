@@ -9,6 +9,7 @@ CRITERIA = {
     "distance": "vehicles keep their distance",
     "collision": "nothing collides",
 }
+SETTLED_ERROR = 0.15  # m; a follower closer to its slot than this has settled
 STEADY_LIMIT = 0.10  # m, of the mean error at the end of a pattern
 DISTANCE_LIMIT = 0.5  # m between any two vehicles
 ASSIGNMENT_SLACK = 0.01  # share of the optimum; the leader's positions are a tick or two older than the recorded ones

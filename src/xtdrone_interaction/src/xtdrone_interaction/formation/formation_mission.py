@@ -19,7 +19,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from xtdrone_interaction.formation.distances import ORIGIN, SETTLED_ERROR, Array, formation_error
+from xtdrone_interaction.formation.distances import Array, formation_error
+from xtdrone_interaction.formation.flight_criteria import SETTLED_ERROR
+from xtdrone_interaction.formation.shared_topics_and_names import ORIGIN
 
 Ticks = Iterator[None]
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from xtdrone_coordination.leader import CommandError
-from xtdrone_interaction.formation.distances import ORIGIN, Array
+from xtdrone_interaction.formation.distances import Array
 from xtdrone_interaction.formation.formation_mission import (
     CLEARANCE,
     SETTLE_LIMIT,
@@ -21,7 +21,8 @@ from xtdrone_interaction.formation.formation_mission import (
     FormationMission,
     MissionError,
 )
-from xtdrone_interaction.recording.formation_record import FormationRecord
+from xtdrone_interaction.formation.shared_topics_and_names import ORIGIN
+from xtdrone_interaction.recording.missions.formation_record import FormationRecord
 from xtdrone_interaction.recording.positions import FleetTrack
 from xtdrone_interaction.recording.recorded_flight import Change
 

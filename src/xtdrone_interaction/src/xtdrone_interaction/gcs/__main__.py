@@ -2,7 +2,7 @@
 
 import sys
 
-from .commands.gcs_cli import main
+from .command_line.gcs_cli import main
 
 if __name__ == "__main__":
     sys.exit(main(sys.argv[1:]))

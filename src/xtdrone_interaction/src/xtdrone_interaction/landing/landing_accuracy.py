@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from xtdrone_interaction.bags.ros1bag import BagError
-from xtdrone_interaction.formation.distances import EVENTS_TOPIC, TRUTH_TOPIC, odometry_topic
+from xtdrone_interaction.formation.shared_topics_and_names import EVENTS_TOPIC, TRUTH_TOPIC, odometry_topic
 from xtdrone_interaction.metrics.missions.formation_metrics import versions
-from xtdrone_interaction.recording.bag import read_bag
+from xtdrone_interaction.recording.flight_from_bag import read_bag
 from xtdrone_interaction.recording.recorded_flight import LOG_TOPIC, RecordError, Recording
-from xtdrone_interaction.recording.series import Array
+from xtdrone_interaction.recording.series_in_bounded_memory import Array
 
 LIMIT = 0.15  # m, of the touchdown's error on a robot at up to 1 m/s
 _AT_REST = 0.02  # m above the height at which the UAV stays

@@ -28,8 +28,8 @@ from std_msgs.msg import String
 from xtdrone_control import lockstep
 from xtdrone_control.drone import Drone, DroneError
 from xtdrone_control.settings import Settings, setting
-from xtdrone_interaction.formation.distances import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.formation.flight_events import EventsFile
+from xtdrone_interaction.formation.shared_topics_and_names import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.landing.search_path import Spiral
 
 PHASES = ("takeoff", "search", "landing", "on the platform")

@@ -17,7 +17,8 @@ from rich.console import Console
 
 from xtdrone_control.fleet import INSTANCE_STEP, FleetError, instance_port
 from xtdrone_control.settings import Settings, setting
-from xtdrone_interaction import options
+from xtdrone_interaction import command_options
+from xtdrone_interaction.command_options import OptionError, parse_instance
 from xtdrone_interaction.console import PatientConsole
 from xtdrone_interaction.launching import launch_file
 from xtdrone_interaction.launching.launch_file import LaunchFile
@@ -33,7 +34,6 @@ from xtdrone_interaction.launching.supervised_launch import (
     watching,
 )
 from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
-from xtdrone_interaction.options import OptionError, parse_instance
 
 _START_LIMIT = 60.0  # s of wall time without progress before it is ready
 
@@ -101,10 +101,10 @@ def _prepare(words: argparse.Namespace) -> tuple[LaunchFile, Launch]:
     vehicles = file.vehicles
     instance = vehicles[0].instance if vehicles else 0
     if file.has_mavlink:
-        options.take_instance(file.fleet, instance)
+        command_options.take_instance(file.fleet, instance)
     port = instance_port(settings.master_port, instance) if settings.master_port else None
     number = master_port(port, use_running=words.use_master)
-    out = options.results_folder(words.out)
+    out = command_options.results_folder(words.out)
     return file, Launch(str(path), arguments, out, number, True, instance)
 
 

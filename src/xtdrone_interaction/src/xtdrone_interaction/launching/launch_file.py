@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from xtdrone_control.fleet import SPAWNED, Vehicle, check_instance, fleet_text, parse_fleet, spawned_fleet
+from xtdrone_interaction.command_options import OptionError, repository
 from xtdrone_interaction.monitoring.ended_nodes import SIMULATOR
-from xtdrone_interaction.options import OptionError, repository
 
 _MAVLINK = "simulator.py"  # the simulator program with MAVLink
 _BUILTIN = "builtin"

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any
 
-from xtdrone_interaction import options
+from xtdrone_interaction import command_options
 from xtdrone_interaction.launching.process_tree import end_descendants
 from xtdrone_interaction.launching.roslaunch_ahead import roslaunch_words
 
@@ -88,7 +88,7 @@ def launch_command(launch_file: str, arguments: Mapping[str, object], port: int)
     """
     return [
         *roslaunch_words(roslaunch_program()), "--sigint-timeout", str(NODE_PATIENCE), "-p", str(port),
-        str(options.repository() / "launch" / launch_file),
+        str(command_options.repository() / "launch" / launch_file),
         *(f"{name}:={value}" for name, value in arguments.items()),
     ]  # fmt: skip
 

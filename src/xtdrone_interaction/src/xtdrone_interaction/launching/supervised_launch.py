@@ -21,6 +21,7 @@ from typing import Any
 from rich.console import Console
 
 from xtdrone_control.fleet import GCS_REMOTE_PORT, instance_port
+from xtdrone_interaction.command_options import OptionError, check_master_port, free_port, repository
 from xtdrone_interaction.formation.flight_events import read_events
 from xtdrone_interaction.launching.message_feed import Feed, answers
 from xtdrone_interaction.launching.process_tree import ProcessTree
@@ -30,7 +31,6 @@ from xtdrone_interaction.monitoring.launch_log_errors import advice, error_lines
 from xtdrone_interaction.monitoring.missing_nodes import not_joined
 from xtdrone_interaction.monitoring.progress_display import Display, LineDisplay, LiveDisplay
 from xtdrone_interaction.monitoring.startup_progress import Startup
-from xtdrone_interaction.options import OptionError, check_master_port, free_port, repository
 from xtdrone_interaction.sim_cli import MASTER_FILE, announce
 
 _POLL = 0.2  # s between two polls of the processes

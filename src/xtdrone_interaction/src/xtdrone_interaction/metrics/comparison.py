@@ -17,11 +17,11 @@ from xtdrone_interaction.metrics.resampling import (
     even_times,
 )
 from xtdrone_interaction.metrics.vehicle_metrics import least_distance_series, way_length
-from xtdrone_interaction.recording.formation_record import formation_of
-from xtdrone_interaction.recording.open import open_recording
+from xtdrone_interaction.recording.flight_from_ulog import NAMELESS, FlightLog
+from xtdrone_interaction.recording.missions.formation_record import formation_of
+from xtdrone_interaction.recording.open_recording import open_recording
 from xtdrone_interaction.recording.recorded_flight import RecordError, Recording
-from xtdrone_interaction.recording.series import Array, Series
-from xtdrone_interaction.recording.ulog import NAMELESS, FlightLog
+from xtdrone_interaction.recording.series_in_bounded_memory import Array, Series
 
 ALIGNMENTS = ("motion", "armed", "start", "none")
 _MOVED = 0.3  # m from its first position: the vehicle moves

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from xtdrone_interaction.recording.series import Array, Series
+from xtdrone_interaction.recording.series_in_bounded_memory import Array, Series
 
 
 def even_times(time: Array, step: float) -> Array:

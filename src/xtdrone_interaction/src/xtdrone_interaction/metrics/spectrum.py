@@ -6,7 +6,7 @@ import numpy as np
 from scipy import signal
 
 from xtdrone_interaction.metrics.resampling import uniform
-from xtdrone_interaction.recording.series import Array, Series
+from xtdrone_interaction.recording.series_in_bounded_memory import Array, Series
 
 _SEGMENT = 512  # samples of one spectrum; Welch's method averages many
 

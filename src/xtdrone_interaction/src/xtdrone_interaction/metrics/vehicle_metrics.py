@@ -12,11 +12,11 @@ import numpy as np
 from xtdrone_interaction.formation.distances import least_distances
 from xtdrone_interaction.metrics.missions import odometry_errors
 from xtdrone_interaction.metrics.missions.formation_metrics import make_report
-from xtdrone_interaction.metrics.tracking import trackings
-from xtdrone_interaction.recording.formation_record import FormationRecord
+from xtdrone_interaction.metrics.setpoint_tracking import trackings
+from xtdrone_interaction.recording.flight_from_ulog import FlightLog
+from xtdrone_interaction.recording.missions.formation_record import FormationRecord
 from xtdrone_interaction.recording.recorded_flight import RecordError, Recording, VehicleRecord
-from xtdrone_interaction.recording.series import Series, spans
-from xtdrone_interaction.recording.ulog import FlightLog
+from xtdrone_interaction.recording.series_in_bounded_memory import Series, spans
 
 _INFO = ("sys_name", "release", "ver_hw", "ver_sw_release", "ver_sw", "sys_uuid")
 _FORMATION = ("outcome", "positions", "reconfigurations", "least_distance", "least_distance_time", "too_close",

@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 
 from xtdrone_interaction.metrics.missions.odometry_errors import Trajectory, aligned, common, pairs
 from xtdrone_interaction.metrics.missions.slam_report import ShownFlight
-from xtdrone_interaction.pictures.drawing import NamedFigure, panels
+from xtdrone_interaction.pictures.picture_style import NamedFigure, panels
 from xtdrone_interaction.recording.recorded_flight import Recording
-from xtdrone_interaction.recording.series import Array
+from xtdrone_interaction.recording.series_in_bounded_memory import Array
 
 _LEAST_POSES = 3
 _TRUE, _FOUND = "tab:green", "tab:orange"

@@ -16,8 +16,9 @@ from xtdrone_interaction.metrics.spectrum import (
     spectrum,
 )
 from xtdrone_interaction.metrics.vehicle_metrics import least_distance_series
-from xtdrone_interaction.pictures import formation_pictures, odometry_pictures
-from xtdrone_interaction.pictures.drawing import (
+from xtdrone_interaction.pictures import odometry_pictures
+from xtdrone_interaction.pictures.missions import formation_pictures
+from xtdrone_interaction.pictures.picture_style import (
     NO_MODE,
     NamedFigure,
     colours_of,
@@ -29,9 +30,9 @@ from xtdrone_interaction.pictures.drawing import (
     same_scale,
     shades,
 )
-from xtdrone_interaction.recording.formation_record import FormationRecord
+from xtdrone_interaction.recording.missions.formation_record import FormationRecord
 from xtdrone_interaction.recording.recorded_flight import Recording, VehicleRecord
-from xtdrone_interaction.recording.series import Array, Series, armed_span, spans
+from xtdrone_interaction.recording.series_in_bounded_memory import Array, Series, armed_span, spans
 
 _RESPONSES = 4  # vehicles whose setpoints are drawn with their responses
 _MOST_MODES = 14  # in the legend

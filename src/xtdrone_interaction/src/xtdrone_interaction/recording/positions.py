@@ -16,7 +16,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from xtdrone_interaction.formation.distances import least_distances
-from xtdrone_interaction.recording.series import Array, Series
+from xtdrone_interaction.recording.series_in_bounded_memory import Array, Series
 
 _BASE_STEP = 0.004  # s; every period of the simulator is a multiple of it
 _MEDIAN_SPAN = 10.0  # s; within any such span the recorder's clock is right most of the time

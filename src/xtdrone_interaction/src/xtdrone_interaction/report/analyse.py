@@ -14,18 +14,18 @@ from typing import Any, NamedTuple
 
 from rich.console import Console
 
-from xtdrone_interaction import options
+from xtdrone_interaction import command_options
 from xtdrone_interaction.bags.ros1bag import BagError
+from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.metrics.missions.map_report import map_rows
 from xtdrone_interaction.metrics.missions.odometry_errors import write_trajectories
 from xtdrone_interaction.metrics.vehicle_metrics import summarise, summarise_log
-from xtdrone_interaction.options import OptionError
-from xtdrone_interaction.pictures import flight_log
 from xtdrone_interaction.pictures import recording_pictures as recording_pictures
-from xtdrone_interaction.recording.formation_record import formation_of
-from xtdrone_interaction.recording.open import open_recording
+from xtdrone_interaction.pictures import ulog_pictures
+from xtdrone_interaction.recording.flight_from_ulog import FlightLog, LogError
+from xtdrone_interaction.recording.missions.formation_record import formation_of
+from xtdrone_interaction.recording.open_recording import open_recording
 from xtdrone_interaction.recording.recorded_flight import RecordError, Recording
-from xtdrone_interaction.recording.ulog import FlightLog, LogError
 from xtdrone_interaction.report import report_tables
 from xtdrone_interaction.report.html_page import ReportPage, output_folder, write_page
 
@@ -65,7 +65,7 @@ def analyse(
     if recording.flight_log is not None:
         log = recording.flight_log
         metrics = summarise_log(recording, log)
-        write_page(_log_page(log, metrics), metrics, flight_log.pictures(log), folder, console)
+        write_page(_log_page(log, metrics), metrics, ulog_pictures.pictures(log), folder, console)
         return
     record = formation_of(recording)
     metrics = summarise(recording, record)
@@ -153,7 +153,7 @@ def run(arguments: argparse.Namespace) -> int:
                 raise BagError(f"analyse: {str(file)!r} does not exist")
         if arguments.map and arguments.world is None:
             raise OptionError("map: --world is needed, whose surfaces the map is compared with")
-        maps = MapOptions(None if arguments.world is None else options.world(arguments.world), arguments.map)
+        maps = MapOptions(None if arguments.world is None else command_options.world(arguments.world), arguments.map)
         folder = output_folder(arguments.out, first.with_name(f"{first.stem}-analysis"))
         analyse(arguments.files, folder, Console(), arguments.part, maps)
     except OptionError as error:

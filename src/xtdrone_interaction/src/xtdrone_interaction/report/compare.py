@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from xtdrone_interaction.bags.ros1bag import BagError
+from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.metrics.comparison import (
     ALIGNMENTS,
     ComparedRun,
@@ -27,12 +28,11 @@ from xtdrone_interaction.metrics.comparison import (
     read_run,
     speed,
 )
-from xtdrone_interaction.metrics.tracking import SetpointPair, pairs
+from xtdrone_interaction.metrics.setpoint_tracking import SetpointPair, pairs
 from xtdrone_interaction.metrics.vehicle_metrics import least_distance_series
-from xtdrone_interaction.options import OptionError
-from xtdrone_interaction.pictures.drawing import NamedFigure, line, name_lines, panels, shades
+from xtdrone_interaction.pictures.picture_style import NamedFigure, line, name_lines, panels, shades
+from xtdrone_interaction.recording.flight_from_ulog import LogError
 from xtdrone_interaction.recording.recorded_flight import RecordError
-from xtdrone_interaction.recording.ulog import LogError
 from xtdrone_interaction.report.html_page import ReportPage, output_folder, write_page
 from xtdrone_interaction.report.report_tables import ReportTable, number
 

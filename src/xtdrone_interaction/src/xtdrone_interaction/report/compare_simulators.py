@@ -23,7 +23,7 @@ from xtdrone_coordination.laws.assignment import Assignment
 from xtdrone_coordination.leader import Leader
 from xtdrone_interaction.formation.distances import Array, relative
 from xtdrone_interaction.metrics.missions.formation_metrics import measure
-from xtdrone_interaction.recording.formation_record import FormationRecord, PatternWindow
+from xtdrone_interaction.recording.missions.formation_record import FormationRecord, PatternWindow
 from xtdrone_interaction.recording.positions import FleetTrack
 from xtdrone_interaction.recording.recorded_flight import RecordError
 
@@ -256,7 +256,10 @@ def save_pictures(simplified: FormationRecord, full: FormationRecord, folder: st
     Raises:
         RecordError: see :func:`compare`.
     """
-    from xtdrone_interaction.pictures.drawing import NamedFigure, save_figures  # imports matplotlib, which is slow
+    from xtdrone_interaction.pictures.picture_style import (  # matplotlib takes a while to import
+        NamedFigure,
+        save_figures,
+    )
 
     windows = _common_windows(simplified, full)
     names = [window.pattern for window, _ in windows]
@@ -278,7 +281,7 @@ def _response(
     from matplotlib import pyplot as plt
     from matplotlib.lines import Line2D
 
-    from xtdrone_interaction.pictures.drawing import fleet_colours
+    from xtdrone_interaction.pictures.picture_style import fleet_colours
 
     pair = _pair(first.track, window, full.track, other, _LEAD_IN)
     figure, axes = plt.subplots(3, 1, figsize=(9.0, 7.5), sharex=True)

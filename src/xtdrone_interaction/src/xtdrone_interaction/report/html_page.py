@@ -11,9 +11,9 @@ import jinja2
 from rich.console import Console
 from rich.markup import escape
 
+from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.metrics.missions.formation_metrics import write_report
-from xtdrone_interaction.options import OptionError
-from xtdrone_interaction.pictures.drawing import NamedFigure, save_figures
+from xtdrone_interaction.pictures.picture_style import NamedFigure, save_figures
 from xtdrone_interaction.report.printed_results import print_paths
 from xtdrone_interaction.report.report_tables import ReportTable, print_table
 

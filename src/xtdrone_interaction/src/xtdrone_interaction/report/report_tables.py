@@ -13,8 +13,8 @@ from rich.markup import escape
 from rich.table import Table
 
 if TYPE_CHECKING:
+    from xtdrone_interaction.recording.flight_from_ulog import FlightLog
     from xtdrone_interaction.recording.recorded_flight import Recording
-    from xtdrone_interaction.recording.ulog import FlightLog
 
 _PRINTED_ROWS = 40  # on the terminal
 _MOST_ROWS = 300  # of a table of texts

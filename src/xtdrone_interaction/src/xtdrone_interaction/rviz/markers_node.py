@@ -20,11 +20,12 @@ from xtdrone_msgs.msg import ObjectsOnGround, SceneModels
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.programs.program import check_no_arguments, needed_fleet
+from xtdrone_control.programs.node_command_line import check_no_arguments, needed_fleet
 from xtdrone_control.settings import Settings, setting
-from xtdrone_interaction.formation.distances import PATTERN_TOPIC, TOPOLOGY_TOPIC, TRUTH_TOPIC, offsets_from_message
+from xtdrone_interaction.formation.distances import offsets_from_message
+from xtdrone_interaction.formation.shared_topics_and_names import PATTERN_TOPIC, TOPOLOGY_TOPIC, TRUTH_TOPIC
 from xtdrone_interaction.rviz.markers import TRAIL, SwarmMarkers, ground_view
-from xtdrone_interaction.rviz.views import FOR_MARKERS
+from xtdrone_interaction.rviz.view_configurations import FOR_MARKERS
 from xtdrone_interaction.rviz.world_markers import WorldMarkers
 from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle

@@ -29,8 +29,8 @@ from xtdrone_sim.cached_files import cached_folder
 from xtdrone_sim.shapes.pose_arithmetic import compose
 from xtdrone_sim.shapes.triangles import triangles_of, write_obj
 from xtdrone_sim.shapes.visual import Box, Colour, Cylinder, Geometry, Mesh, Pose, Sphere, Visual
-from xtdrone_sim.worlds import people
-from xtdrone_sim.worlds.people import Person
+from xtdrone_sim.worlds import people_meshes
+from xtdrone_sim.worlds.people_meshes import Person
 from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld
 
 MODELS, PEOPLE = "world", "people"
@@ -68,9 +68,9 @@ class WorldMarkers:
         self._file = {model.name: model for model in world.models}
         self._models: dict[str, SdfModel] = dict(self._file)
         self._ids = {name: self._new_ids(model) for name, model in self._models.items()}
-        skins = people.skins([actor.skin for actor in world.actors])
+        skins = people_meshes.skins([actor.skin for actor in world.actors])
         self._people = {
-            actor.name: _Walker(people.load(skin), number, actor.pose)
+            actor.name: _Walker(people_meshes.load(skin), number, actor.pose)
             for number, (actor, skin) in enumerate(zip(world.actors, skins, strict=True))
         }
         self._poses = {model.name: model.pose for model in world.models}

@@ -20,11 +20,11 @@ from xtdrone_coordination.network import NetworkOptions
 from xtdrone_coordination.patterns import Patterns, with_leader
 from xtdrone_interaction.formation.distances import Array, least_distances
 from xtdrone_interaction.metrics.missions.formation_metrics import measure
-from xtdrone_interaction.recording.formation_record import FormationRecord
+from xtdrone_interaction.recording.missions.formation_record import FormationRecord
 from xtdrone_interaction.recording.positions import FleetTrack
 from xtdrone_interaction.recording.recorded_flight import Change
-from xtdrone_interaction.sweep.parameters import CLASS, DEFAULTS, Value, group_of
-from xtdrone_interaction.sweep.sources import Source, load
+from xtdrone_interaction.sweep.study.study_parameters import CLASS, DEFAULTS, Value, group_of
+from xtdrone_interaction.sweep.study.user_code import Source, load
 from xtdrone_swarm import Swarm
 from xtdrone_swarm.simplified.vehicle_parameters import load_model
 

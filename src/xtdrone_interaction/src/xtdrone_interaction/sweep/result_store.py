@@ -20,7 +20,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from xtdrone_interaction.options import OptionError
+from xtdrone_interaction.command_options import OptionError
 
 FORMAT = 2  # of runs.sqlite; 1 was a folder of Parquet files
 METADATA = b"xtdrone.study"

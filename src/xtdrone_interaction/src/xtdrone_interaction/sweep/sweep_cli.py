@@ -23,16 +23,16 @@ from rich.markup import escape
 
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.patterns import PatternError
-from xtdrone_interaction import cli, options
+from xtdrone_interaction import cli, command_options
+from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.console import PatientConsole
 from xtdrone_interaction.launching.scripted_launch import Stopped, StopRequest
 from xtdrone_interaction.machine_facts import machine_facts
-from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.sweep.fly_one_run import FIGURES
-from xtdrone_interaction.sweep.list_of_runs import Plan
 from xtdrone_interaction.sweep.progress import Progress, one_line
 from xtdrone_interaction.sweep.result_store import Store
-from xtdrone_interaction.sweep.study import Study, read_study
+from xtdrone_interaction.sweep.study.list_of_runs import Plan
+from xtdrone_interaction.sweep.study.study_file import Study, read_study
 
 _SHOWN = 10  # runs in a dry run, and differences of studies
 _PICTURE = "picture.png"
@@ -163,7 +163,7 @@ def _sweep(plan: Plan, folder: Path, arguments: argparse.Namespace, console: Con
 
 
 def _header(study: Study) -> dict[str, Any]:
-    facts = machine_facts(options.repository())
+    facts = machine_facts(command_options.repository())
     return {
         "study": study.plain(),
         "sources": {role: source.plain() for role, source in study.sources.items()},
@@ -352,7 +352,7 @@ def _print_reasons(results: Path, console: Console) -> None:
 
 
 def _draw(results: Path, arguments: argparse.Namespace, console: Console) -> None:
-    from xtdrone_interaction.sweep.picture import save_picture
+    from xtdrone_interaction.sweep.sweep_picture import save_picture
 
     path = results.with_name(_PICTURE)
     try:

@@ -14,7 +14,7 @@ import rosgraph
 import rospy
 from tornado.ioloop import IOLoop
 
-from xtdrone_control.programs.program import check_no_arguments
+from xtdrone_control.programs.node_command_line import check_no_arguments
 from xtdrone_interaction.server_port import port_here
 from xtdrone_interaction.web.actions.operator_actions import OperatorActions
 from xtdrone_interaction.web.context import StationContext

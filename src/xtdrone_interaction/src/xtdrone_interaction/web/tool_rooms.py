@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from xtdrone_interaction import options
+from xtdrone_interaction import command_options
 from xtdrone_interaction.topics.raw_subscriptions import RawSubscriptions
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.fleet.fleet_watch import FleetWatch
@@ -38,7 +38,9 @@ def tool_methods(context: StationContext, settings: StationSettings, fleet: Flee
         ParameterRoom(context),
         ImageRoom(context, topic_room, pages),
         LayerRoom(context, topic_room, pages, fleet),
-        RecordingRoom(context, Path(settings.recordings) if settings.recordings else options.repository() / RECORDINGS),
+        RecordingRoom(
+            context, Path(settings.recordings) if settings.recordings else command_options.repository() / RECORDINGS
+        ),
         SteeringRoom(context),
     )
     return [method for room in rooms for method in room.methods()]

@@ -11,7 +11,7 @@ import sys
 from dataclasses import fields
 from pathlib import Path
 
-from xtdrone_interaction import options
+from xtdrone_interaction import command_options
 from xtdrone_interaction.sim_cli import RUNS, SimError, choose_master, master_uri
 from xtdrone_interaction.web.station_settings import StationSettings
 
@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     environment = {"ROS_MASTER_URI": master}
     if not {"ROS_IP", "ROS_HOSTNAME"} & os.environ.keys():
         environment["ROS_IP"] = "127.0.0.1"
-    node = options.repository() / "src" / "xtdrone_interaction" / "nodes" / "web_station.py"
+    node = command_options.repository() / "src" / "xtdrone_interaction" / "nodes" / "web_station.py"
     given = [f"_{field.name}:={_yaml(getattr(settings, field.name))}" for field in fields(settings)]
     sys.stdout.flush()
     os.execve(sys.executable, [sys.executable, str(node), *given], {**os.environ, **environment})

@@ -45,7 +45,7 @@ from xtdrone_control.cameras.camera_pose import CameraPose, camera_link_pose, op
 from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.frames import to_xyzw
 from xtdrone_control.lockstep.deferred_work import Deferred
-from xtdrone_control.programs.program import ArgumentError
+from xtdrone_control.programs.node_command_line import ArgumentError
 from xtdrone_control.settings import Settings, setting
 from xtdrone_perception.tracking.geolocation import Geolocator, Noise, Person, View
 from xtdrone_perception.tracking.pose_history import PoseHistory

@@ -30,7 +30,7 @@ from xtdrone_control import lockstep
 from xtdrone_control.rotation import yaw_of
 from xtdrone_control.settings import Settings, setting
 
-from .following import ANY, FOLLOWING, Command, Following, FollowSettings, Seen
+from .person_following import ANY, FOLLOWING, Command, Following, FollowSettings, Seen
 
 RATE = 30.0  # Hz
 _MOUNT_PERIOD = 0.2  # s between gimbal commands, each of which is a MAVLink command

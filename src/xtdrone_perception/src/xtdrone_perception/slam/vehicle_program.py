@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import rospy
 
 from xtdrone_control import lockstep
-from xtdrone_control.programs.program import ArgumentError, served_vehicles
+from xtdrone_control.programs.node_command_line import ArgumentError, served_vehicles
 
 
 class VehicleNode(Protocol):

@@ -38,7 +38,7 @@ from xtdrone_control.bounded_file import ContentError
 from xtdrone_control.cameras.camera_pose import CameraPose
 from xtdrone_control.frames import to_xyzw
 from xtdrone_control.lockstep.deferred_work import Deferred
-from xtdrone_control.programs.program import ArgumentError
+from xtdrone_control.programs.node_command_line import ArgumentError
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_control.tag_boards import TagBoard, boards_of
 from xtdrone_perception.image_arrays import grey_of

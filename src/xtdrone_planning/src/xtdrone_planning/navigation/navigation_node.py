@@ -44,8 +44,8 @@ from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_perception.tracking.pose_history import PoseHistory
 from xtdrone_planning.mapping.map_messages import FRAME
 from xtdrone_planning.mapping.sensor_watch import SensorWatch, WatchSettings
-from xtdrone_planning.navigation.action_goals import ABORTED, SUCCEEDED
-from xtdrone_planning.navigation.action_topics import ActionTopics
+from xtdrone_planning.navigation.action_server.action_goals import ABORTED, SUCCEEDED
+from xtdrone_planning.navigation.action_server.action_topics import ActionTopics
 from xtdrone_planning.navigation.level_map import LevelMap, MapError
 from xtdrone_planning.navigation.navigator import ABORTED as GAVE_UP
 from xtdrone_planning.navigation.navigator import PLANNING, Navigator, Turn

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_planning.mapping.voxel_grid import VoxelGrid
 from xtdrone_planning.paths.grid_search import BLOCKED, REACHED, UNDECIDED, search
-from xtdrone_planning.paths.lines import seen_count, without_corners
+from xtdrone_planning.paths.lines_of_sight import seen_count, without_corners
 
 Array = NDArray[np.float64]
 
@@ -36,21 +36,36 @@ class LocalPath:
     is_whole: bool
 
 
-class Search(Protocol):
-    """What searches paths."""
+class PathQuery(NamedTuple):
+    """Between which places a path is searched, and what it keeps to.
 
-    def find(
-        self,
-        grid: VoxelGrid,
-        start: Array,
-        goal: Array,
-        clearance: float,
-        radius: float,
-        heights: tuple[float, float],
-        farthest: float,
-        distance: NDArray[np.float32] | None = None,
-    ) -> LocalPath:
-        """Search for a path; see ``PathSearch.find``."""
+    Attributes:
+        start, goal: (3,) m in map; the start is within the map.
+        clearance: least distance of the path to obstacles, m.
+        radius: of the disc that must have been seen around each point, m.
+        heights: lowest and highest flight, m in map.
+        farthest: longest way that is returned, m.
+    """
+
+    start: Array
+    goal: Array
+    clearance: float
+    radius: float
+    heights: tuple[float, float]
+    farthest: float
+
+
+class Search(Protocol):
+    """What searches paths: ``PathSearch``, or ``sampled_path.SampledSearch``."""
+
+    def find(self, grid: VoxelGrid, query: PathQuery, distance: NDArray[np.float32] | None = None) -> LocalPath:
+        """Search a path.
+
+        Args:
+            grid: the map.
+            query: between which places, and what the path keeps to.
+            distance: distances to obstacles in place of the map's, m.
+        """
 
 
 class PathSearch:
@@ -66,29 +81,10 @@ class PathSearch:
         self._stamp = 0
         self._size = 0
 
-    def find(
-        self,
-        grid: VoxelGrid,
-        start: Array,
-        goal: Array,
-        clearance: float,
-        radius: float,
-        heights: tuple[float, float],
-        farthest: float,
-        distance: NDArray[np.float32] | None = None,
-    ) -> LocalPath:
-        """Search a path.
-
-        Args:
-            grid: the map; ``start`` must be within.
-            start, goal: (3,) m in map.
-            clearance: minimum distance of the path to obstacles, m.
-            radius: of the disc that must have been seen around each point, m.
-            heights: minimum and maximum flight height, m in map.
-            farthest: maximum length of the returned path, m.
-            distance: distances to obstacles to use instead of the map's, m.
-        """
+    def find(self, grid: VoxelGrid, query: PathQuery, distance: NDArray[np.float32] | None = None) -> LocalPath:
+        """Search a path by A*; see ``Search.find``."""
         self._prepare(grid)
+        start, goal, heights = query.start, query.goal, query.heights
         distance = grid.distance if distance is None else distance
         places = [value / grid.resolution - grid.corner[2] for value in heights]
         first = np.array(grid.index(start))
@@ -96,7 +92,7 @@ class PathSearch:
         lowest = int(np.clip(np.ceil(places[0] - 0.5), 0, layers - 1))
         highest = int(np.clip(np.floor(places[1] - 0.5), lowest, layers - 1))
         outcome, voxels = search(
-            distance, grid.evidence, clearance, first, goal / grid.resolution - grid.corner,
+            distance, grid.evidence, query.clearance, first, goal / grid.resolution - grid.corner,
             min(lowest, first[2]), max(highest, first[2]), self._most,
             self._costs, self._parents, self._stamps, self._stamp, self._heap, self._keys,
         )  # fmt: skip
@@ -104,7 +100,7 @@ class PathSearch:
         points[0] = start
         if outcome == REACHED and grid.is_inside(goal) and heights[0] <= goal[2] <= heights[1]:
             points = np.vstack([points[:-1] if len(points) > 1 else points, goal])
-        return seen_path(grid, distance, int(outcome), points, goal, clearance, radius, farthest)
+        return seen_path(grid, distance, int(outcome), points, query)
 
     def _prepare(self, grid: VoxelGrid) -> None:
         if self._size != grid.evidence.size:
@@ -119,14 +115,7 @@ class PathSearch:
 
 
 def seen_path(
-    grid: VoxelGrid,
-    distance: NDArray[np.float32],
-    outcome: int,
-    points: Array,
-    goal: Array,
-    clearance: float,
-    radius: float,
-    farthest: float,
+    grid: VoxelGrid, distance: NDArray[np.float32], outcome: int, points: Array, query: PathQuery
 ) -> LocalPath:
     """Return the seen part of a path, without unnecessary corners.
 
@@ -135,13 +124,14 @@ def seen_path(
         distance: distances to obstacles, m.
         outcome: of the search.
         points: (n, 3) m in map, at most a voxel's diagonal apart.
-        goal, clearance, radius, farthest: see ``PathSearch.find``.
+        query: what was searched.
     """
-    seen = max(1, seen_count(grid.evidence, grid.corner, grid.resolution, points, radius, 2.0 * radius, farthest))
-    ahead = points[min(len(points) - 1, round(3.0 / grid.resolution))]
-    is_whole = outcome == REACHED and seen == len(points) and bool(np.allclose(points[-1], goal))
-    kept = without_corners(distance, grid.evidence, grid.corner, grid.resolution, points[:seen], clearance, radius)
+    corner, resolution, radius = grid.corner, grid.resolution, query.radius
+    seen = max(1, seen_count(grid.evidence, corner, resolution, points, radius, 2.0 * radius, query.farthest))
+    ahead = points[min(len(points) - 1, round(3.0 / resolution))]
+    is_whole = outcome == REACHED and seen == len(points) and bool(np.allclose(points[-1], query.goal))
+    kept = without_corners(distance, grid.evidence, corner, resolution, points[:seen], query.clearance, radius)
     return LocalPath(outcome, kept, ahead, is_whole)
 
 
-__all__ = ["BLOCKED", "REACHED", "UNDECIDED", "LocalPath", "PathSearch", "Search", "seen_path"]
+__all__ = ["BLOCKED", "REACHED", "UNDECIDED", "LocalPath", "PathQuery", "PathSearch", "Search", "seen_path"]

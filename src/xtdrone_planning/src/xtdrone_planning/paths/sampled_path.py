@@ -15,8 +15,8 @@ from ompl import base, geometric, util
 
 from xtdrone_planning.mapping.voxel_grid import VoxelGrid
 from xtdrone_planning.paths.grid_search import BLOCKED, REACHED, STEEP, UNDECIDED
-from xtdrone_planning.paths.lines import is_clear
-from xtdrone_planning.paths.local_path import LocalPath, seen_path
+from xtdrone_planning.paths.lines_of_sight import is_clear
+from xtdrone_planning.paths.local_path import LocalPath, PathQuery, seen_path
 
 Array = NDArray[np.float64]
 
@@ -66,39 +66,22 @@ class SampledSearch:
         util.noOutputHandler()
         self._planner, self._iterations, self._seed = _PLANNERS[planner], iterations, seed
 
-    def find(
-        self,
-        grid: VoxelGrid,
-        start: Array,
-        goal: Array,
-        clearance: float,
-        radius: float,
-        heights: tuple[float, float],
-        farthest: float,
-        distance: NDArray[np.float32] | None = None,
-    ) -> LocalPath:
-        """Search for a path; see ``PathSearch.find``. A goal outside the map is replaced by the nearest position
-        inside."""
+    def find(self, grid: VoxelGrid, query: PathQuery, distance: NDArray[np.float32] | None = None) -> LocalPath:
+        """Search a path; see ``Search.find``. A goal outside of the map is replaced by the nearest place within."""
+        start, goal = query.start, query.goal
         distance = grid.distance if distance is None else distance
-        target = goal if grid.is_inside(goal) else _nearest_within(grid, distance, goal, clearance, heights)
+        target = goal if grid.is_inside(goal) else _nearest_within(grid, distance, query)
         if target is None:
             return LocalPath(BLOCKED, start[None].copy(), start.copy(), is_whole=False)
-        corners = self._corners(grid, distance, start, target, clearance, heights)
+        corners = self._corners(grid, distance, target, query)
         if corners is None:
             return LocalPath(UNDECIDED, start[None].copy(), start.copy(), is_whole=False)
         points = _dense(corners, grid.resolution)
-        return seen_path(grid, distance, REACHED, points, goal, clearance, radius, farthest)
+        return seen_path(grid, distance, REACHED, points, query)
 
-    def _corners(
-        self,
-        grid: VoxelGrid,
-        distance: NDArray[np.float32],
-        start: Array,
-        target: Array,
-        clearance: float,
-        heights: tuple[float, float],
-    ) -> Array | None:
-        """Return the corners (n, 3) of the best path found, m in map, or None."""
+    def _corners(self, grid: VoxelGrid, distance: NDArray[np.float32], target: Array, query: PathQuery) -> Array | None:
+        """Return the corners (n, 3) of the best path to ``target`` that was found, m in map; None without one."""
+        start, heights = query.start, query.heights
         util.RNG.setSeed(self._seed)
         space = base.RealVectorStateSpace(3)
         bounds = base.RealVectorBounds(3)
@@ -110,8 +93,8 @@ class SampledSearch:
             bounds.setHigh(axis, float(high[axis] * scale))
         space.setBounds(bounds)
         information = base.SpaceInformation(space)
-        information.setStateValidityChecker(lambda state: True)  # states are checked together with the lines to them
-        lines = _Lines(information, grid, distance, clearance)
+        information.setStateValidityChecker(lambda state: True)  # a state counts with the lines to it
+        lines = _Lines(information, grid, distance, query.clearance)
         information.setMotionValidator(lines)
         information.setup()
         ends = [space.allocState(), space.allocState()]
@@ -131,15 +114,14 @@ class SampledSearch:
         return np.array([_place(path.getState(n)) for n in range(path.getStateCount())])
 
 
-def _nearest_within(
-    grid: VoxelGrid, distance: NDArray[np.float32], goal: Array, clearance: float, heights: tuple[float, float]
-) -> Array | None:
-    """Return the position on the map, with enough clearance, nearest to a goal outside, (3,) m in map, or None."""
+def _nearest_within(grid: VoxelGrid, distance: NDArray[np.float32], query: PathQuery) -> Array | None:
+    """Return the place on the map nearest to a goal outside, (3,) m in map, with the clearance; None without one."""
+    goal = query.goal
     edge = _FROM_EDGE * grid.resolution
     inside = np.clip(goal, grid.origin + edge, grid.upper - edge)
-    inside[2] = np.clip(inside[2], *heights)
+    inside[2] = np.clip(inside[2], *query.heights)
     layer = grid.index(inside)[2] if grid.is_inside(inside) else grid.evidence.shape[2] // 2
-    free = np.argwhere(distance[:, :, layer] >= clearance)
+    free = np.argwhere(distance[:, :, layer] >= query.clearance)
     if not len(free):
         return None
     places = grid.middle(np.column_stack([free, np.full(len(free), layer)]))

@@ -18,9 +18,10 @@ from typing import Protocol
 
 import numpy as np
 
-from xtdrone_planning.replanning.situation import PlannerSettings, Situation
+from xtdrone_planning.replanning.settings import PlannerSettings
+from xtdrone_planning.replanning.situation import Situation
 from xtdrone_planning.trajectories.local_trajectory import State
-from xtdrone_planning.trajectories.uniform_spline import UniformSpline
+from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline
 
 OK, WARNING, ERROR = 0, 1, 2
 """Levels of diagnostic_msgs/DiagnosticStatus."""

@@ -14,13 +14,14 @@ from xtdrone_control.rotation import wrap_pi
 from xtdrone_planning.mapping.voxel_grid import VoxelGrid
 from xtdrone_planning.paths.clear_place import nearest_clear
 from xtdrone_planning.paths.grid_search import BLOCKED, REACHED
-from xtdrone_planning.paths.local_path import LocalPath, PathSearch, Search
+from xtdrone_planning.paths.local_path import LocalPath, PathQuery, PathSearch, Search
 from xtdrone_planning.replanning.flight_states import FlightState, Planning, Waiting
-from xtdrone_planning.replanning.situation import Command, PlannerSettings, Situation
+from xtdrone_planning.replanning.settings import PlannerSettings
+from xtdrone_planning.replanning.situation import Command, Situation
 from xtdrone_planning.trajectories.local_trajectory import State, TrajectorySettings, conflict_time, plan_along
 from xtdrone_planning.trajectories.slowing_down import stopping
+from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, resting
 from xtdrone_planning.trajectories.time_law import length_of
-from xtdrone_planning.trajectories.uniform_spline import UniformSpline, resting
 
 Array = NDArray[np.float64]
 
@@ -172,13 +173,11 @@ class Planner:
         return True
 
     def _find_path(self, start: Array, distance: NDArray[np.float32] | None = None) -> LocalPath:
-        """Search for a path to the goal; ``distance`` replaces the map's, see ``PathSearch.find``."""
+        """Search a path to the goal; ``distance`` in place of the map's, see ``Search.find``."""
         assert self.goal is not None
-        heights = self.settings.heights
         clearance, radius = self.limits.clearance(self.grid.resolution), self.limits.radius
-        return self._search.find(
-            self.grid, start, self.goal, clearance, radius, heights, self.settings.horizon, distance
-        )
+        query = PathQuery(start, self.goal, clearance, radius, self.settings.heights, self.settings.horizon)
+        return self._search.find(self.grid, query, distance)
 
     def _trajectory_along(self, corners: Array, start: State, time: float) -> UniformSpline | None:
         return plan_along(self.grid, corners, start, time, self.limits, heights=self.settings.heights)

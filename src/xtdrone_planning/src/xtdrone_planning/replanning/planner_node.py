@@ -54,7 +54,8 @@ from xtdrone_planning.mapping.range_images import DepthMapping, LidarMapping
 from xtdrone_planning.mapping.sensor_watch import SensorWatch, WatchSettings
 from xtdrone_planning.mapping.voxel_grid import MapSettings
 from xtdrone_planning.replanning.planner import Planner
-from xtdrone_planning.replanning.situation import Command, GoalError, PlannerSettings, Situation
+from xtdrone_planning.replanning.settings import GoalError, PlannerSettings
+from xtdrone_planning.replanning.situation import Command, Situation
 from xtdrone_planning.replanning.stopwatch import Stopwatch, write_summaries
 from xtdrone_planning.swarm.settings import AgreementSettings
 from xtdrone_planning.swarm.swarm_planner import SwarmPlanner

@@ -2,83 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.settings import Settings, setting
-
 Array = NDArray[np.float64]
-
-_LARGEST = 1e5  # m
-
-
-class GoalError(ValueError):
-    """A goal that is not allowed; the message names it, its value and what is allowed."""
-
-
-@dataclass(frozen=True)
-class PlannerSettings(Settings):
-    """Settings of the planner's decisions."""
-
-    lowest: float = setting(0.8, low=0.0, high=1000.0, unit="m", text="minimum height of flight and of goals")
-    highest: float = setting(5.0, low=0.5, high=1000.0, unit="m", text="maximum height of flight and of goals")
-    horizon: float = setting(12.0, low=2.0, high=60.0, unit="m", text="maximum length of a planned path")
-    period: float = setting(0.2, low=0.02, high=5.0, unit="s", text="time between two plans in flight")
-    patience: float = setting(
-        6.0, low=0.5, high=120.0, unit="s", text="time without a trajectory after which a goal is unreachable"
-    )
-    retry: float = setting(2.0, low=0.1, high=60.0, unit="s", text="time between attempts at an unreachable goal")
-    voxels: int = setting(25000, low=100, high=10_000_000, text="maximum number of voxels that a search expands")
-    global_planner: str = setting(
-        "astar",
-        choices=("astar", "rrt_star", "bit_star", "informed_rrt_star"),
-        text="path search: A*, or a planner of OMPL",
-    )
-    iterations: int = setting(400, low=10, high=100_000, text="iterations per search of OMPL's planners")
-    sampling_seed: int = setting(1, low=1, high=2**31 - 1, text="seed of each search of OMPL's planners")
-    lead: float = setting(
-        0.2,
-        low=0.0,
-        high=1.0,
-        unit="s",
-        text="time by which setpoints lead the trajectory, to compensate for the lag of autopilot and vehicle",
-    )
-    astray: float = setting(
-        1.0, low=0.1, high=10.0, unit="m", text="deviation from the trajectory beyond which the vehicle replans"
-    )
-    yaw_rate: float = setting(1.5, low=0.1, high=6.0, unit="rad/s", text="maximum yaw rate")
-    carry: float = setting(
-        0.0, low=0.0, high=10.0, unit="s",
-        text="velocities on /xtdrone/VEHICLE/cmd_vel_enu keep the goal this time ahead of the vehicle, e.g. those of a "
-        "follower; 0: they are not used",
-    )  # fmt: skip
-    offboard: bool = setting(True, text="request OFFBOARD for a new goal; false: wait for the pilot to do so")
-
-    @property
-    def heights(self) -> tuple[float, float]:
-        """Minimum and maximum flight height, m in map."""
-        return self.lowest, self.highest
-
-    def check_goal(self, goal: Array) -> None:
-        """Check a goal, (3,) m in map.
-
-        Raises:
-            GoalError: not finite, too far away, or outside the allowed heights.
-        """
-        if not all(math.isfinite(value) and abs(value) <= _LARGEST for value in goal.tolist()):
-            raise GoalError(f"goal: {_text(goal)} is not allowed, finite numbers within +-{_LARGEST:g} m")
-        if not self.lowest <= goal[2] <= self.highest:
-            raise GoalError(
-                f"goal: height {goal[2]:.2f} is not allowed, {self.lowest:g} to {self.highest:g} m (lowest, highest)"
-            )
-
-
-def _text(values: Array) -> str:
-    return f"({', '.join(f'{value:g}' for value in values.tolist())})"
 
 
 @dataclass(frozen=True)

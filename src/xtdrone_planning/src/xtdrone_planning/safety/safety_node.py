@@ -40,7 +40,7 @@ from std_msgs.msg import Float64MultiArray
 from xtdrone_msgs.msg import SafetyIntervention
 
 from xtdrone_control import lockstep, rotation
-from xtdrone_control.programs.program import ArgumentError, needed_fleet, run_program
+from xtdrone_control.programs.node_command_line import ArgumentError, needed_fleet, run_program
 from xtdrone_planning.mapping.range_images import ScanError, points_of
 from xtdrone_planning.safety.near_points import placed
 from xtdrone_planning.safety.setpoints import (

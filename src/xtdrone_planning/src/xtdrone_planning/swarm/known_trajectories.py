@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from xtdrone_planning.trajectories.uniform_spline import UniformSpline
+from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline
 
 FORGET = 1.5  # s after its start; a proposal without a decision by then was dropped by its vehicle
 

@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 
 from xtdrone_planning.mapping.voxel_grid import VoxelGrid
 from xtdrone_planning.replanning.planner import LEAST_WAY, Planner
-from xtdrone_planning.replanning.situation import Command, PlannerSettings, Situation
+from xtdrone_planning.replanning.settings import PlannerSettings
+from xtdrone_planning.replanning.situation import Command, Situation
 from xtdrone_planning.swarm.known_trajectories import Known, Proposal
 from xtdrone_planning.swarm.settings import AgreementSettings
 from xtdrone_planning.trajectories.local_trajectory import State, TrajectorySettings, conflict_time, plan_along
 from xtdrone_planning.trajectories.moving_vehicles import MovingVehicles
+from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline
 from xtdrone_planning.trajectories.time_law import length_of
-from xtdrone_planning.trajectories.uniform_spline import UniformSpline
 
 Array = NDArray[np.float64]
 

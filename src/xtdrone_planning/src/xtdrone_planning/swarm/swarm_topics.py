@@ -22,8 +22,8 @@ from xtdrone_msgs.msg import SplineTrajectory
 from xtdrone_control import lockstep
 from xtdrone_planning.swarm.known_trajectories import Proposal
 from xtdrone_planning.swarm.swarm_planner import SwarmPlanner
+from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline
 from xtdrone_planning.trajectories.trajectory_messages import TrajectoryError, spline_message, spline_of
-from xtdrone_planning.trajectories.uniform_spline import UniformSpline
 
 _OFTEN, _SELDOM = 0.1, 0.5  # s between repetitions: of new trajectories and proposals, of older ones
 _NEWS = 0.6  # s

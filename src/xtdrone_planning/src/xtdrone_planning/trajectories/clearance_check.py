@@ -6,7 +6,7 @@ import math
 
 from xtdrone_planning.kernel import kernel
 from xtdrone_planning.mapping.field_lookup import distance_at, is_seen
-from xtdrone_planning.trajectories.spline_kernels import spline_at
+from xtdrone_planning.trajectories.splines.spline_kernels import spline_at
 
 CLEAR = math.inf
 """Returned for a trajectory without conflict."""

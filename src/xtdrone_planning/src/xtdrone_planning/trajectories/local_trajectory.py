@@ -18,9 +18,9 @@ from xtdrone_control.settings import Settings, setting
 from xtdrone_planning.mapping.voxel_grid import VoxelGrid
 from xtdrone_planning.trajectories.clearance_check import first_conflict
 from xtdrone_planning.trajectories.moving_vehicles import NO_VEHICLES, MovingVehicles
-from xtdrone_planning.trajectories.spline_cost import FIXED, SAMPLES, optimise
+from xtdrone_planning.trajectories.splines.spline_cost import FIXED, SAMPLES, optimise
+from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, first_points
 from xtdrone_planning.trajectories.time_law import TimeLaw, length_of, points_along
-from xtdrone_planning.trajectories.uniform_spline import UniformSpline, first_points
 
 Array = NDArray[np.float64]
 

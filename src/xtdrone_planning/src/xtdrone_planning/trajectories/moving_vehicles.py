@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from xtdrone_planning.mapping.voxel_grid import VoxelGrid
 from xtdrone_planning.trajectories.separation import first_approach, places_at, shorten_near
-from xtdrone_planning.trajectories.uniform_spline import UniformSpline
+from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline
 
 Array = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from xtdrone_planning.kernel import kernel
-from xtdrone_planning.trajectories.spline_cost import UPRIGHT
-from xtdrone_planning.trajectories.spline_kernels import spline_at
+from xtdrone_planning.trajectories.splines.spline_cost import UPRIGHT
+from xtdrone_planning.trajectories.splines.spline_kernels import spline_at
 
 _LEAST_STEP, _MOST_STEP = 0.02, 0.5  # s
 _LEAST = 0.01  # m: distances stay positive, because a search leaves obstacles only through such voxels

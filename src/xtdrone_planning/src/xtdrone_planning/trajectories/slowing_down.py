@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_planning.trajectories.uniform_spline import UniformSpline, first_points
+from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, first_points
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from geometry_msgs.msg import Point, PoseStamped
 from nav_msgs.msg import Path
 from xtdrone_msgs.msg import SplineTrajectory
 
-from xtdrone_planning.trajectories.uniform_spline import UniformSpline
+from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline
 
 _LEAST_POINTS, _MOST_POINTS = 4, 10_000
 _SPACING = 0.1  # s between the poses of a path

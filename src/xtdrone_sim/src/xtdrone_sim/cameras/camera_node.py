@@ -5,7 +5,7 @@ topic or service                   type                      content
 =================================  ========================  ==========================================================
 /T/CAMERA/image_raw                sensor_msgs/Image         rgb8; stamp: time of the exposure
 /T/CAMERA/camera_info              sensor_msgs/CameraInfo    with each image, plumb_bob
-/T/CAMERA/...                      ...                       compressed, depths, stereo pairs: see ``outputs``
+/T/CAMERA/...                      ...                       compressed, depths, stereo pairs: see ``camera_messages``
 /T/CAMERA/freeze                   std_srvs/SetBool          true: stops the images, as a failed camera does
 /xtdrone/scene (subscribed)        xtdrone_msgs/SceneState   poses of links and actors
 /xtdrone/models (subscribed)       xtdrone_msgs/SceneModels  models added and deleted since the start
@@ -31,12 +31,12 @@ from xtdrone_msgs.msg import SceneModels, SceneState
 
 from xtdrone_control import lockstep
 from xtdrone_control.lockstep.deferred_work import Deferred
-from xtdrone_control.programs.program import ArgumentError, check_no_arguments, fleet_of
+from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments, fleet_of
 from xtdrone_control.settings import Settings, setting
+from xtdrone_sim.cameras.camera_messages import COSTLY, messages, topics_of
 from xtdrone_sim.cameras.camera_worker import Changes, DrawingProcess, Drawn
 from xtdrone_sim.cameras.cameras_of_fleet import MOST_TURNS, Camera, Exposures, cameras_of, turn_rate
 from xtdrone_sim.cameras.drawn_scene import View
-from xtdrone_sim.cameras.outputs import COSTLY, messages, topics_of
 from xtdrone_sim.cameras.rendering import BACKENDS
 from xtdrone_sim.cameras.shutter import RecentScenes, exposure_times, middle_us
 from xtdrone_sim.early_parameters import private_parameters

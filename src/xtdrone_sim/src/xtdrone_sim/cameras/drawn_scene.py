@@ -12,7 +12,7 @@ from xtdrone_sim.cameras.sun_shadows import SunShadows, darkened
 from xtdrone_sim.shapes.pose_arithmetic import OPTICAL_FRAME, compose
 from xtdrone_sim.shapes.visual import Box, Mesh, Pose, Visual
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds import people
+from xtdrone_sim.worlds import people_meshes
 from xtdrone_sim.worlds.scene_at import ActorState, SceneAt
 from xtdrone_sim.worlds.sdf import SdfActor, SdfModel, SdfWorld
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
@@ -115,7 +115,7 @@ class DrawnScene:
         for vehicle in fleet:
             for part in types[vehicle.model].urdf.moving:
                 self._add_link(f"{vehicle.name}::{part.name}", part.visuals, None)
-        skins = people.skins([actor.skin for actor in world.actors])
+        skins = people_meshes.skins([actor.skin for actor in world.actors])
         for actor, skin in zip(world.actors, skins, strict=True):
             self._add_actor(actor, skin)
 
@@ -168,7 +168,7 @@ class DrawnScene:
             self._renderer.place(body, pose)
 
     def _add_actor(self, actor: SdfActor, skin: str) -> None:
-        person = people.load(skin)
+        person = people_meshes.load(skin)
         bodies = tuple(self._renderer.add(posture) for posture in (person.standing, *person.walk))
         for body in bodies:
             self._renderer.hide(body)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from xtdrone_sim.gazebo.limits import RequestError
+from xtdrone_sim.gazebo.request_limits import RequestError
 from xtdrone_sim.simulation import Simulation
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from xtdrone_sim.gazebo.frames import STANDING, State, in_world, part_of
-from xtdrone_sim.gazebo.limits import MOST_ADDED, RequestError, check_model, check_name, unknown
+from xtdrone_sim.gazebo.request_limits import MOST_ADDED, RequestError, check_model, check_name, unknown
 from xtdrone_sim.physics.bodies.movable_bodies import Drive
 from xtdrone_sim.physics.wrenches import Wrench
 from xtdrone_sim.shapes.pose_arithmetic import compose, conjugate, inverse, rotate

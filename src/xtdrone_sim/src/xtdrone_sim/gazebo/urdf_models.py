@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 
-from xtdrone_sim.gazebo.limits import RequestError
+from xtdrone_sim.gazebo.request_limits import RequestError
 from xtdrone_sim.package_files import PACKAGE
 from xtdrone_sim.shapes.pose_arithmetic import compose
 from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.vehicles.urdf import Description, Inertial, UrdfError, parse_urdf
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
-from xtdrone_sim.worlds.sdf.rigid_links import is_possible
+from xtdrone_sim.worlds.sdf.models.rigid_links import is_possible
 
 _FILE = re.compile(r"filename\s*=\s*[\"'](.*?)[\"']")
 _STATIC = re.compile(r"<static>\s*(true|1)\s*</static>")

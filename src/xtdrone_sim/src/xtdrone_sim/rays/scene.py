@@ -20,7 +20,7 @@ from xtdrone_sim.rays.tree import NOTHING, SURFACE, Trees, build, joined
 from xtdrone_sim.shapes.pose_arithmetic import compose
 from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds import people
+from xtdrone_sim.worlds import people_meshes
 from xtdrone_sim.worlds.scene_at import ActorState, SceneAt
 from xtdrone_sim.worlds.sdf import SdfActor, SdfModel
 
@@ -148,11 +148,11 @@ class RayScene:
         self._layout = None
 
     def _add_actors(self, actors: Sequence[SdfActor]) -> None:
-        skins = people.skins([actor.skin for actor in actors])
+        skins = people_meshes.skins([actor.skin for actor in actors])
         postures: dict[str, list[Trees]] = {}
         for actor, skin in zip(actors, skins, strict=True):
             if skin not in postures:
-                body = people.read(skin)
+                body = people_meshes.read(skin)
                 points = [body.posture(k)[body.triangles] for k in range(len(body.poses))]
                 postures[skin] = [build(of_triangles(corners, 0)) for corners in points]
             self._trees[actor.name] = postures[skin]

@@ -14,10 +14,10 @@ from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_control.tag_boards import TagBoard, boards_of
 from xtdrone_sim.descriptions import ModelError, available, read_description
 from xtdrone_sim.robots import tag_visuals
-from xtdrone_sim.robots.floating import Boat, BoatLimits, HullSettings, check_step
-from xtdrone_sim.robots.kinematics import Ackermann, AckermannLimits, Differential, DifferentialLimits, Drive
-from xtdrone_sim.robots.rolling import Footprint, Ground
+from xtdrone_sim.robots.boat_dynamics import Boat, BoatLimits, HullSettings, check_step
 from xtdrone_sim.robots.waves import WaveSettings
+from xtdrone_sim.robots.wheel_drives import Ackermann, AckermannLimits, Differential, DifferentialLimits, Drive
+from xtdrone_sim.robots.wheels_on_uneven_ground import Footprint, Ground
 from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Pose, Visual
 from xtdrone_sim.vehicles.urdf import Inertial
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel

@@ -41,11 +41,11 @@ from xtdrone_sim.gazebo.models_by_name import Models
 from xtdrone_sim.gazebo.scene_topics import ModelTopics
 from xtdrone_sim.physics.contacts.start_collisions import StartError, check_height
 from xtdrone_sim.rays.solid_ground import SolidGround, shapes_of
-from xtdrone_sim.robots.floating import Boat
-from xtdrone_sim.robots.kinematics import Drive
+from xtdrone_sim.robots.boat_dynamics import Boat
 from xtdrone_sim.robots.list_of_robots import Robot
 from xtdrone_sim.robots.robot_model import LINK, BoatModel
 from xtdrone_sim.robots.robot_urdf import urdf_of, wheel_frames
+from xtdrone_sim.robots.wheel_drives import Drive
 from xtdrone_sim.shapes.pose_arithmetic import compose, inverse
 from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.simulation import Simulation

@@ -8,8 +8,8 @@ from typing import NamedTuple
 from xml.etree import ElementTree
 
 from xtdrone_control.rotation import Vector, to_euler
-from xtdrone_sim.robots.kinematics import Joint
 from xtdrone_sim.robots.robot_model import LINK, AnyRobot, BoatModel
+from xtdrone_sim.robots.wheel_drives import Joint
 from xtdrone_sim.shapes.pose_arithmetic import from_axis_angle
 from xtdrone_sim.shapes.visual import Box, Cylinder, Pose, Visual
 

@@ -22,9 +22,9 @@ from xtdrone_sim.autopilots.builtin_autopilot import AutopilotFactory, BuiltinAu
 from xtdrone_sim.autopilots.datagrams import Datagrams
 from xtdrone_sim.autopilots.px4_hil_fleet import Hil
 from xtdrone_sim.effects import Effect, load_effects
-from xtdrone_sim.gazebo.model_services import GazeboServices
 from xtdrone_sim.gazebo.models_by_name import Models
 from xtdrone_sim.gazebo.scene_topics import ModelTopics
+from xtdrone_sim.gazebo.services.model_services import GazeboServices
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT
 from xtdrone_sim.robots.list_of_robots import Robot, parse_robots
 from xtdrone_sim.robots.robot_topics import RobotTopics

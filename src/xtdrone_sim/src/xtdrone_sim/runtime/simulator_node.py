@@ -19,12 +19,12 @@ import rospy
 from gazebo_msgs.msg import ModelStates
 from rosgraph_msgs.msg import Clock
 
-from xtdrone_control import kernel, lockstep
+from xtdrone_control import kernel_cache, lockstep
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.programs.log_output import survive_full_disk
 from xtdrone_control.programs.under_roslaunch import announce, end_launch
 from xtdrone_control.settings import Settings, setting
-from xtdrone_sim.runtime.digests import DigestFile
+from xtdrone_sim.runtime.digest_file import DigestFile
 from xtdrone_sim.runtime.end_by_signal import Stop
 from xtdrone_sim.runtime.other_simulator import obstacle, ready_words, stale_uri
 from xtdrone_sim.runtime.requests.control_services import Services
@@ -507,10 +507,10 @@ class _Kernels:
 
     def announce(self) -> None:
         """Register the log output."""
-        kernel.Announcer(self._begins, self._ends).register()
+        kernel_cache.Announcer(self._begins, self._ends).register()
 
     def _begins(self, name: str) -> None:
-        write, where = (rospy.loginfo, "") if self._told else (rospy.logwarn, f"; {kernel.cache_words()}")
+        write, where = (rospy.loginfo, "") if self._told else (rospy.logwarn, f"; {kernel_cache.cache_words()}")
         self._told = True
         write("simulator: compiling kernels: %s%s", name, where)
 

@@ -22,7 +22,7 @@ from xtdrone_sim.kernel import kernel
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.rays.casting import distance_along
-from xtdrone_sim.sensors.failure_injection import Failing
+from xtdrone_sim.sensors.failing_sensors_and_motors import Failing
 from xtdrone_sim.sensors.models_below import Below
 from xtdrone_sim.sensors.vehicles_and_people_below import Others
 

@@ -21,7 +21,7 @@ from xtdrone_control import lockstep
 from xtdrone_control.frames import to_xyzw
 from xtdrone_control.rotation import multiply
 from xtdrone_control.rotation_kernels import rotate_inverse
-from xtdrone_sim.sensors.imu import Imu
+from xtdrone_sim.sensors.additional_imus import Imu
 from xtdrone_sim.simulation import Simulation
 
 

@@ -10,7 +10,7 @@ from nav_msgs.msg import MapMetaData, OccupancyGrid
 from numpy.typing import NDArray
 
 from xtdrone_control import lockstep
-from xtdrone_control.programs.program import ArgumentError, check_no_arguments
+from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments
 from xtdrone_sim.worlds.floor_plan import FloorPlanSettings, floor_plan
 from xtdrone_sim.worlds.sdf import load_world_file
 

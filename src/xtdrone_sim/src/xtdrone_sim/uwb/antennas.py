@@ -3,41 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from xtdrone_control.fleet import Vehicle
+from xtdrone_sim.vehicles.mounts.fleet_sensor import FleetSensor, sensors_of
 from xtdrone_sim.vehicles.mounts.uwb_mounts import UwbMount
-from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
-
-@dataclass(frozen=True)
-class Antenna:
-    """A UWB sensor of one vehicle.
-
-    Attributes:
-        vehicle: name, e.g. ``iris_uwb_0``.
-        body: name of the vehicle's root link.
-        mount: its position and properties.
-    """
-
-    vehicle: str
-    body: str
-    mount: UwbMount
-
-    @property
-    def topic(self) -> str:
-        """Its topic."""
-        return f"/{self.vehicle}/{self.mount.name}"
-
-    @property
-    def frame_id(self) -> str:
-        """Its frame."""
-        return f"{self.vehicle}/{self.mount.frame}"
-
-    @property
-    def link(self) -> str:
-        """Gazebo's name of the link that carries it."""
-        return f"{self.vehicle}::{self.body}"
+Antenna = FleetSensor[UwbMount]
 
 
 def antennas_of(fleet: Sequence[Vehicle]) -> tuple[Antenna, ...]:
@@ -46,12 +17,7 @@ def antennas_of(fleet: Sequence[Vehicle]) -> tuple[Antenna, ...]:
     Raises:
         ModelError: a vehicle type cannot be used.
     """
-    models = {kind: load_vehicle(kind) for kind in dict.fromkeys(vehicle.model for vehicle in fleet)}
-    return tuple(
-        Antenna(vehicle.name, models[vehicle.model].urdf.root, mount)
-        for vehicle in fleet
-        for mount in models[vehicle.model].uwb
-    )
+    return sensors_of(fleet, lambda model: [(model.urdf.root, mount) for mount in model.uwb])
 
 
 def neighbours_of(own: int, antennas: Sequence[Antenna]) -> tuple[int, ...]:

@@ -31,15 +31,15 @@ from xtdrone_msgs.msg import RelativeRanges, SceneModels, SceneState
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.programs.program import ArgumentError, check_no_arguments, fleet_of
+from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments, fleet_of
 from xtdrone_control.settings import Settings
 from xtdrone_sim.early_parameters import private_parameters
+from xtdrone_sim.rays.live_rays import LiveRays
 from xtdrone_sim.sensors.measurement_times import Due, rate_setting, time_us
 from xtdrone_sim.shapes.pose_arithmetic import compose
 from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.topics.failure_services import FailureServices
 from xtdrone_sim.topics.fleet_changes import FleetChanges, vehicles_may_join
-from xtdrone_sim.topics.live_rays import LiveRays
 from xtdrone_sim.topics.scene_messages import scene_of
 from xtdrone_sim.uwb.antennas import Antenna, antennas_of, neighbours_of
 from xtdrone_sim.uwb.line_of_sight import Moment, Sights

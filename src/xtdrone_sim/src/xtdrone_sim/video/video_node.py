@@ -22,7 +22,7 @@ from sensor_msgs.msg import Image
 
 from xtdrone_control.fleet import Vehicle, parse_fleet
 from xtdrone_control.fleet.vehicle import GCS_REMOTE_PORT, check_instance, instance_port
-from xtdrone_control.programs.program import ArgumentError, check_no_arguments
+from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.cameras.cameras_of_fleet import cameras_of
 from xtdrone_sim.video.camera_component import CameraComponent

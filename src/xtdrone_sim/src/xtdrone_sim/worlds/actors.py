@@ -17,7 +17,7 @@ import numpy as np
 
 from xtdrone_control.rotation import Vector, yaw_of
 from xtdrone_control.settings import check_range
-from xtdrone_sim.worlds import people
+from xtdrone_sim.worlds import people_meshes
 from xtdrone_sim.worlds.sdf import SdfActor, Trajectory
 
 TURN_RATE = 1.5  # rad/s, in place
@@ -220,8 +220,8 @@ def actors_of(actors: Sequence[SdfActor]) -> Actors:
     Raises:
         ValueError: a skin is unknown.
     """
-    skins = people.skins([actor.skin for actor in actors])
-    return Actors(actors, [people.read(skin).stride for skin in skins])
+    skins = people_meshes.skins([actor.skin for actor in actors])
+    return Actors(actors, [people_meshes.read(skin).stride for skin in skins])
 
 
 def _first_way(actor: SdfActor, time_us: int, stride: float) -> _Way:

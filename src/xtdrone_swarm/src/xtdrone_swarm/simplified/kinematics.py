@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from xtdrone_swarm.simplified.kernel import kernel
+from xtdrone_swarm.kernel import kernel
 from xtdrone_swarm.simplified.simplified_autopilot import OFFBOARD, fly, limit_length
 from xtdrone_swarm.swarm_vehicles import ACCELERATION, HOLD, POSITION
 

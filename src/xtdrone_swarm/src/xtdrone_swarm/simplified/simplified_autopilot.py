@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from xtdrone_control.autopilot import modes
-from xtdrone_swarm.simplified.kernel import kernel
+from xtdrone_swarm.kernel import kernel
 from xtdrone_swarm.swarm_vehicles import ACCELERATION, VELOCITY
 
 OFFBOARD, LOITER, POSCTL, TAKEOFF, LAND, RTL = 0, 1, 2, 3, 4, 5

@@ -37,7 +37,7 @@ from xtdrone_control.fleet import StartPose, Vehicle, fleet_text, parse_fleet, s
 from xtdrone_control.geodesy.projection import GRAVITY
 from xtdrone_control.lockstep.protocol import Schedule
 from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_control.programs.program import ArgumentError, check_multirotor, parse_count
+from xtdrone_control.programs.node_command_line import ArgumentError, check_multirotor, parse_count
 from xtdrone_control.rotation import Vector
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_coordination.patterns import origin_columns

@@ -35,7 +35,7 @@ from rospy.client import load_command_line_node_params
 from std_msgs.msg import Float32MultiArray, Int32MultiArray
 
 from xtdrone_control import lockstep
-from xtdrone_control.programs.program import (
+from xtdrone_control.programs.node_command_line import (
     ArgumentError,
     check_multirotor,
     fleet_of,

@@ -17,7 +17,7 @@ from ..protocol import DIGEST_PERIOD_US, Barrier
 from ..transport.inbox import Inbox
 from ..transport.outlets import Outlet
 from ..transport.publisher import CountingPublisher
-from .deliveries import Deliveries
+from .messages_due import Deliveries
 from .node_state import Node
 from .server_link import Connection
 from .topics import Publisher

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..protocol import Digest
 from ..transport.outlets import Outlet
-from .deliveries import Deliveries
+from .messages_due import Deliveries
 from .node_state import Node
 
 

@@ -29,7 +29,7 @@ from ..protocol import (
 from ..transport.outlets import Outlet
 from ..transport.rospy_internals import set_time_us
 from .compiled_turns import CompiledTurns, CompiledWork
-from .deliveries import Deliveries
+from .messages_due import Deliveries
 from .node_state import Node, Serve
 from .server_link import Connection, reason_of
 

@@ -1,4 +1,7 @@
-"""Messages of gimbal protocol v2; commands are in ``command_execution``, streams in ``streams.rare_telemetry``."""
+"""Messages of gimbal protocol v2.
+
+Commands are in ``command_execution``, streams in ``streams.esc_gimbal_traffic_telemetry``.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,11 @@ from xtdrone_control import frames
 from xtdrone_control.autopilot.navigator.gimbal_manager import GimbalManager
 from xtdrone_control.mavlink.client_link import Link
 from xtdrone_control.mavlink.service_base import Service, Vehicle
-from xtdrone_control.mavlink.streams.rare_telemetry import GIMBAL_CAPABILITIES, GIMBAL_DEVICE, GIMBAL_RANGE
+from xtdrone_control.mavlink.streams.esc_gimbal_traffic_telemetry import (
+    GIMBAL_CAPABILITIES,
+    GIMBAL_DEVICE,
+    GIMBAL_RANGE,
+)
 
 _DEVICES = (0, GIMBAL_DEVICE)  # 0: all
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 
 from xtdrone_native import mavlink_wire
 
-from xtdrone_control.mavlink.streams.rare_telemetry import SILENT, silent, source
+from xtdrone_control.mavlink.streams.esc_gimbal_traffic_telemetry import SILENT, silent, source
 from xtdrone_control.mavlink.streams.telemetry import Content, Telemetry, Values
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
 from xtdrone_control.mavlink.wire.frame_packing import Format

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..reports import rounded_xy
 from ..searching_vehicle import State, Vehicle
-from ..states.base import MissionControl
+from ..states.common_supervision import MissionControl
 from ..states.following import FollowingPerson
 from .reallocation import Reallocation
 

@@ -9,7 +9,7 @@ from itertools import pairwise
 from ..actions import MISSION, PushMission
 from ..planning.coverage_path import Point, Waypoint, length
 from ..searching_vehicle import State, Vehicle
-from ..states.base import MissionControl
+from ..states.common_supervision import MissionControl
 
 _MIN_PART = 10.0  # m; a shorter part is not worth the flight to it
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..searching_vehicle import OFFBOARD_STATES, Vehicle
-from ..states.base import MissionControl
+from ..states.common_supervision import MissionControl
 from .candidates import Candidate
 
 

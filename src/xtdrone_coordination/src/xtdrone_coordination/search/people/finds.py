@@ -7,7 +7,7 @@ from collections.abc import Callable
 from ..losses.reallocation import Reallocation
 from ..reports import Find, rounded_xy
 from ..searching_vehicle import BUSY, LookStage, SecondLook, State, Vehicle
-from ..states.base import MissionControl
+from ..states.common_supervision import MissionControl
 
 
 class Finds:

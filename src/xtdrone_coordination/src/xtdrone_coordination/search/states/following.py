@@ -6,8 +6,8 @@ from ..actions import Follow
 from ..people.candidates import Candidate
 from ..reports import rounded_xy
 from ..searching_vehicle import Following, SecondLook, State, Vehicle
-from .base import MissionControl
-from .offboard import OffboardState
+from .common_supervision import MissionControl
+from .offboard_heights_and_setpoints import OffboardState
 from .rejoining import Rejoining
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..actions import MISSION, Arm, SetReturnHeight
 from ..searching_vehicle import State, Vehicle
-from .base import RETRY_PERIOD, VehicleState, because
+from .common_supervision import RETRY_PERIOD, VehicleState, because
 
 _CLIMBED = 0.8  # part of the takeoff height from which on a vehicle searches
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from ..actions import MISSION, PointCamera
 from ..searching_vehicle import LookStage, SecondLook, State, Vehicle
-from .base import PART_SEARCHED
-from .offboard import OffboardState
+from .common_supervision import PART_SEARCHED
+from .offboard_heights_and_setpoints import OffboardState
 
 
 class Rejoining(OffboardState):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..actions import LAND, LOITER, RTL
 from ..searching_vehicle import State, Vehicle
-from .base import VehicleState
+from .common_supervision import VehicleState
 
 
 class Holding(VehicleState):

@@ -6,7 +6,7 @@ import math
 
 from ..actions import LAND, RTL
 from ..searching_vehicle import Vehicle
-from .base import PART_SEARCHED, VehicleState
+from .common_supervision import PART_SEARCHED, VehicleState
 
 FALLEN = 0.3  # part of the lowest planned height below which a vehicle has fallen
 

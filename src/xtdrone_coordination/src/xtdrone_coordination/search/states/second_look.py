@@ -14,8 +14,8 @@ from ..coverage_map import shows
 from ..people.candidates import EXTRAPOLATION, Candidate
 from ..reports import rounded_xy
 from ..searching_vehicle import LookStage, SecondLook, State, Vehicle
-from .base import MissionControl
-from .offboard import OffboardState
+from .common_supervision import MissionControl
+from .offboard_heights_and_setpoints import OffboardState
 
 _OFFBOARD_DELAY = 0.3  # s for the first setpoint to arrive before the mode is requested
 _MIN_RADIUS, _MAX_RADIUS = 3.0, 25.0  # m

@@ -14,7 +14,7 @@ import rospy
 from foxglove import Parameter, StatusLevel
 from foxglove.websocket import Capability, ChannelView, Client, ClientChannel, ServerListener
 
-from xtdrone_control.programs.program import check_no_arguments
+from xtdrone_control.programs.node_command_line import check_no_arguments
 from xtdrone_control.settings import setting
 from xtdrone_interaction.bridges import bridge_settings
 from xtdrone_interaction.bridges.bridge_settings import BridgeSettings

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from xtdrone_control.fleet import Vehicle
-from xtdrone_interaction.recording.search_record import EVENTS_TOPIC, PROGRESS_TOPIC
+from xtdrone_interaction.recording.missions.search_record import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.rviz.markers_node import TOPIC as MARKERS_TOPIC
 
 _PLOTTED = 12  # vehicles with lines in a plot; more could not be distinguished

@@ -16,7 +16,7 @@ from cyclonedds.core import DDSException
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 
-from xtdrone_control.programs.program import check_no_arguments
+from xtdrone_control.programs.node_command_line import check_no_arguments
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_interaction.bridges.bridge_graph import BridgeGraph
 from xtdrone_interaction.bridges.bridge_settings import patterns, publications_of

@@ -15,7 +15,7 @@ import genmsg.msgs
 import genpy
 
 from xtdrone_interaction.bridges.ros_types import ServiceTypeError, service_class
-from xtdrone_interaction.bridges.rosbridge.operations import shown
+from xtdrone_interaction.bridges.rosbridge.protocol.operations import shown
 from xtdrone_interaction.topics.discovery import UNKNOWN_TYPE, Topic, TopicGraph
 from xtdrone_interaction.topics.message_classes import MessageTypeError, class_of_field, installed_class
 

@@ -11,13 +11,13 @@ from typing import Any
 import rosgraph
 import rospy
 
-from xtdrone_control.programs.program import check_no_arguments
+from xtdrone_control.programs.node_command_line import check_no_arguments
 from xtdrone_control.settings import setting
 from xtdrone_interaction.bridges import bridge_settings
 from xtdrone_interaction.bridges.bridge_settings import BridgeSettings, patterns
+from xtdrone_interaction.bridges.rosbridge.clients.session import Bridge
+from xtdrone_interaction.bridges.rosbridge.clients.subscriptions import Encoder
 from xtdrone_interaction.bridges.rosbridge.rosapi import Rosapi
-from xtdrone_interaction.bridges.rosbridge.session import Bridge
-from xtdrone_interaction.bridges.rosbridge.subscriptions import Encoder
 from xtdrone_interaction.bridges.rosbridge.websocket_server import WebSocketServer
 from xtdrone_interaction.server_port import port_here
 from xtdrone_interaction.topics.raw_subscriptions import RawSubscriptions

@@ -15,7 +15,7 @@ import tornado.netutil
 import tornado.web
 import tornado.websocket
 
-from xtdrone_interaction.bridges.rosbridge.session import Bridge, Session
+from xtdrone_interaction.bridges.rosbridge.clients.session import Bridge, Session
 
 MAX_CLIENTS = 100
 _LOCAL = ("localhost", "127.0.0.1", "::1")

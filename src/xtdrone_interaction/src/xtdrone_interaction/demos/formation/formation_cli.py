@@ -9,11 +9,11 @@ from pathlib import Path
 from xtdrone_control.fleet import parse_fleet, with_poses
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
-from xtdrone_interaction import options
+from xtdrone_interaction import command_options
+from xtdrone_interaction.command_options import DEFAULT_FOLLOWER, MachineSettings, OptionError
 from xtdrone_interaction.console import PatientConsole, run_reported
 from xtdrone_interaction.demos.formation.formation_demo import DemoSettings, run_demo, waived_criteria
 from xtdrone_interaction.launching.supervised_launch import master_port
-from xtdrone_interaction.options import DEFAULT_FOLLOWER, MachineSettings, OptionError
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
 
@@ -37,11 +37,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     DemoSettings.add_arguments(
         parser, ("control", "avoidance", "neighbours", "clearance", "waive", "headless", "logs", "web")
     )
-    options.add_world(parser)
+    command_options.add_world(parser)
     add("--no-film", dest="film", action="store_false", help="no film of the flight, flight.mp4, after its end")
     add("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
-    options.add_master(parser)
-    options.add_instance(parser)
+    command_options.add_master(parser)
+    command_options.add_instance(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -55,33 +55,33 @@ def demo_settings(arguments: argparse.Namespace) -> DemoSettings:
     Raises:
         OptionError, PatternError, FleetError: a value is not allowed.
     """
-    follower, follower_class = options.follower_program(arguments.follower)
+    follower, follower_class = command_options.follower_program(arguments.follower)
     settings = DemoSettings.from_arguments(
         arguments,
         pattern_file=str(arguments.pattern_file.resolve()) if arguments.pattern_file else "",
         processes=arguments.processes.replace("-", "_"),
         follower=follower,
         follower_class=follower_class,
-        leader_class=options.leader_class(arguments.leader),
-        world=options.world(arguments.world),
+        leader_class=command_options.leader_class(arguments.leader),
+        world=command_options.world(arguments.world),
         film=arguments.film,
     )
-    config = options.repository() / "src" / "xtdrone_sim" / "config"
-    options.one_of_files("vehicle type", settings.type, config / "vehicles")
+    config = command_options.repository() / "src" / "xtdrone_sim" / "config"
+    command_options.one_of_files("vehicle type", settings.type, config / "vehicles")
     if settings.neighbours == "estimated" and not load_vehicle(settings.type).uwb:
         raise OptionError(
             f"neighbours: 'estimated' needs a type with a UWB sensor, as iris_uwb_bearing, not {settings.type!r}"
         )
     fleet = f"{settings.type}:{settings.n}"
     with_poses(parse_fleet(fleet), settings.poses)
-    options.swarm_patterns(settings.n, settings.patterns, settings.pattern_file or None)
-    options.checked_class(settings.follower_class, Follower, "follower")
-    leader = options.checked_class(settings.leader_class, Leader, "leader")
+    command_options.swarm_patterns(settings.n, settings.patterns, settings.pattern_file or None)
+    command_options.checked_class(settings.follower_class, Follower, "follower")
+    leader = command_options.checked_class(settings.leader_class, Leader, "leader")
     machine = MachineSettings.from_arguments(arguments)
     return replace(
         settings,
         waive=waived_criteria(leader, settings.waive),
-        out=options.results_folder(arguments.out, recorded=True),
+        out=command_options.results_folder(arguments.out, recorded=True),
         master_port=master_port(machine.master_port, use_running=arguments.use_master),
-        instance=options.take_instance(fleet, machine.instance),
+        instance=command_options.take_instance(fleet, machine.instance),
     )

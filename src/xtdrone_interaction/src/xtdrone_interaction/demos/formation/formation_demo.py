@@ -16,12 +16,7 @@ from rich.console import Console
 from xtdrone_control.lockstep.simulation_speed import speed_setting
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.leader import Leader
-from xtdrone_interaction.formation.distances import EVENTS_TOPIC, PROGRESS_TOPIC
-from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, escape, run_flight
-from xtdrone_interaction.metrics.missions.formation_metrics import make_report, write_report
-from xtdrone_interaction.monitoring.ended_nodes import EndedNode, EndedNodes
-from xtdrone_interaction.monitoring.progress_display import Display
-from xtdrone_interaction.options import (
+from xtdrone_interaction.command_options import (
     DEFAULT_FOLLOWER,
     clearance_setting,
     patterns_setting,
@@ -30,7 +25,12 @@ from xtdrone_interaction.options import (
     waive_setting,
     web_setting,
 )
-from xtdrone_interaction.recording.formation_record import read_formation
+from xtdrone_interaction.formation.shared_topics_and_names import EVENTS_TOPIC, PROGRESS_TOPIC
+from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, escape, run_flight
+from xtdrone_interaction.metrics.missions.formation_metrics import make_report, write_report
+from xtdrone_interaction.monitoring.ended_nodes import EndedNode, EndedNodes
+from xtdrone_interaction.monitoring.progress_display import Display
+from xtdrone_interaction.recording.missions.formation_record import read_formation
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.printed_results import print_formation, print_paths
 
@@ -199,8 +199,8 @@ def _conclude(settings: DemoSettings, console: Console, command_wall: float, end
 
 
 def _film(bag: Path, console: Console) -> None:
-    """Film the flight next to its bag; print the path, or why there is no film."""
-    from xtdrone_interaction.pictures.formation_film import default_file, make_film  # imports Matplotlib
+    """Film the flight beside its bag; print the path, or why there is no film."""
+    from xtdrone_interaction.pictures.missions.formation_film import default_file, make_film  # imports Matplotlib
     from xtdrone_swarm.view import FilmError
 
     try:
@@ -242,8 +242,8 @@ def report_flight(
     Raises:
         DemoError: the bag is not a flight record.
     """
-    from xtdrone_interaction.pictures.drawing import save_figures  # imports matplotlib, which is slow
-    from xtdrone_interaction.pictures.formation_pictures import figures
+    from xtdrone_interaction.pictures.missions.formation_pictures import figures
+    from xtdrone_interaction.pictures.picture_style import save_figures  # matplotlib takes a while to import
 
     try:
         record = read_formation(bag)

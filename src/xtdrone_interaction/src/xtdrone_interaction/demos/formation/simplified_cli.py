@@ -12,7 +12,8 @@ from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
 from xtdrone_coordination.network import NetworkOptions
 from xtdrone_coordination.user_classes import load_class, nothing_overridden
-from xtdrone_interaction import options
+from xtdrone_interaction import command_options
+from xtdrone_interaction.command_options import DEFAULT_FOLLOWER, MachineSettings, OptionError
 from xtdrone_interaction.console import PatientConsole, run_reported
 from xtdrone_interaction.demos.formation.formation_demo import DemoSettings, waived_criteria
 from xtdrone_interaction.demos.formation.simplified_demo import (
@@ -22,10 +23,9 @@ from xtdrone_interaction.demos.formation.simplified_demo import (
     run_in_process,
     run_on_ros,
 )
-from xtdrone_interaction.formation.distances import ORIGIN
+from xtdrone_interaction.formation.shared_topics_and_names import ORIGIN
 from xtdrone_interaction.launching.supervised_launch import master_port
-from xtdrone_interaction.options import DEFAULT_FOLLOWER, MachineSettings, OptionError
-from xtdrone_interaction.recording.formation_record import FormationRecord, read_formation
+from xtdrone_interaction.recording.missions.formation_record import FormationRecord, read_formation
 from xtdrone_interaction.report.compare_simulators import check_comparable
 
 WINDOW_SPEED = 10.0  # default real-time factor with a window
@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     SwarmSettings.add_arguments(parser, ("headless",))
     DemoSettings.add_arguments(parser, ("web",))
     add("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
-    options.add_master(parser)
+    command_options.add_master(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -99,7 +99,7 @@ def swarm_settings(arguments: argparse.Namespace) -> tuple[SwarmSettings, FilmSe
     from xtdrone_swarm.simplified.vehicle_parameters import load_model
     from xtdrone_swarm.view import can_open
 
-    leader = options.leader_class(arguments.leader)
+    leader = command_options.leader_class(arguments.leader)
     settings = SwarmSettings.from_arguments(
         arguments,
         pattern_file=str(arguments.pattern_file.resolve()) if arguments.pattern_file else "",
@@ -108,12 +108,12 @@ def swarm_settings(arguments: argparse.Namespace) -> tuple[SwarmSettings, FilmSe
         network=_network(arguments),
         compare_with=arguments.compare_with,
     )
-    config = options.repository() / "src" / "xtdrone_sim" / "config"
-    options.one_of_files("vehicle type", settings.kind, config / "vehicles")
+    config = command_options.repository() / "src" / "xtdrone_sim" / "config"
+    command_options.one_of_files("vehicle type", settings.kind, config / "vehicles")
     if settings.model.endswith((".yaml", ".yml")):
         settings = replace(settings, model=str(Path(settings.model).resolve()))
     load_model(settings.kind, settings.model or None)
-    options.swarm_patterns(settings.n, settings.patterns, settings.pattern_file or None)
+    command_options.swarm_patterns(settings.n, settings.patterns, settings.pattern_file or None)
     window = not settings.headless and can_open()
     if not hasattr(arguments, "speed") and window:
         settings = replace(settings, speed=WINDOW_SPEED)
@@ -122,7 +122,7 @@ def swarm_settings(arguments: argparse.Namespace) -> tuple[SwarmSettings, FilmSe
         waive=waived_criteria(settings.leader, settings.waive),
         compare=_compare(arguments, settings.n),
         recorded=_recorded(arguments.compare_with, settings),
-        out=options.results_folder(arguments.out),
+        out=command_options.results_folder(arguments.out),
     )
     return settings, FilmSettings(_film(arguments.film, settings.out, window=window), window)
 
@@ -140,7 +140,7 @@ def ros_settings(arguments: argparse.Namespace, settings: SwarmSettings, film: F
     for name in _NETWORK:
         if hasattr(arguments, name):
             raise OptionError(f"{name}: --{name} is available in one process only; add --without-ros")
-    follower, follower_class = options.follower_program(arguments.follower)
+    follower, follower_class = command_options.follower_program(arguments.follower)
     parse_fleet(f"{settings.kind}:{settings.n}")  # binds no port: there is no MAVLink
     return DemoSettings(
         n=settings.n,
@@ -165,14 +165,14 @@ def ros_settings(arguments: argparse.Namespace, settings: SwarmSettings, film: F
         logs=False,
         simulator="simplified",
         model=settings.model,
-        leader_class=options.leader_class(arguments.leader),
+        leader_class=command_options.leader_class(arguments.leader),
         window=film.window,
         web=getattr(arguments, "web", False),
     )
 
 
 def _follower(text: str) -> type[Follower]:
-    _, file = options.follower_program(text)
+    _, file = command_options.follower_program(text)
     return load_class(file, Follower, "follower") if file else Follower
 
 
@@ -211,7 +211,7 @@ def _recorded(file: Path | None, settings: SwarmSettings) -> FormationRecord | N
 
 def _film(wanted: str | None, out: Path, *, window: bool) -> Path | None:
     """Return the file of the film, None for no film."""
-    from xtdrone_interaction.pictures.formation_film import default_file  # imports Matplotlib
+    from xtdrone_interaction.pictures.missions.formation_film import default_file  # imports Matplotlib
     from xtdrone_swarm.view import check_film
 
     if wanted == "none" or (wanted is None and window):

@@ -20,13 +20,7 @@ from xtdrone_control.lockstep.simulation_speed import speed_setting
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
-from xtdrone_interaction.demos.formation.formation_demo import DemoSettings, show_event
-from xtdrone_interaction.demos.formation.formation_demo import run_demo as run_ros_demo
-from xtdrone_interaction.formation.swarm_flight import FormationFlight, outcome_of
-from xtdrone_interaction.launching.supervised_launch import DemoError, Interrupted, escape, raise_on_signals
-from xtdrone_interaction.metrics.missions.formation_metrics import make_report, write_report
-from xtdrone_interaction.monitoring.progress_display import Display, LineDisplay, LiveDisplay
-from xtdrone_interaction.options import (
+from xtdrone_interaction.command_options import (
     MAX_SWARM,
     clearance_setting,
     patterns_setting,
@@ -34,7 +28,13 @@ from xtdrone_interaction.options import (
     vehicles_setting,
     waive_setting,
 )
-from xtdrone_interaction.recording.formation_record import FormationRecord, read_formation, save_formation
+from xtdrone_interaction.demos.formation.formation_demo import DemoSettings, show_event
+from xtdrone_interaction.demos.formation.formation_demo import run_demo as run_ros_demo
+from xtdrone_interaction.formation.swarm_flight import FormationFlight, outcome_of
+from xtdrone_interaction.launching.supervised_launch import DemoError, Interrupted, escape, raise_on_signals
+from xtdrone_interaction.metrics.missions.formation_metrics import make_report, write_report
+from xtdrone_interaction.monitoring.progress_display import Display, LineDisplay, LiveDisplay
+from xtdrone_interaction.recording.missions.formation_record import FormationRecord, read_formation, save_formation
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.compare_simulators import (
     as_data,
@@ -299,8 +299,8 @@ def _show(swarm: Swarm, turns: Iterator[None], speed: float, display: Display) -
 def _conclude(
     record: FormationRecord, report: dict[str, Any], settings: SwarmSettings, film: FilmSettings, console: Console
 ) -> int:
-    from xtdrone_interaction.pictures.drawing import save_figures  # imports matplotlib, which is slow
-    from xtdrone_interaction.pictures.formation_pictures import figures
+    from xtdrone_interaction.pictures.missions.formation_pictures import figures
+    from xtdrone_interaction.pictures.picture_style import save_figures  # matplotlib takes a while to import
 
     print_formation(report, console)
     file = settings.out / "report.json"
@@ -346,7 +346,7 @@ def _film(record: FormationRecord, path: Path, console: Console) -> Path:
     Raises:
         DemoError: the film cannot be written.
     """
-    from xtdrone_interaction.pictures.formation_film import make_film  # imports Matplotlib
+    from xtdrone_interaction.pictures.missions.formation_film import make_film  # imports Matplotlib
     from xtdrone_swarm.view import FilmError
 
     try:

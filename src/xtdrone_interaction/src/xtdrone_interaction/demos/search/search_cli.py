@@ -7,11 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_interaction.console import PatientConsole, run_reported
-from xtdrone_interaction.demos.search.search_demo import run_search
-from xtdrone_interaction.demos.search.search_prepare import SearchSettings
-from xtdrone_interaction.launching.supervised_launch import master_port
-from xtdrone_interaction.options import (
+from xtdrone_interaction.command_options import (
     MachineSettings,
     OptionError,
     add_instance,
@@ -19,6 +15,10 @@ from xtdrone_interaction.options import (
     results_folder,
     take_instance,
 )
+from xtdrone_interaction.console import PatientConsole, run_reported
+from xtdrone_interaction.demos.search.search_demo import run_search
+from xtdrone_interaction.demos.search.search_prepare import SearchSettings
+from xtdrone_interaction.launching.supervised_launch import master_port
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -12,15 +12,15 @@ from typing import Any
 
 from rich.console import Console
 
+from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.demos.search.search_prepare import Prepared, SearchSettings, prepare, read_prepared
 from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, escape, run_flight
 from xtdrone_interaction.metrics.missions.formation_metrics import write_report
 from xtdrone_interaction.metrics.missions.search_metrics import make_report
 from xtdrone_interaction.monitoring.ended_nodes import EndedNode, EndedNodes
 from xtdrone_interaction.monitoring.progress_display import Display
-from xtdrone_interaction.options import OptionError
+from xtdrone_interaction.recording.missions.search_record import EVENTS_TOPIC, PROGRESS_TOPIC, read_search
 from xtdrone_interaction.recording.recorded_flight import RecordError
-from xtdrone_interaction.recording.search_record import EVENTS_TOPIC, PROGRESS_TOPIC, read_search
 from xtdrone_interaction.report.printed_results import print_search
 
 _START_LIMIT = 90.0  # s of wall time until the first progress message, plus _START_LIMIT_VEHICLE per vehicle
@@ -158,7 +158,7 @@ def _report(
     Raises:
         DemoError: the bag is not the record of a search.
     """
-    from xtdrone_interaction.pictures.search_map import save_map  # imports matplotlib, which is slow
+    from xtdrone_interaction.pictures.missions.search_map import save_map  # matplotlib takes a while to import
 
     folder = bag.parent
     try:

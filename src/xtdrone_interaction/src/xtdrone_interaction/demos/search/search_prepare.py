@@ -26,16 +26,10 @@ from xtdrone_control.plans import qgc_plan
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.search.planning.plans import SearchOptions, VehiclePlan, plan_search, write_plans
 from xtdrone_coordination.search.planning.region import parse_region, read_region, region_data
-from xtdrone_interaction.formation.distances import natural_order
-from xtdrone_interaction.options import (
-    OptionError,
-    repository,
-    seed_setting,
-    vehicles_setting,
-    web_setting,
-)
+from xtdrone_interaction.command_options import OptionError, repository, seed_setting, vehicles_setting, web_setting
+from xtdrone_interaction.formation.shared_topics_and_names import natural_order
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds import people, scenery
+from xtdrone_sim.worlds import people_meshes, scenery
 from xtdrone_sim.worlds.catalogue import load_world
 from xtdrone_sim.worlds.sdf import SdfWorld, load_world_file, write_world
 
@@ -242,7 +236,7 @@ def generate_world(region: Polygon, seed: int, persons: int, *, walking: bool = 
         region=bounds,
         persons=persons,
         walking=walking,
-        skins=people.names(),
+        skins=people_meshes.names(),
         within=lambda x, y: inner.contains(Point(x, y)),
     )
 

@@ -12,7 +12,7 @@ from xtdrone_interaction.formation.distances import least_distances
 from xtdrone_interaction.metrics.clearance import Solid, least_distances_to
 from xtdrone_interaction.metrics.missions.formation_crossing_metrics import formation_figures
 from xtdrone_interaction.metrics.missions.formation_metrics import versions
-from xtdrone_interaction.recording.crossing_record import CrossingRecord
+from xtdrone_interaction.recording.missions.crossing_record import CrossingRecord
 
 
 def make_report(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from xtdrone_interaction.formation.distances import least_distances
 from xtdrone_interaction.metrics.clearance import Solid, least_distances_to
 from xtdrone_interaction.metrics.missions.formation_metrics import versions
-from xtdrone_interaction.recording.exploration_record import ExplorationRecord
+from xtdrone_interaction.recording.missions.exploration_record import ExplorationRecord
 from xtdrone_planning.exploration.floor_map import FREE, OCCUPIED, FloorMap
 from xtdrone_planning.exploration.frontiers import Ways
 from xtdrone_planning.exploration.settings import ExplorationSettings

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from xtdrone_interaction.formation.distances import Array, formation_error
-from xtdrone_interaction.recording.crossing_record import CrossingRecord
+from xtdrone_interaction.recording.missions.crossing_record import CrossingRecord
 
 _STEADY = 2.0  # s before the way begins and before landing, over which the formed errors are averaged
 

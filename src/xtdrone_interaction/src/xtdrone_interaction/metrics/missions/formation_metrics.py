@@ -18,9 +18,15 @@ from typing import Any
 import numpy as np
 
 from xtdrone_coordination.laws.assignment import assign
-from xtdrone_interaction.formation.distances import SETTLED_ERROR, Array, close_pairs, formation_error, relative
-from xtdrone_interaction.formation.flight_criteria import ASSIGNMENT_SLACK, CRITERIA, DISTANCE_LIMIT, STEADY_LIMIT
-from xtdrone_interaction.recording.formation_record import FormationRecord
+from xtdrone_interaction.formation.distances import Array, close_pairs, formation_error, relative
+from xtdrone_interaction.formation.flight_criteria import (
+    ASSIGNMENT_SLACK,
+    CRITERIA,
+    DISTANCE_LIMIT,
+    SETTLED_ERROR,
+    STEADY_LIMIT,
+)
+from xtdrone_interaction.recording.missions.formation_record import FormationRecord
 from xtdrone_interaction.recording.positions import FleetTrack
 from xtdrone_interaction.recording.recorded_flight import RecordError
 

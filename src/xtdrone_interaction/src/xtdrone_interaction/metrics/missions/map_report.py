@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from xtdrone_interaction.metrics.missions.odometry_errors import Trajectory, trajectory_of
 from xtdrone_interaction.metrics.true_surfaces import Sight, TrueWorld, sight_of
-from xtdrone_interaction.recording.bag import read_bag
+from xtdrone_interaction.recording.flight_from_bag import read_bag
 from xtdrone_interaction.recording.recorded_flight import RecordError, Recording
 from xtdrone_planning.octree.octree_format import Octree, OctreeError, count_nodes, decode, read_file
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from xtdrone_interaction.recording.recorded_flight import Recording
-from xtdrone_interaction.recording.series import Array, Series
+from xtdrone_interaction.recording.series_in_bounded_memory import Array, Series
 
 ALIGNMENTS = ("first", "umeyama", "none")
 _STEP = 10.0  # m of way over which relative errors are taken

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from xtdrone_interaction.metrics.missions.formation_metrics import versions
-from xtdrone_interaction.recording.search_record import CUT_SHORT, SearchRecord, Sight
+from xtdrone_interaction.recording.missions.search_record import CUT_SHORT, SearchRecord, Sight
 
 ERROR_LIMIT = 2.0  # m, of a find's position
 FOLLOW_IN_VIEW = 0.9  # minimum share of a follower's images that show the person

@@ -10,9 +10,9 @@ import numpy as np
 
 from xtdrone_interaction.metrics.missions.map_report import joined, map_rows, octrees_in
 from xtdrone_interaction.metrics.missions.odometry_errors import Trajectory, aligned, common, errors, pairs
-from xtdrone_interaction.recording.bag import read_bag
+from xtdrone_interaction.recording.flight_from_bag import read_bag
 from xtdrone_interaction.recording.recorded_flight import RecordError, Recording
-from xtdrone_interaction.recording.series import Array
+from xtdrone_interaction.recording.series_in_bounded_memory import Array
 
 SOURCES = ("lidar_odometry", "laser_odometry", "visual_odometry")
 _HOME_LIMIT = 0.5  # m

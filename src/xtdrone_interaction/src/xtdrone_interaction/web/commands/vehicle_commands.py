@@ -14,8 +14,8 @@ from gazebo_msgs.srv import GetModelState, GetModelStateRequest
 from xtdrone_control.fleet import FleetError, Vehicle, parse_fleet
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_interaction.gcs import station
-from xtdrone_interaction.gcs.exchanges import flight
-from xtdrone_interaction.gcs.exchanges.flight import Target
+from xtdrone_interaction.gcs.exchanges import commands_and_refusals
+from xtdrone_interaction.gcs.exchanges.commands_and_refusals import Target
 from xtdrone_interaction.gcs.vehicle_addresses import GcsError, Peer
 from xtdrone_interaction.sim_cli import SimError, call
 from xtdrone_interaction.web.context import StationContext
@@ -149,15 +149,15 @@ def job_of(command: VehicleCommand, goal: Sequence[float] | None) -> Callable[..
     if command.action == "goto" and goal is not None:
         x, y, z = goal
         target = Target(local=(x, y, z), speed=math.nan if command.speed is None else command.speed)
-        return partial(flight.go_to, target=target)
+        return partial(commands_and_refusals.go_to, target=target)
     jobs: dict[str, Callable[..., Any]] = {
-        "arm": partial(flight.arm, armed=True),
-        "disarm": partial(flight.arm, armed=False),
-        "kill": partial(flight.arm, armed=False, force=True),
-        "takeoff": partial(flight.take_off, height=command.height),
-        "land": flight.land,
-        "rtl": flight.rtl,
-        "hold": flight.hold,
-        "mode": partial(flight.set_mode, name=command.mode),
+        "arm": partial(commands_and_refusals.arm, armed=True),
+        "disarm": partial(commands_and_refusals.arm, armed=False),
+        "kill": partial(commands_and_refusals.arm, armed=False, force=True),
+        "takeoff": partial(commands_and_refusals.take_off, height=command.height),
+        "land": commands_and_refusals.land,
+        "rtl": commands_and_refusals.rtl,
+        "hold": commands_and_refusals.hold,
+        "mode": partial(commands_and_refusals.set_mode, name=command.mode),
     }
     return jobs[command.action]

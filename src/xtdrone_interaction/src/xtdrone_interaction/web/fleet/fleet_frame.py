@@ -16,7 +16,7 @@ offset  type        value
 24      float32     (n + m) rows of x, y, z (m ENU), quaternion w, x, y, z, velocity vx, vy, vz (m/s)
 ======  ==========  ==========================================================================
 
-``web_page/fleet.js`` reads it.
+``web_page/fleet_frame.js`` reads it.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from xtdrone_interaction.web.server.session import Session
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds import people
+from xtdrone_sim.worlds import people_meshes
 from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld, load_world_file, read_world
 
 log = logging.getLogger("xtdrone.web")
@@ -81,7 +81,7 @@ class WorldView:
         try:
             world = self._world(name)
             models = self._present(world, name)
-            skins = people.skins([actor.skin for actor in world.actors])
+            skins = people_meshes.skins([actor.skin for actor in world.actors])
             described["models"] = [self._model(model) for model in models]
             described["people"] = [
                 self._person(actor.name, actor.pose, skin) for actor, skin in zip(world.actors, skins, strict=True)
@@ -112,7 +112,7 @@ class WorldView:
         return {"name": model.name, "pose": _numbers(model.pose), "shapes": shapes}
 
     def _person(self, name: str, pose: Pose, skin: str) -> dict[str, Any]:
-        standing = people.load(skin).standing
+        standing = people_meshes.load(skin).standing
         return {"name": name, "pose": _numbers(pose), "shapes": [self._store.describe(v, Pose()) for v in standing]}
 
 

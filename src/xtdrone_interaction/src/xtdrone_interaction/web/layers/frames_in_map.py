@@ -26,8 +26,8 @@ from xtdrone_control.frames import to_xyzw
 from xtdrone_interaction.web.layers.layer_content import LayerError
 from xtdrone_perception.slam.poses import pose_of
 from xtdrone_sim.descriptions import ModelError
-from xtdrone_sim.topics.robot_frames import RobotFrames
-from xtdrone_sim.topics.robot_tf import transform
+from xtdrone_sim.tf.vehicle_frames import RobotFrames
+from xtdrone_sim.tf.vehicle_tf_node import transform
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
 MAP = "map"

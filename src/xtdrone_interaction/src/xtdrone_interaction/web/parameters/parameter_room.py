@@ -14,7 +14,7 @@ from mavros_msgs.srv import ParamPull, ParamPullRequest, ParamSet, ParamSetReque
 
 from xtdrone_control.autopilot.parameters.metadata import parameter_definitions
 from xtdrone_control.autopilot.parameters.parameters import NAMES, Parameters
-from xtdrone_interaction import options
+from xtdrone_interaction import command_options
 from xtdrone_interaction.sim_cli import SimError, call
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.parameters.declared_settings import Tables, declared_for, read_declared
@@ -178,6 +178,6 @@ def _px4_definitions() -> dict[str, dict[str, Any]]:
 @cache
 def _tables() -> Tables:
     try:
-        return read_declared((options.repository() / _PAGE).read_text(encoding="utf-8"))
+        return read_declared((command_options.repository() / _PAGE).read_text(encoding="utf-8"))
     except OSError:
         return {}

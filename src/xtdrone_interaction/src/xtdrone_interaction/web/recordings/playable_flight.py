@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_interaction.recording.recorded_flight import Recording, VehicleRecord
-from xtdrone_interaction.recording.series import Series
+from xtdrone_interaction.recording.series_in_bounded_memory import Series
 
 RATE = 10.0  # Hz of the frames
 MOST_FRAMES = 36_000  # an hour; longer flights get a lower rate

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from xtdrone_interaction.bags.record import read_profile, rosbag_arguments
-from xtdrone_interaction.options import OptionError
+from xtdrone_interaction.bags.record_by_profile import read_profile, rosbag_arguments
+from xtdrone_interaction.command_options import OptionError
 
 PROFILES = ("light", "full", "cameras")
 _STOP_LIMIT = 30.0  # s of wall time for rosbag to write what it has

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from xtdrone_interaction.bags.ros1bag import BagError
-from xtdrone_interaction.options import OptionError
-from xtdrone_interaction.recording.open import open_recording
+from xtdrone_interaction.command_options import OptionError
+from xtdrone_interaction.recording.flight_from_ulog import LogError
+from xtdrone_interaction.recording.open_recording import open_recording
 from xtdrone_interaction.recording.recorded_flight import RecordError, Recording
-from xtdrone_interaction.recording.ulog import LogError
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.recordings.playable_flight import PlayableFlight, playable
 from xtdrone_interaction.web.recordings.recorder_process import PROFILES, RecorderProcess

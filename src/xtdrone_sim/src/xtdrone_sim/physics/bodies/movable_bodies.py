@@ -30,7 +30,7 @@ from xtdrone_sim.physics.vehicle_dynamics import ABSENT, FREE, TOUCHING
 from xtdrone_sim.shapes.pose_arithmetic import compose, inverse, rotate
 from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
-from xtdrone_sim.worlds.sdf.rigid_links import MOST_SHAPES
+from xtdrone_sim.worlds.sdf.models.rigid_links import MOST_SHAPES
 from xtdrone_sim.worlds.sdf.world_records import SdfModel
 
 _NEAR = 0.1  # m between the boxes of two bodies below which a moving one wakes the other
@@ -90,7 +90,7 @@ def mark_near_bodies(plant, models, boxes, speeds, moving, limits, horizon, want
 
 
 class Drive(Protocol):
-    """Moves a body along its own way; see ``robots.kinematics.Drive``.
+    """Moves a body along its own way; see ``robots.wheel_drives.Drive``.
 
     Attributes:
         yields: whether what stands stops it.

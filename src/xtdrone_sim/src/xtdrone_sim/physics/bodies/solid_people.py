@@ -12,7 +12,7 @@ from xtdrone_control.rotation import Vector, from_euler
 from xtdrone_sim.physics.contacts.start_collisions import StartError
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.shapes.visual import Collision, Cylinder, Pose
-from xtdrone_sim.worlds import people
+from xtdrone_sim.worlds import people_meshes
 from xtdrone_sim.worlds.actors import FASTEST, Actors, ActorState
 from xtdrone_sim.worlds.sdf import SdfActor, SdfLink, SdfModel
 from xtdrone_sim.worlds.sdf.world_records import Inertial
@@ -86,8 +86,8 @@ class SolidPeople:
         self._world, self._actors, self._now_us = world, actors, now_us
         self._first = len(world.model.models)
         states = actors.states(now_us())
-        for k, skin in enumerate(people.skins([actor.skin for actor in described])):
-            model = _model(actors.names[k], people.read(skin).height)
+        for k, skin in enumerate(people_meshes.skins([actor.skin for actor in described])):
+            model = _model(actors.names[k], people_meshes.read(skin).height)
             world.bodies.people.add(self._first + k)
             world.add_model(self._first + k, model, pose_of(states[k]), Walk(actors, k, now_us))
         actors.watch(self._follow)

@@ -10,7 +10,7 @@ from typing import Any
 import rospy
 from xtdrone_msgs.srv import AddVehicle, RemoveVehicle
 
-from xtdrone_control.programs.program import ArgumentError, check_no_arguments
+from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments
 from xtdrone_control.programs.under_roslaunch import announce
 
 _PATIENCE = 60.0  # wall s to wait for the simulator

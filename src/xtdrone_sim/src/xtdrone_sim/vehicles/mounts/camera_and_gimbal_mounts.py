@@ -50,7 +50,7 @@ class CameraMount:
     """A camera on a link of a vehicle.
 
     Attributes:
-        name: name in the topics, which ``cameras.outputs`` lists for each kind.
+        name: name in the topics, which ``cameras.camera_messages`` lists for each kind.
         link: link of the URDF.
         pinhole: projection.
         rate: image rate in simulated time, Hz.

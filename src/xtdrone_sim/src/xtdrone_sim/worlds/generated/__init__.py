@@ -19,7 +19,7 @@ from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.worlds.sdf import SdfWorld, write_world
 
 from .city import CitySettings, city
-from .countryside import CountrysideSettings, countryside
+from .countryside_settings import CountrysideSettings, countryside
 from .forest import ForestSettings, forest
 from .indoor import IndoorSettings, indoor
 from .maze import MazeSettings, maze

@@ -14,7 +14,7 @@ from xtdrone_sim.worlds.scenery.free_ground import Rectangle
 from xtdrone_sim.worlds.scenery.materials import Kit
 from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld
 
-from .construction import START, Places, box, ground, placed, solid, world
+from .start_area_and_ground import START, Places, box, ground, placed, solid, world
 
 _GLASS: Colour = (0.2, 0.27, 0.34, 1.0)
 _ASPHALT: Colour = (0.27, 0.27, 0.29, 1.0)

@@ -14,7 +14,7 @@ from xtdrone_sim.worlds.scenery.materials import Kit
 from xtdrone_sim.worlds.scenery.scenery_objects import Thing
 from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld
 
-from .construction import START, ground, placed, solid, world
+from .start_area_and_ground import START, ground, placed, solid, world
 
 _TRIES = 30  # candidates around each tree (R. Bridson, "Fast Poisson disk sampling in arbitrary dimensions", 2007)
 _FILLED = 0.635  # trees per square of the minimum distance that the sampling reaches, measured

@@ -19,7 +19,7 @@ from xtdrone_sim.worlds.scenery.free_ground import Rectangle
 from xtdrone_sim.worlds.scenery.materials import Kit
 from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld
 
-from .construction import BESIDE, START, Places, box, ground, solid, world
+from .start_area_and_ground import BESIDE, START, Places, box, ground, solid, world
 
 _WALL: Colour = (0.88, 0.87, 0.83, 1.0)
 _FLOOR: Colour = (0.6, 0.5, 0.42, 1.0)

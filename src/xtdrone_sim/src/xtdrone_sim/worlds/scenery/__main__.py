@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from xtdrone_sim.worlds.people import names
+from xtdrone_sim.worlds.people_meshes import names
+from xtdrone_sim.worlds.scenery.countryside_layout import CLEAR, LIGHTS, REGION, outdoor
 from xtdrone_sim.worlds.scenery.materials import SPLITS
-from xtdrone_sim.worlds.scenery.outdoor import CLEAR, LIGHTS, REGION, outdoor
 from xtdrone_sim.worlds.sdf import write_world
 
 

@@ -12,10 +12,10 @@ from xtdrone_control.bounded_file import read_bytes
 from xtdrone_control.geodesy.datum import Datum
 from xtdrone_sim.descriptions import ModelError, available, read_description
 from xtdrone_sim.package_files import CONFIG, PACKAGE
+from xtdrone_sim.worlds.sdf.models.yaml_models import read_models
 from xtdrone_sim.worlds.sdf.world_reader import parse_model, parse_world
 from xtdrone_sim.worlds.sdf.world_records import SdfError, SdfModel, SdfWorld
 from xtdrone_sim.worlds.sdf.xml_elements import LARGEST, Element
-from xtdrone_sim.worlds.sdf.yaml_models import read_models
 
 WORLDS = PACKAGE / "worlds"
 

@@ -13,12 +13,9 @@ from xtdrone_control.bounded_file import read_bytes
 from xtdrone_control.geodesy.datum import Datum
 from xtdrone_sim.shapes.visual import Collision, Pose, Visual
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import is_plane, read_collisions, read_visuals
-from xtdrone_sim.worlds.sdf.joints import WORLD, divide, read_joint, read_joint_of_world
-from xtdrone_sim.worlds.sdf.model_uris import (
-    model_folders,
-    resolve,
-)
-from xtdrone_sim.worlds.sdf.rigid_links import read_inertial, why_loose, why_standing
+from xtdrone_sim.worlds.sdf.models.joints import WORLD, divide, read_joint, read_joint_of_world
+from xtdrone_sim.worlds.sdf.models.model_uris import model_folders, resolve
+from xtdrone_sim.worlds.sdf.models.rigid_links import read_inertial, why_loose, why_standing
 from xtdrone_sim.worlds.sdf.world_records import (
     Light,
     SdfActor,

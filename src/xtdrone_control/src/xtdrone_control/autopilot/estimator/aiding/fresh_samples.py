@@ -1,12 +1,12 @@
 """Pass each fresh sample to the module of its source, and the rates at which samples are used.
 
 After PX4 v1.14's EKF2 (control). Each source's module starts and stops its fusion, checks its samples, and resets the
-state to it after a long rejection; ``stop_timed_out_sources`` handles timeouts.
+state to it after a long rejection; ``source_timeouts`` stops sources that are silent.
 """
 
 from __future__ import annotations
 
-from xtdrone_control.autopilot.estimator.aiding.sources.ev_control import process_vision
+from xtdrone_control.autopilot.estimator.aiding.sources.external_vision_control import process_vision
 from xtdrone_control.autopilot.estimator.aiding.sources.flow_control import process_flow
 from xtdrone_control.autopilot.estimator.aiding.sources.gps_control import process_gps
 from xtdrone_control.autopilot.estimator.aiding.sources.height_control import process_baro

@@ -13,9 +13,9 @@ from xtdrone_control.autopilot.estimator.aiding.source_timeouts import (
     IMU_STOP_US,
     SENSOR_STOP_US,
     is_recent,
+    stop_timed_out,
 )
 from xtdrone_control.autopilot.estimator.aiding.sources.fake_pos_control import hold_position
-from xtdrone_control.autopilot.estimator.aiding.stop_timed_out_sources import stop_timed_out
 from xtdrone_control.autopilot.state import N_STATES
 from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation_kernels import rotate

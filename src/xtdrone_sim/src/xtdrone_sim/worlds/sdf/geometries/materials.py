@@ -6,10 +6,7 @@ from dataclasses import replace
 from xml.sax.saxutils import escape
 
 from xtdrone_sim.shapes.visual import Colour, Visual
-from xtdrone_sim.worlds.sdf.model_uris import (
-    resolve,
-    uri_of,
-)
+from xtdrone_sim.worlds.sdf.models.model_uris import resolve, uri_of
 from xtdrone_sim.worlds.sdf.xml_elements import Element
 
 TEXTURE = "xtdrone:texture"

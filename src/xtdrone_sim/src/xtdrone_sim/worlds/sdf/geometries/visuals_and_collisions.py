@@ -23,11 +23,7 @@ from xtdrone_sim.worlds.sdf.geometries.mesh_files import (
     extruded,
     read_mesh,
 )
-from xtdrone_sim.worlds.sdf.model_uris import (
-    ForbiddenError,
-    resolve,
-    uri_of,
-)
+from xtdrone_sim.worlds.sdf.models.model_uris import ForbiddenError, resolve, uri_of
 from xtdrone_sim.worlds.sdf.world_records import SdfError
 from xtdrone_sim.worlds.sdf.xml_elements import Element
 from xtdrone_sim.worlds.sdf.xml_poses import (

@@ -1,0 +1,157 @@
+"""``xtdrone gcs params``: single parameters of vehicles, and QGroundControl's .params files."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from xtdrone_control.autopilot.parameters.parameter_file import (
+    SUFFIX,
+    ParameterFile,
+    ParameterFileError,
+    Value,
+    read,
+    shown,
+    write,
+)
+from xtdrone_interaction.gcs.command_line.terminal_output import Display, print_errors
+
+from ..exchanges import parameters
+from ..exchanges.exchange import Exchange, Heartbeat
+from ..station import progress_of
+from ..vehicle_addresses import GcsError, Peer
+from .arguments import Adder, UsageError, run, select_vehicles
+
+_WILD = frozenset("*?[")
+
+
+def _value(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; a finite number")
+    return value
+
+
+def _fetch(heartbeat: Heartbeat, names: Sequence[str]) -> Exchange[dict[str, Value]]:
+    """Read parameters by names, which may have wildcards; all parameters for no names."""
+    if names and not any(_WILD & set(name) for name in names):
+        return (yield from parameters.fetch(heartbeat, names))
+    present = yield from parameters.fetch_all(heartbeat)
+    return {name: present[name] for name in sorted(present)
+            if not names or any(fnmatchcase(name, pattern) for pattern in names)}  # fmt: skip
+
+
+def _get(arguments: argparse.Namespace) -> int:
+    peers = select_vehicles(arguments)
+    results = run(dict.fromkeys(peers, partial(_fetch, names=arguments.names)), arguments)
+    for peer in peers:
+        found = results[peer.name]
+        for name, value in ({} if isinstance(found, GcsError) else found).items():
+            print(f"{peer.name}  {name:<16}  {shown(*value)}")
+    return print_errors(results.values())
+
+
+def _set(arguments: argparse.Namespace) -> int:
+    peers = select_vehicles(arguments)
+    display = Display([peer.name for peer in peers])
+    name = arguments.name
+    results = run(dict.fromkeys(peers, partial(parameters.change, name=name, value=arguments.value)), arguments)
+    return display.results(peers, results, lambda _, found: f"{name}: {shown(*found[1])}, was {shown(*found[0])}")
+
+
+def _files(arguments: argparse.Namespace, peers: Sequence[Peer]) -> dict[str, ParameterFile]:
+    """Read the file for all vehicles, or from a folder the file of each vehicle.
+
+    Raises:
+        UsageError: a file is missing or invalid.
+    """
+    path: Path = arguments.file
+    try:
+        if path.is_dir():
+            return {peer.name: read(path / f"{peer.name}{SUFFIX}") for peer in peers}
+        return dict.fromkeys((peer.name for peer in peers), read(path))
+    except ParameterFileError as error:
+        raise UsageError(str(error)) from error
+
+
+def _diff(arguments: argparse.Namespace) -> int:
+    peers = select_vehicles(arguments)
+    files = _files(arguments, peers)
+    results = run(dict.fromkeys(peers, parameters.fetch_all), arguments)
+    different = False
+    for peer in peers:
+        found = results[peer.name]
+        if isinstance(found, GcsError):
+            continue
+        for name, (value, there) in parameters.differences(files[peer.name], found).items():
+            different = True
+            print(f"{peer.name}  {name:<16}  {'none' if there is None else shown(*there)}  file: {shown(*value)}")
+    return print_errors(results.values()) or int(different)
+
+
+def _load(arguments: argparse.Namespace) -> int:
+    peers = select_vehicles(arguments)
+    files = _files(arguments, peers)
+    display = Display([peer.name for peer in peers])
+    jobs = {
+        peer: partial(
+            parameters.load,
+            content=files[peer.name],
+            of_another=arguments.of_another,
+            progress=progress_of(peer.name, display.watch),
+        )
+        for peer in peers
+    }
+    results = run(jobs, arguments)
+    status = display.results(peers, results, lambda _, changed: f"{len(changed)} parameters set, the rest is the same")
+    for peer in peers:
+        changed = results[peer.name]
+        for name, (old, new) in ({} if isinstance(changed, GcsError) else changed).items():
+            print(f"{peer.name}  {name:<16}  {shown(*new)}, was {shown(*old)}")
+    return status
+
+
+def _save(arguments: argparse.Namespace) -> int:
+    peers = select_vehicles(arguments)
+    path: Path = arguments.file
+    into_folder = path.is_dir() or len(peers) > 1
+    if into_folder and path.exists() and not path.is_dir():
+        raise UsageError(f"{path}: a folder is needed for {len(peers)} vehicles")
+    display = Display([peer.name for peer in peers])
+    jobs = {peer: partial(parameters.save, progress=progress_of(peer.name, display.watch)) for peer in peers}
+    results: dict[str, Any] = run(jobs, arguments)
+    paths = {peer.name: path / f"{peer.name}{SUFFIX}" if into_folder else path for peer in peers}
+    for name, found in results.items():
+        if isinstance(found, GcsError):
+            continue
+        try:
+            write(paths[name], found)
+        except OSError as error:
+            results[name] = GcsError(f"{name}: {paths[name]} cannot be written: {error.strerror}")
+    return display.results(peers, results, lambda name, found: f"{len(found.values)} parameters: {paths[name]}")
+
+
+def add_to(add: Adder) -> None:
+    """Add these commands to the command line."""
+    add_group = add.group("params", "parameters: get, set, diff, load, save")
+    get = add_group("get", _get, "show parameters")
+    get.add_argument("names", nargs="*", metavar="NAME", help="names such as MPC_XY_VEL_MAX or 'MPC_*' (default: all)")
+    set_ = add_group("set", _set, "set a parameter")
+    set_.add_argument("name", metavar="NAME", help="its name")
+    set_.add_argument("value", type=_value, metavar="VALUE", help="its value")
+    diff = add_group("diff", _diff, "show differences between vehicles and a file; exit status 1 if there are any")
+    load = add_group("load", _load, "set the parameters of a file, all or, if it does not fit the vehicle, none")
+    load.add_argument("--of-another", action="store_true",
+                      help="accept the file of another vehicle, without the parameters that identify it")  # fmt: skip
+    save = add_group("save", _save, "save all parameters of vehicles")
+    for one in (diff, load):
+        one.add_argument("file", type=Path, metavar="FILE", help="file, or folder with NAME.params for each vehicle")
+    save.add_argument("file", type=Path, metavar="FILE", help="file, or folder for NAME.params of each vehicle")

@@ -1,0 +1,224 @@
+"""``xtdrone gcs upload``, ``download``, ``clear`` and ``check``: QGroundControl's plans for vehicles."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Sequence
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+
+from xtdrone_control.autopilot.navigator import feasibility, geofence, plan
+from xtdrone_control.autopilot.navigator.feasibility import Situation
+from xtdrone_control.geodesy import projection
+from xtdrone_control.plans import qgc_plan
+from xtdrone_control.plans.qgc_plan import Plan, PlanError
+from xtdrone_interaction.gcs.command_line.terminal_output import Display
+
+from ..exchanges import plans as plan_exchanges
+from ..exchanges.exchange import Exchange, Heartbeat
+from ..station import progress_of
+from ..vehicle_addresses import GcsError, Peer
+from .arguments import Adder, UsageError, run, select_named, select_vehicles
+
+_FIRST_DISTANCE = 900.0  # m, PX4's default of MIS_DIST_1WP
+
+
+def _summary(content: Plan) -> str:
+    """Describe the content of a plan."""
+    counts = [len(content.items(kind)) for kind in plan.KINDS]
+    words = [f"{counts[plan.MISSION]} items"]
+    words += [f"{count} of {what}" for count, what in zip(counts[1:], ("fence", "rally points"), strict=True) if count]
+    return ", ".join(words)
+
+
+# files
+
+
+def find_files(paths: Sequence[Path]) -> list[Path]:
+    """Return the plan files in ``paths``, files and folders.
+
+    Raises:
+        UsageError: a path does not exist, or a folder has no plan file.
+    """
+    found: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            inside = sorted(path.glob(f"*{qgc_plan.SUFFIX}"))
+            if not inside:
+                raise UsageError(f"{path}: no {qgc_plan.SUFFIX} file is in this folder")
+            found += inside
+        elif path.exists():
+            found.append(path)
+        else:
+            raise UsageError(f"{path}: no such file or folder")
+    return found
+
+
+def read_plans(files: Sequence[Path]) -> dict[Path, Plan]:
+    """Read plan files.
+
+    Raises:
+        UsageError: invalid files; one line each.
+    """
+    plans: dict[Path, Plan] = {}
+    wrong = []
+    for file in files:
+        try:
+            plans[file] = qgc_plan.read(file)
+            too_long = plan_exchanges.check_capacity(plans[file])
+            wrong += [f"{file}: {too_long}"] if too_long else []
+        except PlanError as error:
+            wrong.append(str(error))
+    if wrong:
+        raise UsageError("\n".join(wrong))
+    for file, content in plans.items():
+        if content.drawn_for:
+            print(f"{file}: drawn for {content.drawn_for}, its items are taken as PX4 takes them", file=sys.stderr)
+    return plans
+
+
+def assign(plans: dict[Path, Plan], vehicles: Sequence[str]) -> dict[str, Plan]:
+    """Assign plans to vehicles.
+
+    Args:
+        plans: by file, which is named after its vehicle.
+        vehicles: names; a single file is for all of them, whatever its name. Empty for the vehicles of all files.
+
+    Raises:
+        UsageError: two files for one vehicle, or none.
+    """
+    if vehicles and len(plans) == 1:
+        return dict.fromkeys(vehicles, next(iter(plans.values())))
+    found: dict[str, Plan] = {}
+    for file, content in plans.items():
+        if file.stem in found:
+            raise UsageError(f"{file}: a second plan for {file.stem}")
+        found[file.stem] = content
+    missing = [name for name in vehicles if name not in found]
+    if missing:
+        raise UsageError(f"vehicle: no file {missing[0]}{qgc_plan.SUFFIX} is among those given")
+    return {name: content for name, content in found.items() if not vehicles or name in vehicles}
+
+
+def owners(plans: dict[str, Plan], arguments: argparse.Namespace) -> list[Peer]:
+    """Return the vehicles that the files are named after.
+
+    Raises:
+        UsageError: unknown name.
+    """
+    try:
+        return select_named(plans, arguments)
+    except UsageError as error:
+        raise UsageError(f"{error}; a file has its vehicle's name, or --vehicle selects the vehicle") from error
+
+
+def problems(content: Plan) -> tuple[list[str], bool]:
+    """Check a mission as PX4 does before it starts from the planned home position.
+
+    Returns:
+        PX4's texts, which may be warnings only, and whether PX4 accepts the mission.
+    """
+    home = content.home
+    said: list[str] = []
+
+    def to_plane(latitude: float, longitude: float) -> tuple[float, float]:
+        return projection.project(latitude, longitude, home[0], home[1])
+
+    fence = geofence.build(content.fence, to_plane)
+    now = Situation(
+        home_altitude=home[2],
+        location=home[:2],
+        landed=True,
+        first_distance=_FIRST_DISTANCE,
+        required=0,
+        fence_allows=lambda latitude, longitude, _altitude: fence.allows(to_plane(latitude, longitude)),
+    )
+    good = feasibility.check(content.mission, now, lambda _severity, text, *_, **__: said.append(text))
+    return said or ([] if good else ["the mission has no items"]), good
+
+
+def path_length(content: Plan) -> float:
+    """Return the length of the mission's path, m, without jumps."""
+    places = [item for item in content.mission if item.has_position]
+    length = 0.0
+    for a, b in pairwise(places):
+        length += math.hypot(*projection.project(b.x, b.y, a.x, a.y), b.z - a.z if a.relative == b.relative else 0.0)
+    return length
+
+
+# commands; each returns the exit status
+
+
+def _upload(arguments: argparse.Namespace) -> int:
+    content = read_plans(find_files(arguments.files))
+    peers = select_vehicles(arguments) if arguments.vehicle else []
+    plans = assign(content, [peer.name for peer in peers])
+    peers = peers or owners(plans, arguments)
+    display = Display([peer.name for peer in peers])
+
+    def store(name: str, heartbeat: Heartbeat) -> Exchange[None]:
+        progress = progress_of(name, display.watch)
+        return plan_exchanges.upload_plan(heartbeat.system, plans[name], progress, heartbeat.autopilot)
+
+    results = run({peer: partial(store, peer.name) for peer in peers}, arguments, plan_exchanges.cancel_transfers)
+    return display.results(peers, results, lambda name, _: f"{_summary(plans[name])}: sent, and come back the same")
+
+
+def _download(arguments: argparse.Namespace) -> int:
+    peers = select_vehicles(arguments)
+    folder: Path = arguments.to
+    display = Display([peer.name for peer in peers])
+
+    def fetch(name: str, heartbeat: Heartbeat) -> Exchange[Plan]:
+        return plan_exchanges.download_plan(heartbeat.system, progress_of(name, display.watch), heartbeat.autopilot)
+
+    results = run({peer: partial(fetch, peer.name) for peer in peers}, arguments, plan_exchanges.cancel_transfers)
+    for name, result in results.items():
+        if isinstance(result, Plan):
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                qgc_plan.write(folder / f"{name}{qgc_plan.SUFFIX}", result)
+            except (PlanError, OSError) as error:
+                results[name] = GcsError(f"{name}: its plan cannot be written: {error}")
+    return display.results(peers, results, lambda name, result: f"{_summary(result)}: {folder / name}{qgc_plan.SUFFIX}")
+
+
+def _clear(arguments: argparse.Namespace) -> int:
+    peers = select_vehicles(arguments)
+    display = Display([peer.name for peer in peers])
+
+    def clear(name: str, heartbeat: Heartbeat) -> Exchange[None]:
+        return plan_exchanges.clear_plan(heartbeat.system, progress_of(name, display.watch), heartbeat.autopilot)
+
+    results = run({peer: partial(clear, peer.name) for peer in peers}, arguments, plan_exchanges.cancel_transfers)
+    return display.results(peers, results, lambda *_: "mission, fence and rally points are cleared")
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    status = 0
+    for file, content in read_plans(find_files(arguments.files)).items():
+        said, good = problems(content)
+        print(f"{file}: {_summary(content)}; {path_length(content):.0f} m of way")
+        for text in said:
+            print(f"{file}: {text}", file=sys.stderr)
+        status = status if good else 1
+    return status
+
+
+def add_to(add: Adder) -> None:
+    """Add these commands to the command line."""
+    files = "plan files, or folders of them"
+    upload = add(
+        "upload", _upload, "upload plan files to the vehicles that they are named after, and compare the stored plans"
+    )
+    upload.add_argument("files", type=Path, nargs="+", metavar="FILE", help=f"{files}; NAME.plan goes to vehicle NAME")
+    download = add("download", _download, "download the vehicles' plans into NAME.plan")
+    download.add_argument(
+        "--to", type=Path, default=Path(), metavar="FOLDER", help="folder to write to (default: here)"
+    )
+    add("clear", _clear, "clear the vehicles' missions, fences and rally points")
+    check = add("check", _check, "check plan files as PX4 does; no vehicle is needed", False)
+    check.add_argument("files", type=Path, nargs="+", metavar="FILE", help=files)

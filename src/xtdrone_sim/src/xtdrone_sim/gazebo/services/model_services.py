@@ -1,0 +1,288 @@
+"""Gazebo's services and topics for the models of the running simulation.
+
+=================================  ==============================  =====================================================
+services, below /gazebo            type in gazebo_msgs
+=================================  ==============================  =====================================================
+get_model_state, get_link_state    GetModelState, GetLinkState     relative to any model, link or the world
+get_model_properties               GetModelProperties              links, joints, whether it is static
+get_link_properties                GetLinkProperties               mass, inertia, centre of mass
+set_model_state, set_link_state    SetModelState, SetLinkState     vehicles, models and people, in any frame
+spawn_sdf_model, spawn_urdf_model  SpawnModel                      models that stand or fall
+delete_model                       DeleteModel                     models and people
+apply_body_wrench                  ApplyBodyWrench                 on vehicles and models that fall
+clear_body_wrenches                BodyRequest
+set_model_configuration            SetModelConfiguration           joints of gimbals and landing gears
+others                                                             see ``refused_services``
+=================================  ==============================  =====================================================
+
+=================================  ==============================  =====================================================
+topics, below /gazebo (in)
+=================================  ==============================  =====================================================
+set_model_state, set_link_state    ModelState, LinkState
+set_model_states                   ModelStates                     many at once; disarmed vehicles and models stand
+                                                                   where they are put for half a second
+=================================  ==============================  =====================================================
+
+Changes are made between two steps. The request of a lockstep participant in its turn is answered at once and carried
+out after the turn, as are the messages of participants: in the order of the senders' names, so that a flight does not
+depend on who was faster. All other requests are carried out at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any, NamedTuple
+
+import rospy
+from gazebo_msgs import srv
+from gazebo_msgs.msg import LinkState, ModelState, ModelStates
+
+from xtdrone_control import lockstep
+from xtdrone_control.lockstep.server import LockstepServer
+from xtdrone_sim.gazebo.joints import set_joints
+from xtdrone_sim.gazebo.message_conversion import microseconds, read_pose, read_state, read_wrench
+from xtdrone_sim.gazebo.models_by_name import Change, Models
+from xtdrone_sim.gazebo.request_limits import LONGEST_TEXT, RequestError
+from xtdrone_sim.gazebo.scene_topics import ModelTopics
+from xtdrone_sim.gazebo.services.model_queries import Queries
+from xtdrone_sim.gazebo.services.refused_services import advertise_refused
+from xtdrone_sim.gazebo.urdf_models import model_of_urdf
+from xtdrone_sim.runtime.requests.mailbox import ClosedError, Mailbox
+from xtdrone_sim.simulation import Simulation
+from xtdrone_sim.worlds.sdf import SdfError, SdfModel, read_model
+
+_WARNING_PERIOD = 5.0  # wall s between two equal warnings
+_HOLD_STEPS = 125  # a model or disarmed vehicle stands where /gazebo/set_model_states has put it
+
+Plan = Callable[[], Change]
+"""Checks a request against the current state, and returns the change; raises RequestError."""
+
+
+class _Deferred(NamedTuple):
+    """A request to be carried out after the turn of its caller."""
+
+    caller: str
+    what: str
+    plan: Plan
+
+
+class GazeboServices:
+    """The services and topics; all methods but the handlers are called in the simulator's thread."""
+
+    def __init__(self, simulation: Simulation, models: Models, topics: ModelTopics, server: LockstepServer) -> None:
+        """Keep what the requests need; see ``open``.
+
+        Args:
+            simulation: the simulation.
+            models: its models.
+            topics: shows changes to other nodes.
+            server: lockstep server, which knows whose turn it is.
+        """
+        self._simulation, self._models, self._topics, self._server = simulation, models, topics, server
+        self._deferred: list[_Deferred] = []
+        self._told: set[str] = set()
+
+    def open(self, mailbox: Mailbox) -> None:
+        """Advertise services and subscribe to topics; called after ``lockstep.host()``.
+
+        Args:
+            mailbox: passes requests to the simulator's thread.
+        """
+        self._mailbox = mailbox
+        for name, kind, handler in (
+            ("set_model_state", srv.SetModelState, self._set_model_state),
+            ("set_link_state", srv.SetLinkState, self._set_link_state),
+            ("spawn_sdf_model", srv.SpawnModel, self._spawn_sdf),
+            ("spawn_urdf_model", srv.SpawnModel, self._spawn_urdf),
+            ("delete_model", srv.DeleteModel, self._delete),
+            ("apply_body_wrench", srv.ApplyBodyWrench, self._apply_wrench),
+            ("clear_body_wrenches", srv.BodyRequest, self._clear_wrenches),
+            ("set_model_configuration", srv.SetModelConfiguration, self._set_configuration),
+        ):
+            rospy.Service(f"/gazebo/{name}", kind, handler)
+        queries = Queries(self._simulation, self._models)
+        for name, kind, query in queries.table():
+            rospy.Service(f"/gazebo/{name}", kind, lambda request, query=query: self._in_thread(query, request))
+        advertise_refused()
+        lockstep.Subscriber("/gazebo/set_model_state", ModelState, self._on_model_state)
+        lockstep.Subscriber("/gazebo/set_model_states", ModelStates, self._on_model_states)
+        lockstep.Subscriber("/gazebo/set_link_state", LinkState, self._on_link_state)
+
+    def act(self) -> None:
+        """Dispatch the messages of a tick, and carry out the requests of its participants; called after each tick."""
+        lockstep.host().receive()
+        if not self._deferred:
+            return
+        deferred, self._deferred = self._deferred, []
+        for request in sorted(deferred, key=lambda one: one.caller):
+            try:
+                self._carry_out(request.plan, request.caller)
+            except RequestError as error:
+                rospy.logwarn("simulator: %s of %s: %s", request.what, request.caller, error)
+
+    def restart(self) -> None:
+        """Begin again with the models of the world file."""
+        self._deferred.clear()
+        self._told.clear()
+        changed = bool(self._models.added or self._models.deleted)
+        self._models.restart()
+        if changed:
+            self._topics.announce()
+
+    # handlers, called in rospy's threads
+
+    def _in_thread(self, function: Callable[[Any], Any], request: Any) -> Any:
+        """Return ``function(request)``, called in the simulator's thread.
+
+        Raises:
+            ServiceException: the simulator shuts down.
+        """
+
+        def act(answer: Future[Any]) -> None:
+            answer.set_result(function(request))
+
+        try:
+            return self._mailbox.put(act).result()
+        except ClosedError as error:
+            raise rospy.ServiceException(str(error)) from error
+
+    def _change(self, request: Any, plan: Plan) -> tuple[bool, str]:
+        """Return whether a change is made, and what is done or why not."""
+        caller = str(request._connection_header["callerid"])
+        what = str(request._connection_header["service"])
+        try:
+            return True, self._in_thread(lambda _: self._decide(caller, what, plan), request)
+        except RequestError as error:
+            return False, str(error)
+
+    def _decide(self, caller: str, what: str, plan: Plan) -> str:
+        """Carry out a request now, or after the turn of its caller; return what is done.
+
+        Raises:
+            RequestError: it is refused.
+        """
+        participant = self._server.participants.get(caller)
+        if participant is None or not participant.waiting:
+            return self._carry_out(plan, caller)
+        plan()
+        self._deferred.append(_Deferred(caller, what, plan))
+        return f"carried out at the end of this turn of {caller}"
+
+    def _carry_out(self, plan: Plan, caller: str) -> str:
+        before = (len(self._models.names), len(self._models.deleted))
+        text = plan()()
+        rospy.loginfo("simulator: %s, by %s", text, caller)
+        if before != (len(self._models.names), len(self._models.deleted)):
+            self._topics.announce()
+        return text
+
+    def _set_model_state(self, request: Any) -> srv.SetModelStateResponse:
+        return srv.SetModelStateResponse(*self._change(request, lambda: self._model_state(request.model_state)))
+
+    def _set_link_state(self, request: Any) -> srv.SetLinkStateResponse:
+        return srv.SetLinkStateResponse(*self._change(request, lambda: self._link_state(request.link_state)))
+
+    def _spawn_sdf(self, request: Any) -> srv.SpawnModelResponse:
+        return self._spawn(request, _model_of_sdf)
+
+    def _spawn_urdf(self, request: Any) -> srv.SpawnModelResponse:
+        return self._spawn(request, model_of_urdf)
+
+    def _spawn(self, request: Any, read: Callable[[str], SdfModel]) -> srv.SpawnModelResponse:
+        try:
+            if len(request.model_xml) > LONGEST_TEXT:
+                many = len(request.model_xml)
+                raise RequestError(f"model_xml: {many} characters are not allowed, at most {LONGEST_TEXT}")
+            model, pose = read(request.model_xml), read_pose(request.initial_pose)
+        except RequestError as error:
+            return srv.SpawnModelResponse(False, str(error))
+
+        def plan() -> Change:
+            return self._models.adding(request.model_name, model, pose, request.reference_frame)
+
+        return srv.SpawnModelResponse(*self._change(request, plan))
+
+    def _delete(self, request: Any) -> srv.DeleteModelResponse:
+        return srv.DeleteModelResponse(*self._change(request, lambda: self._models.deleting(request.model_name)))
+
+    def _apply_wrench(self, request: Any) -> srv.ApplyBodyWrenchResponse:
+        def plan() -> Change:
+            begin = max(microseconds(request.start_time), self._simulation.time_us)
+            duration = microseconds(request.duration)
+            # Gazebo applies a wrench of no duration in one step.
+            end = None if duration < 0 else begin + (duration or self._simulation.step_us)
+            wrench = read_wrench(request)
+            return self._models.pushing(request.body_name, request.reference_frame, wrench, begin, end)
+
+        return srv.ApplyBodyWrenchResponse(*self._change(request, plan))
+
+    def _clear_wrenches(self, request: Any) -> srv.BodyRequestResponse:
+        success, text = self._change(request, lambda: self._models.releasing(request.body_name))
+        if not success:
+            raise rospy.ServiceException(text)
+        return srv.BodyRequestResponse()
+
+    def _set_configuration(self, request: Any) -> srv.SetModelConfigurationResponse:
+        def plan() -> Change:
+            vehicle = self._models.vehicle(request.model_name)
+            if vehicle is None:
+                self._models.find("model_name", request.model_name)
+                raise RequestError(f"model_name: {request.model_name!r} has no joints that can be set")
+            return set_joints(self._simulation, vehicle, request.joint_names, request.joint_positions)
+
+        return srv.SetModelConfigurationResponse(*self._change(request, plan))
+
+    # messages, dispatched in the simulator's thread
+
+    def _on_model_state(self, message: ModelState) -> None:
+        self._heed("/gazebo/set_model_state", message.model_name, message, lambda: self._model_state(message))
+
+    def _on_link_state(self, message: LinkState) -> None:
+        self._heed("/gazebo/set_link_state", message.link_name, message, lambda: self._link_state(message))
+
+    def _on_model_states(self, message: ModelStates) -> None:
+        topic = "/gazebo/set_model_states"
+        if not len(message.name) == len(message.pose) == len(message.twist):
+            sizes = f"{len(message.name)} names, {len(message.pose)} poses and {len(message.twist)} twists"
+            rospy.logwarn_throttle(_WARNING_PERIOD, f"simulator: {topic}: {sizes} are not allowed, as many of each")
+            return
+        for name, pose, twist in zip(message.name, message.pose, message.twist, strict=True):
+
+            def plan(name: str = name, pose: Any = pose, twist: Any = twist) -> Change:
+                return self._models.moving(name, read_state(pose, twist), "", hold_steps=_HOLD_STEPS)
+
+            self._heed(topic, name, message, plan)
+
+    def _heed(self, topic: str, name: str, message: Any, plan: Plan) -> None:
+        """Carry out a message, with one log line for each topic and model."""
+        sender = message._connection_header["callerid"]
+        try:
+            text = plan()()
+        except RequestError as error:
+            rospy.logwarn_throttle(_WARNING_PERIOD, f"simulator: {topic} of {sender}: {error}")
+            return
+        key = f"{topic} {name}"
+        if key not in self._told and len(self._told) < 1000:
+            self._told.add(key)
+            rospy.loginfo("simulator: %s, by %s of %s; further messages are not logged", text, topic, sender)
+
+    def _model_state(self, state: ModelState) -> Change:
+        wanted = read_state(state.pose, state.twist)
+        return self._models.moving(state.model_name, wanted, state.reference_frame)
+
+    def _link_state(self, state: LinkState) -> Change:
+        wanted = read_state(state.pose, state.twist)
+        return self._models.moving_link(state.link_name, wanted, state.reference_frame)
+
+
+def _model_of_sdf(text: str) -> SdfModel:
+    """Return the model of an SDF.
+
+    Raises:
+        RequestError: the SDF is invalid.
+    """
+    try:
+        return read_model(text, "model_xml")
+    except SdfError as error:
+        raise RequestError(str(error)) from error

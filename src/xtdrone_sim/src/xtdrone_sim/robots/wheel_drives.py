@@ -1,0 +1,343 @@
+"""Motion of wheeled robots, without slip: differential drive and Ackermann steering.
+
+The origin of a robot is on the ground below the centre of its driven axle. Speed, yaw rate and steering angle follow
+their commands within limits of their rates; along a step, the origin moves on the exact arc of its speed and yaw rate.
+K. Lynch and F. Park, *Modern Robotics*, 13.3, give the equations. On slopes the way is along the robot's x axis, and
+height and attitude follow the ground below the wheels, see ``wheels_on_uneven_ground``.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from xtdrone_control.rotation import Vector, from_euler, multiply, yaw_of
+from xtdrone_control.settings import SettingError, Settings, setting
+from xtdrone_sim.robots.wheels_on_uneven_ground import (
+    STEP,
+    Footprint,
+    Ground,
+    Heights,
+    Stand,
+    followed,
+    heights_below,
+    places,
+    stand_on,
+)
+from xtdrone_sim.shapes.pose_arithmetic import conjugate
+from xtdrone_sim.shapes.visual import Pose
+
+_NEVER = -1
+
+
+class Joint(NamedTuple):
+    """State of a joint: name, angle, rad, and rate, rad/s."""
+
+    name: str
+    angle: float
+    rate: float
+
+
+@dataclass(frozen=True)
+class DriveState:
+    """State of a robot.
+
+    Attributes:
+        x, y, z: m, map ENU.
+        yaw: rad, counter-clockwise from east.
+        speed: along its own x, m/s.
+        rate: yaw rate, rad/s.
+        steering: angle of a front wheel in the middle, rad; 0 with a differential drive.
+        left, right: angles that the driven wheels have turned, rad.
+        roll, pitch: rad; 0 on level ground.
+        heights: of the ground below the wheels, m, see ``wheels_on_uneven_ground.places``.
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    yaw: float = 0.0
+    speed: float = 0.0
+    rate: float = 0.0
+    steering: float = 0.0
+    left: float = 0.0
+    right: float = 0.0
+    roll: float = 0.0
+    pitch: float = 0.0
+    heights: Heights = (0.0, 0.0, 0.0, 0.0)
+
+    @property
+    def pose(self) -> Pose:
+        """Pose of the origin in the world."""
+        return Pose((self.x, self.y, self.z), from_euler(self.roll, self.pitch, self.yaw))
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveLimits(Settings):
+    """Wheels and limits of a robot."""
+
+    wheel_radius: float = setting(0.15, low=0.01, high=2.0, unit="m", text="of the driven wheels")
+    track: float = setting(0.8, low=0.05, high=10.0, unit="m", text="distance of left and right wheels")
+    speed: float = setting(2.0, low=0.01, high=50.0, unit="m/s", text="largest speed, forwards and backwards")
+    acceleration: float = setting(2.0, low=0.01, high=50.0, unit="m/s^2", text="largest change of the speed")
+    slope: float = setting(0.35, low=0.0, high=0.7, unit="rad", text="steepest ground; a steeper one stops the robot")
+    timeout: float = setting(
+        0.5, low=0.0, high=3600.0, unit="s", text="time without a command after which the robot stops; 0: never"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class DifferentialLimits(DriveLimits):
+    """Limits of a differential drive."""
+
+    turn_rate: float = setting(2.0, low=0.01, high=50.0, unit="rad/s", text="largest yaw rate")
+    turn_acceleration: float = setting(6.0, low=0.01, high=500.0, unit="rad/s^2", text="largest change of the yaw rate")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AckermannLimits(DriveLimits):
+    """Limits of a car."""
+
+    wheelbase: float = setting(2.62, low=0.1, high=20.0, unit="m", text="distance of front and rear axle")
+    steering: float = setting(0.52, low=0.01, high=1.4, unit="rad", text="largest angle of a front wheel in the middle")
+    steering_rate: float = setting(1.0, low=0.01, high=50.0, unit="rad/s", text="largest change of the steering angle")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.wheelbase / math.tan(self.steering) <= 0.5 * self.track:
+            most = math.atan(2.0 * self.wheelbase / self.track)
+            raise SettingError(
+                "steering", self.steering, f"below {most:.3f} rad: the inner wheel would turn on the spot"
+            )
+
+
+class Drive(ABC):
+    """A robot's wheels and motors.
+
+    Attributes:
+        state: at the current time.
+    """
+
+    limits: DriveLimits
+    yields = True  # to what stands
+    floats = False
+
+    def __init__(self, pose: Pose = Pose()) -> None:  # noqa: B008, immutable
+        """Stand at a pose, of which the yaw counts."""
+        self.state = DriveState()
+        self._ground: Ground | None = None
+        self._feet = Footprint(-1.0, 1.0, 1.0)
+        self.place(pose)
+
+    def stand_on(self, ground: Ground, feet: Footprint) -> None:
+        """Stand and roll on ground that need not be level, from the current place on.
+
+        Args:
+            ground: what is far above the robot does not count.
+            feet: where the wheels touch it.
+        """
+        self._ground, self._feet = ground, feet
+        self.place(self.state.pose)
+
+    def place(self, pose: Pose) -> None:
+        """Stand at a pose in the world, upright or on the ground below it; the command ends."""
+        x, y, z = pose.position
+        self.state = replace(DriveState(), x=x, y=y, z=z, yaw=yaw_of(pose.orientation), heights=(z, z, z, z))
+        if self._ground is not None:
+            at = places(x, y, self.state.yaw, self._feet)
+            span = max(map(abs, self._feet))  # the ground may rise by 45 degrees
+            self.state = self._standing(self.state, heights_below(self._ground, at, (z + span,) * 4))
+        self._linear = self._angular = 0.0
+        self._left_us, self._next = _NEVER, self.state
+
+    def command(self, linear: float, angular: float) -> None:
+        """Set the wanted speed, m/s, and the wanted yaw rate, rad/s (of a car: steering angle, rad).
+
+        Values beyond the limits count as the limits.
+
+        Raises:
+            ValueError: a value is not finite.
+        """
+        for name, value in (("linear.x", linear), ("angular.z", angular)):
+            if not math.isfinite(value):
+                raise SettingError(name, value, "a finite number")
+        self._linear, self._angular = _clipped(linear, self.limits.speed), angular
+        self._left_us = round(self.limits.timeout * 1e6) if self.limits.timeout else _NEVER
+
+    @property
+    def twist(self) -> tuple[Vector, Vector]:
+        """Velocity, m/s, and spin, rad/s, both along the robot's axes."""
+        return (self.state.speed, 0.0, 0.0), (0.0, 0.0, self.state.rate)
+
+    @property
+    def is_level(self) -> bool:
+        """Whether the robot stands on the plane z = 0."""
+        return not (self.state.z or self.state.roll or self.state.pitch)
+
+    @property
+    def is_still(self) -> bool:
+        """Whether the robot stands and has no command to move."""
+        return not (self.state.speed or self.state.rate or self._linear or self._turns())
+
+    def propose(self, dt: float) -> tuple[Pose, Vector, Vector]:
+        """Return pose, mean velocity, m/s, and spin, rad/s, in the world of a step of ``dt``, s; see ``accept``."""
+        if self._left_us != _NEVER:
+            self._left_us -= round(dt * 1e6)
+            if self._left_us < 0:
+                self._left_us, self._linear = _NEVER, 0.0
+                self._stop_turning()
+        old = self.state
+        self._next = new = self._moved(dt)
+        pace = ((new.x - old.x) / dt, (new.y - old.y) / dt, (new.z - old.z) / dt)
+        return new.pose, pace, _spin(old, new, dt)
+
+    def accept(self) -> None:
+        """Make the step that was proposed last."""
+        self.state = self._next
+
+    def block(self) -> None:
+        """Stop at once where the robot is, instead of the step that was proposed last."""
+        self.state = replace(self.state, speed=0.0, rate=0.0)
+
+    def _moved(self, dt: float) -> DriveState:
+        old = self.state
+        change = self.limits.acceleration * dt
+        speed = old.speed + _clipped(self._linear - old.speed, change)
+        steering, rate = self._turned(old, speed, dt)
+        half = 0.5 * rate * dt
+        way = speed * dt * (math.sin(half) / half if half else 1.0)  # the chord of the arc
+        way *= math.cos(old.pitch)
+        yaw = math.remainder(old.yaw + rate * dt, math.tau)
+        apart = 0.5 * self.limits.track * rate
+        new = DriveState(
+            old.x + way * math.cos(old.yaw + half),
+            old.y + way * math.sin(old.yaw + half),
+            old.z,
+            yaw,
+            speed,
+            rate,
+            steering,
+            old.left + (speed - apart) / self.limits.wheel_radius * dt,
+            old.right + (speed + apart) / self.limits.wheel_radius * dt,
+            old.roll,
+            old.pitch,
+            old.heights,
+        )
+        return new if self._ground is None else self._rolled(old, new, self._ground)
+
+    def _rolled(self, old: DriveState, new: DriveState, ground: Ground) -> DriveState:
+        """Return ``new`` on the ground there, or where it stands before a slope or a step that is too much for it."""
+        before, after = (places(one.x, one.y, one.yaw, self._feet) for one in (old, new))
+        ways = np.hypot(*(after - before).T).tolist()
+        below = heights_below(ground, after, old.heights)
+        heights = followed(old.heights, below, ways, STEP * self.limits.wheel_radius)
+        if heights is not None:
+            stands = self._standing(new, heights)
+            tilts = [Stand(0.0, one.roll, one.pitch).tilt for one in (old, stands)]
+            if tilts[1] <= max(self.limits.slope, tilts[0]):
+                return stands
+        return replace(old, speed=0.0, rate=0.0, steering=new.steering)
+
+    def _standing(self, state: DriveState, heights: Heights) -> DriveState:
+        z, roll, pitch = stand_on(heights, self._feet)
+        return replace(state, z=z, roll=roll, pitch=pitch, heights=heights)
+
+    def _wheels(self, left: str, right: str) -> list[Joint]:
+        state, apart = self.state, 0.5 * self.limits.track * self.state.rate
+        return [
+            Joint(left, state.left, (state.speed - apart) / self.limits.wheel_radius),
+            Joint(right, state.right, (state.speed + apart) / self.limits.wheel_radius),
+        ]
+
+    @abstractmethod
+    def _turned(self, old: DriveState, speed: float, dt: float) -> tuple[float, float]:
+        """Return the steering angle and the yaw rate of a step."""
+
+    @abstractmethod
+    def _turns(self) -> bool:
+        """Return whether the command makes a standing robot turn something."""
+
+    @abstractmethod
+    def _stop_turning(self) -> None:
+        """End the turning command after the timeout."""
+
+    @abstractmethod
+    def joints(self) -> list[Joint]:
+        """Return the states of all joints."""
+
+
+class Differential(Drive):
+    """Two driven wheels: yaw rate and speed follow from their speeds."""
+
+    def __init__(self, limits: DifferentialLimits, pose: Pose = Pose()) -> None:  # noqa: B008, immutable
+        """Stand at a pose."""
+        self.limits: DifferentialLimits = limits
+        super().__init__(pose)
+
+    def _turned(self, old: DriveState, speed: float, dt: float) -> tuple[float, float]:
+        wanted = _clipped(self._angular, self.limits.turn_rate)
+        return 0.0, old.rate + _clipped(wanted - old.rate, self.limits.turn_acceleration * dt)
+
+    def _turns(self) -> bool:
+        return self._angular != 0.0
+
+    def _stop_turning(self) -> None:
+        self._angular = 0.0
+
+    def joints(self) -> list[Joint]:
+        """Return the states of the two wheels."""
+        return self._wheels("left_wheel_joint", "right_wheel_joint")
+
+
+class Ackermann(Drive):
+    """A car: the rear axle drives, both front wheels point at right angles to the centre of the curve."""
+
+    def __init__(self, limits: AckermannLimits, pose: Pose = Pose()) -> None:  # noqa: B008, immutable
+        """Stand at a pose."""
+        self.limits: AckermannLimits = limits
+        super().__init__(pose)
+
+    def _turned(self, old: DriveState, speed: float, dt: float) -> tuple[float, float]:
+        wanted = _clipped(self._angular, self.limits.steering)
+        steering = old.steering + _clipped(wanted - old.steering, self.limits.steering_rate * dt)
+        return steering, speed * math.tan(steering) / self.limits.wheelbase
+
+    def _turns(self) -> bool:
+        return _clipped(self._angular, self.limits.steering) != self.state.steering
+
+    def _stop_turning(self) -> None:
+        """Keep the steering angle, as a car without a driver does."""
+
+    def joints(self) -> list[Joint]:
+        """Return the states of the rear wheels, of the front wheels and of their steering.
+
+        cot(left) = cot(steering) - track / (2 wheelbase), cot(right) likewise with +. The speed of a front wheel is
+        that of the origin times the ratio of their distances from the centre of the curve.
+        """
+        state, limits = self.state, self.limits
+        slope = math.tan(state.steering) / limits.wheelbase  # curvature of the origin's way, 1/m
+        found = self._wheels("rear_left_wheel_joint", "rear_right_wheel_joint")
+        for side, name, turned in ((-1.0, "front_left", state.left), (1.0, "front_right", state.right)):
+            share = 1.0 + 0.5 * side * limits.track * slope
+            angle = math.atan2(limits.wheelbase * slope, share)
+            rate = state.speed * math.hypot(share, limits.wheelbase * slope) / limits.wheel_radius
+            found.append(Joint(f"{name}_steering_joint", angle, 0.0))
+            found.append(Joint(f"{name}_wheel_joint", turned, rate))
+        return found
+
+
+def _spin(old: DriveState, new: DriveState, dt: float) -> Vector:
+    """Return the mean spin of a step, rad/s, world: that of the yaw alone while the robot is level."""
+    if not (old.roll or old.pitch or new.roll or new.pitch):
+        return (0.0, 0.0, new.rate)
+    w, x, y, z = multiply(new.pose.orientation, conjugate(old.pose.orientation))
+    scale = math.copysign(2.0, w) / dt  # the sine of half a small angle
+    return (scale * x, scale * y, scale * z)
+
+
+def _clipped(value: float, most: float) -> float:
+    return max(-most, min(most, value))

@@ -1,0 +1,71 @@
+"""A ranging sensor of one vehicle of a fleet: the names of its topic, its frame and its link."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+from xtdrone_control.fleet import Vehicle
+from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
+
+
+class _Mounted(Protocol):
+    """What the description of a sensor tells of its names."""
+
+    @property
+    def name(self) -> str:
+        """Name in the topic."""
+
+    @property
+    def frame(self) -> str:
+        """Name of its frame without ``VEHICLE/``."""
+
+
+_Mount = TypeVar("_Mount", bound=_Mounted)
+
+
+@dataclass(frozen=True)
+class FleetSensor(Generic[_Mount]):
+    """A sensor of one vehicle.
+
+    Attributes:
+        vehicle: name, e.g. ``iris_0``.
+        carrier: name of the vehicle's link that carries it.
+        mount: its position and properties.
+    """
+
+    vehicle: str
+    carrier: str
+    mount: _Mount
+
+    @property
+    def topic(self) -> str:
+        """Its topic."""
+        return f"/{self.vehicle}/{self.mount.name}"
+
+    @property
+    def frame_id(self) -> str:
+        """Its frame."""
+        return f"{self.vehicle}/{self.mount.frame}"
+
+    @property
+    def link(self) -> str:
+        """Gazebo's name of the link that carries it."""
+        return f"{self.vehicle}::{self.carrier}"
+
+
+def sensors_of(
+    fleet: Sequence[Vehicle], carried: Callable[[VehicleModel], Sequence[tuple[str, _Mount]]]
+) -> tuple[FleetSensor[_Mount], ...]:
+    """Return all sensors of a kind of a fleet, vehicle by vehicle.
+
+    Args:
+        fleet: the vehicles.
+        carried: returns the sensors of a model, each with the name of the link that carries it.
+
+    Raises:
+        ModelError: a vehicle type cannot be used.
+    """
+    models = {kind: carried(load_vehicle(kind)) for kind in dict.fromkeys(vehicle.model for vehicle in fleet)}
+    return tuple(FleetSensor(vehicle.name, link, mount) for vehicle in fleet for link, mount in models[vehicle.model])
