@@ -72,7 +72,7 @@ def test_a_formation_passes_trees_and_forms_again(tmp_path: Path) -> None:
     ("options", "words"),
     [
         (["--goal", "3"], "2 or 3 comma-separated numbers"),
-        (["--start", "a,b"], "2 numbers with commas between"),
+        (["--start", "a,b"], "2 comma-separated numbers"),
         (["--sensor", "radar"], "radar"),
         (["--speed-limit", "0"], "0.2 to 15 m/s"),
         (["--world", "forrest"], "'forrest' is unknown"),

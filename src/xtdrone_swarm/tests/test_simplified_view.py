@@ -653,7 +653,7 @@ def test_matplotlib_is_loaded_only_for_pictures():
         ("swarm.avi", 25.0, "unknown ending '.avi'; allowed are .mp4, .gif and .png"),
         ("swarm", 25.0, "unknown ending ''"),
         ("swarm.mp4", 0.0, "0.0 frames per second are not allowed, 0.1 to 120"),
-        ("swarm.mp4", float("nan"), "nan frames a second"),
+        ("swarm.mp4", float("nan"), "nan frames per second"),
         ("swarm.gif", 60.0, "60.0 frames per second are not allowed, 0.1 to 50"),
         ("nowhere/swarm.mp4", 25.0, "nowhere does not exist"),
         ("folder.mp4", 25.0, "is a folder"),
