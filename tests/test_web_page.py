@@ -17,6 +17,7 @@ import rosgraph
 import rospy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
+from playwright import sync_api
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from web_browser import StationPage, needs_chromium, station_page
@@ -202,6 +203,24 @@ def test_a_layer_that_cannot_be_shown_says_why_and_the_others_go_on(station: Sta
         page.wait_for_selector(f"[data-fault='{topic}']:has-text(\"{text}\")")
         page.uncheck(f"[data-layer='{topic}']")
     assert page.evaluate(f"station.view.layer('{PATH}').count") > 20
+    page.click("[data-layers=list]")
+
+
+def test_a_stored_layer_comes_on_when_it_is_published(station: StationPage, graph: Graph) -> None:
+    page, later = station.page, "/planned_later/path"
+    layers = [{"name": later, "type": "nav_msgs/Path"}]
+    page.evaluate("layers => localStorage.setItem('xtdrone-layers', JSON.stringify(layers))", layers)
+    station.open()
+    page.click("[data-layers=list]")
+    row = page.locator("label", has=page.locator(f"[data-layer='{later}']"))
+    sync_api.expect(row).to_contain_text("not published yet")
+    page.check(f"[data-layer='{PATH}']")  # another choice leaves it stored
+    spline = UniformSpline(0.0, 0.5, np.array([[float(n), 2.0, 3.0] for n in range(12)]))
+    graph.say_latched(later, path_message(spline, rospy.Time.now(), "map"))
+    station.until(f"station.view.layer('{later}')?.count > 20")
+    sync_api.expect(row).not_to_contain_text("not published yet")
+    assert page.locator(f"[data-layer='{later}']").is_checked()
+    assert {"name": later, "type": "nav_msgs/Path"} in page.evaluate("JSON.parse(localStorage['xtdrone-layers'])")
     page.click("[data-layers=list]")
 
 

@@ -48,8 +48,11 @@ def web_figures(events: Sequence[Event]) -> Row:
 
     Returns:
         real_time_factor (with clients), alone (without), kept (their ratio), station_cores (CPU s of the station per s
-        of wall time with clients), station_cpu (CPU s per simulated s), idle_cores (without clients), frame_rate
-        (frames a client received, Hz of wall time), frame_bytes, others_cpu (cores used by other programs, greatest).
+        of wall time with clients), station_cpu (CPU s per simulated s), idle_cores (without clients), cost (CPU time
+        of station and flight with clients more than that of the flight without, as a share of the latter, per
+        simulated s), readers_cores (CPU s of the clients, which a user's browser on another machine does not take
+        here, per s), frame_rate (frames a client received, Hz of wall time), frame_bytes, others_cpu (cores used by
+        other programs, greatest).
 
     Raises:
         BenchError: there is no window of either kind.
@@ -66,12 +69,19 @@ def web_figures(events: Sequence[Event]) -> Row:
         "alone": without,
         "kept": factor / without,
         "station_cores": _total(served, "station") / _total(served, "elapsed"),
-        "station_cpu": _total(served, "station") / _total(served, "simulated"),
+        "station_cpu": _rate(served, "station"),
+        "cost": (_rate(served, "station") + _rate(served, "flight")) / _rate(alone, "flight") - 1.0,
+        "readers_cores": _total(served, "readers") / _total(served, "elapsed"),
         "idle_cores": _total(alone, "station") / _total(alone, "elapsed"),
         "frame_rate": statistics.median(event["frames"] / event["clients"] / event["elapsed"] for event in received),
         "frame_bytes": _total(received, "bytes") / _total(received, "frames"),
         "others_cpu": max(window["others_cpu"] for window in windows),
     }
+
+
+def _rate(windows: Sequence[Event], name: str) -> float:
+    """Return CPU s per simulated s."""
+    return _total(windows, name) / _total(windows, "simulated")
 
 
 def _total(events: Sequence[Event], name: str) -> float:

@@ -3,9 +3,10 @@
 
 A plain rospy node outside the lockstep, with the parameters, events and exit status of
 ``formation_speed_meter.py``; ``~plan`` has ``window`` (s of wall time), ``clients`` and ``rounds``. It writes
-``window`` for each window: ``clients`` (0 or the plan's), ``real_time_factor``, ``station`` (CPU s of the station),
-``simulated`` and ``elapsed`` (s), ``others_cpu`` (cores); and after one with clients ``received``: ``clients``,
-``frames`` and ``bytes`` of the fleet's frames, ``elapsed`` (s).
+``window`` for each window: ``clients`` (0 or the plan's), ``real_time_factor``, ``station``, ``readers`` and ``flight``
+(CPU s of the station, of the clients, and of all other programs of the launch but this one), ``programs`` (CPU s of
+each of these), ``simulated`` and ``elapsed`` (s), ``others_cpu`` (cores); and after one with clients ``received``:
+``clients``, ``frames`` and ``bytes`` of the fleet's frames, ``elapsed`` (s).
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from benchmarks.process_use import CpuSample
 from xtdrone_interaction.web.station_node import NAME, URL_PARAMETER
 
 STATION = "web_station"  # its program
+READERS = "benchmarks.nodes.web_clients"
+_NOT_THE_FLIGHT = (STATION, READERS, "web_station_meter")
 
 
 class Browsers:
@@ -30,7 +33,7 @@ class Browsers:
 
     def __init__(self, url: str, number: int) -> None:
         """Connect; returns when all receive frames."""
-        command = [sys.executable, "-m", "benchmarks.nodes.web_clients", url, str(number)]
+        command = [sys.executable, "-m", READERS, url, str(number)]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         assert self._process.stdout is not None
         if self._process.stdout.readline().strip() != "reading":
@@ -88,6 +91,9 @@ class WebProbe(SpeedProbe):
             clients=clients,
             real_time_factor=simulated / elapsed,
             station=use.programs[STATION],
+            readers=use.programs.get(READERS, 0.0),
+            flight=sum(seconds for name, seconds in use.programs.items() if name not in _NOT_THE_FLIGHT),
+            programs=use.programs,
             simulated=simulated,
             elapsed=elapsed,
             others_cpu=use.others / elapsed,

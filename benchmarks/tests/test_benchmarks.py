@@ -698,6 +698,7 @@ def test_comparison_continues_after_an_aborted_flight(tmp_path: Path, monkeypatc
 def test_the_station_s_cost_is_that_of_windows_with_clients() -> None:
     def window(clients: int, factor: float, station: float) -> dict[str, Any]:
         figures = {"station": station, "simulated": 5.0 * factor, "elapsed": 5.0, "others_cpu": 0.1}
+        figures |= {"flight": (0.42 if clients else 0.40) * 5.0 * factor, "readers": 0.1 if clients else 0.0}
         return _event("window", 1.0, 1.0, clients=clients, real_time_factor=factor, **figures)
 
     received = _event("received", 2.0, 2.0, clients=3, frames=150, bytes=150_000, elapsed=5.0)
@@ -707,13 +708,15 @@ def test_the_station_s_cost_is_that_of_windows_with_clients() -> None:
     assert figures["station_cores"] == pytest.approx(0.05)
     assert figures["station_cpu"] == pytest.approx(0.5 / 39.0)
     assert figures["idle_cores"] == pytest.approx(0.01)
+    assert figures["cost"] == pytest.approx((0.42 + 0.5 / 39.0) / 0.40 - 1.0)
+    assert figures["readers_cores"] == pytest.approx(0.02)
     assert (figures["frame_rate"], figures["frame_bytes"]) == (pytest.approx(10.0), pytest.approx(1000.0))
     with pytest.raises(measurement_runner.BenchError, match="web: 0 windows with clients, 1 without, 0 with frames"):
         web_flights.web_figures(events[:1])
     row = figures | {"vehicles": 30}
-    assert printed_tables.short_result("web", row) == "0.050 cores, 0.97 of the real-time factor"
+    assert printed_tables.short_result("web", row) == "0.050 cores, 8.2% more CPU time, 0.97 of the real-time factor"
     printed = _printed({"machine": {"load_before": [0.1] * 3}, "web": [row]})
-    assert ["30", "3.90 x", "4.00 x", "0.97", "0.95", "0.050", "0.013", "10.0", "1000"] in [
+    assert ["30", "3.90 x", "4.00 x", "0.97", "0.95", "0.050", "8.2%", "10.0", "1000"] in [
         [cell.strip() for cell in line.strip("│").split("│")] for line in printed.splitlines() if "│" in line
     ]
 

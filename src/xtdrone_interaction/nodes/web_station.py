@@ -7,7 +7,8 @@ Parameters:
     ~url (out): URL of the page, if it needs no token.
 
 Topics:
-    /gazebo/model_states, /clock (in): while a page is open; further topics as its panels need them.
+    /xtdrone/live_states (in): while a page is open; /gazebo/model_states where no node publishes it.
+    /clock, /simulator/status (in); further topics as the pages' panels need them.
     /xtdrone/operator_actions (std_msgs/String, out): actions of the pages' users, as JSON; recorded in bags.
 """
 

@@ -76,13 +76,18 @@ class Station:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, instant: Instant) -> None:
         self.log: list[Any] = []
-        monkeypatch.setattr(operator_actions, "hold", lambda _: self.log.append("hold") or instant)
+        monkeypatch.setattr(operator_actions, "hold", self._hold)
+        self._instant = instant
         monkeypatch.setattr(operator_actions, "let_go", lambda *_: self.log.append("let go"))
         monkeypatch.setattr(operator_actions, "LONGEST_HOLD", 0.05)
         self.context = StationContext("http://127.0.0.1:9", "/web_station")
         self.actions = OperatorActions(self.context)
         monkeypatch.setattr(self.actions, "_publisher", self)
         self.session = Session(3, "operate", None, lambda f: f())  # type: ignore[arg-type]
+
+    def _hold(self, _master: str, *, is_stepping: bool) -> Instant:
+        self.log.append("no hold" if is_stepping else "hold")
+        return Instant(7, 0.5, False, False) if is_stepping else self._instant
 
     def publish(self, message: Any) -> None:
         self.log.append(json.loads(message.data))
@@ -137,6 +142,43 @@ def test_what_does_not_touch_the_flight_holds_nothing(monkeypatch: pytest.Monkey
         for touches in ("time", "nothing"):
             assert await station.do(Method("m", lambda *_: 1, "operate", touches)) == 1  # type: ignore[arg-type]
         assert [told["number"] for told in station.log] == [0, 0]
+        station.context.close()
+
+    asyncio.run(test())
+
+
+def test_a_long_step_lets_other_actions_pass(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def test() -> None:
+        station = Station(monkeypatch, Instant(7, 0.5, True, True))
+        ended = asyncio.Event()
+        fly = Method("fly", lambda *_: station.log.append("fly"), "operate")
+        step = asyncio.ensure_future(station.do(Method("step", lambda *_: ended.wait(), "operate", "time")))
+        await asyncio.wait_for(station.do(fly), 5.0)
+        assert [entry for entry in station.log if isinstance(entry, str)] == ["no hold", "fly", "let go"]
+        assert not step.done()
+        assert await station.do(Method("pause", lambda *_: 1, "operate", "time")) == 1
+        ended.set()
+        assert await step is True
+        station.log.clear()
+        await station.do(fly)
+        assert station.log[0] == "hold"  # the step has ended
+        station.context.close()
+
+    asyncio.run(test())
+
+
+def test_a_short_step_ends_before_the_next_action(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def test() -> None:
+        station = Station(monkeypatch, Instant(7, 0.5, True, True))
+        monkeypatch.setattr(operator_actions, "LONGEST_HOLD", 5.0)
+
+        async def pass_one_tick(*_: Any) -> None:
+            await asyncio.sleep(0)
+            station.log.append("tick")
+
+        step = asyncio.ensure_future(station.do(Method("step", pass_one_tick, "operate", "time")))
+        await asyncio.gather(step, station.do(Method("fly", lambda *_: station.log.append("fly"), "operate")))
+        assert [entry for entry in station.log if isinstance(entry, str)] == ["tick", "hold", "fly", "let go"]
         station.context.close()
 
     asyncio.run(test())

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
+import json
 import struct
+from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,17 +20,26 @@ pytest.importorskip("rospy")
 from gazebo_msgs.msg import ModelStates
 from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
 from mavros_msgs.msg import Waypoint, WaypointList
+from xtdrone_msgs.msg import SimulationStatus
 
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.settings import SettingError
+from xtdrone_interaction.doctor.findings import Graph, Vehicle
+from xtdrone_interaction.doctor.graph import Master
+from xtdrone_interaction.sim_cli import SimError
 from xtdrone_interaction.web.commands.swarm_commands import checked_slots
 from xtdrone_interaction.web.commands.vehicle_commands import VehicleCommand, chosen_vehicles, goals_of
+from xtdrone_interaction.web.context import StationContext
+from xtdrone_interaction.web.fleet import fleet_watch, vehicle_status
 from xtdrone_interaction.web.fleet.fleet_frame import CHANNEL, pack_fleet_frame
+from xtdrone_interaction.web.fleet.fleet_watch import FleetWatch
 from xtdrone_interaction.web.fleet.model_states_bytes import COLUMNS, TruncatedError, read_model_states
 from xtdrone_interaction.web.fleet.roster import Roster
 from xtdrone_interaction.web.fleet.shapes_for_page import ShapeStore, describe_vehicle
-from xtdrone_interaction.web.map.search_view import way_of
+from xtdrone_interaction.web.fleet.vehicle_status import VehicleStatus
+from xtdrone_interaction.web.map import search_view
+from xtdrone_interaction.web.map.search_view import SearchView, way_of
 from xtdrone_interaction.web.server.methods import CallError
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
@@ -102,6 +115,137 @@ def test_the_roster_knows_vehicles_movers_and_what_stands() -> None:
     vehicles, movers = roster.split(models)
     assert np.isnan(vehicles[1]).all()
     assert len(movers) == 0
+
+
+# ---- what a page makes the flight do
+
+
+class Topics:
+    """rospy's subscriptions: the topics subscribed to, of which those with a publisher are connected."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, *modules: Any) -> None:
+        self.open: list[str] = []
+        self.published: set[str] = set()
+        rospy = SimpleNamespace(Subscriber=self._subscribe, AnyMsg=None, get_param=lambda *_: "iris:2")
+        for module in modules:
+            monkeypatch.setattr(module, "rospy", rospy)
+
+    def _subscribe(self, topic: str, *_: Any, **__: Any) -> Any:
+        self.open.append(topic)
+        return SimpleNamespace(
+            unregister=lambda: self.open.remove(topic), get_num_connections=lambda: int(topic in self.published)
+        )
+
+
+class Page:
+    """A page that keeps what it is told."""
+
+    number = 1
+
+    def __init__(self) -> None:
+        self.told: list[Any] = []
+
+    def push_text(self, text: str) -> None:
+        self.told.append(json.loads(text))
+
+
+def of(context: StationContext, page: Page) -> None:
+    context.sessions[page.number] = page  # type: ignore[assignment]
+
+
+def test_vehicles_of_the_mavros_layer_are_asked_together_and_others_are_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked_nodes: list[Sequence[str]] = []
+    answers = {
+        "iris_0": Vehicle(name="iris_0", prefix="/iris_0/mavros", served=True, heard=True, connected=True, armed=True,
+                          mode="OFFBOARD", battery=0.5, estimates=("attitude", "height"), checks=()),
+    }  # fmt: skip
+
+    def read_master(uri: str, alive: Sequence[str]) -> Master:
+        asked_nodes.append(alive)
+        return Master(uri, Graph())
+
+    def read_asked(_master: Master, *, telemetry: bool) -> list[Vehicle]:
+        if not answers:
+            raise SimError("MAVROS does not answer")
+        return list(answers.values()) if telemetry else []
+
+    async def test() -> None:
+        topics, page = Topics(monkeypatch, vehicle_status), Page()
+        topics.published.add("/simulator/status")
+        monkeypatch.setattr(vehicle_status, "read_master", read_master)
+        monkeypatch.setattr(vehicle_status, "read_asked_vehicles", read_asked)
+        context = StationContext("http://127.0.0.1:9", "/web_station")
+        status = VehicleStatus(context, SimpleNamespace(names=["iris_0", "real_0"]))  # type: ignore[arg-type]
+        status._on_simulation(SimulationStatus(participants=["/mavros", "/iris_0_communication"]))
+        await status._send()
+        assert topics.open == ["/simulator/status"]  # without pages nothing is asked
+        assert asked_nodes == []
+        of(context, page)
+        await status._send()
+        own = [f"/real_0/mavros/{name}" for name in ("battery", "estimator_status", "state")]
+        assert topics.open == ["/simulator/status", *own]
+        assert asked_nodes == [("/iris_0_communication", "/mavros")]  # participants are known to live
+        vehicle = page.told[0]["data"]["vehicles"]["iris_0"]
+        assert (vehicle["mode"], vehicle["battery"]) == ("OFFBOARD", 0.5)
+        assert vehicle["estimator"] == ["velocity", "position"]
+        answers.clear()
+        status._due = 0.0
+        await status._send()
+        assert page.told[1]["data"]["trouble"] == "MAVROS does not answer"
+        assert page.told[1]["data"]["vehicles"]["iris_0"]["battery"] == 0.5  # the last answer
+        assert len(asked_nodes) == 1  # the graph is read more rarely
+        context.sessions.clear()
+        await status._send()
+        assert topics.open == ["/simulator/status"]
+        context.close()
+
+    asyncio.run(test())
+
+
+def test_states_come_from_the_topic_by_the_wall_clock_where_it_is_published(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def test() -> None:
+        topics = Topics(monkeypatch, fleet_watch)
+        now = [0.0]
+        monkeypatch.setattr(fleet_watch, "time", SimpleNamespace(monotonic=lambda: now[0]))
+        context = StationContext("http://127.0.0.1:9", "/web_station")
+        watch = FleetWatch(context, 10.0)
+        watch._send()
+        assert topics.open == []
+        of(context, Page())
+        watch._send()
+        assert topics.open == ["/xtdrone/live_states"]
+        now[0] = 2.0
+        await watch._read_fleet()  # no simulator of the project
+        assert sorted(topics.open) == ["/gazebo/model_states", "/xtdrone/live_states"]
+        topics.published.add("/xtdrone/live_states")
+        await watch._read_fleet()
+        assert topics.open == ["/xtdrone/live_states"]
+        context.sessions.clear()
+        watch._send()
+        assert topics.open == []
+        context.close()
+
+    asyncio.run(test())
+
+
+def test_missions_are_subscribed_to_for_pages_with_a_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def test() -> None:
+        topics, page = Topics(monkeypatch, search_view), Page()
+        context = StationContext("http://127.0.0.1:9", "/web_station")
+        of(context, page)
+        view = SearchView(context, SimpleNamespace(names=["iris_0"]), lambda: None)  # type: ignore[arg-type]
+        before = list(topics.open)
+        await view._follow_fleet()
+        assert topics.open == before
+        assert await view._missions(page, {}) == {}  # type: ignore[arg-type]
+        await view._follow_fleet()
+        assert topics.open == [*before, "/iris_0/mavros/mission/waypoints"]
+        context.sessions.clear()
+        await view._follow_fleet()
+        assert topics.open == before
+        context.close()
+
+    asyncio.run(test())
 
 
 def test_a_group_keeps_its_shape() -> None:

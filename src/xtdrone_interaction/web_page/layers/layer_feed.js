@@ -36,10 +36,10 @@ export class LayerFeed {
 
   has(topic) { return this.#layers.has(topic); }
 
-  /** Subscribes to a topic at a rate, Hz. */
-  open(topic, rate) {
+  /** Subscribes to a topic at a rate, Hz; one of a known type need not be published yet. */
+  open(topic, rate, type) {
     if (this.#layers.has(topic)) return;
-    this.#layers.set(topic, new Subscription(this.#station, 'layers.open', { topic, rate }, 'layers.close',
+    this.#layers.set(topic, new Subscription(this.#station, 'layers.open', { topic, rate, type }, 'layers.close',
       (error) => this.#tell(topic, error.message), (number) => this.#opened(topic, number)));
   }
 

@@ -16,7 +16,8 @@ export class LayerList {
   #station;
   #feed;
   #box = document.createElement('div');
-  #layers = [];
+  #layers = []; // that are published
+  #chosen = new Map(stored().map(({ name, type }) => [name, type])); // published now or later
   #faults = new Map();
   #open = false;
   #timer = null;
@@ -35,7 +36,7 @@ export class LayerList {
     this.#changed = changed;
     this.#box.className = 'overlay layer-list';
     element.append(this.#box);
-    for (const topic of stored()) feed.open(topic.name, RATES[topic.type] ?? 2);
+    for (const [name, type] of this.#chosen) feed.open(name, RATES[type], type);
     this.#offs = [station.onConnect(() => this.#look()), station.on('fleet.roster', () => this.#draw())];
     this.#draw();
   }
@@ -69,18 +70,21 @@ export class LayerList {
 
   #switch(layers, on) {
     for (const { name, type } of layers) {
-      if (on) this.#feed.open(name, RATES[type] ?? 2); else this.#feed.close(name);
+      if (on) this.#chosen.set(name, type); else this.#chosen.delete(name);
+      if (on) this.#feed.open(name, RATES[type], type); else this.#feed.close(name);
       this.#faults.delete(name);
       this.#changed(name, on);
     }
-    store(this.#layers.filter(({ name }) => this.#feed.has(name)));
+    store([...this.#chosen].map(([name, type]) => ({ name, type })));
     this.#draw();
   }
 
   #groups() {
     const vehicles = new Set(this.#station.roster.vehicles.map(({ name }) => name));
     const groups = new Map();
-    for (const layer of this.#layers) {
+    const published = new Set(this.#layers.map(({ name }) => name));
+    const awaited = [...this.#chosen].filter(([name]) => !published.has(name)).map(([name, type]) => ({ name, type, awaited: true }));
+    for (const layer of [...this.#layers, ...awaited]) {
       const name = groupOf(layer.name, vehicles);
       const key = `${layer.type} ${name}`;
       if (!groups.has(key)) groups.set(key, { name, type: layer.type, layers: [] });
@@ -111,8 +115,9 @@ export class LayerList {
 
   #row(name, layers, on, some) {
     const fault = layers.map((layer) => this.#faults.get(layer.name)).find(Boolean);
+    const awaited = layers.every((layer) => layer.awaited) ? html` <span class="soft">not published yet</span>` : null;
     return html`<label title=${fault ?? name}><input type="checkbox" data-layer=${name} checked=${on} indeterminate=${some}
-      onchange=${(event) => this.#switch(layers, event.target.checked)}/> ${name}${layers.length > 1 ? html` <span class="soft">${layers.length}</span>` : null}
+      onchange=${(event) => this.#switch(layers, event.target.checked)}/> ${name}${layers.length > 1 ? html` <span class="soft">${layers.length}</span>` : null}${awaited}
       ${fault ? html`<div class="warn" data-fault=${name}>${fault}</div>` : null}</label>`;
   }
 }

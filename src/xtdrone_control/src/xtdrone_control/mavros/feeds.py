@@ -52,6 +52,19 @@ class Ros(Protocol):
         """Return a context manager to hold while waiting for an autopilot's answer, which may need simulated time."""
 
 
+class Need(Protocol):
+    """What makes messages of an autopilot needed, such as a topic with subscribers.
+
+    Attributes:
+        needed: whether they are.
+    """
+
+    needed: bool
+
+    def refresh(self) -> None:
+        """Update ``needed``."""
+
+
 class Topic:
     """A topic of a plugin with a message object that is reused for every publication.
 
@@ -89,7 +102,7 @@ class Feed:
     def __init__(
         self,
         handler: Callable[[Any], None] | None,
-        *topics: Topic,
+        *topics: Need,
         always: bool = False,
         any_sender: bool = False,
         all_streams: bool = False,

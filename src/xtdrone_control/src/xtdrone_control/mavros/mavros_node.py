@@ -45,7 +45,7 @@ from xtdrone_control.mavros.lib.plugin_settings import Params
 from xtdrone_control.mavros.link.autopilot_links import FcuUrl, Link, LinkError, Receiver, bind_host_for, parse_fcu_url
 from xtdrone_control.mavros.plugin_lists import PluginLists
 from xtdrone_control.mavros.plugins import PLUGINS
-from xtdrone_control.mavros.readiness import readiness
+from xtdrone_control.mavros.readiness import TelemetryDemand, TelemetryOf, readiness
 from xtdrone_control.mavros.swarm_state_topic import Swarm
 from xtdrone_control.mavros.uas import PluginKind, Uas
 from xtdrone_control.mavros.unsubscribed_topics import Registrations, Watch
@@ -79,13 +79,14 @@ class _Connections(rospy.SubscribeListener):
 
     def peer_subscribe(self, topic_name: str, topic_publish: Any, peer_publish: Any) -> None:
         """Count a new connection; called in rospy's threads."""
-        self._count()
+        self.count()
 
     def peer_unsubscribe(self, topic_name: str, num_peers: int) -> None:
         """Count a closed connection; called in any thread."""
-        self._count()
+        self.count()
 
-    def _count(self) -> None:
+    def count(self) -> None:
+        """Count a change; in any thread."""
         with self._lock:
             self.changes += 1
 
@@ -95,6 +96,7 @@ class LockstepRos:
 
     Attributes:
         use_sim_time: whether ROS time is the simulator's time.
+        demand: of telemetry by callers of ``~get_readiness``.
     """
 
     def __init__(self, receiver: Receiver) -> None:
@@ -106,10 +108,11 @@ class LockstepRos:
         self._receiver = receiver
         self.use_sim_time = bool(lockstep.is_active() or rospy.get_param("/use_sim_time", False))
         self._connections = _Connections()
+        self.demand = TelemetryDemand(self._connections.count)
 
     @property
     def connection_changes(self) -> int:
-        """Number of subscribers' connections made and lost so far."""
+        """Number of subscribers' connections, and needs of telemetry, made and lost so far."""
         return self._connections.changes
 
     def now_ns(self) -> int:
@@ -222,8 +225,9 @@ class MavrosNode:
         alone = bool(shared.get("fcu_url", "") or shared.get("vehicle", ""))
         setpoints = setpoint_namespace(rospy.get_param("/xtdrone/setpoint_namespace", ""))
         self._swarm = None if alone else Swarm(self._ros, len(vehicles))
+        plugins: list[PluginKind] = [*PLUGINS, TelemetryOf(self._ros.demand)]
         self._uas = [
-            Uas(vehicle.name, vehicle.prefix, link, own, self._ros, (*PLUGINS, *self._swarm_member(index)), setpoints)
+            Uas(vehicle.name, vehicle.prefix, link, own, self._ros, (*plugins, *self._swarm_member(index)), setpoints)
             for index, (vehicle, link, own) in enumerate(zip(vehicles, self._links, params, strict=True))
         ]
         self._starting = {uas.name for uas in self._uas}
@@ -243,6 +247,7 @@ class MavrosNode:
             self._receive_uncounted()
         if self._swarm is not None:
             self._swarm.publish()
+        self._ros.demand.tend()
         now_ns = self._ros.now_ns()
         for uas in self._uas:
             uas.step(now_ns)
@@ -262,9 +267,11 @@ class MavrosNode:
     def _swarm_member(self, index: int) -> list[PluginKind]:
         return [] if self._swarm is None else [self._swarm.member(index)]
 
-    def _get_readiness(self, _request: Any) -> GetReadinessResponse:
+    def _get_readiness(self, request: Any) -> GetReadinessResponse:
         """Answer in a rospy thread, from what has arrived: also while time stands still."""
-        return GetReadinessResponse([readiness(uas) for uas in self._uas])
+        if request.telemetry:
+            self._ros.demand.ask()
+        return GetReadinessResponse([readiness(uas, telemetry=request.telemetry) for uas in self._uas])
 
     def _on_booted(self, name: str) -> None:
         """Announce once that all vehicles can be armed."""

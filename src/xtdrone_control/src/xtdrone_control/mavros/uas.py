@@ -13,7 +13,7 @@ from xtdrone_control import frames
 from xtdrone_control.geodesy.geoid import undulation
 from xtdrone_control.mavlink.wire.codec import Decoder, FrameError, decoder, message_name
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
-from xtdrone_control.mavros.feeds import Feed, Ros, Topic
+from xtdrone_control.mavros.feeds import Feed, Need, Ros, Topic
 from xtdrone_control.mavros.lib.log_throttle import Throttle
 from xtdrone_control.mavros.lib.plugin_settings import Params
 from xtdrone_control.mavros.lib.refusals import Refusals
@@ -148,7 +148,7 @@ class Uas:
         self._time_was_reset = False
         self._throttle = Throttle()
         self._setpoint_prefix = f"/{name}/{setpoint_namespace}" if setpoint_namespace else prefix
-        self._topics: list[Topic] = []
+        self._topics: list[Need] = []
         self._timers: list[_Timer] = []
         self._connections_seen = -1  # Ros.connection_changes at the latest refresh by the timer
         self._slots: dict[int, _Slot] = {RAW: _Slot(lambda frame: frame)}
@@ -185,8 +185,8 @@ class Uas:
         """Return the geoid height above the ellipsoid, m, at a position in degrees; 0 outside the valid range."""
         return self._geoid(latitude, longitude) if abs(latitude) <= _POLE and math.isfinite(longitude) else 0.0
 
-    def share(self, topic: Topic) -> None:
-        """Add a topic shared by all vehicles: its subscribers also enable this vehicle's streams."""
+    def share(self, topic: Need) -> None:
+        """Add a need shared by all vehicles, such as a topic: its subscribers also enable this vehicle's streams."""
         self._topics.append(topic)
 
     def subscribe(self, name: str, kind: type, callback: Callable[[Any], None]) -> None:
@@ -226,6 +226,15 @@ class Uas:
     def latest(self, name: str) -> Any:
         """Return the latest message ``name``, decoded, or None; a feed must request it."""
         return self._decoded(self._slots[MESSAGE_ID[name]])
+
+    def glance(self, name: str) -> Any:
+        """Return the latest message ``name``, decoded for the caller alone, or None; in any thread."""
+        slot = self._slots[MESSAGE_ID[name]]
+        frame = slot.frame
+        try:
+            return None if frame is None else slot.decode(frame)
+        except FrameError:
+            return None
 
     def attitude(self) -> tuple[frames.Quaternion, frames.Vector] | None:
         """Return the latest attitude, FLU to ENU (w, x, y, z), and body rates (rad/s, FLU); None before the first one.

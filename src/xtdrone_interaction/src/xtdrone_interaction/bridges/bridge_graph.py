@@ -9,6 +9,10 @@ from collections.abc import Callable, Sequence
 
 from xtdrone_interaction.topics.discovery import UNKNOWN_TYPE, TopicGraph, read_topics
 
+SHARE = 0.02
+"""Of the time that reading may take: with the three thousand topics of thirty vehicles it costs the ROS master, too."""
+LONGEST = 5.0  # s of wall time between two readings because of that
+
 
 class BridgeGraph:
     """A cache of the ROS graph."""
@@ -26,7 +30,7 @@ class BridgeGraph:
         Args:
             uri: of the ROS master.
             topics: shell patterns of the topics' names.
-            oldest: age after which the graph is read again, s.
+            oldest: age after which the graph is read again, s; up to ``LONGEST`` where reading takes long.
             clock: monotonic, s.
             read: reads the graph of a master.
         """
@@ -37,7 +41,7 @@ class BridgeGraph:
         self._read = read
         self._lock = threading.Lock()
         self._graph = TopicGraph({}, {})
-        self._read_at = float("-inf")
+        self._due = float("-inf")
 
     def is_open(self, topic: str) -> bool:
         """Return whether a pattern matches a topic's name."""
@@ -50,11 +54,13 @@ class BridgeGraph:
             MasterError: the master does not answer.
         """
         with self._lock:
-            if self._clock() - self._read_at >= self._oldest:
+            begin = self._clock()
+            if begin >= self._due:
                 graph = self._read(self._uri)
                 topics = {name: topic for name, topic in graph.topics.items() if self.is_open(name)}
                 self._graph = TopicGraph(topics, graph.services)
-                self._read_at = self._clock()
+                end = self._clock()
+                self._due = end + max(self._oldest, min((end - begin) / SHARE, LONGEST))
             return self._graph
 
     def topic_type(self, topic: str) -> str:

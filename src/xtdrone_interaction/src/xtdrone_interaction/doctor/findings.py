@@ -85,6 +85,8 @@ class Vehicle:
         missing_estimates: in words, from ESTIMATOR_STATUS; empty if there are none or they are unknown.
         texts: the autopilot's latest warnings.
         setpoint_rate: setpoints received in a second, Hz; None if they were not counted.
+        battery: charge, 0 to 1; None if unknown.
+        estimates: that the estimator has, of attitude, velocity, position and height; None if unknown.
     """
 
     name: str
@@ -101,6 +103,8 @@ class Vehicle:
     missing_estimates: tuple[str, ...] = ()
     texts: tuple[str, ...] = ()
     setpoint_rate: float | None = None
+    battery: float | None = None
+    estimates: tuple[str, ...] | None = None
 
     @property
     def kind(self) -> tuple[str, str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import xmlrpc.client
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
@@ -47,8 +47,12 @@ PARAMETERS = (
 )
 
 
-def read_master(uri: str) -> Master:
+def read_master(uri: str, alive: Collection[str] = ()) -> Master:
     """Read the state of a master, and ask each node whether it lives.
+
+    Args:
+        uri: of the master.
+        alive: nodes that are not asked, as they are known to live.
 
     Raises:
         SimError: there is no ROS master at ``uri``.
@@ -56,7 +60,7 @@ def read_master(uri: str) -> Master:
     try:
         publishers, subscribers, services = _call(uri, "getSystemState")
         nodes = {node for group in (publishers, subscribers, services) for _, names in group for node in names}
-        silent = _silent(uri, sorted(nodes))
+        silent = _silent(uri, sorted(nodes - set(alive)))
         parameters = {name: value for name in PARAMETERS if (value := _parameter(uri, name)) is not None}
     except (OSError, ValueError, TypeError, *NO_XMLRPC) as error:
         raise SimError(f"master: the ROS master at {uri} does not answer: {error}") from error

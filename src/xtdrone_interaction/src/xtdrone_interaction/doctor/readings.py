@@ -9,16 +9,35 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 from xtdrone_control.fleet import FleetError, check_instance, parse_fleet
 from xtdrone_interaction.doctor.findings import Check, Simulator, Vehicle
 from xtdrone_interaction.doctor.graph import Master
 from xtdrone_interaction.sim_cli import SimError, call
 
+if TYPE_CHECKING:
+    from xtdrone_msgs.msg import SimulationStatus
+
 LISTENING = 3.0  # s of wall time to listen to the topics of a real MAVROS
 _READINESS = "get_readiness"
 _STATE = re.compile(r"^(?P<prefix>(?:/(?P<name>\w+))?/mavros)/state$")
+_ESTIMATES = {1: "attitude", 2: "velocity", 8: "position", 32: "height"}  # ESTIMATOR_STATUS_FLAGS of MAVLink
 _MOST_HEARD = 50  # vehicles whose topics are read
+
+
+def simulator_of(status: SimulationStatus) -> Simulator:
+    """Return the state of the simulator, from its message."""
+    return Simulator(
+        time=status.sim_time.to_sec(),
+        speed=status.speed,
+        measured_speed=status.measured_speed,
+        paused=bool(status.paused and not status.stepping),
+        participants=tuple(sorted(status.participants)),
+        waiting_for=tuple(sorted(status.waiting_for)),
+        waiting=status.waiting.to_sec(),
+        reason=str(status.reason),
+    )
 
 
 def read_simulator(master: Master) -> Simulator | None:
@@ -31,17 +50,7 @@ def read_simulator(master: Master) -> Simulator | None:
 
     if "/simulator/get_status" not in master.services:
         return None
-    status = call(master.uri, "/simulator/get_status", GetStatus, GetStatusRequest()).status
-    return Simulator(
-        time=status.sim_time.to_sec(),
-        speed=status.speed,
-        measured_speed=status.measured_speed,
-        paused=bool(status.paused and not status.stepping),
-        participants=tuple(sorted(status.participants)),
-        waiting_for=tuple(sorted(status.waiting_for)),
-        waiting=status.waiting.to_sec(),
-        reason=str(status.reason),
-    )
+    return simulator_of(call(master.uri, "/simulator/get_status", GetStatus, GetStatusRequest()).status)
 
 
 def read_vehicles(master: Master, simulator: Simulator | None) -> list[Vehicle]:
@@ -79,8 +88,12 @@ def _prefixes(master: Master) -> list[str]:
     return [match["prefix"] for topic in sorted(master.graph.publishers) if (match := _STATE.match(topic))]
 
 
-def read_asked_vehicles(master: Master) -> list[Vehicle]:
+def read_asked_vehicles(master: Master, *, telemetry: bool = False) -> list[Vehicle]:
     """Return the vehicles of the project's MAVROS layers, which are asked by a service.
+
+    Args:
+        master: with the services.
+        telemetry: with battery and estimator.
 
     Raises:
         SimError: a MAVROS layer does not answer.
@@ -89,7 +102,7 @@ def read_asked_vehicles(master: Master) -> list[Vehicle]:
 
     vehicles = []
     for service in sorted(name for name in master.services if name.endswith(f"/{_READINESS}")):
-        answer = call(master.uri, service, GetReadiness, GetReadinessRequest())
+        answer = call(master.uri, service, GetReadiness, GetReadinessRequest(telemetry=telemetry))
         own = service.removesuffix(f"/{_READINESS}")  # the node's name: a namespace of topics with one vehicle
         alone = f"{own}/state" in master.graph.publishers
         for entry in answer.vehicles:
@@ -105,9 +118,15 @@ def read_asked_vehicles(master: Master) -> list[Vehicle]:
                     system_status=entry.system_status,
                     fcu_url=entry.fcu_url,
                     checks=_checks(entry.checks) if entry.reported else None,
+                    battery=float(entry.battery) if 0.0 <= entry.battery <= 1.0 else None,
+                    estimates=_estimates(entry.estimator_flags) if entry.estimated else None,
                 )
             )
     return vehicles
+
+
+def _estimates(flags: int) -> tuple[str, ...]:
+    return tuple(word for bit, word in _ESTIMATES.items() if flags & bit)
 
 
 def _checks(entries: Iterable[object]) -> tuple[Check, ...]:
@@ -137,4 +156,4 @@ def _counted_time(master: Master, simulator: Simulator | None) -> float:
     return 0.0 if simplified or simulator.reason else LISTENING * simulator.measured_speed
 
 
-__all__ = ["LISTENING", "SimError", "read_asked_vehicles", "read_simulator", "read_vehicles"]
+__all__ = ["LISTENING", "SimError", "read_asked_vehicles", "read_simulator", "read_vehicles", "simulator_of"]

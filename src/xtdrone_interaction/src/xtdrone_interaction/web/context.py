@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from tornado.ioloop import IOLoop, PeriodicCallback
 
 from xtdrone_interaction.web.server.methods import Method, Params, invoke
-from xtdrone_interaction.web.server.session import Session
+from xtdrone_interaction.web.server.session import Session, encode
 
 _THREADS = 8
 Result = TypeVar("Result")
@@ -56,8 +56,11 @@ class StationContext:
 
     def push_all(self, event: str, data: Any) -> None:
         """Send an event to all pages; in the event loop."""
+        if not self.sessions:
+            return
+        text = encode({"event": event, "data": data})
         for session in list(self.sessions.values()):
-            session.push(event, data)
+            session.push_text(text)
 
     def close(self) -> None:
         """End timers and threads."""

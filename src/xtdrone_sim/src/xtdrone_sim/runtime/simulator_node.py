@@ -35,6 +35,7 @@ from xtdrone_sim.runtime.requests.vehicle_services import VehicleServices
 from xtdrone_sim.runtime.requests.wind_service import WindService
 from xtdrone_sim.runtime.simulator_interface import SimulatorBackend
 from xtdrone_sim.sensors.ground_truth import GroundTruth
+from xtdrone_sim.topics.live_states import LiveStates
 
 _CHUNK_US = 20_000  # longest simulated time between two polls of sockets and pace
 _SLICE = 0.1  # s; longest single wait, so that a shutdown is noticed
@@ -183,6 +184,7 @@ class SimulatorNode:
         self._clock_message = Clock()
         self._server.attach_host(host)
         self._states = lockstep.Publisher("/gazebo/model_states", ModelStates)
+        self._live = LiveStates(backend.model_states)
         self._truth = GroundTruth([*backend.names, *backend.actors])
         self._states_period_us = round(1e6 / settings.states_rate)
         self._next_states_us = 0
@@ -310,6 +312,7 @@ class SimulatorNode:
     def _hold(self) -> None:
         """Execute the requests queued for the end of a tick; block while the simulation is paused."""
         while not self._control.between_ticks(self._reset):
+            self._live.stands()
             self._serve(_SLICE)
             self._server.poll(0.0)
 
@@ -351,6 +354,7 @@ class SimulatorNode:
         lockstep.host().time_passed(now)
         if now >= self._next_states_us:
             self._publish_states(now)
+        self._live.ticked()
         self._serve(0.0)
         if tick.is_regular and self._digests is not None:
             self._digests.tick(now, backend.truth())

@@ -37,15 +37,16 @@ class Instant:
     stopped: bool = False
 
 
-def hold(master: str) -> Instant:
+def hold(master: str, *, is_stepping: bool = False) -> Instant:
     """Let time stand still between two ticks, if there is a simulator that can; blocks.
 
     Args:
         master: URI of the ROS master.
+        is_stepping: an operator's step is under way, whether the simulator has begun it or not; time is not stopped.
     """
     try:
         status = status_of(master)
-        if parameter(master, _AUTOPILOT) == _NEEDS_TIME or status.stepping:
+        if parameter(master, _AUTOPILOT) == _NEEDS_TIME or status.stepping or is_stepping:
             return _instant(status, held=False, stopped=False)
         if status.paused or status.tick == 0:
             return _instant(status, held=True, stopped=False)

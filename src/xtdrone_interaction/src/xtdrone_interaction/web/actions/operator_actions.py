@@ -25,7 +25,7 @@ from xtdrone_interaction.web.server.session import Session
 _KEPT = 10_000  # actions
 _KEPT_TEXT = 64 << 20  # characters of all of them
 LONGEST_HOLD = 3.0
-"""s of wall time that an action may let simulated time stand still."""
+"""s of wall time that an action may let simulated time stand still, and a step may let other actions wait."""
 
 
 class OperatorActions:
@@ -43,6 +43,7 @@ class OperatorActions:
         listener.peer_subscribe = self._tell_newcomer
         self._publisher.impl.add_subscriber_listener(listener)
         self._one_at_a_time = asyncio.Lock()
+        self._long_steps: set[asyncio.Future[Any]] = set()
 
     async def carry_out(self, method: Method, session: Session, params: Params) -> Any:
         """Publish a call, carry it out and return its result; its errors are the caller's."""
@@ -51,18 +52,29 @@ class OperatorActions:
             return await invoke(method, session, params)
         async with self._one_at_a_time:
             if method.touches == "time":
-                self._publish(method, session, params, Instant())
-                return await invoke(method, session, params)
-            number, call = await self._begin(method, session, params)
+                call = await self._begin_on_time(method, session, params)
+            else:
+                number, call = await self._begin(method, session, params)
         try:
             return await call
         except Exception:
-            self._mark(REFUSED, number)
+            if method.touches == "flight":
+                self._mark(REFUSED, number)
             raise
+
+    async def _begin_on_time(self, method: Method, session: Session, params: Params) -> asyncio.Future[Any]:
+        """Start a call on simulated time; return it when it has ended or takes too long, as a step of many ticks."""
+        self._publish(method, session, params, Instant())
+        call = asyncio.ensure_future(invoke(method, session, params))
+        await asyncio.wait({call}, timeout=LONGEST_HOLD)
+        if not call.done():
+            self._long_steps.add(call)
+            call.add_done_callback(self._long_steps.discard)
+        return call
 
     async def _begin(self, method: Method, session: Session, params: Params) -> tuple[int, asyncio.Future[Any]]:
         """Start a call while time stands still; return its number and itself when it has ended or takes too long."""
-        instant = await self._context.blocking(hold, self._context.master)
+        instant = await self._context.blocking(hold, self._context.master, is_stepping=bool(self._long_steps))
         try:
             recorded = params if method.recorded is None else method.recorded(params)
             number = self._publish(method, session, recorded, instant)

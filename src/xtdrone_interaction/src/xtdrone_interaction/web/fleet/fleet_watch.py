@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Collection
 from typing import Any
 
 import numpy as np
@@ -18,13 +19,16 @@ from xtdrone_interaction.web.fleet.model_states_bytes import ModelRows, Truncate
 from xtdrone_interaction.web.fleet.roster import Roster
 from xtdrone_interaction.web.server.methods import Method, Params
 from xtdrone_interaction.web.server.session import Session
+from xtdrone_sim.topics.live_states import TOPIC as LIVE_STATES
 
+_OTHER_STATES = "/gazebo/model_states"  # where no simulator of the project runs, as with a bag that is played
+_CONNECT_LIMIT = 1.5  # s of wall time after which live states are looked for elsewhere
 _FLEET_PERIOD = 2.0  # s between two looks at the parameter of the fleet
 log = logging.getLogger("xtdrone.web")
 
 
 class FleetWatch:
-    """Subscribes to the simulator's true states while a page is open.
+    """Subscribes to the simulator's true states, those at a rate of wall time, while a page is open.
 
     Attributes:
         roster: the vehicles.
@@ -46,7 +50,8 @@ class FleetWatch:
         self._packed: bytes | None = None
         self._number = 0
         self._told = -1
-        self._subscriber: rospy.Subscriber | None = None
+        self._subscribers: dict[str, rospy.Subscriber] = {}
+        self._live_since = 0.0
         context.every(1.0 / rate, self._send)
         context.every(_FLEET_PERIOD, self._read_fleet)
 
@@ -60,6 +65,7 @@ class FleetWatch:
         return [Method("fleet.roster", self._describe)]
 
     async def _read_fleet(self) -> None:
+        self._listen(self._wanted())
         text = await self._context.blocking(rospy.get_param, "/xtdrone/fleet", None)
         try:
             self.roster.set_fleet(parse_fleet(str(text)) if text is not None else ())
@@ -69,15 +75,25 @@ class FleetWatch:
     def _describe(self, _session: Session, _params: Params) -> dict[str, Any]:
         return self.roster.describe(self.models)
 
-    def _listen(self, wanted: bool) -> None:
-        """Subscribe while a page is open, and only then."""
-        if wanted and self._subscriber is None:
-            self._subscriber = rospy.Subscriber(
-                "/gazebo/model_states", rospy.AnyMsg, self._on_states, queue_size=1, buff_size=1 << 20
-            )
-        elif not wanted and self._subscriber is not None:
-            self._subscriber.unregister()
-            self._subscriber = None
+    def _listen(self, topics: Collection[str]) -> None:
+        """Subscribe to these topics and to no other."""
+        for topic in self._subscribers.keys() - set(topics):
+            self._subscribers.pop(topic).unregister()
+        for topic in topics:
+            if topic not in self._subscribers:
+                self._subscribers[topic] = rospy.Subscriber(
+                    topic, rospy.AnyMsg, self._on_states, queue_size=1, buff_size=1 << 20
+                )
+
+    def _wanted(self) -> tuple[str, ...]:
+        """Return the topics of states that are needed now: none without pages."""
+        if not self._context.sessions:
+            return ()
+        live = self._subscribers.get(LIVE_STATES)
+        if live is None:
+            self._live_since = time.monotonic()
+        waits = time.monotonic() - self._live_since < _CONNECT_LIMIT
+        return (LIVE_STATES,) if waits or live is None or live.get_num_connections() else (LIVE_STATES, _OTHER_STATES)
 
     def _on_states(self, message: rospy.AnyMsg) -> None:
         if message._connection_header.get("type") == ModelStates._type:
@@ -85,14 +101,15 @@ class FleetWatch:
 
     def _send(self) -> None:
         sessions = list(self._context.sessions.values())
-        self._listen(bool(sessions))
+        if bool(sessions) != bool(self._subscribers):
+            self._listen(self._wanted())
         packed, self._packed = self._packed, None
         if packed is None:
             return
         try:
             self.models = read_model_states(packed, self.models)
         except TruncatedError as error:
-            log.warning("/gazebo/model_states: %s; it is left out", error)
+            log.warning("states of the models: %s; they are left out", error)
             return
         vehicles, movers = self.roster.split(self.models)
         if self.roster.version != self._told:

@@ -1,7 +1,8 @@
 """What the table tells of each vehicle besides its motion: mode, arming, link, battery, estimator, and what is wrong.
 
-It asks the MAVROS layer by the doctor's service, which needs no simulated time and changes nothing. Where no MAVROS
-layer of the project runs, only what topics tell is shown; ``./xtdrone doctor`` listens longer.
+It asks the MAVROS layer by the doctor's service, once for all vehicles: three subscriptions to each would cost a flight
+of thirty more than the whole page. Vehicles without a MAVROS layer of the project are shown by their topics alone;
+``./xtdrone doctor`` listens longer.
 """
 
 from __future__ import annotations
@@ -18,16 +19,21 @@ import genpy
 import rospy
 from mavros_msgs.msg import EstimatorStatus, State
 from sensor_msgs.msg import BatteryState
+from xtdrone_msgs.msg import SimulationStatus
 
 from xtdrone_interaction.doctor.findings import Finding, Graph, Simulator, Vehicle, examine_vehicle
 from xtdrone_interaction.doctor.graph import Master, read_master
-from xtdrone_interaction.doctor.readings import read_asked_vehicles, read_simulator
+from xtdrone_interaction.doctor.readings import read_asked_vehicles, simulator_of
 from xtdrone_interaction.sim_cli import SimError
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.fleet.fleet_watch import FleetWatch
 
-PERIOD = 1.0  # s of wall time
-_GRAPH_PERIOD = 10.0  # s between two looks at all nodes
+PERIOD = 1.0  # s of wall time, at least
+_LONGEST_PERIOD = 5.0
+_SHARE = 0.02  # of a core, that the question to the MAVROS layers may take
+_GRAPH_PERIOD = 10.0  # s of wall time between two looks at all nodes, at least
+_LONGEST_GRAPH_PERIOD = 30.0
+_GRAPH_SHARE = 0.02  # of the time, that a look may take: it makes work for the ROS master, too
 _ESTIMATES = {
     "attitude_status_flag": "attitude",
     "velocity_horiz_status_flag": "velocity",
@@ -54,15 +60,28 @@ class VehicleStatus:
         self._fleet = fleet
         self._latest: dict[str, bytes] = {}
         self._subscribers: dict[str, Any] = {}
-        self._master: Master | None = None
-        self._read_at = -math.inf
+        self._asked: dict[str, Vehicle] = {}
+        self._due = -math.inf  # time of the next status, s
+        self._master = Master(context.master, Graph())
+        self._master_due = -math.inf
+        self._simulation: SimulationStatus | None = None
+        self._of_simulation = rospy.Subscriber("/simulator/status", SimulationStatus, self._on_simulation, queue_size=1)
         context.every(PERIOD, self._send)
 
     async def _send(self) -> None:
         names = self._fleet.names if self._context.sessions else []
-        await self._context.blocking(self._subscribe, names)
-        if names:
+        if not names:
+            await self._context.blocking(self._subscribe, [])
+        elif time.monotonic() >= self._due:
             self._context.push_all("fleet.status", await self._context.blocking(self._read, names))
+
+    def _on_simulation(self, message: SimulationStatus) -> None:
+        self._simulation = message
+
+    def _simulator(self) -> Simulator | None:
+        """Return the state of the simulator; None without one."""
+        message = self._simulation
+        return simulator_of(message) if message is not None and self._of_simulation.get_num_connections() else None
 
     def _subscribe(self, names: list[str]) -> None:
         wanted = {f"/{name}/mavros/{topic.name}" for name in names for topic in _TOPICS}
@@ -76,23 +95,34 @@ class VehicleStatus:
         self._latest[topic] = message._buff
 
     def _read(self, names: list[str]) -> dict[str, Any]:
+        begin, simulator, trouble = time.thread_time(), self._simulator(), ""
         try:
-            master = self._graph()
-            simulator = read_simulator(master)
-            asked = {vehicle.name: vehicle for vehicle in read_asked_vehicles(master)}
-        except SimError as error:
+            self._look_at_graph(simulator)
+            self._asked = {vehicle.name: vehicle for vehicle in read_asked_vehicles(self._master, telemetry=True)}
+            self._subscribe([name for name in names if name not in self._asked])
+        except SimError as error:  # the last answers are shown, with the reason
             log.info("state of the vehicles: %s", error)
-            return {"vehicles": {name: self._heard(name, None, None, Graph()) for name in names}, "trouble": str(error)}
-        return {
-            "vehicles": {name: self._heard(name, asked.get(name), simulator, master.graph) for name in names},
-            "trouble": "",
-        }
+            trouble = str(error)
+        graph = self._master.graph
+        vehicles = {name: self._heard(name, self._asked.get(name), simulator, graph) for name in names}
+        period = (time.thread_time() - begin) / _SHARE
+        self._due = time.monotonic() + min(period, _LONGEST_PERIOD) - 0.5 * PERIOD
+        return {"vehicles": vehicles, "trouble": trouble}
 
-    def _graph(self) -> Master:
-        now = time.monotonic()
-        if self._master is None or now - self._read_at > _GRAPH_PERIOD:
-            self._master, self._read_at = read_master(self._context.master), now
-        return self._master
+    def _look_at_graph(self, simulator: Simulator | None) -> None:
+        """Read the nodes and topics, unless they have been read lately.
+
+        Raises:
+            SimError: the master does not answer.
+        """
+        begin = time.monotonic()
+        if begin < self._master_due:
+            return
+        # participants need not be asked: the lockstep drops those that have died
+        self._master = read_master(self._context.master, simulator.participants if simulator else ())
+        end = time.monotonic()
+        period = max(_GRAPH_PERIOD, (end - begin) / _GRAPH_SHARE)
+        self._master_due = end + min(period, _LONGEST_GRAPH_PERIOD)
 
     def _heard(self, name: str, asked: Vehicle | None, simulator: Simulator | None, graph: Graph) -> dict[str, Any]:
         """Return the entry of one vehicle."""
@@ -112,8 +142,8 @@ class VehicleStatus:
             "mode": vehicle.mode,
             "armed": vehicle.armed,
             "link": vehicle.connected,
-            "battery": self._battery(name),
-            "estimator": self._missing_estimates(name),
+            "battery": asked.battery if asked else self._battery(name),
+            "estimator": _missing(asked.estimates) if asked else self._missing_estimates(name),
             "findings": [_as_json(finding) for finding in findings],
         }
 
@@ -136,6 +166,10 @@ class VehicleStatus:
         except (genpy.DeserializationError, UnicodeDecodeError):
             return None
         return message
+
+
+def _missing(estimates: tuple[str, ...] | None) -> list[str] | None:
+    return None if estimates is None else [word for word in _ESTIMATES.values() if word not in estimates]
 
 
 def _as_json(finding: Finding) -> Mapping[str, str]:

@@ -13,6 +13,7 @@ import rospy
 from numpy.typing import NDArray
 from tf2_msgs.msg import TFMessage
 
+from xtdrone_interaction.topics.discovery import UNKNOWN_TYPE
 from xtdrone_interaction.topics.message_classes import MessageTypeError
 from xtdrone_interaction.topics.raw_subscriptions import RawMessage
 from xtdrone_interaction.web.context import StationContext
@@ -82,7 +83,8 @@ class LayerRoom:
         if type(rate) not in (int, float) or not 0.0 < rate <= MOST_RATE:
             raise CallError(f"rate: {rate!r} is not allowed, more than 0, up to {MOST_RATE:g} Hz")
         found = (await self._topics.graph()).topics.get(topic)
-        if found is None or found.type not in TYPES:
+        kind = params.get("type") if found is None or found.type == UNKNOWN_TYPE else found.type
+        if kind not in TYPES:  # a topic that is not there yet is subscribed to if the page knows its type
             kind = "it is not there" if found is None else found.type
             raise CallError(f"topic: {topic[:100]!r} is not allowed ({kind}), one of {', '.join(TYPES)}")
         mine = self._open.get(session)
@@ -169,6 +171,8 @@ class LayerRoom:
             cached = self._cache.get(key)
         if cached is not None and cached.message is message:
             return cached
+        if message.type not in TYPES:  # the topic has been advertised since it was subscribed to
+            raise LayerError(f"type: {message.type} is not allowed, one of {', '.join(TYPES)}")
         largest = MOST_BYTES.get(message.type, MOST_BYTES_OF_OTHERS)
         if len(message.data) > largest:
             raise LayerError(f"message: {len(message.data)} bytes are not allowed, at most {largest}")

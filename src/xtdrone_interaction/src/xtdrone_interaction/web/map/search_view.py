@@ -27,7 +27,10 @@ _MOST_LONELY = 1e-7  # degrees; an item at 0, 0 has no place
 
 
 class SearchView:
-    """Keeps the search's region, progress and events, and the missions that MAVROS has read from the vehicles."""
+    """Keeps the search's region, progress and events, and the missions that MAVROS has read from the vehicles.
+
+    Subscriptions to the missions of all vehicles cost much of what a page does: they are made for pages with a map.
+    """
 
     def __init__(self, context: StationContext, fleet: FleetWatch, datum: Callable[[], Datum | None]) -> None:
         """Subscribe.
@@ -44,6 +47,7 @@ class SearchView:
         self._region_file = ""
         self._lists: dict[str, WaypointList] = {}
         self._subscribers: dict[str, Any] = {}
+        self._pages: set[int] = set()  # that have asked for missions
         rospy.Subscriber("/xtdrone/search/event", String, self._on_event, queue_size=100)
         rospy.Subscriber("/xtdrone/search/progress", String, self._on_progress, queue_size=1)
         context.every(_PERIOD, self._follow_fleet)
@@ -57,8 +61,9 @@ class SearchView:
         await self._context.blocking(self._read_region)
         return self._state
 
-    async def _missions(self, _session: Session, _params: Params) -> dict[str, list[list[float]]]:
-        """Return the way of each vehicle's mission, x, y (m ENU) and height over home, m."""
+    async def _missions(self, session: Session, _params: Params) -> dict[str, list[list[float]]]:
+        """Return the way of each vehicle's mission, x, y (m ENU) and height (m); changes are told from now on."""
+        self._pages.add(session.number)
         datum = await self._context.blocking(self._datum)
         return {name: way_of(items, datum) for name, items in self._lists.items()} if datum else {}
 
@@ -73,7 +78,8 @@ class SearchView:
             self._state = {**self._state, "trouble": str(error)}
 
     async def _follow_fleet(self) -> None:
-        names = self._fleet.names if self._context.sessions else []
+        self._pages &= self._context.sessions.keys()
+        names = self._fleet.names if self._pages else []
         if names != list(self._subscribers):
             await self._context.blocking(self._subscribe, names)
 

@@ -62,7 +62,10 @@ class Session:
 
     def push(self, event: str, data: Any) -> None:
         """Send an event, unless too much waits; may be called in any thread."""
-        text = encode({"event": event, "data": data})
+        self.push_text(encode({"event": event, "data": data}))
+
+    def push_text(self, text: str) -> None:
+        """Send an event that is encoded already, as ``push`` does."""
         self._run(lambda: self._send(text, droppable=True))
 
     def push_binary(self, channel: int, payload: bytes) -> None:
