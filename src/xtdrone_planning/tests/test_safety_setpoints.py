@@ -80,7 +80,9 @@ def test_setpoints_without_a_meaning_are_left_alone(change):
 def test_the_meaning_of_mavross_other_setpoints():
     half = math.sqrt(0.5)
     pose = Pose(Point(11.0, 20.0, 5.0), Quaternion(0.0, 0.0, half, half))
-    assert meaning_of_pose(pose, MOTION, GAINS) == Meaning((0.5, 0.0, 0.0), pytest.approx(NORTH))
+    assert meaning_of_pose(pose, MOTION, GAINS) == Meaning(
+        (0.5, 0.0, 0.0), pytest.approx(NORTH), position=(11.0, 20.0, 5.0)
+    )
     assert meaning_of_twist(Twist(Vector3(1, 2, 3), Vector3(9, 9, 0.4))) == Meaning((1, 2, 3), None, 0.4)
     assert meaning_of_acceleration(Vector3(0.0, 1.0, 0.0), MOTION, GAINS) == Meaning((1.0, 2.0, 0.0))
 

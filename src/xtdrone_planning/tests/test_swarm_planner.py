@@ -18,7 +18,7 @@ from xtdrone_planning.swarm.settings import AgreementSettings
 from xtdrone_planning.swarm.swarm_planner import SwarmPlanner
 from xtdrone_planning.trajectories.moving_vehicles import MovingVehicles
 from xtdrone_planning.trajectories.splines.spline_cost import UPRIGHT
-from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, resting
+from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, coasting, resting
 
 RADIUS = LIMITS.radius
 LENGTH = 16.0
@@ -165,3 +165,58 @@ def test_a_path_leads_round_the_place_where_another_rests():
     path = PathSearch(25000).find(grid, query, distance)
     along = np.vstack([np.linspace(a, b, 20) for a, b in itertools.pairwise(path.points)])
     assert np.linalg.norm(along - (6.0, 0.0, 2.0), axis=1).min() > 1.4
+
+
+def blown_off(flight: ToyFlight) -> None:
+    """Fly at speed, and be led 1.5 m off the trajectory."""
+    flight.planner = SwarmPlanner(flight.map.grid, flight.settings, flight.limits, AgreementSettings(check=0.2), rank=1)
+    flight.planner.set_goal(np.array([16.0, 0.0, 2.0]))
+    flight.run(3.5)
+    assert flight.velocity[0] > 2.0
+    flight.position = flight.position + np.array([0.0, 1.5, 0.0])
+
+
+def test_a_vehicle_that_was_led_off_its_trajectory_flies_on_from_there():
+    flight = ToyFlight(np.zeros((0, 3)))
+    blown_off(flight)
+    begin = len(flight.track)
+    flight.run(12.0, "hovering at the goal")
+    assert flight.planner.state.name == "hovering at the goal"
+    assert flight.states == ["waiting", "planning", "following", "hovering at the goal"]
+    steps = np.linalg.norm(np.diff(flight.track[begin:], axis=0), axis=1)
+    assert steps.max() < LIMITS.speed * PERIOD * 1.01  # no jump back
+    assert min(command.velocity[0] for command in flight.commands[begin : begin + 20]) > 1.0
+
+
+def test_without_a_way_on_it_stops_where_it_has_come_to():
+    flight = ToyFlight(np.zeros((0, 3)))
+    blown_off(flight)
+    flight.planner.plan = lambda *_: False
+    place, velocity = flight.position, flight.velocity
+    flight.run(4.0)
+    way = flight.position - place
+    assert way[0] == pytest.approx(velocity[0] ** 2 / (2.0 * 0.8 * LIMITS.acceleration), rel=0.25)
+    assert way[1:] == pytest.approx([0.0, 0.0], abs=0.1)
+    assert flight.velocity == pytest.approx(np.zeros(3), abs=1e-6)
+
+
+def test_rays_that_end_at_other_vehicles_are_not_entered():
+    other = np.array([5.0, 0.0, 2.0])
+    flights = [ToyFlight(np.array([[5.0, 0.0, 0.35], [5.0, 4.0, 0.35]])) for _ in range(2)]
+    flights[1].map.others = lambda _: (other[None], np.array([0.7]))
+    for flight, known in zip(flights, (False, True), strict=True):
+        flight.run(1.0)
+        occupied = flight.map.grid.occupied()
+        at_other = np.linalg.norm(occupied - other, axis=1) < 0.5
+        assert at_other.any() != known
+        assert (np.linalg.norm(occupied - (5.0, 4.0, 2.0), axis=1) < 0.5).any()
+
+
+def test_places_of_others_are_those_on_their_trajectories():
+    flight = ToyFlight(np.zeros((0, 3)))
+    planner = SwarmPlanner(flight.map.grid, flight.settings, flight.limits, AgreementSettings(), rank=1)
+    planner.on_decided(0, 1, coasting(np.zeros(3), np.array([2.0, 0.0, 0.0]), 10.0), RADIUS)
+    for time in (9.8, 10.0, 11.0):  # before its start it is on the one before, of which this one is the continuation
+        places, reach = planner.places_of_others(time)
+        assert places == pytest.approx(np.array([[2.0 * (time - 10.0), 0.0, 0.0]]), abs=1e-9)
+        assert RADIUS < reach[0] < 2.0 * RADIUS

@@ -3,10 +3,22 @@ obstacles."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
 from xtdrone_perception.tracking.pose_history import PoseHistory
 from xtdrone_planning.mapping.range_images import RangeImage
-from xtdrone_planning.mapping.ray_places import rays_in_map
+from xtdrone_planning.mapping.ray_places import missing_places, rays_in_map
 from xtdrone_planning.mapping.voxel_grid import MapSettings, VoxelGrid
+
+Array = NDArray[np.float64]
+
+
+def no_others(_: float) -> tuple[Array, Array]:
+    """Return no vehicles; see ``LocalMap.others``."""
+    return np.empty((0, 3)), np.empty(0)
 
 
 class LocalMap:
@@ -15,6 +27,8 @@ class LocalMap:
     Attributes:
         grid: the map.
         poses: history of base_link poses: x, y, z, m in map, and quaternion w, x, y, z; ``poses.add`` appends one.
+        others: returns positions of other vehicles at a time, s: (m, 3), and radii (m,), m, within which rays may end
+            at the vehicle. Such rays are not inserted: a moving vehicle would leave a trail of obstacles.
     """
 
     def __init__(self, settings: MapSettings, radius: float) -> None:
@@ -26,6 +40,7 @@ class LocalMap:
         """
         self.grid = VoxelGrid(settings)
         self.poses = PoseHistory(seconds=2.0, reach=0.1)
+        self.others: Callable[[float], tuple[Array, Array]] = no_others
         self._radius = radius
 
     def restart(self) -> None:
@@ -48,7 +63,9 @@ class LocalMap:
         if rays is None:
             return False
         self.grid.recentre(rays.position)
-        self.grid.insert(rays.origins, rays.ends, rays.hits)
+        middle = 1e-9 * stamp_ns + 0.5 * float(image.times.max(initial=0.0))
+        kept = missing_places(rays.ends, rays.hits, *self.others(middle))
+        self.grid.insert(rays.origins[kept], rays.ends[kept], rays.hits[kept])
         self.grid.free_around(rays.position, self._radius)
         self.grid.update_distance()
         return True

@@ -97,3 +97,22 @@ def place_rays(poses, spacing, mount, ranges, directions, times, origins, ends):
         ends[r, 0] = origins[r, 0] + ranges[r] * u
         ends[r, 1] = origins[r, 1] + ranges[r] * v
         ends[r, 2] = origins[r, 2] + ranges[r] * w
+
+
+@kernel
+def missing_places(ends, hits, places, reach):
+    """Return which rays do not end near one of some places, (n,).
+
+    Args:
+        ends: (n, 3) where they end, m in map.
+        hits: (n,) whether something was met there; rays that met nothing are never near.
+        places: (m, 3) m in map.
+        reach: (m,) m.
+    """
+    missing = np.ones(len(ends), np.bool_)
+    for k in range(len(ends)):
+        for n in range(len(places)):
+            x, y, z = ends[k, 0] - places[n, 0], ends[k, 1] - places[n, 1], ends[k, 2] - places[n, 2]
+            if hits[k] and x * x + y * y + z * z < reach[n] * reach[n]:
+                missing[k] = False
+    return missing

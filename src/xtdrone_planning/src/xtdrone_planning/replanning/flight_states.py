@@ -39,6 +39,7 @@ class _Planner(Protocol):
     def hold(self, position: np.ndarray, time: float) -> None: ...
     def plan(self, now: Situation, start: State) -> bool: ...
     def brake(self, time: float) -> None: ...
+    def stop_from(self, state: State, time: float) -> None: ...
     def conflict(self, now: Situation) -> float: ...
     def is_at_goal(self, position: np.ndarray) -> bool: ...
     def is_astray(self, now: Situation) -> bool: ...
@@ -166,14 +167,13 @@ class Following(FlightState):
         return self
 
     def _from_estimate(self, planner: _Planner, now: Situation) -> FlightState:
-        """Replan from the vehicle's actual state instead of the commanded one."""
+        """Replan from the vehicle's actual state instead of the commanded one; without a path, begin to stop there."""
         state = planner.estimate(now)
         if planner.plan(now, state):
             self._planned, self._goal_number = now.time, planner.goal_number
-            return self
-        planner.hold(state.position, now.time)
-        planner.searched = "the vehicle was off its trajectory"
-        return Planning(now.time, planner.goal_number)
+        else:
+            planner.stop_from(state, now.time)
+        return self
 
     def _with_new_map(self, planner: _Planner, now: Situation, state: State) -> FlightState:
         blocked = math.isfinite(planner.conflict(now))

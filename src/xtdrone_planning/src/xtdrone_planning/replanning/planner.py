@@ -20,7 +20,7 @@ from xtdrone_planning.replanning.settings import PlannerSettings
 from xtdrone_planning.replanning.situation import Command, Situation
 from xtdrone_planning.trajectories.local_trajectory import State, TrajectorySettings, conflict_time, plan_along
 from xtdrone_planning.trajectories.slowing_down import stopping
-from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, resting
+from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, coasting, resting
 from xtdrone_planning.trajectories.time_law import length_of
 
 Array = NDArray[np.float64]
@@ -186,6 +186,11 @@ class Planner:
         """Brake along the current path."""
         assert self.trajectory is not None
         self._fly(stopping(self.trajectory, time, 0.8 * self.limits.acceleration))
+
+    def stop_from(self, state: State, time: float) -> None:
+        """Stop from a state that is not on the trajectory, in its direction."""
+        ahead = coasting(state.position, state.velocity, time)
+        self._fly(stopping(ahead, time, 0.8 * self.limits.acceleration))
 
     def conflict(self, now: Situation) -> float:
         """Return when the trajectory hits an obstacle of the current map, s of ROS time; infinite if never."""

@@ -154,6 +154,7 @@ class VehiclePlanner:
                 lambda: timed("plan"),
             )
             self._swarm = SwarmTopics(name, fleet, planner, FRAME)
+            self._map.others = planner.places_of_others
         base = f"/{name}/mavros"
         self._feed = MapFeed(
             name, self._map, self._watch, settings.sensor.sensor, settings.lidar, settings.depth, lambda: timed("map")

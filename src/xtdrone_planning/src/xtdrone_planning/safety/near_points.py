@@ -40,6 +40,28 @@ def placed(points, mount, mount_attitude, position, attitude, reach):
 
 
 @kernel
+def without_vehicles(points, places, reach):
+    """Return the points that are not at known vehicles, shape (K, 3), m.
+
+    Args:
+        points: shape (N, 3), m.
+        places: of the vehicles, shape (M, 3), m; NaN: unknown.
+        reach: distance from a vehicle's centre up to which a point may be of the vehicle, m.
+    """
+    kept = np.empty((len(points), 3))
+    count = 0
+    for k in range(len(points)):
+        is_other = False
+        for n in range(len(places)):
+            x, y, z = points[k, 0] - places[n, 0], points[k, 1] - places[n, 1], points[k, 2] - places[n, 2]
+            is_other = is_other or x * x + y * y + z * z < reach * reach  # False for NaN
+        if not is_other:
+            kept[count] = points[k]
+            count += 1
+    return kept[:count].copy()
+
+
+@kernel
 def nearest_by_sector(points, position, reach, near):
     """Store the nearest point in each sector of directions around a position; return their number.
 

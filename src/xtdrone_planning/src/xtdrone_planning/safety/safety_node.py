@@ -18,6 +18,7 @@ topic                                    type                              meani
 /T/mavros/local_position/velocity_local  geometry_msgs/TwistStamped        this, or /xtdrone/swarm for all at once
 /T/mavros/extended_state                 mavros_msgs/ExtendedState         in: a vehicle on the ground is not filtered
 /T/CLOUD                                 sensor_msgs/PointCloud2           in: obstacles, if ``~cloud`` names it
+/T/planner/trajectory                    xtdrone_msgs/SplineTrajectory     in: of all; see ``flown_trajectories``
 /diagnostics                             diagnostic_msgs/DiagnosticArray   out: once a second
 =======================================  ================================  ============================================
 """
@@ -35,14 +36,15 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped, Vector3, Vector3Stamped
 from mavros_msgs.msg import ExtendedState, PositionTarget
+from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64MultiArray
-from xtdrone_msgs.msg import SafetyIntervention
+from xtdrone_msgs.msg import SafetyIntervention, SplineTrajectory
 
 from xtdrone_control import lockstep, rotation
 from xtdrone_control.programs.node_command_line import ArgumentError, needed_fleet, run_program
 from xtdrone_planning.mapping.range_images import ScanError, points_of
-from xtdrone_planning.safety.near_points import placed
+from xtdrone_planning.safety.near_points import placed, without_vehicles
 from xtdrone_planning.safety.setpoints import (
     Gains,
     Meaning,
@@ -55,7 +57,10 @@ from xtdrone_planning.safety.setpoints import (
 )
 from xtdrone_planning.safety.settings import SafetySettings
 from xtdrone_planning.safety.swarm_positions import SwarmPositions
+from xtdrone_planning.safety.trajectory_clearance import TrajectoryClearance
 from xtdrone_planning.safety.velocity_filter import VelocityFilter, Verdict
+from xtdrone_planning.swarm.flown_trajectories import FlownTrajectories
+from xtdrone_planning.trajectories.trajectory_messages import TrajectoryError, spline_of
 
 RATE = 30  # Hz
 USAGE = "safety_filter.py [VEHICLE ...]   (as iris_0; default: all of /xtdrone/fleet)"
@@ -80,17 +85,26 @@ class _Pose(NamedTuple):
 class GuardedVehicle:
     """Filter of one vehicle's setpoints."""
 
-    def __init__(self, names: Sequence[str], index: int, swarm: SwarmPositions, settings: SafetySettings) -> None:
+    def __init__(
+        self,
+        names: Sequence[str],
+        index: int,
+        swarm: SwarmPositions,
+        trajectories: FlownTrajectories,
+        settings: SafetySettings,
+    ) -> None:
         """Declare the topics.
 
         Args:
             names: of all vehicles.
             index: of this one.
             swarm: positions of all vehicles.
+            trajectories: of all vehicles.
             settings: of the filter.
         """
         self.name = name = names[index]
         self._names, self._index, self._swarm, self._settings = names, index, swarm, settings
+        self._trajectories, self._clearance = trajectories, TrajectoryClearance()
         self._others = [i for i in range(len(names)) if i != index]
         self._filter = VelocityFilter(settings, 1.0 / RATE)
         self._gains = Gains(settings.kp, settings.lag, settings.max_speed)
@@ -149,12 +163,18 @@ class GuardedVehicle:
             return
         points = np.stack([records[axis] for axis in "xyz"], axis=1).astype(np.float64)
         stamp = message.header.stamp.to_sec()
-        if message.header.frame_id in _MAP_FRAMES:
-            self._points, self._points_time = points, stamp
-        elif self._path:
+        if message.header.frame_id not in _MAP_FRAMES:
+            if not self._path:
+                return
             pose = min(self._path, key=lambda pose: abs(pose.time - stamp))
-            place = placed(points, *self._mount, np.array(pose.position), pose.attitude, self._settings.range)
-            self._points, self._points_time = place, stamp
+            points = placed(points, *self._mount, np.array(pose.position), pose.attitude, self._settings.range)
+        self._points, self._points_time = self._without_others(points, stamp), stamp
+
+    def _without_others(self, points: NDArray[np.float64], stamp: float) -> NDArray[np.float64]:
+        """Return the points that are not at other vehicles, from which their own distance is kept."""
+        reach = self._settings.distance - self._settings.obstacle_distance  # so that no hidden point can be too near
+        places = self._swarm.at(stamp, self._settings.timeout)[self._others]
+        return without_vehicles(points, places, reach) if reach > 0.0 and len(places) else points
 
     def _of_target(self, message: PositionTarget) -> Meaning | None:
         return meaning_of_target(message, self._motion(), self._gains)
@@ -197,14 +217,23 @@ class GuardedVehicle:
         self._publish_intervention(stamp, meaning, verdict)
 
     def _check(self, meaning: Meaning, now: float) -> Verdict:
-        places = self._swarm.at(now, self._settings.timeout)
+        places, trajectories = self._swarm.at(now, self._settings.timeout), self._trajectories
+        on_trajectory = trajectories.commands(self._index, meaning.position)
+        agreed = [on_trajectory and trajectories.agreed(self._index, other) for other in self._others]
         return self._filter.check(
             np.array(meaning.velocity),
             np.array(self._path[-1].position),
             places[self._others],
             self._swarm.velocities[self._others],
             self._points,
+            np.array(agreed, dtype=np.bool_),
+            is_clear=on_trajectory and self._is_clear(now),
         )
+
+    def _is_clear(self, now: float) -> bool:
+        """Return whether the vehicle touches no point on the trajectory that it flies, as far off it as it is."""
+        flown = self._trajectories.flown(self._index)
+        return flown is not None and self._clearance.least(flown.spline, self._points, now) >= flown.radius + flown.off
 
     def _publish_intervention(self, stamp: rospy.Time, meaning: Meaning | None, verdict: Verdict | None) -> None:
         report = self._intervention
@@ -270,7 +299,11 @@ class SafetyNode:
         """
         self._fleet, self._topic = fleet, swarm_topic
         self._swarm = SwarmPositions(len(fleet))
-        self._vehicles = [GuardedVehicle(fleet, fleet.index(name), self._swarm, settings) for name in served]
+        self._trajectories = FlownTrajectories(len(fleet), settings.distance, settings.tracking)
+        self._timeout = settings.timeout
+        self._vehicles = [
+            GuardedVehicle(fleet, fleet.index(name), self._swarm, self._trajectories, settings) for name in served
+        ]
         self._diagnostics = lockstep.Publisher("/diagnostics", DiagnosticArray)
         self._reported = -np.inf
         if swarm_topic:
@@ -280,11 +313,16 @@ class SafetyNode:
                 base = f"/{name}/mavros/local_position"
                 lockstep.Subscriber(f"{base}/pose", PoseStamped, partial(self._on_position, i))
                 lockstep.Subscriber(f"{base}/velocity_local", TwistStamped, partial(self._on_velocity, i))
+        if settings.tracking > 0.0:
+            for i, name in enumerate(fleet):
+                topic = f"/{name}/planner/trajectory"
+                lockstep.Subscriber(topic, SplineTrajectory, partial(self._on_trajectory, i))
         lockstep.add_reset_hook(self._restart)
 
     def step(self) -> None:
         """Forward the setpoints of all vehicles; call it at 30 Hz."""
         stamp = rospy.Time.now()
+        self._trajectories.update(self._swarm.at(stamp.to_sec(), self._timeout), stamp.to_sec())
         for vehicle in self._vehicles:
             vehicle.step(stamp)
         if stamp.to_sec() - self._reported >= _REPORT_PERIOD:
@@ -295,6 +333,7 @@ class SafetyNode:
 
     def _restart(self) -> None:
         self._swarm.restart()
+        self._trajectories.restart()
         self._reported = -np.inf
         for vehicle in self._vehicles:
             vehicle.restart()
@@ -308,6 +347,15 @@ class SafetyNode:
     def _on_position(self, index: int, message: PoseStamped) -> None:
         p = message.pose.position
         self._swarm.on_position(index, (p.x, p.y, p.z), rospy.Time.now().to_sec())
+
+    def _on_trajectory(self, index: int, message: SplineTrajectory) -> None:
+        try:
+            spline = spline_of(message)
+            if not 0.0 < message.radius < np.inf:
+                raise TrajectoryError(f"radius: {message.radius} is not allowed, above 0 m")
+            self._trajectories.on_trajectory(index, message.id, spline, message.radius)
+        except TrajectoryError as error:
+            rospy.logwarn_throttle_identical(5.0, f"trajectory of {self._fleet[index]}: {error}; ignored")
 
     def _on_velocity(self, index: int, message: TwistStamped) -> None:
         v = message.twist.linear

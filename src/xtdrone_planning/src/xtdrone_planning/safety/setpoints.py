@@ -49,11 +49,13 @@ class Meaning:
         velocity: m/s ENU.
         yaw: rad ENU, None: not controlled.
         yaw_rate: rad/s, counter-clockwise, None: not controlled.
+        position: m ENU, None: not controlled.
     """
 
     velocity: Vector
     yaw: float | None = None
     yaw_rate: float | None = None
+    position: Vector | None = None
 
 
 @dataclass(frozen=True)
@@ -101,14 +103,17 @@ def meaning_of_target(target: Any, motion: Motion, gains: Gains) -> Meaning | No
     if mask & IGNORE_POSITION != IGNORE_POSITION:
         wanted = list(_limited(wanted, gains.max_speed))
     yaw = None if mask & IGNORE_YAW else wrap_pi(target.yaw + motion.yaw * body)
-    return _finite(Meaning(tuple(wanted), yaw, None if mask & IGNORE_YAW_RATE else target.yaw_rate))  # type: ignore[arg-type]
+    yaw_rate = None if mask & IGNORE_YAW_RATE else target.yaw_rate
+    place = None if mask & IGNORE_POSITION else position
+    return _finite(Meaning(tuple(wanted), yaw, yaw_rate, place))  # type: ignore[arg-type]
 
 
 def meaning_of_pose(pose: Any, motion: Motion, gains: Gains) -> Meaning | None:
     """Return the meaning of a geometry_msgs/Pose on setpoint_position/local; None if it is not finite."""
     p, q = pose.position, pose.orientation
     way = (gains.kp * (a - x) for a, x in zip((p.x, p.y, p.z), motion.position, strict=True))
-    return _finite(Meaning(_limited(list(way), gains.max_speed), yaw_of(q.x, q.y, q.z, q.w)))  # type: ignore[arg-type]
+    velocity = _limited(list(way), gains.max_speed)
+    return _finite(Meaning(velocity, yaw_of(q.x, q.y, q.z, q.w), position=(p.x, p.y, p.z)))  # type: ignore[arg-type]
 
 
 def meaning_of_twist(twist: Any) -> Meaning | None:

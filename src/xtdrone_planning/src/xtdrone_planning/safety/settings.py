@@ -30,6 +30,11 @@ class SafetySettings(Settings):
     kp: float = setting(
         0.95, low=0.05, high=5.0, unit="1/s", text="speed per position error of a position setpoint (MPC_XY_P)"
     )
+    tracking: float = setting(
+        0.5, low=0.0, high=5.0, unit="m",
+        text="deviation from its trajectory on /VEHICLE/planner/trajectory up to which a vehicle follows it; 0: "
+        "trajectories are ignored",
+    )  # fmt: skip
     range: float = setting(20.0, low=1.0, high=200.0, unit="m", text="range of vehicles and obstacles that count")
     timeout: float = setting(
         0.5, low=0.05, high=10.0, unit="s", text="age beyond which a position or a cloud is reported as outdated"

@@ -66,6 +66,9 @@ class VelocityFilter:
         others: NDArray[np.float64],
         velocities: NDArray[np.float64],
         obstacles: NDArray[np.float64] = _NO_POINTS,
+        agreed: NDArray[np.bool_] | None = None,
+        *,
+        is_clear: bool = False,
     ) -> Verdict:
         """Return the allowed velocity.
 
@@ -75,20 +78,24 @@ class VelocityFilter:
             others: positions of the other vehicles, shape (N, 3), m ENU; NaN where unknown.
             velocities: of these, shape (N, 3), m/s ENU.
             obstacles: points, shape (K, 3), m ENU.
+            agreed: shape (N,), the vehicles that fly on trajectories which keep clear of this one's; none by default.
+            is_clear: whether this vehicle's trajectory is clear of the points.
         """
         s = self._settings
+        no_barrier = np.zeros(len(others), dtype=np.bool_) if agreed is None else agreed
         result = np.empty(3)
         corrected, distance, cause, excess = _checked(
-            wanted, position, others, velocities, obstacles, s.distance + MARGIN, s.obstacle_distance, s.lag,
-            s.deceleration, s.max_speed, s.range, _TURN_RATE * self._period, self._turn, self._near, result,
+            wanted, position, others, velocities, obstacles, no_barrier, is_clear, s.distance + MARGIN,
+            s.obstacle_distance, s.lag, s.deceleration, s.max_speed, s.range,
+            _TURN_RATE * self._period, self._turn, self._near, result,
         )  # fmt: skip
         return Verdict(result, bool(corrected), float(distance), int(cause), float(excess))
 
 
 @kernel
 def _checked(
-    wanted, position, others, velocities, obstacles, distance, obstacle_distance, lag, deceleration, max_speed, reach,
-    turn_step, turn, near, result,
+    wanted, position, others, velocities, obstacles, agreed, is_clear, distance, obstacle_distance, lag, deceleration,
+    max_speed, reach, turn_step, turn, near, result,
 ):  # fmt: skip
     """Store the allowed velocity; return whether it was corrected, nearest distance, cause and excess."""
     points = nearest_by_sector(obstacles, position, reach, near)
@@ -110,10 +117,12 @@ def _checked(
             )
         if away > reach:
             continue
+        closest = min(closest, away)
+        if agreed[k] if k < len(others) else is_clear:
+            continue
         offsets[count] = offset
         least = distance if k < len(others) else obstacle_distance
         weights[count] = min(max((away - least) / least, _WEIGHT_LEAST), 1.0)
-        closest = min(closest, away)
         missing = offset - _dot(normals[count], wanted)
         if missing > 0.0:
             blocked_by_vehicle = blocked_by_vehicle or k < len(others)

@@ -32,6 +32,7 @@ from xtdrone_planning.trajectories.time_law import length_of
 Array = NDArray[np.float64]
 
 _SAME_PLACE = 0.05  # m
+_OFF = 0.3  # m that other vehicles may be off their trajectories
 _BRAKING = 1.0  # s before an obstacle on the current trajectory, within which the vehicle brakes instead of waiting
 
 
@@ -94,14 +95,15 @@ class SwarmPlanner(Planner):
     def plan(self, now: Situation, start: State) -> bool:
         """Propose a trajectory, unless one is pending; return whether one is pending.
 
-        A proposal starts from the current trajectory; from elsewhere, e.g. after a gust, none is possible.
+        A proposal starts from the current trajectory. From elsewhere, e.g. after a gust, a trajectory that is clear of
+        everything the others may fly begins at once, and they hear of it.
         """
         trajectory = self.trajectory
+        if trajectory is None or np.linalg.norm(trajectory.at(now.time)[0] - start.position) > _SAME_PLACE:
+            self._abandon()
+            return super().plan(now, start)
         if self.proposal is not None or now.time < self._pause_until:
             return self.conflict(now) > now.time + self.swarm.check + _BRAKING
-        if trajectory is None or np.linalg.norm(trajectory.at(now.time)[0] - start.position) > _SAME_PLACE:
-            self.searched = "the vehicle was off its trajectory"
-            return False
         begin = now.time + self.swarm.check
         return super().plan(replace(now, time=begin), State(*trajectory.at(begin)))
 
@@ -114,6 +116,17 @@ class SwarmPlanner(Planner):
         """Brake along the current path immediately, and inform the others."""
         self._abandon()
         super().brake(time)
+
+    def stop_from(self, state: State, time: float) -> None:
+        """Stop from a state at once; others hear of it."""
+        self._abandon()
+        super().stop_from(state, time)
+
+    def places_of_others(self, time: float) -> tuple[Array, Array]:
+        """Return where others are at a ROS time, s: places (m, 3), and the distances (m,) within which they are, m."""
+        flown = [(known.decided, known.radius) for known in self._known.values() if known.decided is not None]
+        places = np.array([_place_before_or_on(spline, time) for spline, _ in flown]).reshape(-1, 3)
+        return places, np.array([radius + _OFF for _, radius in flown])
 
     def _trajectory_along(self, corners: Array, start: State, time: float) -> UniformSpline | None:
         others = self._others(None)
@@ -177,3 +190,9 @@ class SwarmPlanner(Planner):
 
     def _abandon(self) -> None:
         self.proposal = None
+
+
+def _place_before_or_on(spline: UniformSpline, time: float) -> Array:
+    """Return where a vehicle is at a time, s; what it will fly branches off smoothly from what it flies."""
+    place, velocity, _ = spline.at(time)
+    return place - max(0.0, spline.start - time) * velocity

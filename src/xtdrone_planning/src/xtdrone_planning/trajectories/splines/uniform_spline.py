@@ -20,6 +20,8 @@ from xtdrone_planning.trajectories.splines.spline_kernels import (
 
 Array = NDArray[np.float64]
 
+_COASTING = 30  # s
+
 
 @dataclass(frozen=True)
 class UniformSpline:
@@ -75,6 +77,13 @@ class UniformSpline:
 def resting(position: Array, time: float) -> UniformSpline:
     """Return the trajectory of a vehicle that hovers at (3,) m in map from a ROS time, s, onwards."""
     return UniformSpline(time, 1.0, np.tile(np.asarray(position, float), (4, 1)))
+
+
+def coasting(position: Array, velocity: Array, time: float) -> UniformSpline:
+    """Return the trajectory from a position, (3,) m in map, with a constant velocity, (3,) m/s, for some seconds."""
+    interval = 1.0
+    points = position + velocity * interval * (np.arange(_COASTING + 3)[:, None] - 1.0)
+    return UniformSpline(time, interval, points)
 
 
 def first_points(position: Array, velocity: Array, acceleration: Array, interval: float) -> Array:

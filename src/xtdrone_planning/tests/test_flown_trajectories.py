@@ -1,0 +1,104 @@
+"""Vehicles on trajectories that keep clear of each other and of obstacles pass the safety filter uncorrected."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from xtdrone_planning.safety.near_points import without_vehicles
+from xtdrone_planning.safety.settings import SafetySettings
+from xtdrone_planning.safety.trajectory_clearance import FARTHEST, TrajectoryClearance
+from xtdrone_planning.safety.velocity_filter import VelocityFilter
+from xtdrone_planning.swarm.flown_trajectories import FlownTrajectories
+from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, coasting, resting
+
+DISTANCE, TRACKING, RADIUS = 1.0, 0.5, 0.4  # m
+EAST, WEST, NORTH = np.array([4.5, 0.0, 0.0]), np.array([-4.5, 0.0, 0.0]), np.array([0.0, 3.0, 0.0])
+SETTINGS = SafetySettings(distance=DISTANCE, obstacle_distance=0.65, tracking=TRACKING)
+
+
+def meeting(aside: float) -> tuple[FlownTrajectories, np.ndarray]:
+    """Return two vehicles that meet 3 s after time 0, so far beside each other, m; and where they are at time 0."""
+    places = np.array([[-13.5, 0.0, 2.0], [13.5, aside, 2.0]])
+    trajectories = FlownTrajectories(2, DISTANCE, TRACKING)
+    for index, velocity in enumerate((EAST, WEST)):
+        trajectories.on_trajectory(index, 1, coasting(places[index], velocity, 0.0), RADIUS)
+    return trajectories, places
+
+
+def test_two_that_pass_beside_each_other_need_no_braking():
+    trajectories, places = meeting(1.4)
+    safety = VelocityFilter(SETTINGS, 1.0 / 30.0)
+    for now in np.arange(0.0, 6.0, 0.1):
+        at = places + np.stack([EAST, WEST]) * now
+        trajectories.update(at, now)
+        assert trajectories.commands(0, at[0] + 0.2 * EAST)
+        agreed = np.array([trajectories.agreed(0, 1)])
+        assert not safety.check(EAST, at[0], at[1:], WEST[None], agreed=agreed).corrected
+    assert safety.check(EAST, np.zeros(3), np.array([[8.0, 1.4, 0.0]]), WEST[None]).corrected  # without trajectories
+
+
+def test_how_far_vehicles_are_off_counts_against_the_distance_and_how_late_they_are_does_not():
+    for off, agreed in ((0.1, True), (0.25, False)):
+        trajectories, places = meeting(1.4)
+        trajectories.update(places + np.array([[0.0, off, 0.0], [0.0, -off, 0.0]]), 0.0)
+        assert trajectories.agreed(0, 1) == agreed
+    trajectories, places = meeting(1.4)
+    trajectories.update(places + 0.2 * np.stack([EAST, WEST]), 0.4)
+    assert trajectories.flown(0).off == pytest.approx(0.0, abs=1e-9)
+    assert trajectories.agreed(1, 0)
+
+
+def test_trajectories_that_come_too_near_or_a_vehicle_off_its_own_are_not_agreed_on():
+    trajectories, places = meeting(0.9)
+    trajectories.update(places, 0.0)
+    assert not trajectories.agreed(0, 1)
+    trajectories, places = meeting(3.0)
+    trajectories.update(places + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, TRACKING + 0.1]]), 0.0)
+    assert trajectories.flown(1) is None
+    assert not trajectories.agreed(0, 1)
+    assert not trajectories.commands(1, places[1])
+
+
+def test_two_that_cross_at_different_times_are_agreed_on_until_one_is_late():
+    for late, agreed in ((0.0, True), (1.0, False)):
+        trajectories = FlownTrajectories(2, DISTANCE, TRACKING)
+        trajectories.on_trajectory(0, 1, coasting(np.array([-9.0, 0.0, 2.0]), EAST, 0.0), RADIUS)
+        north = coasting(np.array([0.0, -9.0, 2.0]), NORTH, late - 2.0)  # crosses at 1 + late s, the first at 2 s
+        trajectories.on_trajectory(1, 1, north, RADIUS)
+        trajectories.update(np.array([[-9.0, 0.0, 2.0], north.at(0.0)[0]]), 0.0)
+        assert trajectories.agreed(0, 1) == agreed
+
+
+def test_a_trajectory_counts_from_its_start_on_and_setpoints_may_be_of_the_next():
+    trajectories, places = meeting(3.0)
+    turned = coasting(places[0] + EAST, NORTH, 1.0)
+    trajectories.update(places, 0.0)
+    trajectories.on_trajectory(0, 2, turned, RADIUS)
+    trajectories.update(places + 0.9 * np.stack([EAST, WEST]), 0.9)
+    assert trajectories.flown(0).spline.points[-1, 1] == 0.0
+    assert trajectories.commands(0, turned.at(1.1)[0])
+    assert not trajectories.commands(0, turned.at(1.1)[0] + (0.0, 0.0, 0.2))
+    assert not trajectories.commands(0, None)  # a velocity setpoint
+    trajectories.on_trajectory(0, 2, turned, RADIUS)  # repeated
+    trajectories.update(np.stack([turned.at(1.2)[0], places[1] + 1.2 * WEST]), 1.2)
+    assert trajectories.flown(0).spline.points[-1, 1] > 0.0
+    assert trajectories.commands(0, turned.at(1.4)[0])
+
+
+def test_the_distance_to_obstacles_is_that_of_a_fine_search():
+    generator = np.random.default_rng(4)
+    points = generator.uniform((-2.0, -3.0, 0.0), (12.0, 3.0, 4.0), (60, 3))
+    spline = UniformSpline(5.0, 0.5, np.cumsum(generator.uniform((0.2, -0.6, -0.1), (1.2, 0.6, 0.1), (16, 3)), axis=0))
+    clearance = TrajectoryClearance()
+    for now in (4.0, 6.0, 8.0, 11.0):
+        places = spline.positions(np.arange(max(now, spline.start), spline.end, 0.002))
+        exact = np.linalg.norm(places[:, None] - points, axis=2).min()
+        assert clearance.least(spline, points, now) == pytest.approx(min(exact, FARTHEST), abs=0.05)
+    assert clearance.least(resting(np.zeros(3), 0.0), np.empty((0, 3)), 1.0) == FARTHEST
+
+
+def test_points_at_known_vehicles_are_no_obstacles():
+    points = np.array([[3.0, 0.0, 2.0], [3.3, 0.0, 2.0], [5.0, 0.0, 2.0]])
+    kept = without_vehicles(points, np.array([[3.0, 0.1, 2.0], [np.nan] * 3]), 0.35)
+    assert kept.tolist() == [[5.0, 0.0, 2.0]]
