@@ -64,6 +64,12 @@ function mount(element, station) {
     const id = pad?.id ?? '';
     if (id !== state.pad) { state.pad = id; draw(); }
     if (!state.open) return;
+    if (!pad && moved) {
+      moved = false;
+      toast('The gamepad is gone: the vehicles stop.', 'bad');
+      station.call('steering.sticks', { speeds: [0, 0, 0, 0] }).then(told, fail);
+      return;
+    }
     if (pad) {
       const keys = ['n', 'y', 's', 'v', null, null, null, null, 't', 'b']; // A, B, X, Y, ..., back, start
       pad.buttons.forEach(({ pressed }, i) => { if (pressed && !buttons[i] && keys[i]) press(keys[i]); });
@@ -129,7 +135,12 @@ function mount(element, station) {
   const timer = setInterval(readPad, PERIOD);
   const offs = [
     station.selection.onChange(() => { if (!state.open) draw(); }),
-    station.on('station.state', ({ connected }) => { if (!connected) { state.open = false; state.pilot = null; } draw(); }),
+    station.on('steering.ended', ({ text }) => { state.open = false; state.pilot = null; toast(text, 'bad'); draw(); }),
+    station.on('station.state', ({ connected }) => {
+      if (!connected && state.open) toast('The connection broke: this page flies nothing now. The station stops the vehicles, unless it was killed.', 'bad');
+      if (!connected) { state.open = false; state.pilot = null; }
+      draw();
+    }),
   ];
   draw();
   return () => {

@@ -97,7 +97,7 @@ class Listener(ServerListener):
     def on_set_parameters(
         self, client: Client, parameters: list[Parameter], request_id: str | None = None
     ) -> list[Parameter]:
-        """Set parameters and return their values after it; those that the bridge itself tells are returned as they are."""
+        """Set parameters and return their values after it; of the bridge's own client, return what it tells."""
         told = self.standing.told(request_id) if self.standing else None
         if told is not None:
             return told
