@@ -68,6 +68,9 @@ KEYS = {
 def test_the_programs_know_every_key_of_the_panels(view: str) -> None:
     made = layout(view, parse_fleet(FLEETS[view]))
     assert set(made) == {"configById", "layout", "globalVariables", "userNodes", "playbackConfig"}
+    objects = ("configById", "globalVariables", "userNodes", "playbackConfig")  # as Lichtblick's import demands
+    assert all(isinstance(made[name], dict) for name in objects)
+    assert isinstance(made["playbackConfig"]["speed"], (int, float))
     for name, config in made["configById"].items():
         kind = name.partition("!")[0]
         assert set(config) <= KEYS[kind], name

@@ -129,7 +129,7 @@ class StandingClient:
         if self._connection is not None:
             with contextlib.suppress(WebSocketClosedError):
                 sent = self._connection.write_message(json.dumps(operation))
-                sent.add_done_callback(lambda future: future.exception())  # type: ignore[attr-defined]
+                sent.add_done_callback(lambda future: future.exception())
 
     def _end_connection(self) -> None:
         self.stands = False
