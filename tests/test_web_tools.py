@@ -3,7 +3,6 @@ recordings."""
 
 from __future__ import annotations
 
-import math
 import os
 import signal
 import subprocess
@@ -20,10 +19,8 @@ pytest.importorskip("rospy")
 
 import rospy
 from darknet_ros_msgs.msg import BoundingBox, BoundingBoxes
-from gazebo_msgs.msg import ModelStates
 from mavros_msgs.srv import ParamGet
 from playwright import sync_api
-from std_msgs.msg import Float64
 from web_browser import needs_chromium, station_page
 from xtdrone_msgs.msg import SimulationStatus
 
@@ -103,31 +100,6 @@ def test_plots_draw_a_field_and_export_it(page: Any, panel: Callable[[str], Any]
     assert len(times) > 10
     assert times == sorted(times)
     assert plots.locator(".uplot canvas").count() == 1
-
-
-def test_a_curve_says_that_its_topic_has_vanished_and_that_it_is_no_number(
-    page: Any, panel: Callable[[str], Any]
-) -> None:
-    topic = "/tried/number"
-    plots = panel("plots")
-    curve = plots.locator(f'[data-curve="{topic}/data"]')
-
-    def publish(value: float) -> rospy.Publisher:
-        publisher = rospy.Publisher(topic, Float64, queue_size=1, latch=True)
-        publisher.publish(value)
-        return publisher
-
-    publisher = publish(math.nan)
-    plots.locator("input[type=search]").fill(topic)
-    plots.locator("div.link").first.click(timeout=_MS)
-    plots.locator("button", has_text="data").click()
-    sync_api.expect(curve).to_contain_text("not a finite number now", timeout=_MS)
-    publisher.unregister()
-    sync_api.expect(curve).to_contain_text("No node publishes this topic now.", timeout=_MS)
-    publisher = publish(1.0)
-    sync_api.expect(curve.locator("[data-role=trouble]")).to_have_count(0, timeout=_MS)
-    curve.locator("button").click()
-    publisher.unregister()
 
 
 def test_the_console_shows_warnings_of_nodes(page: Any, panel: Callable[[str], Any]) -> None:
@@ -215,40 +187,6 @@ def test_keys_fly_the_vehicle_and_the_flight_is_recorded_and_played(
     poll(lambda: page.evaluate("station.replaying && station.fleet.vehicles[2] > 1.5"), "the recorded climb is shown")
     page.click("[data-role=player] button:has-text('Back')")
     assert page.evaluate("station.replaying") is False
-
-
-def test_a_gamepad_that_is_gone_another_page_and_a_closed_one_stop_the_vehicle(
-    page: Any, panel: Callable[[str], Any], stack: Stack, graph: Graph
-) -> None:
-    states = graph.hear("/gazebo/model_states", ModelStates)
-
-    def speed() -> float:
-        velocity = states.last.twist[states.last.name.index(VEHICLE)].linear
-        return math.hypot(velocity.x, velocity.y)
-
-    page.evaluate("navigator.getGamepads = () => globalThis.pads ?? []")
-    page.evaluate("globalThis.pads = [{connected: true, id: 'pad', axes: [0, 0, 0, -1], buttons: []}]")
-    panel("steering").locator("[data-role=begin]").click()
-    page.wait_for_selector("[data-role=end]")
-    page.keyboard.press("b")
-    stack.wait(lambda: speed() > 0.5, "the stick moves it")
-    page.evaluate("globalThis.pads = []")
-    sync_api.expect(page.locator(".toast.bad", has_text="The gamepad is gone")).to_be_visible(timeout=_MS)
-    stack.wait(lambda: speed() < 0.2, "it stops, as the gamepad is gone")
-
-    other = page.context.new_page()
-    other.goto(page.url)
-    other.click("#dock-tabs button[data-panel=steering]")
-    other.locator("[data-role=begin]").click(timeout=_MS)
-    told = page.locator(".toast.bad", has_text=f"another page flies {VEHICLE} now")
-    sync_api.expect(told).to_be_visible(timeout=_MS)
-    page.wait_for_selector("[data-role=begin]")
-    for _ in range(60):
-        other.keyboard.down("w")
-    stack.wait(lambda: speed() > 0.3, "the held key moves it")
-    other.close()
-    stack.wait(lambda: speed() < 0.2, "it stops, as its page is closed")
-    page.eval_on_selector("#toasts", "toasts => toasts.replaceChildren()")
 
 
 def test_a_cut_recording_and_one_that_is_none_say_what_is_wrong(
