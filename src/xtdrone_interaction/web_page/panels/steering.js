@@ -122,8 +122,7 @@ function mount(element, station) {
   function draw() {
     render(html`${station.role === 'operate' ? (state.open && state.pilot ? flying() : ready()) : html`<p
       class="soft">This page has watch-only access.</p>`} <div class="card"><b>Gamepad</b> <span class=${state.pad ?
-      'good' : 'soft'}>${state.pad || 'none: press a button
-        on it'}</span> <p class="soft">Left stick: up and turn; right stick: forward and left. A land, B disarm, X
+      'good' : 'soft'}>${state.pad || 'none: press a button on it'}</span> <p class="soft">Left stick: up and turn; right stick: forward and left. A land, B disarm, X
         hover, Y take off, back arm, start offboard.</p> <div class="row"><label>most m/s <input type="number" min="0.5"
         max="20" step="0.5" value=${state.speed}
             onchange=${(event) => { state.speed = Math.min(20, Math.max(0.5, Number(event.target.value) || 2)); draw(); }}/></label>
