@@ -32,9 +32,8 @@ class FoxgloveClient:
     def __init__(self, port: int) -> None:
         self._exit = contextlib.ExitStack()
         protocols = [Subprotocol("foxglove.sdk.v1")]
-        connection = connect(
-            f"ws://127.0.0.1:{port}", subprotocols=protocols, max_size=None, open_timeout=60, ping_interval=None
-        )
+        limits: Any = {"max_size": None, "open_timeout": 60, "close_timeout": 0.1, "ping_interval": None}
+        connection = connect(f"ws://127.0.0.1:{port}", subprotocols=protocols, **limits)
         self._socket = self._exit.enter_context(connection)
         self.channels: dict[str, Any] = {}
         self.services: dict[str, Any] = {}

@@ -98,6 +98,24 @@ def test_foxglove_shows_topics_time_and_parameters(foxglove: FoxgloveClient) -> 
     foxglove.send({"op": "setParameters", "parameters": [{"name": "/tried/number", "value": 1.5}], "id": "set"})
     foxglove.wait(lambda: foxglove.last("parameterValues", id="set"))
     assert rospy.get_param("/tried/number") == 1.5
+    foxglove.send({"op": "subscribeParameterUpdates", "parameterNames": ["/tried/number"]})
+    rospy.set_param("/tried/number", 2.5)
+    changed = {"name": "/tried/number", "value": 2.5, "type": "float64"}
+    foxglove.wait(lambda: changed in [p for f in foxglove.frames for p in f.get("parameters", ())])
+
+
+def test_foxglove_shows_the_nodes_of_topics_and_services(foxglove: FoxgloveClient) -> None:
+    foxglove.send({"op": "subscribeConnectionGraph"})
+    told: dict[tuple[str, str], list[str]] = {}
+
+    def complete() -> bool:
+        for frame in foxglove.frames:
+            for kind, nodes in (("publishedTopics", "publisherIds"), ("advertisedServices", "providerIds")):
+                told.update({(kind, entry["name"]): entry[nodes] for entry in frame.get(kind, ())})
+        return told.get(("publishedTopics", POSE)) == ["/mavros"]
+
+    foxglove.wait(complete)
+    assert told["advertisedServices", "/iris_0/mavros/cmd/arming"] == ["/mavros"]
 
 
 def test_foxglove_publishes_and_calls_and_is_told_what_is_not_allowed(foxglove: FoxgloveClient, graph: Graph) -> None:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 pytest.importorskip("rospy")
+pytest.importorskip("websockets")
 
 from foxglove import Context, Parameter
 
@@ -65,6 +68,9 @@ KEYS = {
 def test_the_programs_know_every_key_of_the_panels(view: str) -> None:
     made = layout(view, parse_fleet(FLEETS[view]))
     assert set(made) == {"configById", "layout", "globalVariables", "userNodes", "playbackConfig"}
+    objects = ("configById", "globalVariables", "userNodes", "playbackConfig")  # as Lichtblick's import demands
+    assert all(isinstance(made[name], dict) for name in objects)
+    assert isinstance(made["playbackConfig"]["speed"], (int, float))
     for name, config in made["configById"].items():
         kind = name.partition("!")[0]
         assert set(config) <= KEYS[kind], name
@@ -118,7 +124,7 @@ def test_parameters_that_clients_may_set() -> None:
         with pytest.raises(ParameterError, match="parameter") as refused:
             parameters.set([Parameter(name, value=value)])
         assert text in str(refused.value)
-    with pytest.raises(ParameterError, match="only shows"):
+    with pytest.raises(ParameterError, match="read-only"):
         RosParameters(lambda: master, ["*"], operate=False).set([Parameter("/open/a", value=1)])
 
 
@@ -195,3 +201,74 @@ def test_a_topic_is_subscribed_to_while_it_has_clients_and_there_is_a_channel_wh
 def _done(topics: TopicChannels) -> None:
     """Wait for the thread of the channels."""
     topics._worker.submit(lambda: None).result()
+
+
+COME_AND_GO = """
+import json
+import threading
+import time
+
+import foxglove
+from foxglove import ConnectionGraph, Parameter
+from foxglove.websocket import Capability
+from websockets.sync.client import connect
+
+from xtdrone_interaction.bridges.foxglove.foxglove_node import Listener
+from xtdrone_interaction.bridges.foxglove.standing_client import PROTOCOL, StandingClient
+
+listener = Listener(None, None, None, print)
+capabilities = [Capability.Parameters, Capability.ConnectionGraph]
+server = foxglove.start_server(
+    port=0, capabilities=capabilities, server_listener=listener, context=foxglove.Context()
+)
+listener.standing = standing = StandingClient("127.0.0.1", server.port)
+parameters = {"parameterNames": ["/number"]}
+while not standing.answers():
+    time.sleep(0.01)
+
+
+def come_and_go(times):
+    with connect(f"ws://127.0.0.1:{server.port}", subprotocols=[PROTOCOL], close_timeout=0.1) as socket:
+        for begin in ("subscribe",) if not times else ("subscribe", "unsubscribe") * times:
+            socket.send(json.dumps({"op": f"{begin}ConnectionGraph"}))
+            socket.send(json.dumps({"op": f"{begin}ParameterUpdates", **parameters}))
+        seen = set()
+        for frame in socket:
+            told = json.loads(frame)
+            seen |= {topic["name"] for topic in told.get("publishedTopics", ())}
+            seen |= {p["value"] for p in told.get("parameters", ())}
+            if times or {"/last", "last"} <= seen:
+                return
+
+
+def tell(topic, value):
+    made = ConnectionGraph()
+    made.set_published_topic(topic, ["/node"])
+    if standing.answers():
+        server.publish_connection_graph(made)
+        for _ in range(20):
+            standing.tell_parameters([Parameter("/number", value=value)])
+
+
+guests = [threading.Thread(target=come_and_go, args=(500,)) for _ in range(3)]
+for guest in guests:
+    guest.start()
+number = 0
+while any(guest.is_alive() for guest in guests):
+    number += 1
+    tell(f"/topic_{number}", str(number))
+watcher = threading.Thread(target=come_and_go, args=(0,))
+watcher.start()
+while watcher.is_alive():
+    tell("/last", "last")
+standing.close()
+server.stop()
+print("told", number)
+"""
+"""In a process of its own, as what is tried would stop it for good."""
+
+
+def test_the_graph_and_parameters_are_told_while_clients_come_and_go() -> None:
+    done = subprocess.run([sys.executable, "-c", COME_AND_GO], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout.removeprefix("told ")) > 1

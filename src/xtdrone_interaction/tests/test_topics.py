@@ -97,6 +97,8 @@ def test_long_arrays_are_shortened_on_request() -> None:
     assert to_json(state, longest=3)["position"] == {"length": 9, "first": [0.5, 0.5, 0.5]}
     assert to_json(state, longest=9)["position"] == [0.5] * 9
     assert to_json(Image(data=bytes(1000)), longest=3)["data"] == {"length": 1000, "first": "AAAA"}
+    assert to_json(String("x" * 30_000), longest=3)["data"] == {"length": 30_000, "first": "x" * 4000}
+    assert to_json(String("x" * 30_000))["data"] == "x" * 30_000
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from xtdrone_interaction.web.recordings.recording_room import allowed_file, list
 from xtdrone_interaction.web.recordings.results import read_results
 from xtdrone_interaction.web.server.methods import CallError
 from xtdrone_interaction.web.steering.page_pilot import SILENCE, PagePilot
+from xtdrone_interaction.web.steering.steering_room import SteeringRoom
 
 # ---- recordings
 
@@ -177,3 +178,45 @@ def test_sticks_beyond_the_limits_are_refused(speeds: object) -> None:
     with pytest.raises(ValueError, match="key: 'q' is not allowed"):
         flown.pilot.press("q", 0.0)
     assert flown.taken() == []
+
+
+class _Context:
+    """A station whose room sends nothing by itself."""
+
+    master = ""
+
+    def every(self, *_: Any) -> None: ...
+
+
+class _Page:
+    """A page's session that keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[str, Any]] = []
+
+    def push(self, event: str, data: Any) -> None:
+        self.told.append((event, data))
+
+
+def test_the_last_page_flies_and_the_others_stop_what_they_flew(monkeypatch: pytest.MonkeyPatch) -> None:
+    room = SteeringRoom(_Context())  # type: ignore[arg-type]
+    sent: list[tuple[str, tuple[float, ...]]] = []
+    monkeypatch.setattr(room, "_send_waiting", lambda: None)
+
+    def begin(vehicles: list[str]) -> Any:
+        page: Any = _Page()
+        room._pilots[page] = PagePilot(vehicles, False, {}, lambda name, message: sent.append((name, message)))  # type: ignore[arg-type]
+        room._end_others(page)
+        return page
+
+    first, other, second = begin(["iris_0", "iris_1"]), begin(["iris_2"]), None
+    room._key(first, {"key": "w"})
+    room._cycle()
+    second = begin(["iris_1"])
+    assert first.told == [("steering.ended", {"text": "another page flies iris_1 now; this one has ended"})]
+    assert sent[-2:] == [("iris_0", Setpoint(Target.ALL)), ("iris_1", Setpoint(Target.ALL))]
+    assert set(room._pilots) == {other, second}
+    room._key(other, {"key": "g"})
+    room._key(second, {"key": "g"})
+    assert other.told == [("steering.ended", {"text": "another page flies leader now; this one has ended"})]
+    assert second.told == []

@@ -3,7 +3,9 @@
 /** Keeps a subscription of the server over reconnections. */
 export class Subscription {
   #off;
+  #open;
   number = null;
+  refused = false; // the last attempt to open it
 
   /**
    * @param {import('./station.js').Station} station
@@ -17,12 +19,22 @@ export class Subscription {
     this.station = station;
     this.closing = closing;
     this.closed = false;
-    this.#off = station.onConnect(() => {
+    this.#open = () => {
+      this.refused = false;
       station.call(method, params).then(({ subscription }) => {
         this.number = subscription;
         if (this.closed) this.#end(); else onOpen(subscription);
-      }, (error) => { if (!this.closed) onError(error); });
-    });
+      }, (error) => {
+        this.refused = true;
+        if (!this.closed) onError(error);
+      });
+    };
+    this.#off = station.onConnect(this.#open);
+  }
+
+  /** Opens it again if it was refused, as that of a topic that was not there. */
+  retry() {
+    if (this.refused && !this.closed && this.station.connected) this.#open();
   }
 
   close() {
@@ -35,6 +47,8 @@ export class Subscription {
     this.station.call(this.closing, { subscription: this.number }).catch(() => {}); // a broken connection has ended it
   }
 }
+
+export const NO_PUBLISHER = 'No node publishes this topic now.';
 
 /** Returns the topics whose names or types contain all words. */
 export function matching(topics, words) {

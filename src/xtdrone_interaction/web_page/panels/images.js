@@ -1,7 +1,7 @@
 // Images of camera topics, with the boxes of detectors.
 import { html, render } from '../vendor/preact_htm.js';
 import { toast } from '../station.js';
-import { Subscription, matching } from '../topic_choice.js';
+import { NO_PUBLISHER, Subscription, matching } from '../topic_choice.js';
 
 const CHANNEL = 2;
 const HEADER = 24; // bytes, as xtdrone_interaction/web/images/image_room.py packs them
@@ -28,6 +28,7 @@ class View {
   frame = null;
   boxes = [];
   fault = '';
+  gone = false; // no node publishes the topic
   times = [];
   detections = null;
   constructor(station, topic, detections, changed) {
@@ -35,7 +36,7 @@ class View {
     this.subscription = new Subscription(station, 'images.open', { topic, rate: 10, width: 960 }, 'images.close', (error) => {
       this.fault = error.message;
       changed();
-    });
+    }, () => { this.fault = ''; changed(); });
     this.setDetections(detections);
   }
 
@@ -130,7 +131,7 @@ function mount(element, station) {
     ${state.detections.length ? html`<select title="detections" onchange=${(event) => view.setDetections(event.target.value || null)}>
       <option value="">no detections</option>${state.detections.map((name) => html`<option value=${name} selected=${name === view.detectionTopic}>${name}</option>`)}</select>` : ''}
     <button class="small" onclick=${() => view.canvas.requestFullscreen?.()}>Full</button><button class="small" onclick=${() => remove(view)}>✕</button></div>
-    ${view.fault ? html`<p class="bad">${view.fault}</p>` : html`<p class="soft">${view.frame
+    ${view.gone ? html`<p class="warn" data-role="gone">${NO_PUBLISHER}</p>` : view.fault ? html`<p class="bad">${view.fault}</p>` : html`<p class="soft">${view.frame
       ? `${view.frame.width}×${view.frame.height} px, ${view.frame.time.toFixed(2)} s, ${view.rate.toFixed(1)} Hz, ${view.boxes.length} detections`
       : 'no image yet'}</p>`}`, view.head);
 
@@ -144,7 +145,12 @@ function mount(element, station) {
 
   const list = () => station.call('images.list').then((found) => {
     Object.assign(state, found);
-    for (const view of views) if (!view.detectionTopic && boxesOf(view.topic)) view.setDetections(boxesOf(view.topic));
+    for (const view of views) {
+      if (!view.detectionTopic && boxesOf(view.topic)) view.setDetections(boxesOf(view.topic));
+      view.gone = !state.images.some(({ name }) => name === view.topic);
+      if (!view.gone) view.subscription.retry();
+      label(view);
+    }
     draw();
   }, () => {});
   const offs = [

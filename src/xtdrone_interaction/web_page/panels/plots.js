@@ -2,7 +2,7 @@
 import uPlot from '../vendor/uplot.js';
 import { html, render } from '../vendor/preact_htm.js';
 import { toast } from '../station.js';
-import { Subscription, matching, save } from '../topic_choice.js';
+import { NO_PUBLISHER, Subscription, matching, save } from '../topic_choice.js';
 
 const COLOURS = ['#2f7de1', '#e1632f', '#2fa84f', '#a44fd1', '#d1a11e', '#1fb5b5', '#d13f7b', '#7a8697'];
 const WINDOWS = [5, 10, 30, 60, 300]; // s
@@ -17,12 +17,13 @@ class Curve {
   t = [];
   v = [];
   fault = '';
+  gone = false; // no node publishes the topic
   constructor(station, topic, field, colour, changed) {
     Object.assign(this, { topic, field, colour, label: `${topic}/${field}` });
     this.subscription = new Subscription(station, 'plots.open', { topic, field }, 'plots.close', (error) => {
       this.fault = error.message;
       changed();
-    });
+    }, () => { this.fault = ''; changed(); });
   }
 
   add(t, v) {
@@ -33,6 +34,10 @@ class Curve {
       this.t.splice(0, this.t.length - KEPT);
       this.v.splice(0, this.v.length - KEPT);
     }
+  }
+
+  get trouble() {
+    return this.fault || (this.gone ? NO_PUBLISHER : this.v.at(-1) === null ? 'not a finite number now' : '');
   }
 
   clear() { this.t = []; this.v = []; }
@@ -164,9 +169,9 @@ function mount(element, station) {
 
   const chips = () => axes.map((axis, i) => html`<div class="row"><button class=${`quiet ${i === state.axis ? 'on' : ''}`}
       title="new curves are added here" onclick=${() => { state.axis = i; drawControls(); }}>Axis ${i + 1}</button>
-    ${axis.curves.map((curve) => html`<span class="pill" data-curve=${curve.label} title=${curve.fault}>
+    ${axis.curves.map((curve) => html`<span class="pill" data-curve=${curve.label} title=${curve.trouble}>
       <b style=${`color:${curve.colour}`}>●</b> <span class="mono">${curve.label}</span>
-      ${curve.fault ? html`<span class="bad"> ${curve.fault}</span>` : ''}
+      ${curve.trouble ? html`<span class="bad" data-role="trouble"> ${curve.trouble}</span>` : ''}
       <button class="quiet small" title="remove" onclick=${() => removeCurve(axis, curve)}>✕</button></span>`)}</div>`);
 
   const chooser = () => {
@@ -196,7 +201,11 @@ function mount(element, station) {
 
   const list = () => station.call('topics.list').then(({ topics }) => {
     state.topics = topics;
-    if (state.words !== state.topic) drawControls(); // what is typed may match now
+    const published = new Set(topics.filter(({ publishers }) => publishers.length).map(({ name }) => name));
+    const changed = all().filter((curve) => curve.gone === published.has(curve.topic));
+    changed.forEach((curve) => { curve.gone = !curve.gone; });
+    all().filter(({ topic }) => published.has(topic)).forEach((curve) => curve.subscription.retry());
+    if (changed.length || state.words !== state.topic) drawControls(); // what is typed may match now
   }, () => {});
   const all = () => axes.flatMap((axis) => axis.curves);
   const rebuild = () => axes.forEach(makePlot);
@@ -205,7 +214,12 @@ function mount(element, station) {
     station.on('plots.samples', (samples) => {
       for (const curve of all()) {
         const own = samples[curve.subscription.number];
-        if (own) { curve.fault = ''; curve.add(own.t, own.v); }
+        if (own) {
+          const before = curve.trouble;
+          curve.fault = '';
+          curve.add(own.t, own.v);
+          if (curve.trouble !== before) drawControls();
+        }
       }
     }),
     station.on('plots.fault', ({ subscription, text }) => {

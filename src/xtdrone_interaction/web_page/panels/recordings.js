@@ -95,15 +95,17 @@ function mount(element, station) {
     state.opening = file;
     draw();
     try {
-      const flight = new Flight(file, await station.call('recordings.open', { file }));
+      const about = await station.call('recordings.open', { file });
+      if (state.opening !== file) return; // another one has been asked for since
+      const flight = new Flight(file, about);
       Object.assign(state, { flight, time: flight.start, playing: false });
       station.replay(flight.frame(flight.start, -1));
       station.emit('fleet.roster', { version: -1, vehicles: flight.vehicles.map((name) => ({ name, type: name.replace(/_\d+$/, ''), model: name.replace(/_\d+$/, '') })),
         movers: [], places: {} });
       mark(file);
-      flight.load(station, draw).then(() => show(), fail);
+      flight.load(station, draw).then(() => show(), (error) => { flight.trouble = error.message; draw(); });
     } catch (error) { fail(error); }
-    state.opening = '';
+    if (state.opening === file) state.opening = '';
     draw();
   };
 
@@ -158,6 +160,7 @@ function mount(element, station) {
 
   const player = ({ flight }) => html`<div class="card" data-role="player"><div class="row"><b class="mono">${flight.file}</b><span class="grow"></span>
       <button onclick=${close}>Back to the flight</button></div>
+    ${flight.trouble ? html`<p class="bad">Only the first ${stamp(flight.loaded * flight.period)} are here: ${flight.trouble}. Open it again for the rest.</p>` : ''}
     ${flight.notes.map((note) => html`<p class="warn">${note}</p>`)}
     <div class="row"><button class="primary" data-role="play" onclick=${() => { if (state.time >= flight.end) state.time = flight.start; state.playing = !state.playing; draw(); }}>
         ${state.playing ? '❚❚' : '▶'}</button>

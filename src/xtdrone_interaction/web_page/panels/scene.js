@@ -24,8 +24,8 @@ const GROUND = 2000; // m
 const SLOW = 20; // frames per second below which less is drawn
 const FAST = 40;
 const LEAST_DETAIL = 0.4;
-const SOFTWARE_PERIOD = 30; // ms between two frames without a GPU: about 30 frames per second; the rest of the time
-belongs to the flight const STILL = 1000; // ms without a frame after which rotors stand: time is paused
+const SOFTWARE_PERIOD = 30; // ms between two frames without a GPU: about 30 frames per second; the rest belongs to the flight
+const STILL = 1000; // ms without a frame after which rotors stand: time is paused
 
 class View {
   #station;

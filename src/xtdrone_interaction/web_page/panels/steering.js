@@ -64,6 +64,12 @@ function mount(element, station) {
     const id = pad?.id ?? '';
     if (id !== state.pad) { state.pad = id; draw(); }
     if (!state.open) return;
+    if (!pad && moved) {
+      moved = false;
+      toast('The gamepad is gone: the vehicles stop.', 'bad');
+      station.call('steering.sticks', { speeds: [0, 0, 0, 0] }).then(told, fail);
+      return;
+    }
     if (pad) {
       const keys = ['n', 'y', 's', 'v', null, null, null, null, 't', 'b']; // A, B, X, Y, ..., back, start
       pad.buttons.forEach(({ pressed }, i) => { if (pressed && !buttons[i] && keys[i]) press(keys[i]); });
@@ -116,8 +122,7 @@ function mount(element, station) {
   function draw() {
     render(html`${station.role === 'operate' ? (state.open && state.pilot ? flying() : ready()) : html`<p
       class="soft">This page has watch-only access.</p>`} <div class="card"><b>Gamepad</b> <span class=${state.pad ?
-      'good' : 'soft'}>${state.pad || 'none: press a button
-        on it'}</span> <p class="soft">Left stick: up and turn; right stick: forward and left. A land, B disarm, X
+      'good' : 'soft'}>${state.pad || 'none: press a button on it'}</span> <p class="soft">Left stick: up and turn; right stick: forward and left. A land, B disarm, X
         hover, Y take off, back arm, start offboard.</p> <div class="row"><label>most m/s <input type="number" min="0.5"
         max="20" step="0.5" value=${state.speed}
             onchange=${(event) => { state.speed = Math.min(20, Math.max(0.5, Number(event.target.value) || 2)); draw(); }}/></label>
@@ -129,7 +134,12 @@ function mount(element, station) {
   const timer = setInterval(readPad, PERIOD);
   const offs = [
     station.selection.onChange(() => { if (!state.open) draw(); }),
-    station.on('station.state', ({ connected }) => { if (!connected) { state.open = false; state.pilot = null; } draw(); }),
+    station.on('steering.ended', ({ text }) => { state.open = false; state.pilot = null; toast(text, 'bad'); draw(); }),
+    station.on('station.state', ({ connected }) => {
+      if (!connected && state.open) toast('The connection broke: this page flies nothing now. The station stops the vehicles, unless it was killed.', 'bad');
+      if (!connected) { state.open = false; state.pilot = null; }
+      draw();
+    }),
   ];
   draw();
   return () => {

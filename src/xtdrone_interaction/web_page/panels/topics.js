@@ -1,7 +1,7 @@
 // Topics as rqt_topic shows them: list with rates on request, echo of one, a message published by hand.
 import { html, render } from '../vendor/preact_htm.js';
 import { toast } from '../station.js';
-import { Subscription, bytes, matching, rate } from '../topic_choice.js';
+import { NO_PUBLISHER, Subscription, bytes, matching, rate } from '../topic_choice.js';
 
 const LIST_PERIOD = 3000; // ms
 const RATE_PERIOD = 1000;
@@ -27,7 +27,7 @@ function mount(element, station) {
     echo?.close();
     Object.assign(state, { topic: name, latest: null, error: '', publishing: null });
     echo = name && new Subscription(station, 'topics.echo', { topic: name, rate: 5 }, 'topics.close',
-      (error) => { state.error = error.message; draw(); });
+      (error) => { state.error = error.message; draw(); }, () => { state.error = ''; draw(); });
     draw();
   };
 
@@ -56,6 +56,8 @@ function mount(element, station) {
       <td class="num">${measured.has(name) && known ? bytes(known.bytes) : ''}</td></tr>`;
   };
 
+  const gone = () => state.topics.length > 0 && !state.topics.some(({ name, publishers }) => name === state.topic && publishers.length);
+
   const message = () => {
     const { latest, error } = state;
     if (error) return html`<p class="bad">${error}</p>`;
@@ -77,7 +79,8 @@ function mount(element, station) {
       <button class=${state.paused ? 'on' : ''} onclick=${() => { state.paused = !state.paused; draw(); }}>Pause</button>
       <button class="operate" onclick=${beginPublishing}>Publish…</button>
       <button onclick=${() => select(null)}>Close</button></div>
-      ${state.publishing ? publisher() : ''}${message()}</div>`;
+      ${state.publishing ? publisher() : ''}
+      ${gone() ? html`<p class="warn" data-role="gone">${NO_PUBLISHER}</p>` : ''}${message()}</div>`;
 
   function draw() {
     const found = matching(state.topics, state.words);

@@ -34,6 +34,7 @@ _RANGES = {
 _NOT_FINITE = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 _SECONDS = {"time": (0, 2**32 - 1), "duration": (-(2**31), 2**31 - 1)}
 _LARGEST = {"float32": (2.0 - 2.0**-23) * 2.0**127, "float64": sys.float_info.max}
+_LONGEST_TEXT = 4000  # characters of a text where arrays are shortened
 _MOST_SHOWN = 60  # characters of a value in a message
 
 
@@ -55,7 +56,8 @@ def to_json(message: Any, *, not_finite: NotFinite = NotFinite.TEXT, longest: in
         message: of any type.
         not_finite: how NaN and infinity are written.
         longest: elements of an array that is written whole; a longer one becomes ``{"length": n, "first": [...]}`` with
-            as many elements (of bytes, their text in base 64). None for no limit.
+            as many elements (of bytes, their text in base 64), and a text of more than 4000 characters likewise.
+            None for no limit.
     """
     kind: Any = type(message)
     return _writer(kind, not_finite, longest)(message)
@@ -122,7 +124,7 @@ def _field_writer(
     elif base == "bool":
         single = bool
     elif base == "string":
-        single = _write_text
+        single = _shortened(_write_text, None if longest is None else _LONGEST_TEXT)
     elif base in TIMES:
         single = _write_time
     else:

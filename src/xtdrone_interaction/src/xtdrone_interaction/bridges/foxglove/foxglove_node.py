@@ -19,11 +19,13 @@ from xtdrone_control.settings import setting
 from xtdrone_interaction.bridges import bridge_settings
 from xtdrone_interaction.bridges.bridge_settings import BridgeSettings
 from xtdrone_interaction.bridges.foxglove.client_topics import ENCODINGS, ClientTopics
+from xtdrone_interaction.bridges.foxglove.connection_graph import to_connection_graph
 from xtdrone_interaction.bridges.foxglove.parameter_values import ParameterError, RosParameters
 from xtdrone_interaction.bridges.foxglove.service_offers import ServiceOffers
+from xtdrone_interaction.bridges.foxglove.standing_client import StandingClient
 from xtdrone_interaction.bridges.foxglove.topic_channels import TopicChannels
 from xtdrone_interaction.server_port import port_here
-from xtdrone_interaction.topics.discovery import UNKNOWN_TYPE, MasterError
+from xtdrone_interaction.topics.discovery import UNKNOWN_TYPE, MasterError, TopicGraph
 from xtdrone_interaction.topics.raw_subscriptions import RawSubscriptions
 
 NAME = "foxglove_bridge"
@@ -63,6 +65,7 @@ class Listener(ServerListener):
         self._report = report
         self._worker = ThreadPoolExecutor(1, "foxglove clients")  # keeps the order of a client's messages
         self.watched: set[str] = set()
+        self.standing: StandingClient | None = None  # as soon as the server has a port
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
         """Subscribe to the channel's topic."""
@@ -94,7 +97,10 @@ class Listener(ServerListener):
     def on_set_parameters(
         self, client: Client, parameters: list[Parameter], request_id: str | None = None
     ) -> list[Parameter]:
-        """Set parameters and return their values after it."""
+        """Set parameters and return their values after it; of the bridge's own client, return what it tells."""
+        told = self.standing.told(request_id) if self.standing else None
+        if told is not None:
+            return told
         names = [parameter.name for parameter in parameters]
         self._told("set parameters", lambda: self._parameters.set(parameters))
         return self._told("parameters", lambda: self._parameters.get(names)) if names else []
@@ -136,9 +142,7 @@ class FoxgloveBridge:
             lambda: rosgraph.Master(rospy.get_name()), settings.params_glob, settings.operate
         )
         self._listener = Listener(self._topics, published, self._parameters, self._warn)
-        # Not Capability.ConnectionGraph: foxglove-sdk 0.30.3 calls its listener under a lock that its
-        # publish_connection_graph waits for while it holds Python's: a client that subscribes then stops this process.
-        capabilities = [Capability.Time, Capability.Parameters]
+        capabilities = [Capability.Time, Capability.Parameters, Capability.ConnectionGraph]
         if settings.operate:
             capabilities += [Capability.Services, Capability.ClientPublish]
         self._server = foxglove.start_server(
@@ -152,10 +156,13 @@ class FoxgloveBridge:
             message_backlog_size=settings.send_buffer_limit,
         )
         self.port = self._server.port
+        self._standing = self._listener.standing = StandingClient(settings.address, self.port)
+        services = bridge_settings.services_of(settings)
+        self._is_offered = services.is_offered
         self._services = None
         if settings.operate:
-            services = bridge_settings.services_of(settings)
             self._services = ServiceOffers(services, self._server, settings.call_timeout, self._warn)
+        self._told_graph: TopicGraph | None = None
         self._told: dict[str, Any] = {}
         self._time = -1
 
@@ -175,7 +182,7 @@ class FoxgloveBridge:
         self._server.broadcast_time(now)
 
     def update(self) -> None:
-        """Update the offered topics and services from the graph."""
+        """Update the offered topics, services and nodes from the graph."""
         try:
             graph = self._graph.read()
         except MasterError as error:
@@ -185,10 +192,16 @@ class FoxgloveBridge:
         self._topics.update({t.name: t.type for t in topics if t.type != UNKNOWN_TYPE and t.publishers})
         if self._services is not None:
             self._services.update(graph.services)
+        self._tell_graph(graph)
+
+    def _tell_graph(self, graph: TopicGraph) -> None:
+        if graph != self._told_graph and self._standing.answers():
+            self._told_graph = graph
+            self._server.publish_connection_graph(to_connection_graph(graph, self._is_offered))
 
     def tell_parameters(self) -> None:
         """Send clients the watched parameters that have changed."""
-        if not self._listener.watched:
+        if not self._listener.watched or not self._standing.stands:
             return
         try:
             found = self._parameters.get(sorted(self._listener.watched))
@@ -198,11 +211,12 @@ class FoxgloveBridge:
         changed = [p for p in found if self._told.get(p.name) != p.get_value()]
         self._told |= {p.name: p.get_value() for p in changed}
         if changed:
-            self._server.publish_parameter_values(changed)
+            self._standing.tell_parameters(changed)
 
     def close(self) -> None:
         """Close the port and end the subscriptions."""
         self.raw.close()
+        self._standing.close()
         self._server.stop()
 
 

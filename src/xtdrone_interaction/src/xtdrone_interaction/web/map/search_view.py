@@ -120,6 +120,6 @@ def way_of(message: WaypointList, datum: Datum) -> list[list[float]]:
 def _object(text: str) -> dict[str, Any] | None:
     try:
         content = json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
     return content if isinstance(content, dict) else None

@@ -40,8 +40,12 @@ class RecorderProcess:
         self._master = master
         self._running: _Running | None = None
 
-    def start(self, profile: str) -> None:
+    def start(self, profile: str, instance: int = 0) -> None:
         """Begin to record.
+
+        Args:
+            profile: one of ``PROFILES``.
+            instance: of the simulation on its machine: two may record into one folder.
 
         Raises:
             OptionError: one is running already, the profile is not known, or rosbag is missing.
@@ -54,7 +58,7 @@ class RecorderProcess:
         if program is None:
             raise OptionError("record: rosbag is not installed; './xtdrone setup' installs it")
         self._folder.mkdir(parents=True, exist_ok=True)
-        name = f"{time.strftime('%Y%m%d-%H%M%S')}-{profile}"
+        name = f"{time.strftime('%Y%m%d-%H%M%S')}-{profile}{f'-{instance}' if instance else ''}"
         arguments = rosbag_arguments(read_profile(profile), str(self._folder / name))
         process = subprocess.Popen(
             [program, *arguments],

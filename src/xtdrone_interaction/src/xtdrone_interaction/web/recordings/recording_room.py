@@ -13,6 +13,7 @@ from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.recording.flight_from_ulog import LogError
 from xtdrone_interaction.recording.open_recording import open_recording
 from xtdrone_interaction.recording.recorded_flight import RecordError, Recording
+from xtdrone_interaction.server_port import instance_here
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.recordings.playable_flight import PlayableFlight, playable
 from xtdrone_interaction.web.recordings.recorder_process import PROFILES, RecorderProcess
@@ -104,7 +105,8 @@ class RecordingRoom:
     async def _start(self, session: Session, params: Params) -> dict[str, Any]:
         profile = needed(params, "profile", str, f"one of {', '.join(PROFILES)}")
         try:
-            await self._context.blocking(self._recorder.start, profile)
+            instance = await self._context.blocking(instance_here)
+            await self._context.blocking(self._recorder.start, profile, instance)
         except (OptionError, OSError) as error:
             raise CallError(str(error)) from error
         return await self._state(session, {})

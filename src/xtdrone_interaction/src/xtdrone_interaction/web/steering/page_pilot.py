@@ -36,6 +36,11 @@ class PagePilot:
         self._heard = 0.0
 
     @property
+    def targets(self) -> frozenset[str]:
+        """Names of those that the keys fly now: the vehicles, or ``leader``."""
+        return frozenset(("leader",) if self._pilot.target is Target.LEADER else self._vehicles)
+
+    @property
     def state(self) -> dict[str, object]:
         """Target, speeds (m/s, rad/s) and the last key's effect, for the page."""
         return {

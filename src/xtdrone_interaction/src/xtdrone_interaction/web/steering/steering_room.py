@@ -74,6 +74,7 @@ class SteeringRoom:
             self._waiting.setdefault(session, []).append({"to": name, "mode": mode, **_as_json(message)})
 
         self._pilots[session] = PagePilot(vehicles, params.get("leader") is True, _patterns(known), send)
+        self._end_others(session)
         session.on_close(lambda: self._end(session))
         note = f"no node receives commands for {', '.join(deaf)}; start multirotor_communication.py" if deaf else ""
         return {**self._pilots[session].state, "note": note}
@@ -88,6 +89,7 @@ class SteeringRoom:
     def _key(self, session: Session, params: Params) -> dict[str, Any]:
         pilot = self._pilot(session)
         pilot.press(needed(params, "key", str, "a key"), time.monotonic())
+        self._end_others(session)
         self._send_waiting()
         return pilot.state
 
@@ -109,6 +111,14 @@ class SteeringRoom:
         if pilot is None:
             raise CallError("steering: this page flies nothing; steering.open comes first")
         return pilot
+
+    def _end_others(self, session: Session) -> None:
+        """End the pilots of other pages that fly the same: as with the keyboard program, the last one counts."""
+        mine = self._pilots[session].targets
+        for other in [page for page, pilot in self._pilots.items() if page is not session and pilot.targets & mine]:
+            both = ", ".join(sorted(self._pilots[other].targets & mine))
+            self._end(other)
+            other.push("steering.ended", {"text": f"another page flies {both} now; this one has ended"})
 
     def _end(self, session: Session) -> None:
         pilot = self._pilots.pop(session, None)
