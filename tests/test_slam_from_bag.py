@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import REPOSITORY, WALL_LIMIT, Graph, poll
+from conftest import REPOSITORY, START_LIMIT, Graph, poll
 from scipy.spatial.transform import Rotation
 
 pytest.importorskip("rospy")
@@ -109,7 +109,7 @@ def test_the_guide_for_recorded_flights_holds(graph: Graph, folder: Path) -> Non
     slam = None
     try:
         slam = Slam()
-        output, _ = guide.communicate(timeout=WALL_LIMIT)
+        output, _ = guide.communicate(timeout=START_LIMIT)
     finally:
         with contextlib.suppress(ProcessLookupError):  # they have all ended
             os.killpg(guide.pid, signal.SIGKILL)
