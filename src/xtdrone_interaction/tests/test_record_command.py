@@ -21,10 +21,13 @@ from xtdrone_interaction.formation.flight_events import EventsFile
 POSE, STATE, IMU = "/iris_0/mavros/local_position/pose", "/mavros/state", "/iris_0/mavros/imu/data_raw"
 IMAGE, PACKED = "/typhoon_h480_0/cgo3_camera/image_raw", "/typhoon_h480_0/cgo3_camera/image_raw/compressed"
 COMMAND, MAVLINK, BOXES = "/xtdrone/iris_0/cmd_vel_enu", "/mavlink/from", "/uav_0/darknet_ros/bounding_boxes"
+TRUTH, CLOUD = "/xtdrone/iris_0/ground_truth/odom", "/iris_0/velodyne_points"
+ODOMETRY = "/iris_0/lidar_odometry/odometry"
 TAKEN = {
-    "light": {POSE, STATE, COMMAND, "/gazebo/model_states", "/rosout"},
-    "full": {POSE, STATE, COMMAND, "/gazebo/model_states", "/rosout", IMU, MAVLINK, BOXES},
-    "cameras": {POSE, STATE, COMMAND, "/gazebo/model_states", "/rosout", IMAGE, PACKED, BOXES},
+    "light": {POSE, STATE, COMMAND, TRUTH, "/gazebo/model_states", "/rosout"},
+    "full": {POSE, STATE, COMMAND, TRUTH, "/gazebo/model_states", "/rosout", IMU, MAVLINK, BOXES, CLOUD, ODOMETRY},
+    "cameras": {POSE, STATE, COMMAND, TRUTH, "/gazebo/model_states", "/rosout", IMAGE, PACKED, BOXES},
+    "slam": {POSE, STATE, TRUTH, "/gazebo/model_states", "/rosout", IMAGE, IMU, CLOUD, ODOMETRY},
 }
 
 

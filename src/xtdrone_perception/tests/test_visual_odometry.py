@@ -27,6 +27,7 @@ CAMERA = BodyCamera(
 SIGMAS = Sigmas(np.array([0.4, 0.4, 0.001]), 0.003)
 WALL = 5.0  # m, x of a wall across the view
 TEXEL = 0.02  # m
+NOISE = NoiseSettings()
 TEXTURE = cv2.resize(np.random.default_rng(3).integers(0, 255, (200, 200), np.uint8), (800, 800))
 
 
@@ -53,19 +54,27 @@ def true_pose(k: int) -> np.ndarray:
     )
 
 
-def fly(is_stereo: bool, count: int = 30) -> tuple[VisualOdometry, list]:
-    """Return odometry and estimates of a flight whose turns an autopilot knows, and its velocity roughly."""
+def fly(is_stereo: bool, count: int = 30, drift: float = 0.0, noise: NoiseSettings = NOISE) -> tuple:
+    """Return odometry and estimates of a flight whose turns an autopilot knows, and its velocity roughly.
+
+    Args:
+        is_stereo: by a pair, not by depths.
+        count: of pictures, 0.1 s apart.
+        drift: of the autopilot's heading, rad/s.
+        noise: as the odometry assumes it.
+    """
     base = FOCAL * BASELINE if is_stereo else 0.0
-    settings = TrackSettings(corners=120, corner_distance=10.0), NoiseSettings(), KeyframeSettings()
+    settings = TrackSettings(corners=120, corner_distance=10.0), noise, KeyframeSettings()
     odometry, found = VisualOdometry(CAMERA, settings, base, true_pose(0)), []
     for k in range(count):
         pose = true_pose(k)
         grey, depth = picture(pose)
+        attitude = Rotation.from_rotvec([0.0, 0.0, 0.1 * k * drift]) * rotation_of(pose)
         if is_stereo:
             right = picture(moved(pose, np.append(rotation_of(pose).apply([0.0, -BASELINE, 0.0]), np.zeros(3))))[0]
-            seen = SeenPicture(grey, rotation_of(pose), right=right, base=base)
+            seen = SeenPicture(grey, attitude, 0.1 * k, right=right, base=base)
         else:
-            seen = SeenPicture(grey, rotation_of(pose), depth=depth)
+            seen = SeenPicture(grey, attitude, 0.1 * k, depth=depth)
         step = np.eye(4) if k == 0 else inverse(true_pose(k - 1)) @ pose
         step[:3, 3] *= 0.7
         found.append(odometry.register(seen, odometry.pose @ step))
@@ -81,6 +90,16 @@ def test_it_finds_its_way_along_a_wall(is_stereo: bool, most: float) -> None:
     assert distance_between(true_pose(0), true_pose(29)) > 1.0
 
 
+def test_an_autopilot_whose_heading_still_settles_does_not_turn_the_way() -> None:
+    """As an estimator's does for the first seconds: 0.5 degrees a second."""
+    ends = [
+        distance_between(fly(False, 16, 0.009, noise)[0].pose, true_pose(15))
+        for noise in (NOISE, NoiseSettings(turn_drift=0.0, turn_noise=0.0003))
+    ]
+    assert ends[0] < 0.02
+    assert ends[1] > 2.0 * ends[0]
+
+
 def test_the_same_pictures_give_the_same_bits() -> None:
     assert fly(False, 8)[0].pose.tobytes() == fly(False, 8)[0].pose.tobytes()
 
@@ -88,16 +107,35 @@ def test_the_same_pictures_give_the_same_bits() -> None:
 def test_without_light_it_is_blind_and_begins_anew_later() -> None:
     odometry, _ = fly(False, 6)
     dark = SeenPicture(
-        np.zeros((HEIGHT, WIDTH), np.uint8), Rotation.identity(), np.full((HEIGHT, WIDTH), 3.0, np.float32)
+        np.zeros((HEIGHT, WIDTH), np.uint8), Rotation.identity(), 0.6, np.full((HEIGHT, WIDTH), 3.0, np.float32)
     )
     for _ in range(4):
         estimate = odometry.register(dark, odometry.pose)
         assert fault_of(figures_of(estimate, 0, 20), VisualHealthLimits()) is Fault.BLIND
         odometry.move(estimate.predicted)
     grey, depth = picture(true_pose(6))
-    again = odometry.register(SeenPicture(grey, Rotation.identity(), depth), odometry.pose)
+    again = odometry.register(SeenPicture(grey, Rotation.identity(), 1.0, depth), odometry.pose)
     assert again.is_first
     assert fault_of(figures_of(again, 0, 20), VisualHealthLimits()) is None
+
+
+def with_slopes(measured: np.ndarray) -> np.ndarray:
+    """Return measurements (n, 3) with slopes of 0, (n, 5)."""
+    return np.column_stack([measured, np.zeros((len(measured), 2))])
+
+
+def test_a_corner_that_slid_along_a_plane_has_the_planes_depth() -> None:
+    """Ground 0.3 m below the camera, seen at a grazing angle: in a pixel it goes on by metres."""
+    below, focal, middle = 0.3, FOCAL, CAMERA.centre[1]
+    _, rows = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
+    inverse_depth = (rows - middle) / (focal * below)
+    depth = np.where(inverse_depth > 0.0, 1.0 / np.where(inverse_depth > 0.0, inverse_depth, 1.0), np.nan)
+    true, slid = np.array([[150.2, middle + 20.0]]), np.array([[151.0, middle + 21.3]])
+    expected = np.column_stack([true, (true[:, 1] - middle) / (focal * below)])
+    found, slopes = depth_at(depth.astype(np.float32), slid)
+    residual = CAMERA.residuals(np.column_stack([slid, 1.0 / found, slopes]), expected)
+    assert residual == pytest.approx(np.array([[0.8, 1.3, 0.0]]), abs=1e-6)
+    assert abs(1.0 / found - expected[0, 2]) > 0.01
 
 
 def test_derivatives_are_those_of_differences() -> None:
@@ -110,6 +148,13 @@ def test_derivatives_are_those_of_differences() -> None:
         step = 1e-6 * np.eye(6)[k]
         change = (CAMERA.measured(moved(pose, step), points)[0] - expected) / 1e-6
         assert by_pose[:, :, k] == pytest.approx(change, abs=2e-3)
+    slopes = 0.01 * random.standard_normal((9, 2))
+    fixed = np.column_stack([expected, slopes])
+    by_pose, _ = CAMERA.slopes(np.broadcast_to(pose, (9, 4, 4)), local, points, fixed)
+    for k in range(6):
+        step = 1e-6 * np.eye(6)[k]
+        change = -CAMERA.residuals(fixed, CAMERA.measured(moved(pose, step), points)[0]) / 1e-6
+        assert by_pose[:, :, k] == pytest.approx(change, abs=2e-3)
     for k in range(3):
         change = (CAMERA.measured(pose, points + 1e-6 * np.eye(3)[k])[0] - expected) / 1e-6
         assert by_point[:, :, k] == pytest.approx(change, abs=2e-3)
@@ -119,7 +164,7 @@ def test_a_third_of_wrong_points_does_not_move_the_pose() -> None:
     random = np.random.default_rng(2)
     points = np.column_stack([random.uniform(3, 8, 60), random.uniform(-1.5, 1.5, (60, 2))])
     truth = moved(np.eye(4), np.array([0.2, -0.1, 0.05, 0.01, 0.0, 0.02]))
-    measured = CAMERA.measured(truth, points)[0]
+    measured = with_slopes(CAMERA.measured(truth, points)[0])
     measured[:20, :2] += random.uniform(15, 60, (20, 2))
     predicted = moved(truth, np.array([0.1, 0.1, -0.1, 0.0, 0.0, 0.0]))
     solved = solve(CAMERA, SIGMAS, 2.5, predicted, points, measured)
@@ -133,11 +178,13 @@ def test_adjustment_brings_poses_and_points_back() -> None:
     points = np.column_stack([random.uniform(3, 8, 50), random.uniform(-1.5, 1.5, (50, 2))])
     truth = np.stack([pose_of((0.3 * k, 0.1 * k, 0.0), Rotation.from_euler("z", 0.05 * k)) for k in range(4)])
     frame, point = np.repeat(np.arange(4), 50), np.tile(np.arange(50), 4)
-    measured = np.concatenate([CAMERA.measured(pose, points)[0] for pose in truth])
+    measured = with_slopes(np.concatenate([CAMERA.measured(pose, points)[0] for pose in truth]))
     turns = tuple(rotation_of(a).inv() * rotation_of(b) for a, b in itertools.pairwise(truth))
     start = np.stack([truth[0], *(moved(pose, 0.02 * random.standard_normal(6)) for pose in truth[1:])])
     shaken = points + 0.05 * random.standard_normal(points.shape)
-    poses, better = adjust(CAMERA, SIGMAS, WindowProblem(turns, frame, point, measured), start, shaken)
+    poses, better = adjust(
+        CAMERA, SIGMAS.measured, WindowProblem(turns, np.full(3, 0.003), frame, point, measured), start, shaken
+    )
     assert np.abs(poses - truth).max() < 1e-3
     assert np.abs(better - points).max() < 1e-2
 
@@ -146,6 +193,6 @@ def test_depths_on_edges_are_left_out() -> None:
     depth = np.full((8, 8), 2.0, np.float32)
     depth[:, 5:] = 4.0
     depth[6, 1] = np.nan
-    found = depth_at(depth, np.array([[2.5, 2.5], [4.5, 2.5], [1.5, 5.5]]))
+    found, _ = depth_at(depth, np.array([[2.5, 2.5], [4.5, 2.5], [1.5, 5.5]]))
     assert found[0] == pytest.approx(2.0)
     assert np.isnan(found[1:]).all()

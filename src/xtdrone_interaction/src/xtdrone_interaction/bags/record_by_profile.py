@@ -158,10 +158,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.description = (
         "Record a running flight with rosbag, until Ctrl-C. Profiles: light, full (all except images), "
-        "cameras, or your own YAML file."
+        "cameras, slam, or your own YAML file."
     )
     add = parser.add_argument
-    add("profile", help="light, full, cameras, or FILE.yaml")
+    add("profile", help="light, full, cameras, slam, or FILE.yaml")
     add("--out", metavar="NAME", help="path of the files without number and suffix (default: runs/<time>-<profile>)")
     add("--split", metavar="MB", type=int, help="start a new file after this many MB (default: from the profile)")
     add("--duration", metavar="TIME", help="record one file for this time: 30 (s), 5m, 2h (default: until Ctrl-C)")

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,6 +40,7 @@ _WAYS = {
 }
 """Default ways; the script has that of the lidar. Cameras look ahead, at the scenery in the east."""
 _POSES = {"laser": "[22, 5, 0, 0, 0, 0]"}  # inside the building
+_WESTERN = re.compile(r"-[\d.]+,")
 _RESULTS = ("flight.bag", "report.json", "path.png", "drift.png", "map.bt")
 
 
@@ -90,6 +93,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     command_options.add_instance(parser)
 
 
+def parse(parser: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Namespace:
+    """Parse the options; argparse alone takes a point in the west, as -5,3, for an option."""
+    return parser.parse_args([f" {word}" if _WESTERN.match(word) else word for word in words])
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Fly and return the exit status."""
     return run_reported(lambda: _fly(_settings(arguments), PatientConsole()))
@@ -111,7 +119,7 @@ def _settings(arguments: argparse.Namespace) -> SlamSettings:
         arguments,
         script=script.resolve(),
         odometry=arguments.by,
-        way=tuple(arguments.way) or _WAYS[arguments.by],
+        way=tuple(point.strip() for point in arguments.way) or _WAYS[arguments.by],
         world=command_options.world(arguments.world or _WORLDS[arguments.by]),
         out=command_options.results_folder(arguments.out, recorded=True),
         master_port=master_port(machine.master_port, use_running=False),
@@ -125,7 +133,7 @@ def _check_point(text: str) -> None:
     except ValueError:
         east = north = float("nan")
     if not (abs(east) <= 1e4 and abs(north) <= 1e4):
-        raise OptionError(f"way: {text!r} is not allowed, two numbers of m with a comma, as 20,-5")
+        raise OptionError(f"way: {text.strip()!r} is not allowed, two numbers of m with a comma, as 20,-5")
 
 
 def _fly(settings: SlamSettings, console: Console) -> int:

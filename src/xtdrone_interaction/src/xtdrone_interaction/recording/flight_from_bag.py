@@ -516,10 +516,11 @@ class _Collector:
                 series[key] = plausible(value)
                 if (lost := len(value) - len(series[key])) > 0:
                     recording.notes.append(f"{lost} positions of {' '.join(key)} are out of range, and left out")
-        names = {key[0] for key in series if key[0] not in _OWNERS} | set(self.states) | set(self.texts)
+        located = {what.partition("/")[0] for owner, what in series if owner == _ODOMETRY}
+        names = {key[0] for key in series if key[0] not in _OWNERS} | set(self.states) | set(self.texts) | located
         for name in sorted(names, key=natural_order):
             vehicle = VehicleRecord(name, {what: value for (owner, what), value in series.items() if owner == name})
-            if not (vehicle.series.keys() - set(_COMMANDS.values()) or name in self.states):
+            if not (vehicle.series.keys() - set(_COMMANDS.values()) or name in self.states or name in located):
                 continue  # a topic of XTDrone that belongs to no vehicle, such as /xtdrone/leader/...
             vehicle.odometry = {
                 what.partition("/")[2]: value

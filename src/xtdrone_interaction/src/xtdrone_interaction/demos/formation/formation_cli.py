@@ -68,9 +68,10 @@ def demo_settings(arguments: argparse.Namespace) -> DemoSettings:
     )
     config = command_options.repository() / "src" / "xtdrone_sim" / "config"
     command_options.one_of_files("vehicle type", settings.type, config / "vehicles")
-    if settings.neighbours == "estimated" and not load_vehicle(settings.type).uwb:
+    if settings.neighbours == "estimated" and not any(mount.bearing for mount in load_vehicle(settings.type).uwb):
         raise OptionError(
-            f"neighbours: 'estimated' needs a type with a UWB sensor, as iris_uwb_bearing, not {settings.type!r}"
+            f"neighbours: 'estimated' needs a type whose UWB sensor measures bearings, as iris_uwb_bearing, not "
+            f"{settings.type!r}: ranges alone tell no positions while followers wait for them"
         )
     fleet = f"{settings.type}:{settings.n}"
     with_poses(parse_fleet(fleet), settings.poses)

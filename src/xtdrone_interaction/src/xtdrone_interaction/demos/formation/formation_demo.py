@@ -80,7 +80,7 @@ class DemoSettings(Settings):
         "truth",
         choices=("truth", "estimated"),
         text="positions of the others that followers use: as these report them, or by relative localisation, for types "
-        "with a UWB sensor",
+        "whose UWB sensor measures bearings",
     )
     clearance: float = clearance_setting()
     world: str = setting("empty", metavar="WORLD", text="name of the world")

@@ -14,7 +14,7 @@ from typing import Any
 from xtdrone_interaction.bags.record_by_profile import read_profile, rosbag_arguments
 from xtdrone_interaction.command_options import OptionError
 
-PROFILES = ("light", "full", "cameras")
+PROFILES = ("light", "full", "cameras", "slam")
 _STOP_LIMIT = 30.0  # s of wall time for rosbag to write what it has
 
 

@@ -7,6 +7,8 @@ the source's                     Odometry, PoseStamped or /tf     in: see ``SOUR
 /T/DISTANCE                      sensor_msgs/LaserScan            in, see ``~distance``, for programs that work in the
                                                                   plane: the height
 /T/mavros/vision_pose/pose       geometry_msgs/PoseStamped        out: base_link in map, once for each pose
+/T/pose_transfer/odometry        nav_msgs/Odometry                out, while subscribed: the same, without a velocity,
+                                                                  for the drift by ``./xtdrone analyse``
 /T/vins_estimator/odometry       nav_msgs/Odometry                in, for multi_vins: the pose of the IMU
 /T/odometry                      nav_msgs/Odometry                out, for multi_vins: the same in map
 /diagnostics                     diagnostic_msgs/DiagnosticArray  out: once a second, and on change
@@ -43,6 +45,7 @@ _MAP = "map"
 _SILENCE = 1.0  # s
 _OLD_HEIGHT = 0.5  # s after which a range is too old to use
 _REPORT_PERIOD = 1.0  # s
+_UNKNOWN = -1.0  # first element of a covariance that is not known
 
 Array = NDArray[np.float64]
 
@@ -135,6 +138,7 @@ class PoseTransfer:
         self._frame = ForeignFrame(place, source.optical)
         self._tf = TransformChain()
         self._publisher = lockstep.Publisher(f"/{vehicle}/mavros/vision_pose/pose", PoseStamped)
+        self._poses = lockstep.Publisher(f"/{vehicle}/pose_transfer/odometry", Odometry)
         self._diagnostics = lockstep.Publisher("/diagnostics", DiagnosticArray)
         topic = options.topic or source.topic.format(vehicle)
         if source.kind == "tf":
@@ -218,9 +222,17 @@ class PoseTransfer:
             if not pose.header.stamp.to_nsec():
                 pose.header.stamp = stamp
             self._publisher.publish(pose)
+            self._publish_odometry(pose)
             self._heard = stamp.to_sec()
             self._count += 1
         self._publish_report(stamp)
+
+    def _publish_odometry(self, pose: PoseStamped) -> None:
+        if self._poses.get_num_connections():
+            message = Odometry(header=pose.header, child_frame_id=f"{self._vehicle}/base_link")
+            message.pose.pose = pose.pose
+            message.pose.covariance[0] = message.twist.covariance[0] = _UNKNOWN
+            self._poses.publish(message)
 
     def _judged(self, now: float) -> tuple[int, str]:
         """Return level and text for the diagnostics."""

@@ -98,8 +98,8 @@ def new_corners(settings: TrackSettings, picture: Grey, known: Array, usable: ND
     return kept
 
 
-def depth_at(depth: NDArray[np.float32], pixels: Array) -> Array:
-    """Return the depths (n,) m at pixels (n, 2); NaN where there is none, or at a depth edge.
+def depth_at(depth: NDArray[np.float32], pixels: Array) -> tuple[Array, Array]:
+    """Return depths at pixels, (n,) m, NaN where there is none or on an edge, and slopes of 1 / depth, (n, 2) 1/m/px.
 
     Args:
         depth: (height, width) m along the optical axis, NaN or 0 where unknown.
@@ -110,10 +110,13 @@ def depth_at(depth: NDArray[np.float32], pixels: Array) -> Array:
     around = np.stack([depth[row + i, column + j] for i in (0, 1) for j in (0, 1)]).astype(float)
     around[~(around > 0.0)] = np.nan
     share = np.stack([(1 - down) * (1 - right), (1 - down) * right, down * (1 - right), down * right])
-    inverse = (share / around).sum(axis=0)  # the inverse depth of a plane is linear in the image
+    corners = 1.0 / around
+    inverse = (share * corners).sum(axis=0)  # the inverse depth of a plane is linear in the image
+    along = (1 - down) * (corners[1] - corners[0]) + down * (corners[3] - corners[2])
+    across = (1 - right) * (corners[2] - corners[0]) + right * (corners[3] - corners[1])
     spread = around.max(axis=0) - around.min(axis=0)
     found: Array = np.where(spread * inverse <= _EDGE, 1.0 / inverse, np.nan)
-    return found
+    return found, np.nan_to_num(np.column_stack([along, across]))
 
 
 def stereo_depth(settings: TrackSettings, left: Grey, right: Grey, pixels: Array, base: float, guess: Array) -> Array:

@@ -6,6 +6,7 @@ with Huber weights, over pixels, inverse depths, and the rotation measured by th
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -50,14 +51,25 @@ class NoiseSettings(Settings):
         unit="rad",
         text="standard deviation of the autopilot's rotation between two images or keyframes",
     )
+    turn_drift: float = setting(
+        0.01,
+        low=0.0,
+        high=1.0,
+        unit="rad/s",
+        text="growth of that error: the autopilot's attitude is corrected, above all in the first seconds",
+    )
     most_reprojection: float = setting(
         2.5, above=0.0, high=50.0, unit="px", text="reprojection error above which a point is an outlier"
     )
 
+    def turn_error(self, seconds: float) -> float:
+        """Return the standard deviation of the autopilot's turn over some time, rad."""
+        return math.hypot(self.turn_noise, self.turn_drift * seconds)
+
 
 @dataclass(frozen=True)
 class Sigmas:
-    """Standard deviations: (3,) px, px, 1/m of a measurement, and rad of a turn."""
+    """Standard deviations: (3,) px, px, 1/m of a measurement, and rad of the turn from the last picture."""
 
     measured: Array
     turn: float
@@ -90,7 +102,7 @@ def solve(
         most: px, maximum error of an inlier.
         predicted: (4, 4) body to map, from the autopilot.
         points: (n, 3) m, map.
-        measured: (n, 3) u, v (px), inverse depth (1/m, NaN where unknown).
+        measured: (n, 5) u, v (px), inverse depth (1/m, NaN where unknown), its slopes along u and v (1/m/px).
     """
     if len(points) < _LEAST:
         return None
@@ -99,8 +111,9 @@ def solve(
         return None
     pose = _refined(camera, sigmas, predicted, points[chosen], measured[chosen])
     expected, local = camera.measured(pose, points)
-    off = np.linalg.norm(expected[:, :2] - measured[:, :2], axis=1)
-    deep = np.abs(np.nan_to_num(expected[:, 2] - measured[:, 2])) / sigmas.measured[2]
+    residual = camera.residuals(measured, expected)
+    off = np.linalg.norm(residual[:, :2], axis=1)
+    deep = np.abs(np.nan_to_num(residual[:, 2])) / sigmas.measured[2]
     inliers = (off <= most) & (local[:, 2] > 0.0) & (deep <= 2.0 * most / sigmas.measured[0])
     if inliers.sum() < _LEAST:
         return None
@@ -158,8 +171,8 @@ def _normal_equations(
 ) -> tuple[Array, Array, Array]:
     """Return matrix (6, 6), right side (6,), and the normalised residuals that are known, (k,)."""
     expected, local = camera.measured(pose, points)
-    slopes, _ = camera.slopes(np.broadcast_to(pose, (len(points), 4, 4)), local, points)
-    residual = (measured - expected) / sigmas.measured
+    slopes, _ = camera.slopes(np.broadcast_to(pose, (len(points), 4, 4)), local, points, measured)
+    residual = camera.residuals(measured, expected) / sigmas.measured
     known = np.isfinite(residual)
     residual, slopes = np.where(known, residual, 0.0), slopes / sigmas.measured[:, None] * known[:, :, None]
     weight = np.sqrt(huber(residual))[:, None]

@@ -8,7 +8,7 @@ added where there are none.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,10 +58,12 @@ class SeenPicture:
         right: (height, width), rectified.
         base: focal length times baseline, px m.
         attitude: of the autopilot at the exposure, body to its map.
+        time: of the exposure, s.
     """
 
     grey: Grey
     attitude: Rotation
+    time: float
     depth: NDArray[np.float32] | None = None
     right: Grey | None = None
     base: float = 0.0
@@ -73,12 +75,13 @@ class Tracks:
 
     Attributes:
         ids: (n,) unique, ascending.
-        measured: (n, 3) u, v (px), inverse depth (1/m, NaN where unknown) in the last image.
+        measured: (n, 5) u, v (px), inverse depth (1/m, NaN where unknown), its slopes along u and v (1/m/px), in the
+            last image.
         points: (n, 3) m, map.
     """
 
     ids: Ids = field(default_factory=lambda: np.empty(0, np.int64))
-    measured: Array = field(default_factory=lambda: np.empty((0, 3)))
+    measured: Array = field(default_factory=lambda: np.empty((0, 5)))
     points: Array = field(default_factory=lambda: np.empty((0, 3)))
 
     def of(self, chosen: NDArray[np.bool_]) -> Tracks:
@@ -104,9 +107,10 @@ class VisualEstimate(Estimate):
 
 @dataclass
 class _Keyframe:
-    """A keyframe of the window: pose (4, 4), the autopilot's attitude, and measurements of corners."""
+    """An image of the window: pose (4, 4), time (s), the autopilot's attitude, and what was seen of which corners."""
 
     pose: Array
+    time: float
     attitude: Rotation
     ids: Ids
     measured: Array
@@ -138,12 +142,13 @@ class VisualOdometry:
         self._corners, self._noise, self._settings = settings
         deep = self._noise.disparity_noise / base if base > 0.0 else self._noise.depth_noise
         pixel = self._noise.pixel_noise
-        self._sigmas = Sigmas(np.array([pixel, pixel, deep]), self._noise.turn_noise)
+        self._deviations = np.array([pixel, pixel, deep])
         self.pose = start
         self._forget()
 
     def _forget(self) -> None:
         self._grey: Grey | None = None
+        self._time = 0.0
         self._tracks = Tracks()
         self._window: list[_Keyframe] = []
         self._points: dict[int, Array] = {}
@@ -162,11 +167,12 @@ class VisualOdometry:
         if self._grey is None:
             corners = self._new_tracks(picture, predicted, Tracks())
             return self._without_pose(picture, predicted, corners, is_first=True)
-        seen = self._followed(self._grey, picture, predicted)
+        seen = self._followed(self._grey, self._tracks, picture, predicted)
         if len(seen.ids) < self._settings.least_points:
             return self._without_pose(picture, predicted, seen)
         most = self._noise.most_reprojection
-        solved = solve(self._camera, self._sigmas, most, predicted, seen.points, seen.measured)
+        sigmas = Sigmas(self._deviations, self._noise.turn_error(picture.time - self._time))
+        solved = solve(self._camera, sigmas, most, predicted, seen.points, seen.measured)
         if solved is None:
             return self._without_pose(picture, predicted, seen)
         return VisualEstimate(
@@ -182,9 +188,10 @@ class VisualOdometry:
         )
 
     def accept(self, found: VisualEstimate) -> None:
-        """Move to the pose of an image, and make it a keyframe if it shows enough new points."""
-        self.pose, self._grey, self._tracks, self._misses = found.pose, found.picture.grey, found.tracks, 0
+        """Move to the pose of an image, and make it a keyframe if it shows enough that is new."""
+        self.pose, self._time, self._misses = found.pose, found.picture.time, 0
         if self._is_keyframe(found):
+            self._tracks, self._grey = found.tracks, found.picture.grey
             self._add_keyframe(found.picture)
 
     def move(self, pose: Array) -> None:
@@ -194,35 +201,43 @@ class VisualOdometry:
 
     # tracks
 
-    def _followed(self, before: Grey, picture: SeenPicture, predicted: Array) -> Tracks:
-        """Return the tracks in a new image."""
-        tracks = self._tracks
+    def _followed(self, before: Grey, tracks: Tracks, picture: SeenPicture, predicted: Array) -> Tracks:
+        """Return the tracks of an earlier image in a new one."""
         guess = self._camera.measured(predicted, tracks.points)[0]
         pixels, good = track(self._corners, before, picture.grey, tracks.measured[:, :2], guess[:, :2])
         seen = tracks.of(good)
-        depth = self._depths(picture, pixels[good], 1.0 / guess[good, 2])
-        return Tracks(seen.ids, np.column_stack([pixels[good], 1.0 / depth]), seen.points)
+        depth, slopes = self._depths(picture, pixels[good], 1.0 / guess[good, 2])
+        return Tracks(seen.ids, np.column_stack([pixels[good], 1.0 / depth, slopes]), seen.points)
 
-    def _depths(self, picture: SeenPicture, pixels: Array, guess: Array) -> Array:
-        """Return depths (n,) m, NaN where unknown or out of range; guess: (n,) m, NaN where unknown."""
+    def _depths(self, picture: SeenPicture, pixels: Array, guess: Array) -> tuple[Array, Array]:
+        """Return depths (n,) m, NaN where unknown or out of range, and slopes (n, 2) of their inverse, 1/m/px.
+
+        The disparity of a pair is measured for a patch, and its slope is not known: 0.
+
+        Args:
+            picture: with a depth picture, or a pair.
+            pixels: (n, 2) px.
+            guess: (n,) m, NaN where unknown.
+        """
+        slopes = np.zeros((len(pixels), 2))
         if picture.right is not None:
             found = stereo_depth(self._corners, picture.grey, picture.right, pixels, picture.base, guess)
         elif picture.depth is not None:
-            found = depth_at(picture.depth, pixels)
+            found, slopes = depth_at(picture.depth, pixels)
         else:
             found = np.full(len(pixels), np.nan)
         usable = (found >= self._settings.depth_min) & (found <= self._settings.depth_max)
-        return np.where(usable, found, np.nan)
+        return np.where(usable, found, np.nan), slopes
 
     def _new_tracks(self, picture: SeenPicture, pose: Array, known: Tracks) -> Tracks:
         """Return new corners with a depth, in an image at a pose."""
         usable = None if picture.depth is None else np.isfinite(picture.depth) & (picture.depth > 0.0)
         pixels = new_corners(self._corners, picture.grey, known.measured[:, :2], usable)
-        depth = self._depths(picture, pixels, np.full(len(pixels), np.nan))
+        depth, slopes = self._depths(picture, pixels, np.full(len(pixels), np.nan))
         deep = np.isfinite(depth)
-        pixels, depth = pixels[deep], depth[deep]
+        pixels, depth, slopes = pixels[deep], depth[deep], slopes[deep]
         ids = self._next_id + np.arange(len(pixels), dtype=np.int64)
-        measured = np.column_stack([pixels, 1.0 / depth])
+        measured = np.column_stack([pixels, 1.0 / depth, slopes])
         return Tracks(ids, measured, self._camera.points(pose, pixels, depth))
 
     def _without_pose(
@@ -256,7 +271,7 @@ class VisualOdometry:
 
     def _add_keyframe(self, picture: SeenPicture) -> None:
         known = self._tracks
-        self._window.append(_Keyframe(self.pose, picture.attitude, known.ids, known.measured))
+        self._window.append(_Keyframe(self.pose, picture.time, picture.attitude, known.ids, known.measured))
         if len(self._window) > 1:
             self._adjust()
         known = Tracks(
@@ -266,7 +281,9 @@ class VisualOdometry:
         self._next_id += len(new.ids)
         self._points.update(zip(new.ids.tolist(), new.points, strict=True))
         self._tracks = known.joined(new)
-        self._window[-1] = _Keyframe(self.pose, picture.attitude, self._tracks.ids, self._tracks.measured)
+        self._window[-1] = replace(
+            self._window[-1], pose=self.pose, ids=self._tracks.ids, measured=self._tracks.measured
+        )
         del self._window[: -self._settings.keyframes]
         alive = np.unique(np.concatenate([frame.ids for frame in self._window])).tolist()
         self._points = {k: self._points[k] for k in alive}
@@ -282,11 +299,12 @@ class VisualOdometry:
         if len(used) < self._settings.least_points:
             return
         turns = tuple(a.attitude.inv() * b.attitude for a, b in itertools.pairwise(window))
-        problem = WindowProblem(turns, frame[often], point, measured[often])
+        errors = np.array([self._noise.turn_error(b.time - a.time) for a, b in itertools.pairwise(window)])
+        problem = WindowProblem(turns, errors, frame[often], point, measured[often])
         keys = ids[used].tolist()
         poses = np.stack([entry.pose for entry in window])
         points = np.array([self._points[key] for key in keys])
-        poses, points = adjust(self._camera, self._sigmas, problem, poses, points)
+        poses, points = adjust(self._camera, self._deviations, problem, poses, points)
         for entry, pose in zip(window, poses, strict=True):
             entry.pose = pose
         self._points.update(zip(keys, points, strict=True))

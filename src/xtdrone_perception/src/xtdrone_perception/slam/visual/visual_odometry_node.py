@@ -163,7 +163,7 @@ class VisualOdometryNode(OdometryNode):
             rospy.logwarn_throttle(10.0, f"{self._name}: image ignored: the images of the stereo pair differ in size")
             return
         if not self._is_late():
-            seen = SeenPicture(grey, attitude, depth, right, base or 0.0)
+            seen = SeenPicture(grey, attitude, end_ns * 1e-9, depth, right, base or 0.0)
             self._submit(seen, zlib.crc32(grey.tobytes()), end_ns)
 
     def _base(self) -> float | None:

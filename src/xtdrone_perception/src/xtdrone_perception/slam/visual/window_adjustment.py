@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from xtdrone_perception.slam.poses import moved, rotation_of
 
 from .camera_model import BodyCamera
-from .pose_from_points import Sigmas, huber
+from .pose_from_points import huber
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -31,34 +31,36 @@ class WindowProblem:
 
     Attributes:
         turns: k - 1 rotations of the body from each keyframe to the next, in its axes.
+        turn_errors: (k - 1,) their standard deviations, rad.
         frame: (m,) keyframe of each measurement.
         point: (m,) point of each measurement.
-        measured: (m, 3) u, v (px), inverse depth (1/m, NaN where unknown).
+        measured: (m, 5) u, v (px), inverse depth (1/m, NaN where unknown), its slopes along u and v (1/m/px).
     """
 
     turns: tuple[Rotation, ...]
+    turn_errors: Array
     frame: Indices
     point: Indices
     measured: Array
 
 
 def adjust(
-    camera: BodyCamera, sigmas: Sigmas, problem: WindowProblem, poses: Array, points: Array
+    camera: BodyCamera, deviations: Array, problem: WindowProblem, poses: Array, points: Array
 ) -> tuple[Array, Array]:
     """Return improved poses (k, 4, 4) and points (n, 3).
 
     Args:
         camera: of the measurements.
-        sigmas: of the measurements.
+        deviations: (3,) standard deviations of a measurement, px, px, 1/m.
         problem: the measurements.
         poses: (k, 4, 4) body to map; the first one is fixed.
         points: (n, 3) m, map.
     """
-    best = _cost(camera, sigmas, problem, poses, points)
+    best = _cost(camera, deviations, problem, poses, points)
     for _ in range(_ITERATIONS):
-        pose_steps, point_steps = _steps(camera, sigmas, problem, poses, points)
+        pose_steps, point_steps = _steps(camera, deviations, problem, poses, points)
         tried = np.stack([moved(pose, step) for pose, step in zip(poses, pose_steps, strict=True)])
-        cost = _cost(camera, sigmas, problem, tried, points + point_steps)
+        cost = _cost(camera, deviations, problem, tried, points + point_steps)
         if not cost < best:
             break
         poses, points, best = tried, points + point_steps, cost
@@ -66,12 +68,12 @@ def adjust(
 
 
 def _residuals(
-    camera: BodyCamera, sigmas: Sigmas, problem: WindowProblem, poses: Array, points: Array
+    camera: BodyCamera, deviations: Array, problem: WindowProblem, poses: Array, points: Array
 ) -> tuple[Array, Array]:
     """Return normalised residuals (m, 3), 0 where unknown, and the points in the cameras' frames (m, 3)."""
     body = np.einsum("nji,nj->ni", poses[problem.frame, :3, :3], points[problem.point] - poses[problem.frame, :3, 3])
     expected, local = camera.measured(np.eye(4), body)
-    return np.nan_to_num((problem.measured - expected) / sigmas.measured), local
+    return np.nan_to_num(camera.residuals(problem.measured, expected) / deviations), local
 
 
 def _turn_errors(problem: WindowProblem, poses: Array) -> Array:
@@ -83,22 +85,22 @@ def _turn_errors(problem: WindowProblem, poses: Array) -> Array:
     return np.array(errors).reshape(-1, 3)
 
 
-def _cost(camera: BodyCamera, sigmas: Sigmas, problem: WindowProblem, poses: Array, points: Array) -> float:
-    residual, _ = _residuals(camera, sigmas, problem, poses, points)
+def _cost(camera: BodyCamera, deviations: Array, problem: WindowProblem, poses: Array, points: Array) -> float:
+    residual, _ = _residuals(camera, deviations, problem, poses, points)
     square = np.einsum("ni,ni->n", residual, residual)
     weight = huber(residual)
     robust = np.where(weight < 1.0, weight * square * (2.0 - weight), square)
-    return float(robust.sum() + (_turn_errors(problem, poses) ** 2).sum() / sigmas.turn**2)
+    return float(robust.sum() + ((_turn_errors(problem, poses) / problem.turn_errors[:, None]) ** 2).sum())
 
 
 def _steps(
-    camera: BodyCamera, sigmas: Sigmas, problem: WindowProblem, poses: Array, points: Array
+    camera: BodyCamera, deviations: Array, problem: WindowProblem, poses: Array, points: Array
 ) -> tuple[Array, Array]:
     """Return the steps of poses (k, 6), 0 for the first, and of points (n, 3)."""
     count, number = len(poses), len(points)
-    residual, local = _residuals(camera, sigmas, problem, poses, points)
-    by_pose, by_point = camera.slopes(poses[problem.frame], local, points[problem.point])
-    known = np.isfinite(problem.measured)[:, :, None] / sigmas.measured[:, None]
+    residual, local = _residuals(camera, deviations, problem, poses, points)
+    by_pose, by_point = camera.slopes(poses[problem.frame], local, points[problem.point], problem.measured)
+    known = np.isfinite(problem.measured[:, :3])[:, :, None] / deviations[:, None]
     weight = np.sqrt(huber(residual))[:, None]
     residual, by_pose, by_point = (
         weight * residual,
@@ -106,7 +108,7 @@ def _steps(
         weight[:, :, None] * known * by_point,
     )
     pose_rows, point_rows = by_pose.transpose(0, 2, 1), by_point.transpose(0, 2, 1)
-    normal, right = _pose_blocks(sigmas, problem, poses)
+    normal, right = _pose_blocks(problem, poses)
     np.add.at(normal, (problem.frame, problem.frame), pose_rows @ by_pose)
     np.add.at(right, problem.frame, (pose_rows @ residual[:, :, None])[:, :, 0])
     mixed = np.zeros((count, number, 6, 3))
@@ -127,12 +129,12 @@ def _steps(
     return steps.reshape(count, 6), (back @ rest[:, :, None])[:, :, 0]
 
 
-def _pose_blocks(sigmas: Sigmas, problem: WindowProblem, poses: Array) -> tuple[Array, Array]:
+def _pose_blocks(problem: WindowProblem, poses: Array) -> tuple[Array, Array]:
     """Return blocks (k, k, 6, 6) and right sides (k, 6) of the turns between keyframes."""
     count = len(poses)
     normal, right = np.zeros((count, count, 6, 6)), np.zeros((count, 6))
-    weight = 1.0 / sigmas.turn**2
     for k, error in enumerate(_turn_errors(problem, poses)):
+        weight = 1.0 / problem.turn_errors[k] ** 2
         by_first = -(poses[k + 1, :3, :3].T @ poses[k, :3, :3])
         normal[k, k, 3:, 3:] += weight * by_first.T @ by_first
         normal[k, k + 1, 3:, 3:] += weight * by_first.T
