@@ -61,8 +61,8 @@ def _column(x, y, directions, most, guess):
         x, y: of the point, m.
         directions: (columns, 3) of any row, the first one backwards.
         most: tangent of the angle to a column's middle up to which a point is surely in it.
-        guess: a column that it may well be in, or the next one, as points come in the order in which a lidar turns; that
-            is found without an arcus tangens.
+        guess: a column that it may well be in, or in the next one, as points come in the order in which a lidar turns;
+            this saves an arcus tangens.
     """
     columns = len(directions)
     for near in (guess, (guess + 1) % columns):
@@ -107,10 +107,6 @@ def _is_empty(image, row, column, is_round):
     rows, columns = image.shape
     left = (column - 1) % columns if is_round else max(column - 1, 0)
     right = (column + 1) % columns if is_round else min(column + 1, columns - 1)
-    for other in (left, right):
-        if math.isfinite(image[row, other]):
-            return False
-    for other in (max(row - 1, 0), min(row + 1, rows - 1)):
-        if math.isfinite(image[other, column]):
-            return False
-    return True
+    below, above = max(row - 1, 0), min(row + 1, rows - 1)
+    beside = math.isfinite(image[row, left]) or math.isfinite(image[row, right])
+    return not (beside or math.isfinite(image[below, column]) or math.isfinite(image[above, column]))

@@ -18,9 +18,12 @@ _FREE_TO, _OCCUPIED_FROM = -30, 50
 
 _PASSED, _ENDED = 1, 2
 _RAYS = 32
-"""Rays that are followed side by side. Of each, ``way`` has as parts of the ray's length: where it enters the next voxel
-along x, y, z, what a voxel is across along x, y, z, and the last part in the box; then, in voxels, where it begins and
-its length, x, y, z each. ``cells`` has the number of its voxel, and what this changes by along x, y, z."""
+"""Rays that are followed side by side.
+
+Of each, ``way`` has as parts of the ray's length: where it enters the next voxel along x, y, z, what a voxel is across
+along x, y, z, and the last part in the box; then, in voxels, where it begins and its length, x, y, z each. ``cells``
+has the number of its voxel, and what this changes by along x, y, z.
+"""
 _NEXT, _ACROSS, _LAST, _PLACE, _LENGTH, _WAY = 0, 3 * _RAYS, 6 * _RAYS, 7 * _RAYS, 10 * _RAYS, 13 * _RAYS
 _WITHIN = 1.0 - 1e-12  # so that no ray is followed out of the box by rounding
 
@@ -107,7 +110,7 @@ def _begin(way, cells, axis, count, stride):
         way[_LAST + ray] = last if (cell >= 0.0) & (cell < count) & (across > 0.0) else -1.0
         way[_NEXT + axis + ray], way[_ACROSS + axis + ray] = entered, across
     for ray in range(_RAYS):
-        cells[ray] += int(math.floor(way[_PLACE + axis + ray])) * stride
+        cells[ray] += math.floor(way[_PLACE + axis + ray]) * stride
         cells[_RAYS + axis + ray] = stride if way[_LENGTH + axis + ray] > 0.0 else -stride
 
 
