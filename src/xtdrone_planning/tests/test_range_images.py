@@ -48,6 +48,34 @@ def test_a_cloud_fills_its_range_image():
     assert np.allclose(np.linalg.norm(directions, axis=1), 1.0, atol=1e-6)
 
 
+def test_points_in_any_order_are_in_the_column_nearest_to_their_azimuth():
+    rng = np.random.default_rng(4)
+    azimuths, rings = rng.uniform(-math.pi, math.pi, 300), rng.integers(0, 6, 300)  # rings 4 and 5 are not there
+    ranges, times = rng.uniform(1.0, 20.0, 300), rng.uniform(0.0, 0.1, 300)
+    points = cloud(azimuths, np.minimum(rings, 3), ranges, times)
+    points["ring"] = rings
+    image = LidarImages(LIDAR).image(points)
+    columns = np.rint((azimuths + math.pi) / (2.0 * math.pi / 64)).astype(int) % 64
+    last = {(ring, column): n for n, (ring, column) in enumerate(zip(rings, columns, strict=True)) if ring < 4}
+    assert np.isfinite(image.ranges).sum() == len(last)
+    for pixel, n in last.items():
+        assert image.ranges[pixel] == pytest.approx(ranges[n], rel=1e-6)
+        assert image.times[pixel] == points["time"][n]
+        assert math.atan2(*image.directions[pixel][1::-1]) == pytest.approx(azimuths[n], abs=1e-6)
+    empty = np.isnan(image.ranges)
+    even = np.arange(64) / 63 * points["time"][rings < 4].max()
+    assert np.allclose(image.times[empty], np.broadcast_to(even, (4, 64))[empty])
+
+
+def test_rays_in_the_order_of_columns_are_the_same_rays():
+    points = full_turn()[np.r_[0:100, 130:256]]
+    rows, columns = (LidarImages(LIDAR).image(points).rays(by_columns=by) for by in (False, True))
+    order = np.lexsort((rows[1][:, 2], rows[2])), np.lexsort((columns[1][:, 2], columns[2]))
+    assert (np.diff(columns[2]) >= 0.0).all()
+    for a, b in zip(rows, columns, strict=True):
+        assert np.array_equal(a[order[0]], b[order[1]])
+
+
 def test_the_way_is_free_where_a_neighbourhood_has_no_returns_but_not_where_one_ray_is_missing():
     points = full_turn()
     lone = np.ones(len(points), bool)

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt
 
 from xtdrone_planning.mapping.field_lookup import distance_at, is_seen
-from xtdrone_planning.mapping.voxel_grid import FREE_TO, OCCUPIED_FROM, MapSettings, VoxelGrid
+from xtdrone_planning.mapping.voxel_grid import (
+    FREE_TO,
+    HIT,
+    LEAST,
+    MISS,
+    MOST,
+    OCCUPIED_FROM,
+    MapSettings,
+    VoxelGrid,
+)
 
 SMALL = MapSettings(resolution=0.2, side=8.0, height=2.0)
 
@@ -41,6 +52,46 @@ def test_a_ray_passes_the_voxels_that_dense_samples_of_it_pass():
         assert len(passed - sampled) <= 1  # a corner that the samples have missed
 
 
+def passed_one_by_one(grid, origin, end):
+    """Return the voxels of a ray, by the method of Amanatides and Woo in its plain form."""
+    place, length = np.asarray(origin) / 0.2 - grid.corner, (np.asarray(end) - origin) / 0.2
+    cell = np.floor(place).astype(int)
+    step = np.sign(length).astype(int)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        entered = np.where(step == 0, np.inf, (cell + (step > 0) - place) / length)
+        across = np.where(step == 0, np.inf, 1.0 / np.abs(length))
+    found = set()
+    while (cell >= 0).all() and (cell < grid.evidence.shape).all():
+        found.add(tuple(cell.tolist()))
+        axis = int(np.argmin(entered))
+        if entered[axis] > 1.0:
+            break
+        cell[axis] += step[axis]
+        entered[axis] += across[axis]
+    return found
+
+
+@pytest.mark.parametrize("count", [1, 31, 33, 200])
+def test_rays_side_by_side_pass_the_voxels_of_each_followed_alone(count):
+    rng = np.random.default_rng(count)
+    grid = VoxelGrid(SMALL)
+    before = rng.integers(-5, 8, grid.evidence.shape).astype(np.int16) * 40
+    grid.evidence[:] = before
+    origins = rng.uniform(-1.2, 1.2, (count, 3))  # some outside of the box, as are most ends
+    ends = origins + rng.choice((0.0, 1.0), (count, 3), p=(0.1, 0.9)) * rng.uniform(-9.0, 9.0, (count, 3))
+    hits = rng.uniform(size=count) < 0.6
+    grid.insert(origins, ends, hits)
+    expected = before.copy()
+    ended = {tuple(v) for v in (np.floor(ends[hits] / 0.2) - grid.corner).astype(int).tolist()}
+    ended = {v for v in ended if all(0 <= a < n for a, n in zip(v, before.shape, strict=True))}
+    passed = set().union(*(passed_one_by_one(grid, a, b) for a, b in zip(origins, ends, strict=True)))
+    for voxel in passed - ended:
+        expected[voxel] = max(LEAST, before[voxel] + MISS)
+    for voxel in ended:
+        expected[voxel] = min(MOST, before[voxel] + HIT)
+    assert np.array_equal(grid.evidence, expected)
+
+
 def test_within_one_measurement_a_hit_outweighs_rays_that_pass():
     grid = VoxelGrid(SMALL)
     origins, ends = rays((0.1, 0.1, 0.1), [(1.1, 0.1, 0.1), *[(3.1, 0.1, 0.1)] * 20])
@@ -62,13 +113,23 @@ def test_the_box_moves_in_whole_voxels_and_keeps_what_it_knows():
     assert not grid.evidence.any()
 
 
-def test_distances_equal_scipys():
+@pytest.mark.parametrize(
+    ("settings", "part"),
+    [
+        (SMALL, 0.002),
+        (SMALL, 0.1),
+        (replace(SMALL, height=8.0, farthest=1.0), 0.001),
+        (MapSettings(resolution=0.05, side=8.0, height=1.0, farthest=8.0), 0.00003),  # squares beyond two bytes
+    ],
+)
+def test_distances_equal_scipys(settings, part):
     rng = np.random.default_rng(1)
-    grid = VoxelGrid(SMALL)
-    grid.evidence[rng.uniform(size=grid.evidence.shape) < 0.002] = 100
+    grid = VoxelGrid(settings)
+    grid.evidence[rng.uniform(size=grid.evidence.shape) < part] = 100
     grid.update_distance()
-    reference = distance_transform_edt(grid.evidence < OCCUPIED_FROM) * 0.2
-    assert np.allclose(grid.distance, np.minimum(reference, 3.0), atol=1e-5)
+    voxels = distance_transform_edt(grid.evidence < OCCUPIED_FROM).astype(np.float32)
+    reference = voxels * np.float32(settings.resolution)
+    assert np.array_equal(grid.distance, np.minimum(reference, np.float32(settings.farthest)))
 
 
 def test_without_obstacles_all_distances_are_the_farthest():

@@ -59,7 +59,7 @@ class LocalMap:
         Returns:
             False if the pose at that time is not known; the map is then unchanged.
         """
-        rays = rays_in_map(image, stamp_ns, mount, self.poses)
+        rays = rays_in_map(image, stamp_ns, mount, self.poses, by_columns=True)
         if rays is None:
             return False
         self.grid.recentre(rays.position)

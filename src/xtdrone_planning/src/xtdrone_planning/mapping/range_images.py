@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.settings import Settings, setting
+from xtdrone_planning.mapping.range_image_kernels import fill_image, take_rays
 
 Array = NDArray[np.float64]
 
@@ -76,24 +77,23 @@ class RangeImage:
     round: bool = False
     ordered: bool = True
 
-    def rays(self) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        """Return the rays that carry information.
+    def rays(self, *, by_columns: bool = False) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+        """Return the rays that tell something.
+
+        Args:
+            by_columns: in the order of columns, else of rows.
 
         Returns:
             Ranges (n,), directions (n, 3), times (n,), and whether each ends at a surface (n,).
         """
-        hits = np.isfinite(self.ranges)
-        known = hits | self._empty(~hits)
-        ranges = np.where(hits, self.ranges, self.farthest)
-        return ranges[known], self.directions[known], self.times[known], hits[known]
-
-    def _empty(self, missing: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return the pixels that have no return and whose four neighbours have none either."""
-        if not self.ordered:
-            return np.zeros_like(missing)
-        rows = np.pad(missing, ((1, 1), (0, 0)), mode="edge")
-        columns = np.pad(missing, ((0, 0), (1, 1)), mode="wrap" if self.round else "edge")
-        return missing & rows[:-2] & rows[2:] & columns[:, :-2] & columns[:, 2:]
+        size = self.ranges.size
+        ranges, directions, times = np.empty(size), np.empty((size, 3)), np.empty(size)
+        hits = np.empty(size, np.bool_)
+        count = take_rays(
+            self.ranges, self.directions, self.times, self.farthest, self.round, self.ordered, by_columns,
+            ranges, directions, times, hits,
+        )  # fmt: skip
+        return ranges[:count], directions[:count], times[:count], hits[:count]
 
 
 def points_of(message: object) -> NDArray[np.void]:
@@ -139,34 +139,25 @@ class LidarImages:
             points: as of ``points_of``; without ``ring`` the order of points is unknown; without ``time`` all points
                 have the time of the stamp.
         """
-        places = np.stack([points["x"], points["y"], points["z"]], axis=1).astype(float)
-        ranges = np.sqrt((places * places).sum(axis=1))
-        nearest, farthest = self._settings.lidar_range
+        settings = self._settings
+        x, y, z = (points[name].astype(float) for name in "xyz")
         names = points.dtype.names or ()
         times = points["time"].astype(float) if "time" in names else np.zeros(len(points))
-        used = np.isfinite(ranges) & (ranges >= nearest) & (ranges <= farthest) & np.isfinite(times)
         if "ring" not in names:
-            return self._unordered(places[used], ranges[used], times[used])
-        rows = points["ring"].astype(np.int64)
-        used &= rows < self._settings.channels
-        return self._ordered(places[used], ranges[used], times[used], rows[used])
+            return self._unordered(np.stack([x, y, z], axis=1), times)
+        shape = settings.columns, settings.channels
+        image, all_times = np.empty(shape).T, np.empty(shape).T  # in memory column by column, as a lidar turns
+        directions = np.empty((*shape, 3)).transpose(1, 0, 2)
+        rings = points["ring"].astype(np.int64)
+        fill_image(x, y, z, times, rings, settings.lidar_range, self._directions, image, directions, all_times)
+        return RangeImage(image, directions, all_times, settings.lidar_range[1], round=True)
 
-    def _ordered(self, places: Array, ranges: Array, times: Array, rows: NDArray[np.int64]) -> RangeImage:
-        columns = self._settings.columns
-        turn = (np.arctan2(places[:, 1], places[:, 0]) + math.pi) / (2.0 * math.pi)
-        column = np.rint(turn * columns).astype(np.int64) % columns
-        image = np.full(self._directions.shape[:2], np.nan)
-        directions = self._directions.copy()
-        image[rows, column] = ranges
-        directions[rows, column] = places / ranges[:, None]
-        last = float(times.max()) if len(times) else 0.0
-        all_times = np.broadcast_to(np.arange(columns) * (last / max(columns - 1, 1)), image.shape).copy()
-        all_times[rows, column] = times
-        return RangeImage(image, directions, all_times, self._settings.lidar_range[1], round=True)
-
-    def _unordered(self, places: Array, ranges: Array, times: Array) -> RangeImage:
-        directions = places / ranges[:, None]
-        return RangeImage(ranges[None], directions[None], times[None], self._settings.lidar_range[1], ordered=False)
+    def _unordered(self, places: Array, times: Array) -> RangeImage:
+        nearest, farthest = self._settings.lidar_range
+        ranges = np.sqrt((places * places).sum(axis=1))
+        used = np.isfinite(ranges) & (ranges >= nearest) & (ranges <= farthest) & np.isfinite(times)
+        directions = places[used] / ranges[used, None]
+        return RangeImage(ranges[None, used], directions[None], times[None, used], farthest, ordered=False)
 
 
 class DepthImages:

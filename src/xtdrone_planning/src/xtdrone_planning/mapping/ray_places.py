@@ -35,20 +35,26 @@ class PlacedRays(NamedTuple):
 
 
 def rays_in_map(
-    image: RangeImage, stamp_ns: int, mount: tuple[float, float, float], poses: PoseHistory
+    image: RangeImage,
+    stamp_ns: int,
+    mount: tuple[float, float, float],
+    poses: PoseHistory,
+    *,
+    by_columns: bool = False,
 ) -> PlacedRays | None:
     """Return the rays of a measurement, each from the vehicle's pose at the time of the ray.
 
     Args:
         image: the rays.
         stamp_ns: time of the image, ns.
-        mount: position of the sensor in base_link, m, FLU.
-        poses: history of base_link poses: x, y, z, m in map, and quaternion w, x, y, z.
+        mount: the sensor's place in base_link, m, FLU.
+        poses: of base_link, entries x, y, z, m in map, and quaternion w, x, y, z.
+        by_columns: see ``RangeImage.rays``.
 
     Returns:
         None if the pose at one of the times is not known.
     """
-    ranges, directions, times, hits = image.rays()
+    ranges, directions, times, hits = image.rays(by_columns=by_columns)
     seconds = float(times.max()) if len(times) else 0.0
     spacing = max(seconds, 1e-3) / _PIECES
     found = [poses.at(stamp_ns + round(k * spacing * 1e9)) for k in range(_PIECES + 1)]
@@ -80,18 +86,11 @@ def place_rays(poses, spacing, mount, ranges, directions, times, origins, ends):
         origins, ends: (n, 3) m in map, the result.
     """
     pose = np.empty(7)
+    q, x, y, z = (1.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0
     for r in range(len(ranges)):
-        place = min(max(times[r] / spacing, 0.0), len(poses) - 1.0)
-        k = min(int(place), len(poses) - 2)
-        part = place - k
-        norm = 0.0
-        for c in range(7):
-            pose[c] = (1.0 - part) * poses[k, c] + part * poses[k + 1, c]
-            if c >= 3:
-                norm += pose[c] * pose[c]
-        norm = 1.0 / np.sqrt(norm)
-        q = (pose[3] * norm, pose[4] * norm, pose[5] * norm, pose[6] * norm)
-        x, y, z = _rotate(q, mount[0], mount[1], mount[2])
+        if r == 0 or times[r] != times[r - 1]:  # the rays of a lidar's column have the same time
+            q = _pose_at(poses, min(max(times[r] / spacing, 0.0), len(poses) - 1.0), pose)
+            x, y, z = _rotate(q, mount[0], mount[1], mount[2])
         u, v, w = _rotate(q, directions[r, 0], directions[r, 1], directions[r, 2])
         origins[r, 0], origins[r, 1], origins[r, 2] = pose[0] + x, pose[1] + y, pose[2] + z
         ends[r, 0] = origins[r, 0] + ranges[r] * u
@@ -116,3 +115,17 @@ def missing_places(ends, hits, places, reach):
             if hits[k] and x * x + y * y + z * z < reach[n] * reach[n]:
                 missing[k] = False
     return missing
+
+
+@kernel
+def _pose_at(poses, place, pose):
+    """Interpolate poses at ``place``, counted in poses, into ``pose`` (7,); return the unit quaternion."""
+    k = min(int(place), len(poses) - 2)
+    part = place - k
+    norm = 0.0
+    for c in range(7):
+        pose[c] = (1.0 - part) * poses[k, c] + part * poses[k + 1, c]
+        if c >= 3:
+            norm += pose[c] * pose[c]
+    norm = 1.0 / np.sqrt(norm)
+    return pose[3] * norm, pose[4] * norm, pose[5] * norm, pose[6] * norm

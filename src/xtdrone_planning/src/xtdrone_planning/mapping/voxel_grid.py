@@ -8,7 +8,6 @@ evidence: the third state, unknown.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,6 @@ from xtdrone_planning.mapping.distance_field import distance_field
 from xtdrone_planning.mapping.ray_casting import cast_rays, free_sphere
 
 Array = NDArray[np.float64]
-_Grid = TypeVar("_Grid", NDArray[np.int16], NDArray[np.float32])
 
 HIT, MISS = 85, -40
 """Evidence of a ray that ends in a voxel, and of one that passes through it."""
@@ -63,8 +61,7 @@ class VoxelGrid:
         self.evidence = np.zeros(settings.shape, np.int16)
         self.distance = np.full(settings.shape, settings.farthest, np.float32)
         self.corner = -np.array(settings.shape, np.int64) // 2
-        self._marks = np.zeros(settings.shape, np.int32)
-        self._mark = 0
+        self._touched = np.zeros(self.evidence.size + 1, np.uint8)
 
     @property
     def origin(self) -> Array:
@@ -82,16 +79,16 @@ class VoxelGrid:
         self.distance[:] = self.settings.farthest
 
     def recentre(self, position: Array) -> None:
-        """Move the box, in whole voxels, so that ``position``, (3,) m in map, is near its middle."""
+        """Move the box, in whole voxels, so that ``position``, (3,) m in map, is near its middle.
+
+        The distances are not those of the new place until ``update_distance``.
+        """
         middle = 0.5 * (self.origin + self.upper)
         if np.all(np.abs(position - middle) <= _SLACK):
             return
         corner = np.floor(position / self.resolution).astype(np.int64) - np.array(self.evidence.shape) // 2
         moved = corner - self.corner
-        self.evidence = _shifted(self.evidence, moved, 0)
-        self.distance = _shifted(self.distance, moved, self.settings.farthest)
-        self._marks[:] = 0
-        self._mark = 0
+        self.evidence = _shifted(self.evidence, moved)
         self.corner = corner
 
     def insert(self, origins: Array, ends: Array, hits: NDArray[np.bool_]) -> None:
@@ -102,8 +99,7 @@ class VoxelGrid:
             ends: (n, 3) where they end; beyond the box is allowed.
             hits: (n,) whether the ray ends at a surface; otherwise it is free to its end.
         """
-        self._mark += 2
-        cast_rays(self.evidence, self._marks, self._mark, self.corner, self.resolution, origins, ends, hits)
+        cast_rays(self.evidence, self._touched, self.corner, self.resolution, origins, ends, hits)
 
     def free_around(self, position: Array, radius: float) -> None:
         """Mark unknown voxels within ``radius`` m of the vehicle as free."""
@@ -131,9 +127,9 @@ class VoxelGrid:
         return self.middle(np.argwhere(self.evidence >= OCCUPIED_FROM))
 
 
-def _shifted(values: _Grid, moved: NDArray[np.int64], fill: float) -> _Grid:
-    """Return a shifted grid: voxel i is voxel i + ``moved`` of the old one; new voxels have the value ``fill``."""
-    shifted = np.full_like(values, fill)
+def _shifted(values: NDArray[np.int16], moved: NDArray[np.int64]) -> NDArray[np.int16]:
+    """Return a grid whose voxel i is the old one's voxel i + ``moved``; new voxels are 0."""
+    shifted = np.zeros_like(values)
     old = [slice(max(0, m), n + min(0, m)) for m, n in zip(moved.tolist(), values.shape, strict=True)]
     new = [slice(max(0, -m), n + min(0, -m)) for m, n in zip(moved.tolist(), values.shape, strict=True)]
     if all(part.stop > part.start for part in old):

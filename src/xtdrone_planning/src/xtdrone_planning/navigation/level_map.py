@@ -62,8 +62,7 @@ class LevelMap:
         self.evidence = np.ascontiguousarray(evidence[:, :, None])
         self._given = self.evidence.copy()
         self.distance = np.empty(self.evidence.shape, np.float32)
-        self._marks = np.zeros(self.evidence.shape, np.int32)
-        self._mark = 0
+        self._touched = np.zeros(self.evidence.size + 1, np.uint8)
         self.is_ready = True
         self.update_distance()
 
@@ -103,10 +102,9 @@ class LevelMap:
             origins, ends: (n, 2) or longer, m in map; beyond the map is allowed.
             hits: (n,) whether the ray ends at a surface.
         """
-        self._mark += 2
         middle = 0.5 * self.cell  # all rays run in the single layer
         rays = [np.column_stack([places[:, :2], np.full(len(places), middle)]) for places in (origins, ends)]
-        cast_rays(self.evidence, self._marks, self._mark, self.corner, self.cell, *rays, hits)
+        cast_rays(self.evidence, self._touched, self.corner, self.cell, *rays, hits)
         np.copyto(self.evidence, self._given, where=self._given >= OCCUPIED_FROM)
 
     def forget_around(self, position: Array) -> None:
