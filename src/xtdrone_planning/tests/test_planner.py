@@ -81,7 +81,7 @@ def test_a_goal_in_a_closed_room_is_unreachable():
     flight.planner.set_goal(np.array([7.0, 0.0, 2.0]))
     flight.run(20.0, "goal unreachable")
     assert flight.planner.state.name == "goal unreachable"
-    assert "no way" in flight.planner.searched
+    assert "no path" in flight.planner.searched
     assert flight.clearance() > LIMITS.radius
 
 
