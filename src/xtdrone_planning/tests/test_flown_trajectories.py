@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
+from toy_flight import PERIOD, ToyFlight, forest
+from toy_swarm import Group
 
+from xtdrone_control.network.network_options import NetworkOptions
 from xtdrone_planning.safety.near_points import without_vehicles
 from xtdrone_planning.safety.settings import SafetySettings
 from xtdrone_planning.safety.trajectory_clearance import FARTHEST, TrajectoryClearance
 from xtdrone_planning.safety.velocity_filter import VelocityFilter
 from xtdrone_planning.swarm.flown_trajectories import FlownTrajectories
+from xtdrone_planning.swarm.settings import AgreementSettings
 from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, coasting, resting
 
 DISTANCE, TRACKING, RADIUS = 1.0, 0.5, 0.4  # m
@@ -102,3 +108,79 @@ def test_points_at_known_vehicles_are_no_obstacles():
     points = np.array([[3.0, 0.0, 2.0], [3.3, 0.0, 2.0], [5.0, 0.0, 2.0]])
     kept = without_vehicles(points, np.array([[3.0, 0.1, 2.0], [np.nan] * 3]), 0.35)
     assert kept.tolist() == [[5.0, 0.0, 2.0]]
+
+
+class GuardedFlight(ToyFlight):
+    """A vehicle that follows setpoints as PX4 does, behind the safety filter."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.filter = VelocityFilter(SETTINGS, PERIOD)
+        self.clearance_check = TrajectoryClearance()
+        self.points = np.empty((0, 3))
+        self.corrected = 0
+
+    def step(self) -> None:
+        """Plan; the vehicle stays until ``pass_on``."""
+        position, velocity, count = self.position, self.velocity, len(self.commands)
+        super().step()
+        self.command = self.commands[-1] if len(self.commands) > count else None
+        self.position, self.velocity = position, velocity
+
+    def pass_on(self, index: int, trajectories: FlownTrajectories, places: np.ndarray, velocities: np.ndarray) -> None:
+        """Fly on as the filter allows."""
+        if self.command is None:
+            return
+        target, speed, acceleration, _ = self.command
+        wanted = speed + 0.95 * (target - self.position)
+        if self.turn % 10 == 0:
+            self.points = self.map.grid.occupied()
+        points, rest = self.points, np.arange(len(places)) != index
+        follows = trajectories.commands(index, target)
+        agreed = np.array([follows and trajectories.agreed(index, k) for k in np.flatnonzero(rest)])
+        flown = trajectories.flown(index)
+        clear = follows and self.clearance_check.least(flown.spline, points, self.time) >= flown.radius + flown.off
+        verdict = self.filter.check(
+            wanted, self.position, places[rest], velocities[rest], points, agreed, is_clear=clear
+        )
+        self.corrected += verdict.corrected
+        if verdict.corrected:
+            change = (verdict.velocity - self.velocity) / 0.55
+        else:
+            change = acceleration + (wanted - self.velocity) / 0.55
+        self.velocity = self.velocity + PERIOD * change
+        self.position = self.position + PERIOD * self.velocity
+        self.track[-1] = self.position
+
+
+class GuardedGroup(Group):
+    """Vehicles behind safety filters."""
+
+    trajectories = FlownTrajectories(2, DISTANCE, TRACKING)
+
+    def after_turn(self, now: float) -> None:
+        """Pass the setpoints on."""
+        places = np.array([flight.position for flight in self.flights])
+        velocities = np.array([flight.velocity for flight in self.flights])
+        for index, flight in enumerate(self.flights):
+            if flight.planner.trajectory is not None:
+                self.trajectories.on_trajectory(index, flight.planner.number, flight.planner.trajectory, RADIUS)
+        self.trajectories.update(places, now)
+        for index, flight in enumerate(self.flights):
+            flight.pass_on(index, self.trajectories, places, velocities)
+
+
+@pytest.mark.parametrize(("tracking", "seconds"), [(TRACKING, 30.0), (0.0, 7.0)])
+def test_two_planners_pass_each_other_among_trunks_uncorrected(tracking, seconds):
+    swarm = AgreementSettings(check=0.2, separation=0.6)
+    group = GuardedGroup(2, NetworkOptions(), swarm, length=28.0, trunks=forest(2, 30), kind=GuardedFlight)
+    group.trajectories = FlownTrajectories(2, DISTANCE, tracking)
+    arrived = math.isfinite(group.run(seconds))
+    corrected = sum(flight.corrected for flight in group.flights)
+    if tracking == 0.0:  # as without trajectories
+        assert corrected > 10
+        return
+    assert arrived
+    assert corrected == 0
+    assert group.least > 1.2
+    assert min(flight.clearance() for flight in group.flights) > RADIUS + 0.1

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import heapq
 import itertools
 import math
 
 import numpy as np
 import pytest
 from toy_flight import LIMITS, PERIOD, ToyFlight, forest, wall
+from toy_swarm import Group
 
-from xtdrone_control.network.message_radio import MessageRadio
 from xtdrone_control.network.network_options import NetworkOptions
 from xtdrone_planning.paths.local_path import PathQuery, PathSearch
 from xtdrone_planning.swarm.known_trajectories import FORGET, Known, Proposal
@@ -21,70 +20,17 @@ from xtdrone_planning.trajectories.splines.spline_cost import UPRIGHT
 from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, coasting, resting
 
 RADIUS = LIMITS.radius
-LENGTH = 16.0
-
-
-class Group:
-    """Vehicles in pairs, each of which wants to be where the other is."""
-
-    def __init__(self, count: int, options: NetworkOptions, check: float, seed: int = 0) -> None:
-        self.radio = MessageRadio(count, options, seed)
-        self.flights = []
-        for rank in range(count):
-            place = np.array([LENGTH * (rank % 2), 2.5 * (rank // 2), 2.0])
-            flight = ToyFlight(np.zeros((0, 3)), position=place)
-            flight.planner = SwarmPlanner(
-                flight.map.grid, flight.settings, flight.limits, AgreementSettings(check=check), rank
-            )
-            self.flights.append(flight)
-        self.goals = [np.array([LENGTH - flight.position[0], *flight.position[1:]]) for flight in self.flights]
-        self.least = math.inf
-
-    def run(self, seconds: float) -> float:
-        """Fly until all have arrived; return the time, s."""
-        arrivals: list[tuple] = []
-        order = itertools.count()
-        for turn in range(round(seconds / PERIOD)):
-            now = turn * PERIOD
-            if turn == 4:
-                for flight, goal in zip(self.flights, self.goals, strict=True):
-                    flight.planner.set_goal(goal)
-            while arrivals and arrivals[0][0] <= now:
-                *_, receiver, message = heapq.heappop(arrivals)
-                hear(self.flights[receiver].planner, message)
-            for rank, flight in enumerate(self.flights):
-                flight.step()
-                for message in said(rank, flight.planner) if turn % 2 == 0 else ():
-                    for time, receiver in self.radio.send(now, rank, 8000, np.zeros((len(self.flights), 3))):
-                        heapq.heappush(arrivals, (time + 1e-3, next(order), receiver, message))
-            places = np.array([flight.position for flight in self.flights])
-            self.least = min([self.least, *(math.dist(a, b) for a, b in itertools.combinations(places, 2))])
-            if turn > 20 and all(flight.planner.state.name == "hovering at the goal" for flight in self.flights):
-                return now
-        return math.inf
-
-
-def said(rank, planner):
-    decided = [] if planner.trajectory is None else [(rank, planner.number, planner.trajectory)]
-    return decided + ([] if planner.proposal is None else [planner.proposal])
-
-
-def hear(planner, message):
-    if isinstance(message, Proposal):
-        planner.on_proposal(message, RADIUS)
-    else:
-        planner.on_decided(*message, RADIUS)
 
 
 @pytest.mark.parametrize(("delay", "loss", "check"), [(0.0, 0.0, 0.2), (0.3, 0.1, 0.8)])
 def test_vehicles_exchange_sides_and_keep_their_distance(delay, loss, check):
-    group = Group(4, NetworkOptions(delay=delay, loss=loss), check, seed=2)
+    group = Group(4, NetworkOptions(delay=delay, loss=loss), AgreementSettings(check=check), seed=2)
     assert group.run(40.0) < 40.0
     assert group.least > 2.0 * RADIUS + AgreementSettings().separation - 0.1
 
 
 def test_without_hearing_each_other_they_would_meet():
-    group = Group(2, NetworkOptions(loss=1.0), 0.2)
+    group = Group(2, NetworkOptions(loss=1.0), AgreementSettings(check=0.2))
     group.run(40.0)
     assert group.least < 2.0 * RADIUS
 
