@@ -6,10 +6,10 @@ import argparse
 from dataclasses import replace
 
 from xtdrone_interaction import command_options
+from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.console import PatientConsole, run_reported
 from xtdrone_interaction.demos.directed_flight import add_place_options, placed
 from xtdrone_interaction.demos.explore_demo import ExploreDemoSettings, run_explore
-from xtdrone_interaction.command_options import OptionError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

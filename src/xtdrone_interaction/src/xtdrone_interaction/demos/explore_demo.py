@@ -158,7 +158,9 @@ def _add_merging(report: dict[str, Any], folder: Path, names: Sequence[str], sol
         DemoError: the record or a map cannot be read.
     """
     from xtdrone_interaction.metrics.missions.map_report import MERGED, octrees_in, read_map
-    from xtdrone_interaction.pictures.missions.merged_map_picture import save_merged_map  # matplotlib takes a while to import
+    from xtdrone_interaction.pictures.missions.merged_map_picture import (
+        save_merged_map,  # matplotlib takes a while to import
+    )
     from xtdrone_interaction.recording.missions.merging_record import read_merging
 
     try:
