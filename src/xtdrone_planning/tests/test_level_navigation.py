@@ -165,7 +165,7 @@ def test_goals_that_no_path_leads_to_are_named(goal, words):
 def test_paths_end_at_the_nearest_place_with_a_way_within_the_tolerance():
     level = a_map((100, 100, 0, SIDE - 1))
     start, goal = np.array([3.0, 3.0]), np.array([11.0, 5.0])  # behind the wall at 10 m
-    with pytest.raises(PathError, match="there is no way to the goal on the map"):
+    with pytest.raises(PathError, match="there is no path to the goal on the map"):
         GlobalSearch().find_near(level, start, goal, 0.6, 1.5)
     path = GlobalSearch().find_near(level, start, goal, 0.6, 2.0)
     assert math.dist(path[-1], goal) <= 2.0
