@@ -47,7 +47,7 @@ def random_map(seed: int, **options) -> OctreeMap:
 
 
 @given(st.lists(st.tuples(*[st.floats(-20.0, 20.0)] * 3), max_size=30), st.sampled_from([0.1, 0.37]), st.booleans())
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=12, deadline=None)
 def test_an_octree_of_points_has_their_voxels_and_no_other(points, resolution, binary):
     points = np.array(points, float).reshape(-1, 3)
     read = decode(encode(*blocks_of(points, resolution), resolution, binary)).middles()
@@ -171,7 +171,7 @@ def test_a_file_has_octomaps_header(tmp_path: Path):
         (b"# Octomap OcTree binary file\nid ColorOcTree\nsize 1\nres 0.1\ndata\n..", "id 'ColorOcTree' is not allowed"),
         (b"# Octomap OcTree binary file\nid OcTree\nsize many\nres 0.1\ndata\n..", "size or res in its header"),
         (b"# Octomap OcTree binary file\nid OcTree\nsize 9\nres 0.1\ndata\n\xff\xff", "truncated"),
-        (b"# Octomap OcTree binary file\nid OcTree\nsize 9\nres 0.1\ndata\n" + b"\x03\x00" * 40, "is too deep"),
+        (b"# Octomap OcTree binary file\nid OcTree\nsize 9\nres 0.1\ndata\n" + b"\x03\x00" * 40, "too deep"),
         (b"# Octomap OcTree binary file\nid OcTree\nsize 9\nres 0.1\ndata\n\x02\x00", "too large"),
         (b"# Octomap OcTree binary file\nid OcTree\nsize 9\nres -1\ndata\n\x02\x00", "-1.0 is not allowed, above 0"),
     ],
