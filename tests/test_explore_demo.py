@@ -15,6 +15,7 @@ pytest.importorskip("rospy")
         (["--bounds", "1,2,3"], "x0,y0,x1,y1"),
         (["--bounds", "5,0,1,4"], "x0 < x1"),
         (["--n", "0"], "1 to 6"),
+        (["--n", "1", "--merge"], "n: 1 is not allowed with --merge, 2 to 6"),
         (["--loss", "0.9"], "0 to 0.5"),
         (["--world", "indor"], "'indor' is unknown"),
     ],

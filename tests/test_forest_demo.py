@@ -74,6 +74,7 @@ def test_a_formation_passes_trees_and_forms_again(tmp_path: Path) -> None:
         (["--goal", "3"], "2 or 3 comma-separated numbers"),
         (["--start", "a,b"], "2 comma-separated numbers"),
         (["--sensor", "radar"], "radar"),
+        (["--planner", "dijkstra"], "dijkstra"),
         (["--speed-limit", "0"], "0.2 to 15 m/s"),
         (["--world", "forrest"], "'forrest' is unknown"),
         (["--formation", "circle"], "n: 1 is not allowed with --formation, 2 to 12"),

@@ -22,6 +22,8 @@ from mavros_msgs.srv import CommandBool, SetMode
 from move_base_msgs.msg import MoveBaseAction, MoveBaseGoal
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
+from nav_msgs.srv import GetPlan
+from std_srvs.srv import Empty
 
 from xtdrone_planning.navigation.level_map import LevelMap
 from xtdrone_planning.navigation.settings import CostmapSettings
@@ -31,6 +33,7 @@ from xtdrone_sim.worlds.floor_plan import FloorPlanSettings, floor_plan
 UAV, UGV = "iris_2d_lidar_0", "ugv_0"
 WORLD = "indoor:door=2.4,corridor=3,room=7,lintel=2.8,furniture=0.5,length=24,width=16"
 BOUNDS = (10.0, -8.0, 48.0, 18.0)
+UGV_HOME, IN_WALL = (14.0, 2.0, 0.0), (30.3, 0.5, 0.0)  # the latter between two rooms
 UAV_GOAL, UGV_GOAL = (27.5, 11.0, 1.57), (28.0, 0.5, 3.14)
 RADII = {UAV: 0.35, UGV: 0.9}  # m, least distance of the middle to walls and furniture
 LIMIT = 120.0  # s of simulated time
@@ -100,6 +103,7 @@ def test_a_uav_and_a_robot_go_through_rooms(graph: Graph, stack: Stack) -> None:
     plans = graph.hear(f"/{UAV}/move_base/NavfnROS/plan", PathMessage)
     local = graph.hear(f"/{UGV}/move_base/DWAPlannerROS/local_plan", PathMessage)
     costs = graph.hear(f"/{UAV}/move_base/local_costmap/costmap", OccupancyGrid)
+    whole = graph.hear(f"/{UAV}/move_base/global_costmap/costmap", OccupancyGrid)
     pose = graph.hear(f"/{UAV}/mavros/local_position/pose", PoseStamped)
     stack.launch(
         "multi_vehicle.launch", "vehicles:=iris_2d_lidar:1", "poses:=[[14,7]]", f"world:={WORLD}", "speed:=0",
@@ -135,7 +139,25 @@ def test_a_uav_and_a_robot_go_through_rooms(graph: Graph, stack: Stack) -> None:
     assert len(local.messages) > 20
     assert {100, 99} <= set(costs.last.data)
 
-    ugv.go(30.3, 0.5, 0.0)  # the wall between two rooms
+    plan = graph.call(f"/{UGV}/move_base/make_plan", GetPlan, goal=goal_at(*UGV_HOME).target_pose, tolerance=0.0).plan
+    assert len(plan.poses) > 50
+    assert plan.header.frame_id == "map"
+    first, last = plan.poses[0].pose.position, plan.poses[-1].pose.position
+    assert math.dist((first.x, first.y), UGV_GOAL[:2]) < 0.4
+    assert (last.x, last.y) == UGV_HOME[:2]
+    wall = goal_at(*IN_WALL).target_pose
+    assert not graph.call(f"/{UGV}/move_base/make_plan", GetPlan, goal=wall, tolerance=0.2).plan.poses
+    near = graph.call(f"/{UGV}/move_base/make_plan", GetPlan, goal=wall, tolerance=3.0).plan.poses[-1].pose.position
+    assert math.dist((near.x, near.y), IN_WALL[:2]) <= 3.0
+    wall.header.frame_id = "odom"
+    with pytest.raises(rospy.ServiceException, match="goal: frame 'odom' is not allowed, 'map'"):
+        graph.call(f"/{UGV}/move_base/make_plan", GetPlan, goal=wall, tolerance=0.0)
+    known = [len(message.data) - message.data.count(-1) for message in whole.messages]
+    begin = len(whole.messages)
+    graph.call(f"/{UAV}/move_base/clear_costmaps", Empty)  # it knows what is in sight now, not the rooms that it passed
+    stack.wait(lambda: any(len(m.data) - m.data.count(-1) < 0.8 * known[-1] for m in whole.since(begin)), "forgotten")
+
+    ugv.go(*IN_WALL)
     uav.go(14.0, 7.0, 0.0)
     stack.wait(lambda: uav.action.get_state() == GoalStatus.ACTIVE, "the UAV's goal is pursued")
     uav.action.cancel_goal()

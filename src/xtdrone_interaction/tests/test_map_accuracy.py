@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from xtdrone_interaction.metrics.map_accuracy import map_accuracy
-from xtdrone_interaction.metrics.missions.map_report import joined, read_map
+from xtdrone_interaction.metrics.missions.map_report import joined, read_map, together
 from xtdrone_interaction.metrics.missions.odometry_errors import Trajectory
 from xtdrone_interaction.metrics.true_surfaces import Sight, TrueWorld
 from xtdrone_interaction.recording.recorded_flight import RecordError
@@ -116,6 +116,13 @@ def test_a_saved_cloud_is_read_and_one_with_nan_is_refused(tmp_path: Path) -> No
         read_map(file)
     with pytest.raises(RecordError, match=r"one of the endings \.bt"):
         read_map(tmp_path / "map.stl")
+
+
+def test_a_merged_map_is_no_part_of_the_union() -> None:
+    maps = [(f"map.iris_{k}.bt", np.full((k + 1, 3), float(k))) for k in range(2)]
+    merged = ("merged_map.bt", np.zeros((9, 3)))
+    assert together([*maps, merged])[0][1].tolist() == [[0.0] * 3, [1.0] * 3, [1.0] * 3]
+    assert together([maps[0], merged]) == []
 
 
 def test_recorded_clouds_have_only_places() -> None:

@@ -162,6 +162,31 @@ def test_goals_that_no_path_leads_to_are_named(goal, words):
         GlobalSearch().find(level, np.array([3.0, 3.0]), np.array(goal), 0.6)
 
 
+def test_paths_end_at_the_nearest_place_with_a_way_within_the_tolerance():
+    level = a_map((100, 100, 0, SIDE - 1))
+    start, goal = np.array([3.0, 3.0]), np.array([11.0, 5.0])  # behind the wall at 10 m
+    with pytest.raises(PathError, match="there is no path to the goal on the map"):
+        GlobalSearch().find_near(level, start, goal, 0.6, 1.5)
+    path = GlobalSearch().find_near(level, start, goal, 0.6, 2.0)
+    assert math.dist(path[-1], goal) <= 2.0
+    assert level.away(path[-1]) == pytest.approx(0.6, abs=CELL)
+    assert path[:, 0].max() < 9.5
+    open_goal = np.array([5.0, 8.0])
+    assert np.array_equal(
+        GlobalSearch().find_near(level, start, open_goal, 0.6, 2.0), GlobalSearch().find(level, start, open_goal, 0.6)
+    )
+
+
+def test_what_was_seen_is_forgotten_and_the_given_map_is_not():
+    level = a_map((50, 50, 0, SIDE - 1))
+    given, distance = level.evidence.copy(), level.distance.copy()
+    level.evidence[10:20, 150] = 350
+    level.update_distance()
+    level.forget_all()
+    assert np.array_equal(level.evidence, given)
+    assert np.array_equal(level.distance, distance)
+
+
 def test_an_unreachable_goal_is_given_up_after_the_recoveries():
     drive = Drive(a_map((100, 100, 0, SIDE - 1)), (3.0, 3.0, 0.0))
     drive.navigator.set_goal(np.array([15.0, 10.0, 0.0]))
@@ -179,6 +204,24 @@ def test_a_vehicle_that_does_not_move_recovers_and_then_gives_up():
     drive.navigator.set_goal(np.array([15.0, 10.0, 0.0]))
     assert drive.run(60.0) == ABORTED
     assert drive.navigator.reason == "no progress along the path"
+
+
+def test_a_vehicle_that_does_not_turn_at_its_goal_gives_up():
+    drive = Drive(a_map(), (3.0, 3.0, 0.0))
+    drive.stuck = True
+    drive.navigator.set_goal(np.array([3.0, 3.0, 2.0]))
+    assert drive.run(10.0) == ABORTED
+    assert drive.time == pytest.approx(NavigatorSettings().patience, abs=0.3)
+    assert drive.navigator.reason == "the vehicle does not turn to the goal's yaw, 2.00 rad are left"
+
+
+def test_a_vehicle_that_turns_slowly_at_its_goal_is_waited_for():
+    navigator = Navigator(a_map(), NavigatorSettings(), WindowSettings(turn_rate=0.1))
+    drive = Drive(navigator.level, (3.0, 3.0, 0.0))
+    drive.navigator = navigator
+    navigator.set_goal(np.array([3.0, 3.0, 2.0]))
+    assert drive.run(60.0) == SUCCEEDED
+    assert drive.time > 3.0 * NavigatorSettings().patience
 
 
 def test_an_obstacle_that_was_there_once_is_forgotten_by_the_recovery():

@@ -21,6 +21,7 @@ from xtdrone_control import lockstep
 from xtdrone_perception.slam.odometry_messages import cloud, pose_message, stamped
 from xtdrone_perception.slam.poses import inverse, pose_of, transformed, turned_about_z
 from xtdrone_perception.slam.scan_points import read_cloud
+from xtdrone_planning.octree.octree_format import read_file
 
 try:
     import rospy
@@ -121,9 +122,10 @@ def stack(tmp_path: Path) -> Iterator[Stack]:
     stack.stop()
 
 
-def test_maps_are_merged_where_they_fit_and_alike_after_a_reset(stack: Stack) -> None:
+def test_maps_are_merged_where_they_fit_and_alike_after_a_reset(stack: Stack, tmp_path: Path) -> None:
     stack.set("/map_merging/period", 4.0)
     stack.set("/map_merging/heading_deviation", 3.2)
+    stack.set("/map_merging/file", str(tmp_path / "merged.bt"))
     stack.start("recorder", sys.executable, __file__, "recorder", str(stack.record))
     stack.start("fleet", sys.executable, __file__, "fleet")
     stack.start("map_merging", sys.executable, str(NODE), "iris", "0-2")
@@ -163,6 +165,10 @@ def test_maps_are_merged_where_they_fit_and_alike_after_a_reset(stack: Stack) ->
     assert points[:, 0].max() > 39.0
     assert points[:, 0].min() < 1.0
     stack.end("map_merging")
+    saved = transformed(FRAMES[0], read_file(tmp_path / "merged.bt").middles())
+    assert abs(len(saved) - len(points)) < 0.05 * len(points)  # merged once more at the end
+    assert saved[:, 0].max() > 39.0
+    assert saved[:, 0].min() < 1.0
 
 
 def test_one_vehicle_is_refused(stack: Stack) -> None:

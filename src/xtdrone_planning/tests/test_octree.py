@@ -11,7 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from xtdrone_planning.octree.octree_format import Octree, OctreeError, count_nodes, decode, encode, file_of, read_file
-from xtdrone_planning.octree.octree_map import NEVER, OctreeMap, OctreeSettings, in_block, log_odds, morton
+from xtdrone_planning.octree.octree_map import (
+    NEVER,
+    OctreeMap,
+    OctreeSettings,
+    blocks_of,
+    in_block,
+    log_odds,
+    morton,
+)
 from xtdrone_planning.octree.octree_messages import seen_from_above
 
 HALF = 1 << 15
@@ -36,6 +44,21 @@ def random_map(seed: int, **options) -> OctreeMap:
     rng = np.random.default_rng(seed)
     ends = rng.uniform(-9.0, 9.0, (200, 3)) * (1.0, 1.0, 0.3)
     return map_of((0.05, -0.03, 0.11), ends, rng.random(200) < 0.7, **options)
+
+
+@given(st.lists(st.tuples(*[st.floats(-20.0, 20.0)] * 3), max_size=30), st.sampled_from([0.1, 0.37]), st.booleans())
+@settings(max_examples=12, deadline=None)
+def test_an_octree_of_points_has_their_voxels_and_no_other(points, resolution, binary):
+    points = np.array(points, float).reshape(-1, 3)
+    read = decode(encode(*blocks_of(points, resolution), resolution, binary)).middles()
+    found = set(map(tuple, np.rint(read / resolution - 0.5).astype(int).tolist()))
+    assert found == set(map(tuple, np.floor(points / resolution).astype(int).tolist()))
+    assert len(read) == len(found)
+
+
+def test_points_beyond_the_octree_are_left_out():
+    points = np.array([[0.05, 0.05, 0.05], [4000.0, 0.0, 0.0], [0.0, -4000.0, 0.0]])
+    assert decode(encode(*blocks_of(points, 0.1), 0.1, True)).middles() == pytest.approx(points[:1])
 
 
 def test_log_odds_are_octomaps():

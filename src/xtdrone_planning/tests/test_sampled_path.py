@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
+import gc
+
 import numpy as np
 import pytest
 from toy_flight import ToyFlight, forest, wall
@@ -65,6 +68,38 @@ def test_without_a_way_or_free_space_nothing_is_found(planner: str) -> None:
     grid.evidence[:] = 100
     grid.update_distance()
     assert find(SampledSearch(planner, 150, 1), grid, np.array([50.0, 0.0, 0.0])).outcome == BLOCKED
+
+
+_FIELDS = (
+    "arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks", "uordblks", "fordblks", "keepcost",
+)  # fmt: skip
+
+
+class MallocInfo(ctypes.Structure):
+    """glibc's mallinfo2."""
+
+    _fields_ = [(name, ctypes.c_size_t) for name in _FIELDS]
+
+
+def used_memory() -> int:
+    """Return the bytes that malloc has given out; skip the test without glibc 2.33 or later."""
+    library = ctypes.CDLL(None)
+    if not hasattr(library, "mallinfo2"):
+        pytest.skip("needs glibc's mallinfo2")
+    library.mallinfo2.restype = MallocInfo
+    gc.collect()
+    return int(library.mallinfo2().uordblks)
+
+
+@pytest.mark.parametrize("planner", PLANNERS)
+def test_searches_leave_no_memory_behind(planner: str) -> None:
+    grid, search = a_grid(0), SampledSearch(planner, 10, 1)
+    for _ in range(50):
+        find(search, grid)
+    before = used_memory()
+    for _ in range(300):
+        find(search, grid)
+    assert (used_memory() - before) / 300 < 32.0  # bytes: less than a state
 
 
 def test_a_vehicle_flies_by_them_towards_a_goal_beyond_its_map() -> None:

@@ -6,6 +6,7 @@ import argparse
 from dataclasses import replace
 
 from xtdrone_interaction import command_options
+from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.console import PatientConsole, run_reported
 from xtdrone_interaction.demos.directed_flight import add_place_options, placed
 from xtdrone_interaction.demos.explore_demo import ExploreDemoSettings, run_explore
@@ -19,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "flight.bag, report.json and floor.png."
     )
     settings = ExploreDemoSettings.add_arguments
-    settings(parser, ("n", "length", "width", "delay", "loss", "speed_limit", "seed"))
+    settings(parser, ("n", "length", "width", "delay", "loss", "merge", "speed_limit", "seed"))
     parser.add_argument(
         "--world", metavar="WORLD", help="another world, by name or file (default: a building generated from the seed)"
     )
@@ -34,6 +35,8 @@ def settings_of(arguments: argparse.Namespace) -> ExploreDemoSettings:
         OptionError: a value is not allowed.
     """
     settings = ExploreDemoSettings.from_arguments(arguments, world="")
+    if settings.merge and settings.n < 2:
+        raise OptionError(f"n: {settings.n} is not allowed with --merge, 2 to 6")
     settings = replace(settings, world=command_options.world(arguments.world or settings.generated_world))
     return placed(settings, arguments, settings.fleet)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from xtdrone_interaction.demos.directed_flight import (
     stored_settings,
 )
 from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, run_flight
-from xtdrone_interaction.metrics.clearance import solids_of
+from xtdrone_interaction.metrics.clearance import Solid, solids_of
 from xtdrone_interaction.metrics.missions.formation_metrics import write_report
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.printed_results import print_exploration, print_paths
@@ -33,7 +33,7 @@ _HEIGHT = 1.5  # m
 _START = (17.0, 5.0)  # before the entrance of generated buildings and mazes
 _APART = 2.0  # m between two vehicles at the start
 _SETTINGS = "explore.json"  # in the results folder, to regenerate the report
-_RESULTS = ("flight.bag", "report.json", "floor.png")
+_RESULTS = ("flight.bag", "report.json", "floor.png", "merged_map.png")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +52,7 @@ class ExploreDemoSettings(Settings):
     width: float = setting(20.0, low=6.0, high=60.0, unit="m", metavar="M", text="width of the floor, along y")
     delay: float = setting(0.0, low=0.0, high=1.0, unit="s", metavar="S", text="delay of the radio")
     loss: float = setting(0.0, low=0.0, high=0.5, metavar="PART", text="probability that a message by radio is lost")
+    merge: bool = setting(False, text="merge the UAVs' maps through relative poses by UWB: merged_map.bt")
     speed_limit: float = setting(2.0, low=0.2, high=5.0, unit="m/s", metavar="M/S", text="greatest speed")
     world: str = ""
     bounds: tuple[float, float, float, float] | None = setting(
@@ -72,7 +73,7 @@ class ExploreDemoSettings(Settings):
     @property
     def fleet(self) -> str:
         """The vehicles, as /xtdrone/fleet has them."""
-        return f"iris_3d_lidar:{self.n}"
+        return f"{'iris_3d_lidar_uwb' if self.merge else 'iris_3d_lidar'}:{self.n}"
 
     @property
     def generated_world(self) -> str:
@@ -128,6 +129,7 @@ def flight(settings: ExploreDemoSettings) -> Flight:
         "homes": f"[{','.join(f'[{x:g},{y:g},{_HEIGHT:g}]' for x, y in settings.starts)}]",
         "bounds": ",".join(f"{value:g}" for value in settings.floor),
         **({"delay": settings.delay, "loss": settings.loss} if settings.n > 1 else {}),
+        **({"merging": "true"} if settings.merge else {}),
         "speed_limit": settings.speed_limit,
         "time_limit": settings.time_limit,
         "octomap": settings.out / "map.bt",
@@ -147,6 +149,33 @@ def report_again(bag: Path, console: Console) -> int:
         DemoError: it cannot be read.
     """
     return _report(bag.parent, stored_settings(bag.parent / _SETTINGS), console)
+
+
+def _add_merging(report: dict[str, Any], folder: Path, names: Sequence[str], solids: Sequence[Solid]) -> None:
+    """Add the state of map merging to a report, and draw the merged map if there is one.
+
+    Raises:
+        DemoError: the record or a map cannot be read.
+    """
+    from xtdrone_interaction.metrics.missions.map_report import MERGED, octrees_in, read_map
+    from xtdrone_interaction.pictures.missions.merged_map_picture import (
+        save_merged_map,  # matplotlib takes a while to import
+    )
+    from xtdrone_interaction.recording.missions.merging_record import read_merging
+
+    try:
+        report["merging"] = read_merging(folder / "flight.bag", names)
+        saved = {path: read_map(path) for path in octrees_in(folder)}
+    except RecordError as error:
+        raise DemoError(str(error)) from error
+    apart = [f"{name}: {entry['state']}" for name, entry in report["merging"].items() if not entry["merged"]]
+    if not report["merging"]:
+        apart = ["map_merging.py has reported nothing"]
+    report["shortcomings"] += apart
+    merged = [points for path, points in saved.items() if path.stem == MERGED]
+    single = {path.suffixes[0].strip("."): points for path, points in saved.items() if path.stem != MERGED}
+    if merged and len(merged[0]):
+        save_merged_map(single, merged[0], solids, folder / "merged_map.png")
 
 
 def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
@@ -174,6 +203,8 @@ def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
         raise DemoError(str(error)) from error
     report = make_report(record, solids, visible, settings, planning_times(folder))
     report["maps"] = maps
+    if settings.get("merge"):
+        _add_merging(report, folder, names, solids)
     write_report(report, folder / "report.json")
     save_floor(record, visible, solid, exploration, report, folder / "floor.png")
     print_exploration(report, console)

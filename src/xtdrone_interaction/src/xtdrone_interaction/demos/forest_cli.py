@@ -23,7 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "and re-form. Leaves runs/<time>/ with flight.bag, report.json, map.png and a film."
     )
     settings = ForestDemoSettings.add_arguments
-    settings(parser, ("n", "sensor", "delay", "loss", "speed_limit", "acceleration_limit", "density", "seed"))
+    settings(
+        parser, ("n", "sensor", "planner", "delay", "loss", "speed_limit", "acceleration_limit", "density", "seed")
+    )
     parser.add_argument(
         "--world", metavar="WORLD", help="another world, by name or file (default: a forest generated from the seed)"
     )

@@ -30,6 +30,7 @@ from xtdrone_interaction.metrics.missions.formation_metrics import write_report
 from xtdrone_interaction.recording.missions.crossing_record import CrossingRecord, read_crossing
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.printed_results import print_crossing, print_paths
+from xtdrone_planning.replanning.settings import GLOBAL_PLANNERS
 
 _TYPES = {"lidar": "iris_3d_lidar", "depth": "iris_depth_camera"}
 _HEIGHT = 2.0  # m
@@ -72,6 +73,7 @@ class ForestDemoSettings(Settings):
     """
 
     sensor: str = setting("lidar", choices=tuple(_TYPES), text="sensor of the UAV")
+    planner: str = setting("astar", choices=GLOBAL_PLANNERS, text="search for the path: A*, or OMPL's")
     n: int = setting(1, low=1, high=12, metavar="N", text="number of UAVs; several swap sides in pairs")
     delay: float = setting(
         0.0, low=0.0, high=2.0, unit="s", metavar="S", text="delay of the radio between several UAVs"
@@ -189,6 +191,7 @@ def flight(settings: ForestDemoSettings) -> Flight:
     arguments = {
         "vehicles": settings.fleet,
         "sensor": settings.sensor,
+        "planner": settings.planner,
         "poses": _listed(starts),
         "goals": _listed(goals),
         **({"delay": settings.delay, "loss": settings.loss} if settings.n > 1 else {}),

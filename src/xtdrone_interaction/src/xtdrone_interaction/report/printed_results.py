@@ -164,5 +164,9 @@ def print_exploration(report: dict[str, Any], console: Console) -> None:
     console.print(f"{line}.", highlight=False, soft_wrap=True)
     if report["least_distance"] is not None:
         console.print(f"Minimum distance of two vehicles {report['least_distance']:.2f} m.", highlight=False)
+    for name, entry in report.get("merging", {}).items():
+        if entry["merged"]:
+            line = f"Map of {name}: {entry['state']}, since {entry['since']:.0f} s."
+            console.print(line, highlight=False, soft_wrap=True, markup=False)
     for text in report["shortcomings"]:
         console.print(f"[red]Missed:[/red] {escape(text)}", highlight=False, soft_wrap=True)

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +41,8 @@ from xtdrone_perception.tracking.pose_history import PoseHistory
 from xtdrone_planning.merging.frame_links import Pairs
 from xtdrone_planning.merging.map_chain import Merged, Placed, merged, merged_points
 from xtdrone_planning.merging.settings import FitSettings, LinkSettings, MergingOptions
+from xtdrone_planning.octree.octree_format import encode, file_of
+from xtdrone_planning.octree.octree_map import blocks_of
 
 RATE = 10.0  # Hz
 _REACH = 0.1  # s: maximum time between a pose and an estimate
@@ -203,6 +206,7 @@ class MapMergingNode:
 
     def _clear(self) -> None:
         self._maps = Merged({}, {})
+        self._points: Array = np.empty((0, 3))
         self._begun = self._reported = -np.inf
 
     def _restart(self) -> None:
@@ -215,8 +219,26 @@ class MapMergingNode:
         self._clear()
 
     def close(self) -> None:
-        """End the worker."""
+        """End the worker, and save the merged map of all that has been received, if a file is set.
+
+        The last published one is saved first, in case the process is killed before the merging is complete.
+        """
+        if not self._settings.options.file:
+            self._deferred.close()
+            return
+        self._save()
         self._deferred.close()
+        last = _outcome(*self._inputs(), self._settings)
+        if set(last.maps.placed) >= set(self._maps.placed):
+            self._points = last.points
+            self._save()
+
+    def _save(self) -> None:
+        path, voxel = Path(self._settings.options.file), self._settings.options.voxel
+        try:
+            path.write_bytes(file_of(encode(*blocks_of(self._points, voxel), voxel, binary=path.suffix != ".ot")))
+        except OSError as error:
+            rospy.logwarn(f"the merged map was not saved: {error}")
 
     def step(self) -> None:
         """Start merging when it is due; publish finished results. Call it at 10 Hz."""
@@ -228,15 +250,18 @@ class MapMergingNode:
         if stamp.to_sec() - self._begun >= self._settings.options.period - 1e-6 and not len(self._deferred):
             self._begun = stamp.to_sec()
             due_us = stamp.to_nsec() // 1000 + round(self._settings.options.latency * 1e6)
-            found = {ends: estimates.pairs() for ends, estimates in self._estimates.items()}
-            pairs = {ends: found_pairs for ends, found_pairs in found.items() if found_pairs is not None}
-            clouds = [vehicle.points for vehicle in self._vehicles]
-            self._deferred.put(None, due_us, _outcome, clouds, pairs, self._settings)
+            self._deferred.put(None, due_us, _outcome, *self._inputs(), self._settings)
         if stamp.to_sec() - self._reported >= _REPORT_PERIOD - 1e-6:
             self._report(stamp)
 
+    def _inputs(self) -> tuple[list[Array], dict[tuple[int, int], Pairs]]:
+        """Return the points of all maps, and the estimates by observer and other vehicle."""
+        found = {ends: estimates.pairs() for ends, estimates in self._estimates.items()}
+        pairs = {ends: found_pairs for ends, found_pairs in found.items() if found_pairs is not None}
+        return [vehicle.points for vehicle in self._vehicles], pairs
+
     def _publish(self, outcome: _Outcome, stamp: rospy.Time) -> None:
-        before, self._maps = set(self._maps.placed), outcome.maps
+        before, self._maps, self._points = set(self._maps.placed), outcome.maps, outcome.points
         frame = self._settings.options.frame_id
         self._map.publish(messages.cloud(outcome.points, stamp, frame))
         for number, placed in sorted(self._maps.placed.items()):

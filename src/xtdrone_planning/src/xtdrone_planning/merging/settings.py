@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from xtdrone_control.settings import Settings, setting
+from xtdrone_planning.octree.octree_format import check_octree_file
 
 
 class NotMergedError(Exception):
@@ -90,3 +91,8 @@ class MergingOptions(Settings):
         1.0, low=0.0, high=60.0, unit="s", text="simulated time from the inputs to the merged map; less than the period"
     )
     voxel: float = setting(0.2, low=0.02, high=5.0, unit="m", text="cell size of the merged map; one point per cell")
+    file: str = setting("", text="file of the merged map at the end, .bt or .ot: occupied voxels only; empty: none")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_octree_file(self.file)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import label
 
 from xtdrone_planning.navigation.level_map import LevelMap
 from xtdrone_planning.paths.grid_search import REACHED, search
@@ -15,6 +16,18 @@ _ENTRIES_PER_CELL = 2  # of the search's heap
 
 class PathError(ValueError):
     """There is no path; the message gives the reason."""
+
+
+def _places_near(level: LevelMap, goal: Array, clearance: float, tolerance: float) -> Array:
+    """Return the place (n, 2), m in map, nearest to a goal in each connected part of the map, the nearest one first."""
+    parts, _ = label(level.distance[:, :, 0] >= clearance)
+    cells = np.argwhere(parts)
+    places = level.middle(cells)
+    away = np.hypot(*(places - goal[:2]).T)
+    order = np.argsort(away, kind="stable")
+    order = order[away[order] <= tolerance]
+    _, first = np.unique(parts[tuple(cells[order].T)], return_index=True)
+    return places[order[np.sort(first)]]
 
 
 class GlobalSearch:
@@ -54,6 +67,27 @@ class GlobalSearch:
         points = level.middle(cells)
         points[0] = start[:2]
         return np.vstack([points[:-1] if len(points) > 1 else points, goal[:2]])
+
+    def find_near(self, level: LevelMap, start: Array, goal: Array, clearance: float, tolerance: float) -> Array:
+        """Return the path (n, 2), m in map, to the goal, or else to the nearest place to which there is one.
+
+        Args:
+            level, start, goal, clearance: see ``find``.
+            tolerance: farthest distance of that place from the goal, m.
+
+        Raises:
+            PathError: there is none; the reason is that of the goal itself.
+        """
+        try:
+            return self.find(level, start, goal, clearance)
+        except PathError as error:
+            reason = error
+        for place in _places_near(level, goal, clearance, tolerance):
+            try:
+                return self.find(level, start, place, clearance)
+            except PathError:
+                continue
+        raise reason
 
     def _prepare(self, size: int) -> None:
         if self._size != size:

@@ -113,6 +113,11 @@ class LevelMap:
         self.evidence[part] = self._given[part]
         self.update_distance()
 
+    def forget_all(self) -> None:
+        """Forget everything that was seen; a given map stays."""
+        self.evidence[:] = self._given
+        self.update_distance()
+
     def update_distance(self) -> None:
         """Compute all distances."""
         distance_field(self.evidence, OCCUPIED_FROM, self.cell, self.farthest, self.distance)

@@ -1,6 +1,6 @@
 """ROS node for navigation in the plane, with the topics of ROS's move_base.
 
-For a vehicle ``T`` (as ``iris_2d_lidar_0`` or ``ugv_0``); with ``~global_names`` the first six rows without ``/T``:
+For a vehicle ``T`` (as ``iris_2d_lidar_0`` or ``ugv_0``); with ``~global_names`` the first seven rows without ``/T``:
 
 ====================================  =========================  ======================================================
 topic                                 type                       meaning
@@ -14,6 +14,8 @@ part local_plan, global_plan                                          of the glo
 /T/move_base/global_costmap/costmap,  nav_msgs/OccupancyGrid     out, while subscribed: 100 obstacle, 99 too near to
 local_costmap/costmap                                            one, 98 to 0 with the distance, -1 unknown
 /T/move_base/current_goal             geometry_msgs/PoseStamped  out: each goal
+/T/move_base/make_plan,               nav_msgs/GetPlan,          services, see ``move_base_services``
+clear_costmaps                        std_srvs/Empty
 /T/SCAN                               sensor_msgs/LaserScan      in, see ``~scan_topic``
 MAP                                   nav_msgs/OccupancyGrid     in, see ``~map_topic``
 /diagnostics                          DiagnosticArray            out: state and reason, once a second and on change
@@ -35,6 +37,7 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid, Path
+from nav_msgs.srv import GetPlanResponse
 from numpy.typing import NDArray
 from sensor_msgs.msg import LaserScan
 
@@ -47,6 +50,7 @@ from xtdrone_planning.mapping.sensor_watch import SensorWatch, WatchSettings
 from xtdrone_planning.navigation.action_server.action_goals import ABORTED, SUCCEEDED
 from xtdrone_planning.navigation.action_server.action_topics import ActionTopics
 from xtdrone_planning.navigation.level_map import LevelMap, MapError
+from xtdrone_planning.navigation.move_base_services import MoveBaseServices
 from xtdrone_planning.navigation.navigator import ABORTED as GAVE_UP
 from xtdrone_planning.navigation.navigator import PLANNING, Navigator, Turn
 from xtdrone_planning.navigation.scan_rays import ScanRays
@@ -108,6 +112,10 @@ class VehicleNavigation:
         prefix = "" if names.global_names else f"/{name}"
         base = f"{prefix}/move_base"
         self._action = ActionTopics(base, self._begin, self.navigator.cancel)
+        self._poses = PoseHistory(seconds=2.0, reach=0.1)
+        self._services = MoveBaseServices(
+            base, self.level, lambda: self.navigator.clearance, lambda: self._poses.last, self._plan_response
+        )
         self._plan = lockstep.Publisher(f"{base}/NavfnROS/plan", Path)
         self._local = lockstep.Publisher(f"{base}/DWAPlannerROS/local_plan", Path)
         self._global = lockstep.Publisher(f"{base}/DWAPlannerROS/global_plan", Path)
@@ -122,14 +130,14 @@ class VehicleNavigation:
         if self._costs.map_topic:
             lockstep.Subscriber(self._costs.map_topic, OccupancyGrid, self._on_map)
         lockstep.add_reset_hook(self._restart)
-        self._poses = PoseHistory(seconds=2.0, reach=0.1)
         self._given: OccupancyGrid | None = None
         self._forget()
 
     def _restart(self) -> None:
         """Begin again, because simulated time was reset."""
         self.navigator.restart()
-        self.level.restart()
+        with self._services.lock:
+            self.level.restart()
         self._watch.restart()
         self._drive.restart()
         self._action.restart()
@@ -154,14 +162,15 @@ class VehicleNavigation:
         info = message.info
         origin = np.array([info.origin.position.x, info.origin.position.y])
         try:
-            self.level.take(_values_of(message), origin, info.resolution)
+            with self._services.lock:
+                self.level.take(_values_of(message), origin, info.resolution)
         except MapError as error:
             rospy.logwarn(f"{self.name}: {error}; the map is ignored")
             return
         self._given = message
 
     def _on_scan(self, message: LaserScan) -> None:
-        with self.stopwatch.measuring("map"):
+        with self.stopwatch.measuring("map"), self._services.lock:
             self._enter(message)
 
     def _enter(self, message: LaserScan) -> None:
@@ -233,14 +242,15 @@ class VehicleNavigation:
             self._step_without_pose(stamp)
             return
         turn = Turn(now, 1.0 / RATE, self._level_pose(pose), self._fault(now))
-        with self.stopwatch.measuring("turn"):
+        with self.stopwatch.measuring("turn"), self._services.lock:
             motion = self.navigator.step(turn)
         active = self.navigator.goal is not None or self.navigator.is_moving
         self._drive.command(motion, stamp, active=active)
         self._end_goal(now)
         self._action.publish(self._stamped(turn.pose, stamp, float(pose[2])), stamp)
         self._publish_plans(turn, stamp)
-        self._publish_costmaps(turn, stamp)
+        with self._services.lock:
+            self._publish_costmaps(turn, stamp)
         self._publish_report(stamp, self._judged(turn))
 
     def _step_without_pose(self, stamp: rospy.Time) -> None:
@@ -286,6 +296,9 @@ class VehicleNavigation:
         path = Path(poses=[self._stamped(pose, stamp, height) for pose in poses])
         path.header.stamp, path.header.frame_id = stamp, FRAME
         return path
+
+    def _plan_response(self, path: Array) -> GetPlanResponse:
+        return GetPlanResponse(self._path_message(_with_yaws(path), rospy.Time.now()))
 
     def _publish_plans(self, turn: Turn, stamp: rospy.Time) -> None:
         path = self.navigator.path

@@ -7,7 +7,8 @@
                  |  v          v
                Recovering: first clear the local map, then rotate in place; after both: Waiting (aborted)
 
-A new goal leads to Planning without a stop. In every state other than Following and turning the vehicle brakes.
+A new goal leads to Planning without a stop. At the goal a turn without progress aborts at once, as no recovery would
+help. In every state other than Following and turning the vehicle brakes.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ SUCCEEDED, ABORTED = "reached", "aborted"
 
 _PLAN_SPACING = 0.5  # s between two searches while there is no path
 _PROGRESS = 0.3  # m or rad that count as progress
+_TURNED = 0.05  # rad closer to the goal's yaw that count as progress
 _RECOVERED = 1.0  # m travelled after which recoveries start over with the first
 _APPROACH = 0.5  # fraction of the acceleration used to stop at the goal
 _GAIN = 1.5  # 1/s, of the yaw at the goal
@@ -86,6 +88,7 @@ class Navigator:
         self._search = GlobalSearch()
         self._since = self._planned = -math.inf
         self._arrived = False
+        self._off = math.inf  # rad, least distance from the yaw of the goal so far
         self._recoveries = 0
         self._turned = 0.0
         self._place: Array = np.zeros(3)
@@ -162,7 +165,8 @@ class Navigator:
         assert self.goal is not None
         away = math.hypot(*(self.goal[:2] - now.pose[:2]).tolist())
         if self._arrived or away < self.settings.tolerance:
-            self._arrived = True
+            if not self._arrived:
+                self._arrived, self._since, self._off = True, now.time, math.inf
             return self._finish(now)
         if now.time - self._planned >= self.settings.replan_period and not self._plan(now):
             self._enter(PLANNING, now.time)
@@ -177,13 +181,19 @@ class Navigator:
         return self._braked(now) if found is None else found
 
     def _finish(self, now: Turn) -> Motion:
-        """Stop, turn to the goal's yaw, and report success."""
+        """Stop, turn to the goal's yaw, and report success; abort if the vehicle does not turn."""
         assert self.goal is not None
         off = wrap_pi(float(self.goal[2]) - float(now.pose[2]))
         slowed = self._braked(now)
         if abs(off) <= self.settings.yaw_tolerance:
             if slowed == AT_REST:
                 self._end(SUCCEEDED)
+            return slowed
+        if abs(off) < self._off - _TURNED:
+            self._off, self._since = abs(off), now.time
+        if now.time - self._since > self.settings.patience:
+            self.reason = f"the vehicle does not turn to the goal's yaw, {abs(off):.2f} rad are left"
+            self._end(ABORTED)
             return slowed
         return Motion(slowed.speed, self._towards(_GAIN * off, now))
 

@@ -39,7 +39,7 @@ from xtdrone_planning.mapping.map_feed import MapFeed, SensorChoice
 from xtdrone_planning.mapping.range_images import DepthMapping, LidarMapping
 from xtdrone_planning.mapping.sensor_watch import SensorWatch, WatchSettings
 from xtdrone_planning.octree.global_map import GlobalMap
-from xtdrone_planning.octree.octree_format import Octree, encode, file_of
+from xtdrone_planning.octree.octree_format import Octree, check_octree_file, encode, file_of
 from xtdrone_planning.octree.octree_map import OctreeSettings
 from xtdrone_planning.octree.octree_messages import (
     MOST_CELLS,
@@ -51,7 +51,6 @@ from xtdrone_planning.octree.octree_messages import (
 
 RATE = 20.0  # Hz
 
-_ENDINGS = (".bt", ".ot")
 _WARNINGS = 60.0  # s between two equal ones
 _REPORT_PERIOD = 1.0  # s
 
@@ -75,8 +74,7 @@ class OctomapOptions(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.file and Path(self.file).suffix not in _ENDINGS:
-            raise SettingError("file", self.file, f"a name that ends in {' or '.join(_ENDINGS)}")
+        check_octree_file(self.file)
         if self.occupancy_min_z > self.occupancy_max_z:
             raise SettingError(
                 "occupancy_min_z", self.occupancy_min_z, f"at most occupancy_max_z {self.occupancy_max_z:g} m"

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.bounded_file import read_bytes
+from xtdrone_control.settings import SettingError
 from xtdrone_planning.kernel import kernel
 from xtdrone_planning.octree.octree_kernels import HALF
 from xtdrone_planning.octree.octree_map import NEVER, morton
@@ -23,6 +24,9 @@ from xtdrone_planning.octree.octree_map import NEVER, morton
 Array = NDArray[np.float64]
 
 DEPTH = 16
+ENDINGS = (".bt", ".ot")
+"""Of octomap's files: with free and occupied leaves, and with log-odds."""
+
 _IN_BLOCK = 4  # levels of a block
 _ABOVE = DEPTH - _IN_BLOCK
 _WORDS = 1 + 8 + 64 + 512  # inner nodes of a block, at most
@@ -266,6 +270,16 @@ def file_of(octree: Octree) -> bytes:
     first = _BINARY_LINE if octree.binary else _FULL_LINE
     header = f"{first}\nid OcTree\nsize {octree.size}\nres {octree.resolution:.17g}\ndata\n"
     return header.encode() + octree.data
+
+
+def check_octree_file(name: str) -> None:
+    """Check the setting ``file``: empty, or a name with an ending of octomap's files.
+
+    Raises:
+        SettingError: another ending.
+    """
+    if name and Path(name).suffix not in ENDINGS:
+        raise SettingError("file", name, f"a name that ends in {' or '.join(ENDINGS)}")
 
 
 # reading

@@ -132,6 +132,23 @@ def in_block() -> NDArray[np.int64]:
     return np.stack([sum((numbers >> (3 * b + a) & 1) << b for b in range(4)) for a in range(3)], axis=1)
 
 
+def blocks_of(points: Array, resolution: float) -> tuple[NDArray[np.int64], NDArray[np.int16]]:
+    """Return blocks in which the voxels of some points are occupied, and all others unknown; see ``OctreeMap.blocks``.
+
+    Args:
+        points: (n, 3) m in map; those beyond the octree's 65536 voxels along an axis are left out.
+        resolution: side of a voxel, m.
+    """
+    cells = np.floor(points / resolution).astype(np.int64) + HALF
+    cells = cells[((cells >= 0) & (cells < 2 * HALF)).all(axis=1)]
+    numbers, owner = np.unique(morton(cells // SIDE), return_inverse=True)
+    places = np.zeros((len(numbers), 3), np.int64)
+    places[owner] = cells // SIDE
+    values = np.full((len(numbers), VOXELS), NEVER, np.int16)
+    values[owner, morton(cells % SIDE)] = log_odds(OctreeSettings().most)
+    return places, values
+
+
 def voxel_middles(places: NDArray[np.int64], values: NDArray[np.int16], resolution: float) -> Array:
     """Return the centres of the occupied voxels (log-odds of at least 0) of some blocks, (n, 3) m in map.
 

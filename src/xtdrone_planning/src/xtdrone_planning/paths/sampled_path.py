@@ -52,6 +52,16 @@ def _place(state: base.State) -> Array:
     return np.array([state[0], state[1], state[2] / STEEP])
 
 
+def _state(information: base.SpaceInformation, place: Array) -> base.State:
+    """Return the state of a place (3,), m in map.
+
+    States of ``SpaceInformation.allocState`` are freed with their Python object; those of the space itself never are.
+    """
+    state = information.allocState()
+    state[0], state[1], state[2] = float(place[0]), float(place[1]), float(place[2] * STEEP)
+    return state
+
+
 class SampledSearch:
     """Searches paths like ``local_path.PathSearch``."""
 
@@ -97,11 +107,8 @@ class SampledSearch:
         lines = _Lines(information, grid, distance, query.clearance)
         information.setMotionValidator(lines)
         information.setup()
-        ends = [space.allocState(), space.allocState()]
-        for state, place in zip(ends, (start, target), strict=True):
-            state[0], state[1], state[2] = float(place[0]), float(place[1]), float(place[2] * STEEP)
         problem = base.ProblemDefinition(information)
-        problem.setStartAndGoalStates(*ends, _SAME)
+        problem.setStartAndGoalStates(_state(information, start), _state(information, target), _SAME)  # it copies them
         problem.setOptimizationObjective(base.PathLengthOptimizationObjective(information))
         planner = self._planner(information)
         planner.setProblemDefinition(problem)

@@ -12,6 +12,8 @@ from xtdrone_control.settings import Settings, setting
 
 Array = NDArray[np.float64]
 
+GLOBAL_PLANNERS = ("astar", "rrt_star", "bit_star", "informed_rrt_star")
+
 _LARGEST = 1e5  # m
 
 
@@ -34,7 +36,7 @@ class PlannerSettings(Settings):
     voxels: int = setting(25000, low=100, high=10_000_000, text="voxels that a search opens at most, bounds its time")
     global_planner: str = setting(
         "astar",
-        choices=("astar", "rrt_star", "bit_star", "informed_rrt_star"),
+        choices=GLOBAL_PLANNERS,
         text="search for the path: A*, or OMPL's",
     )
     iterations: int = setting(400, low=10, high=100_000, text="iterations of OMPL's planners in a search")

@@ -23,6 +23,8 @@ _CLOUD, _OCTREES = "/local_map", ("/octomap_binary", "/octomap_full")
 _TYPES = ("sensor_msgs/PointCloud2", "octomap_msgs/Octomap")
 TOGETHER = "together"
 """Name of the union of several saved maps."""
+MERGED = "merged_map"
+"""Name of a saved map that was merged of others; it is no part of their union."""
 _LEAST_WAY = 2  # poses
 _POINT = 12  # bytes of a cloud's point
 
@@ -110,10 +112,15 @@ def map_rows(
     maps = [(name.strip("/"), _recorded(recording, name)) for name in names]
     saved = [(path.name, read_map(path)) for path in files]
     maps += saved
-    if len(saved) > 1:
-        maps.append((TOGETHER, np.concatenate([points for _, points in saved])))
+    maps += together(saved)
     compared = [(name, truth.compare(points, _of_vehicle(ways, name), seed)) for name, points in maps]
     return [{"map": name, **accuracy} for name, accuracy in compared if accuracy is not None]
+
+
+def together(saved: Sequence[tuple[str, Array]]) -> list[tuple[str, Array]]:
+    """Return the union of several saved maps, given by file name and points (n, 3), as a map; empty for one."""
+    parts = [points for name, points in saved if Path(name).stem != MERGED]
+    return [(TOGETHER, np.concatenate(parts))] if len(parts) > 1 else []
 
 
 def _ways(recording: Recording) -> dict[str, tuple[Trajectory, Sight]]:
