@@ -278,7 +278,7 @@ def test_setpoints_precede_commands_and_unsupported_ones_are_reported(stack: Sta
     topic = "/iris_2/mavros/setpoint_raw/local"
     stack.graph.say(topic, target)
     log = stack.programs["simulator"]
-    poll(lambda: "coordinate_frame 7 is not flown" in log.output, "the frame is refused")
+    poll(lambda: "coordinate_frame 7 is not supported" in log.output, "the frame is refused")
     target.coordinate_frame = 0  # left unset
     target.position.x, target.position.y, target.position.z = 5.0, 6.0, 7.0
     target.yaw = 1.0

@@ -253,7 +253,7 @@ def test_own_avoidance_replaces_a_silent_one_until_it_returns() -> None:
     assert turn(told)
     assert [turn(None) for _ in range(3 + 4)] == [True] * 3 + [False] * 4  # 0.1 s are 3 ticks
     assert [turn((math.nan, 0.0, 0.0)), turn((0.0, math.inf, 0.0))] == [False, False]  # as if they had not come
-    assert warnings == ["follower 1: no avoidance on its topic within 0.1 s: using its own until one comes"]
+    assert warnings == ["follower 1: no avoidance on its topic within 0.1 s: using its own until one is received"]
     assert not news
     assert [turn(told), turn(None)] == [True, True]
     assert news == ["follower 1: avoidance on its topic again: using it"]

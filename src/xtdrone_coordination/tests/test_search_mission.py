@@ -283,7 +283,7 @@ def test_another_takes_over_when_the_follower_loses_the_person() -> None:
     first, second = world.named("following")
     assert first["vehicle"] == finder != second["vehicle"]
     assert world.named("second_look")[-1]["takes_over"]
-    assert [event["reason"] for event in world.named("follow_ended")] == ["the camera is silent", "time"]
+    assert [event["reason"] for event in world.named("follow_ended")] == ["the camera has failed", "time"]
     total = sum(event["duration"] for event in world.named("follow_ended"))
     assert total == pytest.approx(60.0, abs=1.0)
     assert len(world.named("confirmed")) == 1
@@ -301,7 +301,7 @@ def test_a_takeover_finds_a_person_that_has_moved_unseen() -> None:
     first, second = world.named("following")
     assert first["vehicle"] == finder != second["vehicle"]
     assert math.dist(second["position"], (100.0, -4.0)) < 1.0
-    assert [event["reason"] for event in world.named("follow_ended")] == ["the camera is silent", "time"]
+    assert [event["reason"] for event in world.named("follow_ended")] == ["the camera has failed", "time"]
     assert not world.named("rejected")
 
 

@@ -228,10 +228,14 @@ def test_clouds_are_read(tmp_path: Path, name: str) -> None:
         (
             "a.ply",
             ply("ascii", b"", before="element face 3\nproperty list uchar int i\n"),
-            "another element stands before the vertices",
+            "another element precedes the vertices",
         ),
         ("a.ply", ply("ascii", TEXT_ROWS).replace(b"float x", b"float w"), "x, y and z are needed"),
-        ("a.ply", ply("ascii", TEXT_ROWS).replace(b"double y", b"list uchar int y"), "line 7: not allowed of a vertex"),
+        (
+            "a.ply",
+            ply("ascii", TEXT_ROWS).replace(b"double y", b"list uchar int y"),
+            "line 7: this property of a vertex is not allowed",
+        ),
         ("a.ply", ply("ascii", TEXT_ROWS.replace(b"4.0 4.0", b"4.0 north")), "vertex 3: not three numbers"),
         ("a.xyz", b"0 0 0\n1 2\n", "line 2: does not begin with three numbers"),
         ("a.xyz", b"0 0 0\n1 nan 2\n", "point 1 is not finite"),

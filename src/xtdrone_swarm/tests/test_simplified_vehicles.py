@@ -285,7 +285,7 @@ def test_bad_places_and_setpoints():
     with pytest.raises(ValueError, match="multiple of 4000"):
         vehicles.advance(5000)
     assert "no PX4 mode" in vehicles.command(0, "FLY")
-    assert "not flown" in vehicles.command(0, "ACRO")
+    assert "not supported" in vehicles.command(0, "ACRO")
     vehicles.command(0, "AUTO.LAND")
     assert "arming denied in mode AUTO.LAND" in vehicles.command(0, "ARM")
 

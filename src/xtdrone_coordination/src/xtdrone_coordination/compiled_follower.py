@@ -1,8 +1,8 @@
-"""A stock follower's turns in compiled code, with the commands of its vehicle if the process carries these out too.
+"""A stock follower's turns in compiled code, including its vehicle's commands if the same process carries them out.
 
 The program ``follower_turn`` computes what :class:`~xtdrone_coordination.follower.Follower` and
 ``MultirotorCommunication`` do while nothing changes but positions and velocity commands, bit-identical to them. A
-follower that overrides a method of the turn keeps its Python.
+follower that overrides a method of the turn runs in Python.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _ATTRIBUTES = ("id", "count", "offsets", "weights", "options", "swarm", "avoidan
 
 
 def is_stock(follower: Follower) -> bool:
-    """Return whether a follower has the inherited turn: no method of it is overridden by its class or in the object."""
+    """Return whether neither the follower's class nor the object itself overrides a method of the turn."""
     methods = all(getattr(getattr(follower, name), "__func__", None) is getattr(Follower, name) for name in _METHODS)
     attributes = any(hasattr(type(follower), name) for name in _ATTRIBUTES)
     return methods and not attributes and type(follower.swarm) is SwarmState
@@ -61,7 +61,7 @@ class CompiledFollower:
         repeated: Callable[[], tuple[Sequence[float], Sequence[int]]],
         communication: MultirotorCommunication | None,
     ) -> None:
-        """Prepare nothing yet.
+        """Store the arguments; :meth:`begin` creates the program.
 
         Args:
             follower: one that :func:`is_stock`.

@@ -34,7 +34,7 @@ from xtdrone_coordination.laws.topology import check_adjacency, weights_of_row
 from xtdrone_coordination.patterns.slot_offsets_and_spacing import slots_of_all
 
 RATE = 30  # Hz
-STOPPED = "its own position has stopped: standing still"
+STOPPED = "its own position is no longer received: hovering"
 
 _ZERO: Vector = (0.0, 0.0, 0.0)
 
@@ -55,8 +55,8 @@ class FollowerOptions(Settings):
     avoid: Literal["own", "topic", "off"] = setting(
         "own",
         choices=("own", "topic", "off"),
-        text="source of the avoidance: computed here; published by another node, and the own one while none is "
-        "received; none",
+        text="own: computed by this follower; topic: published by another node, or its own while none is received; "
+        "off: no avoidance",
     )
     Kp_avoid: float = setting(1.0, low=0.0, text="gain of the avoidance")
     avoid_radius: float = setting(formation_avoidance.RADIUS, above=0.0, unit="m", text="radius b of the avoidance")
@@ -68,7 +68,7 @@ class FollowerOptions(Settings):
         "gives the paper's Algorithm 1 unchanged",
     )
     pose_timeout: float = setting(
-        1.0, above=0.0, unit="s", text="age from which on positions, and avoidance from another node, are not used"
+        1.0, above=0.0, unit="s", text="age at which positions, and avoidance from another node, are no longer used"
     )
 
     def __post_init__(self) -> None:
@@ -211,7 +211,7 @@ class Follower:
         return _ZERO
 
     def restart(self) -> None:
-        """Return to the state after construction, the swarm's state included.
+        """Reset to the initial state, including the swarm's state.
 
         Called when simulated time is reset and when the leader withdraws its pattern. A subclass with state of its
         own overrides it and calls this one too.
@@ -323,7 +323,7 @@ class Follower:
         if timed_out and not self._topic_timed_out:
             self.warn(
                 f"follower {self.id}: no avoidance on its topic within {self.options.pose_timeout:g} s: "
-                "using its own until one comes"
+                "using its own until one is received"
             )
         elif self._topic_timed_out and not timed_out:
             self.info(f"follower {self.id}: avoidance on its topic again: using it")
@@ -343,7 +343,7 @@ class Follower:
     def report_missing(self, missing: Sequence[int], *, alone: bool) -> None:
         """Report the neighbours without a recent position; ``alone`` if these are all of them."""
         names = ", ".join(str(j) for j in missing)
-        self.problem_log.report(f"no position of vehicle {names}" + (": standing still" if alone else ""))
+        self.problem_log.report(f"no position of vehicle {names}" + (": hovering" if alone else ""))
 
 
 class StarFollower(Follower):

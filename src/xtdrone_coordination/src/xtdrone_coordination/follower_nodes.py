@@ -308,8 +308,8 @@ class HostedCommunication(CommandSettings):
 
     communication: bool = setting(
         False,
-        text="carry out XTDrone's commands of the followers' vehicles in this process, in place of "
-        "multirotor_communication.py; a process less for each vehicle",
+        text="carry out XTDrone's commands for the followers' vehicles in this process instead of "
+        "multirotor_communication.py; saves one process per vehicle",
     )
 
     def open(self, kind: str, ids: Sequence[int]) -> list[MultirotorCommunication]:
@@ -327,8 +327,8 @@ class NeighbourSettings(Settings):
     neighbours: Literal["truth", "estimated"] = setting(
         "truth",
         choices=("truth", "estimated"),
-        text="positions of the others: those that all vehicles report in the frame they share; or this vehicle's own "
-        "estimates on /xtdrone/T/swarm, as of relative_localisation.py",
+        text="positions of the other vehicles: as they report them in the shared frame, or as this vehicle estimates "
+        "them on /xtdrone/T/swarm, for example by relative_localisation.py",
     )
 
 
@@ -338,8 +338,8 @@ class TurnSettings(Settings):
 
     compiled: bool = setting(
         True,
-        text="take the usual turns of a single follower that overrides none of its methods in compiled code, to the "
-        "same bits; false: all in Python, to see them in a debugger",
+        text="run the turns of a single follower that overrides no method in compiled code, with bit-identical "
+        "results; false: run all in Python, for a debugger",
     )
 
 

@@ -38,7 +38,7 @@ class SwarmState:
         self.ticks = 0
 
     def restart(self) -> None:
-        """Return to the state after construction."""
+        """Reset to the initial state."""
         self.positions[:] = self.velocities[:] = [None] * self.count
         self._heard[:] = [0] * self.count
         self.ticks = 0
@@ -150,7 +150,7 @@ class ArraySwarm(SwarmState):
             self._velocities = None
 
     def restart(self) -> None:
-        """Return to the state after construction."""
+        """Reset to the initial state."""
         self.position_rows[:] = self.velocity_rows[:] = 0.0
         self.heard[:] = self.velocity_heard[:] = NEVER
         self.ticks = 0

@@ -28,7 +28,7 @@ from xtdrone_coordination.patterns import Offsets, PatternError, Patterns, least
 
 NO_PATTERN = "waiting"  # XTDrone's keyboard sends it for the digit 0
 _MOST_WEIGHT = 2**31 - 1
-STEERING_TICKS = RATE // 2  # a steering velocity older than half a second is over
+STEERING_TICKS = RATE // 2  # a steering velocity expires after half a second
 
 
 class CommandError(ValueError):
@@ -129,7 +129,7 @@ class Leader:
     # to be overridden
 
     def restart(self) -> None:
-        """Return to the state after construction, the swarm's state included.
+        """Reset to the initial state, including the swarm's state.
 
         Called when simulated time is reset. A subclass with state of its own overrides it and calls this one too.
         """
@@ -211,7 +211,7 @@ class Leader:
         if separation < self.options.avoid_radius:
             self._warn(
                 f"leader: pattern {name!r} has slots {separation:.2f} m apart, less than the avoidance radius "
-                f"{self.options.avoid_radius} m: vehicles will not rest on their slots"
+                f"{self.options.avoid_radius} m: vehicles will not stay in their slots"
             )
         self.pattern, self.offsets, self.distance = name, offsets, solved.cost
         self.adjacency = adjacency
@@ -263,7 +263,8 @@ class Leader:
             allowed = False
         if not allowed:
             raise CommandError(
-                f"leader: overridden assignment gave {reprlib.repr(slots)}, which is no permutation of the slots 0 to "
+                f"leader: overridden assignment gave {reprlib.repr(slots)}, which is not a permutation of the slots "
+                f"0 to "
                 f"{self.count - 2}"
             )
         whole = np.asarray(slots, dtype=np.intp).reshape(-1)

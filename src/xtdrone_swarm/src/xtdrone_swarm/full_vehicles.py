@@ -170,7 +170,7 @@ class CoreVehicles:
             return f"{name}: {request.command!r} is no command ({commands}) and no PX4 mode ({', '.join(PX4_MODES)})"
         mode = _MODES.get(request.command)
         if mode is None:
-            return f"{name}: mode {request.command} is not flown; there are: {', '.join(_MODES)}"
+            return f"{name}: mode {request.command} is not supported; there are: {', '.join(_MODES)}"
         if commander.request(mode) is Result.ACCEPTED:
             return ""
         reason = commander.mode_denial(mode)
@@ -218,7 +218,7 @@ class CoreVehicles:
 
     def _check_index(self, index: int) -> None:
         if not 0 <= index < len(self.names):
-            raise IndexError(f"vehicle {index} is not there; 0 to {len(self.names) - 1}")
+            raise IndexError(f"vehicle {index} does not exist; 0 to {len(self.names) - 1}")
 
     # time
 

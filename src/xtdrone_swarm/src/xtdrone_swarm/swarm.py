@@ -438,7 +438,7 @@ class Swarm:
         lost = sorted(set(self.cut_off()) - set(unreachable(self.leader.adjacency)))
         if lost:
             _LOG.warning(
-                "pattern %s: by the network's range %s of %d vehicles are cut off from the leader",
+                "pattern %s: the network's range cuts off %s of %d vehicles from the leader",
                 self.leader.pattern,
                 number_list(lost),
                 len(self.vehicles.names),

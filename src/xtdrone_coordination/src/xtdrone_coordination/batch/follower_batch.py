@@ -321,7 +321,7 @@ class FollowerBatch:
     # settings, pattern and topology of the followers, as arrays
 
     def _read_changes(self) -> None:
-        """Copy whatever was replaced in a follower since the last update."""
+        """Copy the attributes of a follower that were replaced since the last update."""
         options = [follower.options for follower in self.followers]
         sizes = [len(vars(follower)) for follower in self.followers]  # a method assigned to a follower adds one
         if sizes != self._sizes or not all(map(operator.is_, options, self._options)):

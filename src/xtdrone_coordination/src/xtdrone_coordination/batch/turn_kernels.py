@@ -100,7 +100,7 @@ def turn(
 
     Args:
         phases: SENSE (status and avoidance), LAW (consensus), COMMAND (limits, giving way), or sums of them in order.
-        tick: present tick of the swarm's clock.
+        tick: current tick of the swarm's clock.
         positions: shape (N, 3), m ENU; with a network this and the next two are overwritten for each follower.
         velocities: shape (N, 3), m/s ENU, zero while unknown.
         heard: shape (N,), tick of each position's reception, NEVER while unknown.

@@ -132,7 +132,7 @@ class Network:
         self._head = np.zeros(count, dtype=np.int64)
 
     def restart(self) -> None:
-        """Return to the state after construction; the same random draws follow."""
+        """Reset to the initial state; the same random draws follow."""
         self._start()
         for known in self._known:
             known.drop()
@@ -177,7 +177,7 @@ class Network:
         """
         size = len(receivers)
         if len(senders) != size:
-            raise ValueError(f"network: {size} receivers and {len(senders)} senders, they must be equally many")
+            raise ValueError(f"network: {size} receivers and {len(senders)} senders, there must be as many of either")
         for numbers in (receivers, senders):
             if size and not 0 <= numbers.min() <= numbers.max() < self.count:
                 raise ValueError(
@@ -314,7 +314,9 @@ class KnownSwarm(SwarmState):
         Raises:
             TypeError: always.
         """
-        raise TypeError(f"vehicle {self.index} hears of vehicle {index} by its network alone: use Network.step")
+        raise TypeError(
+            f"vehicle {self.index} receives the state of vehicle {index} over its network only: use Network.step"
+        )
 
     def on_velocity(self, index: int, velocity: Vector) -> None:
         """Reject it, as :meth:`on_position`.

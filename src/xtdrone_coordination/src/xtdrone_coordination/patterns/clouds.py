@@ -82,7 +82,7 @@ def _read_npy(data: bytes) -> Points:
     try:
         shape, _, kind = readers[np.lib.format.read_magic(stream)](stream)
     except (KeyError, ValueError, EOFError):
-        raise ContentError("is no .npy file") from None
+        raise ContentError("is not an .npy file") from None
     if len(shape) != 2 or shape[1] < 3 or kind.kind not in "fiu":
         raise ContentError(f"shape {shape} of another type or size; (points, 3) of numbers is needed")
     if math.prod(shape) * kind.itemsize > len(data) - stream.tell():
@@ -118,7 +118,7 @@ def _read_ply(data: bytes) -> Points:
     """Return the vertices of a PLY file, its first element (G. Turk, The PLY polygon file format, 1994)."""
     head, mark, body = data.partition(b"end_header")
     if not data.startswith(b"ply") or not mark:
-        raise ContentError("no PLY file: it does not begin with 'ply' and a header up to 'end_header'")
+        raise ContentError("not a PLY file: it does not begin with 'ply' and a header up to 'end_header'")
     body = body[body.index(b"\n") + 1 :] if b"\n" in body[:2] else body[1:]
     order, count, properties = _ply_header(head.decode("ascii", "replace"))
     names = [name for name, _ in properties]
@@ -164,13 +164,13 @@ def _ply_header(head: str) -> tuple[str, int, list[tuple[str, str]]]:
             case ["element", *_] if count >= 0:
                 break
             case ["element", *_]:
-                raise ContentError("another element stands before the vertices; they must be the first")
+                raise ContentError("another element precedes the vertices; they must come first")
             case ["property", kind, name] if kind in _PLY_TYPES:
                 properties.append((name, _PLY_TYPES[kind]))
             case ["property", *_]:
-                raise ContentError(f"line {number_of_line}: not allowed of a vertex; properties that are numbers are")
+                raise ContentError(f"line {number_of_line}: this property of a vertex is not allowed; only numbers are")
             case _:
                 continue
     if order is None or count < 0:
-        raise ContentError(f"header has no {'vertices' if order is not None else 'format that is known'}")
+        raise ContentError(f"header has no {'vertices' if order is not None else 'known format'}")
     return order, count, properties

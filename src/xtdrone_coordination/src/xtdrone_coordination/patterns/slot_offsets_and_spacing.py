@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Offsets = NDArray[np.float64]
 
-MIN_SEPARATION = 0.5  # m between any two slots: closer vehicles touch
+MIN_SEPARATION = 0.5  # m between any two slots: closer vehicles collide
 MAX_SPACING = 1000.0  # m
 PITCH = 3.0  # m, of the spawn grid, and the minimum distance in grid, circle and sphere
 DENSE_PITCH = 2.0  # m, the minimum distance in letters and clouds

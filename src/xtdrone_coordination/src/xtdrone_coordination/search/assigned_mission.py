@@ -68,12 +68,12 @@ class AssignedMission:
 
     @property
     def path_done(self) -> bool:
-        """Whether the path is flown."""
+        """Whether the path has been flown."""
         return bool(self.items) and (self.current >= self.end or self.reached >= len(self.items) - 1)
 
     @property
     def ended(self) -> bool:
-        """Whether a mission without a return or landing at its end is flown."""
+        """Whether a mission that does not end with a return or landing has been flown."""
         return self.path_done and self.end >= len(self.items) and self.reached >= len(self.items) - 1
 
     @property

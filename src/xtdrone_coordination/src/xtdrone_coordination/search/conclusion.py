@@ -86,7 +86,7 @@ class Conclusion:
         if any(state in busy for state in states) or self._reallocation.pending:
             return ""
         if control.found:
-            return "the following is over"
+            return "following has ended"
         if all(state is State.LOST for state in states):
             self._failed = True
             return "all vehicles are lost"

@@ -180,7 +180,7 @@ class SearchMission:
             self._second_look.observe(look, time, position, rotation, shown.get(look.candidate))
 
     def on_result(self, action: Action, accepted: bool, reason: str = "") -> None:
-        """Store the result of an action; repeat a rejected mission upload, and lose the vehicle in the end."""
+        """Store the result of an action; repeat a rejected mission upload, and finally give the vehicle up."""
         vehicle = self.vehicles[action.vehicle]
         if not accepted:
             vehicle.request.refusal = reason

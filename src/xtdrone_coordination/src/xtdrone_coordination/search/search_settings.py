@@ -55,15 +55,21 @@ class MissionSettings(Settings):
 
     follow_time: float = setting(60.0, low=0.0, high=36000.0, unit="s", text="how long the person is followed")
     lose_time: float = setting(
-        8.0, low=1.0, high=600.0, unit="s", text="a person out of sight for this time is lost to another vehicle"
+        8.0, low=1.0, high=600.0, unit="s", text="a person out of sight for this time is handed over to another vehicle"
     )
 
-    silent_time: float = setting(3.0, low=2.0, high=60.0, unit="s", text="a vehicle silent for this time is lost")
+    silent_time: float = setting(
+        3.0,
+        low=2.0,
+        high=60.0,
+        unit="s",
+        text="a vehicle counts as lost when no message from it is received for this time",
+    )
     camera_timeout: float = setting(
         5.0, low=1.0, high=600.0, unit="s", text="a camera without new images for this time has failed"
     )
     start_timeout: float = setting(
-        90.0, low=5.0, high=3600.0, unit="s", text="a vehicle not airborne after this time is lost"
+        90.0, low=5.0, high=3600.0, unit="s", text="a vehicle not airborne after this time counts as lost"
     )
     return_timeout: float = setting(180.0, low=1.0, high=3600.0, unit="s", text="longest wait for all vehicles to land")
     time_limit: float = setting(1800.0, low=1.0, high=36000.0, unit="s", text="the search ends after this time")

@@ -72,8 +72,8 @@ def wanted(setpoint: Setpoint, start: Start, heading: float) -> Wanted:
 
     Args:
         setpoint: frame, mask and values of a mavros_msgs/PositionTarget.
-        start: where the vehicle was when the command came; used in BODY_OFFSET_NED only.
-        heading: present heading of the vehicle, rad from east, counter-clockwise.
+        start: where the vehicle was when the command was received; used in BODY_OFFSET_NED only.
+        heading: current heading of the vehicle, rad from east, counter-clockwise.
 
         Raises:
             SetpointError: unsupported frame; a mask with none or several of position, velocity and acceleration, with
@@ -82,11 +82,11 @@ def wanted(setpoint: Setpoint, start: Start, heading: float) -> Wanted:
     frame, mask = setpoint.frame, setpoint.type_mask
     if frame not in _FRAMES:
         known = ", ".join(f"{number} ({name})" for number, name in _FRAMES.items())
-        raise SetpointError(f"coordinate_frame {frame} is not flown, {known} are")
+        raise SetpointError(f"coordinate_frame {frame} is not supported, {known} are")
     kind, name = _what(mask)
     values: Vector = {POSITION: setpoint.position, VELOCITY: setpoint.velocity}.get(kind, setpoint.acceleration)
     if kind == ACCELERATION and mask & FORCE:
-        raise SetpointError(f"type_mask {mask}: a force is not flown")
+        raise SetpointError(f"type_mask {mask}: a force is not supported")
     if kind == POSITION and frame == FRAME_BODY_NED:
         raise SetpointError("coordinate_frame 8 (BODY_NED) has no position, 9 (BODY_OFFSET_NED) has")
     yaw = math.nan if mask & IGNORE_YAW else setpoint.yaw
@@ -125,5 +125,5 @@ def _what(mask: int) -> tuple[int, str]:
         raise SetpointError(f"type_mask {mask}: only a part of {' and '.join(partly)} is not flown")
     if len(asked) != 1:
         names = " and ".join(name for _, name in asked) or "nothing"
-        raise SetpointError(f"type_mask {mask} asks for {names}; one of position, velocity, acceleration is flown")
+        raise SetpointError(f"type_mask {mask} asks for {names}; one of position, velocity, acceleration is supported")
     return asked[0]

@@ -18,7 +18,7 @@ OFFBOARD, LOITER, POSCTL, TAKEOFF, LAND, RTL = 0, 1, 2, 3, 4, 5
 MODES = (modes.OFFBOARD, modes.AUTO_LOITER, modes.POSCTL, modes.AUTO_TAKEOFF, modes.AUTO_LAND, modes.AUTO_RTL)
 MODE_NAMES = tuple(mode.name for mode in MODES)
 NO_ARMING = (LAND, RTL)
-"""Modes in which PX4 refuses to arm."""
+"""Modes in which PX4 does not arm."""
 
 TAKEOFF_HEIGHT = 2.5  # m (MIS_TAKEOFF_ALT)
 _TAKEOFF_SPEED = 1.5  # m/s (MPC_TKO_SPEED)

@@ -171,7 +171,7 @@ def _check_level(name: str, pose: StartPose) -> None:
             f"poses: {name}: roll {pose.roll:g}, pitch {pose.pitch:g} rad: simplified vehicles are level, 0"
         )
     if pose.z < 0.0:
-        raise ValueError(f"poses: {name}: the start is not free: it is {-pose.z:.2f} m below the ground")
+        raise ValueError(f"poses: {name}: the start is {-pose.z:.2f} m below the ground, 0 or more is allowed")
 
 
 class SimplifiedScene:
@@ -326,24 +326,28 @@ class SimplifiedScene:
         self._topics[index].restart()
 
     def set_wind(self, velocity: Vector) -> None:
-        """Refuse: nothing blows on simplified vehicles.
+        """Reject: the simplified simulator has no wind.
 
         Raises:
             ValueError: always.
         """
-        raise ValueError("wind: the simplified simulator has none; launch formation flies in wind")
+        raise ValueError("wind: the simplified simulator has no wind; use launch formation")
 
     def add_vehicle(self, name: str, model: str, pose: StartPose | None) -> None:
-        """Refuse: the vehicles of the simplified simulator are those of the start.
+        """Reject: the fleet of the simplified simulator is fixed at the start.
 
         Raises:
             ValueError: always.
         """
-        raise ValueError(f"name: {name[:80]!r} cannot join: the simplified simulator keeps the vehicles of its start")
+        raise ValueError(
+            f"name: {name[:80]!r} cannot join: the fleet of the simplified simulator is fixed at the start"
+        )
 
     def remove_vehicle(self, name: str) -> None:
-        """Refuse; see ``add_vehicle``."""
-        raise ValueError(f"name: {name[:80]!r} cannot leave: the simplified simulator keeps the vehicles of its start")
+        """Reject; see ``add_vehicle``."""
+        raise ValueError(
+            f"name: {name[:80]!r} cannot leave: the fleet of the simplified simulator is fixed at the start"
+        )
 
     def close(self) -> None:
         """Release the vehicles' resources."""

@@ -60,7 +60,7 @@ _STANDBY, _ACTIVE = 3, 4  # MAV_STATE
 _CUSTOM_MODE_ENABLED, _GUIDED, _MANUAL_INPUT = 1, 8, 64  # MAV_MODE_FLAG
 _FLAGS = {mode.name: mode.flags for mode in modes.SUPPORTED}
 _WARNING_PERIOD = 5.0  # wall s between two equal warnings
-_PAUSE = 1.0  # s after which setpoints are another stream, PX4's COM_OF_LOSS_T
+_PAUSE = 1.0  # s without setpoints after which a new stream begins, PX4's COM_OF_LOSS_T
 
 _ON_GROUND, _IN_AIR, _TAKEOFF, _LANDING = 1, 2, 3, 4  # MAV_LANDED_STATE
 
@@ -221,7 +221,7 @@ class VehicleTopics:
     def _on_target(self, target: PositionTarget) -> None:
         if self._commanded:
             self._commanded = False
-            rospy.logdebug("simulator: %s is flown by setpoints now", self.name)
+            rospy.logdebug("simulator: %s now follows the setpoints of MAVROS", self.name)
         self._target_at = self._seconds()
         p, v, a = target.position, target.velocity, target.acceleration_or_force
         setpoint = Setpoint(

@@ -147,7 +147,7 @@ class SimplifiedVehicles:
             IndexError: ``index`` is out of range.
         """
         if not 0 <= index < len(self.names):
-            raise IndexError(f"vehicle {index} is not there; 0 to {len(self.names) - 1}")
+            raise IndexError(f"vehicle {index} does not exist; 0 to {len(self.names) - 1}")
         if text == self._last[index] and self._holds(index, text):
             return ""
         self._last[index] = text
@@ -172,14 +172,14 @@ class SimplifiedVehicles:
             return self._arm(vehicle)
         if text == "DISARM":
             if vehicle.armed and vehicle.position[2] > 0.0:
-                return "disarming denied: it flies"
+                return "disarming denied: the vehicle is flying"
             simplified_autopilot.disarm(vehicle)
             return ""
         if text not in PX4_MODES:
             return f"{text!r} is no command ({', '.join(OWN_COMMANDS)}) and no PX4 mode ({', '.join(PX4_MODES)})"
         if text not in simplified_autopilot.MODE_NAMES:
             flown = ", ".join(simplified_autopilot.MODE_NAMES)
-            return f"mode {text} is not flown by the simplified pilot; there are: {flown}"
+            return f"mode {text} is not supported by the simplified autopilot; there are: {flown}"
         self._enter(vehicle, simplified_autopilot.MODE_NAMES.index(text))
         return ""
 
@@ -234,7 +234,7 @@ class SimplifiedVehicles:
             ValueError: unknown kind, or a value that is not finite.
         """
         if not 0 <= index < len(self.names):
-            raise IndexError(f"vehicle {index} is not there; 0 to {len(self.names) - 1}")
+            raise IndexError(f"vehicle {index} does not exist; 0 to {len(self.names) - 1}")
         if kind not in _KINDS:
             raise ValueError(f"kind of setpoint: {kind!r} is not allowed, one of {_KINDS}")
         x, y, z = (float(value) for value in vector)

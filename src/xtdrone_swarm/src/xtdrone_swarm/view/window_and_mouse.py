@@ -209,7 +209,7 @@ class Window:
         self._set_hint()
 
     def _set_hint(self) -> None:
-        paused = "paused (space: go on)" if self.paused else ""
+        paused = "paused (space: continue)" if self.paused else ""
         self.view.hint = "   ".join(text for text in (self._said, paused, HINT) if text)
 
     def _toggle_trails(self) -> None:

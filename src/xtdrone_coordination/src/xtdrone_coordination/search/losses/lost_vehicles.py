@@ -31,13 +31,13 @@ class Losses:
         vehicle.blind = True
         self._control.report("camera_silent", vehicle, position=rounded_xy(vehicle.position))
         self._release_work(vehicle)
-        self._control.return_home(vehicle, "its camera is silent")
+        self._control.return_home(vehicle, "its camera has failed")
 
     def _release_work(self, vehicle: Vehicle) -> None:
         """Hand a vehicle's following, second look and path over to the others."""
         control, following = self._control, vehicle.following
         if following is not None:
-            self._following.end(vehicle, "the camera is silent" if vehicle.blind else "the vehicle is lost")
+            self._following.end(vehicle, "the camera has failed" if vehicle.blind else "the vehicle is lost")
             self._following.release(following.candidate, vehicle)
             control.hand_over(following.candidate, following.until - control.now)
         look, vehicle.look = vehicle.look, None

@@ -61,7 +61,7 @@ def make_region(corners: Sequence[Sequence[float]], holes: Sequence[Sequence[Seq
     whole = Polygon(shell)
     for i, ring in enumerate(rings):
         if not whole.contains(Polygon(ring)):
-            raise RegionError(f"holes[{i}]: it is not inside of the region; holes that lie inside are allowed")
+            raise RegionError(f"holes[{i}]: it is not inside the region, as every hole must be")
     region = Polygon(shell, rings)
     if not region.is_valid:
         raise RegionError(f"holes: {explain_validity(region)}; holes that do not overlap or cut the region are allowed")
@@ -113,7 +113,7 @@ def divide(region: Polygon, count: int) -> list[Polygon]:
     if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MAX_PIECES:
         raise RegionError(f"pieces: {count!r} is not allowed, 1 to {MAX_PIECES}")
     if not isinstance(region, Polygon) or not region.is_valid or not region.area > 0.0:
-        raise RegionError("region: it is no polygon with an area; a valid one is needed")
+        raise RegionError("region: it is not a polygon with a positive area, which is needed")
     # normalise position and scale, so that rounding is the same for every region
     low = np.array(region.bounds[:2])
     scale = math.sqrt(region.area)
@@ -387,5 +387,7 @@ def _tree(triangles: Sequence[Sequence[_Point]], sides: Mapping[tuple[_Point, _P
                 queue.append(neighbour)
                 tree.add(frozenset((k, neighbour)))
     if len(seen) != len(triangles):
-        raise RegionError("region: its triangles do not hang together; a region without touching corners is allowed")
+        raise RegionError(
+            "region: its triangles are not connected; a region whose corners do not touch each other is needed"
+        )
     return tree

@@ -38,7 +38,7 @@ class FollowingPerson(OffboardState):
         if now >= following.until:
             self.end(vehicle, "time")
             if self._control.found:
-                self._control.return_home(vehicle, "the following is over")
+                self._control.return_home(vehicle, "following has ended")
             else:
                 self._rejoining.begin(vehicle, following.look)
         elif now - max(following.seen, following.since) > self._control.settings.lose_time:

@@ -13,7 +13,7 @@ class Waiting(VehicleState):
     """Waits for connection, position and mission."""
 
     def check(self, vehicle: Vehicle) -> None:
-        """Start a vehicle that is ready; lose one that is not ready in time."""
+        """Start a vehicle that is ready; give up one that is not ready in time."""
         control, mission = self._control, vehicle.mission
         ready = vehicle.connected and vehicle.position is not None and mission.path
         if ready and not control.ending:

@@ -97,7 +97,7 @@ _WORDS = {
     "follow_ended": "{vehicle} stops following: {reason}",
     "lost_vehicle": "[red]{vehicle} is lost[/red]: {reason}",
     "reassigned": "the rest of {vehicle}'s part is reassigned to {others}",
-    "camera_silent": "[red]{vehicle}'s camera is silent[/red]",
+    "camera_silent": "[red]{vehicle}'s camera has failed[/red]",
     "returning": "{vehicle} returns: {reason}",
 }
 
