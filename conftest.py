@@ -1,7 +1,7 @@
 """Shared by all tests: the top-level packages in child processes, repeatable draws of Hypothesis, parallel workers.
 
 With ``-n N``, each worker of pytest-xdist has a network of its own, with a loopback only. So the simulations of two
-workers use the same ports, and abstract sockets, without meeting. A file's tests run in one worker, in their order.
+workers use the same ports and abstract sockets without conflict. A file's tests run in one worker, in their order.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import pytest
 _CLONE_NEWNET = 0x40000000  # <linux/sched.h>
 _SIOCSIFFLAGS, _IFF_UP = 0x8914, 0x1  # <linux/sockios.h>, <linux/if.h>
 
-# Programs that tests start import benchmarks and validation, as those that ./xtdrone starts do.
+# Programs that tests start import benchmarks and validation, like those that ./xtdrone starts.
 os.environ["PYTHONPATH"] = os.pathsep.join(
     filter(None, [os.environ.get("PYTHONPATH"), str(Path(__file__).resolve().parent)])
 )
@@ -43,7 +43,7 @@ else:
         suppress_health_check=[hypothesis.HealthCheck.too_slow],
     )
     hypothesis.settings.load_profile("repeatable")
-    # Hypothesis also draws constants of all modules that happen to be loaded: of other tests', and of code just edited.
+    # Hypothesis also draws constants from all modules that happen to be loaded, including other tests and edited code.
     providers.is_local_module_file = lambda path: False
 
 

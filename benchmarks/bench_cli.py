@@ -216,7 +216,9 @@ def _result_file(wanted: Path | None) -> Path:
     """Return the absolute path of the results, after making its folder."""
     path = (wanted or Path("runs") / f"bench-{time.strftime('%Y%m%d-%H%M%S')}.json").resolve()
     if any(c.isspace() for c in str(path)):
-        raise OptionError(f"json: {str(path)!r} has a space in it, which roslaunch cannot pass on; choose --json")
+        raise OptionError(
+            f"json: {str(path)!r} contains a space, which roslaunch does not support; choose another --json"
+        )
     if path.is_dir():
         raise OptionError(f"json: {str(path)!r} is a folder; a file is needed")
     try:

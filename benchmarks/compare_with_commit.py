@@ -89,11 +89,13 @@ def resolve(name: str, root: Path | None = None) -> tuple[Tree, Tree]:
     here = _git(root, "rev-parse", "--verify", "--quiet", "HEAD^{commit}")
     if here is None:
         raise OptionError(
-            f"baseline: {str(root)!r} is no git repository with a commit; a baseline is one of its commits"
+            f"baseline: {str(root)!r} is not a git repository with commits, one of which the baseline must be"
         )
     commit = _git(root, "rev-parse", "--verify", "--quiet", "--end-of-options", f"{name}^{{commit}}")
     if commit is None:
-        raise OptionError(f"baseline: {name!r} is no commit of this repository; a hash, a branch or a tag is allowed")
+        raise OptionError(
+            f"baseline: {name!r} is not a commit of this repository; a hash, a branch or a tag is allowed"
+        )
     folder = root / ".setup" / "baselines" / commit[:_PREFIX]
     changed = bool(_git(root, "status", "--porcelain", "--untracked-files=no"))
     return Tree(BASELINE, folder, commit), Tree(THIS, root, here, changed)
@@ -109,7 +111,7 @@ def prepare(baseline: Tree, this: Tree, bench: Bench) -> None:
         bench.progress("checking out the commit")
         _check_out(baseline, this, bench)
     elif not _is_whole(baseline):
-        raise BenchError(f"baseline: {baseline.folder} is not the commit as it was checked out; remove that folder")
+        raise BenchError(f"baseline: {baseline.folder} was changed after its checkout; remove that folder")
     _share_environment(this.folder, baseline.folder)
     bench.progress("setting up the baseline, which takes minutes the first time")
     _run(bench, [str(baseline.folder / "xtdrone"), "setup"], bench.folder / "setup.log", "set-up")

@@ -1,4 +1,4 @@
-"""Goals of the measurements of ``./xtdrone bench``: figures to reach, shown beside the measured ones."""
+"""Goals of the measurements of ``./xtdrone bench``: target figures, shown beside the measured ones."""
 
 from __future__ import annotations
 

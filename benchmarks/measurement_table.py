@@ -179,7 +179,7 @@ def _speed_summary(row: Row) -> str:
 
 
 def _picture_summary(row: Row) -> str:
-    return f"{row['milliseconds']:.1f} ms an image"
+    return f"{row['milliseconds']:.1f} ms per image"
 
 
 def _free_summary(row: Row) -> str:
@@ -202,7 +202,7 @@ def _per_participant(rows: Sequence[Row]) -> str:
 
 
 def _per_second(rows: Sequence[Row], milliseconds: str) -> str:
-    """Return how many a second follow from the median of a time."""
+    """Return the rate per second that follows from the median of a time."""
     return f"{1e3 / statistics.median(row[milliseconds] for row in rows):.0f}"
 
 
@@ -306,7 +306,9 @@ _TABLE = (
             ("speed-up", spread("speed_up", " x")),
             goal_of("sweep"),
         ),
-        summary=lambda row: f"{row['runs_per_second']:.1f} runs a second, {row['speed_up']:.2f} x those of one worker",
+        summary=lambda row: (
+            f"{row['runs_per_second']:.1f} runs per second, {row['speed_up']:.2f} x those of one worker"
+        ),
         cases=_workers,
         label=lambda row: f"{row['workers']} workers",
         first=_first("workers", lambda row: str(row["workers"])),
@@ -355,7 +357,7 @@ _TABLE = (
             _SPEED,
             goal_of("rays"),
         ),
-        summary=lambda row: f"{row['million_rays_per_second']:.2f} million rays a second",
+        summary=lambda row: f"{row['million_rays_per_second']:.2f} million rays per second",
         cases=_lidars,
         label=lambda row: f"{row['lidars']} {row['kind']}",
         first=_first("lidars", lambda row: f"{row['lidars']} {row['kind']}"),
@@ -390,7 +392,9 @@ _TABLE = (
             ("95 %\nms", spread("map_p95")),
             goal_of("planning"),
         ),
-        summary=lambda row: f"{row['plan_milliseconds']:.1f} ms a plan, {row['map_milliseconds']:.1f} ms a map update",
+        summary=lambda row: (
+            f"{row['plan_milliseconds']:.1f} ms per plan, {row['map_milliseconds']:.1f} ms per map update"
+        ),
         counted="planners",
     ),
     Measurement(
@@ -404,7 +408,7 @@ _TABLE = (
             ("most", median("most_milliseconds", ".1f")),
             goal_of("odometry"),
         ),
-        summary=lambda row: f"{row['milliseconds']:.1f} ms a scan",
+        summary=lambda row: f"{row['milliseconds']:.1f} ms per scan",
         cases=_scan_works,
         label=lambda row: f"{row['kind']}, {row['rings']} rings",
         first=_first("work", lambda row: f"{row['kind'].replace('_', ' ')}, {row['rings']} rings"),
@@ -493,7 +497,7 @@ _TABLE = (
             ("setpoint\nns", median("setpoint", ".0f", 1e3)),
             ("MAVROS\nns", median("read", ".0f", 1e3)),
         ),
-        summary=lambda row: f"{row['microseconds'] * 1e3:.0f} ns a datagram",
+        summary=lambda row: f"{row['microseconds'] * 1e3:.0f} ns per datagram",
         cases=_links,
     ),
     Measurement(
@@ -594,4 +598,4 @@ _TABLE = (
     ),
 )
 MEASUREMENTS: dict[str, Measurement] = {measurement.name: measurement for measurement in _TABLE}
-"""All measurements by name, in the order in which they are made."""
+"""All measurements by name, in the order of execution."""

@@ -1,4 +1,4 @@
-"""CPU time and memory of a tree of processes, from Linux's /proc; needs only the standard library."""
+"""CPU time and memory of a tree of processes, from Linux's /proc; needs the standard library only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the benchmark prints while it measures, and the file that it writes."""
+"""Progress output of the benchmark, and the file that it writes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Speed of hovering fleets whose lidars or depth cameras are listened to, and the program that limits it."""
+"""Speed of hovering fleets whose lidars or depth cameras are subscribed to, and the program that limits it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the station in the browser costs the formation flight: with browsers and without, alternately in one flight."""
+"""Cost of the browser station for the formation flight, with and without browsers, alternately in one flight."""
 
 from __future__ import annotations
 

@@ -91,7 +91,9 @@ class SpeedProbe:
             self._event("failed", reason=str(error))
             return 1
         except (rospy.ROSException, rospy.ServiceException, rosgraph.MasterException, OSError) as error:
-            self._event("failed", reason=f"{type(error).__name__}: {error}; {self._end or 'no word of the director'}")
+            self._event(
+                "failed", reason=f"{type(error).__name__}: {error}; {self._end or 'no message from the director'}"
+            )
             return 1
         self._event("done")
         return 0
@@ -146,7 +148,7 @@ class SpeedProbe:
         use = CpuSample.take(root).since(cpu)
         rates = bus_statistics.rates(roles, counts, bus_statistics.take(self._master, roles, rospy.get_time))
         if simulated <= 0.0 or not rates:
-            raise ProbeError(f"simulated time went on by {simulated:.3f} s within {elapsed:.1f} s; rates: {rates}")
+            raise ProbeError(f"simulated time advanced by {simulated:.3f} s within {elapsed:.1f} s; rates: {rates}")
         programs = {name: seconds / simulated for name, seconds in use.programs.items()}
         return Window(simulated / elapsed, rates, programs, use.others / elapsed)
 

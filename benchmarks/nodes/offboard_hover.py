@@ -128,7 +128,7 @@ class _Vehicle:
         if self.position is None:
             return
         target = self._target
-        if not self._accepted:  # until the estimator has aligned, positions mean nothing
+        if not self._accepted:  # positions are invalid until the estimator has aligned
             target.position.x, target.position.y, target.position.z = self.position
             target.position.z += self._height
         target.header.stamp = now

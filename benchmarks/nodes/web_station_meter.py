@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Node that measures what the station costs a formation flight: windows with browsers and without, alternately.
+"""Node that measures the cost of the browser station for a formation flight, alternately with and without browsers.
 
 A plain rospy node outside the lockstep, with the parameters, events and exit status of
 ``formation_speed_meter.py``; ``~plan`` has ``window`` (s of wall time), ``clients`` and ``rounds``. It writes
@@ -83,7 +83,7 @@ class WebProbe(SpeedProbe):
         simulated, elapsed = rospy.get_time() - start, time.perf_counter() - start_wall
         use = CpuSample.take(root).since(cpu)
         if simulated <= 0.0:
-            raise ProbeError(f"simulated time went on by {simulated:.3f} s within {elapsed:.1f} s")
+            raise ProbeError(f"simulated time advanced by {simulated:.3f} s within {elapsed:.1f} s")
         if STATION not in use.programs:
             raise ProbeError(f"no {STATION} among the programs {', '.join(sorted(use.programs))}")
         self._event(

@@ -106,7 +106,7 @@ COLUMNS = (
 def main() -> int:
     """Measure the messages of the command line and return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--message", choices=MESSAGES, help="the only one to be measured")
+    parser.add_argument("--message", choices=MESSAGES, help="measure this message only")
     parser.add_argument("--vehicles", type=int, default=9, help="in a message about many")
     parser.add_argument("--seconds", type=float, default=1.0, help="minimum processor time of one measurement, s")
     return run(parser, _cases, COLUMNS)

@@ -26,7 +26,7 @@ from xtdrone_sim.effects import Effect, Effects
 
 NONE, WIND = "none", "wind"
 EFFECTS = (NONE, WIND, *AIR)
-"""All that can be measured: nothing, the world's constant wind, and the effects by their names."""
+"""The measurable cases: no effect, the world's constant wind, and the effects by their names."""
 
 _WIND = (4.0, 3.0, 0.0)  # m/s
 _FAR = 1000.0  # m, half a side of the region of wind, in which all vehicles are

@@ -1,8 +1,8 @@
 """Benchmark of the work on a lidar's scan of 1024 columns: lidar odometry, local map, octree; ms of processor time.
 
 ``python -m benchmarks.programs.odometry --rings 16 --kind odometry`` prints a table; ``--json FILE`` writes it. The
-scans are those of a flight along a street of the world ``city`` at 3 m/s. Reading the message counts, making it does
-not.
+scans are those of a flight along a street of the world ``city`` at 3 m/s. The time includes reading a message, but not
+creating it.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _NAME = "iris_0"
 _LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 
 Work = Callable[[Any, int], None]
-"""Takes a cloud and its time, ns."""
+"""Function that processes a cloud with its time, ns."""
 
 
 def _place(time_us: int) -> tuple[float, float, float]:
@@ -93,7 +93,7 @@ def _odometry() -> Work:
 
 
 def _mapped(fed: Any, rings: int) -> Work:
-    """Return what enters a cloud into a local map or an octree."""
+    """Return the function that inserts a cloud into a local map or an octree."""
     images = LidarImages(LidarMapping(columns=_COLUMNS, channels=rings))
 
     def work(cloud: Any, stamp_ns: int) -> None:

@@ -88,7 +88,7 @@ def _ranges(position: Array, trunks: Array, directions: Array) -> Array:
 
 
 class _Vehicle:
-    """A vehicle that is where its setpoints are."""
+    """A vehicle that follows its setpoints exactly."""
 
     def __init__(self, number: int, plans: _Durations, maps: _Durations) -> None:
         self.position = np.array([0.0, _APART * number, 2.0])
@@ -98,7 +98,7 @@ class _Vehicle:
         self._maps, self._scans = maps, 0
 
     def see(self, now: float, trunks: Array, directions: Array) -> None:
-        """Enter a scan."""
+        """Insert a scan into the map."""
         for moment in (now - 0.05, now, now + 0.05):
             self.map.poses.add(round(moment * 1e9), np.array([*self.position, 1.0, 0.0, 0.0, 0.0]))
         ranges = _ranges(self.position, trunks, directions)
@@ -107,7 +107,7 @@ class _Vehicle:
         self._scans += 1
 
     def step(self, now: float) -> None:
-        """Advance by a turn; a goal that was reached is followed by one at the other side."""
+        """Advance by one turn; after reaching a goal, set the next one on the opposite side."""
         if self.planner.goal is None or self.planner.state.name == "hovering at the goal":
             away = 0.0 if self.position[0] > 0.5 * _SIDE else _SIDE + 6.0
             self.planner.set_goal(np.array([away, self.position[1], 2.0]))

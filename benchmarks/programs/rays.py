@@ -1,4 +1,4 @@
-"""Benchmark of the lidars' rays: rays a second on one core, by kind and number of lidars, in the world ``outdoor``.
+"""Benchmark of the lidars' rays: rays per second on one core, by kind and number of lidars, in the world ``outdoor``.
 
 ``python -m benchmarks.programs.rays --lidars 1 6 --kind spinning`` prints a table; ``--json FILE`` writes it. The time
 is that of a scan without its transport: skewed rays against the world, people and other vehicles, noise, message.

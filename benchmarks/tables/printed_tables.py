@@ -92,7 +92,9 @@ def caveats(results: dict[str, Any]) -> list[str]:
     lines = []
     load = results["machine"]["load_before"][0]
     if load > 1.0:
-        lines.append(f"the machine's load average was {load:.1f} before the benchmark began: it had other work to do")
+        lines.append(
+            f"the machine's load average was {load:.1f} before the benchmark began: other programs were running"
+        )
     for part, measurement in MEASUREMENTS.items():
         for row in results.get(part, []):
             label = f"{part}, {measurement.label(row)}"
@@ -101,9 +103,9 @@ def caveats(results: dict[str, Any]) -> list[str]:
             if row.get("others_cpu", 0.0) > 0.2:
                 lines.append(f"{label}: other programs took {row['others_cpu']:.1f} cores meanwhile")
             if row.get("exact_share", 1.0) is None:
-                lines.append(f"{label}: free-running, nodes kept up at no speed that was tried")
+                lines.append(f"{label}: free-running, the nodes kept up at none of the speeds tried")
             if row.get("dropped"):
-                lines.append(f"{label}: the detector passed over {row['dropped']} of the images")
+                lines.append(f"{label}: the detector skipped {row['dropped']} of the images")
             if row.get("unsettled"):
                 lines.append(f"{label}: did not settle: {', '.join(row['unsettled'])}")
     return lines

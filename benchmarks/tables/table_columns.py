@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from benchmarks.measurement_runner import Row
 
 Cell = Callable[[Sequence[Row]], str]
-"""Makes the text of a cell from the rows of one case."""
+"""Function that returns the text of a cell from the rows of one case."""
 Field = tuple[str, Cell]
 """Heading and cell."""
 

@@ -97,11 +97,11 @@ PATIENCE = 120.0  # s of wall time; bounds a broken test
         (["--processes", "many"], "--processes: 'many' is not allowed, all, per-uav, merged or shared"),
         (
             ["--baseline", "no such"],
-            "baseline: 'no such' is no commit of this repository; a hash, a branch or a tag is",
+            "baseline: 'no such' is not a commit of this repository; a hash, a branch or a tag is",
         ),
         (["--json", "/"], "json: '/' is a folder"),
         (["--json", "/proc/bench.json"], "json: '/proc/bench.json' cannot be written"),
-        (["--json", "/nowhere/my results.json"], "has a space in it"),
+        (["--json", "/nowhere/my results.json"], "contains a space"),
     ],
 )
 def test_invalid_values_are_reported(
@@ -458,7 +458,7 @@ def test_table_of_the_search() -> None:
     assert ["cameras", "0.500"] in lines
     assert "…" not in text  # it fits a terminal of 80 columns
     flat = " ".join(text.split())
-    assert "search, 2 Hz: the detector passed over 3 of the images" in flat
+    assert "search, 2 Hz: the detector skipped 3 of the images" in flat
     assert "search, 5 Hz: failed: search: returning" in flat
     assert printed_tables.short_result("search", row) == "1.25 x real time"
 
@@ -902,7 +902,7 @@ def test_tables_of_barrier_and_comparison() -> None:
     assert ["simulator", "0.200", "0.100", "0.200"] in lines  # 9 in lockstep and free, 30 in lockstep
     flat = " ".join(text.split())
     assert "barrier, 9 python: failed: barrier: ended with status 1" in flat
-    assert "free, 30: free-running, nodes kept up at no speed that was tried" in flat
+    assert "free, 30: free-running, the nodes kept up at none of the speeds tried" in flat
     assert printed_tables.short_result("barrier", results["barrier"][0]) == "80 us per tick"
     assert printed_tables.short_result("free", free) == "3.00 x real time, free-running 4.00 x"
 
@@ -1016,7 +1016,7 @@ def test_table_of_the_telemetry() -> None:
     text = _printed({"machine": {"load_before": [0.1, 0.1, 0.1]}, "telemetry": [row]})
     lines = [[cell.strip() for cell in line.strip("│").split("│")] for line in text.splitlines() if "│" in line]
     assert ["9", "6000", "8000", "125000", "0.05", "4000", "3000"] in lines
-    assert printed_tables.short_result("telemetry", row) == "8000 ns a datagram"
+    assert printed_tables.short_result("telemetry", row) == "8000 ns per datagram"
 
 
 def test_tables_of_drawing_and_sweep() -> None:
@@ -1039,7 +1039,7 @@ def test_tables_of_drawing_and_sweep() -> None:
     assert ["4", *["failed"] * 4] in lines
     flat = " ".join(text.split())
     assert "sweep, 4 workers: failed: sweep: ended with status 1" in flat
-    assert printed_tables.short_result("sweep", sweep) == "38.0 runs a second, 1.90 x those of one worker"
+    assert printed_tables.short_result("sweep", sweep) == "38.0 runs per second, 1.90 x those of one worker"
     assert printed_tables.short_result("drawing", drawing) == "45.2 images per second"
 
 
@@ -1191,7 +1191,7 @@ def test_a_baseline_is_kept_with_the_same_packages(
     assert (commits / "set-up").read_text() == "xx"  # by the copy of its commit
     (kept / "requirements.txt").write_text("changed")
     assert _compare(commits, monkeypatch, "core")[0] == 1
-    assert f"{kept} is not the commit as it was checked out; remove that folder" in capsys.readouterr().err
+    assert f"{kept} was changed after its checkout; remove that folder" in capsys.readouterr().err
 
 
 def test_an_interrupted_comparison_leaves_nothing_running(commits: Path, monkeypatch: pytest.MonkeyPatch) -> None:

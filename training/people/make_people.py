@@ -250,7 +250,7 @@ class Tailor:
         surfaces = [Surface(self._points, base.triangles("body"), at, skirt=False)]
         if self._figure.outfit.skirt:
             surfaces.append(Surface(self._points, base.triangles("helper-skirt"), at, skirt=True))
-        # Folds differ between persons: seeded by height and clothes, as the name is unknown here.
+        # Folds differ between persons: seeded by height and clothes, because the name is unknown here.
         seed = zlib.crc32(repr(self._figure).encode())
         return texture(self._figure, self._layout, surfaces, np.random.default_rng(seed))
 

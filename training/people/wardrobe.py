@@ -49,8 +49,8 @@ class Outfit:
 
     Attributes:
         top, bottom: cloths.
-        sleeve: how far sleeves go along the arm: 0 shoulder, 1 elbow, 2 wrist.
-        leg: how far trousers go along the leg: 0 hip, 1 knee, 2 ankle.
+        sleeve: how far the sleeves extend along the arm: 0 shoulder, 1 elbow, 2 wrist.
+        leg: how far the trousers extend along the leg: 0 hip, 1 knee, 2 ankle.
         skirt: length of a skirt in place of trousers, as a share of the way to the ankles; 0 for none.
         thick: distance of the top from the skin, m.
         loose: distance of the trousers from the skin, m.

@@ -100,19 +100,21 @@ def table(result: dict[str, Any]) -> str:
 def main() -> None:
     """Evaluate."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, help="of make_data.py")
-    parser.add_argument("--settings", type=Path, default=SETTINGS, help="of the detector (%(default)s)")
-    parser.add_argument("--weights", type=Path, help="in place of the settings' ones")
-    parser.add_argument("--threshold", type=float, help="of probability for precision and recall (the best)")
-    parser.add_argument("--most", type=int, default=100_000, help="images to look at")
-    parser.add_argument("--out", type=Path, help="JSON to write")
+    parser.add_argument("folder", type=Path, help="folder written by make_data.py")
+    parser.add_argument("--settings", type=Path, default=SETTINGS, help="settings file of the detector (%(default)s)")
+    parser.add_argument("--weights", type=Path, help="weights that replace those of the settings")
+    parser.add_argument(
+        "--threshold", type=float, help="probability threshold for precision and recall (default: the best)"
+    )
+    parser.add_argument("--most", type=int, default=100_000, help="maximum number of images")
+    parser.add_argument("--out", type=Path, help="JSON file to write")
     options = parser.parse_args()
     detector = detector_of(options.settings, options.weights, LEAST)
     scenes, empty, seconds = looked_at(detector, options.folder, options.most)
     result = judged(scenes, empty, options.threshold)
     result["ms_per_picture"] = 1e3 * seconds
     print(table(result))
-    print(f"{1e3 * seconds:.1f} ms of processor time an image")
+    print(f"{1e3 * seconds:.1f} ms of processor time per image")
     if options.out:
         options.out.write_text(json.dumps(result, indent=1) + "\n")
 

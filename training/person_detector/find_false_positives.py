@@ -22,11 +22,11 @@ from xtdrone_perception.detection.scoring import overlaps
 def main() -> None:
     """Search all images."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, help="of make_data.py")
+    parser.add_argument("folder", type=Path, help="folder written by make_data.py")
     parser.add_argument("--settings", type=Path, default=SETTINGS)
-    parser.add_argument("--weights", type=Path, help="in place of the settings' ones")
-    parser.add_argument("--threshold", type=float, default=0.25, help="of probability (%(default)s)")
-    parser.add_argument("--every", type=int, default=1, help="look at each so manyth image (%(default)s)")
+    parser.add_argument("--weights", type=Path, help="weights that replace those of the settings")
+    parser.add_argument("--threshold", type=float, default=0.25, help="probability threshold (%(default)s)")
+    parser.add_argument("--every", type=int, default=1, help="process every N-th image (%(default)s)")
     options = parser.parse_args()
     detector = detector_of(options.settings, options.weights, options.threshold)
     hard = []

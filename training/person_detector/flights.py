@@ -243,14 +243,14 @@ def print_tables(flights: list[dict[str, Any]]) -> None:
     minutes = sum(flight["pictures"] for flight in flights) / RATE / 60
     people = sum(len(flight["people"]) for flight in flights)
     looks = [look for flight in flights for look in flight["looks"]]
-    print(f"\n{minutes:.1f} minutes of search over {len(flights)} scenes with {people} people in all\n")
-    print("| probability | false boxes a minute |\n|---|---|")
+    print(f"\n{minutes:.1f} minutes of search over {len(flights)} scenes with {people} people in total\n")
+    print("| probability | false boxes per minute |\n|---|---|")
     for threshold in THRESHOLDS:
         boxes = sum(probability >= threshold for flight in flights for probability in flight["boxes"])
         print(f"| {threshold:g} | {boxes / minutes:.2f} |")
     wrong = [look for look in looks if not look["right"]]
     print(f"\n{len(looks)} second looks, {len(wrong)} of them without a person\n")
-    print("| mean probability of the look | false finds | a minute | people found |\n|---|---|---|---|")
+    print("| mean probability of the look | false finds | per minute | people found |\n|---|---|---|---|")
     for least in np.arange(0.50, 0.86, 0.05):
         false = sum(look["sure"] and look["mean"] >= least for look in wrong)
         right = sum(found(flight, least) for flight in flights)
@@ -258,24 +258,33 @@ def print_tables(flights: list[dict[str, Any]]) -> None:
 
 
 def main() -> None:
-    """Fly, and count."""
+    """Run the searches and count the finds."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--minutes", type=float, default=10.0, help="of search (%(default)s)")
-    parser.add_argument("--height", type=float, default=12.0, help="m (%(default)s)")
-    parser.add_argument("--pitch", type=float, default=60.0, help="degrees down (%(default)s)")
+    parser.add_argument("--minutes", type=float, default=10.0, help="minutes of search (%(default)s)")
+    parser.add_argument("--height", type=float, default=12.0, help="height of the camera, m (%(default)s)")
+    parser.add_argument("--pitch", type=float, default=60.0, help="camera pitch, degrees down (%(default)s)")
     rule = MissionSettings()
-    parser.add_argument("--look-pitch", type=float, default=-rule.look_pitch, help="of second looks (%(default)s)")
-    parser.add_argument("--look-arc", type=float, default=rule.look_arc, help="deg on the circle (%(default)s)")
-    parser.add_argument("--persons", type=int, default=3, help="in each scene (%(default)s)")
+    parser.add_argument(
+        "--look-pitch",
+        type=float,
+        default=-rule.look_pitch,
+        help="camera pitch of second looks, degrees down (%(default)s)",
+    )
+    parser.add_argument(
+        "--look-arc", type=float, default=rule.look_arc, help="minimum arc of a second look, degrees (%(default)s)"
+    )
+    parser.add_argument("--persons", type=int, default=3, help="people in each scene (%(default)s)")
     parser.add_argument("--people", type=Path, action="append", default=[], help="folder of random_people.py")
     parser.add_argument("--confidence", type=float, default=0.5, help="minimum probability of a box (%(default)s)")
     least = rule.candidate_probability
-    parser.add_argument("--candidate", type=float, default=least, help="minimum mean of a candidate's (%(default)s)")
-    parser.add_argument("--seed", type=int, default=900_000, help="of the first scene (%(default)s)")
+    parser.add_argument(
+        "--candidate", type=float, default=least, help="minimum mean probability of a candidate (%(default)s)"
+    )
+    parser.add_argument("--seed", type=int, default=900_000, help="seed of the first scene (%(default)s)")
     parser.add_argument("--settings", type=Path, default=SETTINGS)
-    parser.add_argument("--weights", type=Path, help="in place of the settings' ones")
+    parser.add_argument("--weights", type=Path, help="weights that replace those of the settings")
     parser.add_argument("--keep", type=Path, help="folder for images with false boxes")
-    parser.add_argument("--out", type=Path, help="JSON to write")
+    parser.add_argument("--out", type=Path, help="JSON file to write")
     parser.add_argument("--jobs", type=int, default=1, help="processes (%(default)s)")
     parser.add_argument("--backend", default="auto")
     options = parser.parse_args()

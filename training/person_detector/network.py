@@ -88,7 +88,7 @@ class Darknet(nn.Module):
                 self.classes = int(get["classes"])
                 self.heads.append(Head(stride, chosen, float(get.get("scale_x_y", 1.0))))
             else:
-                raise ValueError(f"{cfg}: [{kind}] is not known here")
+                raise ValueError(f"{cfg}: [{kind}] is not supported")
             self.layers.append(layer)
             channels.append(last)
             strides.append(stride)
@@ -147,7 +147,7 @@ def _convolution(channels: int, get: Section) -> nn.Sequential:
     elif activation == "relu":
         parts.append(nn.ReLU(inplace=True))
     elif activation != "linear":
-        raise ValueError(f"activation {activation!r} is not known here: leaky, relu or linear")
+        raise ValueError(f"activation {activation!r} is not supported; leaky, relu or linear is")
     return nn.Sequential(*parts)
 
 

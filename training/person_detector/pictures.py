@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-SMALLEST = 9.0  # px: people lower than this are neither learnt as people nor as ground
+SMALLEST = 9.0  # px: people lower than this count neither as people nor as ground
 HIDDEN = 0.6  # people with more hidden than this likewise
 
 
@@ -70,7 +70,7 @@ def sight(camera: dict[str, float], row: float, rows: int = 360) -> tuple[float,
 
 
 def read_labels(folder: Path) -> list[dict[str, Any]]:
-    """Return what is known of the folder's images, in the order they were made."""
+    """Return the labels of the folder's images, in the order of their creation."""
     path = Path(folder) / "labels.jsonl"
     lines = path.read_text().splitlines() if path.exists() else []
     return [json.loads(line) for line in lines]

@@ -1,4 +1,4 @@
-"""Which output layer, cell and anchor of the detector learns which person: by the person's size and place."""
+"""Assignment of people to the detector's output layers, cells and anchors, by size and position."""
 
 from __future__ import annotations
 

@@ -225,7 +225,9 @@ class Trainer:
         val = arguments.data / "val"
         self.val = [read_picture(val, label) for label in read_labels(val)[: arguments.val]]
         if rank == 0:
-            print(f"{len(cropper.pictures)} images, {len(cropper.sprites)} people cut out, {len(self.val)} to judge by")
+            print(
+                f"{len(cropper.pictures)} images, {len(cropper.sprites)} people cut out, {len(self.val)} for validation"
+            )
         self.feeder = Feeder(cropper, arguments.batch // arguments.processes, folder, read)
         self.feeder._read_hard()
 
@@ -358,19 +360,23 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path, help="folder of make_data.py, with train/ and val/")
     parser.add_argument("--out", type=Path, required=True, help="folder for weights, state, log and curve")
-    parser.add_argument("--cfg", type=Path, default=CONFIG, help="the network (%(default)s)")
+    parser.add_argument("--cfg", type=Path, default=CONFIG, help="configuration of the network (%(default)s)")
     parser.add_argument("--minutes", type=float, default=60.0, help="length of the training (%(default)s)")
-    parser.add_argument("--resume", action="store_true", help="go on from RUN/state.pt")
-    parser.add_argument("--start", type=Path, help=".weights to begin with")
-    parser.add_argument("--batch", type=int, default=32, help="crops to a step (%(default)s)")
+    parser.add_argument("--resume", action="store_true", help="continue from RUN/state.pt")
+    parser.add_argument("--start", type=Path, help="initial .weights")
+    parser.add_argument("--batch", type=int, default=32, help="crops per step (%(default)s)")
     parser.add_argument("--crop", type=int, default=192, help="side of a crop, px, a multiple of 32 (%(default)s)")
     parser.add_argument("--rate", type=float, default=3e-3, help="maximum learning rate (%(default)s)")
-    parser.add_argument("--negatives", type=float, default=0.35, help="part of crops not aimed at people (%(default)s)")
-    parser.add_argument("--paste", type=float, default=0.5, help="part of crops with people pasted in (%(default)s)")
-    parser.add_argument("--judge", type=float, default=4.0, help="minutes between two looks at val/ (%(default)s)")
-    parser.add_argument("--val", type=int, default=120, help="images of val/ looked at (%(default)s)")
+    parser.add_argument(
+        "--negatives", type=float, default=0.35, help="share of crops not centred on people (%(default)s)"
+    )
+    parser.add_argument("--paste", type=float, default=0.5, help="share of crops with pasted people (%(default)s)")
+    parser.add_argument(
+        "--judge", type=float, default=4.0, help="minutes between two evaluations on val/ (%(default)s)"
+    )
+    parser.add_argument("--val", type=int, default=120, help="number of evaluated images of val/ (%(default)s)")
     parser.add_argument("--bf16", action="store_true", help="compute in bfloat16: faster where the processor has it")
-    parser.add_argument("--processes", type=int, default=2, help="that share a batch (%(default)s)")
+    parser.add_argument("--processes", type=int, default=2, help="number of processes that share a batch (%(default)s)")
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
     if arguments.processes == 1:

@@ -77,7 +77,7 @@ def report(vehicle: str, figures: Sequence[Figure], matches: Sequence[Match]) ->
     lines += ["", "Events: s since the command, or since the event before that had to be flown to", _event_row(None)]
     lines += [_event_row(match) for match in matches]
     outside = _outside(figures, matches)
-    lines += ["", f"{len(figures)} figures, {len(matches)} events, {outside} outside their allowance", ""]
+    lines += ["", f"{len(figures)} figures, {len(matches)} events, {outside} outside their tolerance", ""]
     return "\n".join(lines)
 
 

@@ -48,7 +48,7 @@ def fly(vehicle: str, wanted: tuple[str, ...], seed: int, progress: Callable[[st
 
 
 class _Script:
-    """One flight after the other with one vehicle."""
+    """Flies the flights one after the other with one vehicle."""
 
     def __init__(self, pilot: Pilot) -> None:
         self._pilot = pilot

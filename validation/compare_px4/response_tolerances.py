@@ -1,8 +1,8 @@
 """Figures of a flight: rise, overshoot, settling, speeds, tracking; each of ours is set against the reference's.
 
-Allowances: 15 % of rise and settling times and of largest speeds, tilts and rates, 5 points of overshoot, 15 % or
-5 cm of tracking errors. Times also have 0.04 s, two samples of the recordings. Where the reference's overshoot only
-grazes the band of settling, the settling time is reported but not judged.
+Tolerances: 15 % of rise and settling times and of largest speeds, tilts and rates, 5 points of overshoot, 15 % or 5 cm
+of tracking errors. Times are allowed another 0.04 s, two samples of the recordings. Where the reference's overshoot
+only grazes the band of settling, the settling time is reported but not judged.
 """
 
 from __future__ import annotations
@@ -205,7 +205,7 @@ def _position_step(reference: Flight, ours: Flight) -> list[Figure]:
     pair.share("largest tilt", "deg", _tilt)
     pair.add("sideways", "m", pair.both(lambda t: float(np.abs(t["y"] - t["y"][0]).max())), 0.15, one_sided=True)
     pair.add(
-        "height lost or won", "m", pair.both(lambda t: float(np.abs(t["z"] - t["z"][0]).max())), 0.15, one_sided=True
+        "height lost or gained", "m", pair.both(lambda t: float(np.abs(t["z"] - t["z"][0]).max())), 0.15, one_sided=True
     )
     pair.difference("x")
     return pair.figures

@@ -291,7 +291,9 @@ class Stack:
             if time.monotonic() - moved > _STILL_LIMIT:
                 status = self.status()
                 if _stamp_us(status.sim_time) <= last:
-                    raise SoakError(f"simulated time stands still for {_STILL_LIMIT:g} s of wall time: {status.reason}")
+                    raise SoakError(
+                        f"simulated time has stood still for {_STILL_LIMIT:g} s of wall time: {status.reason}"
+                    )
                 last, moved = _stamp_us(status.sim_time), time.monotonic()
 
 

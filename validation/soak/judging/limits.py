@@ -1,13 +1,13 @@
-"""What a soak may do: growth of memory and descriptors, loss of pace, missed takeoffs."""
+"""Limits of a soak: growth of memory and descriptors, loss of speed, missed takeoffs."""
 
 from __future__ import annotations
 
 ALLOWANCES = {"rss": 2.0, "anonymous": 2.0, "descriptors": 0.5, "threads": 0.25, "sockets": 0.5}
-"""Growth that is allowed, per simulated hour: MiB of memory, counts of the rest."""
+"""Allowed growth per simulated hour: MiB of memory, counts of everything else."""
 ROS_ALLOWANCES = {"rss": 6.0, "anonymous": 6.0, "descriptors": 2.0, "threads": 1.0, "sockets": 2.0}
-"""The same of ROS's own master and log collector, which keep something of every node that ever was."""
+"""The same for the ROS master and rosout, which keep some data of every node that has ever registered."""
 PARTICIPANTS_ALLOWANCE = 0.1
-"""Growth of the number of lockstep participants that is allowed, per simulated hour."""
+"""Allowed growth of the number of lockstep participants, per simulated hour."""
 PACE_ALLOWANCE = 0.2
 """Fraction by which an episode's real-time factor may fall, or its processor time grow, from first to last quarter."""
 LOAD_ALLOWANCE = 0.2

@@ -264,8 +264,7 @@ class Leader:
         if not allowed:
             raise CommandError(
                 f"leader: overridden assignment gave {reprlib.repr(slots)}, which is not a permutation of the slots "
-                f"0 to "
-                f"{self.count - 2}"
+                f"0 to {self.count - 2}"
             )
         whole = np.asarray(slots, dtype=np.intp).reshape(-1)
         if isinstance(given, Assignment):
