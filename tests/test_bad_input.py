@@ -186,7 +186,7 @@ def refused_directors(graph: Graph, tmp_path_factory: pytest.TempPathFactory) ->
     ("name", "words"),
     [
         ("unknown", "pattern 'cubee' is unknown for 2 vehicles; there are: origin, "),
-        ("empty", "patterns: 'cube,,' is not allowed, names with commas between"),
+        ("empty", "patterns: 'cube,,' is not allowed, comma-separated names"),
         ("device", "cloud /dev/zero: it is no regular file"),
         ("size", "size.yaml: size 2 x 3, but 2 vehicles need 1 x 3"),
         ("number", "number.yaml: rows must be three numbers each"),

@@ -45,7 +45,7 @@ PATIENCE = 120.0  # s of wall time; bounds a broken test
         (["--speed", "-2"], "--speed: '-2' is not allowed"),
         (["--speed", "nan"], "--speed: 'nan' is not allowed"),
         (["--seed", "-1"], "--seed: '-1' is not allowed"),
-        (["--waive", "speed"], "--waive: 'speed' is not allowed, names with commas between, of settling, steady-error"),
+        (["--waive", "speed"], "--waive: 'speed' is not allowed, comma-separated names, of settling, steady-error"),
         (["--clearance", "inf"], "--clearance: 'inf' is not allowed"),
         (["--processes", "many"], "invalid choice: 'many' (choose from 'per-uav', 'merged', 'shared')"),
         (["--master-port", "80"], "--master-port: '80' is not allowed, a whole number from 1024 to 65535"),

@@ -88,7 +88,7 @@ def test_each_problem_is_named_with_its_remedy(subject: Vehicle, graph: Graph, w
         ({"missing_estimates": ("horizontal position",)}, "arming: the estimator has no horizontal position"),
         ({"ready_to_arm": False, "texts": ("Compass off",)}, "arming: the autopilot's prearm checks fail: Compass off"),
         ({"setpoint_rate": 0.7}, "OFFBOARD: no setpoints"),
-        ({"connected": False, "heard": False}, "link: nothing came on /iris_0/mavros/state"),
+        ({"connected": False, "heard": False}, "link: no message received on /iris_0/mavros/state"),
     ],
 )
 def test_a_real_mavros_is_read_by_its_topics(fields: dict[str, object], words: str) -> None:
@@ -108,7 +108,7 @@ def test_every_check_of_the_autopilot_has_a_remedy() -> None:
     ("changes", "words"),
     [
         ({"paused": True, "reason": "paused"}, "the simulation is paused -> ./xtdrone sim resume"),
-        ({"waiting_for": ("/leader",), "waiting": 12.0, "reason": "waiting"}, "/leader has held the tick for 12 s"),
+        ({"waiting_for": ("/leader",), "waiting": 12.0, "reason": "waiting"}, "/leader has held up the tick for 12 s"),
         ({"reason": "1 of 2 participants have joined"}, "1 of 2 participants have joined; /a has died"),
     ],
 )  # fmt: skip

@@ -102,7 +102,7 @@ def test_a_rejected_upload_is_reported_and_leaves_no_partial_plan(field):
     (peer, *_) = field.peers()
     bad = Plan((waypoint(0), PlanItem(183, 2, (0.0,) * 4, 0.0, 0.0, 0.0)))
     (error,) = run({peer: plan_exchanges.upload_plan(peer.system, bad)}).values()
-    assert str(error) == ("typhoon_h480_0: mission: the vehicle refuses item 2 (command 183): MAV_MISSION_UNSUPPORTED")
+    assert str(error) == ("typhoon_h480_0: mission: the vehicle rejects item 2 (command 183): MAV_MISSION_UNSUPPORTED")
     assert field.lists(0) == [0, 0, 0]
     (result,) = run({peer: plan_exchanges.upload_plan(peer.system, survey(0))}).values()
     assert not isinstance(result, GcsError)
@@ -132,8 +132,8 @@ def test_a_missing_vehicle_is_reported(field):
     peers = [Peer("iris_0", 9, "127.0.0.1", first.port), Peer("iris_1", 2, "127.0.0.1", port)]
     found = station.run({peer: plan_exchanges.download_plan(peer.system) for peer in peers}, timeout=0.02, patience=0.3)
     unused.close()
-    assert str(found["iris_1"]) == f"iris_1: UDP 127.0.0.1:{port}: no answer of system 2 within 0.3 s"
-    assert "no answer of system 9" in str(found["iris_0"])  # it is another's port
+    assert str(found["iris_1"]) == f"iris_1: UDP 127.0.0.1:{port}: no answer from system 2 within 0.3 s"
+    assert "no answer from system 9" in str(found["iris_0"])  # it is another's port
     closed = station.run({peers[1]: plan_exchanges.download_plan(2)}, timeout=0.02, patience=0.3)
     assert "no program listens there" in str(closed["iris_1"])
 
@@ -153,7 +153,7 @@ def test_names_lead_to_ports(names, fleet, where):
     ("names", "fleet", "message"),
     [
         (["iris"], "", "'iris' is not allowed, a type and a number"),
-        (["iris_0", "solo_0"], "", r"several types \(iris, solo\): say which fleet flies, as --fleet iris:1,solo:1"),
+        (["iris_0", "solo_0"], "", r"several types \(iris, solo\): specify the fleet, as --fleet iris:1,solo:1"),
         (["iris_3"], "iris:3", "'iris_3' is not allowed, one of the fleet iris:3"),
     ],
 )
@@ -244,7 +244,7 @@ def test_invalid_values_are_reported(arguments, message, tmp_path, capsys):
 def test_check_reports_px4s_result(tmp_path, capsys):
     qgc_plan.write(tmp_path / "good.plan", survey(0))
     assert main(["check", str(tmp_path)]) == 0
-    assert "good.plan: 9 items, 4 of fence, 1 of rally points; 25 m of way" in capsys.readouterr().out
+    assert "good.plan: 9 items, 4 of fence, 1 of rally points; 25 m of path" in capsys.readouterr().out
     qgc_plan.write(tmp_path / "far.plan", Plan((waypoint(0), waypoint(1, command_=plan.TAKEOFF)), home=(*HOME, 0.0)))
     assert main(["check", str(tmp_path / "far.plan")]) == 1
     assert "Mission rejected: takeoff not first waypoint item" in capsys.readouterr().err

@@ -148,7 +148,7 @@ def test_a_rejection_has_a_reason_and_completion_is_awaited():
 
 def test_a_vehicle_that_never_finishes_is_abandoned():
     number = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
-    with pytest.raises(RefusalError, match="does not tell how it ends"):
+    with pytest.raises(RefusalError, match="sends no final acknowledgement"):
         talk(commands_and_refusals.arm(beat()), lambda _: [ack(number, mavlink.MAV_RESULT_IN_PROGRESS)])
 
 
@@ -208,7 +208,7 @@ def test_a_goto_on_the_ground_is_rejected(field):
         (["goto", "1", "2", "3", "--lat", "4", "--vehicle", "0"], "goto: 3 of X Y Z and --lat is not allowed"),
         (["goto", "--lat", "4", "--lon", "4", "--vehicle", "0"], "goto: --lat and --lon is not allowed, X Y Z, m, or"),
         (["goto", "--vehicle", "0"], "goto: no place is not allowed"),
-        (["goto", "1", "2", "3", "--vehicle", "0-2"], "3 vehicles would meet there"),
+        (["goto", "1", "2", "3", "--vehicle", "0-2"], "3 vehicles would collide there"),
         (["land"], "which vehicles?"),
     ],
 )

@@ -65,7 +65,7 @@ def test_a_plan_for_another_autopilot_is_accepted_with_a_note(field, tmp_path, c
     document["mission"]["firmwareType"] = firmware
     path.write_text(json.dumps(document))
     assert main(["upload", str(path), "--vehicle", str(FIRST)]) == 0
-    assert f"mine.plan: drawn for {words}, its items are taken as PX4 takes them" in capsys.readouterr().err
+    assert f"mine.plan: drawn for {words}, its items are interpreted as PX4 interprets them" in capsys.readouterr().err
     assert field.lists(0) == [9, 4, 1]
     assert json.loads(qgc_plan.text_of(qgc_plan.read(path)))["mission"]["firmwareType"] == firmware
 

@@ -99,7 +99,7 @@ def test_rejected_values_are_reported():
         talk(parameters.change(beat(ARDUPILOT), "A", 5), vehicle)
     with pytest.raises(RefusalError, match=r"A: 1\.5 is not allowed, a whole number"):
         talk(parameters.change(beat(ARDUPILOT), "A", 1.5), vehicle)
-    with pytest.raises(RefusalError, match="the vehicle tells nothing of NO_SUCH"):
+    with pytest.raises(RefusalError, match="the vehicle sends no value of NO_SUCH"):
         talk(parameters.change(beat(ARDUPILOT), "NO_SUCH", 1), vehicle)
     content = ParameterFile(7, {"A": (2, INT32), "B": (2, INT32)})
     with pytest.raises(RefusalError, match="1 of 2 parameters are set; A: 2 is rejected, 1 is kept"):

@@ -345,7 +345,7 @@ def test_numbers_and_systems():
     assert parse_address("serial:/dev/ttyUSB0:921600") == ("serial", "/dev/ttyUSB0", 921600)
     found = [Peer(f"system_{system}", system, "h", 1) for system in (1, 2, 5)]
     assert choose_systems(["1-2", "system_5", "1"], found) == found
-    with pytest.raises(GcsError, match="of the systems on this line: 1, 2, 5"):
+    with pytest.raises(GcsError, match="of the systems on this connection: 1, 2, 5"):
         choose_systems(["3"], found)
 
 

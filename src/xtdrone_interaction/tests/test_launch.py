@@ -142,7 +142,7 @@ def test_a_signal_ends_all_of_it(launch_file: Path, number: int) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["multi_vehicle", "vehicle:=iris:2"], "has no 'vehicle' (is vehicles meant?); there are: autopilot, "),
+        (["multi_vehicle", "vehicle:=iris:2"], "has no 'vehicle' (did you mean vehicles?); there are: autopilot, "),
         (["multi_vehicle", "rows"], "'rows' is not allowed, name:=value"),
         (["nowhere"], "'nowhere' does not exist; a path, or one of bench, "),
         (["formation", "control:=foo"], "control_is_vel_or_accel"),

@@ -218,7 +218,7 @@ def test_the_texts_on_contacts_are_the_simulators() -> None:
         output = io.StringIO()
         print_formation(crossing(simulator), Console(file=output, width=200))
         said[simulator] = output.getvalue()
-    assert "Simplified vehicles do not touch: where two meet, they fly through each other." in said["simplified"]
+    assert "Simplified vehicles do not collide: where two meet, they fly through each other." in said["simplified"]
     assert "collisions" not in said["simplified"]
     assert "Minimum distance 0.00 m, 0 collisions" in said["full"]
 

@@ -103,7 +103,7 @@ def test_losses_and_collisions_are_reported() -> None:
     bad.collisions.append("collision of typhoon_h480_1 and house_3")
     assert make_report(bad, {})["shortcomings"] == [
         "lost: typhoon_h480_1",
-        "silent cameras: typhoon_h480_0",
+        "failed cameras: typhoon_h480_0",
         "1 collisions",
     ]
 

@@ -151,7 +151,7 @@ def test_interrupt_stops_soon_and_leaves_nothing_running(tmp_path: Path) -> None
     assert process.returncode == 128 + signal.SIGINT
     wait_for(lambda: group_is_gone(process.pid))  # those that have closed their output are about to end
     assert "stopped by SIGINT" in text
-    assert "Give the same command again to fly the rest" in text
+    assert "Repeat the command to fly the rest" in text
     assert "Traceback" not in text
     assert 0 < len(rows(out)) < 1000
     assert not (out / "picture.png").exists()
@@ -231,7 +231,7 @@ def test_a_corrected_file_replaces_runs_that_all_failed(tmp_path: Path, capsys: 
         text.count("A run has failed (seed 0): AttributeError: 'FormationRecord' object has no attribute 'start'") == 1
     )
     assert "  2 failed: AttributeError: 'FormationRecord' object has no attribute 'start' (mine.py:15)\n" in text
-    assert "No picture is drawn, for no run went well" in text
+    assert "No picture is drawn, because no run succeeded" in text
     assert "Picture:" not in text
     assert not (out / "picture.png").exists()
 

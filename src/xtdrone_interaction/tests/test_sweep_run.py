@@ -80,7 +80,9 @@ def test_errors_of_a_users_class_become_a_picklable_row(tmp_path: Path, way: flo
 
 def test_a_metric_may_not_take_a_parameters_name(tmp_path: Path) -> None:
     row = flown(tmp_path, 0, metric="mine.py:figures")
-    assert row["error"].startswith("ValueError: metric gave the name 'class.way'; other names than key, seed, error")
+    assert row["error"].startswith(
+        "ValueError: metric returned the name 'class.way'; other names than key, seed, error"
+    )
     assert row["class.way"] == 0.0
 
 

@@ -134,8 +134,8 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"nmae": 1}, "'nmae' is unknown; there are: name"),
     ({"engine": "gazebo"}, "engine: 'gazebo' is not allowed; one of simplified, core"),
     ({"engine": "core", "flight": "airborne"}, "engine core, which begins on the ground"),
-    ({"engine": "core", "constants": {"model.delay": 0.1}}, "model.delay.*no meaning in engine core"),
-    ({"flight": "mission", "constants": {"hold": 1}}, "'hold' has no meaning in flight mission"),
+    ({"engine": "core", "constants": {"model.delay": 0.1}}, "model.delay.*no effect in engine core"),
+    ({"flight": "mission", "constants": {"hold": 1}}, "'hold' has no effect in flight mission"),
     ({"parameters": {"Kp": [1]}}, "parameter 'Kp' is unknown; did you mean follower.Kp"),
     ({"parameters": {"follower.kp": [1]}}, "'follower.kp' is unknown; did you mean follower.Kp"),
     ({"parameters": {"zzz": [1]}}, "'zzz' is unknown; there are: n, patterns"),
@@ -201,7 +201,7 @@ def test_rejects_incompatible_options(tmp_path: Path) -> None:
     [
         ("name: [", "is not YAML"),
         ("name: a\nname: b", "'name' is given twice, again in line 2"),
-        ("3", "3 is no study"),
+        ("3", "3 is not a study"),
         ("# nothing yet\n", "study.yaml: it is empty"),
         ("? [1, 2]\n: 3", "is not YAML: while constructing a mapping"),
     ],
@@ -222,7 +222,7 @@ def test_rejects_an_incompatible_python(tmp_path: Path) -> None:
         study(tmp_path, follower="mine.py:Fast")
     with pytest.raises(OptionError, match=r"'Slow' .* is no subclass of Leader"):
         study(tmp_path, leader="mine.py:Slow")
-    with pytest.raises(OptionError, match=r"'__name__' .* is no function"):
+    with pytest.raises(OptionError, match=r"'__name__' .* is not a function"):
         study(tmp_path, metric="mine.py:__name__")
 
 

@@ -59,7 +59,7 @@ def repository() -> Path:
 def _parse_patterns(text: str) -> list[str]:
     names = [name.strip() for name in text.split(",")]
     if not all(names):
-        raise ValueError("names with commas between, as cube,sphere,text:XTD")
+        raise ValueError("comma-separated names, as cube,sphere,text:XTD")
     return [absolute_name(name) for name in names]
 
 

@@ -37,7 +37,7 @@ class HelloSettings(Settings):
     """Settings of the flight.
 
     Attributes:
-        script: the file that flies.
+        script: the file that flies the vehicle.
         world: name, or absolute path of a file.
         out: folder of the logs.
         master_port: TCP port of the flight's own ROS master.

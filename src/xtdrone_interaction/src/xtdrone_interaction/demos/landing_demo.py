@@ -32,7 +32,7 @@ TYPE, ROBOT = "iris_landing_camera", "ugv_0"
 _WORDS = {
     "tags found": "the platform is in sight: [bold]AUTO.PRECLAND[/bold]",
     "no tags found": "[yellow]no tags found: landing here[/yellow]",
-    "landing given up": "[yellow]landing given up[/yellow]",
+    "landing given up": "[yellow]landing aborted[/yellow]",
 }
 
 
@@ -62,8 +62,9 @@ class LandingDemoSettings(Settings):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.description = (
-        "Land on a driving robot: a UAV with a camera that looks down takes off, searches the robot's AprilTags and "
-        "lands on them by PX4's precision landing. Leaves runs/<time>/ with flight.bag, report.json, events.jsonl and "
+        "Land on a driving robot: a UAV with a camera that looks down takes off, searches for the robot's AprilTags "
+        "and lands on them by PX4's precision landing. Leaves runs/<time>/ with flight.bag, report.json, "
+        "events.jsonl and "
         "landing.png."
     )
     LandingDemoSettings.add_arguments(parser, ("ugv_speed", "ugv_turn", "seed", "speed", "headless", "web"))
@@ -181,7 +182,7 @@ def print_landing(report: dict[str, Any], console: Console) -> None:
             f"Touchdown {touch['error']:.3f} m from the centre of the tags, {touch['horizontal_velocity']:.2f} m/s "
             f"across and {-touch['vertical_velocity']:.2f} m/s down relative to the robot, "
             f"{report['landing_time']:.1f} s after the tags were found; "
-            f"in sight in {100 * report['in_sight']:.0f} % of the pictures since.",
+            f"in sight in {100 * report['in_sight']:.0f} % of the images since.",
             highlight=False, soft_wrap=True,
         )  # fmt: skip
     for text in report["shortcomings"]:

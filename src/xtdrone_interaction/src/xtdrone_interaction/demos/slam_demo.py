@@ -38,7 +38,7 @@ _WAYS = {
     "stereo": ("4,0", "4,3", "0,3"),
     "laser": ("15,0",),
 }
-"""Default ways; the script has that of the lidar. Cameras look ahead, at the scenery in the east."""
+"""Default paths; the script has that of the lidar. Cameras look ahead, at the scenery in the east."""
 _POSES = {"laser": "[22, 5, 0, 0, 0, 0]"}  # inside the building
 _WESTERN = re.compile(r"-[\d.]+,")
 _RESULTS = ("flight.bag", "report.json", "path.png", "drift.png", "map.bt")
@@ -49,8 +49,8 @@ class SlamSettings(Settings):
     """Settings of the flight.
 
     Attributes:
-        script: the file that flies.
-        odometry: by which sensor, one of ``TYPES``.
+        script: the file that flies the vehicle.
+        odometry: its sensor, one of ``TYPES``.
         way: its arguments: points east, north of the start.
         world: name, or absolute path of a file.
         out: folder of the results.
@@ -74,13 +74,13 @@ class SlamSettings(Settings):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.description = (
-        "Fly one vehicle without GPS: its lidar (or camera) says where it is, on a way, home and down. Leaves "
-        "runs/<time>/ with flight.bag, report.json, and pictures of the way with its map and of the drift."
+        "Fly one vehicle along a path, back home and down without GPS, by lidar or camera odometry. Leaves "
+        "runs/<time>/ with flight.bag, report.json, and pictures of the path over the map and of the drift."
     )
     parser.add_argument("--script", type=Path, default=SCRIPT, metavar="FILE.py", help="script that flies the vehicle")
     parser.add_argument("--by", choices=tuple(TYPES), default="lidar", help="sensor of the odometry (default: lidar)")
     parser.add_argument(
-        "--way", nargs="+", default=[], metavar="X,Y", help="points of the way, m east and north of the start"
+        "--way", nargs="+", default=[], metavar="X,Y", help="waypoints of the path, m east and north of the start"
     )
     SlamSettings.add_arguments(parser, ("height", "speed", "seed", "web"))
     parser.add_argument(

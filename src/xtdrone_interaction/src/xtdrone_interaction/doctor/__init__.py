@@ -1,1 +1,1 @@
-"""``./xtdrone doctor``: what keeps the vehicles of a running simulation from arming, flying or being heard."""
+"""``./xtdrone doctor``: reasons why vehicles of a running simulation do not arm, fly or send data."""

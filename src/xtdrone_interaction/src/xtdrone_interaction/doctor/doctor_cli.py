@@ -1,4 +1,4 @@
-"""``./xtdrone doctor``: what keeps each vehicle from arming, flying OFFBOARD or being heard, and what to do about it.
+"""``./xtdrone doctor``: reasons why a vehicle does not arm, fly OFFBOARD or send data, and remedies.
 
 It reads a running simulation, or a real MAVROS, and changes nothing: a flight is the same to the last bit with it.
 
@@ -44,8 +44,8 @@ _START = "./xtdrone launch multi_vehicle vehicles:=iris:1, or ./xtdrone demo hel
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.description = (
-        "Name what keeps each vehicle of the running simulation from arming, flying OFFBOARD or being heard, and what "
-        "to do about it. Works beside a real MAVROS, too, and disturbs nothing. Exit status 0 if all is well, else 1."
+        "Report why vehicles of the running simulation do not arm, fly OFFBOARD or send data, and what to do about "
+        "it. Also works with a real MAVROS, and changes nothing. Exit status 0 if all is well, else 1."
     )
     parser.add_argument(
         "--master",

@@ -1,12 +1,10 @@
-"""What to do about each failing check of the autopilot, by the name of its event."""
+"""Remedies for each failing check of the autopilot, by the name of its event."""
 
 from __future__ import annotations
 
-_ESTIMATOR = (
-    "wait some seconds of simulated time on the ground; it stays so after a failure that was injected into a sensor"
-)
+_ESTIMATOR = "wait a few seconds of simulated time on the ground; an injected sensor failure does not go away"
 _POSITION = (
-    "after the start it takes some seconds of simulated time; if it stays so, check GPS (an injected failure, "
+    "after the start this takes a few seconds of simulated time; if it persists, check GPS (an injected failure, "
     "EKF2_GPS_CTRL, SYS_HAS_GPS); without GPS it needs vision or optical flow"
 )
 _BATTERY = "charge it: ./xtdrone sim reset; BAT1_* has the limits"
@@ -24,14 +22,14 @@ CHECKS = {
     "check_battery_critical": _BATTERY,
     "check_battery_emergency": _BATTERY,
     "check_rc_dl_no_dllink": "connect a ground station (QGroundControl, ./xtdrone gcs status), or set NAV_DLL_ACT to 0",
-    "check_failure_detector_attitude": "it lies on its side: ./xtdrone sim reset (limits: FD_FAIL_R, FD_FAIL_P)",
+    "check_failure_detector_attitude": "the vehicle is tipped over: ./xtdrone sim reset (limits: FD_FAIL_R, FD_FAIL_P)",
     "check_failure_detector_motor": "a motor has failed: end the injected failure, or ./xtdrone sim reset",
     "check_gf_violation": "it is outside its geofence: clear or move the fence (geofence/clear)",
     "check_estimator_vel_not_stable": f"{_ESTIMATOR}; COM_ARM_EKF_VEL is the limit",
     "check_estimator_pos_not_stable": f"{_ESTIMATOR}; COM_ARM_EKF_POS is the limit",
     "check_estimator_hgt_not_stable": f"{_ESTIMATOR}; COM_ARM_EKF_HGT is the limit",
     "check_estimator_heading_not_stable": f"{_ESTIMATOR}; COM_ARM_EKF_YAW is the limit",
-    "check_estimator_gps_fix_too_low": "GPS gives no fix: end an injected failure, or set COM_ARM_WO_GPS to 1 to "
+    "check_estimator_gps_fix_too_low": "GPS has no fix: end an injected failure, or set COM_ARM_WO_GPS to 1 to "
     "fly without it",
 }
 UNKNOWN_CHECK = "a ground station shows the details; with PX4, its documentation of the check"

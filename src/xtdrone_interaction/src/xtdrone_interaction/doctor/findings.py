@@ -70,7 +70,7 @@ class Check:
 
 @dataclass(frozen=True, kw_only=True)
 class Vehicle:
-    """What is known of one vehicle.
+    """Known state of one vehicle.
 
     Attributes:
         name: as ``iris_0``.
@@ -141,7 +141,7 @@ class Simulator:
 
 
 def examine_simulator(simulator: Simulator, graph: Graph) -> list[Finding]:
-    """Return what keeps simulated time from advancing."""
+    """Return the problems that keep simulated time from advancing."""
     if simulator.paused:
         return [Finding("time", "the simulation is paused", "./xtdrone sim resume")]
     if simulator.waiting_for and simulator.waiting >= _HELD:
@@ -149,7 +149,7 @@ def examine_simulator(simulator: Simulator, graph: Graph) -> list[Finding]:
         return [
             Finding(
                 "time",
-                f"{names} {_has(simulator.waiting_for)} held the tick for {simulator.waiting:.0f} s of wall time",
+                f"{names} {_has(simulator.waiting_for)} held up the tick for {simulator.waiting:.0f} s of wall time",
                 "a node at a breakpoint may take any time; one that hangs: see its log, then end it (rosnode kill "
                 f"{simulator.waiting_for[0]}); the simulator drops a node that stays silent (hang_limit)",
             )
@@ -185,7 +185,7 @@ def examine_graph(graph: Graph) -> list[Finding]:
 
 
 def examine_vehicle(vehicle: Vehicle, graph: Graph, simulator: Simulator | None) -> list[Finding]:
-    """Return what keeps a vehicle from being heard, arming and flying OFFBOARD; the cause of others comes alone."""
+    """Return why a vehicle does not send data, arm or fly OFFBOARD; a problem that causes others is returned alone."""
     link = _link(vehicle, graph, simulator)
     if link is not None:
         return [link, *_unheard_commands(vehicle, graph)]
@@ -213,7 +213,7 @@ def _link(vehicle: Vehicle, graph: Graph, simulator: Simulator | None) -> Findin
         return Finding("link", "the autopilot sends nothing while simulated time stands still", "see 'time' above")
     if not vehicle.heard:
         return Finding(
-            "link", f"nothing came on {vehicle.prefix}/state", "is the node alive? rosnode ping, and its log"
+            "link", f"no message received on {vehicle.prefix}/state", "is the node alive? rosnode ping, and its log"
         )
     link = f" ({vehicle.fcu_url})" if vehicle.fcu_url else ""
     return Finding(
@@ -234,7 +234,7 @@ def _arming(vehicle: Vehicle) -> Iterator[Finding]:
         yield Finding(
             "arming",
             f"the estimator is starting{f': {reasons}' if reasons else ''}",
-            "wait some seconds of simulated time",
+            "wait a few seconds of simulated time",
         )
         return
     for check in blocking:
@@ -295,7 +295,7 @@ def _no_setpoints(vehicle: Vehicle, graph: Graph) -> Finding:
         return Finding(
             "OFFBOARD",
             f"no stream of setpoints, though {listed(nodes)} publish{_es(nodes)} on {topic}{rate}",
-            "publish at 2 Hz or faster, all the time, and look for a rejected message in MAVROS's log",
+            "publish continuously at 2 Hz or faster, and look for a rejected message in MAVROS's log",
         )
     if dead and not listeners:
         return Finding(
@@ -320,7 +320,7 @@ def _rivals(vehicle: Vehicle, graph: Graph) -> Iterator[Finding]:
     if len(nodes) > 1:
         yield Finding(
             "OFFBOARD",
-            f"{listed(nodes)} all publish setpoints for it: they contradict each other",
+            f"{listed(nodes)} all publish setpoints for it, which conflict",
             f"end all but one, such as: rosnode kill {nodes[-1]}",
         )
 
@@ -353,7 +353,7 @@ def remedy(check: Check) -> str:
 
 
 def listed(names: Iterable[str]) -> str:
-    """Return names with commas between, the first few of many."""
+    """Return comma-separated names, only the first few of many."""
     all_names = list(names)
     more = f" and {len(all_names) - _NAMES} more" if len(all_names) > _NAMES else ""
     return ", ".join(all_names[:_NAMES]) + more

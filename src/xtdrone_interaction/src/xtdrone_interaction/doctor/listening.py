@@ -1,4 +1,4 @@
-"""What MAVROS's topics tell of vehicles, for a MAVROS that is not the project's."""
+"""State of vehicles from the topics of a MAVROS other than this project's."""
 
 from __future__ import annotations
 

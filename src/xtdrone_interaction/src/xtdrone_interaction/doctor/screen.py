@@ -11,7 +11,7 @@ from xtdrone_interaction.doctor.findings import Finding, Simulator, Vehicle, lis
 
 OK, BAD, PLAIN = "ok", "bad", ""
 _ABILITIES = ("link", "arming", "OFFBOARD")
-_FAILED = {"MAVROS": _ABILITIES, "link": _ABILITIES}  # what a finding makes impossible, besides itself
+_FAILED = {"MAVROS": _ABILITIES, "link": _ABILITIES}  # the abilities that a finding makes impossible, besides its own
 _INDENT = 10
 
 
@@ -38,7 +38,7 @@ def wrapped(line: Line, width: int) -> str:
 
 
 def simulator_lines(uri: str, fleet: str, world: str, simulator: Simulator | None) -> list[Line]:
-    """Return what runs."""
+    """Return the lines about the running simulation or MAVROS."""
     if simulator is None:
         return [Line(_entry("MAVROS", f"without a simulator, on wall time; ROS master {uri}"))]
     target = f"of {simulator.speed:g} x" if simulator.speed else "as fast as it goes"

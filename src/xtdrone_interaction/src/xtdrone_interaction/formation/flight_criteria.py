@@ -23,5 +23,5 @@ def parse_criteria(text: object) -> list[str]:
     """
     names = {name.strip() for name in str(text).split(",")}
     if not names <= CRITERIA.keys():
-        raise ValueError(f"names with commas between, of {', '.join(CRITERIA)}")
+        raise ValueError(f"comma-separated names, of {', '.join(CRITERIA)}")
     return [name for name in CRITERIA if name in names]

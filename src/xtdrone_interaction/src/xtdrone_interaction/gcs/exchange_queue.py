@@ -166,4 +166,4 @@ class Contact:
         if self.connection.unreachable:
             return f"{where}: no program listens there; is the simulation running, with this vehicle?"
         who = "any autopilot" if self.system == ANY else f"system {self.system}"
-        return f"{where}: no answer of {who} within {patience:g} s"
+        return f"{where}: no answer from {who} within {patience:g} s"

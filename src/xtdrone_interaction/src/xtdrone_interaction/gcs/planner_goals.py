@@ -22,14 +22,14 @@ Goal = tuple[float, float, float]
 
 
 def send_goals(goals: Mapping[str, Goal], master: str = "") -> dict[str, GcsError | None]:
-    """Hand goals to the vehicles' planners (``planner.py``), which fly round what the sensors see.
+    """Hand goals to the vehicles' planners (``planner.py``), which avoid the obstacles that the sensors see.
 
     Args:
         goals: x, y, z by name of the vehicle, m in map.
         master: port or URI of the ROS master; empty: the environment's, or that of the newest flight of this workspace.
 
     Returns:
-        Per vehicle None, or why it does not fly there.
+        Per vehicle None, or the reason why it does not fly there.
 
     Raises:
         GcsError: there is no simulation on a ROS master.

@@ -228,7 +228,7 @@ class _SerialPort:
         try:
             self._port.write(frame)
         except OSError as error:
-            raise GcsError(f"{self.where}: the device takes nothing: {error}") from error
+            raise GcsError(f"{self.where}: the device accepts no data: {error}") from error
 
     def close(self) -> None:
         self._port.close()

@@ -76,7 +76,7 @@ def peers_of(names: Iterable[str], fleet: str = "", host: str = LOOPBACK, instan
         if part is None:
             raise GcsError(f"vehicle: {name!r} is not allowed, a type and a number, as typhoon_h480_0")
         if not known and len(types) > 1:
-            raise GcsError(f"vehicles of several types ({', '.join(sorted(types))}): say which fleet flies, as "
+            raise GcsError(f"vehicles of several types ({', '.join(sorted(types))}): specify the fleet, as "
                            f"--fleet {','.join(f'{kind}:1' for kind in sorted(types))}")  # fmt: skip
         if known and name not in by_name:
             raise GcsError(f"vehicle: {name!r} is not allowed, one of the fleet {fleet}")
@@ -154,6 +154,6 @@ def choose_systems(words: Sequence[str], found: Sequence[Peer]) -> list[Peer]:
             raise GcsError(f"vehicle: {word!r} is not allowed, system ids are 1 to {_LAST_SYSTEM}")
         wanted = [by_name.get(word)] if numbers is None else [by_system.get(number) for number in numbers]
         if None in wanted:
-            raise GcsError(f"vehicle: {word!r} is not allowed, of the systems on this line: {there}")
+            raise GcsError(f"vehicle: {word!r} is not allowed, of the systems on this connection: {there}")
         chosen |= dict.fromkeys(peer for peer in wanted if peer is not None)
     return list(chosen)

@@ -123,7 +123,7 @@ class Pilot:
             return self._turn_to_other_target()
         if key.isdecimal():
             return self._choose(key)
-        self.note = f"{key!r} is no key of this keyboard"
+        self.note = f"{key!r} is not a key of this keyboard"
         return []
 
     def cycle(self) -> Setpoint | None:
@@ -144,7 +144,7 @@ class Pilot:
 
     def _change(self, axis: int, sign: int) -> None:
         count, most = self._counts[axis] + sign, _MOST[axis]
-        self.note = f"{AXES[axis]}: {most // STEPS} is the most" if abs(count) > most else ""
+        self.note = f"{AXES[axis]}: {most // STEPS} is the maximum" if abs(count) > most else ""
         self._counts[axis] = max(-most, min(most, count))
 
     def _command(self, text: str) -> list[Message]:

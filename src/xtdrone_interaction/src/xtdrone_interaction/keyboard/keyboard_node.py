@@ -351,7 +351,7 @@ class Keyboard:
             topic.send_command(message.text)
         if unheard:
             more = f" and {len(unheard) - 1} more" if len(unheard) > 1 else ""
-            self._pilot.note += f"; {unheard[0]}{more} took nothing: no communication node"
+            self._pilot.note += f"; {unheard[0]}{more} received nothing: no communication node"
             if message.target is Target.LEADER:
                 self._pilot.note = f"{message.text}: no leader is running, start leader.py"
 

@@ -134,7 +134,7 @@ class Terminal:
         """
         self.input = sys.stdin.fileno()
         if not os.isatty(self.input):
-            raise NoTerminalError("standard input is no terminal; start it in one (over ssh: ssh -t HOST ...)")
+            raise NoTerminalError("standard input is not a terminal; start it in one (over ssh: ssh -t HOST ...)")
         self._output = sys.stdout.fileno()
         self._sequences = _Sequences.of(self._output) if os.isatty(self._output) else None
         self.redraws = self._sequences is not None

@@ -116,7 +116,7 @@ def check_arguments(path: Path, given: Mapping[str, str]) -> None:
     for name in given:
         if name not in declared:
             near = difflib.get_close_matches(name, declared, 1)
-            meant = f" (is {near[0]} meant?)" if near else ""
+            meant = f" (did you mean {near[0]}?)" if near else ""
             names = ", ".join(sorted(declared)) or "none"
             raise OptionError(f"launch argument: {path.name} has no {name!r}{meant}; there are: {names}")
 

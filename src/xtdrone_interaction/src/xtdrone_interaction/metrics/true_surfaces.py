@@ -1,4 +1,4 @@
-"""The true surfaces of a world: which of them a lidar could see on its way, and how far a map is from them."""
+"""The true surfaces of a world: those that a lidar could see along its path, and a map's distance from them."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from xtdrone_sim.worlds.catalogue import load_world
 
 Array = NDArray[np.float64]
 
-_DRAWN = 60_000  # points on the surfaces around the way
+_DRAWN = 60_000  # points on the surfaces around the path
 _MOST_POINTS = 60_000  # of the map that are compared; the others are left out, by the seed
-_STEP = 1.0  # m of the way between two places from which is looked
-_TOUCH = 0.02  # m by which a ray may end before the point that it looks at
+_STEP = 1.0  # m of the path between two viewpoints
+_TOUCH = 0.02  # m by which a ray may end before its target point
 _FARTHEST_ERROR = 5.0  # m; errors of the map beyond count as this
 
 
 class Sight(NamedTuple):
-    """What a lidar can see.
+    """Field of view of a lidar.
 
     Attributes:
         range: m.
@@ -43,7 +43,7 @@ ALL_ROUND = Sight(15.0, -np.pi / 2, np.pi / 2)
 
 
 def sight_of(vehicle: str) -> Sight:
-    """Return what the spinning lidar of a vehicle (as ``iris_slam_0``) can see, at most 15 m; else ``ALL_ROUND``."""
+    """Return the field of view of a vehicle's spinning lidar, at most 15 m; without one ``ALL_ROUND``."""
     try:
         lidars = lidars_of(parse_fleet(f"{vehicle.rpartition('_')[0]}:1"))
     except ValueError:
@@ -68,10 +68,10 @@ class TrueWorld:
         self.surfaces = self._scene.layout.trees.surfaces
 
     def visible(self, ways: list[tuple[Trajectory, Sight]], seed: int) -> Array:
-        """Return points on the surfaces that could be seen on some ways, (n, 3) m in map, evenly by area.
+        """Return points on the surfaces visible along some paths, (n, 3) m in map, evenly by area.
 
-        A point counts if it is in sight of a true place on a way (one every metre): within the lidar's range, at most
-        15 m, and its vertical field of view, nothing in between.
+        A point counts if it is visible from a true position on a path (one every metre): within the lidar's range,
+        at most 15 m, and its vertical field of view, with nothing in between.
         """
         if not ways:
             return np.zeros((0, 3))
@@ -103,7 +103,7 @@ class TrueWorld:
 
         Args:
             found: (n, 3) points of the map, or centres of its occupied voxels, m in map.
-            ways: true ways of the vehicles that mapped, with what they can see.
+            ways: true paths of the vehicles that mapped, with their fields of view.
             seed: of the points on surfaces.
         """
         if not len(found):

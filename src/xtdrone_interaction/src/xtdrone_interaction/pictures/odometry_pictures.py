@@ -1,4 +1,4 @@
-"""Pictures of odometry: its way and map beside the truth, and its error over time."""
+"""Pictures of odometry: its path and map beside the truth, and its error over time."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def pictures(recording: Recording) -> Iterator[NamedFigure]:
 
 
 def path(found: Trajectory, true: Trajectory, name: str, points: Array | None = None) -> Figure:
-    """Draw the ways from above, over the points of a map (n, 3) if there is one, coloured by height."""
+    """Draw the paths from above, over the points of a map (n, 3) if there is one, coloured by height."""
     figure, panel = plt.subplots(figsize=(7.0, 6.4), layout="constrained")
     if points is not None and len(points):
         low, high = np.percentile(points[:, 2], [2, 98])
@@ -48,7 +48,7 @@ def path(found: Trajectory, true: Trajectory, name: str, points: Array | None = 
 
 
 def drift(found: Trajectory, true: Trajectory, name: str) -> Figure:
-    """Draw the error over the way, in all and by axis."""
+    """Draw the error over the path, in total and by axis."""
     figure, (panel,) = panels(1, 3.2, 0.97)
     difference, way = found.position - true.position, true.way
     panel.plot(way, np.linalg.norm(difference, axis=1), color="black", lw=1.4, label="in all")

@@ -500,11 +500,14 @@ class _Collector:
         """Return notes about undecodable and missing messages."""
         self.losses.failed = self.layouts.failed
         notes = self.losses.notes()
-        notes += [f"topic {name} of type {kind} is not MAVROS's; left out" for name, kind in self.mismatched.items()]
+        notes += [
+            f"topic {name} of type {kind} does not have MAVROS's type; left out"
+            for name, kind in self.mismatched.items()
+        ]
         if self.columns.stride > 1:
             notes.append(
-                f"it is long: of the fastest topics one message in {self.columns.stride} is shown, so what happened "
-                "between them is not seen"
+                f"it is long: one message in {self.columns.stride} of the fastest topics is shown, events between "
+                f"them are not"
             )
         return notes
 

@@ -120,14 +120,12 @@ def complete(fleet: FleetSeries) -> list[str]:
         _add_velocity(series)
     notes = []
     if by_gps:
-        notes.append(f"places of {', '.join(by_gps)} are of GPS, from the first fix of {next(iter(fixes))}")
+        notes.append(f"positions of {', '.join(by_gps)} are from GPS, relative to the first fix of {next(iter(fixes))}")
     known = np.array([origin for origin in origins if np.isfinite(origin).all()]).reshape(-1, 2)
     apart = float(np.hypot(*np.ptp(known, axis=0))) if len(known) else 0.0
     if apart > _APART or (by_gps and len(by_gps) < len(fleet)):
-        where = (
-            f" begin at places up to {apart:.0f} m apart, as GPS says" if apart > _APART else " have several origins"
-        )
-        notes.append(f"the vehicles' places{where}: distances between vehicles are not true")
+        where = f" begin up to {apart:.0f} m apart according to GPS" if apart > _APART else " have several origins"
+        notes.append(f"the vehicles' positions{where}: distances between vehicles are wrong")
     return notes
 
 

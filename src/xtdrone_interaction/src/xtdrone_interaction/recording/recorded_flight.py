@@ -17,7 +17,7 @@ LOG_TOPIC = "/rosout"
 
 
 class RecordError(ValueError):
-    """A file that does not hold the flight it should."""
+    """A file that does not contain the expected flight."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class TopicStatistics:
 
 @dataclass
 class VehicleRecord:
-    """Everything recorded of one vehicle.
+    """All recorded data of one vehicle.
 
     Attributes:
         name: last part of its namespace.

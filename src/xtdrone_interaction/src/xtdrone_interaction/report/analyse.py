@@ -152,7 +152,7 @@ def run(arguments: argparse.Namespace) -> int:
             if not file.exists():
                 raise BagError(f"analyse: {str(file)!r} does not exist")
         if arguments.map and arguments.world is None:
-            raise OptionError("map: --world is needed, whose surfaces the map is compared with")
+            raise OptionError("map: --map needs --world, with whose surfaces it is compared")
         maps = MapOptions(None if arguments.world is None else command_options.world(arguments.world), arguments.map)
         folder = output_folder(arguments.out, first.with_name(f"{first.stem}-analysis"))
         analyse(arguments.files, folder, Console(), arguments.part, maps)

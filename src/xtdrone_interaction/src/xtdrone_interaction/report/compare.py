@@ -169,7 +169,7 @@ def names_of(files: Sequence[Path], names: str | None) -> list[str]:
     if names is not None:
         given = [name.strip() for name in names.split(",")]
         if len(given) != len(files) or len(set(given)) != len(files) or not all(given):
-            raise OptionError(f"names: {names!r} is not allowed; {len(files)} different names with commas between")
+            raise OptionError(f"names: {names!r} is not allowed; {len(files)} different comma-separated names")
         return given
     paths = [file.resolve() for file in files]
     for length in range(1, max(len(path.parts) for path in paths) + 1):
@@ -189,7 +189,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("files", type=Path, nargs="+", metavar="FILE", help="two or more runs; the first is the "
         "reference for the others")  # fmt: skip
-    add("--names", metavar="NAMES", help="of the runs, with commas between (default: from their paths)")
+    add("--names", metavar="NAMES", help="names of the runs, comma-separated (default: from their paths)")
     add("--align", choices=ALIGNMENTS, default="motion",
         help="zero of the times (default: the first motion of any vehicle)")  # fmt: skip
     add("--vehicle", metavar="NAME", help="compare this vehicle alone; in a run with a single one, that one")

@@ -37,7 +37,9 @@ def print_formation(report: dict[str, Any], console: Console) -> None:
     console.print(line + ".", highlight=False)
     console.print(f"Positions: {report['positions']}.", highlight=False)
     if simplified:
-        console.print("Simplified vehicles do not touch: where two meet, they fly through each other.", highlight=False)
+        console.print(
+            "Simplified vehicles do not collide: where two meet, they fly through each other.", highlight=False
+        )
     for text in report["shortcomings"]:
         console.print(f"[red]Missed:[/red] {escape(text)}", highlight=False, soft_wrap=True)
 
@@ -57,12 +59,12 @@ def print_search(report: dict[str, Any], console: Console) -> None:
         console.print(_find_text(find), highlight=False)
     for following in report["following"]:
         share = following["in_view"]
-        part = "" if share is None else f", in view in {100 * share:.0f} % of the pictures"
+        part = "" if share is None else f", in view in {100 * share:.0f} % of the images"
         console.print(f"{following['vehicle']} followed for {following['duration']:.0f} s{part}.", highlight=False)
     for candidate in report["possible"][:5]:
         x, y = candidate["position"][:2]
         console.print(
-            f"Seen but not confirmed: ({x:.1f}, {y:.1f}) m, {candidate.get('hits', 0)} pictures.", highlight=False
+            f"Seen but not confirmed: ({x:.1f}, {y:.1f}) m, {candidate.get('hits', 0)} images.", highlight=False
         )
     print_table(_search_table(report["vehicles"]), console)
     if covered["fraction"] is not None:
@@ -84,7 +86,7 @@ def _find_text(find: dict[str, Any]) -> str:
 
 def _pace(report: dict[str, Any]) -> str:
     wall = report["settings"].get("wall_time")
-    return f", {report['simulated_time'] / wall:.2f} x real time with starting up" if wall else ""
+    return f", {report['simulated_time'] / wall:.2f} x real time including start-up" if wall else ""
 
 
 def _search_table(vehicles: dict[str, dict[str, Any]]) -> ReportTable:
@@ -116,7 +118,7 @@ def print_crossing(report: dict[str, Any], console: Console) -> None:
                 f"(straight and without obstacles: {vehicle['straight_time']:.1f} s), path {vehicle['path']:.1f} m"
             )
         if vehicle["clearance"] is not None:
-            line += f"; nearest obstacle {vehicle['clearance']:.2f} m from its middle"
+            line += f"; nearest obstacle {vehicle['clearance']:.2f} m from its centre"
         console.print(line + ".", highlight=False, soft_wrap=True, markup=False)
         for kind, words in (("map", "map update"), ("plan", "plan")):
             found = report["timings"].get(name, {}).get(kind)
@@ -155,8 +157,8 @@ def print_exploration(report: dict[str, Any], console: Console) -> None:
         line = (
             f"{name}: {vehicle['outcome']}; path {vehicle['path']:.1f} m, nearest obstacle {vehicle['clearance']:.2f} m"
         )
-        console.print(f"{line} from its middle.", highlight=False, soft_wrap=True, markup=False)
-    line = f"Seen: {100 * report['coverage']:.1f} % of what can be seen"
+        console.print(f"{line} from its centre.", highlight=False, soft_wrap=True, markup=False)
+    line = f"Seen: {100 * report['coverage']:.1f} % of the visible floor"
     if report["time_to_95_percent"] is not None:
         line += f", 95 % after {report['time_to_95_percent']:.0f} s"
     if report["explored_after"] is not None:

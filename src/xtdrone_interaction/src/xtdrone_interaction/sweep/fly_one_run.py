@@ -280,14 +280,14 @@ def _checked_metric(values: object, varied: Mapping[str, Value]) -> Row:
         ValueError: reserved name.
     """
     if not isinstance(values, Mapping):
-        raise TypeError(f"metric gave {values!r}; a mapping of names to numbers is allowed")
+        raise TypeError(f"metric returned {values!r}; a mapping of names to numbers is allowed")
     found: Row = {}
     for name, value in values.items():
         taken = ("key", "seed", "error", *FIGURES, *varied)
         if not isinstance(name, str) or not name or name in taken:
-            raise ValueError(f"metric gave the name {name!r}; other names than {', '.join(taken)} are allowed")
+            raise ValueError(f"metric returned the name {name!r}; other names than {', '.join(taken)} are allowed")
         if isinstance(value, str | bytes) or not np.isscalar(value):
-            raise TypeError(f"metric gave {name}={value!r}; a number is allowed")
+            raise TypeError(f"metric returned {name}={value!r}; a number is allowed")
         number = float(value)  # type: ignore[arg-type]
         found[name] = number if math.isfinite(number) else None
     return found

@@ -325,7 +325,7 @@ def _finish(store: Store, keys: Sequence[str], status: int, arguments: argparse.
     _print(console, f"{there:,} of {len(keys):,} runs exist, {failed:,} of them failed")
     results = store.finish(keys)
     if not there:
-        again = "--draw flies nothing" if arguments.draw else "give the same command again to fly the runs"
+        again = "--draw flies nothing" if arguments.draw else "repeat the command to fly the runs"
         _print(console, f"There are no results; {again}")
         return status or 1
     _print(console, f"Results: {results}")
@@ -333,11 +333,11 @@ def _finish(store: Store, keys: Sequence[str], status: int, arguments: argparse.
         _print_reasons(results, console)
     if failed == there:
         results.with_name(_PICTURE).unlink(missing_ok=True)  # an older one
-        _print(console, "No picture is drawn, for no run went well")
+        _print(console, "No picture is drawn, because no run succeeded")
     elif not status:  # an interrupted sweep ends at once; --draw makes the picture
         _draw(results, arguments, console)
     if there < len(keys):
-        _print(console, "Give the same command again to fly the rest, or with --draw to draw the existing ones")
+        _print(console, "Repeat the command to fly the rest, or add --draw to draw the existing ones")
         return status or 1
     if failed:
         _print(console, "The column 'error' says why each run has failed; --retry-failed flies them again")

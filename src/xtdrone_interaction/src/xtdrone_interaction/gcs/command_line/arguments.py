@@ -138,8 +138,10 @@ def _all(host: str, instance: int) -> list[Peer]:
     peers = search_for_vehicles.find(host, instance=instance)
     if not peers:
         first = numbered(0, instance=instance).port
-        raise GcsError(f"no vehicle answers at {host}, UDP ports {first} and above; does the simulation "
-                       "run? Other autopilots: --connect ADDRESS")  # fmt: skip
+        raise GcsError(
+            f"no vehicle answers at {host}, UDP ports {first} and above; is the simulation running? "
+            "Other autopilots: --connect ADDRESS"
+        )
     return peers
 
 
@@ -153,7 +155,7 @@ def _connected(words: list[str], arguments: argparse.Namespace) -> list[Peer]:
     wanted = {system for part in numbers if part is not None for system in part} if named_all else ()
     found = search_for_vehicles.listen(address, wanted=wanted)
     if not found:
-        raise GcsError(f"{arguments.connect}: no autopilot's heartbeat has come over it")
+        raise GcsError(f"{arguments.connect}: no heartbeat of an autopilot has been received")
     try:
         return choose_systems(words, found)
     except GcsError as error:

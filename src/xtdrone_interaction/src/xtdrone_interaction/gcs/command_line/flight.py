@@ -59,7 +59,7 @@ class GotoOptions(Settings):
         low=0.5,
         high=1000.0,
         unit="m",
-        text="for several vehicles: height of each one above the one before",
+        text="for several vehicles: height difference between consecutive vehicles",
         metavar="M",
     )
 
@@ -91,7 +91,7 @@ def _takeoff(arguments: argparse.Namespace) -> int:
     results = run(dict.fromkeys(peers, partial(commands_and_refusals.take_off, height=arguments.height)), arguments)
 
     def said(_name: str, height: float) -> str:
-        least = f", the least it does; {arguments.height:g} m were asked for" if height > arguments.height else ""
+        least = f", the minimum; {arguments.height:g} m were requested" if height > arguments.height else ""
         return f"armed, takes off to {height:g} m{least}"
 
     return display.results(peers, results, said)
@@ -103,7 +103,7 @@ def _goto(arguments: argparse.Namespace) -> int:
     peers = select_vehicles(arguments)
     if len(peers) > 1 and options.spacing is None:
         raise UsageError(
-            f"goto: {len(peers)} vehicles would meet there; --spacing M keeps so many metres between heights"
+            f"goto: {len(peers)} vehicles would collide there; --spacing M separates their heights by M metres"
         )
     heights = [i * (options.spacing or 0.0) for i in range(len(peers))]
     if arguments.avoid:
@@ -118,7 +118,7 @@ def _goto(arguments: argparse.Namespace) -> int:
 def _plan(arguments: argparse.Namespace, target: Target, heights: Mapping[Peer, float]) -> int:
     """Hand the target, raised by ``heights`` (m), to the vehicles' planners; return the exit status."""
     if target.local is None or not math.isnan(target.speed):
-        raise UsageError("goto: --avoid needs X Y Z, and is without --speed, which is the planner's (~speed)")
+        raise UsageError("goto: --avoid needs X Y Z and excludes --speed, which the planner sets (~speed)")
     from ..planner_goals import send_goals  # the only command that needs ROS
 
     x, y, z = target.local
@@ -167,7 +167,8 @@ def add_to(add: Adder) -> None:
     goto = add("goto", _goto, "go to a position and hold there; the vehicle has to be in the air")
     GotoOptions.add_arguments(goto)
     goto.add_argument("--avoid", action="store_true",
-                      help="by the vehicle's planner, round what its sensor sees: planner.py has to run")  # fmt: skip
+                      help="fly by the vehicle's planner, around obstacles that its sensor sees; planner.py must be "
+                          "running")  # fmt: skip
     goto.add_argument("--master", metavar="MASTER", help="with --avoid: port or URI of the ROS master (default: "
                       "ROS_MASTER_URI, or the newest flight of this workspace)")  # fmt: skip
     mode = add("mode", _mode, "set the mode by its PX4 or ArduPilot name, such as MISSION, POSCTL, GUIDED")

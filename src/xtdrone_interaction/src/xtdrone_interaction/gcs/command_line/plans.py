@@ -76,7 +76,10 @@ def read_plans(files: Sequence[Path]) -> dict[Path, Plan]:
         raise UsageError("\n".join(wrong))
     for file, content in plans.items():
         if content.drawn_for:
-            print(f"{file}: drawn for {content.drawn_for}, its items are taken as PX4 takes them", file=sys.stderr)
+            print(
+                f"{file}: drawn for {content.drawn_for}, its items are interpreted as PX4 interprets them",
+                file=sys.stderr,
+            )
     return plans
 
 
@@ -201,7 +204,7 @@ def _check(arguments: argparse.Namespace) -> int:
     status = 0
     for file, content in read_plans(find_files(arguments.files)).items():
         said, good = problems(content)
-        print(f"{file}: {_summary(content)}; {path_length(content):.0f} m of way")
+        print(f"{file}: {_summary(content)}; {path_length(content):.0f} m of path")
         for text in said:
             print(f"{file}: {text}", file=sys.stderr)
         status = status if good else 1

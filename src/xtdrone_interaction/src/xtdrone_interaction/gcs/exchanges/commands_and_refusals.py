@@ -95,7 +95,7 @@ def _command_until_done(number: int, message: Any, what: str) -> Exchange[None]:
         if answer is None:
             attempt += 1
             if attempt > _ATTEMPTS:
-                raise RefusalError(f"{what}: the vehicle does not tell how it ends", True)
+                raise RefusalError(f"{what}: the vehicle sends no final acknowledgement", True)
             outgoing = [message(attempt)]
             continue
         _collect_text(answer, texts)
@@ -233,7 +233,7 @@ def take_off(heartbeat: Heartbeat, height: float) -> Exchange[float]:
         return height
     here = yield from fetch_message(heartbeat.system, "GLOBAL_POSITION_INT")
     if here is None:
-        raise RefusalError("takeoff: the vehicle does not know where it is", True)
+        raise RefusalError("takeoff: the vehicle has no position estimate", True)
     if heartbeat.autopilot == mavlink.MAV_AUTOPILOT_PX4:
         least, _ = (yield from fetch_parameters(heartbeat, ["MIS_TAKEOFF_ALT"]))["MIS_TAKEOFF_ALT"]
         height = max(height, least)
@@ -268,12 +268,12 @@ def _global_position(heartbeat: Heartbeat, target: Target) -> Exchange[tuple[flo
     if target.local is not None:
         origin = yield from fetch_message(heartbeat.system, "GPS_GLOBAL_ORIGIN")
         if origin is None:
-            raise RefusalError("goto: the vehicle's local frame has no place on the globe", True)
+            raise RefusalError("goto: the vehicle's local frame has no global origin", True)
         east, north, up = target.local
         place = projection.reproject(north, east, origin.latitude * 1e-7, origin.longitude * 1e-7)
         return *place, origin.altitude * 1e-3 + up
     if target.place is None:
-        raise ValueError("target: neither a local place nor one on the globe")
+        raise ValueError("target: neither a local nor a global position")
     altitude = target.altitude
     if target.over_home:
         home = yield from fetch_message(heartbeat.system, "HOME_POSITION")

@@ -42,7 +42,7 @@ ANSWERS = (
 )
 """Messages that are passed to exchanges."""
 
-_REQUESTS = 100  # of a message, before the vehicle counts as not having it
+_REQUESTS = 100  # requests of a message before the vehicle counts as not having it
 _STATE_MESSAGES = (
     "SYS_STATUS",
     "EXTENDED_SYS_STATE",
@@ -96,7 +96,7 @@ class RefusalError(Exception):
 
 
 class Unanswered(list[Any]):
-    """Messages without an answer: the caller sends them and resumes the exchange at once."""
+    """Messages without an answer; the caller sends them and resumes the exchange at once."""
 
 
 def ignore_progress(_what: str, _done: int, _total: int) -> None:

@@ -102,7 +102,7 @@ def fetch(
             elif answer is None:
                 unanswered += 1
                 if unanswered > _UNANSWERED:
-                    raise RefusalError(f"parameters: the vehicle tells nothing of {', '.join(missing)}", True)
+                    raise RefusalError(f"parameters: the vehicle sends no value of {', '.join(missing)}", True)
                 outgoing = [_read_message(heartbeat, name) for name in missing]
     return {name: found[name] for name in wanted}
 
@@ -183,7 +183,7 @@ def store(
             elif answer is None:
                 unanswered += 1
                 if unanswered > _UNANSWERED:
-                    failed |= dict.fromkeys(missing, "the vehicle does not take it")
+                    failed |= dict.fromkeys(missing, "the vehicle does not accept it")
                     break
                 outgoing = [_set_message(heartbeat, each, values[each], bytewise) for each in missing]
     return failed

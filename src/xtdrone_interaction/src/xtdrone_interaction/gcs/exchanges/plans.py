@@ -154,7 +154,7 @@ def _refusal(result: int, kind: int, requested: int, items: Items) -> RefusalErr
     name = entry.name if entry is not None else f"result {result}"
     known = 0 <= requested < len(items)
     where = f"item {requested + 1} (command {items[requested].command})" if known else f"{len(items)} items"
-    return RefusalError(f"{KINDS[kind]}: the vehicle refuses {where}: {name}", result not in _RETRIED)
+    return RefusalError(f"{KINDS[kind]}: the vehicle rejects {where}: {name}", result not in _RETRIED)
 
 
 def _download_once(system: int, kind: int, progress: Progress) -> Exchange[Items]:

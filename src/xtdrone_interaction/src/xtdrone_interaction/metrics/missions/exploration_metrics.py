@@ -1,4 +1,4 @@
-"""Metrics of an exploration: what could be seen of a floor, and how much of it was, over time."""
+"""Metrics of an exploration: the visible part of a floor, and the share of it that was seen, over time."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from xtdrone_planning.exploration.settings import ExplorationSettings
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_APART = 0.45  # m between places from which is looked
+_APART = 0.45  # m between two viewpoints
 _BEARINGS = 720
 _SIGHT = 9.0  # m
 ENOUGH = 0.95
-"""Share of what can be seen that a complete exploration has seen."""
+"""Share of the visible floor that a complete exploration has seen."""
 
 
 def visible_cells(
@@ -142,5 +142,5 @@ def _vehicle(record: ExplorationRecord, index: int, solids: Sequence[Solid]) -> 
 def _shortcomings(report: Mapping[str, Any]) -> list[str]:
     found = [f"{name}: {v['outcome']}" for name, v in report["vehicles"].items() if v["outcome"] != "arrived"]
     if report["coverage"] < ENOUGH:
-        found.append(f"seen {100 * report['coverage']:.1f} % of what can be seen, at least {100 * ENOUGH:.0f} %")
+        found.append(f"seen {100 * report['coverage']:.1f} % of the visible floor, at least {100 * ENOUGH:.0f} %")
     return found + list(report["collisions"])

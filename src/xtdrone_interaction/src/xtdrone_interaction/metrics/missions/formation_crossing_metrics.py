@@ -9,11 +9,11 @@ import numpy as np
 from xtdrone_interaction.formation.distances import Array, formation_error
 from xtdrone_interaction.recording.missions.crossing_record import CrossingRecord
 
-_STEADY = 2.0  # s before the way begins and before landing, over which the formed errors are averaged
+_STEADY = 2.0  # s before the path begins and before landing, over which the formed errors are averaged
 
 
 def formation_figures(record: CrossingRecord) -> dict[str, Any] | None:
-    """Return the errors before, during and after the way through the obstacles, by the true positions.
+    """Return the errors before, during and after the flight through the obstacles, by the true positions.
 
     Returns:
         None for a flight without a formation; else ``pattern``, ``offsets`` (m, as assigned), ``formed_after`` and

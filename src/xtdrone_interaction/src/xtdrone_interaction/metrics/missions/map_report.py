@@ -124,13 +124,13 @@ def together(saved: Sequence[tuple[str, Array]]) -> list[tuple[str, Array]]:
 
 
 def _ways(recording: Recording) -> dict[str, tuple[Trajectory, Sight]]:
-    """Return the true way of each vehicle, and what it can see."""
+    """Return the true path of each vehicle, and its field of view."""
     ways = {name: trajectory_of(series) for name, series in recording.true_poses.items()}
     return {name: (way, sight_of(name)) for name, way in ways.items() if len(way) >= _LEAST_WAY}
 
 
 def _of_vehicle(ways: dict[str, tuple[Trajectory, Sight]], name: str) -> list[tuple[Trajectory, Sight]]:
-    """Return the way of the vehicle that a topic or file (as map.iris_0.bt) names; all ways without one."""
+    """Return the path of the vehicle named by a topic or file (as map.iris_0.bt); all paths if it names none."""
     named = [way for vehicle, way in ways.items() if vehicle in name.replace("/", ".").split(".")]
     return named or list(ways.values())
 

@@ -1,7 +1,7 @@
-"""How far odometry is from the truth: absolute and relative errors and drift of a trajectory.
+"""Errors of odometry against the truth: absolute and relative errors and drift of a trajectory.
 
 Absolute trajectory error (ATE) and relative pose error (RPE) as J. Sturm et al. define them (A Benchmark for the
-Evaluation of RGB-D SLAM Systems, IROS 2012), RPE over lengths of way as in KITTI's benchmark (A. Geiger et al., Are we
+Evaluation of RGB-D SLAM Systems, IROS 2012), RPE over path lengths as in KITTI's benchmark (A. Geiger et al., Are we
 ready for autonomous driving?, CVPR 2012), alignment after S. Umeyama (Least-squares estimation of transformation
 parameters between two point patterns, PAMI 13, 1991) without scale.
 """
@@ -19,9 +19,9 @@ from xtdrone_interaction.recording.recorded_flight import Recording
 from xtdrone_interaction.recording.series_in_bounded_memory import Array, Series
 
 ALIGNMENTS = ("first", "umeyama", "none")
-_STEP = 10.0  # m of way over which relative errors are taken
+_STEP = 10.0  # m of path over which relative errors are taken
 _LEAST_POSES = 3
-_LEAST_WAY = 1.0  # m; drift per metre of a vehicle that stands means nothing
+_LEAST_WAY = 1.0  # m; below it, drift per metre is meaningless, as for a vehicle that does not move
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Trajectory:
 
     @property
     def way(self) -> Array:
-        """Length of the way until each pose, m, (t,)."""
+        """Path length up to each pose, m, (t,)."""
         steps = np.linalg.norm(np.diff(self.position, axis=0), axis=1)
         return np.concatenate([[0.0], np.cumsum(steps)])
 
@@ -71,12 +71,12 @@ class OdometryErrors:
     Attributes:
         alignment: one of ``ALIGNMENTS``.
         poses: number compared.
-        way: length of the true way, m.
+        way: length of the true path, m.
         ate: root mean square of the distances of equal times, m.
         greatest: of these, m.
         end: distance at the end, m.
-        drift: the distance at the end over the way, %; None for a way of less than 1 m.
-        rpe: root mean square of the error of relative positions over 10 m of way, m; None for a shorter way.
+        drift: the distance at the end over the path length, %; None for a path shorter than 1 m.
+        rpe: root mean square of the error of relative positions over 10 m of path, m; None for a shorter path.
         rpe_percent: the same over the 10 m, %.
         rpe_turn: root mean square of the angle of relative rotations over 10 m, degrees.
     """
@@ -180,7 +180,7 @@ def _rms(values: Array) -> float | None:
 
 
 def _relative_errors(estimate: Trajectory, truth: Trajectory, step: float) -> tuple[Array, Array]:
-    """Return the errors of relative poses over ``step`` m of the true way: distances (m) and angles (rad)."""
+    """Return the errors of relative poses over ``step`` m of the true path: distances (m) and angles (rad)."""
     way = truth.way
     last = np.searchsorted(way, way + step)
     first = np.flatnonzero(last < len(way))

@@ -139,12 +139,12 @@ def shortcomings(report: dict[str, Any], persons: list[str]) -> list[str]:
     for following in report["following"][:1]:
         if following["in_view"] is not None and following["in_view"] < FOLLOW_IN_VIEW:
             found.append(
-                f"{following['vehicle']} had the person in view in {100 * following['in_view']:.0f} % of its pictures"
+                f"{following['vehicle']} had the person in view in {100 * following['in_view']:.0f} % of its images"
             )
     if report["lost"]:
         found.append(f"lost: {', '.join(report['lost'])}")
     if report["silent_cameras"]:
-        found.append(f"silent cameras: {', '.join(report['silent_cameras'])}")
+        found.append(f"failed cameras: {', '.join(report['silent_cameras'])}")
     if report["collisions"]:
         found.append(f"{len(report['collisions'])} collisions")
     return found

@@ -18,12 +18,12 @@ SOURCES = ("lidar_odometry", "laser_odometry", "visual_odometry")
 _HOME_LIMIT = 0.5  # m
 _DRIFT_LIMITS = {"visual_odometry": 1.5}  # % of the way
 _DRIFT_LIMIT = 0.5  # % of the way, of the others
-_LEAST_WAY = 20.0  # m; on a shorter way the noise of the first pose, by which the flight is aligned, is not small
+_LEAST_WAY = 20.0  # m; on a shorter path the noise of the first pose, by which the flight is aligned, is not small
 _VOXEL = 0.5  # m, of the joined map
 
 
 class ShownFlight(NamedTuple):
-    """What pictures of the flight need.
+    """Data for the pictures of the flight.
 
     Attributes:
         name: of vehicle and source.
@@ -38,7 +38,7 @@ class ShownFlight(NamedTuple):
 
 
 def slam_report(bag: Path, world: str | None = None) -> tuple[dict[str, Any], ShownFlight]:
-    """Return the report as plain data, and what its pictures need.
+    """Return the report as plain data, and the data for its pictures.
 
     Args:
         bag: of the flight; octrees beside it are compared with the world, too.
@@ -81,5 +81,5 @@ def _shortcomings(row: dict[str, Any], miss: float, recording: Recording) -> lis
         found.append(f"landed {miss:.2f} m from the start, more than {_HOME_LIMIT:g} m")
     limit = _DRIFT_LIMITS.get(row["source"], _DRIFT_LIMIT)
     if row["drift"] is not None and row["drift"] * row["way"] > limit * max(row["way"], _LEAST_WAY):
-        found.append(f"drift {row['drift']:.2f} % of the way, more than {limit:g} %")
+        found.append(f"drift {row['drift']:.2f} % of the path, more than {limit:g} %")
     return found

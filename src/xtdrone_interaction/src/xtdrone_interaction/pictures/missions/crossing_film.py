@@ -1,4 +1,4 @@
-"""Film of a recorded flight through obstacles from above: vehicles, the way behind them and a formation's slots."""
+"""Film of a recorded flight through obstacles from above: vehicles, the paths behind them and a formation's slots."""
 
 from __future__ import annotations
 

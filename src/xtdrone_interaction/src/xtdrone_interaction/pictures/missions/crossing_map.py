@@ -1,4 +1,4 @@
-"""The map of a flight through obstacles from above: what stands there, and the true paths."""
+"""The map of a flight through obstacles from above: the obstacles, and the true paths."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def save_crossing_map(record: CrossingRecord, solids: Sequence[Solid], file: Pat
             axes.plot(goal[0], goal[1], "*", color=shade, markersize=11)
     axes.set_aspect("equal")
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x, east (m)", ylabel="y, north (m)")
-    axes.set_title("Paths over the ground (square: start, star: goal), and what stands at their height")
+    axes.set_title("Paths over the ground (square: start, star: goal), and obstacles at their height")
     axes.legend(loc="upper left", fontsize=8)
     figure.savefig(file, dpi=_DPI)
     plt.close(figure)
@@ -62,7 +62,7 @@ def height_of_flight(record: CrossingRecord) -> float:
 
 
 def draw_solids(axes: Axes, solids: Sequence[Solid], height: float) -> None:
-    """Draw what stands at a height, m."""
+    """Draw the obstacles at a height, m."""
     patches = []
     for solid in solids:
         x, y, z = solid.pose.position

@@ -56,7 +56,7 @@ def save_floor(
         times, shares = np.array(report["coverage_over_time"]).T
         curve.plot(times, 100.0 * shares)
     curve.axhline(100.0 * ENOUGH, color="0.5", linewidth=0.8, linestyle="--")
-    curve.set(xlabel="time (s)", ylabel="seen of what can be seen (%)", ylim=(0.0, 102.0))
+    curve.set(xlabel="time (s)", ylabel="seen of the visible floor (%)", ylim=(0.0, 102.0))
     curve.grid(alpha=0.3)
     figure.savefig(file, dpi=_DPI)
     plt.close(figure)

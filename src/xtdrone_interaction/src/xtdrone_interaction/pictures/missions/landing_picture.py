@@ -1,4 +1,4 @@
-"""The picture of a landing on a robot: ways over the ground, height and distance over time, and the touchdown."""
+"""The picture of a landing on a robot: paths over the ground, height and distance over time, and the touchdown."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def save_landing(record: LandingRecord, report: dict[str, Any], file: Path) -> P
         index = int(np.searchsorted(record.time, touch["time"]))
         ways.plot(*record.uav[index, :2], "*", color="tab:red", markersize=11, label="touchdown")
     ways.set_aspect("equal", adjustable="datalim")
-    ways.set(xlabel="x, east (m)", ylabel="y, north (m)", title="ways over the ground")
+    ways.set(xlabel="x, east (m)", ylabel="y, north (m)", title="paths over the ground")
     ways.legend(frameon=False, fontsize=8)
     ways.grid(alpha=0.3)
     offset = record.offset

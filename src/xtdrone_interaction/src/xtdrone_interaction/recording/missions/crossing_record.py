@@ -58,5 +58,5 @@ def read_crossing(bag: Path, names: Sequence[str]) -> CrossingRecord:
         raise RecordError(str(error)) from error
     truth = fleet_track(TRUTH, [recording.models.get(name) for name in names])
     if truth is None:
-        raise RecordError(f"bag: {bag} has no true positions of the vehicles; this is no record of such a flight")
+        raise RecordError(f"bag: {bag} has no true positions of the vehicles; this is not a record of such a flight")
     return CrossingRecord(tuple(names), truth.time, truth.position, recording.events, recording.collisions)

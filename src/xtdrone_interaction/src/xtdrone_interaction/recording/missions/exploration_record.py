@@ -1,4 +1,4 @@
-"""A recorded exploration: true tracks, the maps that the vehicles have told each other, and the director's events."""
+"""A recorded exploration: true tracks, the maps that the vehicles have exchanged, and the director's events."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def read_exploration(bag: Path, names: Sequence[str]) -> ExplorationRecord:
         raise RecordError(str(error)) from error
     truth = fleet_track(TRUTH, [recording.models.get(name) for name in names])
     if truth is None:
-        raise RecordError(f"bag: {bag} has no true positions of the vehicles; this is no record of such a flight")
+        raise RecordError(f"bag: {bag} has no true positions of the vehicles; this is not a record of such a flight")
     maps = [
         (time, cells_of(message.map, message.map.info.resolution)[2])
         for topic in floors

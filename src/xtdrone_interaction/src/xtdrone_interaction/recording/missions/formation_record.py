@@ -226,7 +226,7 @@ def read_formation(file: str | Path) -> FormationRecord:
                 f"bag: {path} is a search's, and what './xtdrone demo search' has prepared for it is not beside it "
                 "(search.world, region.yaml, plans); './xtdrone analyse' draws what was flown"
             )
-        raise RecordError(f"bag: no takeoff on {EVENTS_TOPIC}; this is no record of a formation flight")
+        raise RecordError(f"bag: no takeoff on {EVENTS_TOPIC}; this is not a record of a formation flight")
     record = formation_of(recording)
     if record is None:
         raise RecordError(

@@ -106,7 +106,7 @@ def read_search(bag: Path, names: Sequence[str], persons: Sequence[str]) -> Sear
         raise RecordError(str(error)) from error
     truth = fleet_track(TRUTH, [recording.models.get(name) for name in names])
     if truth is None:
-        raise RecordError(f"bag: {bag} has no true positions of the vehicles; this is no record of a search")
+        raise RecordError(f"bag: {bag} has no true positions of the vehicles; this is not a record of a search")
     events = recording.events
     if not events or events[-1]["event"] != "finished":
         events = [*events, _cut_short(recording, float(truth.time[-1]))]

@@ -207,7 +207,7 @@ def make_study(data: object, folder: Path) -> Study:
     if data is None:
         raise OptionError(f"it is empty; a mapping with {', '.join(_KEYS)}")
     if not isinstance(data, Mapping):
-        raise OptionError(f"{data!r} is no study; a mapping with {', '.join(_KEYS)}")
+        raise OptionError(f"{data!r} is not a study; a mapping with {', '.join(_KEYS)}")
     check = _Checks()
     for key in (key for key in data if key not in _KEYS):
         check.add(f"{key!r} is unknown; there are: {', '.join(_KEYS)}")
@@ -257,9 +257,9 @@ def _check_fit(study: Study) -> None:
         )
     for name in used:
         if study.flight == MISSION and name in _OF_AIRBORNE:
-            raise OptionError(f"{name!r} has no meaning in flight mission; leave it out, or take flight: airborne")
+            raise OptionError(f"{name!r} has no effect in flight mission; leave it out, or use flight: airborne")
         if study.engine == "core" and name.startswith("model."):
-            raise OptionError(f"{name!r} has no meaning in engine core, which is full physics; engine: simplified")
+            raise OptionError(f"{name!r} has no effect in engine core, which is full physics; use engine: simplified")
 
 
 def _sources(data: Mapping[str, Any], folder: Path) -> tuple[dict[str, Source], dict[str, Any]]:
@@ -269,7 +269,7 @@ def _sources(data: Mapping[str, Any], folder: Path) -> tuple[dict[str, Source], 
     for role, source in found.items():
         loaded, base = user_code.load(role, source), _ROLES[role]
         if base is None and not callable(loaded):
-            raise OptionError(f"{role}: {source.name!r} in {source.path} is no function")
+            raise OptionError(f"{role}: {source.name!r} in {source.path} is not a function")
         if base is not None and not (isinstance(loaded, type) and issubclass(loaded, base)):
             raise OptionError(f"{role}: {source.name!r} in {source.path} is no subclass of {base.__name__}")
         if role == "follower":
@@ -308,7 +308,7 @@ def _samples(data: Mapping[str, Any], combine: str, axes: Sequence[Axis]) -> int
     if combine not in ("random", "latin"):
         for key in ("samples", "sample_seed"):
             if key in data:
-                raise OptionError(f"{key}: is for combine: random or latin, here it is {combine}")
+                raise OptionError(f"{key}: needs combine: random or latin, not {combine}")
         return 0
     if not axes:
         raise OptionError(f"combine: {combine} needs parameters to draw, there are none")
