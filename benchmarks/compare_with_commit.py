@@ -35,7 +35,7 @@ _GIT_LIMIT = 60.0  # s of wall time for a query of the repository
 _PREFIX = 12  # characters of the commit in the name of its folder
 _ANY_MODE = ("shared",)
 _REQUIREMENTS = "requirements.txt"
-_CONTEXT = ("repeat", "request", "load_before", "others_cpu", "ticks", "dropped")  # numbers that are no figures
+_CONTEXT = ("repeat", "request", "load_before", "others_cpu", "ticks", "dropped")  # numbers that are not figures
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def resolve(name: str, root: Path | None = None) -> tuple[Tree, Tree]:
 
 
 def prepare(baseline: Tree, this: Tree, bench: Bench) -> None:
-    """Check out and set up the baseline, as far as an earlier comparison has not done so.
+    """Check out and set up the baseline, except for steps completed by an earlier comparison.
 
     Raises:
         BenchError: git or the set-up failed.

@@ -381,7 +381,7 @@ def test_an_unsupported_mode_is_rejected(stack: Stack) -> None:
 
 def test_unknown_patterns_and_invalid_steering_are_rejected_by_the_leader(stack: Stack) -> None:
     stack.graph.say("/xtdrone/leader/cmd", String(data="star"))
-    stack.log_has("leader", "'star' is no pattern of 2 vehicles (", "cube")
+    stack.log_has("leader", "'star' is not a pattern of 2 vehicles (", "cube")
     for name in ("cloud:/etc/passwd", "cloud:/dev/zero", "text:A:font=/etc/shadow"):
         stack.graph.say("/xtdrone/leader/cmd", String(data=name))
         stack.log_has("leader", f"{name.rpartition(':')[2].removeprefix('font=')}: no file may be read")

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 LEAST_TURNS = 0.95
 """Required share of the cycles completed in lockstep."""
 TURNS = ("commands", "setpoints", "poses")
-"""Roles to which that applies. ``swarm`` is excluded: when cycles of the MAVROS layer are late, one message replaces
-two, which is no missed cycle."""
+"""Roles to which that applies. ``swarm`` is excluded: when cycles of the MAVROS layer are late, one
+message replaces two, which is not a missed cycle."""
 LEAST_SPEED = 0.95
 """Required share of the target speed."""
 LADDER = (1.0, 1 / 0.7, 2.0, 3.0, 4.5, 7.0, 10.0)

@@ -135,7 +135,7 @@ class Tailor:
         self._points[rows, :2] = middle + (self._points[rows, :2] - middle) * flare[:, None]
 
     def parts(self) -> list[Part]:
-        """Return body, hair, skirt, brim and backpack, as far as worn."""
+        """Return body and hair, and the skirt, brim and backpack if worn."""
         figure, template = self._figure, self._template
         out = [self._surface(template.body, skirt=False)]
         if figure.cut == "long":

@@ -85,7 +85,7 @@ def _figure_row(figure: Figure | None) -> str:
     if figure is None:
         return f"{'flight':15} {'figure':28} {'unit':6} {'PX4':>8} {'ours':>8} {'diff':>8} {'allowed':>8}"
     allowed = "-" if math.isinf(figure.allowed) else f"{figure.allowed:.2f}"
-    mark = "told" if math.isinf(figure.allowed) else _MARK[figure.within]
+    mark = "info" if math.isinf(figure.allowed) else _MARK[figure.within]
     return (
         f"{figure.flight:15} {figure.name:28} {figure.unit:6} {figure.reference:8.2f} {figure.ours:8.2f} "
         f"{figure.ours - figure.reference:+8.2f} {allowed:>8} {mark}"

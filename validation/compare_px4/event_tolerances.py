@@ -139,7 +139,7 @@ def _compare_phase(flight: str, theirs: list[Event], ours: list[Event]) -> list[
             what += " (out of order)"
             allowed = -1.0
         last = max(last, mine.time)
-        reason = "told" if _LATE_TEXT in what and allowed > 0.0 else ""
+        reason = "info" if _LATE_TEXT in what and allowed > 0.0 else ""
         matches.append(Match(flight, what, since, mine.time - anchor[1], allowed, _SECOND if late else 0.0, reason))
         if event.kind == "ack" or flown:
             anchor = (event.time, mine.time)

@@ -70,7 +70,7 @@ class Comparison:
 
     @property
     def same(self) -> bool:
-        """Whether something was compared and there is no difference."""
+        """Whether anything was compared without a difference."""
         return self.difference_time is None and self.topics > 0
 
 

@@ -485,7 +485,7 @@ def test_time_counts_turns_without_drift_and_starts_again() -> None:
 def test_long_lists_of_numbers_are_abbreviated() -> None:
     assert number_list([4]) == "4"
     assert number_list([1, 2, 3, 7, 9, 10]) == "1-3, 7, 9-10"
-    assert number_list(list(range(1, 1000, 2))) == "1, 3, 5, 7, 9, 11, 13, 15, ... (500 in all)"
+    assert number_list(list(range(1, 1000, 2))) == "1, 3, 5, 7, 9, 11, 13, 15, ... (500 in total)"
 
 
 def test_a_thousand_vehicles_are_led() -> None:

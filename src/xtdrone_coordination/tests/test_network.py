@@ -455,9 +455,9 @@ def test_options_are_checked(name: str, value: object, message: str) -> None:
     [
         (lambda: Network(0), "network: 0 vehicles are not allowed, 1 or more"),
         (lambda: Network(3, seed=-1), "network seed: -1 is not allowed, 0 or more"),
-        (lambda: Network(3).known(3), "network: there is no vehicle 3, 0 to 2"),
-        (lambda: Network(3).samples(np.array([0, 1]), np.array([2, 3])), "network: there is no vehicle 3, 0 to 2"),
-        (lambda: Network(3).samples(np.array([-1]), np.array([2])), "network: there is no vehicle -1, 0 to 2"),
+        (lambda: Network(3).known(3), "network: vehicle 3 does not exist, 0 to 2"),
+        (lambda: Network(3).samples(np.array([0, 1]), np.array([2, 3])), "network: vehicle 3 does not exist, 0 to 2"),
+        (lambda: Network(3).samples(np.array([-1]), np.array([2])), "network: vehicle -1 does not exist, 0 to 2"),
         (lambda: Network(3).samples(np.array([1]), np.array([0, 2])), "network: 1 receivers and 2 senders"),
         (lambda: Network(3).step(np.zeros((2, 3)), np.zeros((3, 3))), r"network positions: shape \(2, 3\)"),
         (lambda: Network(3).step(np.zeros((3, 3)), np.zeros(3)), r"network velocities: shape \(3,\) .* \(3, 3\)"),

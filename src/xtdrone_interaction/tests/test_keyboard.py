@@ -308,9 +308,9 @@ def test_problems_of_a_vehicle_are_shown() -> None:
         VehicleStatus("iris_2", True, "POSCTL", 1.0, 0.0, 0.0, False),
     ]
     text = "\n".join(frame(view(page, 3), 80, 24, shown))
-    for word in ("not heard of", "silent for 12 s", "takes no commands"):
+    for word in ("no messages", "silent for 12 s", "takes no commands"):
         assert word in text
-    assert "iris_0 not heard of" in "\n".join(frame(view(page, 3), 40, 24, shown)), "where the rows have no room"
+    assert "iris_0 no messages" in "\n".join(frame(view(page, 3), 40, 24, shown)), "where the rows have no room"
     assert sentence(page[2]) == "iris_2: armed, POSCTL, height 1.00 m, speed 0.00 m/s, takes no commands"
 
 

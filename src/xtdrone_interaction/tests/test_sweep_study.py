@@ -220,7 +220,7 @@ def test_rejects_an_incompatible_python(tmp_path: Path) -> None:
         study(tmp_path, follower="broken.py:A")
     with pytest.raises(OptionError, match="has no 'Fast'"):
         study(tmp_path, follower="mine.py:Fast")
-    with pytest.raises(OptionError, match=r"'Slow' .* is no subclass of Leader"):
+    with pytest.raises(OptionError, match=r"'Slow' .* is not a subclass of Leader"):
         study(tmp_path, leader="mine.py:Slow")
     with pytest.raises(OptionError, match=r"'__name__' .* is not a function"):
         study(tmp_path, metric="mine.py:__name__")

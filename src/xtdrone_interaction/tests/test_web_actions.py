@@ -50,11 +50,11 @@ def test_actions_are_read_in_order_once_and_of_each_start_of_the_station() -> No
 @pytest.mark.parametrize(
     ("texts", "reason"),
     [
-        ([], "no action of an operator on the flight is in it"),
+        ([], "it contains no action of an operator on the flight"),
         ([entry(0)], "no action of an operator"),
         ([entry(2)], "action 1 is missing, the next one in it is 2"),
         ([entry(1), entry(3)], "action 2 is missing"),
-        (["{"], "is no action"),
+        (["{"], "is not an action"),
         (["[1]"], "an object is needed"),
         ([entry(1, tick="x")], "tick of the action"),
         ([entry(1, params=3)], "params of the action"),

@@ -252,7 +252,7 @@ def test_a_group_keeps_its_shape() -> None:
     goals = goals_of((10.0, 20.0, 5.0), {"a": (0.0, 0.0, 1.0), "b": (2.0, 4.0, 3.0)})
     assert goals == {"a": (9.0, 18.0, 4.0), "b": (11.0, 22.0, 6.0)}
     assert goals_of((1.0, 2.0, 3.0), {"a": None}) == {"a": (1.0, 2.0, 3.0)}
-    with pytest.raises(CallError, match="the place of b is not known"):
+    with pytest.raises(CallError, match="the position of b is unknown"):
         goals_of((0.0, 0.0, 5.0), {"a": (0.0, 0.0, 1.0), "b": None})
 
 

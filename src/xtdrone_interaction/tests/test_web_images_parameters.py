@@ -68,8 +68,8 @@ def test_a_jpeg_of_the_right_size_is_passed_on_unchanged() -> None:
         (Image(encoding="rgb8", height=2, width=2, step=6, data=b"12345"), "data: 5 bytes are not 2 rows of 6 bytes"),
         (Image(encoding="rgb8", height=2, width=2, step=1, data=b"1" * 12), "for 2 px rgb8"),
         (Image(encoding="mono8", height=0, width=9), "data: 0 bytes are not 0 rows"),
-        (CompressedImage(format="jpeg", data=b"\xff\xd8cut"), "data: 5 bytes of format 'jpeg' are no picture"),
-        (CompressedImage(format="png"), "are no picture"),
+        (CompressedImage(format="jpeg", data=b"\xff\xd8cut"), "data: 5 bytes of format 'jpeg' are not an image"),
+        (CompressedImage(format="png"), "are not an image"),
     ],
 )
 def test_what_is_no_image_is_refused(message: Any, text: str) -> None:

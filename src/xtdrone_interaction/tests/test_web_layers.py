@@ -262,7 +262,7 @@ def test_new_frames_of_one_message_all_count(frames: FramesInMap) -> None:
 
 def test_an_unknown_frame_is_refused(frames: FramesInMap) -> None:
     for frame in ("nowhere", "iris_3d_lidar_1/base_link", "a frame", "a\0frame", "a\ud800frame"):
-        with pytest.raises(LayerError, match=r"frame_id: .* is not allowed, one that TF leads from to 'map'"):
+        with pytest.raises(LayerError, match=r"frame_id: .* is not allowed, one that TF connects to 'map'"):
             frames.pose(frame, "/nowhere/points", STAMP)
     frames.hear(told("map", "nowhere", math.nan))
     with pytest.raises(LayerError, match="frame_id"):

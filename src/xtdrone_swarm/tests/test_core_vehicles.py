@@ -98,7 +98,9 @@ def test_hold_turn_position_and_acceleration(vehicles: CoreVehicles) -> None:
 def test_rejections_have_a_reason(vehicles: CoreVehicles) -> None:
     assert vehicles.command(1, "ARM") == "iris_1: arming denied: No valid attitude estimate"
     run(vehicles, 3.0)
-    assert "iris_0: 'FLY' is no command (ARM, DISARM, HOVER) and no PX4 mode (MANUAL," in vehicles.command(0, "FLY")
+    assert "iris_0: 'FLY' is neither a command (ARM, DISARM, HOVER) nor a PX4 mode (MANUAL," in vehicles.command(
+        0, "FLY"
+    )
     assert vehicles.command(0, "AUTO.READY").startswith("iris_0: mode AUTO.READY is not supported; there")
     assert vehicles.command(0, "AUTO.LAND") == ""
     assert vehicles.command(0, "ARM") == "iris_0: arming denied: Mode not suitable for arming"

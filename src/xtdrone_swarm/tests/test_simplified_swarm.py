@@ -106,7 +106,7 @@ def test_commands_by_leader_and_vehicle():
     assert list(swarm.vehicles.mode) == ["OFFBOARD", "AUTO.LOITER", "AUTO.LOITER"]
     with pytest.raises(CommandError, match="climb to"):
         swarm.command("pyramid")
-    with pytest.raises(CommandError, match="'nonsense' is no pattern of 3 vehicles"):
+    with pytest.raises(CommandError, match="'nonsense' is not a pattern of 3 vehicles"):
         swarm.command("nonsense")
     assert "iris_1" in swarm.vehicle(1, "DISARM")
 
@@ -123,7 +123,7 @@ def test_acceleration_mode_settles():
         ({"count": 1}, PatternError, "at least 2"),
         ({"count": 2.5}, ValueError, "2.5"),
         ({"follower": Leader}, TypeError, "inherits Follower"),
-        ({"follower": "mine"}, TypeError, "'mine' is no class"),
+        ({"follower": "mine"}, TypeError, "'mine' is not a class"),
         ({"leader": Follower}, TypeError, "inherits Leader"),
         ({"kind": "zeppelin"}, ValueError, "'zeppelin' is not known"),
         ({"model": "fourth"}, ValueError, "'fourth' is not known"),

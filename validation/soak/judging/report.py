@@ -125,7 +125,7 @@ def show(outcome: Outcome, verdict: Verdict, folder: Path, console: Console) -> 
     files = ", ".join(f"{count} {name}" for name, count in counts["files"].items()) or "none"
     lines = [
         f"{outcome.hours:.2f} h simulated in {outcome.wall / 3600:.2f} h of wall time: "
-        f"{outcome.hours * 3600 / max(outcome.wall, 1e-3):.1f} x in all",
+        f"{outcome.hours * 3600 / max(outcome.wall, 1e-3):.1f} x overall",
         f"{counts['flights']} of {counts['expected']} vehicles took off when commanded; {counts['forced']} were "
         "disarmed by force at an episode's end",
         f"files read to their end: {files}",

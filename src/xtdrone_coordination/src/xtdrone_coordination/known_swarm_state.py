@@ -203,4 +203,4 @@ def number_list(numbers: Sequence[int]) -> str:
         else:
             runs.append([number])
     text = ", ".join("-".join(str(n) for n in run) for run in runs[:_MAX_RUNS])
-    return text if len(runs) <= _MAX_RUNS else f"{text}, ... ({len(numbers)} in all)"
+    return text if len(runs) <= _MAX_RUNS else f"{text}, ... ({len(numbers)} in total)"

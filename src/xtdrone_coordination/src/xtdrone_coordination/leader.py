@@ -188,8 +188,8 @@ class Leader:
             self._course_age = STEERING_TICKS + 1  # another command ends the course
             return text
         raise CommandError(
-            f"leader: {text!r} is no pattern of {self.count} vehicles ({self.patterns.describe()}) "
-            f"and no flight command ({', '.join(OWN_COMMANDS)}, a PX4 mode as OFFBOARD or AUTO.LAND)"
+            f"leader: {text!r} is not a pattern of {self.count} vehicles ({self.patterns.describe()}) "
+            f"and not a flight command ({', '.join(OWN_COMMANDS)}, a PX4 mode as OFFBOARD or AUTO.LAND)"
         )
 
     def choose(self, name: str) -> None:

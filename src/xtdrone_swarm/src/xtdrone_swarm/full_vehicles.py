@@ -167,7 +167,9 @@ class CoreVehicles:
             return "" if done else f"{name}: {word} denied: {obstacle or 'the autopilot was terminated'}"
         if request.command not in PX4_MODES:
             commands = ", ".join(OWN_COMMANDS)
-            return f"{name}: {request.command!r} is no command ({commands}) and no PX4 mode ({', '.join(PX4_MODES)})"
+            return (
+                f"{name}: {request.command!r} is neither a command ({commands}) nor a PX4 mode ({', '.join(PX4_MODES)})"
+            )
         mode = _MODES.get(request.command)
         if mode is None:
             return f"{name}: mode {request.command} is not supported; there are: {', '.join(_MODES)}"

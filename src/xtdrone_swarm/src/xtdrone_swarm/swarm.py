@@ -461,7 +461,7 @@ class Swarm:
 
 def _check_class(name: str, given: object, base: type) -> None:
     if not (isinstance(given, type) and issubclass(given, base)):
-        raise TypeError(f"{name}: {given!r} is no class that inherits {base.__name__}")
+        raise TypeError(f"{name}: {given!r} is not a class that inherits {base.__name__}")
 
 
 def _options(cls: type[_Options], given: _Options | Mapping[str, Any] | None) -> _Options:

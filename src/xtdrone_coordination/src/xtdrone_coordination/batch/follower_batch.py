@@ -360,7 +360,7 @@ class FollowerBatch:
         peers = links["peer"]
         wrong = (peers < 0) | (peers >= self._count)
         if wrong.any():
-            raise IndexError(f"weights: vehicle {peers[wrong][0]} is not allowed, 0 to {self._count - 1} are there")
+            raise IndexError(f"weights: vehicle {peers[wrong][0]} does not exist, 0 to {self._count - 1}")
         self._links = links
         self._queries = self._expected_queries()
 

@@ -166,7 +166,7 @@ class Network:
             ValueError: the number is out of range.
         """
         if not 0 <= index < self.count:
-            raise ValueError(f"network: there is no vehicle {index}, 0 to {self.count - 1}")
+            raise ValueError(f"network: vehicle {index} does not exist, 0 to {self.count - 1}")
         return self._known[index]
 
     def samples(self, receivers: NDArray[np.int64], senders: NDArray[np.int64]) -> Samples:
@@ -181,7 +181,7 @@ class Network:
         for numbers in (receivers, senders):
             if size and not 0 <= numbers.min() <= numbers.max() < self.count:
                 raise ValueError(
-                    f"network: there is no vehicle {_stranger(numbers, self.count)}, 0 to {self.count - 1}"
+                    f"network: vehicle {_stranger(numbers, self.count)} does not exist, 0 to {self.count - 1}"
                 )
         result = Samples(np.empty((size, 3)), np.empty((size, 3)), np.empty(size, dtype=np.int64))
         channel.samples(self.air, receivers, senders, *result)

@@ -175,7 +175,7 @@ def read_patterns(file: Path, count: int) -> dict[str, Offsets]:
     for key in data:
         if isinstance(key, bool) or not isinstance(key, int):
             raise PatternError(
-                f"pattern file {file}: {key!r} is no number of vehicles; "
+                f"pattern file {file}: {key!r} is not a number of vehicles; "
                 "must be {number of vehicles: {name: offsets}}"
             )
     section = data.get(count, {})

@@ -60,7 +60,8 @@ def read_cloud(file: Path) -> Points:
     a topic by a user without read permission.
 
     Raises:
-        PatternError: the file cannot be read, is no regular file, is larger than 16 MB or malformed, or a point in it
+        PatternError: the file cannot be read, is not a regular file, is larger than 16 MB or malformed, or a point in
+            it
             is not finite.
     """
     readers = {".ply": _read_ply, ".npy": _read_npy}

@@ -5,7 +5,7 @@ Topics, for every vehicle T of /xtdrone/fleet:
 ========================================  =======================  ====================================================
 subscribed
 /T/mavros/state                           mavros_msgs/State
-/T/mavros/local_position/pose             PoseStamped              position where there is no ground truth
+/T/mavros/local_position/pose             PoseStamped              position without ground truth
 /gazebo/model_states                      ModelStates              ground truth
 /xtdrone/formation_pattern                Float32MultiArray        assigned offsets
 /xtdrone/T/cmd_{vel,accel}_enu            Twist                    shows that T's follower is running
@@ -206,7 +206,7 @@ class FormationDirector:
         """Advance ``ticks`` once per tick until it ends or the node is shut down.
 
         Raises:
-            MissionError: the mission has failed, or simulated time has gone back.
+            MissionError: the mission has failed, or simulated time has jumped back.
         """
         for number, _ in enumerate(ticks):
             if number % _PROGRESS_TICKS == 0:

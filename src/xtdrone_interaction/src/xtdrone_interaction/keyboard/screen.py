@@ -44,7 +44,7 @@ class VehicleStatus:
         if not self.has_subscriber:
             return "takes no commands"
         if self.silence is None:
-            return "not heard of"
+            return "no messages"
         return f"silent for {self.silence:.0f} s" if self.silence > SILENT else ""
 
 

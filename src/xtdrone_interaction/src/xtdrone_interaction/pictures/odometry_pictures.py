@@ -51,7 +51,7 @@ def drift(found: Trajectory, true: Trajectory, name: str) -> Figure:
     """Draw the error over the path, in total and by axis."""
     figure, (panel,) = panels(1, 3.2, 0.97)
     difference, way = found.position - true.position, true.way
-    panel.plot(way, np.linalg.norm(difference, axis=1), color="black", lw=1.4, label="in all")
+    panel.plot(way, np.linalg.norm(difference, axis=1), color="black", lw=1.4, label="total")
     for axis, label in enumerate(("east", "north", "up")):
         panel.plot(way, difference[:, axis], lw=0.8, label=label)
     panel.set(xlabel="way [m]", ylabel="error [m]")

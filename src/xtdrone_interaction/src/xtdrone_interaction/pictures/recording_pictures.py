@@ -318,7 +318,7 @@ _BATTERY = (
 
 
 def batteries(recording: Recording) -> Figure:
-    """Draw voltage, charge and current of all vehicles' batteries, as far as recorded."""
+    """Draw voltage, charge and current of all vehicles' batteries, if recorded."""
     shown = {vehicle.name: vehicle.series["battery"] for vehicle in recording.vehicles if _has_battery(vehicle)}
     known = {name: np.array(series.value) for name, series in shown.items()}
     for value in known.values():

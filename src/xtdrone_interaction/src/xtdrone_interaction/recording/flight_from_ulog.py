@@ -252,7 +252,7 @@ def _fill(log: FlightLog, raw: ULog, topics: Collection[str]) -> None:
     if log.dropouts:
         lengths = [length for _, length in log.dropouts]
         log.notes.append(
-            f"the logger lost data {len(lengths)} times, {sum(lengths):.2f} s in all, {max(lengths):.2f} s at most"
+            f"the logger lost data {len(lengths)} times, {sum(lengths):.2f} s in total, {max(lengths):.2f} s at most"
         )
     defaults = raw.get_default_parameters(0) if raw.has_default_parameters else {}
     # defaults are logged only where the value differs

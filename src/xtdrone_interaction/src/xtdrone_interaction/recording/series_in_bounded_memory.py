@@ -102,7 +102,7 @@ class Columns:
     """All columns of a recording.
 
     Attributes:
-        most: limit of numbers kept in all columns together.
+        most: maximum number of values kept, of all columns together.
         stride: of the most thinned column.
     """
 

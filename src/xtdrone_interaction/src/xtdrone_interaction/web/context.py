@@ -1,4 +1,4 @@
-"""What the rooms of the station share: the ROS master, the pages, and threads for calls that block."""
+"""Context shared by the rooms of the station: the ROS master, the pages, and threads for calls that block."""
 
 from __future__ import annotations
 
@@ -44,8 +44,7 @@ class StationContext:
         return await asyncio.get_running_loop().run_in_executor(self._pool, partial(call, *arguments, **named))
 
     def every(self, seconds: float, call: Callable[[], Any]) -> None:
-        """Call a function, or a coroutine function, in the event loop again and again; one that takes long is not
-        called a second time meanwhile."""
+        """Call a function, or a coroutine function, in the event loop periodically; calls never overlap."""
         timer = PeriodicCallback(call, 1000.0 * seconds)
         timer.start()
         self._timers.append(timer)

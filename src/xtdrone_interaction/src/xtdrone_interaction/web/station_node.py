@@ -54,7 +54,7 @@ def main(arguments: Sequence[str]) -> None:
     for role, url in server.address.urls(port).items():
         print(f"station ({'operate' if role == 'operate' else 'watch only'}): {url}", flush=True)
         if role == "operate" and not (settings.view_only or credentials.operate):
-            rospy.set_param(URL_PARAMETER, url)  # without a token: parameters are everybody's
+            rospy.set_param(URL_PARAMETER, url)  # without a token, because any node can read parameters
     if not is_loopback(settings.host):
         rospy.logwarn("the station listens on %s: the token allows flying the vehicles", settings.host)
     rospy.on_shutdown(lambda: loop.add_callback(loop.stop))
@@ -69,10 +69,10 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def _listen(server: StationServer) -> int:
-    """Listen on the wished port, or on one of the next if it is in use; return it.
+    """Listen on the requested port or, if it is in use, on one of the next; return it.
 
     Raises:
-        SystemExit: none can be had.
+        SystemExit: none of them is free.
     """
     wished = server.address.port
     for port in range(wished, wished + (_PORTS_TRIED if wished else 1)):

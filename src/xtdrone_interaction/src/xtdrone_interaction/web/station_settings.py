@@ -28,9 +28,12 @@ class StationSettings(Settings):
         low=0,
         high=65535,
         metavar="PORT",
-        text="TCP port; 0: any free one; a used one: the next free one; the default is 540 N higher for instance N",
+        text="TCP port; 0: any free one; if it is in use: the next free one; the default is 540 N higher for "
+        "instance N",
     )
-    token: str = setting("", check=_checked_token, metavar="TEXT", text="token to operate; empty: drawn where needed")
-    view_only: bool = setting(False, text="no page may operate, all may only watch")
-    rate: float = setting(10.0, low=0.5, high=30.0, unit="Hz", text="frames of the fleet in wall time", metavar="HZ")
+    token: str = setting("", check=_checked_token, metavar="TEXT", text="token to operate; empty: generated if needed")
+    view_only: bool = setting(False, text="pages may only watch, not operate")
+    rate: float = setting(
+        10.0, low=0.5, high=30.0, unit="Hz", text="frame rate of the fleet in wall time", metavar="HZ"
+    )
     recordings: str = setting("", metavar="FOLDER", text="folder of recordings; empty: runs in the workspace")

@@ -1,4 +1,4 @@
-"""Opens the rooms of the tools: inspection as rqt has it, parameters, images, layers, recordings, keyboard, gamepad."""
+"""Opens the rooms of the tools: inspection as in rqt, parameters, images, layers, recordings, keyboard, gamepad."""
 
 from __future__ import annotations
 

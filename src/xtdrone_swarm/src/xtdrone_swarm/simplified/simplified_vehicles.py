@@ -176,7 +176,7 @@ class SimplifiedVehicles:
             simplified_autopilot.disarm(vehicle)
             return ""
         if text not in PX4_MODES:
-            return f"{text!r} is no command ({', '.join(OWN_COMMANDS)}) and no PX4 mode ({', '.join(PX4_MODES)})"
+            return f"{text!r} is neither a command ({', '.join(OWN_COMMANDS)}) nor a PX4 mode ({', '.join(PX4_MODES)})"
         if text not in simplified_autopilot.MODE_NAMES:
             flown = ", ".join(simplified_autopilot.MODE_NAMES)
             return f"mode {text} is not supported by the simplified autopilot; there are: {flown}"

@@ -316,7 +316,7 @@ class _Mp4:
             self._process.kill()
         self._process.wait()
         if self._process.stdin is not None:
-            with contextlib.suppress(OSError):  # the reader of the remaining buffer has gone
+            with contextlib.suppress(OSError):  # the reader of the remaining buffer has ended
                 self._process.stdin.close()
         self._errors.close()
 

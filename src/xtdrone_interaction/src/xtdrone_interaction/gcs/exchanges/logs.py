@@ -73,8 +73,8 @@ def fetch_list(heartbeat: Heartbeat) -> Exchange[list[Log]]:
         elif answer is None:
             unanswered = 0 if news else unanswered + 1
             if unanswered > _UNANSWERED:
-                raise RefusalError(f"logs: the vehicle tells of {len(found)}{'' if count is None else f' of {count}'}",
-                                   True)  # fmt: skip
+                known = "" if count is None else f" of {count}"
+                raise RefusalError(f"logs: the vehicle has listed {len(found)}{known}", True)
             outgoing = [] if news else [ask]
             news = False
     yield Unanswered(end_transfer(heartbeat.system))

@@ -139,7 +139,7 @@ def fetch_all(heartbeat: Heartbeat, progress: Progress = ignore_progress) -> Exc
         else:
             unanswered += 1
         if unanswered > _UNANSWERED:
-            raise RefusalError(f"parameters: the vehicle tells {len(found)} of {count or 'them'}", True)
+            raise RefusalError(f"parameters: the vehicle has sent {len(found)} of {count or 'them'}", True)
         listing = not count
         asked = set([i for i in range(count) if i not in found][:_BATCH])
         outgoing = whole if listing else [_read_message(heartbeat, "", i) for i in sorted(asked)]

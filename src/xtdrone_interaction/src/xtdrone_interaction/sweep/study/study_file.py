@@ -271,7 +271,7 @@ def _sources(data: Mapping[str, Any], folder: Path) -> tuple[dict[str, Source], 
         if base is None and not callable(loaded):
             raise OptionError(f"{role}: {source.name!r} in {source.path} is not a function")
         if base is not None and not (isinstance(loaded, type) and issubclass(loaded, base)):
-            raise OptionError(f"{role}: {source.name!r} in {source.path} is no subclass of {base.__name__}")
+            raise OptionError(f"{role}: {source.name!r} in {source.path} is not a subclass of {base.__name__}")
         if role == "follower":
             attributes = dict(user_code.class_attributes(loaded))
     return found, attributes

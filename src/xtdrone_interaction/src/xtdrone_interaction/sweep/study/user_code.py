@@ -60,7 +60,7 @@ def read_source(role: str, text: object, folder: Path) -> Source:
     except OSError as error:
         raise OptionError(f"{role}: {path}: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
-        raise OptionError(f"{role}: {path} is no text in UTF-8") from error
+        raise OptionError(f"{role}: {path} is not a text in UTF-8") from error
 
 
 def load(role: str, source: Source) -> Any:

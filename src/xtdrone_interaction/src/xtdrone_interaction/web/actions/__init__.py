@@ -1,1 +1,1 @@
-"""What the users of pages do: it acts between two ticks, is recorded, and can be replayed on another simulation."""
+"""Operators' actions on pages: applied between two ticks, recorded, and replayable on another simulation."""

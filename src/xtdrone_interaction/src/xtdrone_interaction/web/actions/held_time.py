@@ -1,8 +1,8 @@
-"""Stop simulated time between two ticks while an operator's action acts, so that it acts at a known tick.
+"""Stop simulated time between two ticks while an operator's action takes effect, so that it does so at a known tick.
 
-A command of a program outside the lockstep acts in the tick in which it arrives, which depends on wall time. While time
-stands still between two ticks, all of it arrives before the next one. A step of one tick, after which the simulator
-pauses, changes no result of a flight.
+A command of a program outside the lockstep takes effect in the tick in which it arrives, which depends on wall time.
+While time stands still between two ticks, the whole command arrives before the next one. A step of one tick, after
+which the simulator pauses, changes no result of a flight.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ _NEEDS_TIME = "hil"  # an external PX4 answers only while time advances
 
 @dataclass(frozen=True)
 class Instant:
-    """Where simulated time is when an action acts.
+    """The simulated time at which an action takes effect.
 
     Attributes:
         tick: number of ticks since the simulator started; None without a simulator.
         time: simulated time, s.
         held: whether time stands still between two ticks.
-        stopped: whether it does because of the action, and is to go on after it.
+        stopped: whether the action has stopped it, so that it must resume afterwards.
     """
 
     tick: int | None = None
@@ -54,13 +54,13 @@ def hold(master: str, *, is_stepping: bool = False) -> Instant:
         return Instant()
     try:
         done = bool(call(master, "/simulator/step", Step, StepRequest(ticks=1), _STEP_LIMIT).success)
-        return _instant(status_of(master), held=done, stopped=done)  # a refused step has stopped nothing
+        return _instant(status_of(master), held=done, stopped=done)  # a rejected step has stopped nothing
     except SimError:
-        return _instant(status, held=False, stopped=True)  # go on: the step may still come
+        return _instant(status, held=False, stopped=True)  # continue: the step may still follow
 
 
 def let_go(master: str, instant: Instant) -> None:
-    """Let time go on after an action, if the action has stopped it; blocks."""
+    """Resume time after an action, if the action has stopped it; blocks."""
     if not instant.stopped:
         return
     try:

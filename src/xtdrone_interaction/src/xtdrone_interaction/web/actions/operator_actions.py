@@ -1,7 +1,7 @@
-"""Carry out what only operators may do: published, one after the other, and on the flight between two ticks.
+"""Carry out operators' actions: published, one after the other, those on the flight between two ticks.
 
-A subscriber of the topic first receives all actions on the flight so far: the bag of a recorder that is started late
-has all that a replay needs.
+A subscriber of the topic first receives all actions on the flight so far: the bag of a recorder started late has
+everything that a replay needs.
 """
 
 from __future__ import annotations

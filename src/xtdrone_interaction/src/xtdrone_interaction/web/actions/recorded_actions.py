@@ -12,7 +12,7 @@ from xtdrone_interaction.bags.bag_kinds import Layouts, by_connection, large_bat
 
 TOPIC = "/xtdrone/operator_actions"
 LET_GO = "actions.let_go"
-"""Method on the topic: an action took so long that time went on before its end; ``number`` in its parameters."""
+"""Method on the topic: an action took so long that time resumed before its end; ``number`` in its parameters."""
 REFUSED = "actions.refused"
 """Method on the topic: an action has ended with an error; ``number`` in its parameters."""
 _MARKS = (LET_GO, REFUSED)
@@ -28,9 +28,8 @@ class RecordedAction:
 
     Attributes:
         number: of the actions of its station, from 1.
-        tick: at which it acted.
-        time: simulated time at which it acted, s.
-        exact: whether all of it acted between this tick and the next.
+        tick: at which it took effect. time: simulated time of that tick, s. exact: whether all of it took effect
+            between this tick and the next.
         refused: whether it ended with an error.
         page: number of the page.
         method: name, as ``vehicles.command``.
@@ -73,7 +72,7 @@ def parse_actions(texts: Iterable[str]) -> list[RecordedAction]:
             continue
         if entry["station"] != station:
             station, last = entry["station"], 0
-        if entry["number"] <= last:  # of no effect on the flight, or told to a new subscriber a second time
+        if entry["number"] <= last:  # without effect on the flight, or repeated for a new subscriber
             continue
         if entry["number"] != last + 1:
             raise ActionError(f"bag: action {last + 1} is missing, the next one in it is {entry['number']}")
@@ -81,7 +80,7 @@ def parse_actions(texts: Iterable[str]) -> list[RecordedAction]:
         if entry["tick"] is not None:
             entries.append(entry)
     if not entries:
-        raise ActionError(f"bag: no action of an operator on the flight is in it ({TOPIC})")
+        raise ActionError(f"bag: it contains no action of an operator on the flight ({TOPIC})")
     return [_action(entry, marks) for entry in entries]
 
 
@@ -127,9 +126,9 @@ def _entry(text: str) -> dict[str, Any]:
     try:
         entry = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise ActionError(f"bag: {text[:80]!r} is no action: {error}") from error
+        raise ActionError(f"bag: {text[:80]!r} is not an action: {error}") from error
     if not isinstance(entry, dict):
-        raise ActionError(f"bag: {text[:80]!r} is no action, an object is needed")
+        raise ActionError(f"bag: {text[:80]!r} is not an action, an object is needed")
     is_mark = entry.get("method") in _MARKS
     for name, kind in (_MARK_KINDS if is_mark else _KINDS).items():
         if name not in entry or not isinstance(entry[name], kind):

@@ -1,4 +1,4 @@
-"""Repeat a session's actions on another simulation, each at the tick at which it acted."""
+"""Repeat a session's actions on another simulation, each at the tick of the recorded session."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from xtdrone_interaction.web.server.session import Session
 from xtdrone_interaction.web.station_settings import StationSettings
 
 NAME = "replay_actions"
-_FLEET_LIMIT = 20.0  # s of wall time until the rooms know the fleet
+_FLEET_LIMIT = 20.0  # s of wall time until the rooms have read the fleet
 _LOOK = 0.05  # s
 _NEAR = 1e-6  # s, of two simulated times that are the same
 _MOST_TICKS = 100_000  # of one step
 
 
 class _NoPage:
-    """Takes what would be sent to a page."""
+    """Stands in for a page's session, and drops all messages."""
 
     def send(self, _data: str | bytes, done: Callable[[], None]) -> None:
         """Drop a message."""
@@ -41,9 +41,9 @@ class _NoPage:
 
 
 async def replay(actions: Sequence[RecordedAction], tell: Callable[[str], None]) -> None:
-    """Repeat actions on the simulation of this node's master, which must stand still before the first of them.
+    """Repeat actions on the simulation of this node's master, paused before the first of them.
 
-    Time goes on after the last one.
+    Time resumes after the last one.
 
     Args:
         actions: in their order.
@@ -106,16 +106,16 @@ def _session(number: int) -> Session:
 
 def _check_start(status: SimulationStatus, first: RecordedAction) -> None:
     if not status.paused:
-        raise ActionError("simulation: it runs already; launch it with paused:=true")
+        raise ActionError("simulation: it is already running; launch it with paused:=true")
     if status.tick > first.tick:
         raise ActionError(
-            f"simulation: it is at tick {status.tick}, and the first action acted at tick {first.tick}; "
+            f"simulation: it is at tick {status.tick}, and the first action is at tick {first.tick}; "
             "launch it again with paused:=true"
         )
 
 
 async def _fleet_is_known(methods: MethodTable, session: Session) -> None:
-    """Wait until the rooms, which read the fleet's parameter now and then, know it."""
+    """Wait until the rooms, which poll the fleet's parameter, have read it."""
     roster = methods.find("fleet.roster", "operate")
     end = asyncio.get_running_loop().time() + _FLEET_LIMIT
     while not (await invoke(roster, session, {}))["vehicles"]:
@@ -125,10 +125,10 @@ async def _fleet_is_known(methods: MethodTable, session: Session) -> None:
 
 
 async def _advance(context: StationContext, action: RecordedAction) -> None:
-    """Let time advance to the tick of an action.
+    """Advance to the tick of an action.
 
     Raises:
-        ActionError: that tick has another time here.
+        ActionError: that tick has a different time in this simulation.
     """
     status = await context.blocking(status_of, context.master)
     while status.tick < action.tick:

@@ -1,4 +1,4 @@
-"""``./xtdrone replay-actions BAG``: repeat what the users of pages did in a recorded session, tick by tick.
+"""``./xtdrone replay-actions BAG``: repeat the operators' actions of a recorded session, tick by tick.
 
 Exit status: 0 when all actions were repeated, 1 when one was not, 2 for an invalid value.
 """

@@ -1,1 +1,1 @@
-"""Commands to vehicles, swarm and simulated time that the page gives."""
+"""Commands of the page to vehicles, swarm and simulated time."""

@@ -1,4 +1,4 @@
-"""XTDrone's commands to the leader and to vehicles, and formations: by name, by picture, or drawn."""
+"""XTDrone's commands to the leader and to vehicles, and formations: by name, by image, or drawn."""
 
 from __future__ import annotations
 

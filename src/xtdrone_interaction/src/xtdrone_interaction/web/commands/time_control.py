@@ -1,4 +1,4 @@
-"""Simulated time: its state with who holds the tick, and pause, step, speed and reset."""
+"""Simulated time: its state, the participants that hold the tick, and pause, step, speed and reset."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _STEP_LIMIT = 50.0  # s of wall time; a page waits 60 s
 class TimeCommand(Settings):
     """A command to the simulator."""
 
-    action: str = setting("", choices=("pause", "resume", "step", "speed"), text="what it does")
+    action: str = setting("", choices=("pause", "resume", "step", "speed"), text="command")
     ticks: int = setting(1, low=1, high=100_000, text="ticks of a step")
     factor: float = setting(1.0, low=0.0, high=1000.0, text="target real-time factor; 0: as fast as it goes")
 

@@ -33,10 +33,10 @@ class VehicleCommand(Settings):
     """A command to vehicles.
 
     Attributes:
-        place: goal of ``goto``; of several vehicles, that of the middle of the group, which keeps its shape.
+        place: goal of ``goto``; with several vehicles, the goal of the group's centre, and the group keeps its shape.
     """
 
-    action: str = setting("", choices=ACTIONS, text="what the vehicles do")
+    action: str = setting("", choices=ACTIONS, text="command to the vehicles")
     height: float = setting(3.0, low=0.5, high=1000.0, unit="m", text="height above the ground that takeoff climbs to")
     mode: str = setting("", text="mode by its PX4 name")
     place: tuple[float, float, float] | None = setting(None, low=-_FAR, high=_FAR, unit="m", text="goal, map frame")
@@ -80,7 +80,7 @@ class VehicleCommands:
         return {name: r if isinstance(r, GcsError) else done.format(r) for name, r in results.items()}
 
     def _places(self, names: Sequence[str]) -> dict[str, tuple[float, ...] | None]:
-        """Return where vehicles are, m ENU: as the simulator answers, for the pages' frame is of some moment before."""
+        """Return the positions of vehicles, m ENU, requested from the simulator: the pages' frame is slightly older."""
         return {name: self._place(name) for name in names} if len(names) > 1 else dict.fromkeys(names)
 
     def _place(self, name: str) -> tuple[float, ...] | None:
@@ -124,21 +124,21 @@ def peers_now(names: Sequence[str]) -> list[Peer]:
 
 
 def goals_of(place: Sequence[float], places: Mapping[str, Sequence[float] | None]) -> dict[str, tuple[float, ...]]:
-    """Return the goal of each vehicle, m ENU: the middle of the group goes to ``place``, and the group keeps its shape.
+    """Return the goal of each vehicle, m ENU: the group's centre goes to ``place``, and the group keeps its shape.
 
     Args:
         place: goal, m ENU.
         places: of the vehicles, m ENU; None: unknown.
 
     Raises:
-        CallError: several vehicles, and the place of one is unknown.
+        CallError: several vehicles, and the position of one is unknown.
     """
     if len(places) == 1:
         return {name: tuple(place) for name in places}
     known: dict[str, Sequence[float]] = {}
     for name, own in places.items():
         if own is None:
-            raise CallError(f"goto: the place of {name} is not known, and without it the vehicles would meet")
+            raise CallError(f"goto: the position of {name} is unknown, and without it the vehicles could collide")
         known[name] = own
     middle = [math.fsum(own[axis] for own in known.values()) / len(known) for axis in range(3)]
     return {name: tuple(place[k] + own[k] - middle[k] for k in range(3)) for name, own in known.items()}

@@ -1,4 +1,4 @@
-"""The fleet's binary frame, channel 1: poses and velocities of all that moves.
+"""The fleet's binary frame, channel 1: poses and velocities of everything that moves.
 
 Little-endian; offsets in bytes, of the whole frame with its first byte:
 

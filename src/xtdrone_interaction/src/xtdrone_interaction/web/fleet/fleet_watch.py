@@ -1,4 +1,4 @@
-"""Watch where the vehicles are, and send the fleet's frame to the pages."""
+"""Track the vehicles' poses, and send the fleet's frame to the pages."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ class FormationView:
         self._change("links", np.argwhere(matrix)[:_MOST_LINKS, ::-1].tolist())
 
     def _change(self, part: str, value: list[list[float]]) -> None:
-        """Store offsets from the leader (m ENU), or links [from, to] as numbers of vehicles; tell the pages."""
+        """Store offsets from the leader (m ENU), or links [from, to] as numbers of vehicles; notify the pages."""
         if value == self._state[part]:
             return
         self._state = {**self._state, part: value}

@@ -1,4 +1,4 @@
-"""The roster: which vehicles and other models there are, in the order of the fleet frame's rows."""
+"""The roster: the vehicles and other models, in the order of the fleet frame's rows."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _GROUND = "ground_plane"
 
 
 class Roster:
-    """Sorts the models of the simulation into vehicles, things that move and things that stand.
+    """Sorts the models of the simulation into vehicles, other moving models and static models.
 
     Attributes:
         version: counts changes.
@@ -56,7 +56,7 @@ class Roster:
         return vehicles, rows[self._mover_rows]
 
     def describe(self, models: ModelRows | None) -> dict[str, Any]:
-        """Return what the page has to know once.
+        """Return the data that a page needs only once per version.
 
         Returns:
             The version; name, type and model of each vehicle; names of the movers; and the place of each other model

@@ -108,7 +108,7 @@ def describe_vehicle(model: VehicleModel, store: ShapeStore) -> dict[str, Any]:
 
 
 def _radius(shapes: Iterable[Geometry]) -> float:
-    """Return the radius of rotors that are discs; that of a small one if they are anything else."""
+    """Return the radius of rotors that are discs; a small default radius for other shapes."""
     return max((shape.radius for shape in shapes if isinstance(shape, Cylinder)), default=0.12)
 
 

@@ -1,4 +1,4 @@
-"""What the table tells of each vehicle besides its motion: mode, arming, link, battery, estimator, and what is wrong.
+"""State of each vehicle in the table, besides its motion: mode, arming, link, battery, estimator, problems.
 
 It asks the MAVROS layer by the doctor's service, once for all vehicles: three subscriptions to each would cost a flight
 of thirty more than the whole page. Vehicles without a MAVROS layer of the project are shown by their topics alone;

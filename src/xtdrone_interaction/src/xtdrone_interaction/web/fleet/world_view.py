@@ -25,7 +25,7 @@ log = logging.getLogger("xtdrone.web")
 
 
 class WorldView:
-    """Describes the world's file, with the changes that the simulator publishes."""
+    """Describes the world's file, including the changes that the simulator publishes."""
 
     def __init__(self, context: StationContext, fleet: FleetWatch) -> None:
         self._context = context

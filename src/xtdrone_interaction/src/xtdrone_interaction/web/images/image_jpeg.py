@@ -24,7 +24,7 @@ _TO_BGR = {"rgb8": cv2.COLOR_RGB2BGR, "rgba8": cv2.COLOR_RGBA2BGR, "bgra8": cv2.
 
 
 class ImageError(ValueError):
-    """A message that is no image that can be shown."""
+    """A message that cannot be shown as an image."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def jpeg_of(message: Any, width: int) -> Picture:
 def _decompressed(message: Any) -> NDArray[Any]:
     image = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_COLOR) if message.data else None
     if image is None or image.size > 3 * MOST_PIXELS:
-        raise ImageError(f"data: {len(message.data)} bytes of format {message.format[:40]!r} are no picture")
+        raise ImageError(f"data: {len(message.data)} bytes of format {message.format[:40]!r} are not an image")
     return image
 
 

@@ -34,7 +34,7 @@ class ImageRoom:
     """Sends images to the pages that show them."""
 
     def __init__(self, context: StationContext, topics: TopicRoom, pages: PageSubscriptions) -> None:
-        """Take what the rooms share."""
+        """Store the context that the rooms share."""
         self._topics = topics
         self._pages = pages
         self._lock = threading.Lock()

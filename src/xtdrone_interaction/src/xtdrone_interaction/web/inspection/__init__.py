@@ -1,1 +1,1 @@
-"""The rooms that rqt's plug-ins are elsewhere: topics and echo, plots, console, parameters, node graph, images."""
+"""Rooms in place of rqt's plug-ins: topics and echo, plots, console, parameters, node graph, images."""

@@ -1,4 +1,4 @@
-"""The console as rqt_console has it: the log messages of all nodes, kept from the station's start."""
+"""The console, like rqt_console: the log messages of all nodes, kept from the station's start."""
 
 from __future__ import annotations
 

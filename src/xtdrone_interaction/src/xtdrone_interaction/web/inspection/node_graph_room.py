@@ -1,4 +1,4 @@
-"""The node graph as rqt_graph has it: nodes, topics between them, and which nodes take part in the lockstep."""
+"""The node graph, like rqt_graph: nodes, topics between them, and which nodes take part in the lockstep."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class NodeGraphRoom:
     """Answers a page's questions on nodes."""
 
     def __init__(self, context: StationContext, topics: TopicRoom) -> None:
-        """Take what the rooms share."""
+        """Store the context that the rooms share."""
         self._context = context
         self._topics = topics
 

@@ -18,7 +18,7 @@ class PageSubscriptions:
     """Opens and closes subscriptions for pages; subscribing waits for the ROS master, so it runs in a thread."""
 
     def __init__(self, context: StationContext, topics: RawSubscriptions) -> None:
-        """Take what the rooms share."""
+        """Store the context that the rooms share."""
         self._context = context
         self._topics = topics
         self._numbers = itertools.count(1)
@@ -45,7 +45,7 @@ class PageSubscriptions:
             session.on_close(lambda: self._end(session))
         mine = self._open[session]
         if len(mine) >= MOST_OF_A_PAGE:
-            raise CallError(f"topic: {topic!r} is one more than the {MOST_OF_A_PAGE} subscriptions of a page")
+            raise CallError(f"topic: {topic!r} is not allowed, a page has at most {MOST_OF_A_PAGE} subscriptions")
         number = next(self._numbers)
         mine[number] = None
         try:
@@ -57,12 +57,12 @@ class PageSubscriptions:
             raise
         if number in mine:
             mine[number] = listener
-        else:  # the page has gone, or closed it, meanwhile
+        else:  # the page has disconnected, or closed it, meanwhile
             await self._context.blocking(listener.close)
         return number
 
     async def close(self, session: Session, number: object) -> None:
-        """End a subscription of a page; one that has ended is left alone."""
+        """End a subscription of a page; no effect if it has already ended."""
         listener = self._open.get(session, {}).pop(number, None) if isinstance(number, int) else None
         if listener is not None:
             await self._context.blocking(listener.close)

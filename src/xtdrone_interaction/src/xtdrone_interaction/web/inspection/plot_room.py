@@ -1,4 +1,4 @@
-"""Plots as rqt_plot has them: samples of numeric fields of any topic, sent in batches."""
+"""Plots, like rqt_plot: samples of numeric fields of any topic, sent in batches."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class PlotRoom:
     """Collects the samples that pages plot."""
 
     def __init__(self, context: StationContext, topics: TopicRoom, pages: PageSubscriptions) -> None:
-        """Take what the rooms share."""
+        """Store the context that the rooms share."""
         self._topics = topics
         self._pages = pages
         self._lock = threading.Lock()

@@ -1,4 +1,4 @@
-"""Topics as rqt_topic and ``rostopic`` show them: list, rates, fields, echo; and one message published by hand."""
+"""Topics, like rqt_topic and ``rostopic``: list, rates, fields, echo; and one message published by hand."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class TopicRoom:
     """Answers a page's questions on topics."""
 
     def __init__(self, context: StationContext, topics: RawSubscriptions, pages: PageSubscriptions) -> None:
-        """Take what the rooms share."""
+        """Store the context that the rooms share."""
         self._context = context
         self._topics = topics
         self._pages = pages

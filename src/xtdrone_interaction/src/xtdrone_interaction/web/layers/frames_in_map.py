@@ -1,7 +1,7 @@
 """Poses of frames in the map frame: from /tf and /tf_static, and for vehicles without TF from the simulator.
 
-A vehicle's body is where the page draws it, unless a node publishes its frame; the frames of its links and sensors
-follow from its description, as ``robot_tf.py`` publishes them.
+The pose of a vehicle's body is the one that the page draws, unless a node publishes its frame; the frames of its links
+and sensors follow from its description, as ``robot_tf.py`` publishes them.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class FramesInMap:
         return tuple(fleet) == self._fleet
 
     def set_fleet(self, fleet: Sequence[Vehicle]) -> None:
-        """Take the fixed frames of the vehicles' descriptions; may take a while."""
+        """Load the fixed frames of the vehicles' descriptions, which may take a while."""
         if self.is_of(fleet):
             return
         bodies, fixed = [], []
@@ -65,7 +65,7 @@ class FramesInMap:
             try:
                 frames = RobotFrames(vehicle.name, load_vehicle(vehicle.model))
             except ModelError as error:
-                log.warning("%s: its frames are not known: %s", vehicle.name, error)
+                log.warning("%s: its frames are unknown: %s", vehicle.name, error)
                 bodies.append(f"{vehicle.name}/base_link")
                 continue
             bodies.append(frames.body)
@@ -78,7 +78,7 @@ class FramesInMap:
             self._restart()
 
     def set_vehicles(self, rows: Array, time: float) -> None:
-        """Take where the vehicles are.
+        """Store the poses of the vehicles.
 
         Args:
             rows: (n, 10) of the fleet's frame, in the order of the fleet; NaN for absent vehicles.
@@ -96,7 +96,7 @@ class FramesInMap:
                     self._buffer.set_transform(_stamped(body, row[:3], row[3:7] / np.linalg.norm(row[3:7]), stamp), "")
 
     def hear(self, message: TFMessage) -> None:
-        """Take transforms of /tf."""
+        """Store transforms of /tf."""
         entries = _usable(message.transforms)
         with self._lock:
             for entry in entries:
@@ -106,7 +106,7 @@ class FramesInMap:
                 self._buffer.set_transform(entry, _AUTHORITY)
 
     def hear_static(self, message: TFMessage) -> None:
-        """Take transforms of /tf_static."""
+        """Store transforms of /tf_static."""
         with self._lock:
             for entry in _usable(message.transforms):
                 self._note(entry.child_frame_id)
@@ -122,7 +122,7 @@ class FramesInMap:
             stamp: of the message.
 
         Raises:
-            LayerError: no chain of transforms leads from the frame to the map frame.
+            LayerError: no chain of transforms connects the frame to the map frame.
         """
         name = frame.lstrip("/")
         with self._lock:
@@ -133,13 +133,13 @@ class FramesInMap:
             for time in (stamp, rospy.Time()):
                 with suppress(tf2_py.TransformException, ValueError):  # ValueError: a name that C cannot hold
                     return _matrix(self._buffer.lookup_transform_core(MAP, name, time).transform)
-        raise LayerError(f"frame_id: {frame[:80]!r} is not allowed, one that TF leads from to {MAP!r}")
+        raise LayerError(f"frame_id: {frame[:80]!r} is not allowed, one that TF connects to {MAP!r}")
 
     def _has(self, name: str) -> bool:
         return bool(name) and name in self._told
 
     def _note(self, child: str) -> None:
-        """Note that TF has a frame; what else was known of its poses no longer counts."""
+        """Register a frame of TF; its poses from other sources are discarded."""
         if child not in self._told:
             self._told.add(child)
             self._restart()

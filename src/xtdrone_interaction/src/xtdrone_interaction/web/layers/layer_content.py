@@ -1,4 +1,4 @@
-"""What a message shows in a layer: places of points or of a line, or the cells of a grid, in the message's own frame.
+"""Content of a message in a layer, in the message's frame: positions of points or of a line, or the cells of a grid.
 
 Everything is checked here, before it is converted, and reduced to numbers that a browser draws without a GPU.
 """
@@ -21,7 +21,7 @@ MOST_CELLS = 4_000_000  # of a grid that is read
 MOST_SIDE = 512  # cells along a side of a grid that is sent
 FARTHEST = 1e5  # m, of a place from the origin of its frame
 UNKNOWN = 255
-"""Value of a cell that is not known."""
+"""Value of an unknown cell."""
 _GOLDEN = 0.6180339887498949  # multiples of it, modulo 1, fill the interval evenly
 
 Array = NDArray[np.float64]
@@ -70,7 +70,7 @@ Content = Points | Line | Grid
 
 
 def content_of(kind: str, message: Any, most: int) -> Content:
-    """Return what a message shows.
+    """Return the content of a message.
 
     Args:
         kind: its type, one of ``TYPES``.
@@ -103,7 +103,7 @@ def _scan(message: Any, most: int) -> Points:
 
 
 def _thinned(points: Array, most: int) -> Points:
-    """Return at most about ``most`` of the points, evenly over their order, and not every n-th: lidars repeat."""
+    """Return at most about ``most`` of the points, evenly over their order; not every n-th, as lidars repeat."""
     near = points[(np.abs(points) <= FARTHEST).all(axis=1)]
     if len(near) > most:
         near = near[(np.arange(len(near)) * _GOLDEN) % 1.0 < most / len(near)]
@@ -148,9 +148,9 @@ def _grid(message: Any, _most: int) -> Grid:
 
 
 def _merged(cells: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], int]:
-    """Return cells of which several are one, at most ``MOST_SIDE`` along a side, and how many along a side are one.
+    """Return cells merged to at most ``MOST_SIDE`` along a side, and the number merged along a side.
 
-    The most occupied one counts, and any one that is known more than one that is not.
+    The most occupied of the merged cells counts, and known cells take precedence over unknown ones.
     """
     factor = math.ceil(max(cells.shape) / MOST_SIDE)
     if factor == 1:

@@ -47,7 +47,7 @@ Array = NDArray[np.float64]
 
 
 def packed_layer(content: Content, pose: Array, time: float) -> bytes:
-    """Return what follows the number of the subscription.
+    """Return the part after the number of the subscription.
 
     Args:
         content: of a message.

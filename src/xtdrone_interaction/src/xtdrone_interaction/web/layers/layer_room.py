@@ -1,7 +1,7 @@
 """Layers of the pages: paths, clouds, scans and grids of any topic, sent while a page shows them and when they change.
 
-A page says at what rate it wants a layer, and gets points up to a number that all its layers share, so that thirty
-lidars cost a browser what one does.
+A page selects the rate of each layer. All its layers share a maximum number of points, so that thirty lidars cost a
+browser no more than one.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _MOST_CACHED = 64
 
 
 class Shown(NamedTuple):
-    """A message as it is sent: made once for all pages."""
+    """A message as sent: encoded once for all pages."""
 
     message: RawMessage
     content: Content
@@ -52,7 +52,7 @@ class LayerRoom:
     """Sends layers to the pages that show them."""
 
     def __init__(self, context: StationContext, topics: TopicRoom, pages: PageSubscriptions, fleet: FleetWatch) -> None:
-        """Take what the rooms share."""
+        """Store the context that the rooms share."""
         self._context = context
         self._topics = topics
         self._pages = pages
@@ -88,7 +88,7 @@ class LayerRoom:
             kind = "it is not there" if found is None else found.type
             raise CallError(f"topic: {topic[:100]!r} is not allowed ({kind}), one of {', '.join(TYPES)}")
         mine = self._open.get(session)
-        if mine is None:  # before listening: the end of another page's last layer must not stop it
+        if mine is None:  # before subscribing: the end of another page's last layer must not stop it
             mine = self._open[session] = set()
             session.on_close(lambda: self._end(session))
         await self._context.blocking(self._listen_to_frames)
@@ -119,7 +119,7 @@ class LayerRoom:
         await self._pages.close(session, number)
 
     def _end(self, session: Session) -> None:
-        """Forget a page that has gone; without pages no frames are listened to."""
+        """Forget a disconnected page; without pages no frames are subscribed to."""
         self._open.pop(session, None)
         if not self._open:
             self._context.in_loop(self._context.blocking, self._stop_listening)
@@ -188,5 +188,5 @@ class LayerRoom:
 
 
 def _share(layers: int) -> int:
-    """Return the points that a cloud may have in a page with so many open layers."""
+    """Return the maximum number of points of a cloud in a page with so many open layers."""
     return max(_LEAST_POINTS, min(MOST_POINTS, MOST_POINTS_OF_A_PAGE // max(layers, 1)))

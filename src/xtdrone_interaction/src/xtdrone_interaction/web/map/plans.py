@@ -33,7 +33,7 @@ _CAMERA = Pinhole.of_view(640, 360, 2.0)  # of a vehicle without one: the lanes 
 
 @dataclass(frozen=True)
 class DrawnPlan(Settings):
-    """What a page sets beside the region."""
+    """Options of a plan besides its region, set by the page."""
 
     height: float = setting(12.0, low=5.0, high=100.0, unit="m", text="height of the lowest vehicle over the ground")
     speed: float = setting(5.0, low=0.5, high=15.0, unit="m/s", text="speed over ground")
@@ -44,7 +44,7 @@ class Plans:
     """Makes plans and uploads them by the ground station's exchange, as ``./xtdrone gcs upload``."""
 
     def __init__(self, context: StationContext, fleet: FleetWatch, datum: Callable[[], Datum | None]) -> None:
-        """Begin without plans; ``datum`` returns the origin of the map frame, None without a world."""
+        """Start without plans; ``datum`` returns the origin of the map frame, None without a world."""
         self._context = context
         self._fleet = fleet
         self._datum = datum
@@ -59,7 +59,7 @@ class Plans:
         ]
 
     async def _plan(self, _session: Session, params: Params) -> dict[str, Any]:
-        """Return the number of a plan, and the way of each vehicle."""
+        """Return the number of a plan, and the path of each vehicle."""
         given = dict(params)
         names = chosen_vehicles(given.pop("vehicles", None), self._fleet.roster.vehicles)
         region = given.pop("region", None)
@@ -78,7 +78,7 @@ class Plans:
     ) -> tuple[dict[str, VehiclePlan], dict[str, Plan]]:
         datum = self._datum()
         if datum is None:
-            raise CallError("plan: the running simulation has no world, and so no place on the globe")
+            raise CallError("plan: the running simulation has no world, and therefore no global origin")
         options = SearchOptions(height=drawn.height, speed=drawn.speed, overlap=drawn.overlap)
         plans = plan_search(parse_region(region), homes, self._camera(next(iter(homes))), options)
         files = {name: to_plan(made, options, datum) for name, made in plans.items()}
@@ -95,7 +95,7 @@ class Plans:
     def _home(self, name: str) -> tuple[float, float]:
         models = self._fleet.models
         if models is None or name not in models.names:
-            raise CallError(f"plan: the place of {name} is not known")
+            raise CallError(f"plan: the position of {name} is unknown")
         x, y = models.rows[models.names.index(name), :2].tolist()
         return x, y
 

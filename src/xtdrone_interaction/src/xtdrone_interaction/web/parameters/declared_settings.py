@@ -1,4 +1,4 @@
-"""What the settings' classes declare of the nodes' parameters, read from the tables that they generate.
+"""Declarations of the nodes' parameters in the settings' classes, read from the tables generated from these.
 
 The classes themselves would have to be imported with all their nodes' modules; docs/settings.md has the same tables,
 and a test holds it to the classes.
@@ -81,7 +81,7 @@ def read_declared(page: str) -> Tables:
 
 
 def declared_for(tables: Tables, parameter: str) -> Declared | None:
-    """Return what is declared of a node's private parameter; None for another, or for a node that is not known.
+    """Return the declaration of a node's private parameter; None for an undeclared one, or for an unknown node.
 
     Args:
         tables: all declared parameters.

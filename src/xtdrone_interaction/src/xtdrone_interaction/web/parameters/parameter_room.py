@@ -1,4 +1,4 @@
-"""Parameters of ROS, with what the settings declare of them, and of the autopilots, with PX4's definitions."""
+"""Parameters of ROS, with their declarations in the settings, and of the autopilots, with PX4's definitions."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class ParameterRoom:
     """Reads and sets parameters for pages."""
 
     def __init__(self, context: StationContext) -> None:
-        """Take what the rooms share."""
+        """Store the context that the rooms share."""
         self._context = context
         self._master = rosgraph.Master(context.name, context.master)
 
@@ -66,7 +66,7 @@ class ParameterRoom:
         return _px4_definitions()
 
     async def _vehicle(self, _session: Session, params: Params) -> dict[str, Any]:
-        """Return what MAVROS has read of a vehicle's parameters so far; the vehicle is not asked."""
+        """Return the vehicle's parameters that MAVROS has read so far, without a request to the vehicle."""
         try:
             prefix = f"{self._prefix(params)}/{_MIRROR}"
             values = await self._context.blocking(self._call, self._master.getParam, prefix)

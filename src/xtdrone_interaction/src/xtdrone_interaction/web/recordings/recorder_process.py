@@ -30,7 +30,7 @@ class RecorderProcess:
     """At most one rosbag, a plain subscriber out of the lockstep."""
 
     def __init__(self, folder: Path, master: str) -> None:
-        """Record nothing yet.
+        """Create a recorder that is not recording.
 
         Args:
             folder: of the files.
@@ -51,7 +51,7 @@ class RecorderProcess:
             OptionError: one is running already, the profile is not known, or rosbag is missing.
         """
         if self.state()["recording"]:
-            raise OptionError("record: one recording is running already; stop it first")
+            raise OptionError("record: a recording is already running; stop it first")
         if profile not in PROFILES:
             raise OptionError(f"profile: {str(profile)[:60]!r} is not allowed, one of {', '.join(PROFILES)}")
         program = shutil.which("rosbag")

@@ -92,7 +92,7 @@ class RecordingRoom:
     def _frames(self, _session: Session, params: Params) -> dict[str, Any]:
         flight = self._open_flights.get(needed(params, "file", str, "a file that is open"))
         if flight is None:
-            raise CallError(f"file: {params['file'][:100]!r} is not open any more, open it again")
+            raise CallError(f"file: {params['file'][:100]!r} is no longer open, open it again")
         first = needed(params, "first", int, "number of a frame")
         if not 0 <= first < len(flight.frames):
             raise CallError(f"first: {first} is not allowed, an integer from 0 to {len(flight.frames) - 1}")

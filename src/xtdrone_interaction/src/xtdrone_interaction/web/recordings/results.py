@@ -1,4 +1,4 @@
-"""What ``analyse`` or a demo has left beside a recording: figures in numbers and pictures."""
+"""Results that ``analyse`` or a demo has written beside a recording: figures and pictures."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def _figures(report: Path) -> tuple[tuple[str, Any], ...]:
 
 
 def _leaves(tree: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
-    """Yield single values, those that stand highest first; lists, which are series and tables, are left out."""
+    """Yield single values, outermost ones first; lists, which are series and tables, are left out."""
     for name, value in tree.items():
         if isinstance(value, (bool, int, float, str)):
             yield f"{prefix}{name}", value

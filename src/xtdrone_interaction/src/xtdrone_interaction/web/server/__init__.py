@@ -1,1 +1,1 @@
-"""HTTP and WebSocket server of the station: who may connect, what may be called, what is sent to slow browsers."""
+"""HTTP and WebSocket server of the station: access control, methods, and flow control for slow browsers."""

@@ -1,4 +1,4 @@
-"""Who may connect: tokens and the roles that they give, hosts and origins."""
+"""Access control: tokens and the roles that they grant, hosts and origins."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class Credentials:
     """Tokens of a station.
 
     Attributes:
-        operate: gives all methods; empty: none is needed, and every page of this machine may operate.
-        view: gives those that change nothing; empty: no such token.
+        operate: grants all methods; empty: none is needed, and every page of this machine may operate. view: grants the
+            methods that change nothing; empty: no such token.
     """
 
     operate: str = ""
@@ -38,11 +38,11 @@ class Credentials:
 
     @classmethod
     def for_host(cls, host: str, token: str = "", view_only: bool = False) -> Credentials:
-        """Return the tokens for a listening address: without a given one, other machines need a drawn one.
+        """Return the tokens for a listening address: if none is given, one is generated for access from other machines.
 
         Args:
             host: listening address.
-            token: chosen by the user; empty: drawn if one is needed.
+            token: chosen by the user; empty: generated if one is needed.
             view_only: no page may operate; ``operate`` is then a token that is not shown.
         """
         needs = bool(token) or not is_loopback(host)

@@ -12,7 +12,7 @@ from xtdrone_interaction.web.server.session import Session
 
 Params = Mapping[str, Any]
 Touches = Literal["flight", "time", "nothing"]
-"""What a call of role ``operate`` changes: the flight, how simulated time runs, or neither of them."""
+"""Effect of a call of role ``operate``: on the flight, on the progress of simulated time, or on neither."""
 
 
 class CallError(ValueError):
@@ -28,7 +28,7 @@ class Method:
         call: function of the session and the parameters, or a coroutine function; returns what JSON can hold. Its
             ``ValueError`` is the answer to the page. It runs in the event loop and must not block.
         role: needed to call it; the calls of ``operate`` are published as operator actions.
-        touches: what a call of ``operate`` changes; one that touches the flight acts between two ticks.
+        touches: effect of a call of ``operate``; one on the flight takes effect between two ticks.
         recorded: returns what is published in place of the parameters, so that a replay needs nothing else.
     """
 

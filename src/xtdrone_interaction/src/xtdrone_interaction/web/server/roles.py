@@ -1,4 +1,4 @@
-"""What a page may do: only watch, or operate, which includes watching."""
+"""Roles of a page: watch only, or operate, which includes watching."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """One page's connection: its role, its calls, and what is sent to it.
 
-A page that reads slowly gets fewer frames: what is pushed waits in a queue of bounded size, and is left out while the
-queue is full. A page that reads nothing is disconnected.
+A page that reads slowly gets fewer frames: pushed data wait in a queue of bounded size, and are dropped while the queue
+is full. A page that reads nothing is disconnected.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from typing import Any, Protocol
 from xtdrone_interaction.web.server.roles import Role
 
 MOST_UNSENT = 4 << 20
-"""Bytes that wait for a page; beyond them, pushed data are left out."""
+"""Maximum bytes that wait for a page; beyond them, pushed data are dropped."""
 _SILENT_LIMIT = 20.0  # s of wall time with a full queue until a page is disconnected
 
 
 class Socket(Protocol):
-    """What a session needs of a WebSocket."""
+    """The part of a WebSocket's interface that a session uses."""
 
     def send(self, data: str | bytes, done: Callable[[], None]) -> None:
         """Send a message; ``done`` is called when the operating system has it."""
@@ -36,7 +36,7 @@ class Session:
     Attributes:
         number: of the connection since the station's start.
         role: what it may do.
-        left_out: pushed messages that were left out because the page reads too slowly.
+        left_out: pushed messages that were dropped because the page reads too slowly.
     """
 
     def __init__(self, number: int, role: Role, socket: Socket, in_loop: Callable[[Callable[[], None]], None]) -> None:
@@ -79,7 +79,7 @@ class Session:
         self._run(lambda: self._send(frame, droppable=True))
 
     def push_latest(self, channel: int, payload: bytes) -> None:
-        """Send a binary frame, unless the last one of this channel still waits: the newest is worth more than all."""
+        """Send a binary frame, unless the last one of this channel still waits: only the newest frame matters."""
         if channel in self._pending_channels or self.closed:
             self.left_out += 1
             return
@@ -92,11 +92,11 @@ class Session:
         self._send(encode(content))
 
     def on_close(self, callback: Callable[[], None]) -> None:
-        """Call a function, in the event loop, when the page has gone."""
+        """Call a function, in the event loop, when the page has disconnected."""
         self._closing.append(callback)
 
     def close(self) -> None:
-        """End the session and tell all who asked for it."""
+        """End the session and call the registered functions."""
         if self.closed:
             return
         self.closed = True

@@ -47,7 +47,7 @@ log = logging.getLogger("xtdrone.web")
 
 @dataclass(frozen=True)
 class Address:
-    """Where the station listens, and who may connect."""
+    """Listening address and access tokens of the station."""
 
     host: str
     port: int
@@ -67,7 +67,7 @@ def _own_address(host: str) -> str:
     if host not in ("0.0.0.0", "::"):
         return f"[{host}]" if ":" in host else host
     with sockets.socket(sockets.AF_INET, sockets.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
-        probe.connect(("192.0.2.1", 9))  # sends nothing: the system chooses the address of the way out
+        probe.connect(("192.0.2.1", 9))  # sends nothing: the system only chooses the outgoing address
         return str(probe.getsockname()[0])
     return sockets.gethostname()
 
@@ -129,7 +129,7 @@ class StationServer:
 
 
 def routes(server: StationServer) -> list[tuple[str, type[RequestHandler], dict[str, Any]]]:
-    """Return all that the server answers to: pattern of the path, handler and the handler's arguments."""
+    """Return the server's routes: pattern of the path, handler and the handler's arguments."""
     return [
         ("/ws", _PageSocket, {"server": server}),
         ("/(.*)", _PageFile, {"path": str(server.page), "default_filename": "index.html", "server": server}),
@@ -163,7 +163,7 @@ class _PageFile(StaticFileHandler):
         return path
 
     def write_error(self, status_code: int, **_: Any) -> None:
-        """Tell the status alone."""
+        """Send the status alone."""
         self.finish(f"{status_code}\n")
 
 
@@ -193,7 +193,7 @@ class _PageSocket(WebSocketHandler):
         self._hello_limit = self._server.loop.call_later(_HELLO_LIMIT, self._refuse, "no hello")
 
     async def on_message(self, message: str | bytes) -> None:
-        """Answer a call; a page that has not said hello may say only that."""
+        """Answer a call; before ``hello`` no other method is allowed."""
         if self._session is None:
             self._greet(message)
             return

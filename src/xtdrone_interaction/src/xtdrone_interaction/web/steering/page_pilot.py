@@ -1,4 +1,4 @@
-"""One page's keyboard and gamepad: the keyboard program's law, with a page that may vanish in place of a terminal."""
+"""One page's keyboard and gamepad: the keyboard program's rules for a page that may disconnect."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from xtdrone_interaction.keyboard.key_bindings import MAX_SPEED, MAX_TURN, Command, Message, Pilot, Setpoint, Target
 
-SILENCE = 1.0  # s without a word from the page after which the vehicles are stopped
+SILENCE = 1.0  # s without a message from the page after which the vehicles are stopped
 _KEYS = frozenset("wxad,ijltyvnrbskg0123456789")
 _LIMITS = (MAX_SPEED, MAX_SPEED, MAX_SPEED, MAX_TURN)
 
@@ -17,7 +17,8 @@ Send = Callable[[str, Message], None]
 class PagePilot:
     """Keys and sticks of a page, as messages for vehicles or the leader.
 
-    The vehicles are stopped when the page has said nothing for a second, when it closes, and when it takes other ones.
+    The vehicles are stopped when the page has sent nothing for a second, when it closes, and when it selects other
+    ones.
     """
 
     def __init__(self, vehicles: Sequence[str], leader: bool, patterns: Mapping[str, str], send: Send) -> None:
@@ -80,7 +81,7 @@ class PagePilot:
         self._pilot.steer(*speeds)  # type: ignore[misc]
 
     def alive(self, now: float) -> None:
-        """Note that the page is there."""
+        """Register that the page is still connected."""
         self._heard = now
 
     def cycle(self, now: float) -> None:

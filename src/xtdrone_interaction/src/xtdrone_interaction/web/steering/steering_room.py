@@ -44,7 +44,7 @@ class SteeringRoom:
         context.every(PERIOD, self._cycle)
 
     def methods(self) -> list[Method]:
-        """Return the methods of a page; a page that flies nothing cannot call ``alive`` with effect."""
+        """Return the methods of a page; ``alive`` has no effect for a page that flies nothing."""
         return [
             Method("steering.open", self._open, "operate", "nothing"),
             Method("steering.key", self._key, "operate", "nothing"),
@@ -133,7 +133,7 @@ class SteeringRoom:
         self._send_waiting()
 
     def _send_waiting(self) -> None:
-        """Send what the pilots want sent, as an action of their page; without one where the station ends."""
+        """Publish the pilots' messages as actions of their pages, or directly while the station ends."""
         try:
             asyncio.get_running_loop()
         except RuntimeError:
@@ -215,7 +215,7 @@ def _patterns(known: list[str]) -> dict[str, str]:
 
 
 def _fleet() -> list[str]:
-    """Return the vehicles of the parameter of the fleet, none without it."""
+    """Return the vehicles of the fleet's parameter, none if it is not set."""
     try:
         return [vehicle.name for vehicle in parse_fleet(str(rospy.get_param("/xtdrone/fleet")))]
     except (KeyError, FleetError):
