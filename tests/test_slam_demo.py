@@ -90,7 +90,7 @@ def test_a_lidar_that_fails_is_named_and_the_vehicle_lands(fault: str, tmp_path:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--way", "3"], "way: '3' is not allowed, two numbers of m with a comma, as 20,-5"),
+        (["--way", "3"], "way: '3' is not allowed; two comma-separated numbers in m, e.g. 20,-5"),
         (["--way", "-3,nan"], "way: '-3,nan' is not allowed"),
         (["--script", "nowhere.py"], "script: 'nowhere.py' is not allowed, an existing .py file"),
         (["--height", "0"], "'0' is not allowed, 1 to 50 m"),

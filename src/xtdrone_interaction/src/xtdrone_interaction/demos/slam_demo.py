@@ -133,7 +133,7 @@ def _check_point(text: str) -> None:
     except ValueError:
         east = north = float("nan")
     if not (abs(east) <= 1e4 and abs(north) <= 1e4):
-        raise OptionError(f"way: {text.strip()!r} is not allowed, two numbers of m with a comma, as 20,-5")
+        raise OptionError(f"way: {text.strip()!r} is not allowed; two comma-separated numbers in m, e.g. 20,-5")
 
 
 def _fly(settings: SlamSettings, console: Console) -> int:

@@ -38,7 +38,7 @@ class Instant:
 
 
 def hold(master: str, *, is_stepping: bool = False) -> Instant:
-    """Let time stand still between two ticks, if there is a simulator that can; blocks.
+    """Stop time between two ticks, if there is a simulator that supports it; blocks.
 
     Args:
         master: URI of the ROS master.

@@ -63,7 +63,7 @@ class OperatorActions:
             raise
 
     async def _begin_on_time(self, method: Method, session: Session, params: Params) -> asyncio.Future[Any]:
-        """Start a call on simulated time; return it when it has ended or takes too long, as a step of many ticks."""
+        """Start a call on simulated time; return its task when it has ended, or takes long as a step of many ticks."""
         self._publish(method, session, params, Instant())
         call = asyncio.ensure_future(invoke(method, session, params))
         await asyncio.wait({call}, timeout=LONGEST_HOLD)
@@ -73,7 +73,7 @@ class OperatorActions:
         return call
 
     async def _begin(self, method: Method, session: Session, params: Params) -> tuple[int, asyncio.Future[Any]]:
-        """Start a call while time stands still; return its number and itself when it has ended or takes too long."""
+        """Start a call while time stands still; return its number and its task when it has ended or takes too long."""
         instant = await self._context.blocking(hold, self._context.master, is_stepping=bool(self._long_steps))
         try:
             recorded = params if method.recorded is None else method.recorded(params)

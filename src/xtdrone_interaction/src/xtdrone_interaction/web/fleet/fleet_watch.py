@@ -21,14 +21,14 @@ from xtdrone_interaction.web.server.methods import Method, Params
 from xtdrone_interaction.web.server.session import Session
 from xtdrone_sim.topics.live_states import TOPIC as LIVE_STATES
 
-_OTHER_STATES = "/gazebo/model_states"  # where no simulator of the project runs, as with a bag that is played
-_CONNECT_LIMIT = 1.5  # s of wall time after which live states are looked for elsewhere
-_FLEET_PERIOD = 2.0  # s between two looks at the parameter of the fleet
+_OTHER_STATES = "/gazebo/model_states"  # without a simulator of this project, as when a bag is played
+_CONNECT_LIMIT = 1.5  # s of wall time after which live states are searched for elsewhere
+_FLEET_PERIOD = 2.0  # s between two queries of the fleet's parameter
 log = logging.getLogger("xtdrone.web")
 
 
 class FleetWatch:
-    """Subscribes to the simulator's true states, those at a rate of wall time, while a page is open.
+    """Subscribes to the simulator's true states at a rate in wall time, while a page is open.
 
     Attributes:
         roster: the vehicles.

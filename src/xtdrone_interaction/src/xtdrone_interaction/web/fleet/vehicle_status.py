@@ -1,8 +1,8 @@
 """State of each vehicle in the table, besides its motion: mode, arming, link, battery, estimator, problems.
 
-It asks the MAVROS layer by the doctor's service, once for all vehicles: three subscriptions to each would cost a flight
-of thirty more than the whole page. Vehicles without a MAVROS layer of the project are shown by their topics alone;
-``./xtdrone doctor`` listens longer.
+The MAVROS layer is queried by the doctor's service, once for all vehicles: with thirty vehicles, three
+subscriptions to each would cost more than the whole page. Vehicles without a MAVROS layer of this project are shown by
+their topics alone; ``./xtdrone doctor`` listens longer.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from xtdrone_interaction.web.fleet.fleet_watch import FleetWatch
 
 PERIOD = 1.0  # s of wall time, at least
 _LONGEST_PERIOD = 5.0
-_SHARE = 0.02  # of a core, that the question to the MAVROS layers may take
-_GRAPH_PERIOD = 10.0  # s of wall time between two looks at all nodes, at least
+_SHARE = 0.02  # of a core, limit for the queries to the MAVROS layers
+_GRAPH_PERIOD = 10.0  # s of wall time between two queries of all nodes, at least
 _LONGEST_GRAPH_PERIOD = 30.0
-_GRAPH_SHARE = 0.02  # of the time, that a look may take: it makes work for the ROS master, too
+_GRAPH_SHARE = 0.02  # of the time, limit for such a query, which also loads the ROS master
 _ESTIMATES = {
     "attitude_status_flag": "attitude",
     "velocity_horiz_status_flag": "velocity",

@@ -62,7 +62,7 @@ class SearchView:
         return self._state
 
     async def _missions(self, session: Session, _params: Params) -> dict[str, list[list[float]]]:
-        """Return the way of each vehicle's mission, x, y (m ENU) and height (m); changes are told from now on."""
+        """Return the path of each vehicle's mission, x, y (m ENU) and height (m); later changes are pushed."""
         self._pages.add(session.number)
         datum = await self._context.blocking(self._datum)
         return {name: way_of(items, datum) for name, items in self._lists.items()} if datum else {}
