@@ -418,7 +418,7 @@ def test_an_invalid_assignment_is_rejected(given: object) -> None:
         def assignment(self, current: np.ndarray, target: np.ndarray) -> object:  # type: ignore[override]
             return given
 
-    with pytest.raises(CommandError, match="which is no permutation of the slots 0 to 7"):
+    with pytest.raises(CommandError, match="which is not a permutation of the slots 0 to 7"):
         Strange(9).choose("cube")
 
 
@@ -503,7 +503,7 @@ def test_a_wrong_permutation_of_many_is_abbreviated() -> None:
         def assignment(self, current: np.ndarray, target: np.ndarray) -> Assignment:
             return Assignment(np.zeros(len(target), dtype=np.intp), 0.0)
 
-    with pytest.raises(CommandError, match="which is no permutation") as raised:
+    with pytest.raises(CommandError, match="which is not a permutation") as raised:
         Broken(1000).choose("grid")
     assert len(str(raised.value)) < 200
 

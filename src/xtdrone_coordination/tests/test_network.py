@@ -362,7 +362,7 @@ def test_a_restarted_vehicle_receives_later_samples() -> None:
     assert None not in second.positions
     network.step(track[8], labels(8, 3))
     assert list(first.positions) == [tuple(track[5, 0]), tuple(track[8, 1]), tuple(track[5, 2])]
-    with pytest.raises(TypeError, match="by its network alone"):
+    with pytest.raises(TypeError, match="over its network only"):
         first.on_position(0, (0.0, 0.0, 0.0))
 
 

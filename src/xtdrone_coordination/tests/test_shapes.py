@@ -221,10 +221,10 @@ def test_clouds_are_read(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "data", "message"),
     [
-        ("a.ply", b"solid", "no PLY file"),
+        ("a.ply", b"solid", "not a PLY file"),
         ("a.ply", ply("ascii", b"255 0 0 0\n"), "ends before its 4 vertices of 4 numbers"),
         ("a.ply", ply("binary_little_endian", packed("<")[:40]), "ends before its 4 vertices of 17 bytes"),
-        ("a.ply", ply("morse", b""), "no format that is known"),
+        ("a.ply", ply("morse", b""), "no known format"),
         (
             "a.ply",
             ply("ascii", b"", before="element face 3\nproperty list uchar int i\n"),

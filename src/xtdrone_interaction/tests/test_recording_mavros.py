@@ -204,11 +204,11 @@ def test_vehicles_that_gps_alone_places_share_an_origin(tmp_path: Path, own_orig
     first, second = (vehicle.position.value for vehicle in flight.vehicles if vehicle.position is not None)
     if own_origins:
         (note,) = flight.notes
-        assert "begin at places up to 112 m apart" in note
+        assert "begin up to 112 m apart" in note
         return
     np.testing.assert_allclose(first[-1], [19.8, 0.0, 0.0], atol=1e-3)
     np.testing.assert_allclose(second - first, np.tile([50.0, 100.0, 0.0], (100, 1)), atol=1e-3)
-    assert flight.notes == ["places of uav0, uav1 are of GPS, from the first fix of uav0"]
+    assert flight.notes == ["positions of uav0, uav1 are from GPS, relative to the first fix of uav0"]
 
 
 def poses(path: Path, spans: list[tuple[float, float]], start: float = 0.0) -> None:

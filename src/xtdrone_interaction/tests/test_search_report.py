@@ -87,7 +87,7 @@ def test_following_counts_the_pictures_that_show_the_person() -> None:
     (following,) = report["following"]
     assert following["duration"] == pytest.approx(20.0)
     assert following["in_view"] == pytest.approx(30 / 41)
-    assert report["shortcomings"] == ["typhoon_h480_0 had the person in view in 73 % of its pictures"]
+    assert report["shortcomings"] == ["typhoon_h480_0 had the person in view in 73 % of its images"]
 
 
 def test_a_search_without_a_find_is_a_shortcoming_only_if_people_are_present() -> None:

@@ -161,7 +161,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"combine": "zip", "parameters": {"n": [4, 5], "follower.Kp": [1]}}, "zip needs .* n 2, follower.Kp 1"),
     ({"combine": "random"}, "random needs parameters"),
     ({"combine": "random", "parameters": {"n": [4]}}, "samples: None is not allowed"),
-    ({"samples": 4}, "samples: is for combine: random or latin"),
+    ({"samples": 4}, "samples: needs combine: random or latin"),
     ({"seeds": 0}, "seeds: 0 is not allowed"),
     ({"seeds": []}, "seeds: the list is empty"),
     ({"seeds": [1, 1]}, "seeds: 1 is given twice"),

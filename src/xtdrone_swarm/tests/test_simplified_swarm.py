@@ -219,7 +219,7 @@ def test_out_of_range_they_stand_still_and_few_warnings_are_logged(caplog):
     swarm.run(2.0)
     assert np.abs(swarm.velocities).max() < 1e-6
     assert swarm.cut_off() == list(range(1, 30))
-    assert "by the network's range 1-29 of 30 vehicles are cut off" in caplog.text
+    assert "the network's range cuts off 1-29 of 30 vehicles" in caplog.text
     assert "26 more such warnings" in caplog.text
     assert len(caplog.records) == 5
 

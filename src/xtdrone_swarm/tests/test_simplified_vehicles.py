@@ -284,7 +284,7 @@ def test_bad_places_and_setpoints():
         vehicles.command(2, "ARM")
     with pytest.raises(ValueError, match="multiple of 4000"):
         vehicles.advance(5000)
-    assert "no PX4 mode" in vehicles.command(0, "FLY")
+    assert "nor a PX4 mode" in vehicles.command(0, "FLY")
     assert "not supported" in vehicles.command(0, "ACRO")
     vehicles.command(0, "AUTO.LAND")
     assert "arming denied in mode AUTO.LAND" in vehicles.command(0, "ARM")
