@@ -70,10 +70,10 @@ def fleet_text(fleet: Sequence[Vehicle]) -> str:
 
 
 def place_ids(fleet: Sequence[Vehicle], reserve: int) -> list[int]:
-    """Return the id of each place for a vehicle: those of the fleet, then the lowest free ones for ``reserve`` more.
+    """Return the id of each vehicle slot: those of the fleet, then the lowest free ones for ``reserve`` more vehicles.
 
     Raises:
-        FleetError: there would be less than none or more than 250 places.
+        FleetError: ``reserve`` is negative, or there would be more than 250 slots.
     """
     ids = [vehicle.id for vehicle in fleet]
     most = MAX_VEHICLES - len(fleet)
@@ -132,9 +132,9 @@ def _listed(text: str, instance: int) -> tuple[Vehicle, ...]:
     try:
         entries = load_yaml(text)
     except ContentError as error:
-        raise FleetError(f"no valid YAML: {error}") from error
+        raise FleetError(f"not valid YAML: {error}") from error
     if not isinstance(entries, list):
-        raise FleetError(f"a list of vehicles is needed, it has {type(entries).__name__}")
+        raise FleetError(f"a list of vehicles is needed, not {type(entries).__name__}")
     if not 1 <= len(entries) <= MAX_VEHICLES:
         raise FleetError(f"{len(entries)} vehicles are not allowed, 1 to {MAX_VEHICLES}")
     vehicles: list[Vehicle] = []

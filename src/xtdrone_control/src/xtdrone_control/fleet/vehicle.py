@@ -54,7 +54,7 @@ def check_instance(value: object) -> int:
 
 
 class StartPose(NamedTuple):
-    """The place on which a vehicle starts, with its attitude, in the map frame (ENU).
+    """The position and attitude at which a vehicle starts, in the map frame (ENU).
 
     Attributes:
         x: east of the map's origin, m.
@@ -62,7 +62,7 @@ class StartPose(NamedTuple):
         z: height of the vehicle's lowest point above the ground plane, m.
         roll: about the forward axis, rad; the three angles are those of Gazebo, applied about fixed axes.
         pitch: about the left axis, rad; positive is nose down.
-        yaw: about the vertical, rad, counter-clockwise; 0 looks east.
+        yaw: about the vertical, rad, counter-clockwise; 0 faces east.
     """
 
     x: float
@@ -83,7 +83,7 @@ class Vehicle:
         id: index over all types, from 0.
         instance: number of the simulation on this machine.
         model: name of its description, or a YAML file; empty: that of its type.
-        pose: where it starts; None for its place on the spawn grid.
+        pose: start pose; None for its place on the spawn grid.
     """
 
     type: str

@@ -61,7 +61,9 @@ class Format:
         return self.general_payload(values) if payload is None else payload
 
     def general_payload(self, values: Sequence[Any]) -> bytes:
-        """Return what ``payload`` does, slowly, for all that ``struct`` accepts and with its error texts."""
+        """Return the same as ``payload``, more slowly, for all values that ``struct`` accepts, and with its error
+        texts.
+        """
         try:
             return bytes(self._pack(*values).rstrip(b"\0") or b"\0")
         except (struct.error, OverflowError) as error:
