@@ -66,8 +66,7 @@ class Equidistant:
         return Equidistant(Pinhole(int(width), int(height), focal, focal, 0.5 * width, 0.5 * height), coefficients)
 
     def distances(self, angles: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the distances from the principal point, in focal lengths, of rays at these angles from the axis, rad.
-        """
+        """Return the distances from the principal point, in focal lengths, of rays at angles from the axis, rad."""
         k1, k2, k3, k4 = self.coefficients
         square = angles * angles
         return angles * (1.0 + square * (k1 + square * (k2 + square * (k3 + square * k4))))

@@ -34,8 +34,7 @@ _CLOSE_LIMIT = 5.0  # s of ROS time for a vehicle to enter AUTO.LOITER at the en
 
 
 class _Log:
-    """Destination of the core's log messages; verbs raise errors instead, so only invalid messages appear above DEBUG.
-    """
+    """Destination of the core's log messages; verbs raise errors instead, so all but warnings are at DEBUG."""
 
     def info(self, text: str) -> None:
         """Log at DEBUG."""

@@ -70,8 +70,7 @@ class ClientLimit:
     _next_check: float = 0.0
 
     def remove_silent(self, now_us: int) -> None:
-        """Remove silent clients of all ports, at most every 0.1 s of wall time, even while simulated time stands still.
-        """
+        """Remove silent clients of all ports, at most every 0.1 s of wall time, even if simulated time stands still."""
         wall = time.monotonic()
         if wall >= self._next_check:
             self._next_check = wall + _CLEANUP_INTERVAL_S
@@ -234,8 +233,7 @@ class Port:
             link.reboot(telemetry, now_us)
 
     def direct(self, host: str, now_us: int, *, override: bool = False) -> None:
-        """Set the host of the first client if that has not sent anything yet; ``override`` also replaces one that has.
-        """
+        """Set the host of the first client if that has sent nothing yet; ``override`` also replaces one that has."""
         if self.default.has_spoken and not override:
             return
         peer = (host, self.remote_port)

@@ -49,8 +49,7 @@ class Ros(Protocol):
         """Return a ROS parameter, or a tree of them."""
 
     def needs_time(self) -> AbstractContextManager[None]:
-        """Return a context manager for waiting for an autopilot's response, which may need simulated time to advance.
-        """
+        """Return a context manager for waiting for an autopilot's response, which may need simulated time."""
 
 
 class Need(Protocol):

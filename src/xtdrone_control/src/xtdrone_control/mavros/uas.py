@@ -359,8 +359,7 @@ class Uas:
             self.warn("frame", "MAVLink frame dropped: %s", error)
 
     def _follow_demand(self) -> None:
-        """Refresh if a subscriber has connected or disconnected since the last call; stop streams that are not needed.
-        """
+        """Refresh if a subscriber has connected or disconnected since the last call; stop unneeded streams."""
         if self._connections_seen == self.ros.connection_changes:
             self._update_streams()
             return

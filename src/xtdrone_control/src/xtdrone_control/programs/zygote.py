@@ -432,8 +432,7 @@ def _set_title(title: tuple[int, int], words: list[bytes]) -> None:
 
 
 def _open_standard_streams() -> None:
-    """Open the standard streams again, as the interpreter does: their buffering depends on the type of the descriptors.
-    """
+    """Open the standard streams again, as the interpreter does: their buffering depends on the descriptors."""
     buffered = not os.environ.get("PYTHONUNBUFFERED")
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         old = getattr(sys, name)

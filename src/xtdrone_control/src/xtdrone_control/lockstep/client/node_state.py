@@ -70,7 +70,7 @@ class Node:
         exit_status: Exit status that the program should end with.
         counter: Reports connections to the server; None before the node has joined.
         udp_ports: Local ports on which the node receives the simulator's datagrams.
-        serve: Receives these datagrams; None if there are none.
+        serve: Function that receives these datagrams; None if there are none.
         datagrams: Cumulative number of datagrams sent, by the simulator's port.
         datagrams_missed: Number of datagrams given up as lost, by local port.
     """
