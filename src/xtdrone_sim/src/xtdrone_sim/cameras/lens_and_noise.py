@@ -85,7 +85,7 @@ def without_lens(lens: Lens, sheet: Colours) -> Colours:
 
 
 def grainy(picture: Colours, deviation: float, rng: np.random.Generator) -> Colours:
-    """Return an image with normal noise in each channel, of a standard deviation in units of 1/255, clipped to 0..255."""
+    """Return an image with normal noise in each channel, standard deviation in units of 1/255, clipped to 0..255."""
     if deviation == 0.0:
         return picture
     noise = np.float32(255.0 * deviation) * rng.standard_normal(picture.shape, np.float32)

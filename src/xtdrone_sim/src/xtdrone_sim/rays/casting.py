@@ -30,7 +30,7 @@ PLACE = np.dtype(
 
 @kernel
 def between(a, b, share):
-    """Return position and unit quaternion between two places, interpolated linearly (for turns well below half a turn)."""
+    """Return position and unit quaternion interpolated linearly between two places (turned by well below 180 deg)."""
     x = a.position[0] + share * (b.position[0] - a.position[0])
     y = a.position[1] + share * (b.position[1] - a.position[1])
     z = a.position[2] + share * (b.position[2] - a.position[2])
