@@ -136,7 +136,7 @@ class MultirotorCore:
         """Start holding.
 
         Args:
-            name: name of the vehicle, as ``iris_0``, for messages.
+            name: name of the vehicle, such as ``iris_0``, for messages.
             log: destination of log messages.
             hover_speed: m/s (m/s^2 for accelerations), see :class:`CommandSettings`. XTDrone's 0.02 ignores the first
                 two key presses of its keyboard and stops a formation up to 2 cm per axis and layer of the topology

@@ -1,6 +1,6 @@
 """Communication node of multirotors: from XTDrone's command topics to MAVROS's setpoints and services.
 
-For each vehicle ``T`` (as ``iris_0``):
+For each vehicle ``T`` (such as ``iris_0``):
 
 =====================================  ==========================  ==================================================
 topic                                  type                        meaning
@@ -138,7 +138,7 @@ class MavrosLink:
     Create it between ``lockstep.init_node`` and ``lockstep.start``, then call :meth:`step` at 30 Hz.
 
     Attributes:
-        vehicle: name, as ``iris_0``.
+        vehicle: name, such as ``iris_0``.
         core: computes the setpoint.
     """
 
@@ -146,7 +146,7 @@ class MavrosLink:
         """Declare the topics.
 
         Args:
-            vehicle: name, as ``iris_0``.
+            vehicle: name, such as ``iris_0``.
             core: setpoint and commands of the vehicle.
             in_lockstep: whether the node is a lockstep participant.
         """
@@ -215,7 +215,7 @@ class MultirotorCommunication(MavrosLink):
         """Declare the topics.
 
         Args:
-            vehicle: name, as ``iris_0``.
+            vehicle: name, such as ``iris_0``.
             hover_speed: see :class:`MultirotorCore`.
             cmd_timeout: see :class:`MultirotorCore`.
             in_lockstep: whether the node is a lockstep participant.

@@ -91,7 +91,7 @@ class Drone(_Flyer):
 
     @property
     def name(self) -> str:
-        """As ``iris_0``."""
+        """Name, such as ``iris_0``."""
         return self._verbs.name
 
     @property
@@ -188,7 +188,7 @@ class DroneGroup(_Flyer):
 
     @property
     def names(self) -> list[str]:
-        """N names, as ``iris_0``."""
+        """N names, such as ``iris_0``."""
         return [drone.name for drone in self.drones]
 
     @property

@@ -57,7 +57,7 @@ class ScriptLink(MavrosLink):
     """
 
     def __init__(self, vehicle: str, *, in_lockstep: bool) -> None:
-        """Declare the topics of ``vehicle`` (as ``iris_0``)."""
+        """Declare the topics of ``vehicle`` (such as ``iris_0``)."""
         core = MultirotorCore(vehicle, _Log(), hover_speed=0.0)
         self.verbs = Verbs(vehicle, core, self._submit, rospy.get_time)
         super().__init__(vehicle, core, in_lockstep=in_lockstep)
@@ -365,7 +365,7 @@ def connect(name: str = "iris_0", *, node: str = NODE, lockstep: bool | None = N
     """Connect one vehicle.
 
     Args:
-        name: as ``iris_0``: its MAVROS is in the namespace ``/iris_0/mavros``.
+        name: such as ``iris_0``: its MAVROS is in the namespace ``/iris_0/mavros``.
         node: name of this process's ROS node, at the first call.
         lockstep: True or False to take part in the simulator's lockstep or not, at the first call; None: take part
             unless at an interactive prompt, where time would stand still between two lines.

@@ -89,7 +89,7 @@ class Verbs:
     """The verbs of one vehicle.
 
     Attributes:
-        name: of the vehicle, as ``iris_0``.
+        name: of the vehicle, such as ``iris_0``.
         core: computes the setpoint that is streamed during a verb.
         telemetry: the vehicle's latest reports.
         resets: number of resets of simulated time.

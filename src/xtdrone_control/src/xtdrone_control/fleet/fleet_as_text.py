@@ -44,7 +44,7 @@ def parse_fleet(text: str, instance: int = 0) -> tuple[Vehicle, ...]:
 def read_fleet_file(path: str | Path, instance: int = 0) -> tuple[Vehicle, ...]:
     """Return the vehicles of a fleet file.
 
-    The file is a YAML list with one entry for each vehicle: ``name``, as ``iris_0``, or ``type``, which names the
+    The file is a YAML list with one entry for each vehicle: ``name``, such as ``iris_0``, or ``type``, which names the
     vehicles in order; ``model`` (default: the type); ``pose`` (x, y, z, roll, pitch, yaw; default: its place on the
     spawn grid); ``id`` (default: the lowest free one), which gives the MAVLink system id and the ports.
 
@@ -96,13 +96,13 @@ def split_name(name: Any) -> tuple[str, int]:
     """Return the type and the index of a vehicle's name.
 
     Raises:
-        FleetError: not TYPE_INDEX, as ``iris_0``.
+        FleetError: not TYPE_INDEX, such as ``iris_0``.
     """
     match = re.fullmatch(rf"({_TYPE})_(0|[1-9]\d{{0,3}})", name) if isinstance(name, str) else None
     if match is None or len(name) > _MOST_NAME:
         raise FleetError(
             f"name: {repr(name)[:80]} is not allowed, a type of small letters, digits and _, then _ and a number from "
-            f"0 to {_MOST_INDEX}, as iris_0"
+            f"0 to {_MOST_INDEX}, such as iris_0"
         )
     return match[1], int(match[2])
 
@@ -117,7 +117,7 @@ def _counted(text: str, instance: int) -> tuple[Vehicle, ...]:
     for entry in text.split(","):
         match = re.fullmatch(rf"\s*({_TYPE})(?:\s*:\s*(-?\d{{1,9}}))?\s*", entry)
         if match is None:
-            raise FleetError(f"vehicles: {entry!r} is not of the form type:count, as iris:9")
+            raise FleetError(f"vehicles: {entry!r} is not of the form type:count, such as iris:9")
         kind, count = match[1], int(match[2] or 1)
         if kind in seen:
             raise FleetError(f"vehicles: type {kind!r} is named twice in {text!r}")

@@ -78,7 +78,7 @@ class Vehicle:
     """One vehicle of the fleet.
 
     Attributes:
-        type: the name's first part, as ``iris``.
+        type: the name's first part, such as ``iris``.
         index: index within its type, from 0.
         id: index over all types, from 0.
         instance: number of the simulation on this machine.
@@ -99,7 +99,7 @@ class Vehicle:
 
     @property
     def name(self) -> str:
-        """ROS namespace, and name in the simulator, as ``iris_0``."""
+        """ROS namespace, and name in the simulator, such as ``iris_0``."""
         return f"{self.type}_{self.index}"
 
     @property

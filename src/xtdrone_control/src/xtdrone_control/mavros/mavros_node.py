@@ -169,7 +169,7 @@ def connections(settings: Mapping[str, Any], fleet: str, node_name: str, instanc
         return [Connection(name, node_name, parse_fcu_url(url), target)]
     text = params.get("fleet", fleet)
     if not text:
-        raise FleetError("vehicles: none are named; set /xtdrone/fleet, as iris:9, or fcu_url for a single one")
+        raise FleetError("vehicles: none are named; set /xtdrone/fleet, e.g. to iris:9, or fcu_url for a single one")
     vehicles = parse_fleet(text, check_instance(instance))
     only = params.get("vehicle", "")
     if not only:

@@ -95,7 +95,7 @@ def needed_fleet(text: str | None) -> tuple[Vehicle, ...]:
     """
     fleet = fleet_of(text)
     if fleet is None:
-        raise ArgumentError("parameter /xtdrone/fleet is not set; it lists the vehicles, as iris:9,typhoon_h480:2")
+        raise ArgumentError("parameter /xtdrone/fleet is not set; it lists the vehicles, such as iris:9,typhoon_h480:2")
     return fleet
 
 

@@ -135,7 +135,7 @@ class Models:
         raise unknown(what, name, [f"{base}::{one.name}" for one in model.links])
 
     def _split(self, name: str) -> tuple[str, str]:
-        """Return the names of model and link; a part beyond a joint is a model itself, as ``door::leaf``."""
+        """Return the names of model and link; a part beyond a joint is a model itself, such as ``door::leaf``."""
         if name in self._numbers:
             return name, ""
         base, _, part = name.rpartition("::")

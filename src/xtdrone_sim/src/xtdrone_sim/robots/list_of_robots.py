@@ -24,7 +24,7 @@ class Robot(NamedTuple):
     """A robot of a launch.
 
     Attributes:
-        name: as ``ugv_0``.
+        name: such as ``ugv_0``.
         model: its type.
         pose: its start pose.
         has_height: whether z is given; otherwise it starts on the terrain.
@@ -94,7 +94,7 @@ def _listed(text: str) -> list[dict[str, Any]]:
 def _name(entry: dict[str, Any], number: int) -> str:
     name = entry.get("name")
     if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise SettingError(f"robots[{number}] name", name, "a letter, and then letters, digits and _, as ugv_0")
+        raise SettingError(f"robots[{number}] name", name, "a letter, and then letters, digits and _, such as ugv_0")
     return name
 
 

@@ -90,7 +90,7 @@ class NodeSettings(Settings):
     participants: int | tuple[str, ...] = setting(
         0,
         parse=_parse_participants,
-        allowed="a number from 0, or node names separated by commas, as /mavros,/leader",
+        allowed="a number from 0, or node names separated by commas, such as /mavros,/leader",
         text="lockstep participants that time waits for at the start",
     )
     start_limit: float = setting(120.0, low=0.0, high=1e6, unit="s", text="longest wall time to wait for participants")

@@ -38,7 +38,7 @@ class Subscription(Protocol):
 
     Attributes:
         resolved_name: Resolved topic name.
-        type: Message type, as std_msgs/String.
+        type: Message type, such as std_msgs/String.
         impl: The topic's receiving end; None once unregistered.
         pending: Latched messages that arrived before this subscriber was declared.
     """

@@ -174,7 +174,7 @@ def new_parser(description: str) -> argparse.ArgumentParser:
     """Return a parser with the arguments common to all programs."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument(
-        "-n", "--mavros-ns", default=DEFAULT_NAMESPACE, help="MAVROS's namespace, as iris_0/mavros (%(default)s)"
+        "-n", "--mavros-ns", default=DEFAULT_NAMESPACE, help="MAVROS's namespace, such as iris_0/mavros (%(default)s)"
     )
     parser.add_argument("-v", "--verbose", action="store_true", help="print progress")
     parser.add_argument("--wait", action="store_true", help="wait until MAVROS is connected to the vehicle")

@@ -29,7 +29,7 @@ def read_list(entries: Any, kind: str, read: Callable[[Mapping[str, Any], str], 
     Args:
         entries: content of the list; None for none.
         kind: name of the list.
-        read: reads an entry; its second argument is the place for messages, as ``imus, number 2``.
+        read: reads an entry; its second argument is the place for messages, such as ``imus, number 2``.
 
     Raises:
         MountError: not a list of mappings, an invalid entry, or a name or frame given twice.
