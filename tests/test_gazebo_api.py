@@ -338,7 +338,10 @@ def test_bad_requests_are_refused_with_a_sentence(stack: Stack) -> None:
         (put(stack, "iris_0", bad_turn), "a quaternion of length 1"),
         (put(stack, "mars", at(0.0, 0.0, 0.0)), "model_name: 'mars' does not exist; there are iris_0, iris_1"),
         (put(stack, "crate", at(0.0, 0.0, 0.0), "mars"), "reference_frame: 'mars' does not exist"),
-        (call(stack, "get_model_state", srv.GetModelState, model_name="", relative_entity_name=""), "'' does not exist"),
+        (
+            call(stack, "get_model_state", srv.GetModelState, model_name="", relative_entity_name=""),
+            "'' does not exist",
+        ),
         (call(stack, "delete_model", srv.DeleteModel, model_name="iris_1"), "'iris_1' is a vehicle with an autopilot"),
         (call(stack, "delete_model", srv.DeleteModel, model_name="ground_plane"), "the ground always exists"),
         (call(stack, "apply_body_wrench", srv.ApplyBodyWrench, body_name="iris_0", wrench=wind), "wrench: force: (nan"),

@@ -272,7 +272,10 @@ JOINT = "<joint name='j' type='{}'><parent>l</parent><child>k</child></joint>"
         (f"<link name='l'>{BOX}</link><link name='k'/>", "its links l, k are not connected"),
         (f"<link name='l'>{BOX}</link><link name='k'/>" + JOINT.format("screw"), "its joint 'j' of type 'screw'"),
         (f"<link name='l'>{BOX}</link>" + JOINT.format("fixed"), "its joint 'j' does not connect two of its links"),
-        (f"<link name='l'><inertial><mass>-1</mass></inertial>{BOX}</link>", "its link 'l' has a mass and inertia that are not physically possible"),
+        (
+            f"<link name='l'><inertial><mass>-1</mass></inertial>{BOX}</link>",
+            "its link 'l' has a mass and inertia that are not physically possible",
+        ),
         ("<link name='l'>" + BOX * 17 + "</link>", "'l' has 17 collision shapes"),
     ],
 )
