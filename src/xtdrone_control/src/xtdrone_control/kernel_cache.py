@@ -93,8 +93,7 @@ def cache_folder(*packages: Path) -> Path:
 
 
 _cache_folder_of_this_run = functools.cache(cache_folder)
-"""Return ``cache_folder(packages)``, cached for the several decorators of a package: the files are read once per
-process.
+"""Return ``cache_folder(packages)``, remembered for a package's decorators: files are read once per process.
 """
 
 

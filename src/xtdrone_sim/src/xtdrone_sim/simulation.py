@@ -37,8 +37,8 @@ class Simulation:
     """A fleet in a world.
 
     Attributes:
-        vehicles: by index; None for a free place. Places are those of the fleet and the reserved ones. models: one per
-            place; for a free one, that of its last vehicle, or of the first vehicle.
+        vehicles: by index; None for a free place. Places are those of the fleet and the reserved ones.
+        models: one per place; for a free one, that of its last vehicle, or of the first vehicle.
         world: rigid bodies; ``world.plant`` is the ground truth.
         gimbals: camera gimbals of all vehicles.
         landing_gears: landing gears of all vehicles.

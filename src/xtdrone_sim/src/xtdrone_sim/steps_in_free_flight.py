@@ -181,8 +181,9 @@ class FreeFlight:
         return not self._threads and not self._world.has_obstacles
 
     def _possible_steps(self, most: int) -> int:
-        """Return the number of steps, up to ``most``, for which the vehicles are free. These are the steps to the next
-        contact check, or more if no earlier check can find a contact, or 0.
+        """Return the number of steps, up to ``most``, for which the vehicles are free.
+
+        These are the steps to the next contact check, or more if no earlier check can find a contact, or 0.
         """
         if self.sensors.failing.any:
             return 0

@@ -85,8 +85,9 @@ class Equidistant:
         return float(grid[falling[0] - 1]) if len(falling) else math.pi
 
     def rays(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the rays of pixels (n, 2) as (n, 3) unit vectors in the optical frame. Pixels beyond the lens's image
-        circle have no ray: NaN.
+        """Return the rays of pixels (n, 2) as (n, 3) unit vectors in the optical frame.
+
+        Pixels beyond the lens's image circle have no ray: NaN.
         """
         p = self.pinhole
         x, y = (pixels[:, 0] - p.cx) / p.fx, (pixels[:, 1] - p.cy) / p.fy

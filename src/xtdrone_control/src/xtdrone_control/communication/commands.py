@@ -361,9 +361,7 @@ class MultirotorCore:
         return not self._confirmed and now - self._accepted_at <= STATE_GRACE
 
     def _check_late_state(self, now: float) -> None:
-        """Warn once if mavros/state does not show an accepted command: MAVROS replies when it has sent it, not on
-        success.
-        """
+        """Warn once if mavros/state does not show an accepted command: MAVROS replies on sending, not on success."""
         if self._accepted_at is None or self._confirmed or self._mode is None or self._request is None:
             return
         if now - self._accepted_at > STATE_GRACE:

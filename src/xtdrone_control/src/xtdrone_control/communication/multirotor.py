@@ -179,8 +179,7 @@ class MavrosLink:
         return self._output
 
     def steady(self) -> tuple[Steady, bytes] | None:
-        """Return the state in which only velocity and acceleration commands change the setpoint; None in any other
-        state.
+        """Return the state if only velocity and acceleration commands can change the setpoint, else None.
 
         Returns:
             The core's state, and the serialised setpoint, preceded by its length.

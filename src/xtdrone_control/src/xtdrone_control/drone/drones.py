@@ -246,8 +246,8 @@ class DroneGroup(_Flyer):
         """Fly at velocities in OFFBOARD until the next verb that moves the vehicles; return at once.
 
         Args:
-            velocities: (N, 3), or (3,) for all, m/s ENU, or FLU if ``body``; all zero holds the position. yaw_rates:
-                (N,) or one for all, rad/s, counter-clockwise.
+            velocities: (N, 3), or (3,) for all, m/s ENU, or FLU if ``body``; all zero holds the position.
+            yaw_rates: (N,) or one for all, rad/s, counter-clockwise.
             body: whether the velocities are along each vehicle's own axes: forward, left, up.
         """
         rows = self._rows("set_velocity", "velocities", velocities, broadcast=True)

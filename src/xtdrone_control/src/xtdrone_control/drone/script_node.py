@@ -252,9 +252,7 @@ class Session:
         self._interrupt = error
 
     def release(self, names: Sequence[str]) -> None:
-        """Stop commanding vehicles; those in OFFBOARD hold position from now on. Releasing the last one shuts the node
-        down.
-        """
+        """Stop commanding vehicles; those in OFFBOARD hold position. Releasing the last one shuts the node down."""
         names = [name for name in names if name in self._links]
         if names and not rospy.is_shutdown():
             self._hold(names)

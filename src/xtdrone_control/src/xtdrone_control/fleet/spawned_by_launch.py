@@ -79,9 +79,7 @@ def _vehicle(entry: Mapping[str, Any], instance: int) -> Vehicle:
 
 
 def _model(entry: Mapping[str, Any]) -> str:
-    """Return the model that the argument ``sdf`` names, as ``iris`` or by the path of iris.sdf; empty for the vehicle's
-    type.
-    """
+    """Return the model that the argument ``sdf`` gives by name or by the path of an SDF; empty: the vehicle's type."""
     path = PurePosixPath(str(entry.get("sdf", "")))
     return path.stem if path.suffix in _SDF_FILES else str(path) if str(path) != "." else ""
 

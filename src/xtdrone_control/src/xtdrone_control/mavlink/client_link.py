@@ -215,9 +215,7 @@ class Link:
         self._queue(message.frame(payload, self._frames.sequence, self.system_id, COMPONENT_ID))
 
     def _queue(self, frame: bytes) -> None:
-        """Queue a MAVLink 2 frame in the client's version; frames without a MAVLink 1 form are dropped for clients of
-        version 1.
-        """
+        """Queue a MAVLink 2 frame in the client's version; for version 1, drop frames that MAVLink 1 lacks."""
         converted = as_version_1(frame) if self.version == 1 else frame
         if self.open and converted is not None:
             self._frames.put_frame(converted)

@@ -185,9 +185,7 @@ def samples_of_all(air, i, positions, velocities, came):
 
 @kernel
 def begin_turn(air, positions, velocities, made):
-    """Store the positions and velocities of a new turn (the last finite ones where missing), and which vehicles had a
-    sample.
-    """
+    """Store a new turn's positions and velocities (the last finite ones where missing), and the vehicles with a sample."""
     air.turn[0] += 1
     now = air.turn[0]
     rows = air.sent.shape[0]

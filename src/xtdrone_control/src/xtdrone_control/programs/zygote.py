@@ -308,9 +308,7 @@ class Zygote:
         return True
 
     def _prepare(self) -> None:
-        """Import the modules that every node needs, including those that rospy imports at its start, and find the
-        packages.
-        """
+        """Import the modules that every node needs, including those imported at its start, and find the packages."""
         for name in _COMMON:
             with contextlib.suppress(Exception):  # the nodes report it
                 importlib.import_module(name)
@@ -328,9 +326,7 @@ class Zygote:
                 _prepare_numba()
 
     def _import(self, script: Path) -> bool:
-        """Import a script's modules; return whether it can run in a fork, which lacks threads that modules have
-        started.
-        """
+        """Import a script's modules; return whether it can run in a fork, which lacks the modules' threads."""
         with contextlib.suppress(OSError, SyntaxError, ValueError, RecursionError):  # the node reports them
             for name in imported_modules(script):
                 if name not in self._known:

@@ -58,8 +58,7 @@ class AutopilotBackend(Protocol):
         """Return the number of next steps that need only ``autopilot.step_vehicle``; 0 if ``step`` is needed."""
 
     def count_steps(self, steps: int) -> None:
-        """Count ``steps`` that other code has run with ``autopilot.step_vehicle``, and run the logic that is due after
-        them.
+        """Count ``steps`` that other code has run with ``autopilot.step_vehicle``, and run the logic due after them.
 
         Args:
             steps: 1 to ``kernel_steps()``.

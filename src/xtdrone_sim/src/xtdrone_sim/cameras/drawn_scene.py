@@ -130,8 +130,8 @@ class DrawnScene:
         """Change the models from those of the world's file.
 
         Args:
-            added: all models that have been added since the start and still exist. deleted: names of all deleted models
-                and actors of the file.
+            added: all models that have been added since the start and still exist.
+            deleted: names of all deleted models and actors of the file.
 
         Raises:
             ValueError: an invalid mesh or texture; the text names it.

@@ -90,8 +90,9 @@ def middle_us(mount: CameraMount, closed_us: int) -> int:
 
 
 def between(before: SceneAt, after: SceneAt, part: float) -> SceneAt:
-    """Return the poses at the fraction ``part``, 0 to 1, between one scene and the next. Links and actors that are in
-    only one of the scenes keep their poses there.
+    """Return the poses at the fraction ``part``, 0 to 1, between one scene and the next.
+
+    Links and actors that are in only one of the scenes keep their poses there.
     """
     links = {name: _between(before.links.get(name, pose), pose, part) for name, pose in after.links.items()}
     links |= {name: pose for name, pose in before.links.items() if name not in links}

@@ -18,8 +18,10 @@ from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount
 
 WHITE = 100.0
-"""Intensity of a surface that faces the lidar. For others it is multiplied by the cosine of the angle between ray and
-normal (Lambert's law), regardless of distance and colour.
+"""Intensity of a surface that faces the lidar.
+
+For others it is multiplied by the cosine of the angle between ray and normal (Lambert's law), regardless of distance
+and colour.
 """
 
 Array = NDArray[np.float64]

@@ -241,7 +241,8 @@ class World:
         Args:
             i: index of the place.
             vehicle: its model.
-            pose: its start pose. names: of all vehicles, its own included; those of absent places are empty.
+            pose: its start pose.
+            names: of all vehicles, its own included; those of absent places are empty.
 
         Raises:
             StartError: the pose is not free; nothing has changed then.
@@ -554,9 +555,7 @@ class World:
                 self.collisions.add(pair)
 
     def contacts(self, i: int) -> list[Contact]:
-        """Return the contact points of vehicle ``i`` in the last step in which Bullet integrated it; none in free
-        flight.
-        """
+        """Return the contact points of vehicle ``i`` in the last step that Bullet integrated; none in free flight."""
         if self.plant["contact"][i] not in (TOUCHING, ASLEEP):
             return []
         found = []

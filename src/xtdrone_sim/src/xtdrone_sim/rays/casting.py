@@ -96,8 +96,8 @@ def cast_rays(
     Args:
         nodes, surfaces: see ``tree.Trees``.
         has_ground: whether the plane z = 0, owner 0, is hit from above.
-        things: (m,) ``THING``, the objects; the first contains all static models. places: (k, m) ``PLACE``, of the
-            objects at k times.
+        things: (m,) ``THING``, the objects; the first contains all static models.
+        places: (k, m) ``PLACE``, of the objects at k times.
         segments: (n,) number of the time before the ray's.
         shares: (n,) 0..1, fraction of the interval to the next time.
         skip: owner that the rays pass through; NOTHING: none.

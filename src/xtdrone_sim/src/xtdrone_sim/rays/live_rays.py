@@ -38,7 +38,11 @@ class LiveRays:
         self._world, self._fleet = world, fleet
 
     def add_vehicle(self, vehicle: Vehicle) -> None:
-        """Add a vehicle that has joined. Raises: ValueError: its model cannot be used."""
+        """Add a vehicle that has joined.
+
+        Raises:
+            ValueError: its model cannot be used.
+        """
         if self._rays is not None:
             self._rays.add_vehicle(vehicle)
         else:

@@ -162,8 +162,8 @@ class RayScene:
         """Change the models from those of the world's file.
 
         Args:
-            added: all models that have been added since the start and still exist. deleted: names of all deleted models
-                and actors of the file.
+            added: all models that have been added since the start and still exist.
+            deleted: names of all deleted models and actors of the file.
 
         Raises:
             SceneError: too many triangles.
@@ -217,8 +217,9 @@ class RayScene:
         return Layout(together, things, tuple(self._trees), {"": (roots[0],), **named})
 
     def places(self, scene: SceneAt) -> NDArray[np.void]:
-        """Return the places (m,) ``casting.PLACE`` of all objects at one time, for the current ``layout``. Models of
-        the world's file whose links are in ``scene`` keep these poses from now on.
+        """Return the places (m,) ``casting.PLACE`` of all objects at one time, for the current ``layout``.
+
+        Models of the world's file whose links are in ``scene`` keep these poses from now on.
         """
         moved = {name.partition("::")[0] for name in scene.links.keys() - self._trees.keys()} & self._models.keys()
         for name in sorted(moved - self._loose):

@@ -230,9 +230,7 @@ class Drive(ABC):
         return new if self._ground is None else self._rolled(old, new, self._ground)
 
     def _rolled(self, old: DriveState, new: DriveState, ground: Ground) -> DriveState:
-        """Return ``new`` on the ground, or the current state at rest in front of a slope or step that is too steep or
-        high.
-        """
+        """Return ``new`` on the ground, or the current state at rest if the slope or step there is too large."""
         before, after = (places(one.x, one.y, one.yaw, self._feet) for one in (old, new))
         ways = np.hypot(*(after - before).T).tolist()
         below = heights_below(ground, after, old.heights)

@@ -1,10 +1,11 @@
 """Sensor models of one vehicle, with noise from per-vehicle seeded streams.
 
 IMU, magnetometer, barometer, GPS, and optionally an optical-flow camera and a range finder. These two face down to
-level ground at height 0 and objects above it: models, other vehicles, people. The noise of vehicle i depends only on
-the seed and on i, not on the size of the fleet; that of a vehicle that joins also depends on the number of earlier
-vehicles at its place. The streams are drawn in blocks of one second in advance, so the kernel only adds them; flow and
-range share a separate stream.
+level ground at height 0 and objects above it: models, other vehicles, people.
+
+The noise of vehicle i depends only on the seed and on i, not on the size of the fleet; that of a vehicle that joins
+also depends on the number of earlier vehicles at its place. The streams are drawn in blocks of one second in advance,
+so the kernel only adds them; flow and range share a separate stream.
 """
 
 from __future__ import annotations

@@ -72,9 +72,7 @@ class Sights:
 
 
 def _placed(rays: RayScene, scenes: Sequence[SceneAt]) -> tuple[Layout, NDArray[np.void]]:
-    """Return layout and places of scenes, recomputed if a model has just begun to move and therefore changes the
-    layout.
-    """
+    """Return layout and places of scenes, recomputed if a model that begins to move has changed the layout."""
     while True:
         layout = rays.layout
         places = np.stack([rays.places(scene) for scene in scenes])

@@ -204,8 +204,10 @@ def load_vehicle(name: str) -> VehicleModel:
 
 
 def _check_topics(sensors: Mapping[str, Sequence[LidarMount | ImuMount | UwbMount]]) -> None:
-    """Check that no name, and therefore no topic, occurs in two lists of sensors. Raises: MountError: a name occurs
-    twice.
+    """Check that no name, and therefore no topic, occurs in two lists of sensors.
+
+    Raises:
+        MountError: a name occurs twice.
     """
     first: dict[str, str] = {}
     for kind, mounts in sensors.items():

@@ -176,9 +176,7 @@ class Actors:
         return time_us >= self._ways[number].ends_us
 
     def watch(self, told: Callable[[int], None]) -> None:
-        """Register a function to be called with the number of each actor that gets a command or is removed, until the
-        next restart.
-        """
+        """Call a function with the number of each actor that gets a command or is removed, until the next restart."""
         self._told = told
 
     def send(self, number: int, x: float, y: float, speed: float, time_us: int) -> None:

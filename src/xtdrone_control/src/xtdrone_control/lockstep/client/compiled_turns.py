@@ -137,9 +137,7 @@ class CompiledTurns:
         return inputs if plain else None
 
     def _outputs(self) -> _Outputs | None:
-        """Return the program's publishing ends; None if only Python can publish on one of them, or if digests are on
-        and Python has not published on it yet.
-        """
+        """Return the program's publishing ends; None if one needs Python, or Python's first message with digests."""
         digests = self._node.digests
         outputs: _Outputs = []
         for publisher in self._work.published:

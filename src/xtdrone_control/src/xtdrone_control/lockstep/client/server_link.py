@@ -139,8 +139,7 @@ class Connection:
     def carry(
         self, reader: Reader, turns: lockstep_io.Turns, program: Any, until_us: int, timeout: float
     ) -> Barrier | None:
-        """Run turns without Python, then handle the event that has ended them; return and raise as ``await_frames``
-        does.
+        """Run turns without Python, then handle the event that has ended them, like ``await_frames``.
 
         Args:
             reader: The reader given to ``watch``.

@@ -248,8 +248,7 @@ class LockstepServer:
     # ---- frames ----
 
     def _handle_frame(self, connection: Connection, kind: int, payload: bytes) -> None:
-        """Handle one frame; the connection's reader accepts RESERVE and JOIN only before joining, all others only after
-        it.
+        """Handle one frame; the connection's reader accepts only RESERVE and JOIN before joining, all others after it.
 
         Raises:
             ProtocolError: It is malformed, or not allowed in the current state.

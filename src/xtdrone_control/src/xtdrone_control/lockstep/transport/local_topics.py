@@ -1,6 +1,7 @@
-"""Topic connections over Unix domain sockets: between nodes in lockstep on one machine, with rospy's own handshake. A
-message costs a third of the kernel time that it costs over TCP. A connection is otherwise the same: rospy's transport,
-header and counts. The subscriber numbers its connections; these numbers take the place of its TCP ports.
+"""Topic connections over Unix domain sockets: between nodes in lockstep on one machine, with rospy's own handshake.
+
+A message costs a third of the kernel time that it costs over TCP. A connection is otherwise the same: rospy's
+transport, header and counts. The subscriber numbers its connections; these numbers take the place of its TCP ports.
 """
 
 from __future__ import annotations

@@ -162,9 +162,7 @@ def _xyz(v: Any) -> frames.Vector:
 
 
 def _hil_state(m: Any) -> Fields:
-    """Return HIL_STATE_QUATERNION; as in MAVROS, the rates are converted from FLU to FRD and then again as if they were
-    ENU.
-    """
+    """Return HIL_STATE_QUATERNION; as in MAVROS, rates are converted from FLU to FRD and then again as if ENU."""
     q = m.orientation
     rates = frames.enu_to_ned(*frames.flu_to_frd(*_xyz(m.angular_velocity)))
     velocity = frames.enu_to_ned(*_xyz(m.linear_velocity))

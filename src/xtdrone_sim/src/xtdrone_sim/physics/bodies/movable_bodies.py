@@ -134,8 +134,8 @@ class Body:
         spin: rad/s, world.
         held: step until which it is held where it was put.
         still_steps: steps at rest.
-        drive: drive that moves it; None: forces move it. way: pose, velocity and spin that the drive has proposed for
-            the current step.
+        drive: drive that moves it; None: forces move it.
+        way: pose, velocity and spin that the drive has proposed for the current step.
     """
 
     model: SdfModel

@@ -1,5 +1,6 @@
-"""People as bodies for collisions with vehicles and robots: upright cylinders that follow the people. They are driven
-bodies of great mass: no collision changes their path, and static bodies do not stop them.
+"""People as bodies for collisions with vehicles and robots: upright cylinders that follow the people.
+
+They are driven bodies of great mass: no collision changes their path, and static bodies do not stop them.
 """
 
 from __future__ import annotations

@@ -36,8 +36,10 @@ class MountError(ValueError):
 
 
 def check_sensor_name(name: str) -> None:
-    """Check the name of a sensor, which is part of its topic. Raises: ValueError: the name is not allowed; the message
-    says which names are.
+    """Check the name of a sensor, which is part of its topic.
+
+    Raises:
+        ValueError: the name is not allowed; the message says which names are.
     """
     if not _NAME.fullmatch(name):
         raise ValueError("letters, digits and underscores, in parts separated by slashes, each beginning with a letter")

@@ -1,6 +1,4 @@
-"""Maze: corridors between walls on a grid of cells; with ``loops`` 0 there is exactly one route from each cell to any
-other.
-"""
+"""Maze: corridors between walls on a grid of cells; with ``loops`` 0 exactly one route connects any two cells."""
 
 from __future__ import annotations
 

@@ -11,8 +11,7 @@ from xtdrone_control.kernel import kernel
 
 @kernel
 def move_with_goal(c, s, dt):
-    """Move goal, legs and smoothed path along with the goal's motion; the path's velocity is relative to the goal from
-    here on.
+    """Move goal, legs and smoothed path with the goal's motion; the path's velocity is then relative to the goal.
 
     A change of the goal's velocity leaves the velocity over ground unchanged.
     """

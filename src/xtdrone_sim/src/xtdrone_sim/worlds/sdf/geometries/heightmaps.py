@@ -1,6 +1,7 @@
-"""Heightmaps: terrain from a greyscale image, as Wavefront files, which renderer, rays and physics read. The files are
-in the user's cache, named by a hash of their source. The terrain is a surface without thickness. For collisions it is
-cut into square tiles, so that a vehicle is near only those below it.
+"""Heightmaps: terrain from a greyscale image, as Wavefront files, which renderer, rays and physics read.
+
+The files are in the user's cache, named by a hash of their source. The terrain is a surface without thickness. For
+collisions it is cut into square tiles, so that a vehicle is near only those below it.
 """
 
 from __future__ import annotations
@@ -32,8 +33,7 @@ Array = NDArray[np.float64]
 
 
 def read_heightmap(path: Path, size: Vector, pos: Vector = (0.0, 0.0, 0.0), texture: float = 10.0) -> tuple[Path, ...]:
-    """Return the Wavefront files of a terrain: the whole, then its tiles; the first call for an image and size writes
-    them.
+    """Return the Wavefront files of a terrain, the whole and then its tiles; the first call for an image writes them.
 
     As in Gazebo (gazebo/common/ImageHeightmap.cc, physics/HeightmapShape.cc), black is the height 0 and the brightest
     pixel that of ``size``; columns run along x, and the image's top is at the largest y.

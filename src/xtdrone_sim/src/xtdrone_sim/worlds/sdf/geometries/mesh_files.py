@@ -54,8 +54,7 @@ class MeshPart:
 
 
 def read_mesh(path: Path, submesh: str = "", centred: bool = False) -> tuple[MeshPart, ...]:
-    """Return the parts of a COLLADA, STL or glTF file, one for each material; the first call for a file's content
-    converts it.
+    """Return the parts of a COLLADA, STL or glTF file, one for each material; the first call for a file converts it.
 
     Args:
         path: file with one of ``ENDINGS``.
@@ -189,9 +188,7 @@ def _metres(data: bytes) -> float:
 
 
 class _Pictures:
-    """Finds the textures and buffers of a file beside it or among the model's textures, regardless of the folders in
-    its paths.
-    """
+    """Finds a file's textures and buffers beside it or among the model's textures, by name alone."""
 
     def __init__(self, folder: Path) -> None:
         self._folders = (folder, folder.parent / "materials" / "textures", folder / "textures", folder.parent)
