@@ -185,7 +185,7 @@ def samples_of_all(air, i, positions, velocities, came):
 
 @kernel
 def begin_turn(air, positions, velocities, made):
-    """Store a new turn's positions and velocities (the last finite ones where missing), and the vehicles with a sample."""
+    """Store a new turn: positions and velocities (the last finite ones where missing), and vehicles with a sample."""
     air.turn[0] += 1
     now = air.turn[0]
     rows = air.sent.shape[0]

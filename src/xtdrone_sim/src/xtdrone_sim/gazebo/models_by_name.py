@@ -335,7 +335,7 @@ class Models:
             raise RequestError("model_name: 'ground_plane' cannot be deleted, the ground always exists")
         if self.vehicle(name) is not None:
             raise RequestError(
-                f"model_name: {name!r} is a vehicle, see /simulator/remove_vehicle; models and actors can be deleted"
+                f"model_name: {name!r} is a vehicle with an autopilot; /simulator/remove_vehicle removes it"
             )
         number = self._numbers.get(name)
         if number is None:

@@ -146,7 +146,7 @@ class Health:
         return self.flags
 
     def _positions(self, now_us: int, delay_us: float) -> tuple[bool, bool, bool]:
-        """Return whether horizontal estimate, accurate position and altitude have each been invalid for ``delay_us``."""
+        """Return whether horizontal estimate, accurate position and altitude were each invalid for ``delay_us``."""
         relaxed_good, altitude_good = self._view.horizontal_valid, self._view.height_valid
         limit = self._get("COM_POS_FS_EPH")
         widest = limit * (_ERROR_HYSTERESIS if self._accurate else 1.0)
