@@ -43,7 +43,7 @@ def test_patterns_without_an_effect_are_complained_of():
 
 
 def test_a_pattern_that_is_not_a_text_is_reported():
-    with pytest.raises(ParamError, match="plugin_denylist: 3 is no pattern"):
+    with pytest.raises(ParamError, match="plugin_denylist: 3 is not a pattern"):
         PluginLists(Params({"plugin_denylist": [3]}))
 
 
