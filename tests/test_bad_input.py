@@ -187,7 +187,7 @@ def refused_directors(graph: Graph, tmp_path_factory: pytest.TempPathFactory) ->
     [
         ("unknown", "pattern 'cubee' is unknown for 2 vehicles; there are: origin, "),
         ("empty", "patterns: 'cube,,' is not allowed, comma-separated names"),
-        ("device", "cloud /dev/zero: it is no regular file"),
+        ("device", "cloud /dev/zero: it is not a regular file"),
         ("size", "size.yaml: size 2 x 3, but 2 vehicles need 1 x 3"),
         ("number", "number.yaml: rows must be three numbers each"),
         ("broken", "broken.yaml is not YAML: line 2, column 1: "),
@@ -342,7 +342,7 @@ def refused(stack: Stack) -> dict[str, subprocess.Popen[str]]:
 @pytest.mark.parametrize(
     ("name", "status", "words"),
     [
-        ("second simulator", 1, ("a simulator is running on the ROS master", "rosnode kill /simulator")),
+        ("second simulator", 1, ("a simulator is already running on the ROS master", "rosnode kill /simulator")),
         ("mavros too many", 1, ("10000 of type 'iris'", "1 to 250")),
         ("mavros's port", 1, ("iris_0", "UDP port 24540")),
         ("communication type", 2, ("'helicopter'", "iris")),

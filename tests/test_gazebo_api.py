@@ -119,7 +119,7 @@ def test_the_world_is_there_and_its_loose_crate_has_fallen(stack: Stack) -> None
     assert place(state_of(stack, "crate").pose)[:2] == pytest.approx((-10.0, 5.0), abs=0.05)
     assert place(state_of(stack, "actor_0", "ground_plane").pose) == (5.0, 5.0, 0.0)
     output = stack.programs["simulator"].output
-    for words in ("<gravity> stands here for the second time", "'model://house/house.dae' is not found: the shape is"):
+    for words in ("<gravity> occurs a second time", "'model://house/house.dae' is not found: the shape is"):
         assert words in output
     listed = call(stack, "get_world_properties", srv.GetWorldProperties)
     assert listed.model_names == names
@@ -185,7 +185,7 @@ def test_spawn_get_properties_push_and_delete(stack: Stack) -> None:
     assert answer.success, answer.status_message
     again = call(stack, "spawn_sdf_model", srv.SpawnModel, model_name="box_1", **spawn)
     assert not again.success
-    assert "'box_1' is there already" in again.status_message
+    assert "'box_1' already exists" in again.status_message
     models = stack.graph.hear("/xtdrone/models", SceneModels)
     stack.wait(lambda: models.last and "box_1" in models.last.sdf, "cameras are told")
     scenes = stack.graph.hear("/xtdrone/scene", SceneState)
@@ -295,7 +295,7 @@ def test_a_door_is_pushed_to_its_limit_and_deleted_with_its_frame(stack: Stack) 
     leaf = state_of(stack, "door::leaf")
     assert place(leaf.pose) == pytest.approx((2.0, 30.0, 1.0), abs=1e-3)
     refused = put(stack, "door::leaf", at(5.0, 5.0, 1.0))
-    assert "is held by its joint 'door::hinge'" in refused.status_message
+    assert "is attached by its joint 'door::hinge'" in refused.status_message
     push = Wrench(force=Vector3(0.0, 40.0, 0.0))
     answer = call(stack, "apply_body_wrench", srv.ApplyBodyWrench, body_name="door::leaf", wrench=push,
                   duration=genpy.Duration(3))  # fmt: skip
@@ -311,7 +311,7 @@ def test_a_door_is_pushed_to_its_limit_and_deleted_with_its_frame(stack: Stack) 
 
 def test_the_wind_is_set_by_service_and_a_wrong_one_is_refused(stack: Stack) -> None:
     for wind, success, words in (
-        (Vector3(3.0, -1.0, 0.0), True, "the wind blows with (3, -1, 0) m/s"),
+        (Vector3(3.0, -1.0, 0.0), True, "the wind is (3, -1, 0) m/s"),
         (Vector3(math.nan, 0.0, 0.0), False, "wind: (nan, 0, 0) m/s is not allowed, at most 100 m/s"),
     ):
         answer = stack.graph.call("/simulator/set_wind", SetWind, velocity=wind)
@@ -336,11 +336,14 @@ def test_bad_requests_are_refused_with_a_sentence(stack: Stack) -> None:
         (put(stack, "iris_0", at(nan, 0.0, 0.0)), "position: (nan, 0, 0) is not allowed, finite numbers"),
         (put(stack, "iris_0", at(1e9, 0.0, 0.0)), "position: (1e+09, 0, 0) is not allowed"),
         (put(stack, "iris_0", bad_turn), "a quaternion of length 1"),
-        (put(stack, "mars", at(0.0, 0.0, 0.0)), "model_name: 'mars' is not there; there are iris_0, iris_1"),
-        (put(stack, "crate", at(0.0, 0.0, 0.0), "mars"), "reference_frame: 'mars' is not there"),
-        (call(stack, "get_model_state", srv.GetModelState, model_name="", relative_entity_name=""), "'' is not there"),
+        (put(stack, "mars", at(0.0, 0.0, 0.0)), "model_name: 'mars' does not exist; there are iris_0, iris_1"),
+        (put(stack, "crate", at(0.0, 0.0, 0.0), "mars"), "reference_frame: 'mars' does not exist"),
+        (
+            call(stack, "get_model_state", srv.GetModelState, model_name="", relative_entity_name=""),
+            "'' does not exist",
+        ),
         (call(stack, "delete_model", srv.DeleteModel, model_name="iris_1"), "'iris_1' is a vehicle with an autopilot"),
-        (call(stack, "delete_model", srv.DeleteModel, model_name="ground_plane"), "the ground is always there"),
+        (call(stack, "delete_model", srv.DeleteModel, model_name="ground_plane"), "the ground always exists"),
         (call(stack, "apply_body_wrench", srv.ApplyBodyWrench, body_name="iris_0", wrench=wind), "wrench: force: (nan"),
         (call(stack, "apply_body_wrench", srv.ApplyBodyWrench, body_name="wall::link"), "'wall::link' does not move"),
         (call(stack, "spawn_sdf_model", srv.SpawnModel, model_name="a/b", **spawn), "'a/b' is not allowed, 1 to 100"),

@@ -106,4 +106,4 @@ def test_places_are_used_again_and_refusals_name_the_reason(stack: Stack) -> Non
 def test_a_launch_whose_vehicle_is_refused_ends_with_the_reason(stack: Stack) -> None:
     guest = invite(stack, "iris_0")
     guest.end()
-    assert "name: 'iris_0' is in the simulation already" in guest.output
+    assert "name: 'iris_0' is already in the simulation" in guest.output

@@ -352,7 +352,7 @@ def _second(stack: Stack, name: str) -> Program:
 def test_a_second_simulator_is_rejected(stack: Stack, name: str) -> None:
     second = _second(stack, name)
     assert second.end() == 1
-    assert f"a simulator is running on the ROS master {stack.graph.uri} already" in second.output
+    assert f"a simulator is already running on the ROS master {stack.graph.uri}" in second.output
     assert "rosnode kill" in second.output
     passes(stack)
     assert set(status(stack).participants) == NAMES

@@ -74,7 +74,7 @@ def test_one_link_seen_from_another(stack: Stack) -> None:
     assert camera.link_state.reference_frame == f"{NAME}::base_link"
     refused = ask("/gazebo/get_link_state", GetLinkState, link_name="typhoon_h480_7::base_link", reference_frame="")
     assert not refused.success
-    assert "'typhoon_h480_7::base_link' is not there; there are typhoon_h480_0::base_link" in refused.status_message
+    assert "'typhoon_h480_7::base_link' does not exist; there are typhoon_h480_0::base_link" in refused.status_message
 
 
 def test_joint_states_are_those_of_gimbal_and_legs(stack: Stack) -> None:

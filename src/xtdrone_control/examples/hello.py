@@ -1,4 +1,4 @@
-"""Up, a square of 4 m, down: the script of './xtdrone demo hello'."""
+"""Take off, fly a square of 4 m and land: the script of './xtdrone demo hello'."""
 
 from xtdrone_control.drone import connect
 

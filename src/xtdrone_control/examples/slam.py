@@ -1,6 +1,6 @@
-"""Up, round a building by lidar alone, home, down: the script of './xtdrone demo slam'.
+"""Take off, fly round a building by lidar alone, return and land: the script of './xtdrone demo slam'.
 
-``slam.py [VEHICLE [HEIGHT [X,Y ...]]]``: the way is relative to the start, m ENU; the last leg leads back to it.
+``slam.py [VEHICLE [HEIGHT [X,Y ...]]]``: the route is relative to the start, m ENU; the last leg returns to it.
 """
 
 import sys

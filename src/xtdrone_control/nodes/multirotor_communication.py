@@ -7,9 +7,9 @@ in any namespace.
 
 Parameters:
     ~hover_speed, ~cmd_timeout: see ``xtdrone_control.communication.commands.CommandSettings`` and docs/settings.md.
-        XTDrone's ~hover_speed of 0.02 swallows the first two presses of its keyboard and freezes formations beside
-        their slots.
-    /xtdrone/fleet (as ``iris:9``): all vehicles; without it the upper limit of the ids is unknown.
+        XTDrone's ~hover_speed of 0.02 ignores the first two presses of its keyboard and stops formations short of their
+        slots.
+    /xtdrone/fleet (such as ``iris:9``): all vehicles; without it the upper limit of the ids is unknown.
 """
 
 from __future__ import annotations

@@ -1,11 +1,10 @@
 // node_launcher SCRIPT ARGUMENT...: runs a Python node of a launch file as a fork of the launch's zygote.
 // node_launcher --ahead MODULE,... PROGRAM ARGUMENT...: starts the zygote and becomes PROGRAM, which is roslaunch.
-//
-// To be the launch-prefix of a node. The zygote (xtdrone_control/programs/zygote.py) is a process that has imported the
+// It is the launch-prefix of a node. The zygote (xtdrone_control/programs/zygote.py) is a process that has imported the
 // nodes' modules; there is one for each parent of launchers, that is for each roslaunch, started by the first of them.
-// The launcher stands for the node in roslaunch: it forwards signals to it and ends as the node does. A program that
-// the zygote cannot run (no Python script, another environment than the first node's) replaces the launcher, as without
-// it.
+// The launcher represents the node in roslaunch: it forwards signals to the node and ends as the node does. A program
+// that the zygote cannot run (not a Python script, or an environment different from the first node's) replaces the
+// launcher, as if there were none.
 //
 // With --ahead the zygote imports the nodes' modules while roslaunch reads its files and starts the master, on another
 // core.
@@ -39,7 +38,7 @@ extern char** environ;  // NOLINT
 
 namespace {
 constexpr int BACKLOG = 4096;         // launchers that wait while the zygote imports
-constexpr time_t CONNECT_LIMIT = 20;  // s; the socket may be another user's that takes no connection
+constexpr time_t CONNECT_LIMIT = 20;  // s; the socket may belong to another user's process that accepts no connections
 constexpr size_t TITLE_SIZE = 4096;   // bytes that the zygote gets for the command lines of its nodes
 constexpr int FORWARDED[] = {SIGHUP, SIGINT, SIGQUIT, SIGUSR1, SIGUSR2, SIGTERM};
 
@@ -62,7 +61,7 @@ class Title {
       end = *word + strlen(*word);
       if (strncmp(*word, "__name:=", 8) == 0) name_ = *word;
     }
-    size_ = static_cast<size_t>(end - begin_);  // the kernel puts the words one behind the other
+    size_ = static_cast<size_t>(end - begin_);  // the kernel stores the words contiguously
     show(name_);
   }
 
@@ -273,7 +272,7 @@ void forward(int number, pid_t node) {
     }
     signalfd_siginfo signal;
     if (ready[1].revents == 0 || read(signals, &signal, sizeof signal) != sizeof signal) continue;
-    if (node == 0) endLike(static_cast<int>(signal.ssi_signo));  // the zygote kills a node that no launcher stands for
+    if (node == 0) endLike(static_cast<int>(signal.ssi_signo));  // the zygote kills a node without a launcher
     forward(static_cast<int>(signal.ssi_signo), node);
   }
 }

@@ -60,7 +60,7 @@ def test_special_files_are_rejected_without_opening_them(tmp_path: Path, kind: s
         path.symlink_to("/dev/zero")
     else:
         path = Path("/dev/zero")
-    with pytest.raises(OSError, match="it is no regular file"):
+    with pytest.raises(OSError, match="it is not a regular file"):
         read_bytes(path, MB)
 
 
@@ -79,7 +79,7 @@ def test_text_is_read_as_path_reads_it(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="at most"):
         read_bytes(file, file.stat().st_size - 1)
     file.write_bytes(b"ab\xff")
-    with pytest.raises(ContentError, match="byte 2 begins no character of UTF-8"):
+    with pytest.raises(ContentError, match="byte 2 does not begin a UTF-8 character"):
         read_text(file)
 
 
@@ -135,5 +135,5 @@ def test_too_many_values_are_rejected_before_construction(monkeypatch: pytest.Mo
 def test_invalid_json_is_reported(text: str, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         load_json(text)
-    with pytest.raises(qgc_plan.PlanError, match=f"plan: is no JSON: .*{words}"):
+    with pytest.raises(qgc_plan.PlanError, match=f"plan: is not JSON: .*{words}"):
         qgc_plan.parse(text)

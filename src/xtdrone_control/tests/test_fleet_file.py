@@ -91,7 +91,7 @@ def test_an_invalid_list_of_poses_is_reported(poses: str, message: str) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("iris: 3", "a list of vehicles is needed, it has dict"),
+        ("iris: 3", "a list of vehicles is needed, not dict"),
         ("[]", "0 vehicles are not allowed, 1 to 250"),
         ("[" + "{type: iris}," * 251 + "]", "251 vehicles are not allowed, 1 to 250"),
         ("- iris", "entry 1: 'iris' is not allowed, a mapping with name, type, model, pose, id"),
@@ -111,7 +111,7 @@ def test_an_invalid_list_of_poses_is_reported(poses: str, message: str) -> None:
         ("- {type: iris, model: 3}", "entry 1: model: 3 is not allowed"),
         ("- {type: iris, id: 250}", "entry 1: id: 250 is not allowed, a whole number from 0 to 249"),
         ("- {type: iris, id: 4}\n- {type: iris, id: 4}", "entry 2: id: 4 is not allowed, iris_0 has it"),
-        ("- {type: iris", "no valid YAML: line 1"),
+        ("- {type: iris", "not valid YAML: line 1"),
         ("[" * 200, "nested more than 100 deep"),
     ],
 )

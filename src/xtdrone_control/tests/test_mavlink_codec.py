@@ -129,9 +129,9 @@ def test_a_flipped_bit_is_found(packer):
     ("damage", "said"),
     [
         (lambda f: f[:-1], "is truncated"),
-        (lambda f: b"\x00" + f, "begins no MAVLink frame"),
+        (lambda f: b"\x00" + f, "does not begin a MAVLink frame"),
         (lambda f: f[:2] + b"\x02" + f[3:], "incompatibility flags 0x02"),
-        (lambda f: f[:5], "begins no MAVLink frame"),
+        (lambda f: f[:5], "does not begin a MAVLink frame"),
     ],
 )
 def test_split_reports_errors(damage, said, packer):

@@ -37,13 +37,13 @@ def test_patterns_without_an_effect_are_complained_of():
     settings = {"plugin_denylist": ["imu_pub", "px4flow", "imu"], "plugin_whitelist": ["px4*", "setpoint_*"]}
     complaints = list(PluginLists(Params(settings)).complaints(NAMES, {"px4flow": "has none"}))
     assert complaints == [
-        "plugin_denylist: 'imu_pub' is the name of no plugin",
+        "plugin_denylist: no plugin matches 'imu_pub'",
         "plugin_whitelist: 'px4*' is not offered here (px4flow: has none)",
     ]
 
 
 def test_a_pattern_that_is_not_a_text_is_reported():
-    with pytest.raises(ParamError, match="plugin_denylist: 3 is no pattern"):
+    with pytest.raises(ParamError, match="plugin_denylist: 3 is not a pattern"):
         PluginLists(Params({"plugin_denylist": [3]}))
 
 

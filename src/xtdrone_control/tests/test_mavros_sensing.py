@@ -704,7 +704,7 @@ def test_topics_by_parameter(params, topic, kind):
 @pytest.mark.parametrize(
     ("params", "said"),
     [
-        ({"obstacle": {"mav_frame": "BODY"}}, "obstacle/mav_frame: 'BODY' is no MAVLink frame; GLOBAL, LOCAL_NED"),
+        ({"obstacle": {"mav_frame": "BODY"}}, "obstacle/mav_frame: 'BODY' is not a MAVLink frame; GLOBAL, LOCAL_NED"),
         ({"landing_target": {"land_target_type": "X"}}, "'X' is not allowed; LIGHT_BEACON"),
     ],
 )

@@ -181,7 +181,7 @@ class TestAttitude:
                 caplog,
                 "setpoint_attitude/attitude",
                 PoseStamped(),
-                "pose.orientation is zero, which is no attitude",
+                "pose.orientation is zero, which is not an attitude",
             )
 
     def test_there_and_back(self):

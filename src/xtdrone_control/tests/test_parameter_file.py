@@ -40,10 +40,10 @@ def test_a_file_of_qgroundcontrol_is_read(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "no parameters are in it"),
+        ("", "the file has no parameters"),
         ("1 1 A 1 9", "line 1: 1 columns are not allowed, 5 with tabs between"),
         ("1\t1\tA\t1\t9\n2\t1\tB\t1\t9", "parameters of several vehicles: 1, 2"),
-        ("1\t1\tA\t1\t9\n1\t1\tA\t2\t9", "line 2: A stands there a second time"),
+        ("1\t1\tA\t1\t9\n1\t1\tA\t2\t9", "line 2: A occurs a second time"),
         ("0\t1\tA\t1\t9", "vehicle id '0' is not allowed, 1 to 255"),
         ("1\t1\tA B\t1\t9", "name 'A B' is not allowed"),
         ("1\t1\tA\tnan\t9", "A: 'nan' of type '9' is not allowed, a finite number"),

@@ -79,7 +79,7 @@ def test_the_origin_is_set_once_there_is_a_position(px4, caplog):
     px4.origin = SPAWN
     px4.pass_time()
     assert arm(px4).result == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
-    assert "47.3977420 deg, 8.5456338 deg, 488.120 m AMSL, and is to begin at 47.3977420 deg, 8.5455940" in caplog.text
+    assert "47.3977420 deg, 8.5456338 deg, 488.120 m AMSL, and has to be 47.3977420 deg, 8.5455940" in caplog.text
     for _ in range(5):
         px4.pass_time()
     assert (px4.origin, px4.set) == (SHARED, 2)  # the answer to the first is the old one

@@ -304,7 +304,7 @@ def test_files_without_an_end_are_rejected(tmp_path: Path, option: str) -> None:
     os.mkfifo(tmp_path / "pipe")
     with (tmp_path / "large.ply").open("wb") as file:
         file.truncate(1 << 30)
-    words = {"/dev/zero": "it is no regular file", tmp_path / "pipe": "it is no regular file",
+    words = {"/dev/zero": "it is not a regular file", tmp_path / "pipe": "it is not a regular file",
              tmp_path / "large.ply": "it has 1024.0 MB, at most"}  # fmt: skip
     for file, said in words.items():
         with pytest.raises(PatternError, match=said):

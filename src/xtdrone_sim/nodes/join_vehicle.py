@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Lets a vehicle join the running simulation; it leaves when this node ends.
+"""Add a vehicle to the running simulation; it leaves when this node ends.
 
 Parameters:
     ~vehicle (e.g. iris_9): its name.
     ~model (default: its type): name or file of its description.
-    ~pose ([x, y, z, roll, pitch, yaw], m and rad ENU; default: its place on the spawn grid): where it stands.
+    ~pose ([x, y, z, roll, pitch, yaw], m and rad ENU; default: its place on the spawn grid): start pose.
 
 Services (called):
     /simulator/add_vehicle, /simulator/remove_vehicle (xtdrone_msgs)

@@ -3,7 +3,7 @@
 
 Parameters:
     ~host (default 127.0.0.1): the ground station's machine.
-    ~port (default 0: 5600, of instance N 540 N higher): UDP port of the first video, the others follow.
+    ~port (default 0: 5600 + 540 N for instance N): UDP port of the first video, the others follow.
     ~bitrate (bit/s, default 2000000): of each video.
     ~cameras (default: the first of each vehicle): VEHICLE/CAMERA, comma-separated.
     ~sdp (folder, default none): for descriptions of the videos, which ffplay and VLC open.

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Starts ``rosrun xtdrone_swarm visualize.py``, for launch files and scripts that name its former package."""
+"""Run ``rosrun xtdrone_swarm visualize.py``, for launch files and scripts that name its former package."""
 
 import os
 import sys

@@ -2,7 +2,7 @@
 """Publish the plan of the world between two heights, latched on ``/map`` and ``/map_metadata``, as map_server does.
 
 Parameters:
-    ~bounds, ~cell, ~low, ~high, ~step: what is on the plan, see docs/settings.md.
+    ~bounds, ~cell, ~low, ~high, ~step: extent, resolution and heights of the plan, see docs/settings.md.
     ~world (default /xtdrone/world, set by the simulator): name or file of the world.
 """
 

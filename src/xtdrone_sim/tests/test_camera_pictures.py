@@ -239,7 +239,7 @@ def test_a_compressed_picture_is_the_raw_one() -> None:
             {"distortion_model": "equidistant", "distortion": BARREL},
             "is not allowed, a list of 4 numbers: k1, k2, k3, k4",
         ),
-        ({"distortion_model": "equidistant"}, "distortion: nothing is not allowed with distortion_model"),
+        ({"distortion_model": "equidistant"}, "distortion: it must be given with distortion_model"),
         (
             {"distortion_model": "equidistant", "distortion": [-0.3, 0, 0, 0], "hfov": 3.0},
             "beyond 1.05 rad from the axis the distances from the middle do not grow",

@@ -110,7 +110,7 @@ def test_lost_datagrams_are_waited_for_once_and_reported(monkeypatch, away, limi
     assert rig.turn(sent=3) < 0.1
     assert rig.warnings == []
     assert limit <= rig.turn(sent=3, lost=2) < limit + 0.1
-    assert rig.warnings == [f"2 datagrams to UDP port {PORT} did not come; 2 are lost so far"]
+    assert rig.warnings == [f"2 datagrams to UDP port {PORT} did not arrive; 2 are lost so far"]
     assert rig.turn(sent=3) < 0.1
     assert rig.mavlink.received[PORT] == 7
 
@@ -139,7 +139,7 @@ def test_reports_are_throttled_and_complete(monkeypatch):
     assert len(rig.warnings) == 1
     rig.now += 1.0
     rig.turn(sent=1)
-    assert rig.warnings[1:] == [f"2 datagrams to UDP port {PORT} did not come; 3 are lost so far"]
+    assert rig.warnings[1:] == [f"2 datagrams to UDP port {PORT} did not arrive; 3 are lost so far"]
 
 
 def test_late_replies_are_not_matched_to_later_requests(monkeypatch):

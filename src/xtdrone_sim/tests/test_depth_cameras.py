@@ -217,7 +217,7 @@ def test_a_camera_that_looks_down_has_the_nose_at_the_top() -> None:
         ({"position": [1, 2]}, "position: \\[1, 2\\] is not allowed, a list of 3 numbers"),
         ({"rpy": [0, 0, 7]}, "rpy: 7 is not allowed"),
         ({"name": "../image"}, "name: '../image' is not allowed"),
-        ({"link": "nose"}, "link 'nose' is not there"),
+        ({"link": "nose"}, "link 'nose' does not exist"),
     ],
 )
 def test_what_is_refused(changes: dict[str, Any], words: str) -> None:

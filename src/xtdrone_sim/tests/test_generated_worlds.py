@@ -143,7 +143,7 @@ def test_names_options_and_refusals() -> None:
         "maze:rows=2,rows=3": "world maze: 'rows=3' is not allowed, OPTION=VALUE, each option once",
         "indoor:door=1.9": "door: 1.9 is not allowed, at most 1.7 m",
         "indoor:width=6,corridor=3": "width: 6.0 is not allowed, at least 7 m",
-        "city:rows=[": "world city: rows: '\\[' is no value",
+        "city:rows=[": "world city: rows: '\\[' is not a value",
     }
     for name, text in refused.items():
         with pytest.raises(ModelError, match=text.replace("{", "\\{").replace("}", "\\}")):

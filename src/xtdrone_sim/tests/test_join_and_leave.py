@@ -155,7 +155,7 @@ def test_what_is_refused_changes_nothing() -> None:
     simulation = Simulation(parse_fleet("iris:2"), seed=1, reserve=1)
     simulation.run_until(1_000_000)
     before = state(simulation, range(3))
-    with pytest.raises(ValueError, match="'iris_1' is in the simulation already"):
+    with pytest.raises(ValueError, match="'iris_1' is already in the simulation"):
         simulation.add_vehicle("iris_1")
     with pytest.raises(FleetError, match="is not allowed, a type of small letters"):
         simulation.add_vehicle("Iris 4")

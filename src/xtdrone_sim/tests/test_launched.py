@@ -53,7 +53,7 @@ def test_two_mavros_nodes_on_one_port() -> None:
     ("changes", "words"),
     [
         ({"fcu_url": "udp://:24541@localhost:14580"}, "no vehicle has the port 14580 of its fcu_url; theirs are 34580"),
-        ({"target_system_id": 1}, "tgt_system 1 is not that of iris_1 behind its fcu_url, 2"),
+        ({"target_system_id": 1}, "tgt_system 1 is not that of iris_1 at its fcu_url, 2"),
     ],
 )
 def test_a_mavros_node_without_its_vehicle_is_named(changes: dict[str, Any], words: str) -> None:

@@ -67,7 +67,7 @@ def scan_of(mount: LidarMount, pose_at, number: int = 0):
         ({"noise": -0.1}, "noise: -0.1 is not allowed, 0 to 10 m"),
         ({"position": [0, 0]}, "position: [0, 0] is not allowed, 3 numbers, -10 to 10 m"),
         ({"skew": "no"}, "skew: 'no' is not allowed, true or false"),
-        ({"link": "nose"}, "link 'nose' is not there"),
+        ({"link": "nose"}, "link 'nose' does not exist"),
         ({"colour": "red"}, "field 'colour' is not known; there are name, link, kind"),
         ({"name": "up down"}, "name: 'up down' is not allowed, letters, digits and underscores"),
         ({"pattern": "none.csv"}, "none.csv is not a file; rosette, or a CSV file, is allowed"),

@@ -341,7 +341,7 @@ def test_robots_by_count_and_by_list(tmp_path: Path) -> None:
         ("[{type: ugv}]", r"robots\[0\] name: None is not allowed, a letter"),
         ("[{name: a/b, type: ugv}]", r"robots\[0\] name: 'a/b' is not allowed"),
         ("[{name: a, type: ugv}, {name: a, type: car}]", "robots: 'a' is not allowed, a name that no other robot has"),
-        ("[{name: a, type: ugv, pose: [1]}]", r"robots: a: pose: \[1\] is not allowed, x, y, m, and as needed yaw"),
+        ("[{name: a, type: ugv, pose: [1]}]", r"robots: a: pose: \[1\] is not allowed, x, y, m, and optionally yaw"),
         ("[{name: a, type: ugv, pose: [1, .nan]}]", "robots: a: pose: nan is not allowed"),
         ("[{name: a, kind: ugv}]", "is not allowed, a mapping with name, type, pose"),
         ("[1", "is not allowed, a YAML list: line 1"),

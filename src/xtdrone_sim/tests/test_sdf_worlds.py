@@ -272,7 +272,10 @@ JOINT = "<joint name='j' type='{}'><parent>l</parent><child>k</child></joint>"
         (f"<link name='l'>{BOX}</link><link name='k'/>", "its links l, k are not connected"),
         (f"<link name='l'>{BOX}</link><link name='k'/>" + JOINT.format("screw"), "its joint 'j' of type 'screw'"),
         (f"<link name='l'>{BOX}</link>" + JOINT.format("fixed"), "its joint 'j' does not connect two of its links"),
-        (f"<link name='l'><inertial><mass>-1</mass></inertial>{BOX}</link>", "its link 'l' has no possible mass"),
+        (
+            f"<link name='l'><inertial><mass>-1</mass></inertial>{BOX}</link>",
+            "its link 'l' has a mass and inertia that are not physically possible",
+        ),
         ("<link name='l'>" + BOX * 17 + "</link>", "'l' has 17 collision shapes"),
     ],
 )
@@ -303,7 +306,7 @@ def test_the_first_of_two_gravities_counts_and_equal_times_are_jumps(caplog: pyt
         world(f"<gravity>0 0 -9.8</gravity><gravity>0 0 -1</gravity><actor name='a'>{script}</actor>"), FILE
     )
     assert read.gravity == 9.8
-    assert "<gravity> stands here for the second time in <world> and is ignored" in "".join(caplog.messages)
+    assert "<gravity> occurs a second time in <world> and is ignored" in "".join(caplog.messages)
     actors = Actors(read.actors, [1.0])
     assert [actors.states(t)[0].position[0] for t in (1_000_000, 1_999_999, 2_000_000, 2_500_000)] == pytest.approx(
         [2.0, 4.0, 9.0, 9.0], abs=1e-4
@@ -484,7 +487,7 @@ def test_included_models_and_worlds(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert geometry == Mesh(folder / "hut.obj")
     assert read_world(write_world(read), FILE) == read
     base.write_text(world("<xtdrone:extends>windy.world</xtdrone:extends>"))
-    with pytest.raises(SdfError, match=r"windy\.world: line 3: .*'base\.world' leads back to this file"):
+    with pytest.raises(SdfError, match=r"windy\.world: line 3: .*'base\.world' includes this file again"):
         load_world_file(str(windy))
 
 

@@ -86,7 +86,7 @@ def test_poses_between_scenes() -> None:
     kept = recent.at(0.0).links[LINK].orientation  # what is older is forgotten
     assert RATE * -0.5 < yaw_of(kept) < RATE * -0.07
     recent.clear()
-    with pytest.raises(ValueError, match="scenes: none is there yet"):
+    with pytest.raises(ValueError, match="scenes: none has been received yet"):
         recent.at(0.0)
 
 

@@ -189,7 +189,7 @@ def test_duration_counts_from_now():
 @pytest.mark.parametrize(
     ("request_", "words"),
     [
-        ({"until_us": 20_000}, "until: 0.020 s is not allowed, the simulated time is 0.020 s already"),
+        ({"until_us": 20_000}, "until: 0.020 s is not allowed, the simulated time is already 0.020 s"),
         ({"duration_us": -4000}, "duration: -0.004 s is not allowed"),
         ({"ticks": 1, "until_us": 4000}, "only one of them"),
     ],
@@ -217,7 +217,7 @@ def test_a_running_step_is_ended_by_the_next_command():
         loop.run(0.21)
         second = loop.step(ticks=1)
         loop.run(0.01)
-        assert "another step is under way" in second.result(timeout=0).message
+        assert "another step is in progress" in second.result(timeout=0).message
         end(loop)
         loop.run(0.01)
         result = first.result(timeout=0)
@@ -273,7 +273,7 @@ def test_the_log_names_the_participant_that_time_waits_for():
     loop.wall += 2.0
     loop.control.tend()
     loop.control.tend()
-    assert loop.words == ["the world stands still, waiting for /slow for 6 s (it lives; is it at a breakpoint?)"]
+    assert loop.words == ["the world stands still, waiting for /slow for 6 s (it is alive; is it at a breakpoint?)"]
     loop.wall += 31.0
     loop.control.tend()
     assert "silent for 32 s; hang_limit is 0" in loop.words[1]

@@ -80,7 +80,7 @@ def test_urdf_of_a_dumb_bell():
             'type="prismatic"',
             "joint 'b', type: 'prismatic' is not allowed, fixed, revolute, continuous",
         ),
-        ('<child link="right"/>', '<child link="wrong"/>', "joint 'b': link 'wrong' is not there"),
+        ('<child link="right"/>', '<child link="wrong"/>', "joint 'b': link 'wrong' does not exist"),
         ('<child link="right"/>', '<child link="left"/>', "'left' is given 2 times"),
         ('<parent link="bar"/><child link="left"/>', '<parent link="left"/><child link="left"/>', "circle"),
         ('<limit lower="-1"', '<limit lower="1"', "lower 1, upper 2 is not allowed"),
@@ -194,10 +194,10 @@ def test_robot_description_names_files_that_any_node_finds(own_folder):
     ("changes", "words"),
     [
         ({"mass": -1.0}, "mass: -1.0 is not allowed, it must be positive"),
-        ({"urdf": "gone.urdf"}, "urdf: 'gone.urdf' is not there; looked for in"),
+        ({"urdf": "gone.urdf"}, "urdf: 'gone.urdf' does not exist; searched in"),
         (
             {"urdf": "iris/iris.urdf", "mass": 1.0, "inertia": [1, 1, 1]},
-            "link 'cgo3_camera_link' is not there; there are",
+            "link 'cgo3_camera_link' does not exist; there are",
         ),
         (
             {"urdf": "iris/iris.urdf", "cameras": [], "gimbal": None},
@@ -207,13 +207,13 @@ def test_robot_description_names_files_that_any_node_finds(own_folder):
         ({"cameras": [{"name": "x"}]}, "cameras, number 1: field 'height' is missing"),
         (
             {"gimbal": {"yaw": "cgo3_camera_joint", "roll": "a", "pitch": "b"}},
-            "gimbal: typhoon_h480: joint 'a' is not there",
+            "gimbal: typhoon_h480: joint 'a' does not exist",
         ),
         ({"gimbal": {"rate": 0.0}}, "gimbal: rate: 0.0 is not allowed, 0.01 to 100 rad/s"),
         ({"gimbal": {"yaw": "rotor_0_joint"}}, "yaw joint 'rotor_0_joint' of type fixed is not allowed"),
         ({"gimbal": {"yaw": "cgo3_camera_joint"}}, "axis 0 1 0 is not allowed, 0 0 1 or its opposite"),
         ({"gimbal": {"speed": 1.0}}, "gimbal: field 'speed' is not known"),
-        ({"extends": "own"}, "extends: 'own' is not allowed, it leads back to"),
+        ({"extends": "own"}, "extends: 'own' is not allowed, it refers back to"),
     ],
 )
 def test_yaml_rejects(own_folder, changes, words):
@@ -226,7 +226,7 @@ def test_yaml_rejects(own_folder, changes, words):
 @pytest.mark.parametrize(
     ("field", "value", "words"),
     [
-        ("link", "nose", "link 'nose' is not there; there are base_link"),
+        ("link", "nose", "link 'nose' does not exist; there are base_link"),
         ("hfov", 4.0, "horizontal_fov: 4.0 is not allowed, 0.01 to 3.1 rad"),
         ("rate", 0.0, "rate: 0.0 is not allowed, 0.1 to 50 Hz"),
         ("far", 0.01, "far: 0.01 is not allowed"),
@@ -242,7 +242,7 @@ def test_a_camera_is_rejected(own_folder, field, value, words):
 
 def test_a_missing_folder_is_reported(monkeypatch):
     monkeypatch.setenv("XTDRONE_VEHICLES", "/nowhere/at/all")
-    with pytest.raises(ModelError, match="XTDRONE_VEHICLES: '/nowhere/at/all' is no folder"):
+    with pytest.raises(ModelError, match="XTDRONE_VEHICLES: '/nowhere/at/all' is not a folder"):
         load_vehicle("iris")
 
 

@@ -1,8 +1,8 @@
 /// A node's turns in compiled code, without Python.
 ///
-/// `xtdrone_native.lockstep_io.Turns` carries the turns of a Python node in lockstep: it waits for TICK, reads the
-/// messages that are due, calls the node's program, sends what this publishes, and DONE. Python has the turn in which
-/// anything else happens (see `xtdrone_control.lockstep.client.compiled_turns`).
+/// `xtdrone_native.lockstep_io.Turns` runs the turns of a Python node in lockstep: it waits for TICK, reads the
+/// messages that are due, calls the node's program, sends the messages that this publishes, and sends DONE. Python runs
+/// the turns in which anything else happens (see `xtdrone_control.lockstep.client.compiled_turns`).
 #pragma once
 
 #include <cstdint>
@@ -15,10 +15,10 @@ namespace xtdrone_control {
 /// The serialised messages of one topic that are due in a turn, in the order of sending, without their length prefixes.
 using Messages = std::vector<std::string_view>;
 
-/// What a program publishes on one topic in a turn.
+/// The message that a program publishes on one topic in a turn.
 struct Publication {
   std::uint32_t sequence = 0;  ///< of the message, as rospy writes it to its header
-  std::string packet;          ///< serialised, behind its u32 length; empty if nothing is published
+  std::string packet;          ///< serialised, preceded by its u32 length; empty if nothing is published
 };
 
 /// The work of a node's turn.

@@ -1,7 +1,7 @@
 /// Velocity commands of one multirotor and the setpoint that follows from them.
 ///
 /// The C++ form of a part of xtdrone_control.communication.commands: a vehicle whose setpoint changes by velocity
-/// commands alone. Everything else is refused and left to the Python class.
+/// commands alone. Everything else is left to the Python class.
 #pragma once
 
 #include <array>
@@ -12,9 +12,9 @@
 
 namespace xtdrone_control {
 
-/// The vehicle's reaction to velocity commands, as MultirotorCore's.
+/// The vehicle's response to velocity commands, equal to MultirotorCore's.
 struct VelocityCommands {
-  /// Size of a serialised PositionTarget with an empty frame, behind its u32 length.
+  /// Size of a serialised PositionTarget with an empty frame, preceded by its u32 length.
   static constexpr std::size_t PACKET = 103;
   static constexpr double LARGEST = 1e6;           // m/s, rad/s
   static constexpr double HOVER_YAW_RATE = 0.005;  // rad/s
@@ -22,7 +22,7 @@ struct VelocityCommands {
   double hover_speed = 0.0;            // m/s
   double timeout = 0.0;                // s; 0 for never
   bool hovering = false;               // whether the setpoint is a captured pose
-  double moving_since = std::nan("");  // s; NaN while the setpoint is no velocity
+  double moving_since = std::nan("");  // s; NaN while the setpoint is not a velocity
   std::array<double, 4> last{};        // velocity, m/s ENU, and yaw rate, rad/s, of the last command that has moved it
   std::array<char, PACKET> packet{};   // the setpoint
 

@@ -73,7 +73,7 @@ def read_text(path: str | Path, most: int = MOST_TEXT) -> str:
     try:
         text = read_bytes(path, most).decode("utf-8")
     except UnicodeDecodeError as error:
-        raise ContentError(f"byte {error.start} begins no character of UTF-8") from None
+        raise ContentError(f"byte {error.start} does not begin a UTF-8 character") from None
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -156,7 +156,7 @@ def _check(status: os.stat_result, path: str | Path, most: int) -> None:
     if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if not stat.S_ISREG(status.st_mode):
-        raise OSError(errno.EINVAL, "it is no regular file", str(path))
+        raise OSError(errno.EINVAL, "it is not a regular file", str(path))
     if status.st_size > most:
         raise _too_large(path, status.st_size, most)
 

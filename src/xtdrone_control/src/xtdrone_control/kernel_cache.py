@@ -1,6 +1,6 @@
 """Compilation of the inner loops: numba's njit with a reliable cache on disk. Each package's ``kernel.py`` uses it.
 
-numba's cache depends only on the file of the compiled function, so that it misses changes to callees in other files.
+numba's cache depends only on the file of the compiled function, so it misses changes to callees in other files.
 Here the name of the cache folder is a hash of all source files that contain kernels and of the modules that they import
 from the same packages. Any change to these starts a new, empty cache.
 """
@@ -93,7 +93,8 @@ def cache_folder(*packages: Path) -> Path:
 
 
 _cache_folder_of_this_run = functools.cache(cache_folder)
-"""As ``cache_folder``, for a package's several decorators: the files are read once in a process."""
+"""Return ``cache_folder(packages)``, remembered for a package's decorators: files are read once per process.
+"""
 
 
 def _usable(folder: Path) -> bool:

@@ -1,7 +1,7 @@
 """Compiled codecs in place of the Python code that genpy generates for each message class.
 
 ``compile_class`` replaces ``serialize``, ``deserialize`` and the construction of objects, of a class and of the classes
-of its fields, so that rospy, rosbag and every other user of the class profits. Bytes and values are equal to genpy's.
+of its fields, so that rospy, rosbag and every other user of the class benefits. Bytes and values are equal to genpy's.
 genpy's own method is called for an object of another class than the field's, for a value of the wrong type or range (so
 that the error is genpy's), and for data that are not ``bytes``.
 """
@@ -27,11 +27,11 @@ def compile_class(message_class: type[Any]) -> Codec | None:
     """Replace a generated class's methods by compiled ones, once.
 
     Args:
-        message_class: A class of messages, requests or responses.
+        message_class: A message, request or response class.
 
     Returns:
-        Its codec; None if it keeps its own methods, as it is not the class that genpy has generated for an installed
-        type (but rospy's AnyMsg, a class made from a bag's text, or a class derived from a generated one).
+        Its codec; None if the class keeps its own methods because genpy has not generated it for an installed type
+        (rospy's AnyMsg, a class made from a bag's text, or a class derived from a generated one).
     """
     if message_class not in _codecs:
         _codecs[message_class] = _compile(message_class)

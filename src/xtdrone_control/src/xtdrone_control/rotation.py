@@ -19,9 +19,9 @@ def wrap_pi(angle: float) -> float:
 
 
 def wrap_pi_by_remainder(angle: float) -> float:
-    """Return ``angle`` (rad, finite) wrapped to [-pi, pi), rounded otherwise than by ``wrap_pi``.
+    """Return ``angle`` (rad, finite) wrapped to [-pi, pi), with different rounding from ``wrap_pi``.
 
-    MAVROS's frames use this one and the autopilot the other: either's last bits decide how a flight goes on.
+    MAVROS's frames use this one and the autopilot the other; exchanging them would change the last bits of flights.
     """
     wrapped = math.fmod(angle + math.pi, 2.0 * math.pi)
     return wrapped + math.pi if wrapped < 0.0 else wrapped - math.pi

@@ -111,16 +111,16 @@ def setting(
         choices: the allowed values.
         unit: of the value, such as ``m/s``. Unit and limits of a tuple of numbers are those of each number.
         text: meaning, one phrase without unit, range and default.
-        check: further check, called with a value of the right type; raises ValueError with what is allowed as its
-            text, such as ``a multiple of 32 px``.
+        check: further check, called with a value of the right type; raises ValueError whose text says which values are
+            allowed, such as ``a multiple of 32 px``.
         parse: returns the value for a ROS parameter or the text of an option; raises ValueError as ``check`` does. The
             default is then not part of the option's help text.
-        allowed: what is allowed, for messages and documentation, where type and limits do not describe it.
+        allowed: description of the allowed values for messages and documentation, if type and limits are not enough.
         ros: name of the ROS parameter; the field's name by default.
         option: command-line option; the field's name with hyphens by default, ``--no-NAME`` for a flag that is true.
         metavar: placeholder of the option's value in the help text; that of a positional argument, which messages
             name, is the field's name in capitals by default.
-        positional: whether the command line gives it by its place, not by an option.
+        positional: whether it is a positional argument of the command line rather than an option.
     """
     declaration = _Declaration(
         low,
@@ -246,7 +246,7 @@ class _Setting(NamedTuple):
         """Return the value of a command-line option.
 
         Raises:
-            ArgumentTypeError: the text is no allowed value.
+            ArgumentTypeError: the text is not an allowed value.
         """
         convert = self.declared.parse or {"int": int, "float": float}.get(self.kind, str)
         try:
@@ -286,7 +286,7 @@ class _Setting(NamedTuple):
         )
 
     def _choices(self) -> tuple[Any, ...]:
-        """Return the allowed values that a command line has literally."""
+        """Return the allowed values that are written literally on a command line."""
         return self.declared.choices if self.declared.parse is None else ()
 
     def _help(self) -> str:
@@ -330,7 +330,7 @@ class Settings:
             get: ``rospy.get_param``, or another function of a name and a default.
             prefix: of the parameters' names.
             names: fields to read; all by default.
-            others: fields that are given and not read.
+            others: values of fields that are not read from parameters.
 
         Raises:
             SettingError: a value is not allowed; the message names the parameter as ROS resolves it.
@@ -378,7 +378,7 @@ class Settings:
         """Add an option for each declared setting to a parser.
 
         Args:
-            parser: gets the options; an argument that is not allowed is an error of its own.
+            parser: gets the options, and reports arguments that are not allowed.
             names: fields that get an option, in this order; all by default.
 
         Returns:
@@ -413,7 +413,7 @@ class Settings:
 
 
 def check_range(name: str, value: Any, low: float, high: float = math.inf, unit: str = "") -> float:
-    """Return a number that belongs to no class of settings, if it is finite and within its limits.
+    """Return ``value``, which is not a field of a class of settings, if it is a finite number within its limits.
 
     Args:
         name: of the value where the user has written it.
@@ -430,7 +430,7 @@ def check_range(name: str, value: Any, low: float, high: float = math.inf, unit:
 
 
 def check_choice(name: str, value: str, allowed: Sequence[str]) -> str:
-    """Return a value that belongs to no class of settings, if it is one of ``allowed``.
+    """Return ``value``, which is not a field of a class of settings, if it is one of ``allowed``.
 
     Raises:
         SettingError: it is none of them.

@@ -1,4 +1,4 @@
-"""Boards of AprilTags of the family 36h11: which tag lies where.
+"""Boards of AprilTags of the family 36h11: sizes and positions of their tags.
 
 A board is a bundle of tags in one plane, in the format of apriltag_ros (``tags.yaml``)::
 
@@ -42,7 +42,7 @@ class Tag:
 
 @dataclass(frozen=True)
 class TagBoard:
-    """Tags in one plane, a single one included.
+    """One or more tags in one plane.
 
     Attributes:
         name: of its frame.
@@ -54,7 +54,7 @@ class TagBoard:
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
-        """Least x, greatest x, minimum y and maximum y of the black squares, m."""
+        """Minimum x, maximum x, minimum y and maximum y of the black squares, m."""
         return (
             min(tag.x - 0.5 * tag.size for tag in self.tags),
             max(tag.x + 0.5 * tag.size for tag in self.tags),
@@ -67,16 +67,17 @@ LANDING = TagBoard(
     "landing",
     (Tag(0, 0.16), Tag(1, 0.48, -0.4, 0.4), Tag(2, 0.48, 0.4, 0.4), Tag(3, 0.48, -0.4, -0.4), Tag(4, 0.48, 0.4, -0.4)),
 )
-"""Board of a landing platform of 1.4 x 1.4 m: four tags that are seen from 6 m and more, and one for the last 0.5 m."""
+"""Board of a landing platform of 1.4 x 1.4 m: four tags that are visible from 6 m and more, and one for the last 0.5 m.
+"""
 
 BOARDS = {"landing": (LANDING,)}
 
 
 def boards_of(name: str) -> tuple[TagBoard, ...]:
-    """Return the boards of a name of ``BOARDS``, or of a file.
+    """Return the boards of an entry of ``BOARDS``, or of a file.
 
     Raises:
-        SettingError: there is neither, or a value is not allowed.
+        SettingError: ``name`` is neither, or a value is not allowed.
         ContentError, OSError: the file cannot be read.
     """
     if name in BOARDS:
@@ -90,7 +91,7 @@ def parse_boards(given: object) -> tuple[TagBoard, ...]:
     """Return the boards of a mapping in the format of apriltag_ros.
 
     Raises:
-        SettingError: a value is not allowed; no tag, or a tag twice.
+        SettingError: a value is not allowed, there is no tag, or a tag occurs twice.
     """
     if not isinstance(given, Mapping) or not set(given) <= {"standalone_tags", "tag_bundles"}:
         raise SettingError("tags", str(given)[:60], "a mapping with standalone_tags and tag_bundles")

@@ -13,7 +13,7 @@ def cached_folder(kind: str, name: str, write: Callable[[Path], None]) -> Path:
     """Return a folder below ``$XDG_CACHE_HOME`` (else ``~/.cache``), which is created atomically.
 
     Args:
-        kind: what the folders of this caller hold, the name of their common parent.
+        kind: kind of the caller's files, the name of the folders' common parent.
         name: of the folder; it must change with the content.
         write: writes the files into an empty folder.
 

@@ -27,7 +27,7 @@ def folders(kind: str) -> list[Path]:
     folders = [Path(part).expanduser() for part in own.split(":") if part]
     for folder in folders:
         if not folder.is_dir():
-            raise ModelError(f"environment variable {VEHICLES_VARIABLE}: {str(folder)!r} is no folder")
+            raise ModelError(f"environment variable {VEHICLES_VARIABLE}: {str(folder)!r} is not a folder")
     return [*folders, CONFIG / kind]
 
 
@@ -54,7 +54,7 @@ def find(kind: str, name: str, above: tuple[Path, ...] = ()) -> Path:
         if path not in above:
             return path
     if paths:
-        raise ModelError(f"{above[-1]}: extends: {name!r} is not allowed, it leads back to {paths[-1]}")
+        raise ModelError(f"{above[-1]}: extends: {name!r} is not allowed, it refers back to {paths[-1]}")
     reason = not_simulated(name) if kind == "vehicles" else ""
     raise ModelError(f"{kind}: {name!r} is not known{reason and f', {reason}'}; there are {', '.join(available(kind))}")
 
@@ -88,7 +88,7 @@ def _read(kind: str, path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
     below = find(kind, str(base), above)
     below = below if below.is_absolute() else path.parent / below
     if below in above:
-        raise ModelError(f"{path}: extends: {base!r} is not allowed, it leads back to {below}")
+        raise ModelError(f"{path}: extends: {base!r} is not allowed, it refers back to {below}")
     return _merged(_read(kind, below, above), description)
 
 

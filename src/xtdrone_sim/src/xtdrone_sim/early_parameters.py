@@ -1,4 +1,4 @@
-"""Private parameters of a node that it needs before it is registered."""
+"""Private parameters that a node needs before it is registered."""
 
 from __future__ import annotations
 

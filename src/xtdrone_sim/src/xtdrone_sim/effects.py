@@ -1,4 +1,4 @@
-"""Effects: forces and torques of a user's own on the vehicles, between the rotors' wrench and the integration.
+"""Effects: a user's forces and torques on the vehicles, added between the rotors' wrench and the integration.
 
 An effect is a callable with five arguments, called once a step for all vehicles::
 
@@ -18,12 +18,12 @@ An effect is a callable with five arguments, called once a step for all vehicles
 
 Effects are applied in the order in which they are listed. One with a state is an instance of a class with ``__call__``
 and ``reset(models, time_step, random)``. ``reset`` is called at the start and after each restart of the world: it must
-forget the state. ``random`` is a ``numpy.random.Generator`` of this effect's own, seeded by the world's seed and the
+discard the state. ``random`` is a ``numpy.random.Generator`` of this effect's own, seeded by the world's seed and the
 effect's name, so the same flight sees the same noise.
 
 Cost, next to 11 us for a step of one vehicle and 75 us for one of 30: about 3 us for a function compiled by
 ``numba.njit``; 2 us for a plain Python function, and 1 to 3 us more for each numpy operation in it. A vehicle asleep on
-the ground with its motors off is not moved. A row with ``contact`` ABSENT is a place that no vehicle holds.
+the ground with its motors off is not moved. A row with ``contact`` ABSENT is a place without a vehicle.
 """
 
 from __future__ import annotations
@@ -120,8 +120,8 @@ class Effects:
         """Check the effects' signatures.
 
         Args:
-            effects: in the order of application. An attribute ``name`` (a string) is the effect's name, else the name
-                of its function or class counts.
+            effects: in the order of application. An attribute ``name`` (a string) is the effect's name; without it, the
+                name of its function or class is used.
 
         Raises:
             EffectError: an effect cannot be called with the arguments it gets.

@@ -37,13 +37,13 @@ class Simulation:
     """A fleet in a world.
 
     Attributes:
-        vehicles: by index; None for a place that is free. Places are those of the fleet and the reserved ones.
-        models: one per place; at a free one, that of the vehicle that was there last, or of the first vehicle.
+        vehicles: by index; None for a free place. Places are those of the fleet and the reserved ones.
+        models: one per place; for a free one, that of its last vehicle, or of the first vehicle.
         world: rigid bodies; ``world.plant`` is the ground truth.
         gimbals: camera gimbals of all vehicles.
         landing_gears: landing gears of all vehicles.
         effects: forces and torques added to those of the rotors; None without effects.
-        actors: people, at their states of any time.
+        actors: people, with their states at any time.
         autopilots: autopilot back end of the fleet.
         time_us: simulated time, microseconds.
         step_us: length of a step, microseconds.
@@ -140,7 +140,7 @@ class Simulation:
         self._steps = 0
 
     def _choose_free_flight(self) -> None:
-        """Compile steps of the whole fleet, if no effect, gimbal or landing gear needs each of them."""
+        """Prepare compiled steps of the whole fleet, if no effect, gimbal or landing gear needs every step."""
         plain = self.effects is None and not self.gimbals.any and not self.landing_gears.any
         if not plain:
             self._free_flight = None
@@ -166,12 +166,12 @@ class Simulation:
         ]
 
     def add_vehicle(self, name: str, model: str = "", pose: StartPose | None = None) -> int:
-        """Let a vehicle join, disarmed on the ground, with an autopilot that boots now; others are not affected.
+        """Add a vehicle, disarmed on the ground, with an autopilot that boots now; others are not affected.
 
         Args:
-            name: as ``iris_9``; the type is its beginning.
+            name: such as ``iris_9``; it begins with the type.
             model: name or file of its description; "": the type.
-            pose: where it stands; None: the pose in the vehicle's place of the spawn grid.
+            pose: start pose; None: the vehicle's place on the spawn grid.
 
         Returns:
             Its index. The place gives its MAVLink id and ports.
@@ -182,7 +182,7 @@ class Simulation:
         """
         self.autopilots.check_join()
         if name in self.names:
-            raise ValueError(f"name: {name!r} is in the simulation already")
+            raise ValueError(f"name: {name!r} is already in the simulation")
         free = [index for index, vehicle in enumerate(self.vehicles) if vehicle is None]
         if not free:
             raise ValueError(
@@ -202,7 +202,7 @@ class Simulation:
         return index
 
     def remove_vehicle(self, index: int) -> None:
-        """Take a vehicle out of the world, flying or not; its place is free then, and the others are not affected.
+        """Remove a vehicle from the world, in flight or not; its place is then free, and the others are not affected.
 
         Raises:
             ValueError: autopilots cannot leave, or it is the only vehicle.
@@ -265,13 +265,13 @@ class Simulation:
         self._begin(time_us)
 
     def reset_vehicle(self, index: int, pose: StartPose | None = None) -> None:
-        """Put one vehicle back, disarmed, with its autopilot rebooted; the others are not affected.
+        """Reset one vehicle, disarmed, with its autopilot rebooted; the others are not affected.
 
         Changed parameters and uploaded plans are kept, as in a reboot. Sensor noise continues.
 
         Args:
             index: of the vehicle.
-            pose: where it then stands; None: where it started.
+            pose: its new pose; None: its start pose.
 
         Raises:
             ValueError: the place is not free (StartError), or the autopilot cannot be rebooted; nothing has changed
@@ -284,7 +284,7 @@ class Simulation:
         self.landing_gears.reset(index)
 
     def set_wind(self, velocity: Vector) -> None:
-        """Set the world's wind from now on, until the next restart, which brings back the world's own.
+        """Set the world's wind until the next restart, which restores the wind of the world's file.
 
         Args:
             velocity: m/s, ENU, at most ``STRONGEST_WIND``.

@@ -1,8 +1,8 @@
-"""Steps of a fleet that touches nothing: several steps of all vehicles in one call, on several threads.
+"""Steps of a fleet without contacts: several steps of all vehicles in one call, on several threads.
 
-While no vehicle is near the ground or another body, the vehicles are independent of each other between two checks of
-the contacts, and each can do several steps at once. Vehicles far from all others need no check for up to 0.1 s. The
-results are those of ``Simulation.step`` to the last bit, with any number of threads.
+While no vehicle is near the ground or another body, the vehicles are independent of each other between two contact
+checks, and each can make several steps at once. Vehicles far from all others need no check for up to 0.1 s. The results
+are those of ``Simulation.step`` to the last bit, with any number of threads.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from xtdrone_sim.physics.vehicle_dynamics import step_vehicle as move
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.sensors.sensor_models import FLOW_EVERY, STEPS, Sensors, sample_vehicle
 
-_VEHICLES_PER_THREAD = 12  # fewer are done sooner than another thread starts
+_VEHICLES_PER_THREAD = 12  # fewer are completed before another thread would have started
 _MOST_THREADS = 8
-_LONGEST = 25  # steps without a check of the contacts
+_LONGEST = 25  # steps without a contact check
 
 _Call = tuple[Callable[..., object], tuple[Any, ...]]
 
@@ -113,11 +113,11 @@ class _Thread:
         weakref.finalize(self, self._calls.put, None)
 
     def begin(self, function: Callable[..., object], arguments: tuple[Any, ...]) -> None:
-        """Begin a call."""
+        """Start a call."""
         self._calls.put((function, arguments))
 
     def wait(self) -> None:
-        """Wait for its end; raise what it has raised."""
+        """Wait for its end; raise the exception that it has raised, if any."""
         error = self._ends.get()
         if error is not None:
             raise error
@@ -147,7 +147,7 @@ class FreeFlight:
             world: bodies, of which ``plant`` is advanced.
             sensors: sensor models, which write to the autopilots.
             autopilot: records of the autopilots.
-            threads: number of threads, 1 or more; None: by the size of the fleet and the processors.
+            threads: number of threads, 1 or more; None: chosen by the numbers of vehicles and processors.
         """
         count = len(world.plant)
         if threads is None:
@@ -163,7 +163,7 @@ class FreeFlight:
         self._threads = [_Thread(i) for i in range(1, len(self._shares))]
 
     def _share_out(self) -> None:
-        """Collect the arguments of the kernels, again if there is something else below the vehicles."""
+        """Collect the arguments of the kernels; repeated if the objects below the vehicles have changed."""
         if self._below is self.sensors.below.arrays:
             return
         self._below = self.sensors.below.arrays
@@ -181,9 +181,9 @@ class FreeFlight:
         return not self._threads and not self._world.has_obstacles
 
     def _possible_steps(self, most: int) -> int:
-        """Return for how many steps, up to ``most``, the vehicles are free.
+        """Return the number of steps, up to ``most``, for which the vehicles are free.
 
-        Those are the steps to the next check of the contacts, or more if no check until then can find any, or 0.
+        These are the steps to the next contact check, or more if no earlier check can find a contact, or 0.
         """
         if self.sensors.failing.any:
             return 0

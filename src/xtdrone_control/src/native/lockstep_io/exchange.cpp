@@ -19,7 +19,7 @@ void Exchange::remove(int descriptor) {
   }
 }
 
-/// Forget the completed turns of a connection, left by a poll that a signal has ended.
+/// Discard the completed turns of a connection that are left from a poll ended by a signal.
 void Exchange::forget(int descriptor) {
   nb::list others;
   for (nb::handle turn : completed_) {

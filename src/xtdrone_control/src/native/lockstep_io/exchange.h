@@ -27,9 +27,9 @@ class Exchange {
   /// @param closing  Numbers of closed connections; while there are any, DONE is left to the caller.
   void add(int descriptor, nanobind::dict routes, nanobind::list closing);
   void remove(int descriptor);
-  /// Leave all data of a connection to the caller, or not any more.
+  /// Set whether all data of a connection is left to the caller.
   void hold(int descriptor, bool held);
-  /// Await no DONE from a connection.
+  /// Stop awaiting DONE from a connection.
   void release(int descriptor);
 
   /// Send TICK on each connection, with the counts of its dictionary, which is cleared.

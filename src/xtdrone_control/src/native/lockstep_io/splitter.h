@@ -17,7 +17,7 @@ class Splitter {
   /// Read once, without waiting and at most ``size`` bytes or the rest of the present message up to 1 MiB.
   ///
   /// Python's global lock is held, so that no other thread closes the socket meanwhile.
-  /// @return  Messages and number of bytes read; None if no data is at hand.
+  /// @return  Messages and number of bytes read; None if no data is available.
   /// @throws nanobind::python_error  OSError or ValueError: The connection is closed.
   nanobind::object read(nanobind::handle sock, std::size_t size);
   /// Return the messages that ``data`` completes.

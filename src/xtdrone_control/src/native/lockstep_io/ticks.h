@@ -23,12 +23,12 @@ inline nanobind::tuple toTuple(const Barrier& barrier) {
   return nanobind::make_tuple(barrier.tick, barrier.time_us, channels, ports);
 }
 
-/// What a wait has ended with.
+/// Result of a wait.
 struct Arrival {
-  /// One TICK that has arrived alone.
+  /// Content of a single complete TICK.
   std::optional<Barrier> tick;
-  /// Otherwise: other bytes from the simulator, empty at the end of the connection; or a list of the descriptors that
-  /// are ready if there are others than the simulator's.
+  /// Otherwise: other bytes from the simulator, empty at the end of the connection; or, if descriptors other than the
+  /// simulator's are ready, a list of all that are.
   nanobind::object other;
 };
 

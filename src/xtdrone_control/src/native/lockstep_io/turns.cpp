@@ -88,7 +88,7 @@ nb::object Turns::run(nb::capsule program, std::int64_t until_us, double timeout
   return nb::list();
 }
 
-/// Take one turn; return false, with nothing changed, if it is Python's.
+/// Run one turn; return false, with nothing changed, if Python has to run it.
 bool Turns::carry(const Barrier& tick, TurnProgram& program) {
   if (stopped_ || tick.ports != 0 || tick.time_us <= time_us_ || tick.time_us >= until_us_ || !fetch(tick)) {
     return false;
@@ -112,7 +112,7 @@ bool Turns::carry(const Barrier& tick, TurnProgram& program) {
   return true;
 }
 
-/// Read the messages that are due; return false if others than the inputs' are, or if some have not arrived.
+/// Read the messages that are due; return false if messages of other topics are due or some have not arrived.
 bool Turns::fetch(const Barrier& tick) {
   for (Messages& messages : received_) {
     messages.clear();
@@ -176,7 +176,7 @@ void Turns::publish(std::int64_t time_us) {
   }
 }
 
-/// Send without blocking; after anything but a complete packet the next turn is Python's.
+/// Send without blocking; unless the packet is sent completely, Python runs the next turn.
 void Turns::send(Connection& connection, const std::string& packet) {
   const int descriptor = descriptorOf(connection.sock);
   ssize_t sent = -1;

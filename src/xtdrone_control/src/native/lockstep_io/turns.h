@@ -14,7 +14,7 @@
 
 namespace xtdrone_control::lockstep_io {
 
-/// Carries turns of a node's program until one needs Python, whose objects are then brought up to date from here.
+/// Runs turns of a node's program until one needs Python, whose objects are then updated from this object.
 ///
 /// Inputs and outputs are added before `run`. Sockets stay Python's, which may close them in other threads.
 class Turns {
@@ -44,12 +44,12 @@ class Turns {
   /// @param count  Messages sent over it so far.
   void addConnection(std::size_t topic, std::uint32_t number, std::uint64_t count, nanobind::object sock);
 
-  /// Carry turns.
+  /// Run turns.
   ///
   /// @param program  Capsule of a TurnProgram.
-  /// @param until_us  Python has the turns from this time on.
+  /// @param until_us  Python runs the turns from this time on.
   /// @param timeout  Longest wait in wall seconds.
-  /// @return  As `lockstep_io.receive`: what Python has to handle, the TICK of its turn for example.
+  /// @return  As `lockstep_io.receive`: the event that Python has to handle, such as the TICK of its turn.
   /// @throws nanobind::python_error  OSError: The connection to the simulator is broken. The exception of a signal
   ///     handler.
   nanobind::object run(nanobind::capsule program, std::int64_t until_us, double timeout);

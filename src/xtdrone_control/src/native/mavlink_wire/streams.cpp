@@ -15,7 +15,7 @@ namespace mavlink_wire {
 namespace {
 constexpr std::int64_t kNever = std::int64_t{1} << 62;
 
-/// Text of the Python error that is set, which is cleared; another error than those of values is thrown.
+/// Return the text of the current Python error and clear it; an error that does not concern a value is thrown again.
 nb::str take_error() {
   if (!PyErr_ExceptionMatches(PyExc_ValueError) && !PyErr_ExceptionMatches(PyExc_ArithmeticError)) {
     throw nb::python_error();

@@ -1,7 +1,7 @@
 // Payloads of the telemetry messages with high rates, built from the autopilot's records.
 //
 // Results equal those of Python's float arithmetic and of module math to the last bit: a flight is the same whichever
-// builds the payload. math.hypot, whose result differs from the C library's, is called in Python.
+// of them builds the payload. math.hypot, whose result differs from the C library's, is called in Python.
 
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>

@@ -190,7 +190,7 @@ PyObject* read_numbers(Reader& in, Py_ssize_t count) {
   return array.release();
 }
 
-/// Clear the error of a value that is left to genpy's method; false if the error is no matter of the value (Ctrl-C).
+/// Clear the error of a value that is left to genpy's method; false if the value did not cause the error (Ctrl-C).
 bool left_to_genpy() {
   if (PyErr_Occurred() == nullptr) {
     return true;
@@ -213,7 +213,7 @@ Codec::Codec(PyObject* type, std::string name, PyObject* error)
 bool Codec::add_field(PyObject* name, const std::string& kind, int count, PyObject* type, const Codec* nested) {
   const auto found = KINDS.find(kind);
   if (found == KINDS.end() || (found->second == Kind::MESSAGE) != (nested != nullptr) || count < Field::SINGLE) {
-    PyErr_Format(PyExc_ValueError, "%s.%U: %s is no type of a field", name_.c_str(), name, kind.c_str());
+    PyErr_Format(PyExc_ValueError, "%s.%U: %s is not a field type", name_.c_str(), name, kind.c_str());
     return false;
   }
   const char* text = PyUnicode_AsUTF8(name);

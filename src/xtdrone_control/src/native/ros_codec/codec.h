@@ -61,7 +61,7 @@ class Reader;
 /// which accepts or rejects it by its own rules.
 class Codec {
  public:
-  /// Both objects are kept for ever.
+  /// Both objects are kept forever.
   Codec(PyObject* type, std::string name, PyObject* error);
   Codec(const Codec&) = delete;
   Codec& operator=(const Codec&) = delete;
@@ -73,8 +73,8 @@ class Codec {
   ///
   /// Returns false, with a Python error, if it is not such a message.
   bool construct_like(PyObject* message);
-  /// Return a new message, as its constructor does. The values are given by place, or by the names of a tuple; where a
-  /// value is missing or None, the message gets the initial one. Null without a Python error: the constructor's matter.
+  /// Return a new message, as its constructor does. The values are given by position, or by the names of a tuple; a
+  /// missing value or None gives the initial one. Null without a Python error: left to the constructor.
   PyObject* construct(PyObject* const* values, Py_ssize_t count, PyObject* names) const;
 
   /// Return bytes, None if only genpy's method handles a value, null with a Python error. New references.
@@ -106,7 +106,7 @@ class Codec {
   PyTypeObject* type_;
   std::string name_;
   PyObject* error_;
-  std::vector<Field> fields_;  ///< keep their objects for ever
+  std::vector<Field> fields_;  ///< keep their objects forever
   std::size_t size_ = 0;       ///< smallest number of bytes of a message
   bool has_header_ = false;
   mutable std::size_t usual_size_ = 64;

@@ -14,7 +14,7 @@ std::unordered_map<PyTypeObject*, const Codec*>& codecs() {
   return known;
 }
 
-/// Return what calling the class does without this file.
+/// Call the class as Python would without this file.
 PyObject* call_type(PyObject* type, PyObject* const* values, Py_ssize_t count, PyObject* names) {
   const Held arguments(PyTuple_New(count));
   const Held keywords(names == nullptr ? nullptr : PyDict_New());

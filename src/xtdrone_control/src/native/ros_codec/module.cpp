@@ -52,8 +52,8 @@ NB_MODULE(ros_codec, module) {
           "Create the codec of a message class without fields.\n\n"
           "Args:\n"
           "    type: The class; its fields are slots.\n"
-          "    name: The message's type, as ``geometry_msgs/Pose``.\n"
-          "    error: Exception raised for data that are no message of this type.")
+          "    name: The message's type, such as ``geometry_msgs/Pose``.\n"
+          "    error: Exception raised for data that are not a message of this type.")
       .def("add_field", &add_field, nb::arg("name"), nb::arg("kind"), nb::arg("count"), nb::arg("type").none(),
            nb::arg("nested").none(), nb::keep_alive<1, 6>(),
            "Append a field, in the order of the message's definition.\n\n"

@@ -16,7 +16,7 @@ struct TimeSlots {
 /// Find the slot of a class by name: its offset, or -1 (without a Python error) if the class has no such slot.
 Py_ssize_t slot_offset(PyTypeObject* type, const char* name);
 
-/// Return the slots of a class of times (genpy.Time, rospy.Time and their like), null if they are no plain slots.
+/// Return the slots of a class of times (genpy.Time, rospy.Time and their like), null if they are not plain slots.
 const TimeSlots* time_slots(PyTypeObject* type);
 
 inline PyObject*& slot(PyObject* object, Py_ssize_t offset) {

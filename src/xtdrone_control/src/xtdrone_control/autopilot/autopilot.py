@@ -312,10 +312,10 @@ class Autopilot:
         self.start_control(which)
 
     def replace(self, index: int, layout: RotorLayout) -> None:
-        """Prepare the records of vehicle ``index`` for another vehicle, which has got no sample yet.
+        """Prepare the records of vehicle ``index`` for another vehicle that has not received a sample yet.
 
         Args:
-            index: of the vehicle; ``params`` are its own already.
+            index: of the vehicle; its ``params`` are already set.
             layout: its rotors.
         """
         self._layouts[index] = layout
@@ -380,7 +380,7 @@ class Autopilot:
     def end_motor_test(self, index: int) -> None:
         """Stop the motors of vehicle ``index`` that run for a test, unless the vehicle is armed."""
         if self.motor_tests.pop(index, None) is not None and not self.setpoint["armed"][index]:
-            self.control["actuators"][index] = 0.0  # the kernel does so too, but only once the estimator has started
+            self.control["actuators"][index] = 0.0  # the kernel does the same, but only once the estimator has started
 
     def motor_inputs(self) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
         """Return the motor commands, shape (n, MAX_ROTORS), and which vehicles' motors are powered, shape (n,).

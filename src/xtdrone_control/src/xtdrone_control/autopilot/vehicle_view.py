@@ -23,8 +23,8 @@ _TRAJECTORY = slice(_OFFSETS["position"], _OFFSETS["attitude_q"])  # bytes of SE
 def cell(records: np.ndarray, index: int, *names: str) -> memoryview:
     """Return a view of one scalar field of the record ``index``, whose only element is read and written by ``[0]``.
 
-    This is several times faster than the access to a field of the record. ``names``: the field, in nested records the
-    path to it.
+    This is several times faster than the access to a field of the record. ``names`` is the field, or the path to it in
+    nested records.
     """
     for name in names:
         records = records[name]

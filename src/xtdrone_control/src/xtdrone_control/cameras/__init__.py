@@ -1,4 +1,4 @@
-"""Cameras as geometry: pinholes, lenses that distort by ROS's distortion models, and poses on gimbals."""
+"""Camera geometry: pinholes, lenses with ROS's distortion models, and poses on gimbals."""
 
 from xtdrone_control.cameras.equidistant import Equidistant
 from xtdrone_control.cameras.lens_drawing import MOST_GROWTH, Drawing, drawing_of

@@ -54,7 +54,7 @@ def optical_pose(link: CameraPose) -> CameraPose:
 
 
 def mount_orientation(roll: float, pitch: float, yaw: float) -> Quaternion:
-    """Return the gimbal's orientation for angles in rad; negative pitch looks down, yaw is relative to the heading."""
+    """Return the gimbal's orientation for angles in rad; negative pitch points down, yaw is relative to the heading."""
     return frames.quaternion_from_rpy(roll, pitch, yaw)
 
 

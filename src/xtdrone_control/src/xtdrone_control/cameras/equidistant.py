@@ -1,6 +1,6 @@
-"""Fisheye lenses of the model ``equidistant``, which see more than half of the world.
+"""Fisheye lenses of the model ``equidistant``, whose field of view may exceed a hemisphere.
 
-A ray at the angle t from the optical axis is shown at the distance
+A ray at the angle t from the optical axis is imaged at the distance
 
     d = t (1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8)
 
@@ -42,7 +42,7 @@ class Equidistant:
 
     @staticmethod
     def of_view(width: int, height: int, horizontal_fov: float, coefficients: tuple[float, ...]) -> Equidistant:
-        """Return the lens that sees an angle between left and right edge, with the principal point in the middle.
+        """Return the lens with the given angle between left and right edge and the principal point in the middle.
 
         Args:
             width, height: pixels, 1 to 8192.
@@ -66,7 +66,7 @@ class Equidistant:
         return Equidistant(Pinhole(int(width), int(height), focal, focal, 0.5 * width, 0.5 * height), coefficients)
 
     def distances(self, angles: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the distances, in focal lengths, at which rays at these angles from the axis, rad, are shown."""
+        """Return the distances from the principal point, in focal lengths, of rays at angles from the axis, rad."""
         k1, k2, k3, k4 = self.coefficients
         square = angles * angles
         return angles * (1.0 + square * (k1 + square * (k2 + square * (k3 + square * k4))))
@@ -85,9 +85,9 @@ class Equidistant:
         return float(grid[falling[0] - 1]) if len(falling) else math.pi
 
     def rays(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the rays that the lens shows in pixels (n, 2), (n, 3) unit vectors in the optical frame.
+        """Return the rays of pixels (n, 2) as (n, 3) unit vectors in the optical frame.
 
-        NaN beyond the lens's circle, where there is none.
+        Pixels beyond the lens's image circle have no ray: NaN.
         """
         p = self.pinhole
         x, y = (pixels[:, 0] - p.cx) / p.fx, (pixels[:, 1] - p.cy) / p.fy

@@ -1,7 +1,7 @@
-"""How images of lenses are made from images of pinholes, which a renderer draws.
+"""Images of lenses, resampled from the pinhole images that a renderer draws.
 
-A lens that sees little more than its pinhole is drawn as one wider pinhole's image. One that sees more, up to
-everything around it, is drawn as up to six images, the faces of a cube, below each other in one *sheet*.
+A lens with a field of view little wider than its pinhole's is drawn as one wider pinhole image. One with a wider view,
+up to the full sphere, is drawn as up to six images, the faces of a cube, stacked vertically in one *sheet*.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from xtdrone_control.cameras.plumb_bob import PlumbBob
 from xtdrone_control.rotation import Quaternion
 
 MOST_GROWTH = 3.0
-"""Width and height of the image that a lens needs, in those of its own, at most."""
+"""Limit of width and height of the image that a lens needs, as a multiple of its own."""
 
 _AHEAD: Quaternion = (1.0, 0.0, 0.0, 0.0)
 _HALF = math.sqrt(0.5)
@@ -43,21 +43,22 @@ _AXES = np.array(
     ],
     float,
 )
-"""Of each face its x, y and z (REP 103's optical frame: right, down, ahead) in the optical frame of the camera."""
-_MARGIN = 2  # pixels of a face beyond its edges, so that what is between its outermost pixels is its own
+"""For each face, its x, y and z axes (REP 103's optical frame: right, down, ahead) in the optical frame of the camera.
+"""
+_MARGIN = 2  # margin, pixels, so that interpolation near an edge of a face uses only pixels of that face
 _NOWHERE = -10.0  # a place outside of every image
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """How a lens's image is made.
+    """Recipe for a lens's image.
 
     Attributes:
-        pinhole: camera of each image to draw; together they show all that the lens shows.
+        pinhole: camera of each image to draw; together they cover the lens's field of view.
         faces: orientation of each image's camera in that of the lens (x ahead, y left, z up).
         columns, rows: of the lens's pixels in the sheet, (height, width) float32; the centre of the upper left pixel is
-            (0, 0), as in OpenCV. Places outside the sheet are of pixels without a ray.
-        plain: the same of the pixels of the lens's ``pinhole``: the image without distortion.
+            (0, 0), as in OpenCV. Pixels without a ray have places outside the sheet.
+        plain: the same for the pixels of the lens's ``pinhole``, which give the image without distortion.
     """
 
     pinhole: Pinhole
@@ -72,7 +73,8 @@ def drawing_of(lens: PlumbBob | Equidistant) -> Drawing:
     """Return how to draw a lens's images.
 
     Raises:
-        ValueError: the lens shows no ray in some pixel, or needs an image greater than ``MOST_GROWTH`` of its own.
+        ValueError: some pixel of the lens has no ray, or the lens needs an image larger than ``MOST_GROWTH`` times its
+            own.
     """
     own = lens.pinhole
     columns, rows = np.meshgrid(np.arange(own.width) + 0.5, np.arange(own.height) + 0.5)
@@ -97,13 +99,13 @@ def _maps(own: Pinhole, places: NDArray[np.float64]) -> tuple[NDArray[np.float32
 
 
 def _needed(own: Pinhole, rays: NDArray[np.float64]) -> tuple[int, int]:
-    """Return width and height, pixels, of the pinhole's image that has all rays, which are ahead."""
+    """Return width and height, pixels, of the pinhole image that contains all rays, which must point ahead."""
     across, down = np.abs(rays[:, :2] / rays[:, 2:]).max(axis=0)
     return 2 * math.ceil(across * own.fx + 1.0), 2 * math.ceil(down * own.fy + 1.0)
 
 
 def _single(lens: PlumbBob | Equidistant, rays: NDArray[np.float64]) -> Pinhole | None:
-    """Return the one pinhole whose image has all rays; None if that image is too great."""
+    """Return the single pinhole whose image contains all rays; None if that image is too large."""
     own = lens.pinhole
     seen = rays[~np.isnan(rays[:, 2])]
     if (seen[:, 2] < 1e-3).any():
@@ -125,7 +127,7 @@ def _too_wide(lens: PlumbBob | Equidistant, rays: NDArray[np.float64]) -> str:
 
 
 def _in_single(pinhole: Pinhole, rays: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the places of rays in the image of one pinhole, (n, 2)."""
+    """Return the pixel positions of rays in the image of one pinhole, (n, 2)."""
     with np.errstate(invalid="ignore"):
         flat = rays[:, :2] / rays[:, 2:]
     places = flat * (pinhole.fx, pinhole.fy) + (pinhole.cx - 0.5, pinhole.cy - 0.5)
@@ -135,10 +137,10 @@ def _in_single(pinhole: Pinhole, rays: NDArray[np.float64]) -> NDArray[np.float6
 def _cube(lens: Equidistant, rays: NDArray[np.float64]) -> tuple[Pinhole, list[int]]:
     """Return the camera of a cube's faces, and which of ``_FACES`` are needed for rays.
 
-    A face has at least as many pixels for an angle as the lens.
+    A face has at least as many pixels per angle as the lens.
 
     Raises:
-        ValueError: the faces would be too great.
+        ValueError: the faces would be too large.
     """
     seen = rays[~np.isnan(rays[:, 2])]
     farthest = float(np.arccos(np.clip(seen[:, 2].min(), -1.0, 1.0)))
@@ -161,7 +163,7 @@ def _face_of(rays: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.f
 
 
 def _in_cube(cube: Pinhole, used: list[int], rays: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the places of rays in the sheet of the used faces, (n, 2)."""
+    """Return the pixel positions of rays in the sheet of the used faces, (n, 2)."""
     row = np.full(len(_FACES), -1)
     row[used] = np.arange(len(used))
     there = ~np.isnan(rays[:, 2])

@@ -1,6 +1,6 @@
-"""Lens distortion of the model ``plumb_bob``: where a lens shows what a pinhole would show elsewhere.
+"""Lens distortion of the model ``plumb_bob``: the displacement of image points relative to a pinhole.
 
-With x, y the coordinates of a viewing ray at z = 1 and r^2 = x^2 + y^2, the lens shows it at
+With x, y the coordinates of a viewing ray at z = 1 and r^2 = x^2 + y^2, the lens images it at
 
     x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)
     y' = y (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y
@@ -38,7 +38,7 @@ class PlumbBob:
     coefficients: tuple[float, ...]
 
     def distort(self, rays: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return where rays (n, 2), x and y at z = 1, are shown, (n, 2) at z = 1."""
+        """Return the distorted positions, (n, 2) at z = 1, of rays given by x and y at z = 1, (n, 2)."""
         k1, k2, p1, p2, k3 = self.coefficients
         x, y = rays[:, 0], rays[:, 1]
         square = x * x + y * y
@@ -51,10 +51,10 @@ class PlumbBob:
         )
 
     def undistort(self, shown: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the rays that the lens shows at ``shown``, both (n, 2) at z = 1; the inverse of ``distort``.
+        """Return the rays that the lens images at ``shown``, both (n, 2) at z = 1; the inverse of ``distort``.
 
         Raises:
-            ValueError: the lens shows no ray there, or the iteration does not find it.
+            ValueError: no ray is imaged there, or the iteration does not converge.
         """
         rays = shown.copy()
         with np.errstate(all="ignore"):
@@ -67,7 +67,7 @@ class PlumbBob:
         return rays
 
     def rays(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the rays that the lens shows in pixels (n, 2), (n, 3) in the optical frame with z = 1.
+        """Return the rays of pixels (n, 2), as (n, 3) in the optical frame with z = 1.
 
         Raises:
             ValueError: as ``undistort``.

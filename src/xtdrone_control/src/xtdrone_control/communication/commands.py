@@ -1,7 +1,7 @@
 """Logic of the multirotor communication node, independent of ROS: from inputs to a setpoint and service requests.
 
 As in XTDrone, the last input is the setpoint until the next one; a velocity or acceleration inside the dead zone means
-HOVER, which holds the current pose; commands other than ``OWN_COMMANDS`` are passed to set_mode unchanged.
+HOVER, which holds the current pose; commands other than ``OWN_COMMANDS`` are sent to set_mode unchanged.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class CommandSettings(Settings):
         low=0.0,
         high=LARGEST,
         unit="m/s",
-        text="a velocity (or acceleration, m/s^2) command not above this on any axis, with a yaw rate up to "
+        text="a velocity (or acceleration, m/s^2) command that does not exceed this on any axis, with a yaw rate up to "
         f"{HOVER_YAW_RATE:g} rad/s, means HOVER",
     )
     cmd_timeout: float = setting(
@@ -97,7 +97,7 @@ class Request:
 
 @dataclass(frozen=True)
 class Steady:
-    """State of a core whose setpoint changes by velocity and acceleration commands alone; poses only update its pose.
+    """State of a core whose setpoint changes only by velocity and acceleration commands; poses only update its pose.
 
     Attributes:
         hover_speed: m/s, see :class:`CommandSettings`.
@@ -136,7 +136,7 @@ class MultirotorCore:
         """Start holding.
 
         Args:
-            name: name of the vehicle, as ``iris_0``, for messages.
+            name: name of the vehicle, such as ``iris_0``, for messages.
             log: destination of log messages.
             hover_speed: m/s (m/s^2 for accelerations), see :class:`CommandSettings`. XTDrone's 0.02 ignores the first
                 two key presses of its keyboard and stops a formation up to 2 cm per axis and layer of the topology
@@ -190,7 +190,7 @@ class MultirotorCore:
         return self.hovering or (self._idle and self._pose is not None)
 
     def steady(self) -> Steady | None:
-        """Return the state if nothing but velocity and acceleration commands can change the setpoint now, else None.
+        """Return the state if only velocity and acceleration commands can now change the setpoint, else None.
 
         While ``mavros/state`` repeats mode and arming state, the core then ignores it.
         """
@@ -266,7 +266,7 @@ class MultirotorCore:
     def on_target_pose(
         self, topic: str, position: Vector, quaternion: tuple[float, float, float, float], *, body: bool
     ) -> None:
-        """Apply a cmd_pose message: m, ENU or FLU offset; quaternion (x, y, z, w)."""
+        """Apply a cmd_pose message: position in m, ENU, or offset in FLU; quaternion (x, y, z, w)."""
         if self._is_valid(topic, _POSE_FIELDS, (*position, *quaternion)):
             self._set(pose_setpoint(position, yaw_of(*quaternion), body=body), moving_since=None)
 
@@ -313,7 +313,7 @@ class MultirotorCore:
             self._log.info(f"{self.name}: HOVER")
         else:
             self._log.warning(
-                f"{self.name}: HOVER: no pose has come on /{self.name}/mavros/local_position/pose yet; "
+                f"{self.name}: HOVER: no pose received yet on /{self.name}/mavros/local_position/pose yet; "
                 "velocity zero is set instead"
             )
 
@@ -361,7 +361,7 @@ class MultirotorCore:
         return not self._confirmed and now - self._accepted_at <= STATE_GRACE
 
     def _check_late_state(self, now: float) -> None:
-        """Warn once if an accepted command does not show in mavros/state: MAVROS replies on sending, not on success."""
+        """Warn once if mavros/state does not show an accepted command: MAVROS replies on sending, not on success."""
         if self._accepted_at is None or self._confirmed or self._mode is None or self._request is None:
             return
         if now - self._accepted_at > STATE_GRACE:

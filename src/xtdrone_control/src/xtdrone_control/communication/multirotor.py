@@ -1,6 +1,6 @@
 """Communication node of multirotors: from XTDrone's command topics to MAVROS's setpoints and services.
 
-For each vehicle ``T`` (as ``iris_0``):
+For each vehicle ``T`` (such as ``iris_0``):
 
 =====================================  ==========================  ==================================================
 topic                                  type                        meaning
@@ -35,7 +35,7 @@ from xtdrone_control.communication.setpoint import Setpoint, Vector
 from xtdrone_control.ros_codec import compile_class
 
 RATE = 30  # Hz
-_ANSWER_LIMIT = 100.0  # s of wall time; the simulator drops a MAVROS layer that hangs before
+_ANSWER_LIMIT = 100.0  # s of wall time; a MAVROS layer that hangs is dropped by the simulator earlier than this
 
 
 class RosLog:
@@ -57,7 +57,7 @@ class RosLog:
 class MavrosServices:
     """Calls the MAVROS services of one vehicle.
 
-    In lockstep a call blocks: the simulator waits, so the result falls into the same tick in every run. In real time a
+    In lockstep a call blocks: the simulator waits, so the result arrives in the same tick in every run. In real time a
     slow reply would interrupt the setpoint stream and end OFFBOARD, so the call runs in the background. In both cases a
     separate thread makes the call, since rospy waits for a reply without a timeout. During a blocking call the
     simulator is asked to advance time: PX4 replies only then, and a MAVROS outside the lockstep cannot request it.
@@ -75,7 +75,7 @@ class MavrosServices:
 
     @property
     def busy(self) -> bool:
-        """Whether a call is in progress, or its result has not been returned by :meth:`finished`."""
+        """Whether a call is in progress or :meth:`finished` has yet to return its result."""
         return bool(self._calls)
 
     def submit(self, request: Request) -> None:
@@ -90,7 +90,7 @@ class MavrosServices:
         thread.join(_ANSWER_LIMIT)
         if not call.done():
             call = Future()
-            call.set_result((False, f"no answer within {_ANSWER_LIMIT:g} s of wall time; does MAVROS hang?"))
+            call.set_result((False, f"no response within {_ANSWER_LIMIT:g} s of wall time; is MAVROS hanging?"))
         self._calls.append((request, call))
 
     def finished(self) -> list[tuple[Request, bool, str]]:
@@ -133,12 +133,12 @@ class MavrosServices:
 
 
 class MavrosLink:
-    """One vehicle's MAVROS around a :class:`MultirotorCore`: state and pose in, setpoints and service calls out.
+    """Connects a :class:`MultirotorCore` to one vehicle's MAVROS: state and pose in, setpoints and service calls out.
 
     Create it between ``lockstep.init_node`` and ``lockstep.start``, then call :meth:`step` at 30 Hz.
 
     Attributes:
-        vehicle: name, as ``iris_0``.
+        vehicle: name, such as ``iris_0``.
         core: computes the setpoint.
     """
 
@@ -146,7 +146,7 @@ class MavrosLink:
         """Declare the topics.
 
         Args:
-            vehicle: name, as ``iris_0``.
+            vehicle: name, such as ``iris_0``.
             core: setpoint and commands of the vehicle.
             in_lockstep: whether the node is a lockstep participant.
         """
@@ -158,10 +158,10 @@ class MavrosLink:
         self._output = lockstep.Publisher(f"/{vehicle}/mavros/setpoint_raw/local", PositionTarget)
         lockstep.Subscriber(f"/{vehicle}/mavros/state", State, self._on_state)
         lockstep.Subscriber(f"/{vehicle}/mavros/local_position/pose", PoseStamped, self._on_pose)
-        lockstep.add_reset_hook(self.core.restart)  # the vehicle is as at the start, and times of before are to come
+        lockstep.add_reset_hook(self.core.restart)  # the vehicle is in its initial state, and time starts again
 
     def step(self) -> None:
-        """Publish the setpoint and evaluate finished service calls; 30 Hz."""
+        """Publish the setpoint and process the results of finished service calls; call it at 30 Hz."""
         now = rospy.Time.now()
         seconds = now.to_sec()
         for request, accepted, reason in self._services.finished():
@@ -179,10 +179,10 @@ class MavrosLink:
         return self._output
 
     def steady(self) -> tuple[Steady, bytes] | None:
-        """Return the state in which only velocity and acceleration commands change the setpoint; None in others.
+        """Return the state if only velocity and acceleration commands can change the setpoint, else None.
 
         Returns:
-            The core's state, and the serialised setpoint behind its length.
+            The core's state, and the serialised setpoint, preceded by its length.
         """
         state = None if self._services.busy else self.core.steady()
         codec = compile_class(PositionTarget)
@@ -214,10 +214,10 @@ class MultirotorCommunication(MavrosLink):
         """Declare the topics.
 
         Args:
-            vehicle: name, as ``iris_0``.
+            vehicle: name, such as ``iris_0``.
             hover_speed: see :class:`MultirotorCore`.
             cmd_timeout: see :class:`MultirotorCore`.
-            in_lockstep: whether a simulator holds time while this node works.
+            in_lockstep: whether the node is a lockstep participant.
 
         Raises:
             ValueError: ``hover_speed`` or ``cmd_timeout`` is not allowed.
@@ -250,11 +250,12 @@ class MultirotorCommunication(MavrosLink):
         self.core.on_target_velocity(topic, vector, message.angular.z, now, body=body)
 
     def catch_up(self, pose: Sequence[float], command: Sequence[float]) -> None:
-        """Apply what compiled code has received in turns that it has taken, see :meth:`steady`.
+        """Apply the messages that compiled code received in the turns it ran, see :meth:`steady`.
 
         Args:
-            pose: the last pose: position, m ENU, and quaternion (x, y, z, w); empty without one.
-            command: the last velocity command beyond the dead zone: m/s ENU, rad/s, and its time, s; empty without one.
+            pose: the last pose: position, m ENU, and quaternion (x, y, z, w); empty if there is none.
+            command: the last velocity command outside the dead zone: m/s ENU, rad/s, and its time, s; empty if there is
+                none.
         """
         if pose:
             x, y, z, *quaternion = pose

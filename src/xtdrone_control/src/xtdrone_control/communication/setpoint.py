@@ -81,7 +81,7 @@ def yaw_of(x: float, y: float, z: float, w: float) -> float:
 
 def first_bad_field(names: Sequence[str], values: Sequence[float]) -> str | None:
     """Return ``"name is value"`` for the first value that is NaN, infinite or beyond +-1e6; None if all are valid."""
-    if sum(map(abs, values)) <= LARGEST:  # then each of them is
+    if sum(map(abs, values)) <= LARGEST:  # then each value is at most LARGEST
         return None
     for name, value in zip(names, values, strict=True):
         if not abs(value) <= LARGEST:  # written so that NaN fails too

@@ -14,9 +14,10 @@
 and a MAVROS of each vehicle, ours or the real one; it uses only topics and services of MAVROS's standard plugins. No
 other node may command the same vehicle meanwhile.
 
-Positions are m ENU in the vehicle's local frame (in the simulator, by default, one map frame shared by all), velocities
-m/s, headings rad (0 is east, counter-clockwise), times s of ROS time. A verb blocks until it is done, and raises
-``DroneError`` with vehicle, verb and reason; ``TimedOutError`` and ``RejectedError`` are such errors.
+Positions are in m, ENU, in the vehicle's local frame (by default, the simulator uses one map frame for all vehicles);
+velocities are in m/s, headings in rad (0 is east, counter-clockwise), times in s of ROS time. A verb blocks until it is
+done, and raises ``DroneError`` with vehicle, verb and reason; ``TimedOutError`` and ``RejectedError`` are subclasses of
+it.
 
 Two ways to run:
 
@@ -53,7 +54,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import the ROS node's side, and rospy with it, at first use."""
+    """Import the ROS-dependent part, and rospy with it, on first use."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from . import script_node

@@ -1,4 +1,4 @@
-"""One vehicle, or several at once, as a script sees them."""
+"""Classes through which a script commands one vehicle or several at once."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ class Runner(Protocol):
     """Carries out verbs."""
 
     def run(self, verb: str, steps: dict[str, Steps]) -> None:
-        """Run a verb for some vehicles at once, to its end for each."""
+        """Run a verb for several vehicles at once until it has ended for each."""
 
     def release(self, names: Sequence[str]) -> None:
         """Stop commanding vehicles; those in OFFBOARD hold position from now on."""
 
 
 class _Flyer:
-    """Common base of one vehicle and several: the verbs that need no data of a single vehicle."""
+    """Base class of one vehicle and of several: the verbs that need no data of a single vehicle."""
 
     def __init__(self, runner: Runner, vehicles: Sequence[Verbs]) -> None:
         self._runner = runner
@@ -33,7 +33,7 @@ class _Flyer:
         self._runner.run(verb, {v.name: start(i, v) for i, v in enumerate(self._vehicles)})
 
     def arm(self, timeout: float = 30.0) -> None:
-        """Arm, once the autopilot reports to be ready; ``timeout`` s later at the latest."""
+        """Arm as soon as the autopilot reports that it is ready, after ``timeout`` s at the latest."""
         check_positive("arm", timeout=timeout)
         self._run("arm", lambda _, v: v.arm(timeout))
 
@@ -57,12 +57,12 @@ class _Flyer:
         self._run("hold", lambda _, v: v.hold())
 
     def land(self, timeout: float = 120.0) -> None:
-        """Land, and wait until the autopilot has disarmed; nothing happens if it is disarmed already."""
+        """Land, and wait until the autopilot has disarmed; do nothing if it is already disarmed."""
         check_positive("land", timeout=timeout)
         self._run("land", lambda _, v: v.land(timeout))
 
     def set_mode(self, mode: str) -> None:
-        """Switch to a flight mode by MAVROS's name of it, as ``AUTO.RTL``."""
+        """Switch to a flight mode, given by its name in MAVROS, such as ``AUTO.RTL``."""
         self._run("set_mode", lambda _, v: v.set_mode(mode))
 
     def wait(self, seconds: float) -> None:
@@ -85,13 +85,13 @@ class Drone(_Flyer):
     """One vehicle. See ``xtdrone_control.drone`` for frames, units, time and errors."""
 
     def __init__(self, runner: Runner, verbs: Verbs) -> None:
-        """Command the vehicle of ``verbs``; made by ``connect``."""
+        """Command the vehicle of ``verbs``; ``connect`` creates the object."""
         super().__init__(runner, [verbs])
         self._verbs = verbs
 
     @property
     def name(self) -> str:
-        """As ``iris_0``."""
+        """Name, such as ``iris_0``."""
         return self._verbs.name
 
     @property
@@ -119,7 +119,7 @@ class Drone(_Flyer):
 
     @property
     def mode(self) -> str:
-        """Flight mode by MAVROS's name of it, as ``OFFBOARD``."""
+        """Flight mode by its name in MAVROS, such as ``OFFBOARD``."""
         return self._verbs.core.mode
 
     @property
@@ -150,12 +150,12 @@ class Drone(_Flyer):
         self._run("go_to", lambda _, v: v.go_to((x, y, z), heading, tolerance, timeout))
 
     def set_velocity(self, vx: float, vy: float, vz: float, yaw_rate: float = 0.0, *, body: bool = False) -> None:
-        """Fly with a velocity in OFFBOARD until the next verb that moves the vehicle; returns at once.
+        """Fly at a velocity in OFFBOARD until the next verb that moves the vehicle; return at once.
 
         Args:
-            vx, vy, vz: m/s ENU, or FLU if ``body``; all zero: hold position.
+            vx, vy, vz: m/s ENU, or FLU if ``body``; all zero holds the position.
             yaw_rate: rad/s, counter-clockwise.
-            body: in the vehicle's own axes: ahead, left, up.
+            body: whether the velocity is along the vehicle's own axes: forward, left, up.
         """
         check_numbers("set_velocity", vx=vx, vy=vy, vz=vz, yaw_rate=yaw_rate)
         self._run("set_velocity", lambda _, v: v.set_velocity((vx, vy, vz), yaw_rate, body=body))
@@ -167,13 +167,13 @@ class Drone(_Flyer):
 
 
 class DroneGroup(_Flyer):
-    """Several vehicles: each verb acts on all at once, and returns when it is done for all.
+    """Several vehicles: each verb acts on all of them at once, and returns when it is done for all.
 
-    If a verb fails for some vehicles, the others carry it out, then the error is raised.
+    If a verb fails for some vehicles, the others still carry it out; then the error is raised.
     """
 
     def __init__(self, drones: Sequence[Drone]) -> None:
-        """Command ``drones``, at least one; made by ``connect_all``."""
+        """Command ``drones``, at least one; ``connect_all`` creates the object."""
         super().__init__(drones[0]._runner, [drone._verbs for drone in drones])
         self.drones = list(drones)
 
@@ -188,7 +188,7 @@ class DroneGroup(_Flyer):
 
     @property
     def names(self) -> list[str]:
-        """N names, as ``iris_0``."""
+        """N names, such as ``iris_0``."""
         return [drone.name for drone in self.drones]
 
     @property
@@ -213,7 +213,7 @@ class DroneGroup(_Flyer):
 
     @property
     def mode(self) -> list[str]:
-        """N flight modes by MAVROS's names of them."""
+        """N flight modes by their names in MAVROS."""
         return [drone.mode for drone in self.drones]
 
     @property
@@ -232,7 +232,7 @@ class DroneGroup(_Flyer):
         """Fly to positions in OFFBOARD, and stay there.
 
         Args:
-            positions: (N, 3) m ENU, one a vehicle.
+            positions: (N, 3) m ENU, one for each vehicle.
             headings: (N,) or one for all, rad ENU; None keeps the current ones.
             tolerance: m from the goal within which the verb is done.
             timeout: s; None: 20 s and 2 s a metre.
@@ -243,12 +243,12 @@ class DroneGroup(_Flyer):
         self._run("go_to", lambda i, v: v.go_to(goals[i], None if turns is None else turns[i], tolerance, timeout))
 
     def set_velocity(self, velocities: ArrayLike, yaw_rates: ArrayLike = 0.0, *, body: bool = False) -> None:
-        """Fly with velocities in OFFBOARD until the next verb that moves the vehicles; returns at once.
+        """Fly at velocities in OFFBOARD until the next verb that moves the vehicles; return at once.
 
         Args:
-            velocities: (N, 3), or (3,) for all, m/s ENU, or FLU if ``body``; all zero: hold position.
+            velocities: (N, 3), or (3,) for all, m/s ENU, or FLU if ``body``; all zero holds the position.
             yaw_rates: (N,) or one for all, rad/s, counter-clockwise.
-            body: in each vehicle's own axes: ahead, left, up.
+            body: whether the velocities are along each vehicle's own axes: forward, left, up.
         """
         rows = self._rows("set_velocity", "velocities", velocities, broadcast=True)
         rates = self._numbers("set_velocity", "yaw_rates", yaw_rates)

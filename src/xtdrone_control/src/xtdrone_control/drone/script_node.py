@@ -29,12 +29,12 @@ from .verbs import DroneError, GroupError, Steps, Verbs
 
 NODE = "drone_script"
 _SLICE = 0.1  # s of wall time between checks for Ctrl-C
-_STALLED = 20.0  # s of wall time without ROS time passing, after which connecting gives up
+_STALLED = 20.0  # s of wall time after which connecting gives up if ROS time does not advance
 _CLOSE_LIMIT = 5.0  # s of ROS time for a vehicle to enter AUTO.LOITER at the end
 
 
 class _Log:
-    """The core's messages: verbs raise errors instead, so only invalid messages are logged."""
+    """Destination of the core's log messages; verbs raise errors instead, so all but warnings are at DEBUG."""
 
     def info(self, text: str) -> None:
         """Log at DEBUG."""
@@ -50,14 +50,14 @@ class _Log:
 
 
 class ScriptLink(MavrosLink):
-    """One vehicle's MAVROS, with the telemetry that verbs need.
+    """Connection to one vehicle's MAVROS, with the telemetry that the verbs need.
 
     Attributes:
         verbs: the vehicle's.
     """
 
     def __init__(self, vehicle: str, *, in_lockstep: bool) -> None:
-        """Declare the topics of ``vehicle`` (as ``iris_0``)."""
+        """Declare the topics of ``vehicle`` (such as ``iris_0``)."""
         core = MultirotorCore(vehicle, _Log(), hover_speed=0.0)
         self.verbs = Verbs(vehicle, core, self._submit, rospy.get_time)
         super().__init__(vehicle, core, in_lockstep=in_lockstep)
@@ -69,7 +69,7 @@ class ScriptLink(MavrosLink):
         lockstep.add_reset_hook(self.verbs.on_reset)
 
     def step(self) -> None:
-        """Publish the setpoint and evaluate finished service calls."""
+        """Publish the setpoint and process the results of finished service calls."""
         super().step()
         if self._output.get_num_connections():
             self.verbs.on_setpoint()
@@ -104,11 +104,11 @@ class Session:
     """The node of this process, and the vehicles that it commands.
 
     A turn advances the running verbs, publishes every vehicle's setpoint, and receives messages. In lockstep the main
-    thread runs turns while a verb lasts; else a thread of its own runs them all the time.
+    thread runs turns only during a verb; otherwise a separate thread runs them all the time.
 
     Attributes:
         in_lockstep: whether the script is a lockstep participant.
-        closed: whether the node has left; no vehicle can be connected any more.
+        closed: whether the node has shut down, so that no more vehicles can be connected.
     """
 
     def __init__(self, node: str, in_lockstep: bool | None) -> None:
@@ -116,10 +116,11 @@ class Session:
 
         Args:
             node: its name.
-            in_lockstep: take part in the simulator's lockstep if there is one; None: unless at an interactive prompt.
+            in_lockstep: whether to take part in the simulator's lockstep, if there is one; None: yes, except at an
+                interactive prompt.
 
         Raises:
-            DroneError: no master, or rospy was initialised before.
+            DroneError: there is no master, or rospy is already initialised.
         """
         if rospy.core.is_initialized():
             raise DroneError(node, "connect", "rospy is already initialised; call connect() instead of init_node()")
@@ -174,15 +175,15 @@ class Session:
             threading.Thread(target=self._stream, name="drone setpoints", daemon=True).start()
 
     def run(self, verb: str, steps: dict[str, Steps], stall: float | None = None) -> None:
-        """Run a verb for some vehicles at once, to its end for each.
+        """Run a verb for several vehicles at once until it has ended for each.
 
         Args:
             verb: its name.
             steps: one generator for each vehicle, by name.
-            stall: s of wall time without ROS time passing after which to give up; None: never.
+            stall: s of wall time after which to give up if ROS time does not advance; None: never.
 
         Raises:
-            DroneError: it has failed for a vehicle; the other vehicles' verbs have been carried out.
+            DroneError: the verb failed for a vehicle; the other vehicles have carried it out.
         """
         names = ", ".join(steps)
         if self.closed:
@@ -226,7 +227,7 @@ class Session:
             self._task = None
 
     def _stream(self) -> None:
-        """Run turns until the node ends: the thread of a free-running script."""
+        """Run turns until the node shuts down; the main function of a free-running script's thread."""
         try:
             while not rospy.is_shutdown():
                 task = self._task
@@ -251,7 +252,7 @@ class Session:
         self._interrupt = error
 
     def release(self, names: Sequence[str]) -> None:
-        """Stop commanding vehicles; those in OFFBOARD hold position from now on. The last one ends the node."""
+        """Stop commanding vehicles; those in OFFBOARD hold position. Releasing the last one shuts the node down."""
         names = [name for name in names if name in self._links]
         if names and not rospy.is_shutdown():
             self._hold(names)
@@ -288,10 +289,10 @@ class Session:
 
 
 class _Task:
-    """A verb under way for some vehicles.
+    """A verb in progress for one or more vehicles.
 
     Attributes:
-        done: set when it has ended for all.
+        done: set when the verb has ended for all vehicles.
     """
 
     def __init__(self, verb: str, steps: dict[str, Steps], vehicles: Sequence[Verbs]) -> None:
@@ -340,7 +341,7 @@ class _StalledError(Exception):
 
 
 class _Watch:
-    """Detects that ROS time stands still."""
+    """Detects that ROS time does not advance."""
 
     def __init__(self, limit: float | None) -> None:
         self._limit = limit
@@ -362,7 +363,7 @@ def connect(name: str = "iris_0", *, node: str = NODE, lockstep: bool | None = N
     """Connect one vehicle.
 
     Args:
-        name: as ``iris_0``: its MAVROS is in the namespace ``/iris_0/mavros``.
+        name: such as ``iris_0``: its MAVROS is in the namespace ``/iris_0/mavros``.
         node: name of this process's ROS node, at the first call.
         lockstep: True or False to take part in the simulator's lockstep or not, at the first call; None: take part
             unless at an interactive prompt, where time would stand still between two lines.
@@ -435,7 +436,7 @@ def _interactive() -> bool:
 
 @contextlib.contextmanager
 def _joining(node: str, join: bool) -> Iterator[None]:
-    """Keep the node that is initialised within out of the lockstep unless it is to join."""
+    """Keep a node that is initialised in this context out of the lockstep unless ``join``."""
     if join or not rosgraph.is_master_online():
         yield
         return

@@ -16,7 +16,7 @@ Steps = Iterator[None]
 MODE_LIMIT = 5.0  # s for mavros/state, which follows the 1 Hz heartbeat, to show a mode or an arming state
 ANSWER_LIMIT = 15.0  # s for MAVROS to answer a service call; it waits some seconds for the autopilot itself
 STREAM_LEAD = 0.5  # s of setpoints before OFFBOARD is requested; PX4 rejects it without a stream
-TEXT_GRACE = 1.0  # s after a rejection in which the autopilot's text may still arrive
+TEXT_GRACE = 1.0  # s after a rejection during which the autopilot's explanation may still arrive
 ARRIVED_SPEED = 0.5  # m/s below which a vehicle at its goal has arrived
 LEAST_PROGRESS = 0.5  # m/s: the default timeout allows for this mean speed
 _WARNING = 4  # MAV_SEVERITY; texts of this severity or worse explain a rejection
@@ -26,12 +26,12 @@ _ARM, _DISARM = Request("ARM", True), Request("DISARM", False)
 
 
 class DroneError(Exception):
-    """A verb that has failed.
+    """Error of a verb that failed.
 
     Attributes:
-        vehicle: name, as ``iris_0``; several names with commas between where several have failed.
+        vehicle: name, such as ``iris_0``; comma-separated names if several vehicles failed.
         verb: name of the verb.
-        reason: why, with the autopilot's last warning if there was one.
+        reason: why the verb failed, with the autopilot's last warning if there was one.
     """
 
     def __init__(self, vehicle: str, verb: str, reason: str) -> None:
@@ -51,7 +51,7 @@ class TimedOutError(DroneError):
 
 
 class GroupError(DroneError):
-    """A verb that has failed for several vehicles.
+    """Error of a verb that failed for several vehicles.
 
     Attributes:
         errors: one for each vehicle that failed.
@@ -67,7 +67,7 @@ class GroupError(DroneError):
 
 @dataclass
 class Telemetry:
-    """The vehicle's MAVROS reports besides mode, arming state and pose.
+    """Telemetry from the vehicle's MAVROS other than mode, arming state and pose.
 
     Attributes:
         connected: whether MAVROS receives the autopilot's heartbeat.
@@ -89,10 +89,10 @@ class Verbs:
     """The verbs of one vehicle.
 
     Attributes:
-        name: of the vehicle, as ``iris_0``.
-        core: computes the setpoint that is streamed meanwhile.
-        telemetry: what the vehicle reports.
-        resets: how often simulated time was reset.
+        name: of the vehicle, such as ``iris_0``.
+        core: computes the setpoint that is streamed during a verb.
+        telemetry: the vehicle's latest reports.
+        resets: number of resets of simulated time.
     """
 
     def __init__(self, name: str, core: MultirotorCore, submit: Callable[[Request], None], now: Callable[[], float]):
@@ -100,7 +100,7 @@ class Verbs:
 
         Args:
             name: of the vehicle.
-            core: of the vehicle; it gets state and pose elsewhere.
+            core: of the vehicle; the caller gives it state and pose.
             submit: starts a service call, whose outcome is passed to ``on_result``.
             now: returns ROS time, s.
         """
@@ -117,7 +117,7 @@ class Verbs:
     # inputs
 
     def on_setpoint(self) -> None:
-        """Record the publication of a setpoint that MAVROS receives."""
+        """Record that a setpoint was published which MAVROS receives."""
         if self._streaming_since is None:
             self._streaming_since = self._now()
 
@@ -152,7 +152,7 @@ class Verbs:
     def arm(self, timeout: float) -> Steps:
         """Wait until the autopilot is ready, then arm.
 
-        The request is sent once, at the latest at the timeout: its rejection then gives the reason.
+        The request is sent once, at the timeout at the latest, so that a rejection tells the reason.
         """
         if self.core.armed:
             return
@@ -212,7 +212,7 @@ class Verbs:
             yield
 
     def set_mode(self, mode: str, verb: str = "set_mode") -> Steps:
-        """Switch to a flight mode by MAVROS's name of it, as ``AUTO.RTL``."""
+        """Switch to a flight mode, given by its name in MAVROS, such as ``AUTO.RTL``."""
         if self.core.mode == mode:
             return
         began = self._now()
@@ -282,7 +282,7 @@ class Verbs:
         return self.core.pose
 
     def _ready(self) -> bool:
-        """Whether the autopilot passes its prearm checks; one that does not report them counts as ready."""
+        """Return whether the autopilot passes its prearm checks; one that does not report them counts as ready."""
         present, health = self.telemetry.sensors_present, self.telemetry.sensors_health
         return present != 0 and bool(health & _PREARM_CHECK or not present & _PREARM_CHECK)
 

@@ -44,7 +44,7 @@ def parse_fleet(text: str, instance: int = 0) -> tuple[Vehicle, ...]:
 def read_fleet_file(path: str | Path, instance: int = 0) -> tuple[Vehicle, ...]:
     """Return the vehicles of a fleet file.
 
-    The file is a YAML list with one entry for each vehicle: ``name``, as ``iris_0``, or ``type``, which names the
+    The file is a YAML list with one entry for each vehicle: ``name``, such as ``iris_0``, or ``type``, which names the
     vehicles in order; ``model`` (default: the type); ``pose`` (x, y, z, roll, pitch, yaw; default: its place on the
     spawn grid); ``id`` (default: the lowest free one), which gives the MAVLink system id and the ports.
 
@@ -70,10 +70,10 @@ def fleet_text(fleet: Sequence[Vehicle]) -> str:
 
 
 def place_ids(fleet: Sequence[Vehicle], reserve: int) -> list[int]:
-    """Return the id of each place for a vehicle: those of the fleet, then the lowest free ones for ``reserve`` more.
+    """Return the id of each vehicle slot: those of the fleet, then the lowest free ones for ``reserve`` more vehicles.
 
     Raises:
-        FleetError: there would be less than none or more than 250 places.
+        FleetError: ``reserve`` is negative, or there would be more than 250 slots.
     """
     ids = [vehicle.id for vehicle in fleet]
     most = MAX_VEHICLES - len(fleet)
@@ -96,13 +96,13 @@ def split_name(name: Any) -> tuple[str, int]:
     """Return the type and the index of a vehicle's name.
 
     Raises:
-        FleetError: not TYPE_INDEX, as ``iris_0``.
+        FleetError: not TYPE_INDEX, such as ``iris_0``.
     """
     match = re.fullmatch(rf"({_TYPE})_(0|[1-9]\d{{0,3}})", name) if isinstance(name, str) else None
     if match is None or len(name) > _MOST_NAME:
         raise FleetError(
             f"name: {repr(name)[:80]} is not allowed, a type of small letters, digits and _, then _ and a number from "
-            f"0 to {_MOST_INDEX}, as iris_0"
+            f"0 to {_MOST_INDEX}, such as iris_0"
         )
     return match[1], int(match[2])
 
@@ -117,7 +117,7 @@ def _counted(text: str, instance: int) -> tuple[Vehicle, ...]:
     for entry in text.split(","):
         match = re.fullmatch(rf"\s*({_TYPE})(?:\s*:\s*(-?\d{{1,9}}))?\s*", entry)
         if match is None:
-            raise FleetError(f"vehicles: {entry!r} is not of the form type:count, as iris:9")
+            raise FleetError(f"vehicles: {entry!r} is not of the form type:count, such as iris:9")
         kind, count = match[1], int(match[2] or 1)
         if kind in seen:
             raise FleetError(f"vehicles: type {kind!r} is named twice in {text!r}")
@@ -132,9 +132,9 @@ def _listed(text: str, instance: int) -> tuple[Vehicle, ...]:
     try:
         entries = load_yaml(text)
     except ContentError as error:
-        raise FleetError(f"no valid YAML: {error}") from error
+        raise FleetError(f"not valid YAML: {error}") from error
     if not isinstance(entries, list):
-        raise FleetError(f"a list of vehicles is needed, it has {type(entries).__name__}")
+        raise FleetError(f"a list of vehicles is needed, not {type(entries).__name__}")
     if not 1 <= len(entries) <= MAX_VEHICLES:
         raise FleetError(f"{len(entries)} vehicles are not allowed, 1 to {MAX_VEHICLES}")
     vehicles: list[Vehicle] = []

@@ -1,8 +1,8 @@
-"""The fleet that launch files of XTDrone's shape spawn: one group of parameters for each vehicle.
+"""The fleet that launch files in XTDrone's format spawn: one group of parameters for each vehicle.
 
 roslaunch sets all parameters before it starts a node. Each inclusion of ``single_vehicle_spawn_xtd.launch`` therefore
-only writes its arguments to the parameter server, below a key of its own in ``SPAWNED``, and the simulator reads the
-whole fleet from there when it starts: the vehicles need no order, and none is late.
+only writes its arguments to the parameter server, under a key of its own in ``SPAWNED``, and the simulator reads the
+whole fleet from there when it starts: the order of the vehicles does not matter, and none is missed.
 """
 
 from __future__ import annotations
@@ -27,11 +27,12 @@ def spawned_fleet(groups: Mapping[str, Any], instance: int = 0) -> tuple[Vehicle
     """Return the vehicles of the groups, in order of their ids.
 
     Args:
-        groups: the value of ``SPAWNED``: arguments of ``single_vehicle_spawn_xtd.launch`` as text, by any key.
+        groups: the value of ``SPAWNED``: by arbitrary keys, the arguments of ``single_vehicle_spawn_xtd.launch`` as
+            text.
         instance: number of the simulation on this machine, which offsets the ports.
 
     Raises:
-        FleetError: no group, a value that is not allowed, or a name, ID or TCP port given to two vehicles.
+        FleetError: there is no group, a value is not allowed, or two vehicles have the same name, ID or TCP port.
     """
     entries = [dict(group) for group in groups.values() if isinstance(group, Mapping)]
     if not 1 <= len(entries) <= MAX_VEHICLES:
@@ -78,7 +79,7 @@ def _vehicle(entry: Mapping[str, Any], instance: int) -> Vehicle:
 
 
 def _model(entry: Mapping[str, Any]) -> str:
-    """Return the model that the argument ``sdf`` names: ``iris`` or the path of iris.sdf; empty: the vehicle's type."""
+    """Return the model that the argument ``sdf`` gives by name or by the path of an SDF; empty: the vehicle's type."""
     path = PurePosixPath(str(entry.get("sdf", "")))
     return path.stem if path.suffix in _SDF_FILES else str(path) if str(path) != "." else ""
 

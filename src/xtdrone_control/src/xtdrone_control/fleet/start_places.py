@@ -1,4 +1,4 @@
-"""Start poses: as given by users, and upstream's spawn grid for vehicles without one."""
+"""Start poses: those given by users, and upstream's spawn grid for vehicles without one."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _LIMITS = {
     "pitch": (MOST_ANGLE, "rad"),
     "yaw": (MOST_ANGLE, "rad"),
 }
-_FORM = "x, y and then as needed z, roll, pitch, yaw (m and rad, ENU)"
+_FORM = "x, y and optionally z, roll, pitch, yaw (m and rad, ENU)"
 
 
 def start_pose(value: Any) -> StartPose:
-    """Return the pose given as [x, y, z, roll, pitch, yaw] or by these names; all after y may be missing.
+    """Return the pose given as [x, y, z, roll, pitch, yaw] or as a mapping with these names; all after y are optional.
 
     Raises:
-        FleetError: another form, or a number that is not finite or out of range.
+        FleetError: the value has another form, or a number is not finite or out of range.
     """
     names = list(StartPose._fields)
     if isinstance(value, dict):
@@ -87,8 +87,8 @@ def _named(name: str, value: Any) -> StartPose:
 def spawn_grid(fleet: Sequence[Vehicle], rows: int) -> list[tuple[float, float, float]]:
     """Return the position of each vehicle on upstream's spawn grid, in metres ENU (x, y, z).
 
-    x = 3 (rows before this type + index mod rows), y = 3 (index div rows + 1), z = 0, where ``rows`` vehicles stand
-    side by side along x and each type starts a separate block.
+    x = 3 (rows before this type + index mod rows), y = 3 (index div rows + 1), z = 0, where ``rows`` vehicles are
+    placed side by side along x and each type starts a new block.
 
     Raises:
         FleetError: ``rows`` is less than 1.

@@ -54,7 +54,7 @@ def check_instance(value: object) -> int:
 
 
 class StartPose(NamedTuple):
-    """The place on which a vehicle starts, with its attitude, in the map frame (ENU).
+    """The position and attitude at which a vehicle starts, in the map frame (ENU).
 
     Attributes:
         x: east of the map's origin, m.
@@ -62,7 +62,7 @@ class StartPose(NamedTuple):
         z: height of the vehicle's lowest point above the ground plane, m.
         roll: about the forward axis, rad; the three angles are those of Gazebo, applied about fixed axes.
         pitch: about the left axis, rad; positive is nose down.
-        yaw: about the vertical, rad, counter-clockwise; 0 looks east.
+        yaw: about the vertical, rad, counter-clockwise; 0 faces east.
     """
 
     x: float
@@ -78,12 +78,12 @@ class Vehicle:
     """One vehicle of the fleet.
 
     Attributes:
-        type: the name's first part, as ``iris``.
+        type: the name's first part, such as ``iris``.
         index: index within its type, from 0.
         id: index over all types, from 0.
         instance: number of the simulation on this machine.
         model: name of its description, or a YAML file; empty: that of its type.
-        pose: where it starts; None for its place on the spawn grid.
+        pose: start pose; None for its place on the spawn grid.
     """
 
     type: str
@@ -99,7 +99,7 @@ class Vehicle:
 
     @property
     def name(self) -> str:
-        """ROS namespace, and name in the simulator, as ``iris_0``."""
+        """ROS namespace, and name in the simulator, such as ``iris_0``."""
         return f"{self.type}_{self.index}"
 
     @property

@@ -1,8 +1,8 @@
 """Strict lockstep between the simulator and ROS nodes.
 
 A node uses this package in place of rospy: ``init_node``, ``Publisher``, ``Subscriber``, ``start``, ``Rate``, ``spin``.
-The simulator uses ``xtdrone_control.lockstep.server.LockstepServer``, which is free of rospy; therefore the names below
-are loaded on first use.
+The simulator uses ``xtdrone_control.lockstep.server.LockstepServer``, which does not depend on rospy; therefore the
+names below are loaded on first use.
 
 ``client`` is the node's side, ``server`` the simulator's, ``protocol`` the frames between them, and ``transport`` the
 topic connections of rospy.

@@ -2,7 +2,8 @@
 
 A node in lockstep submits long work (rendering an image, running a network) to a thread or process together with the
 simulation time at which it is due, and continues with its turns. In the first turn at or after that time the node
-collects the result, and waits for it only then if necessary. A slow machine thus runs slower but never differently.
+collects the result, and waits for it only then if necessary. A slow machine thus runs more slowly, but with the same
+result.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ _NEVER_US = -1
 
 
 class Endpoint(Protocol):
-    """The port of a link, as the link uses it; see ``udp_port_and_clients.Port``."""
+    """Interface of a link's port; see ``udp_port_and_clients.Port``."""
 
     system_id: int
     telemetry: Telemetry
@@ -59,8 +59,8 @@ class Link:
     Each client of a port has a separate link with its stream intervals, sequence numbers, timeouts and replies.
 
     A client gets the streams from its first message until it falls silent. The first client of a port gets them
-    without a request and permanently, as PX4's default partner does; on this machine only while a socket is bound at
-    its address, which a heartbeat each second probes.
+    permanently and without a request, as PX4's default partner does. On this machine it gets them only while a socket
+    is bound at its address, which a heartbeat each second probes.
 
     Attributes:
         name: vehicle and kind of link, for log messages.
@@ -70,11 +70,11 @@ class Link:
         version: MAVLink version of sent frames, 1 or 2.
         streams: periodic messages to the client.
         telemetry: source of the vehicle's telemetry messages.
-        received: handled messages of this client.
+        received: number of messages handled from this client.
         received_bytes: bytes of its datagrams.
         malformed: datagrams of this client with bytes that are not valid MAVLink.
         dropped: datagrams of this client dropped by ``rate_limit``.
-        lost: datagrams to it that the operating system did not accept.
+        lost: datagrams to this client that the operating system did not accept.
         is_first: whether this is the first client of the port.
         participant: whether the client is a lockstep participant: its streams ignore errors of the network.
         open: False once the port has removed the client; frames sent over the link are then discarded.
@@ -215,7 +215,7 @@ class Link:
         self._queue(message.frame(payload, self._frames.sequence, self.system_id, COMPONENT_ID))
 
     def _queue(self, frame: bytes) -> None:
-        """Queue a MAVLink 2 frame in the client's version; frames without a MAVLink 1 form are dropped for that."""
+        """Queue a MAVLink 2 frame in the client's version; for version 1, drop frames that MAVLink 1 lacks."""
         converted = as_version_1(frame) if self.version == 1 else frame
         if self.open and converted is not None:
             self._frames.put_frame(converted)
@@ -281,7 +281,7 @@ class Link:
         """Send a HEARTBEAT if the last one is older than a second of wall time.
 
         A ground station runs on wall time and reports a lost link while simulated time stands still or runs slowly.
-        Not for links of lockstep participants, whose datagrams must be the same in every run.
+        Do not call it for lockstep participants, whose datagrams must be the same in every run.
         """
         wall = time.monotonic()
         if wall - self._beat_wall < _BEAT_PERIOD:

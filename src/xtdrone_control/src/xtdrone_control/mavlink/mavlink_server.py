@@ -1,4 +1,4 @@
-"""MAVLink server of all vehicles: three UDP ports for each, as of PX4 instances in upstream XTDrone.
+"""MAVLink server of all vehicles, with three UDP ports for each, like the PX4 instances of upstream XTDrone.
 
 One port serves MAVROS (offboard), one ground stations, and one payloads at low bandwidth; each accepts several clients.
 PX4's fourth port, for gimbals, is left out: it carries only messages of PX4's gimbal manager.
@@ -196,7 +196,7 @@ class MavlinkServer:
         Args:
             index: of its records and its commander.
             vehicle: the vehicle.
-            received: by local port, where to begin the counts of datagrams; None: from 0.
+            received: initial counts of datagrams by local port; None: 0.
 
         Raises:
             LinkError: a port is in use; none stays bound then.
@@ -214,7 +214,7 @@ class MavlinkServer:
             served.receiver.hold_setpoints()
 
     def remove_vehicle(self, index: int) -> None:
-        """Close the ports of a vehicle that leaves; its clients hear nothing more."""
+        """Close the ports of a vehicle that leaves; its clients receive nothing more."""
         served = self._vehicles.pop(index)
         for port in served.ports:
             for descriptor in [one for one, entry in self._sockets.items() if entry.port is port]:
@@ -259,7 +259,7 @@ class MavlinkServer:
         Args:
             ports: remote ports of the first clients.
             host: address of their machine.
-            override: replace also clients that have sent already, because they are gone.
+            override: also replace clients that have already sent messages, because they are gone.
         """
         wanted = set(ports)
         for port in self._ports:
@@ -314,7 +314,7 @@ class MavlinkServer:
 
     @property
     def backlog(self) -> bool:
-        """Whether ``receive`` would handle a queued datagram now."""
+        """Return whether ``receive`` would handle a queued datagram now."""
         return len(self._queues) > 0 and (self._credit.left > 0.0 or not self._holding)
 
     def _accrue_credit(self, now_us: int) -> None:
@@ -407,8 +407,8 @@ class MavlinkServer:
         to a paused simulation. None of this affects the flight.
 
         Args:
-            counted_ports: returns the remote ports at which lockstep participants count received datagrams; traffic to
-                them must not depend on wall time.
+            counted_ports: returns the remote ports at which lockstep participants count received datagrams; messages to
+                these must not depend on wall time.
         """
         wall = time.monotonic()
         self._continue_transfers(wall, counted_ports)
@@ -452,7 +452,7 @@ class MavlinkServer:
         """Switch to rebooted autopilots and restart the streams; sockets, peers and counters are kept.
 
         Args:
-            autopilot: autopilot that holds the new records; its time may be before the old one.
+            autopilot: autopilot that holds the new records; its time may be earlier than the old one's.
             commanders: the new commanders, one for each record.
         """
         self._autopilot = autopilot

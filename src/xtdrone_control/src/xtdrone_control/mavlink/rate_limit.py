@@ -3,15 +3,15 @@
 Lockstep participants are exempt: their datagrams are part of the flight and are handled on arrival. Every other sender
 has a queue, and the queues are served round-robin.
 
-A datagram costs 1, plus 1 for each 128 bytes, 1 for each message in reply, and 16 for each message that it causes to
-other clients (texts, events, changed parameters), because the MAVROS layer logs or republishes each of those. All
-clients together receive ``STEP_CREDIT`` plus ``VEHICLE_CREDIT`` for each vehicle in a simulated step and save up to
-``MAX_CREDIT``. While simulated time stands still they have ``MAX_CREDIT`` in each round, because they delay nothing.
-Each client also has a small credit that it spends once the shared credit is used up, so a client with few requests is
-served regardless of the load from others.
+A datagram costs 1, plus 1 for each 128 bytes, 1 for each message in reply, and 16 for each message sent to other
+clients because of it (texts, events, changed parameters), because the MAVROS layer logs or republishes each of those.
+In each simulated step all clients together receive ``STEP_CREDIT`` plus ``VEHICLE_CREDIT`` for each vehicle; they can
+save up to ``MAX_CREDIT``. While simulated time stands still, they have ``MAX_CREDIT`` in each round, because handling
+their datagrams then delays nothing. Each client also has a small credit that it spends once the shared credit is used
+up, so a client with few requests is served regardless of the load from others.
 
-A flood therefore costs a bounded number of frames in a step, whichever client, port and address it comes from. The
-excess waits; datagrams beyond the length of a queue are dropped, as by a full socket buffer.
+A flood therefore costs a bounded number of frames in a step, from whichever client, port and address it comes. Excess
+datagrams wait; those beyond the length of a queue are dropped, as by a full socket buffer.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ class DatagramQueues(Generic[PortKey]):
             port: port that received it.
             sender: address of its sender.
             datagram: its content.
-            known: whether the sender is a client of the port; a stranger's queue is short.
+            known: whether the sender is a client of the port; the queue of an unknown sender is short.
 
         Returns:
             False if the queue is full and the datagram is dropped.

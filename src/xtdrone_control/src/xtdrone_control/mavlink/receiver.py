@@ -57,12 +57,12 @@ def _entry(name: str, handle: Handler) -> _Entry:
 class Receiver:
     """Handles the messages to one vehicle. No received datagram raises an error.
 
-    In a tick of the lockstep, commands and requests arrive when a participant calls a service, setpoints and home
-    positions when the MAVROS layer runs; the scheduler decides which is first. Setpoints and home positions of
-    participants can therefore be held until all participants are done, so that commands and requests, which block
-    their sender, always come first. Messages of clients outside the lockstep are handled in the order of sending: a
-    setpoint sent before the command to enter OFFBOARD counts for it. An origin (SET_GPS_GLOBAL_ORIGIN) is never held,
-    because its reply carries the resulting origin.
+    Within a lockstep tick, commands and requests arrive when a participant calls a service, and setpoints and home
+    positions when the MAVROS layer runs; the operating system's scheduler decides which come first. Setpoints and home
+    positions of participants can therefore be held until all participants are done, so that commands and requests,
+    which block their sender, always come first. Messages of clients outside the lockstep are handled in the order of
+    sending: a setpoint sent before the command to enter OFFBOARD counts for it. An origin (SET_GPS_GLOBAL_ORIGIN) is
+    never held, because its reply carries the resulting origin.
     """
 
     def __init__(
@@ -128,7 +128,7 @@ class Receiver:
         wanted = getattr(message, entry.system_field) if entry.system_field else system
         if wanted not in (_BROADCAST, system):
             port.foreign += 1
-            port.warn("foreign", f"message for system {wanted} ignored, this is {system}", now_us)
+            port.warn("foreign", f"message for system {wanted} ignored, this is system {system}", now_us)
             return
         link = port.link_of(sender, now_us)
         if link is None:

@@ -38,8 +38,8 @@ class Vehicle:
         it. The function returns the result, None for no acknowledgement.
         capabilities: MAV_PROTOCOL_CAPABILITY bits of all services.
         due_changed: called when the ``due_us`` of a service has changed.
-        files: path to a function that returns the content, of files that MAVLink FTP serves beside the logs;
-            services fill it.
+        files: files that MAVLink FTP serves besides the logs: path to a function that returns the content; services
+            fill it.
     """
 
     def __init__(

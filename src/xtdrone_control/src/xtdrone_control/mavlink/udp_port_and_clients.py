@@ -70,7 +70,7 @@ class ClientLimit:
     _next_check: float = 0.0
 
     def remove_silent(self, now_us: int) -> None:
-        """Remove silent clients of all ports, at most every 0.1 s of wall time, also while simulated time stands."""
+        """Remove silent clients of all ports, at most every 0.1 s of wall time, even if simulated time stands still."""
         wall = time.monotonic()
         if wall >= self._next_check:
             self._next_check = wall + _CLEANUP_INTERVAL_S
@@ -233,7 +233,7 @@ class Port:
             link.reboot(telemetry, now_us)
 
     def direct(self, host: str, now_us: int, *, override: bool = False) -> None:
-        """Set the host of the first client, if that has not sent yet; ``override`` replaces also one that has."""
+        """Set the host of the first client if that has sent nothing yet; ``override`` also replaces one that has."""
         if self.default.has_spoken and not override:
             return
         peer = (host, self.remote_port)
@@ -343,7 +343,7 @@ class Port:
             link.dropped += 1
         if not self._may_warn("flood", now_us):
             return
-        source = "strangers send" if link is None else f"{sender[0]}:{sender[1]} sends"
+        source = "unknown senders send" if link is None else f"{sender[0]}:{sender[1]} sends"
         self.warn("flood", f"{source} more than can be served; {self.dropped} datagrams were dropped so far", now_us)
 
     def note_malformed(self, sender: Address) -> None:
@@ -354,7 +354,7 @@ class Port:
             link.malformed += 1
 
     def link_of(self, sender: Address, now_us: int) -> Link | None:
-        """Return the link to ``sender``, which has sent a valid message; None beyond the client limit."""
+        """Return the link to ``sender``, which has sent a valid message; None if the client limit is reached."""
         link = self._links.get(sender)
         if link is not None:
             return link
@@ -365,7 +365,7 @@ class Port:
             if not self._may_warn("room", now_us):
                 return None
             clients = f"{MAX_CLIENTS} clients" if self._limit.left > 0 else "as many clients as all ports may have"
-            self.warn("room", f"{sender[0]}:{sender[1]} is not served: there are {clients} already", now_us)
+            self.warn("room", f"{sender[0]}:{sender[1]} is not served: there are already {clients}", now_us)
             return None
         self._limit.left -= 1
         link = Link(self, sender, f"{self.name} to {sender[0]}:{sender[1]}")

@@ -28,7 +28,7 @@ class Ros(Protocol):
 
     @property
     def connection_changes(self) -> int:
-        """Number of subscribers' connections made and lost so far, on all topics of ``publisher``."""
+        """Number of subscriber connections opened and closed so far, on all topics of ``publisher``."""
 
     def now_ns(self) -> int:
         """Return the ROS time in nanoseconds."""
@@ -49,7 +49,7 @@ class Ros(Protocol):
         """Return a ROS parameter, or a tree of them."""
 
     def needs_time(self) -> AbstractContextManager[None]:
-        """Return a context manager to hold while waiting for an autopilot's answer, which may need simulated time."""
+        """Return a context manager for waiting for an autopilot's response, which may need simulated time."""
 
 
 class Need(Protocol):

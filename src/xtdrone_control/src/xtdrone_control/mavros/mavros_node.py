@@ -14,8 +14,8 @@ Private parameters, besides those of ``mavros/launch/px4_config.yaml``:
 - ``~wait_for_vehicle`` (false): wait until ``~vehicle`` has joined the simulation.
 - ``~fcu_url``, with ``~target_system_id`` and ``~target_component_id`` (or ``~tgt_system`` and ``~tgt_component``, the
   names in MAVROS's launch files): serve a single vehicle as real MAVROS does; topics are in the node's own namespace.
-- ``/xtdrone/setpoint_namespace``: local setpoints are read below ``/iris_0/safety``, if it is ``safety``, and not below
-  ``/iris_0/mavros``: another node, the safety filter, passes them on.
+- ``/xtdrone/setpoint_namespace``: namespace of local setpoints. With ``safety`` they are read below ``/iris_0/safety``
+  instead of ``/iris_0/mavros``, where another node, the safety filter, publishes them.
 - ``~lockstep`` (true): set to false to run on ROS time, like real MAVROS, even if the simulator runs in lockstep.
 - ``~system_id``, ``~component_id``: MAVLink ids of the node itself (1, 240).
 """
@@ -66,10 +66,10 @@ class Connection(NamedTuple):
 
 
 class _Connections(rospy.SubscribeListener):
-    """Counts the subscribers' connections made and lost.
+    """Counts the subscriber connections opened and closed.
 
     Attributes:
-        changes: their number.
+        changes: their total number.
     """
 
     def __init__(self) -> None:
@@ -141,7 +141,7 @@ class LockstepRos:
 
     @contextlib.contextmanager
     def needs_time(self) -> Iterator[None]:
-        """Return a context manager to hold while waiting for an answer from the autopilot."""
+        """Return a context manager for waiting for a response from the autopilot."""
         with self._receiver.attention(), lockstep.needs_time():
             yield
 
@@ -169,7 +169,7 @@ def connections(settings: Mapping[str, Any], fleet: str, node_name: str, instanc
         return [Connection(name, node_name, parse_fcu_url(url), target)]
     text = params.get("fleet", fleet)
     if not text:
-        raise FleetError("vehicles: none are named; set /xtdrone/fleet, as iris:9, or fcu_url for a single one")
+        raise FleetError("vehicles: none are named; set /xtdrone/fleet, e.g. to iris:9, or fcu_url for a single one")
     vehicles = parse_fleet(text, check_instance(instance))
     only = params.get("vehicle", "")
     if not only:
@@ -424,7 +424,7 @@ def setpoint_namespace(value: object) -> str:
     """Return the parameter ``/xtdrone/setpoint_namespace`` after a check.
 
     Raises:
-        ValueError: it is not empty and no name.
+        ValueError: it is neither empty nor a valid name.
     """
     if isinstance(value, str) and (not value or rosgraph.names.is_legal_base_name(value)):
         return value

@@ -52,7 +52,7 @@ class PluginLists:
                     continue
                 known = [plugin for plugin in left_out if _matches(plugin, [pattern])]
                 if not known:
-                    yield f"{name}: {pattern!r} is the name of no plugin"
+                    yield f"{name}: no plugin matches {pattern!r}"
                 elif name in _ALLOW:
                     reasons = "; ".join(f"{plugin}: {left_out[plugin]}" for plugin in known)
                     yield f"{name}: {pattern!r} is not offered here ({reasons})"
@@ -63,7 +63,7 @@ def _patterns(params: Params, name: str) -> list[str]:
     patterns = params.get(name, empty)
     for pattern in patterns:
         if not isinstance(pattern, str):
-            raise ParamError(f"parameter {name}: {pattern!r} is no pattern of plugins' names, as 'setpoint_*'")
+            raise ParamError(f"parameter {name}: {pattern!r} is not a pattern of plugin names, such as 'setpoint_*'")
     return patterns
 
 

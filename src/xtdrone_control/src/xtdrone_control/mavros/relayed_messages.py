@@ -1,6 +1,6 @@
 """Plugins that relay messages unchanged: a table maps messages to topics instead of a class for each.
 
-A row copies the fields that both sides call by the same name; a conversion function provides the others. Time stamps,
+A row copies the fields that have the same name on both sides; a conversion function provides the others. Time stamps,
 target ids and the header's frame are filled in automatically.
 """
 
@@ -113,7 +113,7 @@ class In:
             kind: ROS type.
             message: MAVLink name.
             convert: maps the ROS message to MAVLink fields; overrides equal names. Fields missing in both are 0.
-            as_component: ROS field with the component id to send as.
+            as_component: ROS field with the component id of the sender.
             rate: parameter and default (Hz) of the rate limit; faster messages are dropped.
             free: MAVLink fields that need not be finite, e.g. where NaN means "unknown".
         """

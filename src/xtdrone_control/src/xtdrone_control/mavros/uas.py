@@ -104,7 +104,7 @@ class Uas:
         target: system and component id of the autopilot.
         connected: whether heartbeats are arriving.
         heartbeat: the latest one, None before the first.
-        on_booted: called in the main thread when the autopilot has started, its estimator too.
+        on_booted: called in the main thread when the autopilot and its estimator have started.
         time_offset_ns: ROS time minus the autopilot's boot time; 0 in simulation, None while unknown.
     """
 
@@ -123,8 +123,8 @@ class Uas:
         Args:
             name, prefix, link, params, ros: see above.
             plugins: their factories.
-            setpoint_namespace: local setpoints are those below ``/<name>/<setpoint_namespace>``, where another node
-                passes them on; empty: below ``prefix``.
+            setpoint_namespace: local setpoints are read below ``/<name>/<setpoint_namespace>``, where another node
+                publishes them; empty: below ``prefix``.
 
         Raises:
             ParamError: a setting has the wrong type.
@@ -317,7 +317,7 @@ class Uas:
             self.handle(number, frame)
 
     def on_time_reset(self, now_ns: int) -> None:
-        """Start over after a reset that sets the simulation and the autopilot back to the start."""
+        """Start over after a reset of the simulation and the autopilot to their initial state."""
         self.now_ns = now_ns
         self._time_was_reset = True
         for timer in self._timers:
@@ -359,7 +359,7 @@ class Uas:
             self.warn("frame", "MAVLink frame dropped: %s", error)
 
     def _follow_demand(self) -> None:
-        """Refresh if a subscriber has come or gone since the latest time; stop streams that nothing needs."""
+        """Refresh if a subscriber has connected or disconnected since the last call; stop unneeded streams."""
         if self._connections_seen == self.ros.connection_changes:
             self._update_streams()
             return
@@ -382,7 +382,7 @@ class Uas:
         self._update_streams()
 
     def _update_streams(self) -> None:
-        """Request the streams of the needed messages, and the end of those that have arrived without need."""
+        """Request the streams of the needed messages, and stop those that have arrived without being needed."""
         seen, self.link.seen = self.link.seen, {}
         if not (self._manage_streams and self.connected):
             return
@@ -393,7 +393,7 @@ class Uas:
             self.streams.update(wanted, seen)
 
     def set_connected(self, connected: bool, why: str = "lost") -> None:
-        """Handle the start or the loss (with the reason ``why``, for the log) of heartbeats."""
+        """Handle the first heartbeat, or the loss of heartbeats for the reason ``why`` (text of the log line)."""
         if connected == self.connected:
             return
         self.connected = connected

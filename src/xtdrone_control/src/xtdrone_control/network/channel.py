@@ -185,7 +185,7 @@ def samples_of_all(air, i, positions, velocities, came):
 
 @kernel
 def begin_turn(air, positions, velocities, made):
-    """Store the positions and velocities of a new turn (the last finite ones where missing) and who had a sample."""
+    """Store a new turn: positions and velocities (the last finite ones where missing), and vehicles with a sample."""
     air.turn[0] += 1
     now = air.turn[0]
     rows = air.sent.shape[0]
@@ -202,7 +202,7 @@ def begin_turn(air, positions, velocities, made):
             air.position[row, j, axis] = positions[j, axis] if finite else air.position[before, j, axis]
             air.velocity[row, j, axis] = velocities[j, axis] if moving else air.velocity[before, j, axis]
             square += (air.position[row, j, axis] - air.position[before, j, axis]) ** 2
-        if math.isfinite(square):  # the first position of a vehicle is no movement
+        if math.isfinite(square):  # the first position of a vehicle does not count as movement
             furthest = max(furthest, square)
     air.travel[row] = (air.travel[before] if now > 0 else 0.0) + math.sqrt(furthest)
 

@@ -1,6 +1,6 @@
-"""Messages of any size by radio: who receives a broadcast, and when.
+"""Messages of any size by radio: which vehicles receive a broadcast, and when.
 
-The same model as of the vehicles' samples (``channel``), for messages that are sent at any time. All random draws are
+The model is that of the vehicles' samples (``channel``), for messages that are sent at any time. All random draws are
 functions of seed, sender, receiver and the number of the message, so that the same messages always have the same fate.
 """
 
@@ -18,7 +18,7 @@ from xtdrone_control.network.network_options import RATE, NetworkOptions, transi
 
 
 class Arrival(NamedTuple):
-    """A message that arrives.
+    """Arrival of a message at one receiver.
 
     Attributes:
         time: s.
@@ -35,7 +35,7 @@ class MessageRadio:
     Attributes:
         sent: number of messages sent.
         lost: number of receptions that failed within range: by a loss or at a full queue.
-        out_of_range: number of receptions that failed for the distance.
+        out_of_range: number of receptions that failed because of the distance.
     """
 
     def __init__(self, count: int, options: NetworkOptions, seed: int = 0) -> None:
@@ -55,7 +55,7 @@ class MessageRadio:
         self.restart()
 
     def restart(self) -> None:
-        """Return to the state after construction; the same random draws follow."""
+        """Reset to the state after construction; the same random draws follow."""
         self.sent = self.lost = self.out_of_range = 0
         self._numbers = [0] * self._count
         self._leaving: list[deque[float]] = [deque() for _ in range(self._count)]
@@ -64,13 +64,14 @@ class MessageRadio:
         """Broadcast a message; return where and when it arrives.
 
         Messages of a sender leave one after the other, each as long as its bits take at the sender's share of the
-        bandwidth. At most ``queue`` of them wait or leave; a further one is dropped.
+        bandwidth. At most ``queue`` of them wait or are being sent; a further one is dropped.
 
         Args:
             now: s; not less than in earlier calls.
             sender: number of the vehicle.
             bits: size.
-            positions: of all vehicles now, shape (N, 3), m; NaN where unknown: out of range, if that is finite.
+            positions: of all vehicles now, shape (N, 3), m; NaN where unknown, which counts as out of range if the
+                range is finite.
         """
         number = self._numbers[sender]
         self._numbers[sender] += 1
@@ -102,7 +103,7 @@ class MessageRadio:
     def _leaves(
         self, now: float, sender: int, bits: int, positions: NDArray[np.float64], receivers: list[int]
     ) -> float | None:
-        """Return the time at which a message has left; None if the queue is full."""
+        """Return the time at which a message has been sent completely, s; None if the queue is full."""
         if math.isinf(self._options.bandwidth):
             return now
         leaving = self._leaving[sender]

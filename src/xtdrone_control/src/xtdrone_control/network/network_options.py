@@ -48,7 +48,7 @@ class NetworkOptions(Settings):
     )  # fmt: skip
     burst: float = setting(
         0.0, low=0.0, high=_LONGEST, unit="s", metavar="S",
-        text="mean duration of an outage of a link; 0: losses are independent",
+        text="mean duration of an outage of a link; with 0, losses are independent",
     )  # fmt: skip
     bandwidth: float = setting(
         math.inf, above=0.0, high=math.inf, unit="bit/s", metavar="BIT/S",

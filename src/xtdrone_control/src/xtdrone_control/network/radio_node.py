@@ -1,12 +1,12 @@
-"""Topics between vehicles by radio: what a vehicle publishes reaches the others late, or not at all.
+"""Topics between vehicles by radio: a vehicle's messages reach the others with a delay, or not at all.
 
 For each vehicle ``T``, and each topic ``NAME`` of ``~topics``:
 
 =================================  ===================  ===========================================================
 topic                              type                 meaning
 =================================  ===================  ===========================================================
-/T/NAME                            as ``~topics`` says  in: what T broadcasts
-/T/radio/NAME                      the same             out: what T receives from all others, in order of arrival
+/T/NAME                            as ``~topics`` says  in: messages that T broadcasts
+/T/radio/NAME                      the same             out: messages from all others, in order of arrival
 /T/mavros/local_position/pose      PoseStamped          in, with a finite range; or /xtdrone/swarm for all at once
 /diagnostics                       DiagnosticArray      out: once a second
 =================================  ===================  ===========================================================
@@ -82,7 +82,7 @@ class Radio:
             lockstep.Subscriber(f"/{name}/mavros/local_position/pose", PoseStamped, partial(self._on_pose, i))
 
     def step(self) -> None:
-        """Deliver what has arrived; call it at 50 Hz."""
+        """Deliver the messages that have arrived; call it at 50 Hz."""
         now = rospy.Time.now().to_sec()
         while self._arrivals and self._arrivals[0][0] <= now:
             _, _, receiver, topic, message = heapq.heappop(self._arrivals)
@@ -136,7 +136,7 @@ def message_types(given: object) -> dict[str, type]:
     """Return the types that ``~topics`` names, as planner/trajectory:xtdrone_msgs/SplineTrajectory, comma-separated.
 
     Raises:
-        ArgumentError: another form, or an unknown type.
+        ArgumentError: the text has another form, or a type is unknown.
     """
     if not isinstance(given, str) or not given.strip():
         raise ArgumentError(f"~topics: {given!r} is not allowed, TOPIC:PACKAGE/TYPE, comma-separated, at least one")

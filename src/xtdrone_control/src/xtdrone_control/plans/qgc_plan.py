@@ -102,7 +102,7 @@ def parse(text: str, name: str = "plan") -> Plan:
     try:
         content = load_json(text, _no_constant)
     except ValueError as error:
-        raise PlanError(f"{name}: is no JSON: {error}") from error
+        raise PlanError(f"{name}: is not JSON: {error}") from error
     file = _Value(name, content)
     file.get("fileType").one_of(("Plan",))
     file.get("version").one_of((1,))
@@ -309,8 +309,8 @@ def text_of(content: Plan) -> str:
     """Return the text of a .plan file, in the form that QGroundControl writes.
 
     Raises:
-        PlanError: the plan cannot be represented: a non-finite number, a jump out of the mission, corners that form no
-            polygon.
+        PlanError: the plan cannot be represented: a non-finite number, a jump out of the mission, or corners that do
+            not form a polygon.
     """
     document = {
         "fileType": "Plan",

@@ -1,1 +1,1 @@
-"""Python programs and nodes: arguments and exit status, log, end with roslaunch, start by the zygote, user code."""
+"""Python programs and nodes: arguments, exit status, log, shutdown with roslaunch, start by the zygote, user code."""

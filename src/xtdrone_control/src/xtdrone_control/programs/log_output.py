@@ -1,4 +1,4 @@
-"""Log of a node on standard output when that is a file on a full disk, where rospy's handler raises errors."""
+"""Log handler for a standard output that may be a file on a full disk, where rospy's own handler raises errors."""
 
 from __future__ import annotations
 

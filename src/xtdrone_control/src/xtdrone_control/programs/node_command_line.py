@@ -95,12 +95,12 @@ def needed_fleet(text: str | None) -> tuple[Vehicle, ...]:
     """
     fleet = fleet_of(text)
     if fleet is None:
-        raise ArgumentError("parameter /xtdrone/fleet is not set; it lists the vehicles, as iris:9,typhoon_h480:2")
+        raise ArgumentError("parameter /xtdrone/fleet is not set; it lists the vehicles, such as iris:9,typhoon_h480:2")
     return fleet
 
 
 def check_no_arguments(arguments: Sequence[str]) -> None:
-    """Reject arguments of a program that has none.
+    """Reject arguments of a program that takes none.
 
     Raises:
         ArgumentError: there is an argument.
@@ -114,7 +114,7 @@ def check_multirotor(kind: str, fleet: tuple[Vehicle, ...] | None) -> int | None
 
     Args:
         kind: vehicle type, such as ``iris``.
-        fleet: all vehicles; None if unknown, then None is returned.
+        fleet: all vehicles; None if unknown.
 
     Raises:
         ArgumentError: not a multirotor, or not in the fleet.

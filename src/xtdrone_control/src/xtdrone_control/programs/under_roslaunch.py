@@ -1,4 +1,4 @@
-"""A node as part of a roslaunch: lines that its user sees, and a normal end of the whole launch."""
+"""Nodes under roslaunch: log lines on its terminal, and a normal shutdown of the whole launch."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ import rosgraph
 import rosgraph.network
 import rospy
 
-_LIMIT = 2.0  # s for roslaunch to answer
+_LIMIT = 2.0  # s for roslaunch to respond
 _NUMBER = re.compile(r"-\d+$")  # roslaunch's process is "iris_0/mavros-2"
 _NO_XMLRPC = (xmlrpc.client.Error, http.client.HTTPException, xml.parsers.expat.ExpatError)
 
 
 def announce(text: str) -> None:
-    """Log a text at INFO; show it on the terminal of a roslaunch, too, which shows only warnings of most nodes."""
+    """Log a text at INFO, and also print it on roslaunch's terminal, which shows only the warnings of most nodes."""
     rospy.loginfo("%s", text)
     if stat.S_ISREG(os.fstat(1).st_mode) and not os.path.sameopenfile(1, 2):  # output="log"
         print(text, file=sys.stderr, flush=True)
@@ -62,7 +62,7 @@ class _Timed(xmlrpc.client.Transport):
 
 
 def _requiring(uri: str) -> int:
-    """Return the process of the roslaunch at ``uri`` if this node is a required one of it, else 0."""
+    """Return the process id of the roslaunch at ``uri`` if this node is one of its required nodes, else 0."""
     launch: Any = xmlrpc.client.ServerProxy(uri, transport=_Timed())
     own = rospy.get_name().strip("/")
     try:

@@ -1,17 +1,17 @@
 """A process that has imported the modules of a launch's Python nodes and forks each node on request.
 
-A fork starts in milliseconds and shares the memory of the modules with all others. ``node_launcher``, the launch-prefix
-of the nodes, connects to the zygote of its roslaunch and represents the forked node to roslaunch. The zygote is started
-by the first of them, or before roslaunch (``node_launcher --ahead``): then it imports modules of nodes to come while no
-request waits.
+A fork starts in milliseconds and shares the memory of the modules with all other forks. ``node_launcher``, the
+launch-prefix of the nodes, connects to the zygote of its roslaunch and stays as the process that roslaunch monitors in
+place of the forked node. The first launcher starts the zygote, or it is started before roslaunch (``node_launcher
+--ahead``) and then imports the modules of later nodes while no request is waiting.
 
 A node runs as under the interpreter: same command line, environment, working directory, descriptors and signal
 handlers, in a session of its own. The zygote imports the modules that the node's script imports at the top; the node
 imports the rest.
 
 No node outlives its launcher or the zygote. When roslaunch ends, the zygote interrupts the remaining nodes and ends. It
-also ends some seconds after its last node: a launcher whose roslaunch has been killed is a child of the system's first
-process, which never ends. A later launcher starts another zygote.
+also ends some seconds after its last node, because a launcher whose roslaunch has been killed becomes a child of the
+init process, which never ends. A later launcher starts another zygote.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ _LIMIT = 5.0  # s for a launcher to send its request
 _PATIENCE = 10.0  # s for nodes to end after roslaunch has ended
 _IDLE = 3.0  # s without a node
 _FIRST_NODE = 60.0  # s from the start of roslaunch
-_SET_BY_ROSLAUNCH = frozenset({"ROS_MASTER_URI", "ROS_LOG_FILENAME"})  # no module reads them when it is imported
+_SET_BY_ROSLAUNCH = frozenset({"ROS_MASTER_URI", "ROS_LOG_FILENAME"})  # no module reads them on import
 _DESCRIPTORS = 4  # of a request: standard input, output, error; working directory
-_BLOCKED = {signal.SIGINT, signal.SIGTERM}  # during a fork, so that a node receives them with its own handlers
+_BLOCKED = {signal.SIGINT, signal.SIGTERM}  # blocked during a fork, so that a node receives them with its own handlers
 _COMMON = ("xtdrone_control.lockstep.client.api", "logging.config", "rosgraph.roslogging")
 _Peer = socket.socket
 
@@ -93,11 +93,11 @@ class _Node:
 
 
 def receive(connection: _Peer) -> Request:
-    """Receive the request of a launcher.
+    """Receive a launcher's request.
 
     Raises:
         RequestError: it is malformed, or from another user.
-        OSError: it does not arrive.
+        OSError: no request arrives in time.
     """
     peer = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
     if struct.unpack("3i", peer)[1] != os.getuid():
@@ -134,10 +134,10 @@ def _first_part(connection: _Peer) -> tuple[bytes, list[int]]:
 
 
 def imported_modules(script: Path) -> list[str]:
-    """Return the modules that a script imports at its top, absolute imports only.
+    """Return the modules that a script imports at the top, absolute imports only.
 
-    For the relay of catkin's devel space these are those of the script it executes. Modules that lie beside the script
-    are left out: another script may import others by the same names.
+    For the relay of catkin's devel space these are those of the script it executes. Modules in the script's folder are
+    left out: another script may import different ones of the same names.
     """
     tree = ast.parse(script.read_bytes())
     relayed = _relayed(tree)
@@ -153,7 +153,7 @@ def imported_modules(script: Path) -> list[str]:
 
 
 def _relayed(tree: ast.Module) -> str:
-    """Return the path of the script that a relay of catkin executes, empty for another script."""
+    """Return the path of the script that a relay of catkin executes; empty if ``script`` is not a relay."""
     for node in tree.body:
         match node:
             case ast.Assign(targets=[ast.Name(id="python_script")], value=ast.Constant(value=str(path))):
@@ -172,7 +172,7 @@ class Zygote:
     Attributes:
         listener: where launchers connect.
         roslaunch: its process id.
-        ahead: modules to import while no request waits, if the zygote was started before roslaunch.
+        ahead: modules to import while no request is waiting, if the zygote was started before roslaunch.
         title: address and size of the memory with this process's command line.
     """
 
@@ -190,7 +190,7 @@ class Zygote:
 
     def serve(self) -> Callable[[], None] | None:
         """Fork nodes until roslaunch has ended; in each node's process, return the function that runs the node."""
-        # As at the start: the interpreter itself adds LC_CTYPE in the locale C, as it does in each node.
+        # Restored: in the C locale the interpreter itself adds LC_CTYPE, as it will in each node.
         self._environment = set(Path("/proc/self/environ").read_bytes().split(b"\0")[:-1])
         self._interrupt = signal.signal(signal.SIGINT, signal.SIG_IGN)
         watch = os.pidfd_open(self.roslaunch)
@@ -219,7 +219,7 @@ class Zygote:
         return None
 
     def _patience(self, roslaunch_runs: bool) -> float | None:
-        """Return how long to wait for something to happen, ms, before the zygote ends; None for any time."""
+        """Return how long to wait for an event, ms, before the zygote ends; None to wait without limit."""
         if self._nodes:
             return None if roslaunch_runs else 1000.0 * _PATIENCE
         return 1000.0 * (_IDLE if self._forked or not self.ahead else _FIRST_NODE)
@@ -248,7 +248,7 @@ class Zygote:
         return run
 
     def _is_same(self, environment: Sequence[bytes]) -> bool:
-        """Return whether a node has the zygote's environment; before the first one, roslaunch sets some of it."""
+        """Return whether a node has the zygote's environment; roslaunch sets some of it only before the first node."""
         new = set(environment)
         differing = {os.fsdecode(word.partition(b"=")[0]) for word in new ^ self._environment}
         if not self._forked and differing <= _SET_BY_ROSLAUNCH:
@@ -259,7 +259,7 @@ class Zygote:
         return new == self._environment
 
     def _turn_away(self) -> None:
-        """Close the next connection by means of the spare descriptor, as all others are in use."""
+        """Close the next connection by means of the spare descriptor, since all others are in use."""
         os.close(self._spare)
         with contextlib.suppress(OSError):
             self.listener.accept()[0].close()
@@ -268,7 +268,7 @@ class Zygote:
     def _fork(self, request: Request, script: Path, connection: _Peer, watch: int) -> Callable[[], None] | None:
         zygote = os.getpid()
         signal.pthread_sigmask(signal.SIG_BLOCK, _BLOCKED)
-        gc.freeze()  # the collector leaves the pages of these objects shared
+        gc.freeze()  # so that the garbage collector leaves the pages of these objects shared
         try:
             pid = os.fork()
         except OSError:  # too many processes
@@ -294,7 +294,7 @@ class Zygote:
             os.close(descriptor)
 
     def _attend(self, connection: _Peer, pid: int) -> bool:
-        """Watch a forked node and its launcher; return whether that is possible, else the node is killed."""
+        """Watch a forked node and its launcher; if that is impossible, kill the node and return False."""
         try:
             watch = os.pidfd_open(pid)
         except OSError:  # too many open descriptors
@@ -308,7 +308,7 @@ class Zygote:
         return True
 
     def _prepare(self) -> None:
-        """Import what every node needs, some of it only when it starts, and find the packages."""
+        """Import the modules that every node needs, including those imported at its start, and find the packages."""
         for name in _COMMON:
             with contextlib.suppress(Exception):  # the nodes report it
                 importlib.import_module(name)
@@ -326,7 +326,7 @@ class Zygote:
                 _prepare_numba()
 
     def _import(self, script: Path) -> bool:
-        """Import a script's modules; return whether it can run in a fork, which lacks the threads of modules."""
+        """Import a script's modules; return whether it can run in a fork, which lacks the modules' threads."""
         with contextlib.suppress(OSError, SyntaxError, ValueError, RecursionError):  # the node reports them
             for name in imported_modules(script):
                 if name not in self._known:
@@ -348,7 +348,7 @@ class Zygote:
         elif node.watch in self._nodes:
             _kill(node.pid, signal.SIGKILL)
         if not {node.watch, node.connection.fileno()} & self._nodes.keys():
-            os.waitpid(node.pid, 0)  # until now its launcher could signal it by its id
+            os.waitpid(node.pid, 0)  # until then its launcher could signal it by its id
             node.connection.close()
 
     def _interrupt_nodes(self) -> None:
@@ -357,7 +357,7 @@ class Zygote:
 
 
 def _share_package_index() -> None:
-    """Search the package path once: at its start each node asks a new ``rospkg.RosPack`` for one package."""
+    """Search the package path once, since each starting node asks a new ``rospkg.RosPack`` for one package."""
     import rospkg
 
     paths = rospkg.get_ros_paths()
@@ -374,7 +374,7 @@ def _share_package_index() -> None:
 
 
 def _prepare_numba() -> None:
-    """Load what numba would load at the first call of a compiled function."""
+    """Load the code that numba would load at the first call of a compiled function."""
     from numba.core.registry import cpu_target
 
     cpu_target.typing_context.refresh()
@@ -387,7 +387,7 @@ def _reply(connection: _Peer, kind: bytes, value: int) -> None:
 
 
 def _kill(pid: int, number: int) -> None:
-    """Send a signal to a node that has not been waited for, and to its children."""
+    """Send a signal to a node that has not been reaped yet, and to its children."""
     try:
         os.killpg(pid, number)
     except ProcessLookupError:  # it has no group of its own yet
@@ -395,10 +395,10 @@ def _kill(pid: int, number: int) -> None:
 
 
 def _become(request: Request, zygote: int, title: tuple[int, int], interrupt: Any) -> None:
-    """Give a forked process the properties of a process that was started for the node."""
+    """Give a forked process the properties that a process started for the node would have."""
     libc = ctypes.CDLL(None)
     libc.prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
-    if os.getppid() != zygote:  # it ended before
+    if os.getppid() != zygote:  # it has already ended
         os._exit(1)
     os.setsid()
     *standard, folder = request.descriptors
@@ -414,21 +414,21 @@ def _become(request: Request, zygote: int, title: tuple[int, int], interrupt: An
     sys.path.insert(0, os.path.dirname(os.path.realpath(sys.argv[0])))
     _open_standard_streams()
     for module, function, arguments in (("rospy.names", "reload_mappings", (sys.argv,)), ("numpy.random", "seed", ())):
-        if module in sys.modules:  # has read the command line, or was seeded
+        if module in sys.modules:  # modules that have read the command line or were seeded
             getattr(sys.modules[module], function)(*arguments)
     signal.signal(signal.SIGINT, interrupt)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _BLOCKED)
 
 
 def _set_title(title: tuple[int, int], words: list[bytes]) -> None:
-    """Write a command line to where /proc shows it."""
+    """Write a command line to the memory that /proc shows."""
     address, size = title
     text = b"\0".join(words)[: size - 1]
     ctypes.memmove(address, text.ljust(size, b"\0"), size)
 
 
 def _open_standard_streams() -> None:
-    """Open the standard streams again, as the interpreter does: their buffering depends on what the descriptors are."""
+    """Open the standard streams again, as the interpreter does: their buffering depends on the descriptors."""
     buffered = not os.environ.get("PYTHONUNBUFFERED")
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         old = getattr(sys, name)
@@ -463,7 +463,7 @@ def _title() -> tuple[int, int]:
 def main() -> None:
     """Serve launchers.
 
-    Arguments: descriptor of the listening socket, process id of roslaunch, modules to import ahead with commas.
+    Arguments: descriptor of the listening socket, process id of roslaunch, comma-separated modules to import ahead.
     """
     listener, roslaunch = (int(word) for word in sys.argv[1:3])
     ahead = [name for name in sys.argv[3].split(",") if name]

@@ -1,6 +1,6 @@
 """Quadratic drag of the body: 1/2 rho C A v |v| on each axis of the body, with the sides of its box as areas.
 
-The vehicles' own drag is linear (PX4's Gazebo model): right for small speeds, too small for a fall or a storm.
+The vehicles' own drag is linear (PX4's Gazebo model): accurate at low speeds, too small in a fall or a storm.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def _apply(vehicles, models, coefficient, winds, force):
 
 
 class BodyDrag:
-    """Drag that grows with the square of the air speed, in the world's wind and in that of the effects before it."""
+    """Drag proportional to the square of the airspeed, in the world's wind and the winds of earlier effects."""
 
     name = "body_drag"
 
@@ -61,7 +61,7 @@ class BodyDrag:
         self._winds: Sequence[FurtherWind] = ()
 
     def feel(self, winds: Sequence[FurtherWind]) -> None:
-        """Count these winds from now on, too."""
+        """Include these winds from now on."""
         self._winds = tuple(winds)
 
     def __call__(

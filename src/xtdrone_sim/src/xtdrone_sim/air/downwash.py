@@ -66,7 +66,7 @@ def _apply(vehicles, models, rotor_radius, spread, drag, force):
 
 
 class Downwash:
-    """Wakes of vehicles on those below them."""
+    """Wakes of vehicles, which push those below them."""
 
     name = "downwash"
 

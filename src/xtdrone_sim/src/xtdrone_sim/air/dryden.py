@@ -8,8 +8,8 @@ With the height h in feet, 10 to 1000, and the wind W20 at 20 feet::
     H_u(s) = sigma_u sqrt(2 L_u / (pi V)) / (1 + L_u/V s)
     H_v(s) = sigma_v sqrt(L_v / (pi V)) (1 + sqrt(3) L_v/V s) / (1 + L_v/V s)^2, and H_w alike
 
-u points along the mean wind, v to its left, w up. V is the speed of the air past the vehicle: the mean wind carries the
-turbulence past a hovering one. The filters are discretised exactly, for any step.
+u points along the mean wind, v to its left, w up. V is the vehicle's airspeed: the mean wind carries the turbulence
+past a hovering vehicle. The filters are discretised exactly, for any step.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from .wind import add_wind
 
 _FOOT = 0.3048  # m
 _LEAST_HEIGHT, _LARGEST_HEIGHT = 10.0, 1000.0  # ft
-_LEAST_SPEED = 0.5  # m/s past the vehicle; at rest in the air, turbulence would stand still
+_LEAST_SPEED = 0.5  # m/s, minimum airspeed of the vehicle; without airspeed the turbulence would be frozen
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,13 @@ class DrydenSettings(Settings):
         7.7, low=0.0, high=60.0, unit="m/s", text="mean wind 6 m above ground: 7.7 light, 15.4 moderate, 23.1 severe"
     )
     direction: float = setting(
-        0.0, low=-math.pi, high=math.pi, unit="rad", text="where the mean wind blows to, from east towards north"
+        0.0,
+        low=-math.pi,
+        high=math.pi,
+        unit="rad",
+        text="direction towards which the mean wind blows, from east towards north",
     )
-    mean: bool = setting(False, text="blow the mean wind, too; otherwise the turbulence alone, about the world's wind")
+    mean: bool = setting(False, text="include the mean wind; otherwise only turbulence is added to the world's wind")
     shared: bool = setting(False, text="the same turbulence for all vehicles; otherwise an independent one for each")
 
 
@@ -84,7 +88,7 @@ def _transverse(first, second):
 
 @kernel
 def advance(states, noise, vehicles, speed, cos, sin, mean, dt, gusts):
-    """Advance the filters and write each vehicle's further wind.
+    """Advance the filters and write each vehicle's additional wind.
 
     Args:
         states: (k, 5) filter states, one row for each vehicle or one for all.
@@ -154,7 +158,7 @@ class Dryden:
         return self.gusts
 
     def reset(self, models: NDArray[Any], time_step: float, random: np.random.Generator) -> None:
-        """Start with turbulence that has blown for long."""
+        """Start with turbulence in its stationary state."""
         rows = 1 if self.settings.shared else len(models)
         noise = random.standard_normal((rows, 5))
         self._states = noise.copy()

@@ -1,8 +1,8 @@
 """Ground effect: rotors near the ground give more thrust.
 
 I. C. Cheeseman, W. E. Bennett, "The effect of the ground on a helicopter rotor in forward flight", ARC R&M 3021, 1955:
-for a rotor of radius R at the height z, T / T_free = 1 / (1 - (R / 4z)^2). The formula has a pole at z = R/4; below
-z = R/2, nearer than it was verified, the ratio of that height, 4/3, is kept. The ground is the plane z = 0.
+for a rotor of radius R at the height z, T / T_free = 1 / (1 - (R / 4z)^2). The formula has a pole at z = R/4; below z =
+R/2, where it has not been verified, the ratio at that height, 4/3, is kept. The ground is the plane z = 0.
 """
 
 from __future__ import annotations
@@ -66,5 +66,5 @@ class GroundEffect:
     def __call__(
         self, time: float, vehicles: NDArray[Any], models: NDArray[Any], force: NDArray[Any], torque: NDArray[Any]
     ) -> None:
-        """Add the further thrust of each rotor."""
+        """Add the additional thrust of each rotor."""
         _apply(vehicles, models, self.settings.rotor_radius, force, torque)

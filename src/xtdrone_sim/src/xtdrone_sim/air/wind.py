@@ -1,7 +1,7 @@
-"""Further winds, in addition to the world's: their wrench on a vehicle, how other effects feel them; density of air.
+"""Winds in addition to the world's: their wrench on a vehicle, their use by other effects, and the density of air.
 
-An effect with an attribute ``winds``, (N, 3) m/s ENU of its latest step, is a wind that those after it can feel: one
-with a method ``feel`` gets the winds before it when a world begins.
+An effect with an attribute ``winds``, (N, 3) m/s ENU of its latest step, is a wind that later effects can use: an
+effect with a method ``feel`` gets the earlier winds when a world begins.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ class FurtherWind(Protocol):
 
 @kernel
 def add_wind(v, m, x, y, z, force, torque):
-    """Add the wrench that a further wind exerts on one vehicle.
+    """Add the wrench that an additional wind exerts on one vehicle.
 
     The drag of rotors and body is linear in the air speed (``plant.rotor_wrench``), so the result is that of a plant
     whose wind contains it.
 
     Args:
         v, m: the vehicle's ``PLANT`` and ``MODEL``.
-        x, y, z: further wind, m/s ENU.
+        x, y, z: additional wind, m/s ENU.
         force: (3,) N, ENU; added to.
         torque: (3,) N m, body FLU; added to.
     """

@@ -1,4 +1,4 @@
-"""Wind by a function of the user's own, of time and place."""
+"""Wind given by a user's function of time and position."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class WindField:
             function: the function, or ``FILE.py:NAME`` or ``module:NAME``.
 
         Raises:
-            ValueError: the text is not of this form.
+            ValueError: the text does not have this form.
         """
         if isinstance(function, str):
             place, _, name = function.rpartition(":")
@@ -50,7 +50,7 @@ class WindField:
         """Add the wrench of the wind at each vehicle.
 
         Raises:
-            ValueError: the function returns something of another shape.
+            ValueError: the function returns an array of another shape.
         """
         given = np.asarray(self._function(time, np.ascontiguousarray(vehicles["position"])), dtype=float)
         if given.shape not in ((3,), (len(vehicles), 3)):

@@ -22,10 +22,10 @@ class RegionSettings(Settings):
     """Settings of a region of wind."""
 
     low: tuple[float, float, float] = setting(
-        (-_FAR, -_FAR, 0.0), unit="m", low=-_FAR, high=_FAR, text="least x, y, z, ENU"
+        (-_FAR, -_FAR, 0.0), unit="m", low=-_FAR, high=_FAR, text="minimum x, y, z, ENU"
     )
     high: tuple[float, float, float] = setting(
-        (_FAR, _FAR, _FAR), unit="m", low=-_FAR, high=_FAR, text="greatest x, y, z, ENU"
+        (_FAR, _FAR, _FAR), unit="m", low=-_FAR, high=_FAR, text="maximum x, y, z, ENU"
     )
     wind: tuple[float, float, float] = setting(
         (0.0, 0.0, 0.0),
@@ -34,7 +34,7 @@ class RegionSettings(Settings):
         high=_STRONGEST,
         text="wind in the box, ENU, in addition to the world's",
     )
-    edge: float = setting(1.0, low=0.0, high=1e3, unit="m", text="distance inside the box over which it grows")
+    edge: float = setting(1.0, low=0.0, high=1e3, unit="m", text="distance inside the box over which the wind rises")
 
     def __post_init__(self) -> None:
         """Check the values.

@@ -55,10 +55,10 @@ class AutopilotBackend(Protocol):
         """Advance by one step over the samples in ``autopilot.sensors``."""
 
     def kernel_steps(self) -> int:
-        """Return how many of the next steps need nothing but ``autopilot.step_vehicle``; 0 if ``step`` is needed."""
+        """Return the number of next steps that need only ``autopilot.step_vehicle``; 0 if ``step`` is needed."""
 
     def count_steps(self, steps: int) -> None:
-        """Count ``steps`` that other code has done by ``autopilot.step_vehicle``, and run what is due after them.
+        """Count ``steps`` that other code has run with ``autopilot.step_vehicle``, and run the logic due after them.
 
         Args:
             steps: 1 to ``kernel_steps()``.
@@ -72,7 +72,7 @@ class AutopilotBackend(Protocol):
         """
 
     def reboot(self, index: int) -> None:
-        """Reboot the autopilot of one vehicle, which stands still now; the others keep flying."""
+        """Reboot the autopilot of one vehicle, which is at rest; the others keep flying."""
 
     def check_join(self) -> None:
         """Check that vehicles can join and leave.
@@ -85,10 +85,10 @@ class AutopilotBackend(Protocol):
         """Boot the autopilot of a vehicle that has joined at an absent place, with its default parameters."""
 
     def leave(self, index: int) -> None:
-        """End the autopilot of a vehicle that leaves."""
+        """Shut down the autopilot of a vehicle that leaves."""
 
     def missing(self) -> str:
-        """Return which autopilots time must not start without yet; "" when all are present."""
+        """Return a text on the missing autopilots, without which time must not start; "" when all are present."""
 
     def serve(self) -> None:
         """Process the data that has arrived on ``descriptors``, without blocking."""
@@ -221,7 +221,7 @@ class BuiltinAutopilot:
         """Do nothing: vehicles can join and leave."""
 
     def join(self, index: int, vehicle: Vehicle, model: VehicleModel) -> None:
-        """See ``AutopilotBackend``; stored parameters of a vehicle of this name count."""
+        """See ``AutopilotBackend``; stored parameters of a vehicle of this name are used."""
         self._absent.remove(index)
         self._vehicles[index], self._layouts[index] = vehicle, model.rotor_layout
         self._battery_models[index] = model.battery
@@ -235,7 +235,7 @@ class BuiltinAutopilot:
             self._logger.join(index, commander)
 
     def leave(self, index: int) -> None:
-        """End the autopilot of a vehicle that leaves; its log is complete."""
+        """Shut down the autopilot of a vehicle that leaves, and complete its log."""
         if self._logger is not None:
             self._logger.leave(index)
         self.autopilot.replace(index, self._layouts[index])

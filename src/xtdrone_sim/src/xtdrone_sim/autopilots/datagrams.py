@@ -178,5 +178,5 @@ class Datagrams:
         self._reported = now
         for port, count in sorted(self._unreported.items()):
             lost = max(self._lost[port], 0)
-            self._warn(f"{count} datagrams to UDP port {port} did not come; {lost} are lost so far")
+            self._warn(f"{count} datagrams to UDP port {port} did not arrive; {lost} are lost so far")
         self._unreported.clear()

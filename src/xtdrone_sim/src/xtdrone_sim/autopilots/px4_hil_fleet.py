@@ -153,7 +153,7 @@ class Hil:
         """See ``AutopilotBackend``.
 
         Raises:
-            ValueError: always; the PX4 instances are those of the start.
+            ValueError: always; the set of PX4 instances is fixed at the start.
         """
         raise ValueError("autopilot: with PX4 instances (hil) no vehicle can join or leave, only with builtin ones")
 
@@ -166,7 +166,7 @@ class Hil:
         self.check_join()
 
     def missing(self) -> str:
-        """Return which vehicles have no PX4 yet; "" when all have."""
+        """Return a text on the vehicles that have no PX4 yet; "" when all have."""
         waiting = [
             f"{link.vehicle.name} (TCP port {link.vehicle.simulator_tcp_port})"
             for link in self.links
@@ -219,7 +219,7 @@ class Hil:
             if now - began >= next_warning:
                 next_warning += _WARNING_PERIOD
                 names = ", ".join(link.vehicle.name for link in waiting)
-                self._log(logging.WARNING, f"the world waits for PX4's controls of {names} since {now - began:.0f} s")
+                self._log(logging.WARNING, f"the world has waited {now - began:.0f} s for PX4's controls of {names}")
 
     def _give_up(self, waiting: list[HilLink], began: float, now: float) -> float:
         """Time out the links whose limit has passed; return the monotonic wall time of the next timeout, s."""

@@ -102,18 +102,18 @@ class HilLink:
     def accept(self) -> bool:
         """Accept a pending connection; return whether it has become the connection of the link.
 
-        A new connection replaces a PX4 that does not answer and is rejected otherwise.
+        A new connection replaces a PX4 that does not respond and is otherwise rejected.
         """
         try:
             connection, (host, port) = self.listener.accept()
-        except OSError:  # the client has closed it already
+        except OSError:  # the client has already closed it
             return False
         if self.connection is not None and self.locked:
-            self._log(logging.WARNING, f"{self._name}: a second one, from {host}:{port}, is refused")
+            self._log(logging.WARNING, f"{self._name}: a second one, from {host}:{port}, is rejected")
             connection.close()
             return False
         if self.connection is not None:
-            self.drop(f"makes room for a new one from {host}:{port}")
+            self.drop(f"is replaced by a new one from {host}:{port}")
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.connection = connection
@@ -155,7 +155,7 @@ class HilLink:
         if sent < len(data):
             self._pending = bytes(data[sent:])
             if len(self._pending) > _MOST_PENDING:
-                self.drop("takes nothing any more and is cut off")
+                self.drop("does not read its data and is disconnected")
 
     def read(self) -> None:
         """Read and process the data that PX4 has sent."""
@@ -183,10 +183,10 @@ class HilLink:
     def _note_garbage(self, before: int) -> None:
         if not before:
             self._log(
-                logging.WARNING, f"{self._name}: bytes that are no MAVLink came over the link; they are passed over"
+                logging.WARNING, f"{self._name}: the link has received bytes that are not MAVLink; they are ignored"
             )
         if not self._stream.messages and self._stream.garbage > _MOST_GARBAGE:
-            self.drop("speaks no MAVLink and is cut off")
+            self.drop("does not speak MAVLink and is disconnected")
 
     def _set_truth(self, wish: TruthInterval) -> None:
         wanted = wish.interval_us
@@ -221,7 +221,7 @@ class HilLink:
         self._streak = 0
         if self.armed:
             self._log(
-                logging.WARNING, f"{self._name} is armed and does not answer: the simulation continues without it"
+                logging.WARNING, f"{self._name} is armed and does not respond: the simulation continues without it"
             )
         else:
             self._log(

@@ -296,7 +296,7 @@ class Controls(NamedTuple):
         time_us: PX4's time, microseconds since its first HIL_SENSOR.
         outputs: 16 values, motors 0..1.
         armed: motors may turn.
-        lockstep: PX4 answers every HIL_SENSOR, and its time stands still until the next one.
+        lockstep: PX4 responds to every HIL_SENSOR, and its time stands still until the next one.
     """
 
     time_us: int

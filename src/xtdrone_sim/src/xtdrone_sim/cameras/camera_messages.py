@@ -8,12 +8,12 @@ rgbd    as depth, with the colour in depth/points; color/image_raw, color/image_
 stereo  left/image_raw, left/image_raw/compressed, left/camera_info, and the same of right
 ======  =============================================================================================================
 
-Depths are distances along the optical axis; what is nearer than ``range_min`` or farther than ``range_max`` is NaN, or
-0 in 16UC1 (REP 118). Clouds are organised as the image, in the optical frame, with NaN for such pixels. A stereo pair
+Depths are distances along the optical axis; those nearer than ``range_min`` or farther than ``range_max`` are NaN, or 0
+in 16UC1 (REP 118). Clouds are organised like the image, in the optical frame, with NaN for such pixels. A stereo pair
 without a lens is rectified: both images have the same rows, and the right one's P has -fx times the baseline
-(sensor_msgs/CameraInfo). With a lens, image_raw is distorted and its camera_info has the coefficients;
-image_rect_color beside it is the same image without distortion, as image_proc makes it; depths and their clouds have
-none. Compressed images are those of image_transport's plug-in ``compressed``, with its quality.
+(sensor_msgs/CameraInfo). With a lens, image_raw is distorted and its camera_info has the coefficients; image_rect_color
+beside it is the same image without distortion, as from image_proc; depths and their clouds are not distorted.
+Compressed images are those of image_transport's plug-in ``compressed``, with its quality.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ COSTLY = frozenset(
         "right/image_rect_color",
     }
 )
-"""Topics whose messages are made only for subscribers."""
+"""Topics whose messages are created only for subscribers."""
 
 _QUALITY = 80  # JPEG, default of compressed_image_transport
 
@@ -183,8 +183,8 @@ def camera_info(camera: Camera, *, right: bool = False, rectified: bool = False)
 
     Args:
         camera: the camera.
-        right: that of the right one of a stereo pair.
-        rectified: that of images without distortion, such as depths.
+        right: whether it is the right camera of a stereo pair.
+        rectified: whether the images are without distortion, such as depths.
     """
     p = camera.mount.pinhole
     info = CameraInfo(height=p.height, width=p.width, distortion_model="plumb_bob", D=[0.0] * 5)

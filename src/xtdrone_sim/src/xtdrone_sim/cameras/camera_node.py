@@ -6,7 +6,7 @@ topic or service                   type                      content
 /T/CAMERA/image_raw                sensor_msgs/Image         rgb8; stamp: time of the exposure
 /T/CAMERA/camera_info              sensor_msgs/CameraInfo    with each image, plumb_bob
 /T/CAMERA/...                      ...                       compressed, depths, stereo pairs: see ``camera_messages``
-/T/CAMERA/freeze                   std_srvs/SetBool          true: stops the images, as a failed camera does
+/T/CAMERA/freeze                   std_srvs/SetBool          true: stops the images, as if the camera had failed
 /xtdrone/scene (subscribed)        xtdrone_msgs/SceneState   poses of links and actors
 /xtdrone/models (subscribed)       xtdrone_msgs/SceneModels  models added and deleted since the start
 =================================  ========================  ==========================================================
@@ -14,8 +14,8 @@ topic or service                   type                      content
 T is a vehicle, e.g. ``typhoon_h480_0``, CAMERA the name of its camera, e.g. ``cgo3_camera``.
 
 In a turn in which a camera is due, it captures the latest scene, whose time is the stamp of the image. Another process
-draws the image, which is published after a fixed simulated time. Simulated time continues meanwhile, and waits for an
-image only when its publication is due. Cameras without subscribers take no images.
+draws the image, which is published after a fixed simulated time. Simulated time continues during the drawing, and waits
+for an image only when its publication is due. Cameras without subscribers take no images.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class Drawer(Protocol):
         """Return the rows of an image, the mean of those of the scenes; None if it is lost."""
 
     def change(self, changes: Changes) -> None:
-        """Draw the next images with other models."""
+        """Use other models for the next images."""
 
     def close(self) -> None:
         """End the drawing."""
@@ -187,7 +187,7 @@ class CameraNode:
                 continue
             views = self._cameras[camera].views
             if views[0].link not in self._scene.links:
-                rospy.logwarn_throttle(10.0, f"/xtdrone/scene does not have {views[0].link}: no images of its camera")
+                rospy.logwarn_throttle(10.0, f"/xtdrone/scene has no {views[0].link}: no images of its camera")
                 continue
             mount, closed_us = self._cameras[camera].mount, _microseconds(stamp)
             opened_us = closed_us - round(1e6 * mount.exposure)
@@ -218,7 +218,7 @@ class CameraNode:
             assert self._drawer is not None
             self.lost += 1
             rospy.logwarn(
-                f"the process that draws images has ended ({self._drawer.last_end}); there is another, "
+                f"the process that draws images has ended ({self._drawer.last_end}) and was restarted, "
                 f"an image of {camera.topics} is lost ({self.lost} in all)"
             )
             return

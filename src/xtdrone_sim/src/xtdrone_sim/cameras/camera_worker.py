@@ -49,11 +49,11 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Changes:
-    """How the models differ from those of the world's file.
+    """Differences of the models from those of the world's file.
 
     Attributes:
         sdf: a world with the models that have been added.
-        deleted: names of the models and actors that are gone.
+        deleted: names of the deleted models and actors.
     """
 
     sdf: str
@@ -65,7 +65,7 @@ class DrawingProcess:
 
     Attributes:
         ended: number of processes that have ended unexpectedly, each with the loss of an image.
-        last_end: how the last of them ended, as text.
+        last_end: description of the end of the last of them.
     """
 
     def __init__(self, drawn: Drawn) -> None:
@@ -74,7 +74,7 @@ class DrawingProcess:
         self.last_end = ""
         self._drawn = drawn
         self._changes: Changes | None = None
-        self._told: Changes | None = None  # what the process has been sent
+        self._told: Changes | None = None  # models that have been sent to the process
         self._fruitless = 0
         self._lock = threading.Lock()  # guards the current process: close() may be called during a drawing
         self._closed = False
@@ -89,7 +89,7 @@ class DrawingProcess:
                 [sys.executable, "-m", "xtdrone_sim.cameras.camera_worker", str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
-                start_new_session=True,  # Ctrl-C reaches the node only, whose end closes the connection
+                start_new_session=True,  # Ctrl-C reaches only the node, whose end closes the connection
             )
             self._connection = Connection(ours.detach())
         self._ready, self._told = False, None
@@ -102,7 +102,7 @@ class DrawingProcess:
         return self._process.pid
 
     def change(self, changes: Changes) -> None:
-        """Draw the next images with other models."""
+        """Use other models for the next images."""
         self._changes = changes
 
     def draw(self, scenes: Sequence[SceneAt], view: View) -> bytes | None:
@@ -149,9 +149,7 @@ class DrawingProcess:
         self._fruitless += 1
         self.last_end = f"signal {-status}" if status < 0 else f"exit status {status}"
         if self._fruitless >= _ATTEMPTS:
-            raise DrawingError(
-                f"the drawing process ends again and again ({self.last_end}) before it has drawn anything"
-            )
+            raise DrawingError(f"the drawing process repeatedly ends ({self.last_end}) before it has drawn an image")
         self._start()
 
     def close(self) -> None:
@@ -189,7 +187,7 @@ def _serve(connection: Connection) -> None:
 
 
 def _exposed(scene: DrawnScene, moments: Sequence[SceneAt], view: View) -> bytes:
-    """Return the bytes of ``DrawingProcess.draw``."""
+    """Return the drawn images as bytes, see ``DrawingProcess.draw``."""
     pictures = [
         scene.draw(at, replace(view, depth=view.depth and k == len(moments) // 2)) for k, at in enumerate(moments)
     ]
@@ -198,7 +196,7 @@ def _exposed(scene: DrawnScene, moments: Sequence[SceneAt], view: View) -> bytes
 
 
 def _change(scene: DrawnScene, changes: Changes, world: str) -> None:
-    """Draw other models from now on; one that cannot be drawn is left out."""
+    """Use other models from now on; one that cannot be drawn is left out."""
     try:
         scene.change(read_world(changes.sdf, world_file(world)).models, changes.deleted)
     except ValueError as error:

@@ -45,8 +45,9 @@ class Camera:
     def views(self) -> tuple[View, ...]:
         """The views that the renderer draws for an exposure.
 
-        With depths first that of the pinhole; then, for a lens or without depths, those of each eye: of a lens, the
-        faces of its drawing (``lenses.drawing_of``). The left eye of a stereo pair comes first.
+        With depths, the view of the pinhole comes first. For a lens or without depths the views of each eye follow;
+        those of a lens are the faces of its drawing (``lens_drawing.drawing_of``). The left eye of a stereo pair comes
+        first.
         """
         m = self.mount
         link = f"{self.vehicle}::{m.link}"

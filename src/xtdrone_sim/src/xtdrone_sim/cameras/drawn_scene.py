@@ -19,10 +19,10 @@ from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
 
 _GROUND = Box((2000.0, 2000.0, 0.1))
 _GROUND_COLOUR = (0.45, 0.5, 0.4, 1.0)
-_WIDE = 100.0  # m, sides of a model's shape that is ground of its own
+_WIDE = 100.0  # m, sides from which on a model's shape counts as ground
 _ROUGH = 0.5  # m, distance of its top from z = 0
 _FLAT = 0.05  # m, height up to which a shape merges with ground at z = 0: far away, the renderer's depth is coarse
-_TERRAIN = 20.0  # m, sides of a mesh from which on it counts as terrain, which may rise from z = 0
+_TERRAIN = 20.0  # m, sides from which on a mesh counts as terrain, which may rise from z = 0
 _LOWERED = -0.12  # m, ground below such shapes
 
 
@@ -35,7 +35,7 @@ class View:
         pinhole: its projection and image size.
         near, far: clipping distances, m.
         pose: of the camera in the link: x ahead, z up in the image.
-        depth: whether depths are wanted, too.
+        depth: whether depths are wanted as well.
     """
 
     link: str
@@ -47,7 +47,7 @@ class View:
 
 
 def ground_level(models: Sequence[SdfModel]) -> float | None:
-    """Return the height of the level ground to be drawn below models, m; None if one of them is wide ground itself.
+    """Return the height of the level ground to be drawn below models, m; None if one of them is itself wide ground.
 
     The ground is drawn at z = 0, where it is in the physics, but a little lower under terrain and flat shapes, such as
     roads.
@@ -130,8 +130,8 @@ class DrawnScene:
         """Change the models from those of the world's file.
 
         Args:
-            added: all models that have been added since the start and are there.
-            deleted: names of all models and actors of the file that are gone.
+            added: all models that have been added since the start and still exist.
+            deleted: names of all deleted models and actors of the file.
 
         Raises:
             ValueError: an invalid mesh or texture; the text names it.
@@ -205,7 +205,7 @@ class DrawnScene:
         return replace(picture, rgb=shaded, depth=picture.depth if view.depth else None)
 
     def _put_back(self, scene: SceneAt) -> None:
-        """Return the world's models that a restart has put back, and hide actors that are gone."""
+        """Return the world's models that a restart has restored, and hide deleted actors."""
         for name in self._moved - scene.links.keys():
             if name.partition("::")[0] not in self._deleted:
                 self._renderer.place(*self._homes[name])

@@ -1,4 +1,4 @@
-"""From drawn images to those of a camera: through its lens, and with the noise of its sensor."""
+"""A camera's images from drawn ones: projection through its lens, and the noise of its sensor."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Colours = NDArray[np.uint8]  # (height, width, 3) RGB
 
 
 class Exposure:
-    """The colour images of one exposure, each developed once."""
+    """The colour images of one exposure, each computed once."""
 
     def __init__(self, camera: Camera, stamp: rospy.Time, pictures: Sequence[bytes]) -> None:
-        """Develop nothing yet.
+        """Store the arguments; images are computed on demand.
 
         Args:
             camera: the camera.
@@ -38,7 +38,7 @@ class Exposure:
         return self._picture(eye, rectified=False)
 
     def rectified(self, eye: int) -> Colours:
-        """Return the same as the pinhole shows it; without a lens the same image."""
+        """Return the same image as seen by the pinhole; without a lens, the image itself."""
         return self._picture(eye, rectified=self._camera.mount.lens is not None)
 
     def _picture(self, eye: int, *, rectified: bool) -> Colours:
@@ -68,24 +68,24 @@ def pixels_of(pinhole: Pinhole, picture: bytes) -> Colours:
 
 
 def through_lens(lens: Lens, sheet: Colours) -> Colours:
-    """Return what a lens shows of the images drawn for it, between pixels linear; black where it shows nothing.
+    """Return a lens's image from the images drawn for it, interpolated linearly; black where it has no rays.
 
     Args:
         lens: the lens.
-        sheet: the images of ``drawing_of(lens)`` below each other.
+        sheet: the images of ``drawing_of(lens)``, stacked vertically.
     """
     drawing = drawing_of(lens)
     return np.asarray(opencv().remap(sheet, drawing.columns, drawing.rows, opencv().INTER_LINEAR))
 
 
 def without_lens(lens: Lens, sheet: Colours) -> Colours:
-    """Return what the lens's pinhole shows of the same; black where the lens does not look."""
+    """Return the image of the lens's pinhole from the same images; black outside the lens's view."""
     columns, rows = drawing_of(lens).plain
     return np.asarray(opencv().remap(sheet, columns, rows, opencv().INTER_LINEAR))
 
 
 def grainy(picture: Colours, deviation: float, rng: np.random.Generator) -> Colours:
-    """Return an image with normal noise in each channel, of a standard deviation in parts of 255, cut to 0 to 255."""
+    """Return an image with normal noise in each channel, standard deviation in units of 1/255, clipped to 0..255."""
     if deviation == 0.0:
         return picture
     noise = np.float32(255.0 * deviation) * rng.standard_normal(picture.shape, np.float32)
@@ -93,7 +93,7 @@ def grainy(picture: Colours, deviation: float, rng: np.random.Generator) -> Colo
 
 
 def noise_of(camera: Camera, stamp: rospy.Time, *stream: int) -> np.random.Generator:
-    """Return the generator of one exposure's noise: the same for its time, whatever was taken before.
+    """Return the generator of one exposure's noise, which depends on its time and not on earlier exposures.
 
     Args:
         camera: the camera.

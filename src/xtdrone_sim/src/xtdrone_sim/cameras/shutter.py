@@ -1,8 +1,8 @@
-"""Exposures that take time: what an image shows of the moments between the opening and the closing of its shutter.
+"""Motion blur: images of exposures with a duration, from the opening to the closing of the shutter.
 
 An image with an exposure time is the mean of several, drawn at evenly spaced times of that interval, in which bodies
-move from one scene to the next at constant speed: all that moves is blurred, be it the camera or what it sees. With n
-images of an interval T, an edge that moves by d pixels becomes n steps of d / n.
+move from one scene to the next at constant speed. The motion of the camera and that of the objects in view blur the
+image. With n images of an interval T, an edge that moves by d pixels becomes n steps of d / n.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ _MARGIN_US = 100_000  # several periods of the scenes
 
 
 class RecentScenes:
-    """The scenes of the last moments."""
+    """The most recent scenes."""
 
     def __init__(self, longest: float, read: Callable[[SceneState], SceneAt]) -> None:
-        """Begin without a scene.
+        """Start without a scene.
 
         Args:
             longest: the longest exposure, s.
@@ -39,7 +39,7 @@ class RecentScenes:
         self._poses: dict[int, SceneAt] = {}
 
     def clear(self) -> None:
-        """Forget all, as after a reset of simulated time."""
+        """Discard all scenes after a reset of simulated time."""
         self._kept.clear()
         self._poses.clear()
 
@@ -58,7 +58,7 @@ class RecentScenes:
             ValueError: there is no scene.
         """
         if not self._kept:
-            raise ValueError("scenes: none is there yet")
+            raise ValueError("scenes: none has been received yet")
         for earlier, later in pairwise(self._kept):
             if earlier[0] <= time_us < later[0]:
                 part = (time_us - earlier[0]) / (later[0] - earlier[0])
@@ -90,9 +90,9 @@ def middle_us(mount: CameraMount, closed_us: int) -> int:
 
 
 def between(before: SceneAt, after: SceneAt, part: float) -> SceneAt:
-    """Return the poses at ``part``, 0 to 1, of the way from one scene to the next one.
+    """Return the poses at the fraction ``part``, 0 to 1, between one scene and the next.
 
-    Links and actors that are in one scene only stay where they are there.
+    Links and actors that are in only one of the scenes keep their poses there.
     """
     links = {name: _between(before.links.get(name, pose), pose, part) for name, pose in after.links.items()}
     links |= {name: pose for name, pose in before.links.items() if name not in links}

@@ -1,7 +1,7 @@
-"""What the sun reaches of a picture: rays from what each pixel shows towards the sun.
+"""Shadows of the sun in an image: rays from the surface at each pixel towards the sun.
 
-The renderers' own shadows cover a small part of a world. These are those of rays (``rays.scene``): models, vehicles and
-people cast them, at any distance up to ``_REACH``. A pixel in shadow keeps the skylight only.
+The renderers' own shadows cover a small part of a world. These shadows are computed by rays (``rays.scene``): models,
+vehicles and people cast them, at any distance up to ``_REACH``. A pixel in shadow keeps only the skylight.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.worlds.scene_at import SceneAt
 from xtdrone_sim.worlds.sdf import Light, SdfModel, SdfWorld
 
-_REACH = 300.0  # m from the camera to what is shown, and from there to what casts a shadow
+_REACH = 300.0  # m from the camera to a surface, and from there to the object that casts a shadow
 _OFF = 0.03  # m from a surface at which its ray begins
 _COARSE = 1.5e-5  # 1/m: error of a depth over its square, of EGL's depth buffer of 16 bits from 2 m on, twice
 
@@ -41,17 +41,17 @@ class SunShadows:
         self._rays.change(added, deleted)
 
     def reached(self, scene: SceneAt, pinhole: Pinhole, camera: Pose, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Return which pixels show something that the sun reaches, (height, width); the sky is always reached.
+        """Return a mask (height, width) of the pixels that the sun reaches; the sky is always reached.
 
         Args:
-            scene: poses of all that moves.
+            scene: poses of all moving objects.
             pinhole: projection.
             camera: pose of the optical frame in the world.
             depth: along the optical axis, (height, width), m; infinite for the sky.
         """
         rows, columns = np.nonzero(depth < _REACH)
         far = depth[rows, columns].astype(float)
-        off = _OFF + _COARSE * far * far  # towards the eye, too: what is seen faces it
+        off = _OFF + _COARSE * far * far  # towards the camera as well, because visible surfaces face it
         seen = pinhole.rays(np.column_stack([columns + 0.5, rows + 0.5])) * (far - off)[:, None]
         points = seen @ rotation_matrix(camera).T + camera.position
         unit = self._towards / np.linalg.norm(self._towards)
@@ -63,7 +63,7 @@ class SunShadows:
 
 
 def darkened(rgb: NDArray[np.uint8], reached: NDArray[np.bool_], light: Light) -> NDArray[np.uint8]:
-    """Return an image in which pixels that the sun does not reach have the skylight only.
+    """Return an image in which pixels that the sun does not reach have only the skylight.
 
     Args:
         rgb: image with sun and sky everywhere, (height, width, 3).

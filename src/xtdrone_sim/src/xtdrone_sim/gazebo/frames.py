@@ -1,4 +1,4 @@
-"""Poses and velocities relative to moving frames, as Gazebo's services give and take them."""
+"""Poses and velocities relative to moving frames, as Gazebo's services return and accept them."""
 
 from __future__ import annotations
 

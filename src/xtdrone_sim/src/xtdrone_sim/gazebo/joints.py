@@ -12,7 +12,7 @@ from xtdrone_sim.simulation import Simulation
 def set_joints(
     simulation: Simulation, vehicle: int, names: Sequence[str], positions: Sequence[float]
 ) -> Callable[[], str]:
-    """Return the change that puts joints to positions, from where their drives move them on.
+    """Return the change that sets joints to positions, from which their drives continue to move them.
 
     Args:
         simulation: the simulation.

@@ -1,4 +1,4 @@
-"""Conversion between Gazebo's ROS messages and states, with checks of everything that comes from outside."""
+"""Conversion between Gazebo's ROS messages and states, with checks of all received values."""
 
 from __future__ import annotations
 

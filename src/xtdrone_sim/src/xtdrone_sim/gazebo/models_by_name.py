@@ -1,4 +1,4 @@
-"""All models of a running simulation by name: where they are, and the changes that requests make to them."""
+"""All models of a running simulation by name: their poses, and the changes that requests make to them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from xtdrone_sim.worlds.actor_topics import ActorTopics
 from xtdrone_sim.worlds.sdf import SdfJoint, SdfLink, SdfModel
 
 Change = Callable[[], str]
-"""A change that has been found possible; makes it and returns what it has done, in words."""
+"""A validated change: makes the change and returns a description of it."""
 
 _WORLD = ("", "world", "map", "ground_plane", "ground_plane::link")
 
@@ -27,18 +27,19 @@ _WORLD = ("", "world", "map", "ground_plane", "ground_plane::link")
 class Models:
     """The models of a simulation.
 
-    A model's number is its index in the world file, behind those the actors', then of those added by requests.
+    A model's number is its index in the world file; then follow the numbers of the actors, then those of the models
+    added by requests.
 
     Attributes:
         names: by number; a list that only grows until a restart.
         deleted: numbers of deleted models and actors.
-        added: numbers of the models added by requests that are there, with their descriptions.
+        added: numbers of the existing models that requests have added, with their descriptions.
         first_actor: number of the first actor, or the number of models in the world file.
         first_added: number of the first model that a request adds.
     """
 
     def __init__(self, simulation: Simulation, actors: ActorTopics) -> None:
-        """Begin with the world as its file has it.
+        """Start with the world of the file.
 
         Args:
             simulation: vehicles and models.
@@ -51,7 +52,7 @@ class Models:
         self.restart()
 
     def restart(self) -> None:
-        """Begin with the world of the file, after a restart of the simulation."""
+        """Start again with the world of the file, after a restart of the simulation."""
         models = self._simulation.world.model.models
         self.first_actor = len(models)
         self.names[:] = [*(model.name for model in models), *self._actors.names]
@@ -61,7 +62,7 @@ class Models:
         self._numbers = {name: number for number, name in enumerate(self.names)}
 
     def update_vehicles(self) -> None:
-        """Follow vehicles that have joined or left."""
+        """Update the vehicles after one has joined or left."""
         names = self._simulation.names
         self._vehicles = {name: i for i, name in enumerate(names) if name}
         self._links = Links(names, self._simulation.models)
@@ -100,7 +101,7 @@ class Models:
     def _description(self, number: int) -> SdfModel:
         return self.added[number] if number in self.added else self._simulation.world.model.models[number]
 
-    # where they are
+    # poses
 
     def find(self, what: str, name: str, *, frame: bool = False) -> State:
         """Return the state in the world of a model, or of a link by ``model::link``.
@@ -134,7 +135,7 @@ class Models:
         raise unknown(what, name, [f"{base}::{one.name}" for one in model.links])
 
     def _split(self, name: str) -> tuple[str, str]:
-        """Return the names of model and link; a part beyond a joint is a model itself, as ``door::leaf``."""
+        """Return the names of model and link; a part beyond a joint is a model itself, such as ``door::leaf``."""
         if name in self._numbers:
             return name, ""
         base, _, part = name.rpartition("::")
@@ -164,7 +165,7 @@ class Models:
         """Return name and state of all links that are not of vehicles.
 
         Args:
-            still: also those of models that have never changed their place.
+            still: whether to include models that have never moved.
         """
         world = self._simulation.world
         numbers = range(self.first_actor) if still else []
@@ -177,19 +178,19 @@ class Models:
         return out
 
     def bodies(self) -> list[tuple[int, State]]:
-        """Return number and state of all models that can have changed their place."""
+        """Return number and state of all models that may have moved."""
         return [(number, self._model_state(number)) for number in self._simulation.world.bodies.models]
 
     # changes
 
     def moving(self, name: str, state: State, frame: str, *, hold_steps: int = 0) -> Change:
-        """Return the change that puts a model somewhere.
+        """Return the change that moves a model to a state.
 
         Args:
             name: of the model.
             state: in ``frame``.
             frame: name of the frame.
-            hold_steps: steps for which a model or disarmed vehicle stands there.
+            hold_steps: steps for which a model or disarmed vehicle is held there.
 
         Raises:
             RequestError: the model or the frame does not exist.
@@ -197,7 +198,7 @@ class Models:
         return self._placing(name, in_world(state, self.find("reference_frame", frame, frame=True)), hold_steps)
 
     def moving_link(self, name: str, state: State, frame: str) -> Change:
-        """Return the change that puts a model where one of its links is at ``state``, see ``moving``.
+        """Return the change that moves a model so that one of its links is at ``state``, see ``moving``.
 
         Raises:
             RequestError: the link or the frame does not exist, or the link moves in its vehicle.
@@ -209,9 +210,7 @@ class Models:
         if vehicle is not None:
             root = self._simulation.models[vehicle].urdf.root
             if part not in ("", root):
-                raise RequestError(
-                    f"link_name: {name!r} is moved by its joint; only {base}::{root} can be put elsewhere"
-                )
+                raise RequestError(f"link_name: {name!r} is moved by its joint; only {base}::{root} can be set")
             return self._placing(base, target)
         if model is None:
             raise RequestError(f"link_name: {name!r} has no links; set_model_state moves it")
@@ -221,7 +220,7 @@ class Models:
     def _placing(self, name: str, state: State, hold_steps: int = 0) -> Change:
         vehicle, actor, number = self.vehicle(name), self.actor(name), self._numbers.get(name)
         x, y, z = state.pose.position
-        words = f"{name} is put to ({x:.2f}, {y:.2f}, {z:.2f}) m"
+        words = f"{name} is moved to ({x:.2f}, {y:.2f}, {z:.2f}) m"
         if vehicle is not None:
 
             def place_vehicle() -> str:
@@ -261,7 +260,7 @@ class Models:
         return [joint for joint in joints if joint.parent in names or joint.child in names]
 
     def _joined(self, number: int) -> list[int]:
-        """Return the numbers of a model and of those that joints connect with it."""
+        """Return the numbers of a model and of those that joints connect to it."""
         names = {self.names[number]}
         if number < self.first_actor:
             count = 0
@@ -272,20 +271,22 @@ class Models:
         return sorted(self._numbers[name] for name in names)
 
     def _check_loose(self, name: str, parts: Sequence[int]) -> None:
-        """Refuse to put models elsewhere that a joint holds to what stands."""
+        """Reject moving models that a joint attaches to the world or to a static model."""
         for joint in self._joints_of({self.names[part] for part in parts}):
             for end in (joint.parent, joint.child):
                 number = self._numbers.get(end)
                 body = None if number is None else self._simulation.world.bodies.by_number.get(number)
                 if body is None or not body.is_solid:
-                    raise RequestError(f"model_name: {name!r} is held by its joint {joint.name!r}; it can be pushed")
+                    raise RequestError(
+                        f"model_name: {name!r} is attached by its joint {joint.name!r}; it can be pushed"
+                    )
 
     def adding(self, name: str, model: SdfModel, pose: Pose, frame: str) -> Change:
         """Return the change that adds a model.
 
         Args:
             name: its name.
-            model: its description; the own pose of the description counts within ``pose``.
+            model: its description, whose own pose is relative to ``pose``.
             pose: in ``frame``.
             frame: name of the frame.
 
@@ -294,7 +295,7 @@ class Models:
         """
         check_name("model_name", name)
         if name in self.present:
-            raise RequestError(f"model_name: {name!r} is there already; delete_model removes a model")
+            raise RequestError(f"model_name: {name!r} already exists; delete_model removes a model")
         if len(self.added) >= MOST_ADDED:
             raise RequestError(f"model_name: {name!r}: {MOST_ADDED} models have been added, no more are allowed")
         check_model(model)
@@ -303,7 +304,7 @@ class Models:
 
         def add() -> str:
             self.enter(placed)
-            return f"{name} is added, {'a model that stands' if placed.static else 'a body that moves'}"
+            return f"{name} is added, {'a static model' if placed.static else 'a body that moves'}"
 
         return add
 
@@ -312,7 +313,7 @@ class Models:
 
         Args:
             model: its description.
-            drive: what moves it, see ``Bodies.add``; None: forces.
+            drive: drive that moves it, see ``Bodies.add``; None: forces move it.
 
         Raises:
             SdfError: a mesh file cannot be read.
@@ -331,11 +332,10 @@ class Models:
             RequestError: there is no such model, or it is a vehicle or the ground.
         """
         if name == "ground_plane":
-            raise RequestError("model_name: 'ground_plane' cannot be deleted, the ground is always there")
+            raise RequestError("model_name: 'ground_plane' cannot be deleted, the ground always exists")
         if self.vehicle(name) is not None:
             raise RequestError(
-                f"model_name: {name!r} is a vehicle with an autopilot, which /simulator/remove_vehicle takes out; "
-                "delete_model removes models and actors"
+                f"model_name: {name!r} is a vehicle with an autopilot; /simulator/remove_vehicle removes it"
             )
         number = self._numbers.get(name)
         if number is None:
@@ -363,7 +363,7 @@ class Models:
             name: of a body, ``model::link``.
             frame: name of the frame in whose axes the wrench is given, and in which its point is.
             wrench: ``pose.position`` is the point, m, ``velocity`` the force, N, ``spin`` the torque, N m.
-            begin_us: simulated time; the past: at once. Microseconds.
+            begin_us: simulated time of the start, microseconds; a time in the past means at once.
             end_us: simulated time of the end, counted from ``begin_us``; None: never.
 
         Raises:
@@ -407,12 +407,12 @@ class Models:
         if vehicle is not None:
             root = self._simulation.models[vehicle].urdf.root
             if part not in ("", root):
-                raise RequestError(f"body_name: {name!r} is not a body of its own, forces act on {base}::{root}")
+                raise RequestError(f"body_name: {name!r} is not a separate body, forces act on {base}::{root}")
             return vehicle, world.plant["position"][vehicle].tolist()
         number = self._numbers.get(base)
         body = None if number is None else world.bodies.models.get(number)
         if number is None or body is None or not body.is_solid:
-            raise RequestError(f"body_name: {name!r} does not move, it is no vehicle and no model that falls")
+            raise RequestError(f"body_name: {name!r} does not move, it is neither a vehicle nor a model with a mass")
         return len(world.plant) + number, body.centre
 
     def link(self, name: str) -> tuple[SdfModel, SdfLink] | None:

@@ -1,4 +1,4 @@
-"""What requests to the simulated world may contain: finite numbers in bounds, names, models of bounded size."""
+"""Limits of requests to the simulated world: finite numbers in bounds, names, models of bounded size."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _LISTED = 20  # names in a message
 
 
 class RequestError(ValueError):
-    """A request that is refused; the message is one sentence for its sender."""
+    """A rejected request; the message is one sentence for its sender."""
 
 
 def check_vector(what: str, values: Sequence[float], most: float) -> Vector:
@@ -60,7 +60,7 @@ def check_name(what: str, name: str) -> str:
     """Return a name for a model.
 
     Raises:
-        RequestError: it is empty, too long, reserved or has other characters than letters, digits and ``_ . + -``.
+        RequestError: it is empty, too long or reserved, or has characters other than letters, digits and ``_ . + -``.
     """
     if not _NAME.fullmatch(name) or name in _RESERVED:
         shown = name if len(name) <= 100 else name[:100] + "..."
@@ -98,4 +98,4 @@ def unknown(what: str, name: str, known: Sequence[str]) -> RequestError:
     """Return the error for a name that does not exist."""
     names = ", ".join(known[:_LISTED]) + (f" and {len(known) - _LISTED} more" if len(known) > _LISTED else "")
     shown = name if len(name) <= 100 else name[:100] + "..."
-    return RequestError(f"{what}: {shown!r} is not there; there are {names}")
+    return RequestError(f"{what}: {shown!r} does not exist; there are {names}")

@@ -1,4 +1,4 @@
-"""What topics show of the models that requests have moved, added or deleted."""
+"""Contribution to topics of the models that requests have moved, added or deleted."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TOPIC = "/xtdrone/models"
 
 
 class ModelTopics:
-    """Completes the topics of the simulator by the models that have changed, and tells cameras of new ones."""
+    """Adds the models that have changed to the simulator's topics, and notifies cameras of new ones."""
 
     def __init__(self, models: Models) -> None:
         """Advertise the topic of the changes to the world's models.
@@ -28,7 +28,7 @@ class ModelTopics:
         self._changes = lockstep.Publisher(TOPIC, SceneModels, latch=True)
 
     def announce(self) -> None:
-        """Publish which models have been added and deleted since the start, for cameras; latched."""
+        """Publish the models added and deleted since the start, for cameras; latched."""
         models = self._models
         world = replace(load_world_file("empty"), models=tuple(models.added.values()))
         names = [models.names[number] for number in sorted(models.deleted) if number < models.first_added]
@@ -55,7 +55,7 @@ class ModelTopics:
         return ModelStates(*(list(column) for column in zip(*kept, strict=True)))
 
     def add_to_scene(self, scene: SceneState) -> None:
-        """Add the links of models that can have changed their place."""
+        """Add the links of models that may have moved."""
         for name, state in self._models.links(still=False):
             scene.links.append(name)
             scene.poses.append(pose_message(state.pose))

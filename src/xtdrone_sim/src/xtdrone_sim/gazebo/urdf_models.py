@@ -1,4 +1,4 @@
-"""Models described by URDF, as spawn_urdf_model takes them."""
+"""Models described by URDF, for spawn_urdf_model."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _STATIC = re.compile(r"<static>\s*(true|1)\s*</static>")
 
 
 def model_of_urdf(text: str) -> SdfModel:
-    """Return the model of a URDF; joints stand at 0, and a model with joints that turn stands where it is put.
+    """Return the model of a URDF; joints are fixed at 0, and a model with movable joints is static.
 
     Raises:
         RequestError: the URDF is invalid, or names a file outside ROS packages.

@@ -5,7 +5,7 @@ topic or service                   type                          content
 =================================  ============================  ======================================================
 /T/NAME                            sensor_msgs/LaserScan         of lidars of kind scan; stamp: time of the first ray
 /T/NAME                            sensor_msgs/PointCloud2       of others: x, y, z, intensity, ring, time
-/T/NAME/failure                    xtdrone_msgs/SetLidarFailure  lets the lidar fail
+/T/NAME/failure                    xtdrone_msgs/SetLidarFailure  injects a failure of the lidar
 /xtdrone/scene (subscribed)        xtdrone_msgs/SceneState       poses of links and actors
 /xtdrone/models (subscribed)       xtdrone_msgs/SceneModels      models added and deleted since the start
 /xtdrone/vehicles (subscribed)     std_msgs/String               vehicles that join and leave
@@ -13,10 +13,10 @@ topic or service                   type                          content
 
 T is a vehicle, e.g. ``iris_0``, NAME the name of its lidar, e.g. ``scan``.
 
-Scan k of a lidar begins at k / rate s. It is cast in the turn in which the scene has come that covers its last ray, by
-another thread, and published a fixed simulated time later; simulated time continues meanwhile and waits only then.
-Lidars without subscribers cast no rays. Those of a vehicle that joins scan from the first scene with it on; when it
-leaves, the scan that has begun is lost and its topics end.
+Scan k of a lidar begins at k / rate s. Another thread casts it in the turn in which the scene that covers its last ray
+has arrived, and it is published a fixed simulated time later; simulated time continues during the casting and waits
+only for the publication. Lidars without subscribers cast no rays. The lidars of a vehicle that joins scan from its
+first scene on; when it leaves, a scan in progress is lost and its topics end.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class LidarSettings(Settings):
     latency: float = setting(
         0.04, low=0.0, high=10.0, unit="s", text="simulated time from the end of a scan to its publication"
     )
-    skew: bool = setting(True, text="false: all lidars cast their rays at the beginning of the scan")
+    skew: bool = setting(True, text="false: all lidars cast all rays at the beginning of the scan")
 
     def applied(self, mount: LidarMount) -> LidarMount:
         """Return a lidar with these settings."""
@@ -197,7 +197,7 @@ class LidarNode:
         begin, end = begin_us(lidar.mount, number), end_us(lidar.mount, number)
         motion = self._history.motion(rays, lidar.link, begin, end)
         if motion is None:
-            rospy.logwarn_throttle(10.0, f"/xtdrone/scene does not have {lidar.link}: no scans of its lidar")
+            rospy.logwarn_throttle(10.0, f"/xtdrone/scene has no {lidar.link}: no scans of its lidar")
             return
         own, failure = rays.number(lidar.vehicle), self._failures[lidar.topic]
         shot = _Shot(station, number)

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 _LARGEST_FILE = 64_000_000  # bytes
 _COLUMNS = 3
 # Turns per second of the two prisms of a rosette: G. F. Marshall, Risley prism scan patterns, Proc. SPIE 3787 (1999).
-# Their ratio is no fraction of small numbers, so that the pattern fills the field of view the longer it lasts.
+# Their ratio is not a fraction of small numbers, so that the pattern fills the field of view more and more over time.
 _FIRST_PRISM, _SECOND_PRISM = 121.567, -77.772
 
 
@@ -52,7 +52,7 @@ def rays_of(mount: LidarMount, number: int) -> Rays:
 
     Args:
         mount: the lidar.
-        number: of the scan since the start of simulated time; matters for patterns only.
+        number: of the scan since the start of simulated time; used only for patterns.
 
     Raises:
         PatternError: the pattern file cannot be used.
@@ -101,7 +101,7 @@ def _rosette(mount: LidarMount, number: int) -> Rays:
 
 
 def _from_file(mount: LidarMount, number: int) -> Rays:
-    """Return the next rays of a file, which begins again at its end."""
+    """Return the next rays of a file, which restarts after its last ray."""
     directions = read_pattern(mount.pattern_file)
     n = mount.samples
     rows = (number * n + np.arange(n)) % len(directions)

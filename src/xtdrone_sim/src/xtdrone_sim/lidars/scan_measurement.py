@@ -18,19 +18,22 @@ from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount
 
 WHITE = 100.0
-"""Intensity of a surface that faces the lidar; others have it times the cosine of the angle between ray and normal, as
-after Lambert's law, whatever their distance and colour."""
+"""Intensity of a surface that faces the lidar.
+
+For others it is multiplied by the cosine of the angle between ray and normal (Lambert's law), regardless of distance
+and colour.
+"""
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Poses of all things during a scan.
+    """Poses of all objects during a scan.
 
     Attributes:
         times_us: (k,) simulated times, microseconds, ascending.
-        places: (k, m) ``casting.PLACE`` of the things of ``layout``.
+        places: (k, m) ``casting.PLACE`` of the objects of ``layout``.
         link: (k,) ``casting.PLACE`` of the lidar's link.
         layout: the scene.
     """
@@ -64,7 +67,7 @@ def begin_us(mount: LidarMount, number: int) -> int:
 
 
 def end_us(mount: LidarMount, number: int) -> int:
-    """Return the time until which a scan needs the poses of moving things, microseconds."""
+    """Return the time until which a scan needs the poses of moving objects, microseconds."""
     return begin_us(mount, number + 1 if mount.skew else number)
 
 
@@ -76,8 +79,8 @@ def link_places(poses: Sequence[Pose]) -> NDArray[np.void]:
 def cast_scan(mount: LidarMount, number: int, motion: Motion, own: int = NOTHING) -> tuple[Rays, Hits]:
     """Cast the rays of a scan, without noise.
 
-    Between two times of ``motion`` everything moves in a straight line and turns evenly. This is off by a h^2 / 8 for
-    an acceleration a and times h apart: 0.5 mm for 10 m/s^2 and 20 ms.
+    Between two times of ``motion`` everything moves in a straight line and turns evenly. The error is a h^2 / 8 for an
+    acceleration a and an interval h: 0.5 mm for 10 m/s^2 and 20 ms.
 
     Args:
         mount: the lidar.
@@ -105,7 +108,7 @@ def measured(
 ) -> Scan:
     """Return the measurement of hits: with noise, dropouts, resolution and limits of range.
 
-    The random numbers depend on seed, vehicle, name and number of the scan only.
+    The random numbers depend only on seed, vehicle, name and number of the scan.
 
     Args:
         mount: the lidar.

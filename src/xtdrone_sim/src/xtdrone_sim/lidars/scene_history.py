@@ -1,4 +1,4 @@
-"""Scenes of the last moments, for scans that take time."""
+"""The most recent scenes, for scans that take time."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ class _Sample:
 
 
 class SceneHistory:
-    """The scenes of the last moments, in order of time."""
+    """The most recent scenes, in order of time."""
 
     def __init__(self, longest_us: int) -> None:
-        """Begin without a scene.
+        """Start without a scene.
 
         Args:
-            longest_us: how far back a scan reaches, microseconds.
+            longest_us: duration for which scenes are kept for a scan, microseconds.
         """
         self._longest_us = longest_us
         self._samples: deque[_Sample] = deque()
 
     def reach_back(self, longest_us: int) -> None:
-        """Keep scenes for scans that reach as far back, microseconds; what has been dropped stays so."""
+        """Keep scenes for scans of this duration, microseconds; scenes already dropped are not restored."""
         self._longest_us = max(self._longest_us, longest_us)
 
     def first_with(self, link: str) -> int | None:
@@ -44,7 +44,7 @@ class SceneHistory:
         return next((sample.time_us for sample in self._samples if link in sample.scene.links), None)
 
     def clear(self) -> None:
-        """Forget all, as after a reset of simulated time."""
+        """Discard all scenes after a reset of simulated time."""
         self._samples.clear()
 
     def add(self, time_us: int, scene: SceneAt) -> None:
@@ -66,10 +66,10 @@ class SceneHistory:
         return self._samples[-1].time_us if self._samples else None
 
     def motion(self, rays: RayScene, link: str, begin_us: int, end_us: int) -> Motion | None:
-        """Return the poses of all things from one time to another.
+        """Return the poses of all objects from one time to another.
 
         Args:
-            rays: the scene of the rays; it learns which models have been moved.
+            rays: the scene of the rays; updated with the models that have moved.
             link: Gazebo's name of the lidar's link.
             begin_us, end_us: within the times of the scenes, microseconds.
 
@@ -82,7 +82,7 @@ class SceneHistory:
         chosen = samples[first : last + 1]
         if any(link not in sample.scene.links for sample in chosen):
             return None
-        while any(sample.layout is not rays.layout for sample in chosen):  # again if a model has just begun to move
+        while any(sample.layout is not rays.layout for sample in chosen):  # repeated if a model has just begun to move
             for sample in chosen:
                 if sample.layout is not rays.layout:
                     sample.places = rays.places(sample.scene)

@@ -136,14 +136,14 @@ class Batteries:
         return charge
 
     def fit(self, index: int, model: BatteryModel) -> None:
-        """Fit another vehicle at ``index`` with the full battery of its model; its parameters are those of now."""
+        """Give the new vehicle at ``index`` the full battery of its model; its current parameters apply."""
         self._set_model(index, model)
         self._changes = -1
         self._read_parameters()
         self.reset(index)
 
     def reset(self, index: int) -> None:
-        """Replace the battery of vehicle ``index`` by a full one, and write its sensor values."""
+        """Replace the battery of vehicle ``index`` with a full one, and write its sensor values."""
         battery, sensors = self._records[index], self._sensors[index]
         battery["charge"] = 1.0
         full = battery["number"] * _CELL_VOLTAGES[-1] if battery["cells"] else battery["full_voltage"]

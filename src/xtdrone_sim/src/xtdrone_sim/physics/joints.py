@@ -1,8 +1,8 @@
 """Joints between movable models: hinges, slides and balls as constraints of Bullet.
 
 A hinge is two points of its axis that both bodies share, a slide Bullet's prismatic constraint. Limits, damping and
-friction are torques and forces on both bodies: what stops the motion within one step at most, so that none of them
-adds energy.
+friction are torques and forces on both bodies, no larger than those that stop the motion within one step, so that none
+of them adds energy.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from xtdrone_sim.worlds.sdf.world_records import SdfJoint
 
 _HALF = 0.25  # m from a hinge's anchor to the points of its axis
 _STRONGEST = 1e6  # N, of a constraint
-_RETURN = 0.2  # share of what is beyond a limit that is taken back in a step
+_RETURN = 0.2  # share of the excess beyond a limit that is corrected in a step
 
 Array = NDArray[np.float64]
 
@@ -212,7 +212,7 @@ def _cross_matrix(v: Array) -> Array:
 
 
 def _rate_to(gap: float, dt: float, *, upper: bool) -> float:
-    """Return the extreme speed of a step towards a limit, from which it takes back a part of what is beyond it."""
+    """Return the largest speed towards a limit in a step; beyond the limit it corrects a share of the excess."""
     is_beyond = gap < 0.0 if upper else gap > 0.0
     return gap / dt * (_RETURN if is_beyond else 1.0)
 

@@ -18,7 +18,7 @@ from xtdrone_sim.kernel import kernel
 FREE = 0  # integrated here
 TOUCHING = 1  # near ground or another body: Bullet integrates
 ASLEEP = 2  # at rest on the ground with motors off: not integrated
-ABSENT = 3  # not in the world: a reserved place that no vehicle holds
+ABSENT = 3  # not in the world: a reserved place without a vehicle
 
 PLANT = np.dtype(
     [
@@ -40,7 +40,7 @@ PLANT = np.dtype(
 
 @kernel
 def rotor_lag(m, dt):
-    """Return the share of the difference to a higher and to a lower wanted speed that a rotor keeps over ``dt``."""
+    """Return the shares of the difference to a higher and to a lower wanted speed that remain after ``dt``."""
     return math.exp(-dt / m.time_constant_up), math.exp(-dt / m.time_constant_down)
 
 

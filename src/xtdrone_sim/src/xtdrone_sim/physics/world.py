@@ -49,7 +49,7 @@ _NO_BODY = -1  # of an absent place
 
 
 def _absent() -> np.void:
-    """Return the record of a place that no vehicle holds."""
+    """Return the record of a place without a vehicle."""
     record = np.zeros(1, PLANT)[0]
     record["q"][0], record["contact"] = 1.0, ABSENT
     return record  # type: ignore[no-any-return]
@@ -59,13 +59,13 @@ class World:
     """All bodies of the world and their motion.
 
     Attributes:
-        plant: (n,) ``PLANT``, true state of the vehicles; places that no vehicle holds are ABSENT.
+        plant: (n,) ``PLANT``, true state of the vehicles; places without a vehicle are ABSENT.
         models: (n,) ``MODEL``.
         time_step: s.
-        bodies: models that can change their place, by number.
+        bodies: movable models, by number.
         wrenches: forces and torques by request.
-        collisions: pairs that have touched since the start, lower index first: vehicles, and from n on the models by
-            number: those of the world in its order, and any that are added.
+        collisions: pairs that have collided since the start, lower index first: vehicles, and from n on the models by
+            number: those of the world in its order, then added ones.
     """
 
     def __init__(
@@ -82,9 +82,9 @@ class World:
         Args:
             model: the world.
             vehicles: one model per vehicle.
-            poses: where each vehicle starts.
+            poses: start pose of each vehicle.
             time_step: s.
-            absent: indices of places that no vehicle holds; see ``add_vehicle``.
+            absent: indices of places without a vehicle; see ``add_vehicle``.
             effects: further forces and torques; their ``begin`` is called with ``plant`` before the first step.
         """
         count = len(vehicles)
@@ -108,7 +108,7 @@ class World:
         self._fixed = {number: one for number, one in enumerate(model.models) if one.static}
         self._obstacles = Obstacles(self._fixed)
         self._near_obstacles = 0
-        self._held: dict[int, int] = {}  # vehicle to the step until which it stands
+        self._held: dict[int, int] = {}  # vehicle to the step until which it is held
         self._limits = np.array([NEAR, FAR])
         self._bullet = connect()
         self.bodies = Bodies(self._bullet, model.friction, model.restitution)
@@ -149,7 +149,7 @@ class World:
         self.bodies.before_removal = self._disconnect
 
     def _tie(self) -> None:
-        """Let the bodies that joints connect wake and sleep together."""
+        """Make bodies that joints connect wake and sleep together."""
         number_of = {id(body): number for number, body in self.bodies.by_number.items()}
         group = {number: frozenset([number]) for number in number_of.values()}
         for joint in self.joints.values():
@@ -205,12 +205,12 @@ class World:
         check_starts(self.plant, self.models, names, self._obstacles, owners, which)
 
     def put(self, i: int, pose: StartPose, names: Sequence[str]) -> None:
-        """Put vehicle ``i`` at a start pose, at rest and with its rotors stopped.
+        """Move vehicle ``i`` to a start pose, at rest and with its rotors stopped.
 
         Args:
             i: index of the vehicle.
-            pose: where it then stands.
-            names: of all vehicles; those with an empty name are not there.
+            pose: its new pose.
+            names: of all vehicles; those with an empty name are absent.
 
         Raises:
             StartError: the place is not free; nothing has changed then.
@@ -241,7 +241,7 @@ class World:
         Args:
             i: index of the place.
             vehicle: its model.
-            pose: where it stands.
+            pose: its start pose.
             names: of all vehicles, its own included; those of absent places are empty.
 
         Raises:
@@ -256,7 +256,7 @@ class World:
         self._update_touching()
 
     def remove_vehicle(self, i: int) -> None:
-        """Take a vehicle out of the world; what rests against it wakes."""
+        """Remove a vehicle from the world; bodies that rest against it wake."""
         v, m = self.plant[i].copy(), self.models[i]
         self._bullet.removeBody(self._bodies[i])
         del self._index_of[self._bodies[i]]
@@ -295,7 +295,7 @@ class World:
             self._step_bullet()
 
     def _wake_for(self, active: list[tuple[wrenches.Wrench, float]]) -> None:
-        """Wake what the wrenches of the next step act on."""
+        """Wake the targets of the wrenches of the next step."""
         count = len(self.plant)
         for wrench, _ in active:
             number = wrench.target - count
@@ -324,7 +324,7 @@ class World:
         return CHECK_STEPS - done
 
     def steps_apart(self, most: int) -> int:
-        """Return ``most`` (steps, 0.1 s at most) if all vehicles surely touch nothing until then, else 0."""
+        """Return ``most`` (steps, 0.1 s at most) if certainly no vehicle touches anything until then, else 0."""
         free = not self.has_obstacles and stay_free(self.plant, self.models, most, self.model.gravity, self.time_step)
         return most if free else 0
 
@@ -335,7 +335,7 @@ class World:
 
     @property
     def standing(self) -> Collection[int]:
-        """Numbers of the models that stand where the world's file says, and have never been moved."""
+        """Numbers of the models that have never moved from their poses in the world's file."""
         return self._fixed.keys()
 
     @property
@@ -383,7 +383,7 @@ class World:
         return int(np.count_nonzero(wanted != plant["contact"]))
 
     def _hold(self, armed: NDArray[np.int32], wanted: NDArray[np.int64]) -> None:
-        """Let the held vehicles sleep until their time has passed or they are armed."""
+        """Make held vehicles sleep until their time has passed or they are armed."""
         over = [i for i, until in self._held.items() if armed[i] or self._steps >= until]
         for i in over:
             del self._held[i]
@@ -399,7 +399,7 @@ class World:
             number: a number that no model has had; see ``collisions``.
             model: a static one stands, any other is awake.
             pose: in the world.
-            drive: what moves it; None: forces.
+            drive: drive that moves it; None: forces move it.
 
         Raises:
             SdfError: a mesh file cannot be read.
@@ -411,7 +411,7 @@ class World:
         self._index_of.update((shape, len(self._bodies) + number) for shape in body.shapes)
 
     def overlaps(self, number: int) -> list[tuple[int, float]]:
-        """Return what a body is inside of at present: index, as in ``collisions``, and depth, m, of each."""
+        """Return the objects that a body currently overlaps: index, as in ``collisions``, and depth, m, of each."""
         own = self.bodies.by_number[number].shapes
         self._bullet.performCollisionDetection()
         found: dict[int, float] = {}
@@ -429,12 +429,12 @@ class World:
         self.wrenches.clear(len(self.plant) + number)
 
     def place_model(self, number: int, pose: Pose, velocity: Vector, spin: Vector, hold: int = 0) -> None:
-        """Put a model somewhere in the world.
+        """Move a model in the world.
 
         Args:
             number: of the model.
             pose, velocity, spin: see ``Bodies.place``.
-            hold: steps for which it stands there.
+            hold: steps for which it is held there.
         """
         self._loosen(number)
         self.bodies.place(number, pose, velocity, spin, self._steps + hold if hold else 0)
@@ -454,7 +454,7 @@ class World:
     def place_vehicle(
         self, i: int, position: Vector, q: Quaternion, velocity: Vector, rates: Vector, hold: int = 0
     ) -> None:
-        """Put a vehicle somewhere.
+        """Move a vehicle.
 
         Args:
             i: index of the vehicle.
@@ -462,7 +462,7 @@ class World:
             q: (w, x, y, z), body to world.
             velocity: m/s, world.
             rates: rad/s, body.
-            hold: steps for which it stands there if its motors are off.
+            hold: steps for which it is held there if its motors are off.
         """
         v = self.plant[i]
         v["position"], v["q"], v["velocity"], v["rates"] = position, q, velocity, rates
@@ -555,7 +555,7 @@ class World:
                 self.collisions.add(pair)
 
     def contacts(self, i: int) -> list[Contact]:
-        """Return the contact points of vehicle ``i`` in the last step in which Bullet had it; none in free flight."""
+        """Return the contact points of vehicle ``i`` in the last step that Bullet integrated; none in free flight."""
         if self.plant["contact"][i] not in (TOUCHING, ASLEEP):
             return []
         found = []

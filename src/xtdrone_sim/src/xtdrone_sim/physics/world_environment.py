@@ -1,4 +1,4 @@
-"""What physics needs of a world's description: origin, gravity, magnetic field, wind, friction, models, people."""
+"""Physical content of a world's description: origin, gravity, magnetic field, wind, friction, models, people."""
 
 from __future__ import annotations
 

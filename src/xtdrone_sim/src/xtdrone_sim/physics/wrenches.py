@@ -18,10 +18,10 @@ class Wrench:
     """A constant force and torque.
 
     Attributes:
-        target: index of the vehicle, or from the number of vehicles on that of the model.
+        target: index of the vehicle, or the number of vehicles plus the number of the model.
         force: N, world, at the centre of mass.
         torque: N m, world.
-        begin, end: steps since the start, with fractions: the first and last step count by their share.
+        begin, end: steps since the start, with fractions: the wrench acts for that share of the first and last step.
     """
 
     target: int
@@ -35,7 +35,7 @@ class Wrenches:
     """All wrenches that act now or later."""
 
     def __init__(self) -> None:
-        """Begin without any."""
+        """Start without wrenches."""
         self._wrenches: list[Wrench] = []
 
     def __bool__(self) -> bool:

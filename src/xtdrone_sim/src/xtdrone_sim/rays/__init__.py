@@ -1,1 +1,1 @@
-"""Rays against everything in a world: ``scene.RayScene`` and its compiled kernels."""
+"""Ray casting in a world: ``scene.RayScene`` and its compiled kernels."""

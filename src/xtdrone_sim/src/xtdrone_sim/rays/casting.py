@@ -1,4 +1,4 @@
-"""Kernels that cast many rays, each at its own time, at static and moving things."""
+"""Kernels that cast many rays, each at its own time, at static and moving objects."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ THING = np.dtype(
 
 PLACE = np.dtype(
     [
-        ("root", "i8"),  # of its tree; NOTHING: it is not there
+        ("root", "i8"),  # root of its tree; NOTHING: it is absent
         ("position", "f8", 3),  # m, map
         ("q", "f8", 4),  # (w, x, y, z), to map
     ],
@@ -30,7 +30,7 @@ PLACE = np.dtype(
 
 @kernel
 def between(a, b, share):
-    """Return position and unit quaternion between two places, linear in both (for turns well below a half)."""
+    """Return position and unit quaternion interpolated linearly between two places (turned by well below 180 deg)."""
     x = a.position[0] + share * (b.position[0] - a.position[0])
     y = a.position[1] + share * (b.position[1] - a.position[1])
     z = a.position[2] + share * (b.position[2] - a.position[2])
@@ -52,7 +52,7 @@ def _incidence(s, x, y, z, dx, dy, dz):
 
 @kernel
 def _cast(nodes, surfaces, has_ground, things, before, after, share, skip, o, d, most, stack):
-    """Cast one ray; see ``cast_rays``. ``before`` and ``after`` (m,) are the places of things around its time."""
+    """Cast one ray; see ``cast_rays``. ``before`` and ``after`` (m,) are the places of the objects around its time."""
     best, owner, cosine = most, NOTHING, 0.0
     if has_ground and d[2] < 0.0 and o[2] >= 0.0 and -o[2] / d[2] <= best:
         best, owner, cosine = -o[2] / d[2], 0, -d[2]
@@ -96,15 +96,16 @@ def cast_rays(
     Args:
         nodes, surfaces: see ``tree.Trees``.
         has_ground: whether the plane z = 0, owner 0, is hit from above.
-        things: (m,) ``THING``; the first is all that is static.
-        places: (k, m) ``PLACE``, of the things at k times.
+        things: (m,) ``THING``, the objects; the first contains all static models.
+        places: (k, m) ``PLACE``, of the objects at k times.
         segments: (n,) number of the time before the ray's.
-        shares: (n,) 0..1, how far the ray's time is on the way to the next one.
+        shares: (n,) 0..1, fraction of the interval to the next time.
         skip: owner that the rays pass through; NOTHING: none.
         origins: (n, 3) m, map.
         directions: (n, 3), of any length.
         most: largest range, m.
-        ranges: (n,) filled: distance, m; infinite without a hit; NaN if origin or direction is no number, or 0.
+        ranges: (n,) filled: distance, m; infinite without a hit; NaN if the origin or direction is not finite, or the
+            direction is 0.
         owners: (n,) filled: owner of the surface that is hit, or NOTHING.
         cosines: (n,) filled: cosine of the angle between the ray and the surface's normal, 0..1.
     """
@@ -156,7 +157,7 @@ def distance_along(nodes, surfaces, things, places, skip, position, direction, m
 
     Args:
         nodes, surfaces, things: see ``cast_rays``.
-        places: (m,) ``PLACE`` of the things.
+        places: (m,) ``PLACE`` of the objects.
         skip: owner that the ray passes through; NOTHING: none.
         position: three numbers, m, map.
         direction: three numbers, map.

@@ -1,4 +1,4 @@
-"""The scene of a node's rays, which follows the models that are added and deleted in the running simulation."""
+"""The scene of a node's rays, kept up to date with the models added and deleted in the running simulation."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class LiveRays:
     """A scene for rays, built when it is first needed."""
 
     def __init__(self, node: str) -> None:
-        """Begin with the empty world.
+        """Start with the empty world.
 
         Args:
             node: name in the log.
@@ -29,19 +29,19 @@ class LiveRays:
         self._models: SceneModels | None = None
 
     def begin(self, world: str, fleet: Sequence[Vehicle]) -> None:
-        """Set what stands and what flies.
+        """Set the world and the vehicles.
 
         Args:
             world: name or file.
-            fleet: all vehicles, which rays meet.
+            fleet: all vehicles, which rays can hit.
         """
         self._world, self._fleet = world, fleet
 
     def add_vehicle(self, vehicle: Vehicle) -> None:
-        """Let rays meet a vehicle that has joined.
+        """Add a vehicle that has joined.
 
         Raises:
-            ValueError: it cannot be met.
+            ValueError: its model cannot be used.
         """
         if self._rays is not None:
             self._rays.add_vehicle(vehicle)
@@ -50,23 +50,23 @@ class LiveRays:
         self._fleet = [*self._fleet, vehicle]
 
     def remove_vehicle(self, vehicle: Vehicle) -> None:
-        """Let rays meet a vehicle that has left no more."""
+        """Remove a vehicle that has left."""
         if self._rays is not None:
             self._rays.remove_vehicle(vehicle.name)
         self._fleet = [other for other in self._fleet if other.name != vehicle.name]
 
     def change(self, message: SceneModels) -> None:
-        """Follow models added and deleted since the start; called with each message of /xtdrone/models."""
+        """Apply the models added and deleted since the start; called with each message of /xtdrone/models."""
         self._models = message
         if self._rays is not None:
             self._change(self._rays, message)
 
     def _change(self, rays: RayScene, message: SceneModels) -> None:
-        """Cast at other models from now on; one that cannot be read is left out."""
+        """Use other models from now on; one that cannot be read is left out."""
         try:
             rays.change(read_world(message.sdf, world_file(self._world)).models, message.deleted)
         except ValueError as error:
-            rospy.logwarn(f"{self._node}: a model is not seen by rays: {error}")
+            rospy.logwarn(f"{self._node}: a model is ignored by rays: {error}")
 
     def scene(self) -> RayScene | None:
         """Return the scene; None if rays cannot be cast in this world, which is logged once."""
@@ -77,7 +77,7 @@ class LiveRays:
             except ValueError as error:
                 self._is_hopeless = True
                 rospy.logerr(
-                    f"{self._node}: nothing is measured, as rays cannot be cast in the world {self._world}: {error}"
+                    f"{self._node}: no measurements, because rays cannot be cast in the world {self._world}: {error}"
                 )
                 return None
             if self._models is not None:

@@ -32,14 +32,14 @@ Array = NDArray[np.float64]
 
 
 class SceneError(ValueError):
-    """A scene that rays cannot be cast in; the message gives the reason."""
+    """A scene in which rays cannot be cast; the message gives the reason."""
 
 
 class Hits(NamedTuple):
     """Hits of rays.
 
     Attributes:
-        ranges: (n,) distance, m; infinite without a hit, NaN for a ray whose origin or direction is no number.
+        ranges: (n,) distance, m; infinite without a hit, NaN for a ray whose origin or direction is not finite.
         owners: (n,) index of the hit model or vehicle in ``RayScene.owners``; -1: no hit.
         cosines: (n,) cosine of the angle between the ray and the surface's normal, 0..1.
     """
@@ -68,7 +68,7 @@ class RayScene:
     def __init__(
         self, models: Sequence[SdfModel], fleet: Sequence[Vehicle] = (), actors: Sequence[SdfActor] = ()
     ) -> None:
-        """Build the trees. Vehicles and actors are not there until ``places`` gets their poses.
+        """Build the trees. Vehicles and actors are absent until ``places`` gets their poses.
 
         Args:
             models: of the world, at the poses of its file.
@@ -95,7 +95,7 @@ class RayScene:
         self._check_size()
 
     def number(self, owner: str) -> int:
-        """Return the index of a name in ``owners``, which it joins if it is new."""
+        """Return the index of a name in ``owners``, to which a new name is appended."""
         if owner not in self._numbers:
             self._numbers[owner] = len(self.owners)
             self.owners.append(owner)
@@ -127,7 +127,7 @@ class RayScene:
             self.number(vehicle.name)
 
     def add_vehicle(self, vehicle: Vehicle) -> None:
-        """Let rays meet one more vehicle.
+        """Add a vehicle.
 
         Raises:
             SceneError: too many triangles; nothing has changed then.
@@ -143,7 +143,7 @@ class RayScene:
         self._layout = None
 
     def remove_vehicle(self, name: str) -> None:
-        """Let rays meet a vehicle no more."""
+        """Remove a vehicle."""
         self._trees = {link: trees for link, trees in self._trees.items() if link.partition("::")[0] != name}
         self._layout = None
 
@@ -162,8 +162,8 @@ class RayScene:
         """Change the models from those of the world's file.
 
         Args:
-            added: all models that have been added since the start and are there.
-            deleted: names of all models and actors of the file that are gone.
+            added: all models that have been added since the start and still exist.
+            deleted: names of all deleted models and actors of the file.
 
         Raises:
             SceneError: too many triangles.
@@ -217,9 +217,9 @@ class RayScene:
         return Layout(together, things, tuple(self._trees), {"": (roots[0],), **named})
 
     def places(self, scene: SceneAt) -> NDArray[np.void]:
-        """Return the places (m,) ``casting.PLACE`` of all things at one time, for the present ``layout``.
+        """Return the places (m,) ``casting.PLACE`` of all objects at one time, for the current ``layout``.
 
-        Models of the world's file whose links are in ``scene`` are from now on where it says.
+        Models of the world's file whose links are in ``scene`` keep these poses from now on.
         """
         moved = {name.partition("::")[0] for name in scene.links.keys() - self._trees.keys()} & self._models.keys()
         for name in sorted(moved - self._loose):
@@ -241,7 +241,7 @@ class RayScene:
         return places
 
     def _home(self, name: str) -> Pose | None:
-        """Return where a link of the world's file stands that a restart has put back."""
+        """Return the place of a link of the world's file that a restart has restored."""
         return None if name.partition("::")[0] in self._deleted else self._homes.get(name)
 
     def cast(
@@ -259,7 +259,7 @@ class RayScene:
             origins: (n, 3) m, map.
             directions: (n, 3), map, of any length but 0.
             most: largest range, m.
-            scene: poses of all moving things; None: the world alone.
+            scene: poses of all moving objects; None: the world alone.
             skip: index of an owner that rays pass through.
         """
         places = self.places(scene or SceneAt({}, {}))[None]

@@ -1,4 +1,4 @@
-"""Heights of what wheels can stand on: the collision shapes of models, heightmaps among them, and the plane z = 0."""
+"""Ground heights for wheels: the collision shapes of models, including heightmaps, and the plane z = 0."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 def shapes_of(models: Sequence[SdfModel]) -> list[tuple[Geometry, Pose]]:
-    """Return the collision shapes of models that stand, with their poses in the world."""
+    """Return the collision shapes of static models, with their poses in the world."""
     return [
         (shape.geometry, compose(compose(model.pose, link.pose), shape.pose))
         for model in models
@@ -29,7 +29,7 @@ def shapes_of(models: Sequence[SdfModel]) -> list[tuple[Geometry, Pose]]:
 
 
 class SolidGround:
-    """Shapes, whose trees are built when something is above them."""
+    """Shapes whose trees are built on the first query above them."""
 
     def __init__(self, shapes: Sequence[tuple[Geometry, Pose]]) -> None:
         """Compute the boxes of all shapes.
@@ -48,7 +48,7 @@ class SolidGround:
 
     @property
     def is_level(self) -> bool:
-        """Whether there is nothing but the plane."""
+        """Whether there is only the plane."""
         return not self._shapes
 
     @property

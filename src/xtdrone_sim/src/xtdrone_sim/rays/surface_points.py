@@ -1,4 +1,4 @@
-"""Points on surfaces drawn by a seed, and exact distances of points from surfaces; both include the plane z = 0."""
+"""Random points on surfaces, and exact distances of points from surfaces; both include the plane z = 0."""
 
 from __future__ import annotations
 
@@ -166,7 +166,7 @@ def _on_box(half: Array, random: Array) -> Array:
 
 
 def _on_cylinder(size: Array, random: Array) -> Array:
-    """Return points on cylinders of radius and half length: the first number chooses mantle, top or bottom."""
+    """Return points on cylinders of radius and half length: the first number chooses side, top or bottom."""
     radius, half = size[:, 0], size[:, 1]
     mantle = 2.0 * half / np.maximum(2.0 * half + radius, 1e-300)
     on_mantle = random[:, 0] < mantle

@@ -1,8 +1,8 @@
 """Trees of bounding boxes over surfaces, and the nearest surface along a ray.
 
 A *surface* is a triangle, or the boundary of a box, a sphere or a cylinder. A tree's inner node has two children, the
-first directly behind it in the array; a leaf has a few surfaces. Several trees share one set of arrays: the first is
-that of all static models, in the frame of the world; the others are those of moving things, in frames of their own.
+first directly after it in the array; a leaf has a few surfaces. Several trees share one set of arrays: the first is
+that of all static models, in the frame of the world; the others are those of moving objects, in their own frames.
 
 Triangles are intersected from both sides as by T. Möller and B. Trumbore (Fast, minimum storage ray-triangle
 intersection, Journal of Graphics Tools 2, 1997). Trees are split where the binned surface area heuristic is least
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from xtdrone_sim.kernel import kernel, kernel_that_allocates
 
 TRIANGLE, BOX, SPHERE, CYLINDER = range(4)
-NOTHING = -1  # as surface: the ray meets none
+NOTHING = -1  # as index of a surface: the ray hits none
 
 SURFACE = np.dtype(
     [
@@ -47,15 +47,15 @@ NODE = np.dtype(
 )
 
 DEPTH = 96
-"""Most nodes that a ray has to remember; the trees are never deeper."""
+"""Size of a ray's stack of nodes; the trees are never deeper."""
 
-_LEAF = 4  # most surfaces of a leaf, unless they lie in one place
+_LEAF = 4  # most surfaces of a leaf, unless they coincide
 _BINS = 16
-_WALK = 1.0  # cost of a node against that of a surface
-_EDGE = 1e-9  # share of a triangle by which its edges reach further, so that rays do not pass between two
-_LEAST = 1e-300  # stands for 0 in a direction, whose inverse is needed
-_ROUNDING = 1.0 + 1e-12  # by which boxes are deeper, so that a flat one is not missed
-_MOST_SPLITS = 60  # depth below which nodes are halved by number
+_WALK = 1.0  # cost of a node relative to that of a surface
+_EDGE = 1e-9  # share by which triangles are enlarged, so that no ray passes between two
+_LEAST = 1e-300  # replaces 0 in a direction, whose inverse is needed
+_ROUNDING = 1.0 + 1e-12  # margin of boxes, so that a flat one is not missed
+_MOST_SPLITS = 60  # depth below which nodes are split into halves of equal number
 
 Array = NDArray[np.float64]
 
@@ -180,7 +180,7 @@ def _build(low, high, nodes, order):
 
 
 def build(surfaces: NDArray[np.void]) -> Trees:
-    """Return the tree of surfaces; that of none has no node.
+    """Return the tree of surfaces; without surfaces it has no node.
 
     Args:
         surfaces: (n,) ``SURFACE``.
@@ -229,7 +229,7 @@ def bounds(surfaces: NDArray[np.void]) -> tuple[Array, Array]:
 
 @kernel
 def _triangle(s, ox, oy, oz, dx, dy, dz):
-    """Return the distance at which a ray meets a triangle; infinite if it does not."""
+    """Return the distance at which a ray hits a triangle; infinite if it does not."""
     bx, by, bz = s.b[0], s.b[1], s.b[2]
     cx, cy, cz = s.c[0], s.c[1], s.c[2]
     px, py, pz = dy * cz - dz * cy, dz * cx - dx * cz, dx * cy - dy * cx
@@ -261,7 +261,7 @@ def _turned(s, x, y, z):
 
 @kernel
 def _slab(o, d, half, near, far):
-    """Return near and far, narrowed to where a ray is between two planes at ``half`` on either side of 0."""
+    """Return near and far, narrowed to the part of a ray between two planes at ``half`` on either side of 0."""
     if d == 0.0:
         return (near, far) if abs(o) <= half else (math.inf, -math.inf)
     a, b = (-half - o) / d, (half - o) / d
@@ -270,7 +270,7 @@ def _slab(o, d, half, near, far):
 
 @kernel
 def _ahead(near, far):
-    """Return the first of two distances that is ahead; infinite if the ray is outside all the way."""
+    """Return the first of two distances that is ahead; infinite if the ray stays outside."""
     if near > far or far <= 0.0:
         return math.inf
     return near if near > 0.0 else far
@@ -278,7 +278,7 @@ def _ahead(near, far):
 
 @kernel
 def _round(a, b, c):
-    """Return the ends of where a t^2 + 2 b t + c <= 0, a > 0."""
+    """Return the ends of the interval in which a t^2 + 2 b t + c <= 0, a > 0."""
     root = b * b - a * c
     if root < 0.0:
         return math.inf, -math.inf
@@ -288,7 +288,7 @@ def _round(a, b, c):
 
 @kernel
 def _solid(s, ox, oy, oz, dx, dy, dz):
-    """Return the distance at which a ray meets a box, sphere or cylinder, from outside or inside."""
+    """Return the distance at which a ray hits a box, sphere or cylinder, from outside or inside."""
     x, y, z = _turned(s, ox - s.a[0], oy - s.a[1], oz - s.a[2])
     u, v, w = _turned(s, dx, dy, dz)
     if s.kind == BOX:
@@ -349,13 +349,13 @@ def nearest(nodes, surfaces, root, ox, oy, oz, dx, dy, dz, best, stack):
     Args:
         nodes, surfaces: see ``Trees``.
         root: node at which the tree begins.
-        ox, oy, oz: where the ray begins, m, in the tree's frame.
+        ox, oy, oz: origin of the ray, m, in the tree's frame.
         dx, dy, dz: its direction, a unit vector.
-        best: surfaces further away than this do not count, m.
+        best: surfaces farther away than this are ignored, m.
         stack: (``DEPTH``,) integers, overwritten.
 
     Returns:
-        Distance, m, and index; ``best`` and NOTHING if the ray meets none.
+        Distance, m, and index; ``best`` and NOTHING if the ray hits none.
     """
     found = NOTHING
     ix = 1.0 / (dx if abs(dx) > _LEAST else _LEAST)

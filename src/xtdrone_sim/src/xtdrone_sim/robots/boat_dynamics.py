@@ -7,7 +7,7 @@ with the added mass c m, heave in still water has the period 2 pi sqrt((1 + c) T
 linear and quadratic in the velocity against the water, along each of the hull's axes.
 
 The origin is the centre of the hull at the waterline of its weight, and the centre of mass. The thrusters push along
-the hull, at the height of the origin. What is on deck adds no weight.
+the hull, at the height of the origin. Objects on deck add no weight.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ STATE = np.dtype(
 )  # m, map; (w, x, y, z) boat to map; m/s, map; rad/s, boat
 
 _ALONG, _ACROSS = 9, 5  # columns of the hull
-_GAIN = 1.0, 2.0  # 1/s, with which speed and yaw rate follow their commands
+_GAIN = 1.0, 2.0  # 1/s, gain with which speed and yaw rate follow their commands
 _REST = 1e-3  # m/s and rad/s below which a boat on still water rests
 _NEVER = -1
 
@@ -62,7 +62,7 @@ class HullSettings(Settings):
 
     @property
     def draught(self) -> float:
-        """Of its weight in still water, m."""
+        """Draught in still water, m."""
         return self.mass / (DENSITY * self.length * self.width)
 
     @property
@@ -76,7 +76,9 @@ class HullSettings(Settings):
 class BoatLimits(Settings):
     """Thrusters and drag of a boat; forces of the drag are those at 1 m/s or 1 rad/s."""
 
-    thrust: float = setting(250.0, low=0.0, high=1e6, unit="N", text="largest force of each thruster, either way")
+    thrust: float = setting(
+        250.0, low=0.0, high=1e6, unit="N", text="largest force of each thruster in either direction"
+    )
     apart: float = setting(1.2, low=0.01, high=30.0, unit="m", text="distance of the two thrusters")
     speed: float = setting(3.0, low=0.01, high=50.0, unit="m/s", text="largest speed, forwards and backwards")
     turn_rate: float = setting(0.8, low=0.01, high=10.0, unit="rad/s", text="largest yaw rate")
@@ -90,7 +92,7 @@ class BoatLimits(Settings):
         (400.0, 1500.0, 500.0), low=0.0, high=1e8, unit="N m", text="drag of roll, pitch and yaw, linear"
     )
     added_mass: tuple[float, float, float] = setting(
-        (0.1, 0.6, 1.0), low=0.0, high=10.0, text="of the water that moves along, across, up, in masses of the boat"
+        (0.1, 0.6, 1.0), low=0.0, high=10.0, text="added mass along, across, up, as a multiple of the mass"
     )
     timeout: float = setting(
         0.5, low=0.0, high=3600.0, unit="s", text="time without a command after which the thrusters stop; 0: never"
@@ -115,7 +117,7 @@ def check_step(hull: HullSettings, limits: BoatLimits, dt: float) -> None:
 
 @kernel
 def _pressure(boat, waves, level, time, hull, draught):
-    """Return what the water does to the hull, as the sum over its columns.
+    """Return the water's effect on the hull, summed over its columns.
 
     Args:
         boat: ``STATE``.
@@ -252,8 +254,8 @@ class BoatState:
 class Boat:
     """A boat on waves: the drive of its body, see ``movable_bodies.Drive``."""
 
-    yields = True  # to what stands
-    floats = True  # the plane z = 0 is no ground to it
+    yields = True  # static bodies stop it
+    floats = True  # the plane z = 0 is not ground for it
 
     def __init__(
         self,
@@ -276,7 +278,7 @@ class Boat:
         self.place(pose)
 
     def follow_clock(self, clock: Callable[[], float]) -> None:
-        """Float on the waves of ``clock()``, s, the time at the beginning of a step, instead of the boat's own time."""
+        """Use the waves at ``clock()``, s, the time at the beginning of a step, instead of the boat's own time."""
         self._clock = clock
 
     def place(self, pose: Pose) -> None:
@@ -292,7 +294,7 @@ class Boat:
         self._next[:] = self._record
 
     def command(self, linear: float, angular: float) -> None:
-        """Set the wanted speed ahead, m/s, and the wanted yaw rate, rad/s; beyond the limits, the limits count.
+        """Set the wanted forward speed, m/s, and yaw rate, rad/s, both clamped to the limits.
 
         Raises:
             ValueError: a value is not finite.
@@ -320,7 +322,7 @@ class Boat:
 
     @property
     def is_level(self) -> bool:
-        """Whether it has not been moved by waves yet, or floats level at the map's height."""
+        """Whether waves have not moved it yet, or it floats level at the map's height."""
         boat = self._record[0]
         return not (boat["position"][2] or boat["q"][1] or boat["q"][2])
 
@@ -336,7 +338,7 @@ class Boat:
         return []
 
     def thrusts(self) -> tuple[float, float]:
-        """Return the forces of the left and the right thruster, N, that follow the command."""
+        """Return the forces of the left and the right thruster, N, for the current command."""
         if not self._is_driven:
             return 0.0, 0.0
         limits, (ahead, _, _) = self.limits, self.twist[0]
@@ -368,11 +370,11 @@ class Boat:
         return Pose((x, y, z), (w, i, j, k)), tuple(new["velocity"].tolist()), rotate(new["q"], *new["rates"].tolist())
 
     def accept(self) -> None:
-        """Make the step that was proposed last."""
+        """Apply the step that was proposed last."""
         self._record[:] = self._next
 
     def block(self) -> None:
-        """Stop where the boat is, instead of the step that was proposed last; it goes on heaving, without turning."""
+        """Stop where the boat is, instead of the step that was proposed last; it keeps heaving, without turning."""
         self._record["velocity"][0, :2] = 0.0
         self._record["rates"] = 0.0  # as its attitude stays
         self._record["velocity"][0, 2] = self._next["velocity"][0, 2]

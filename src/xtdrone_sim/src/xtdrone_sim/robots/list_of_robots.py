@@ -15,7 +15,7 @@ MOST_ROBOTS = 50
 
 _FIELDS = ("name", "type", "pose")
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,59}")
-_FIRST, _APART, _ROWS = (12.0, 0.0), 5.0, 3  # m, of the places without a pose, beside the vehicles' grid
+_FIRST, _APART, _ROWS = (12.0, 0.0), 5.0, 3  # m, corner of the grid for robots without a pose
 _FAR = 1e5  # m
 _WITH_HEIGHT = 4  # numbers of a pose
 
@@ -24,10 +24,10 @@ class Robot(NamedTuple):
     """A robot of a launch.
 
     Attributes:
-        name: as ``ugv_0``.
+        name: such as ``ugv_0``.
         model: its type.
-        pose: where it stands.
-        has_height: whether z is given; otherwise it stands on the terrain there.
+        pose: its start pose.
+        has_height: whether z is given; otherwise it starts on the terrain.
     """
 
     name: str
@@ -44,7 +44,7 @@ def parse_robots(text: str) -> tuple[Robot, ...]:
             z, yaw], m and rad, ENU; empty for none.
 
     Raises:
-        ValueError: the text is malformed, a type unknown, a value not allowed, or a name twice.
+        ValueError: the text is malformed, a type is unknown, a value is not allowed, or a name occurs twice.
     """
     if not text.strip():
         return ()
@@ -94,7 +94,7 @@ def _listed(text: str) -> list[dict[str, Any]]:
 def _name(entry: dict[str, Any], number: int) -> str:
     name = entry.get("name")
     if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise SettingError(f"robots[{number}] name", name, "a letter, and then letters, digits and _, as ugv_0")
+        raise SettingError(f"robots[{number}] name", name, "a letter, and then letters, digits and _, such as ugv_0")
     return name
 
 
@@ -103,7 +103,7 @@ def _pose(name: str, value: Any, number: int) -> Pose:
         column, row = divmod(number, _ROWS)
         return Pose((_FIRST[0] + _APART * column, _FIRST[1] + _APART * row, 0.0))
     if not isinstance(value, list) or len(value) not in (2, 3, _WITH_HEIGHT):
-        raise SettingError(f"robots: {name}: pose", value, "x, y, m, and as needed yaw, rad, or x, y, z, yaw")
+        raise SettingError(f"robots: {name}: pose", value, "x, y, m, and optionally yaw, rad, or x, y, z, yaw")
     x, y, *rest = (check_range(f"robots: {name}: pose", part, -_FAR, _FAR) for part in value)
     z, yaw = rest if len(value) == _WITH_HEIGHT else (0.0, rest[0] if rest else 0.0)
     return Pose((x, y, z), from_euler(0.0, 0.0, yaw))

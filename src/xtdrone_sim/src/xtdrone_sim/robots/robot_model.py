@@ -1,4 +1,4 @@
-"""Descriptions of robots on the ground and on water: ``config/robots/TYPE.yaml``, or a file of one's own."""
+"""Descriptions of robots on the ground and on water: ``config/robots/TYPE.yaml``, or a user's file."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ DRIVES = ("differential", "ackermann", "boat")
 
 _FIELDS = ("drive", "limits", "body", "platform")
 _BOAT_FIELDS = ("drive", "limits", "hull", "waves", "platform")
-_LEAST_CLEARANCE = 0.05  # m: bodies do not touch the ground, on which the wheels roll without being simulated
-_HEAVY = 1e5  # kg and kg m^2: Bullet's solver then moves what touches the robot, as its motors would
+_LEAST_CLEARANCE = 0.05  # m: bodies do not touch the ground; Bullet does not simulate the wheels
+_HEAVY = 1e5  # kg and kg m^2: so large that Bullet's solver moves the bodies that touch the robot, as its motors would
 _TYRE = (0.08, 0.08, 0.08, 1.0)
 _MARK = (0.8, 0.1, 0.1, 1.0)
 _CASTORS = 0.4  # of the body's length, before and behind its middle
@@ -43,7 +43,7 @@ class BodySettings(Settings):
     width: float = setting(0.8, low=0.05, high=20.0, unit="m", text="along its y")
     height: float = setting(0.35, low=0.02, high=10.0, unit="m", text="of its top above the ground")
     clearance: float = setting(0.1, low=_LEAST_CLEARANCE, high=5.0, unit="m", text="of its bottom above the ground")
-    ahead: float = setting(0.0, low=-10.0, high=10.0, unit="m", text="of its middle before the driven axle")
+    ahead: float = setting(0.0, low=-10.0, high=10.0, unit="m", text="distance of its middle ahead of the driven axle")
     colour: tuple[float, float, float] = setting((0.3, 0.3, 0.3), low=0.0, high=1.0, text="red, green, blue")
 
     def __post_init__(self) -> None:
@@ -99,11 +99,11 @@ class RobotModel:
 
     @property
     def ahead(self) -> float:
-        """m, of the platform's centre before the origin."""
+        """Distance of the platform's centre ahead of the origin, m."""
         return self.body.ahead
 
     def drive(self, pose: Pose, ground: Ground | None = None) -> Drive:
-        """Return wheels and motors that stand at a pose, on ``ground`` if it is not level."""
+        """Return the drive at a pose, on ``ground`` if that is not level."""
         drive: Drive
         if isinstance(self.limits, AckermannLimits):
             drive = Ackermann(self.limits, pose)
@@ -115,7 +115,7 @@ class RobotModel:
 
     @property
     def feet(self) -> Footprint:
-        """Where it stands on the ground: on its wheels; with two of them, also on castors ahead and behind."""
+        """Contact points with the ground: the wheels; of a robot with two of them, also castors in front and behind."""
         side = 0.5 * self.limits.track
         if isinstance(self.limits, AckermannLimits):
             return Footprint(0.0, self.limits.wheelbase, side)
@@ -123,7 +123,7 @@ class RobotModel:
         return Footprint(self.body.ahead - half, self.body.ahead + half, side)
 
     def model(self, name: str, pose: Pose, *, wheels: bool = True) -> SdfModel:
-        """Return what the world has of it: one link with body, platform and, if wanted, wheels."""
+        """Return its model in the world: one link with body, platform and, if wanted, wheels."""
         body, deck = self.body, self.platform
         trunk = Box((body.length, body.width, round(body.height - body.clearance, 6)))
         place = Pose((body.ahead, 0.0, 0.5 * (body.height + body.clearance)))
@@ -182,7 +182,7 @@ class BoatModel:
         limits: thrusters and drag.
         hull: its hull.
         waves: of the water on which it floats.
-        platform: its platform, whose height counts from the waterline; None without one.
+        platform: its platform, whose height is measured from the waterline; None without one.
     """
 
     limits: BoatLimits
@@ -190,15 +190,15 @@ class BoatModel:
     waves: WaveSettings
     platform: PlatformSettings | None
     ahead = 0.0
-    """m, of the platform's centre before the origin."""
+    """Distance of the platform's centre ahead of the origin, m."""
     wheels: tuple[()] = ()
 
     def drive(self, pose: Pose, ground: Ground | None = None) -> Boat:
-        """Return the boat at the place and heading of a pose, at rest; ground does not matter."""
+        """Return the boat at the position and heading of a pose, at rest; ``ground`` is not used."""
         return Boat(self.hull, self.limits, self.waves, pose)
 
     def model(self, name: str, pose: Pose, *, wheels: bool = True) -> SdfModel:
-        """Return what the world has of it: one link with hull, bow, thrusters and platform."""
+        """Return its model in the world: one link with hull, bow, thrusters and platform."""
         hull = self.hull
         trunk = Box((hull.length, hull.width, hull.depth))
         place = Pose((0.0, 0.0, 0.5 * hull.depth - hull.draught))

@@ -1,4 +1,4 @@
-"""Topics of the robots, NAME standing for a robot's, as ugv_0; boats have no joints.
+"""Topics of the robots, where NAME is a robot's name, such as ugv_0; boats have no joints.
 
 ==========================  ===========================  ==============================================================
 NAME/cmd_vel (in)           geometry_msgs/Twist          linear.x: speed, m/s; angular.z: yaw rate, rad/s, of a car the
@@ -9,7 +9,8 @@ NAME/joint_states           sensor_msgs/JointState       wheels and steering
 /tf_static                  tf2_msgs/TFMessage           map -> NAME/odom, NAME/base_link -> NAME/platform
 ==========================  ===========================  ==============================================================
 
-The rate is 50 Hz of simulated time; nothing is computed without subscribers. The frame ``odom`` is that of the start.
+The rate is 50 Hz of simulated time; nothing is computed without subscribers. The frame ``odom`` is the robot's start
+pose.
 """
 
 from __future__ import annotations
@@ -60,13 +61,13 @@ class RobotTopics:
     """The robots of a simulation; all methods are called in the simulator's thread."""
 
     def __init__(self, robots: Sequence[Robot], simulation: Simulation, models: Models, shown: ModelTopics) -> None:
-        """Put the robots into the world, advertise and subscribe; called after ``lockstep.host()``.
+        """Place the robots in the world, advertise and subscribe; called after ``lockstep.host()``.
 
         Args:
             robots: names, types and start poses.
-            simulation: with the world that they drive in.
-            models: all models, which they join.
-            shown: tells cameras and lidars of them.
+            simulation: simulation with the world in which they drive.
+            models: all models, to which they are added.
+            shown: notifies cameras and lidars of them.
 
         Raises:
             ValueError: a name is taken, or a place is not free.
@@ -90,7 +91,7 @@ class RobotTopics:
             self._static.publish(TFMessage(self._fixed_frames()))
 
     def _enter(self) -> None:
-        """Put all robots at their start poses.
+        """Move all robots to their start poses.
 
         Raises:
             StartError: a place is not free.
@@ -120,7 +121,7 @@ class RobotTopics:
             self._shown.announce()
 
     def restart(self) -> None:
-        """Put all robots at their start poses, after a restart of the simulation."""
+        """Move all robots to their start poses after a restart of the simulation."""
         self._published_us = -1
         self._enter()
 

@@ -1,6 +1,6 @@
 """Plates with AprilTags, as black and white boxes side by side, which both renderers draw with sharp edges.
 
-No box covers another: with a depth buffer of 16 bits, colours a millimetre above each other flicker.
+No box covers another, because surfaces a millimetre apart flicker with a depth buffer of 16 bits.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ _EQUAL = 1e-9  # m
 
 
 def cells_of(number: int) -> NDArray[np.bool_]:
-    """Return which cells of a tag of 36h11 are black, (8, 8), upper row first, as its authors print it.
+    """Return the black cells of a tag of 36h11 as a mask, (8, 8), upper row first, as its authors print it.
 
     OpenCV's dictionary has the same patterns turned by 180 degrees.
     """
-    import cv2  # slow to import, and needed for boards alone
+    import cv2  # slow to import, and needed only for boards
 
     family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     picture = np.asarray(cv2.aruco.generateImageMarker(family, number, CELLS, borderBits=1))

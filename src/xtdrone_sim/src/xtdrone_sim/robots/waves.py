@@ -31,11 +31,11 @@ class WaveSettings(Settings):
 
     level: float = setting(0.0, low=-1000.0, high=1000.0, unit="m", text="height of the still water in the map")
     amplitude: float = setting(
-        0.0, low=0.0, high=10.0, unit="m", text="of one wave, or of the one with the energy of all; 0: still water"
+        0.0, low=0.0, high=10.0, unit="m", text="of the wave, or of one with the energy of all waves; 0: still water"
     )
-    period: float = setting(4.0, low=0.5, high=30.0, unit="s", text="of the waves, of several of them the middle one")
+    period: float = setting(4.0, low=0.5, high=30.0, unit="s", text="of the wave, or the middle period of several")
     direction: float = setting(
-        0.0, low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad", text="in which they run, from east counter-clockwise"
+        0.0, low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad", text="direction of travel, from east counter-clockwise"
     )
     spread: float = setting(
         0.3, low=0.0, high=1.5, unit="rad", text="largest deviation of the direction of one of several waves"

@@ -1,8 +1,8 @@
 """Motion of wheeled robots, without slip: differential drive and Ackermann steering.
 
 The origin of a robot is on the ground below the centre of its driven axle. Speed, yaw rate and steering angle follow
-their commands within limits of their rates; along a step, the origin moves on the exact arc of its speed and yaw rate.
-K. Lynch and F. Park, *Modern Robotics*, 13.3, give the equations. On slopes the way is along the robot's x axis, and
+their commands within limits of their rates; during a step, the origin moves on the exact arc of its speed and yaw rate.
+K. Lynch and F. Park, *Modern Robotics*, 13.3, give the equations. On slopes the motion is along the robot's x axis, and
 height and attitude follow the ground below the wheels, see ``wheels_on_uneven_ground``.
 """
 
@@ -84,7 +84,7 @@ class DriveLimits(Settings):
     track: float = setting(0.8, low=0.05, high=10.0, unit="m", text="distance of left and right wheels")
     speed: float = setting(2.0, low=0.01, high=50.0, unit="m/s", text="largest speed, forwards and backwards")
     acceleration: float = setting(2.0, low=0.01, high=50.0, unit="m/s^2", text="largest change of the speed")
-    slope: float = setting(0.35, low=0.0, high=0.7, unit="rad", text="steepest ground; a steeper one stops the robot")
+    slope: float = setting(0.35, low=0.0, high=0.7, unit="rad", text="steepest slope; a steeper one stops the robot")
     timeout: float = setting(
         0.5, low=0.0, high=3600.0, unit="s", text="time without a command after which the robot stops; 0: never"
     )
@@ -123,28 +123,28 @@ class Drive(ABC):
     """
 
     limits: DriveLimits
-    yields = True  # to what stands
+    yields = True  # static bodies stop it
     floats = False
 
     def __init__(self, pose: Pose = Pose()) -> None:  # noqa: B008, immutable
-        """Stand at a pose, of which the yaw counts."""
+        """Place the robot at rest at a pose, of which only position and yaw are used."""
         self.state = DriveState()
         self._ground: Ground | None = None
         self._feet = Footprint(-1.0, 1.0, 1.0)
         self.place(pose)
 
     def stand_on(self, ground: Ground, feet: Footprint) -> None:
-        """Stand and roll on ground that need not be level, from the current place on.
+        """Follow ground that need not be level, from the current position on.
 
         Args:
-            ground: what is far above the robot does not count.
-            feet: where the wheels touch it.
+            ground: the ground; surfaces far above the robot are ignored.
+            feet: contact points of the wheels.
         """
         self._ground, self._feet = ground, feet
         self.place(self.state.pose)
 
     def place(self, pose: Pose) -> None:
-        """Stand at a pose in the world, upright or on the ground below it; the command ends."""
+        """Place the robot at rest at a pose in the world, upright or on the ground below it; the command ends."""
         x, y, z = pose.position
         self.state = replace(DriveState(), x=x, y=y, z=z, yaw=yaw_of(pose.orientation), heights=(z, z, z, z))
         if self._ground is not None:
@@ -157,7 +157,7 @@ class Drive(ABC):
     def command(self, linear: float, angular: float) -> None:
         """Set the wanted speed, m/s, and the wanted yaw rate, rad/s (of a car: steering angle, rad).
 
-        Values beyond the limits count as the limits.
+        Values beyond the limits are clamped.
 
         Raises:
             ValueError: a value is not finite.
@@ -196,7 +196,7 @@ class Drive(ABC):
         return new.pose, pace, _spin(old, new, dt)
 
     def accept(self) -> None:
-        """Make the step that was proposed last."""
+        """Apply the step that was proposed last."""
         self.state = self._next
 
     def block(self) -> None:
@@ -230,7 +230,7 @@ class Drive(ABC):
         return new if self._ground is None else self._rolled(old, new, self._ground)
 
     def _rolled(self, old: DriveState, new: DriveState, ground: Ground) -> DriveState:
-        """Return ``new`` on the ground there, or where it stands before a slope or a step that is too much for it."""
+        """Return ``new`` on the ground, or the current state at rest if the slope or step there is too large."""
         before, after = (places(one.x, one.y, one.yaw, self._feet) for one in (old, new))
         ways = np.hypot(*(after - before).T).tolist()
         below = heights_below(ground, after, old.heights)
@@ -259,7 +259,7 @@ class Drive(ABC):
 
     @abstractmethod
     def _turns(self) -> bool:
-        """Return whether the command makes a standing robot turn something."""
+        """Return whether the command makes a robot at rest turn its wheels or steering."""
 
     @abstractmethod
     def _stop_turning(self) -> None:
@@ -310,7 +310,7 @@ class Ackermann(Drive):
         return _clipped(self._angular, self.limits.steering) != self.state.steering
 
     def _stop_turning(self) -> None:
-        """Keep the steering angle, as a car without a driver does."""
+        """Keep the steering angle after the timeout, like a car without a driver."""
 
     def joints(self) -> list[Joint]:
         """Return the states of the rear wheels, of the front wheels and of their steering.
@@ -319,7 +319,7 @@ class Ackermann(Drive):
         that of the origin times the ratio of their distances from the centre of the curve.
         """
         state, limits = self.state, self.limits
-        slope = math.tan(state.steering) / limits.wheelbase  # curvature of the origin's way, 1/m
+        slope = math.tan(state.steering) / limits.wheelbase  # curvature of the origin's path, 1/m
         found = self._wheels("rear_left_wheel_joint", "rear_right_wheel_joint")
         for side, name, turned in ((-1.0, "front_left", state.left), (1.0, "front_right", state.right)):
             share = 1.0 + 0.5 * side * limits.track * slope

@@ -1,7 +1,7 @@
 """Wheels on uneven ground: the pose of a robot follows the heights below its wheels.
 
-Each wheel follows the ground at 45 degrees at most, so that a step is climbed as over a wedge. The robot stands on the
-plane that fits the four heights best: with slopes a and b along and across its heading, its z-y-x Euler angles are
+Each wheel follows the ground at 45 degrees at most, so that a step is climbed as if over a wedge. The robot rests on
+the plane that fits the four heights best: with slopes a and b along and across its heading, its z-y-x Euler angles are
 
     pitch = -atan(a),  roll = atan(b cos(pitch)).
 """
@@ -16,23 +16,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 STEP = 0.3
-"""Largest step that wheels climb or go down, in wheel radii."""
+"""Largest step that wheels climb or descend, in wheel radii."""
 
-REACH = 0.3  # m above a wheel's last height, from which on the ground is looked for
+REACH = 0.3  # m above a wheel's last height from which the ground is searched downwards
 
 Array = NDArray[np.float64]
 Heights = tuple[float, float, float, float]
 
 
 class Ground(Protocol):
-    """What wheels can stand on; see ``rays.solid_ground.SolidGround``."""
+    """Ground for wheels; see ``rays.solid_ground.SolidGround``."""
 
     def heights(self, points: Array) -> Array:
         """Return the height (n,), m, of the highest surface not above each of ``points`` (n, 3), m, map."""
 
 
 class Footprint(NamedTuple):
-    """Where wheels touch the ground: x of the rear and the front ones, and y of the left ones, in the robot, m."""
+    """Contact points of the wheels: x of the rear and the front ones, and y of the left ones, in the robot, m."""
 
     rear: float
     front: float
@@ -40,7 +40,7 @@ class Footprint(NamedTuple):
 
 
 class Stand(NamedTuple):
-    """How a robot stands: height of its origin, m, roll and pitch, rad."""
+    """Stance of a robot: height of its origin, m, roll and pitch, rad."""
 
     z: float
     roll: float
@@ -53,7 +53,7 @@ class Stand(NamedTuple):
 
 
 def places(x: float, y: float, yaw: float, feet: Footprint) -> Array:
-    """Return where the wheels are (4, 2), m, map: rear left, rear right, front left, front right."""
+    """Return the positions of the wheels (4, 2), m, map: rear left, rear right, front left, front right."""
     c, s = math.cos(yaw), math.sin(yaw)
     own = ((feet.rear, feet.side), (feet.rear, -feet.side), (feet.front, feet.side), (feet.front, -feet.side))
     return np.array([(x + c * u - s * v, y + s * u + c * v) for u, v in own])
@@ -66,12 +66,12 @@ def heights_below(ground: Ground, at: Array, last: Sequence[float]) -> Heights:
 
 
 def followed(last: Heights, ground: Heights, ways: Sequence[float], step: float) -> Heights | None:
-    """Return the heights of wheels that have rolled on; None before a step that is too high or too deep.
+    """Return the heights of the wheels after they have rolled on; None in front of a step that is too high or too deep.
 
     Args:
         last: before, m.
         ground: below them, m.
-        ways: that each of them has rolled, m.
+        ways: distance that each of them has rolled, m.
         step: largest step, m.
     """
     changes = [b - a for a, b in zip(last, ground, strict=True)]
@@ -82,7 +82,7 @@ def followed(last: Heights, ground: Heights, ways: Sequence[float], step: float)
 
 
 def stand_on(heights: Heights, feet: Footprint) -> Stand:
-    """Return how a robot stands on four heights, m, in the order of ``places``."""
+    """Return the stance of a robot on four heights, m, in the order of ``places``."""
     a, b, c, d = heights
     along = (0.5 * (c + d) - 0.5 * (a + b)) / (feet.front - feet.rear)
     across = (0.5 * (a + c) - 0.5 * (b + d)) / (2.0 * feet.side)

@@ -1,4 +1,4 @@
-"""The digest file: checksums of everything participants publish and of the vehicles' states, once per simulated second.
+"""The digest file: checksums of all messages of participants and of the vehicles' states, once per simulated second.
 
 JSON lines with ``name`` (the participant), ``time`` (simulated microseconds) and ``topics``: by topic, the number of
 messages, of bytes, and the checksum since the start, see ``xtdrone_control.lockstep.protocol.Digest``. Two flights are
@@ -52,7 +52,7 @@ class DigestFile:
         try:
             self._file.write(json.dumps({"name": name, "time": time_us, "topics": topics}) + "\n")
         except OSError as error:
-            self._warn(f"digest file {self._path}: {error.strerror or error}; no more is written")
+            self._warn(f"digest file {self._path}: {error.strerror or error}; nothing more is written")
             file, self._file = self._file, None
             with contextlib.suppress(OSError):  # closing retries the failed write
                 file.close()

@@ -72,7 +72,7 @@ class FullSettings(NodeSettings):
     link_states_rate: float = setting(
         50.0, low=0.1, high=250.0, unit="Hz", text="rate of /gazebo/link_states in simulated time"
     )
-    reserve: int = setting(0, low=0, high=MAX_VEHICLES, text="places for vehicles that join later")
+    reserve: int = setting(0, low=0, high=MAX_VEHICLES, text="reserved places for vehicles that join later")
     shared_datum: bool = setting(
         True, text="one local frame for all vehicles; PX4 instances receive it as /xtdrone/shared_origin"
     )
@@ -105,7 +105,7 @@ def _spawned(instance: int) -> tuple[Vehicle, ...]:
     Raises:
         FleetError, ModelError: the vehicles or the world are not allowed.
     """
-    rospy.delete_param("~spawned")  # a later launch on this master may start its vehicles otherwise
+    rospy.delete_param("~spawned")  # a later launch on this master may define its vehicles in another way
     launched = read_launched(rospy.get_param("/"), instance)
     for warning in launched.warnings:
         rospy.logwarn("simulator: %s", warning)
@@ -170,7 +170,7 @@ class FullSimulation:
         )
 
     def _factory(self, settings: FullSettings) -> AutopilotFactory:
-        """Return the factory of the autopilot back end selected by the settings."""
+        """Return the factory of the autopilot back end that the settings select."""
         factories: dict[str, AutopilotFactory] = {
             "builtin": partial(
                 BuiltinAutopilot,
@@ -240,7 +240,7 @@ class FullSimulation:
         self._gazebo.open(mailbox)
 
     def missing(self) -> str:
-        """Return which autopilots have not connected; "" when all have."""
+        """Return a text on the autopilots that have not connected; "" when all have."""
         return self._autopilots.missing()
 
     def serve(self, ready: Collection[int]) -> None:
@@ -256,7 +256,7 @@ class FullSimulation:
         return None
 
     def next_publication_us(self, now_us: int) -> int | None:
-        """Return when link states are published next, microseconds; None without subscribers."""
+        """Return the next publication time of link states, microseconds; None without subscribers."""
         topics = (self._topics, self._contacts, self._imus, self._robots)
         times = [one.next_publication_us(now_us) for one in topics]
         return min((time for time in times if time is not None), default=None)

@@ -1,4 +1,4 @@
-"""What launch files of XTDrone's shape start: the vehicles, and the MAVROS nodes that time waits for."""
+"""Vehicles and MAVROS nodes of launch files in XTDrone's format; time waits for these nodes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Launched:
     Attributes:
         fleet: the vehicles, in order of their ids.
         mavros: names of the MAVROS nodes, sorted.
-        warnings: sentences about values that do not have the effect that they seem to have.
+        warnings: sentences about values that do not have the effect that a user may expect.
     """
 
     fleet: tuple[Vehicle, ...]
@@ -39,7 +39,7 @@ class Launched:
 
 
 def read_launched(parameters: Mapping[str, Any], instance: int = 0) -> Launched:
-    """Return what the parameters of a launch describe.
+    """Return the vehicles and MAVROS nodes that the parameters of a launch describe.
 
     Args:
         parameters: the whole tree of the parameter server.
@@ -122,7 +122,7 @@ def _check_local_ports(urls: Mapping[str, FcuUrl]) -> None:
 def _links(
     fleet: tuple[Vehicle, ...], nodes: Mapping[str, Mapping[str, Any]], urls: Mapping[str, FcuUrl]
 ) -> Iterator[str]:
-    """Yield a sentence for each MAVROS node that reaches no vehicle, or whose target is another one."""
+    """Yield a sentence for each MAVROS node that reaches no vehicle, or whose target is a different one."""
     vehicles = {vehicle.offboard_local_port: vehicle for vehicle in fleet}
     for name, url in urls.items():
         vehicle, target = vehicles.get(url.remote_port), nodes[name].get("target_system_id", 1)
@@ -131,6 +131,6 @@ def _links(
             yield f"{name}: no vehicle has the port {url.remote_port} of its fcu_url; theirs are {ports}"
         elif vehicle.system_id != target:
             yield (
-                f"{name}: tgt_system {target} is not that of {vehicle.name} behind its fcu_url, "
+                f"{name}: tgt_system {target} is not that of {vehicle.name} at its fcu_url, "
                 f"{vehicle.system_id}; it will not connect"
             )

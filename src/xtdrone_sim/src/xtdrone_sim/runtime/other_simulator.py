@@ -19,7 +19,7 @@ _ANSWER_LIMIT = 2.0  # s
 
 
 def obstacle(name: str) -> str:
-    """Return why a simulator called ``name`` cannot run on this master; "" if it can.
+    """Return the reason why a simulator called ``name`` cannot run on this master; "" if it can.
 
     Args:
         name: resolved name of the node.
@@ -29,7 +29,7 @@ def obstacle(name: str) -> str:
     lockstep = _lockstep_uri(master)
     if lockstep and _answers(lockstep):
         return (
-            f"a simulator is running on the ROS master {uri} already, with its lockstep at {lockstep}; stop it "
+            f"a simulator is already running on the ROS master {uri}, with its lockstep at {lockstep}; stop it "
             f"(Ctrl-C where it was started, or rosnode kill /simulator), {elsewhere}"
         )
     try:
@@ -45,7 +45,7 @@ def obstacle(name: str) -> str:
 
 
 def ready_words(names: Sequence[str], speed: float) -> str:
-    """Return what runs, for the line that begins the simulation.
+    """Return a summary of the simulation, for the log line at its start.
 
     Args:
         names: of the vehicles, in order.
@@ -55,7 +55,7 @@ def ready_words(names: Sequence[str], speed: float) -> str:
     world = str(rospy.get_param("/xtdrone/world", ""))  # the simplified simulator has none
     parts = [
         *([f"world {Path(world).stem}"] if world else []),
-        f"{speed:g} x real time" if speed else "as fast as it goes",
+        f"{speed:g} x real time" if speed else "as fast as possible",
         f"ROS master {rosgraph.get_master_uri()}",
     ]
     instance = rospy.get_param("/xtdrone/instance", 0)

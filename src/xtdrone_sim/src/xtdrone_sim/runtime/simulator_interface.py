@@ -27,8 +27,8 @@ class SimulatorBackend(Protocol):
         names: names of the vehicles, in order of their indices.
         actors: names of the moving actors.
         step_us: base step, microseconds.
-        overlap: the world advances to the next tick while participants work on the current one. What they send then
-            takes effect at the next tick; without overlap it does so at once.
+        overlap: the world advances to the next tick while participants work on the current one. Their messages then
+            take effect at the next tick; without overlap, at once.
     """
 
     names: Sequence[str]
@@ -66,7 +66,7 @@ class SimulatorBackend(Protocol):
         """
 
     def missing(self) -> str:
-        """Return which autopilots time must not start without yet; "" when all are present."""
+        """Return a text on the missing autopilots, without which time must not start; "" when all are present."""
 
     def serve(self, ready: Collection[int]) -> None:
         """Process the data that has arrived on the ready ones of ``descriptors``, without blocking."""
@@ -102,11 +102,11 @@ class SimulatorBackend(Protocol):
         """Restore the initial state; simulated time continues from ``time_us``, microseconds."""
 
     def reset_vehicle(self, name: str, pose: StartPose | None) -> None:
-        """Put one vehicle back, disarmed, as after a reboot; the others are not affected.
+        """Reset one vehicle, disarmed, as after a reboot; the others are not affected.
 
         Args:
-            name: of the vehicle, as ``iris_3``.
-            pose: where it then stands; None: where it started.
+            name: of the vehicle, such as ``iris_3``.
+            pose: its new pose; None: its start pose.
 
         Raises:
             ValueError: there is no such vehicle, or its place is not free; nothing has changed then.
@@ -117,11 +117,11 @@ class SimulatorBackend(Protocol):
 
         Raises:
             ValueError: it cannot join; nothing has changed then.
-            OSError: a port of it is in use; nothing has changed then.
+            OSError: one of its ports is in use; nothing has changed then.
         """
 
     def remove_vehicle(self, name: str) -> None:
-        """Take a vehicle out of the simulation.
+        """Remove a vehicle from the simulation.
 
         Raises:
             ValueError: there is no such vehicle, or it cannot leave.

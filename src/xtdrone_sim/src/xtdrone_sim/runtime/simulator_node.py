@@ -84,12 +84,13 @@ class NodeSettings(Settings):
     paused: bool = setting(False, text="start paused")
     until: float = setting(0.0, low=0.0, high=1e9, unit="s", text="simulated time at which the node ends, 0 for never")
     lockstep: bool = setting(
-        True, text="offer the lockstep; without it the simulator waits for no node and nodes run on /clock"
+        True,
+        text="offer the lockstep; without it the simulator does not wait for nodes, which run on /clock",
     )
     participants: int | tuple[str, ...] = setting(
         0,
         parse=_parse_participants,
-        allowed="a number from 0, or node names separated by commas, as /mavros,/leader",
+        allowed="a number from 0, or node names separated by commas, such as /mavros,/leader",
         text="lockstep participants that time waits for at the start",
     )
     start_limit: float = setting(120.0, low=0.0, high=1e6, unit="s", text="longest wall time to wait for participants")
@@ -117,9 +118,10 @@ class NodeSettings(Settings):
         ros="model_states_rate",
         text="rate of /gazebo/model_states and ground_truth/odom in simulated time",
     )
-    digest: str = setting("", text="file for digests of everything published, empty for none")
+    digest: str = setting("", text="file for digests of all published messages, empty for none")
     digest_topics: bool = setting(
-        True, text="digest topics too, which are then published without subscribers; otherwise only the ground truth"
+        True,
+        text="digest topics too, which are then published even without subscribers; otherwise only the ground truth",
     )
 
 
@@ -189,7 +191,7 @@ class SimulatorNode:
         self._states_period_us = round(1e6 / settings.states_rate)
         self._next_states_us = 0
         self._time_us = backend.time_us  # /clock; the world may be one tick ahead of it
-        self._next: _Tick | None = None  # the tick for which the world stands ready
+        self._next: _Tick | None = None  # the tick for which the world is ready
         self._looked_us = backend.time_us  # last tick whose time does not depend on subscribers
         self._collisions: set[tuple[str, str]] = set()
         self._control = Control(
@@ -227,7 +229,7 @@ class SimulatorNode:
         if settings.lockstep:
             rospy.set_param("/lockstep/uri", self._uri)
         else:
-            rospy.logwarn("simulator: no lockstep (~lockstep is false): nodes run on /clock, nothing is repeatable")
+            rospy.logwarn("simulator: no lockstep (~lockstep is false): nodes run on /clock, no flight is repeatable")
             # Remove the address of a terminated simulator: nodes that read it would try to join.
             with contextlib.suppress(KeyError):
                 rospy.delete_param("/lockstep/uri")
@@ -362,7 +364,8 @@ class SimulatorNode:
         if backend.overlap and not self._over():
             if self._server.begins_counts:
                 self._server.end_tick(self._wait_for_participant)
-            # Until the barrier ends, no input is read: what participants send takes effect at the next tick, always.
+            # Until the barrier ends, no input is read, so that messages of participants always take effect at the next
+            # tick.
             self._next = self._advance()
         backend.end_tick(self._serve_in_tick)
         self._report_collisions()
@@ -382,21 +385,21 @@ class SimulatorNode:
         new = found - self._collisions
         for a, b in sorted(new):
             rospy.logwarn("simulator: collision of %s and %s", a, b)
-        if found != self._collisions:  # a vehicle put back may collide again
+        if found != self._collisions:  # a vehicle that was reset may collide again
             self._collisions = set(found)
 
     def _serve(self, timeout: float) -> None:
         """Wait up to ``timeout`` wall s for data on any socket, and process it.
 
         Raises:
-            ROSInterruptException: the node shuts down; a wait for a participant must end.
+            ROSInterruptException: the node is shutting down; a wait for a participant must end.
         """
         if self._stop.requested():
             raise rospy.ROSInterruptException("shutdown")
         ready = {descriptor for descriptor, _ in self._poll.poll(min(timeout, self._patience))}
         self._backend.serve(ready)
         if timeout > 0.0 and self._server.fileno() not in ready:
-            # A participant's answer does not change it, and ends most waits.
+            # The response of a participant does not change it, and ends most waits.
             self._patience = self._backend.patience
         if self._mailbox.fileno() in ready:
             self._mailbox.serve()
@@ -441,7 +444,7 @@ class SimulatorNode:
         self._clock.publish(self._clock_message)
 
     def _follow_vehicles(self) -> None:
-        """Serve the ground truth of vehicles that have joined, and no longer that of those that have left."""
+        """Publish the ground truth of vehicles that have joined, and no longer that of vehicles that have left."""
         self._truth.update([*self._backend.names, *self._backend.actors])
 
     def _publish_states(self, now: int) -> None:
@@ -456,7 +459,7 @@ class SimulatorNode:
 
 
 def _hold_log(waited: float) -> Callable[..., None]:
-    """Return the log function for messages that time is held at 0, after ``waited`` wall s."""
+    """Return the log function for the message that time is held at 0, after ``waited`` wall s."""
     write: Callable[..., None] = rospy.loginfo if waited < _HOLD_WARNING else rospy.logwarn
     return write
 
@@ -494,7 +497,7 @@ def _forget_uri(uri: str) -> None:
         if master.getParam("/lockstep/uri") == uri:  # not that of another simulator
             master.deleteParam("/lockstep/uri")
     except (rosgraph.MasterException, OSError):
-        rospy.logdebug("simulator: /lockstep/uri was gone already")
+        rospy.logdebug("simulator: /lockstep/uri was already gone")
 
 
 def log(level: int, text: str) -> None:
@@ -504,7 +507,7 @@ def log(level: int, text: str) -> None:
 
 
 class _Kernels:
-    """Logs the compilation of kernels, which explains why the world stands still meanwhile."""
+    """Logs the compilation of kernels, which explains why the world stands still."""
 
     def __init__(self) -> None:
         self._told = False

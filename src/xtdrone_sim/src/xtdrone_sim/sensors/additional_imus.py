@@ -1,12 +1,12 @@
-"""Further IMUs: what one measures anywhere on a body that moves, with the noise of its data sheet.
+"""Additional IMUs: measurements at any position on a moving body, with the noise of a data sheet.
 
 At the position r, with the angular rate w and the specific force f of the centre, in the body's frame::
 
     f(r) = f + dw/dt x r + w x (w x r)
 
 White noise of density d has the standard deviation d sqrt(rate) in a sample. The bias is a random walk: it changes by
-N(0, walk sqrt(1 s)) a second, and linearly in between. Both depend on seed, name and time alone: a sample is the same
-whether earlier ones had subscribers or not.
+N(0, walk sqrt(1 s)) in each second, linearly within it. Both depend only on seed, name and time: a sample is the same
+whether or not earlier ones had subscribers.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from xtdrone_control.rotation_kernels import rotate_inverse
 from xtdrone_sim.vehicles.mounts.imu_mounts import ImuMount
 
-_WHITE, _WALK = 0, 1  # purposes of random numbers
+_WHITE, _WALK = 0, 1  # streams of random numbers
 
 
 class Imu:

@@ -30,7 +30,7 @@ from xtdrone_sim.vehicles.vehicle_model import MODEL
 
 _GYRO, _ACCEL, _MAG, _BARO, _GPS, _FLOW, _RANGE, _VISION = range(8)
 _UNITS = 8
-_WIDTH = 6  # most numbers in one sample
+_WIDTH = 6  # largest number of values in one sample
 _SLOW_SHARE = 10
 _WRONG_MOTOR, _SLOW_MOTOR = 1.2, 0.5
 
@@ -55,7 +55,7 @@ MEMORY = np.dtype(
 
 @kernel
 def _random(b):
-    """Return the next number of -1..1 (a 64-bit linear congruential generator, D. Knuth's MMIX constants)."""
+    """Return the next number in -1..1 (a 64-bit linear congruential generator, D. Knuth's MMIX constants)."""
     b.counter = b.counter * 6364136223846793005 + 1442695040888963407
     return (b.counter >> 32) / 2147483648.0
 
@@ -84,7 +84,7 @@ def _spoil(b, unit, kind, values):
 
 @kernel
 def _vector(b, unit, kind, vector, work):
-    """Spoil a sample that is one vector; return 0 for no sample."""
+    """Apply a failure to a sample that is one vector; return 0 for no sample."""
     for i in range(vector.shape[0]):
         work[i] = vector[i]
     if not _spoil(b, unit, kind, work):
@@ -235,7 +235,7 @@ class Failing:
         self._commands = np.zeros((len(failures), MAX_ROTORS))
 
     def forget(self, index: int) -> None:
-        """Reset the memory of vehicle ``index``, whose place another vehicle takes."""
+        """Reset the memory of vehicle ``index``, because another vehicle takes its place."""
         self._memory[index] = np.zeros(1, MEMORY)[0]
         self._memory["counter"][index] = self._counters[index]
 

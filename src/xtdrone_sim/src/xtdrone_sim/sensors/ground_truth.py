@@ -37,7 +37,7 @@ class GroundTruth:
         self.update(names)
 
     def update(self, names: Sequence[str]) -> None:
-        """Serve these models, of which some may be new, and others gone."""
+        """Serve these models: advertise the topics of new ones, and close those of models that have left."""
         for name in [name for name in self._publishers if name not in names]:
             self._publishers.pop(name).unregister()
         for name in names:

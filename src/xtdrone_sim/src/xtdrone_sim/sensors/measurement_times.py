@@ -1,4 +1,4 @@
-"""When sensors measure: the setting of their nodes' rates, and the measurements that are due."""
+"""Times of measurements: the setting of sensor nodes' rates, and the measurements that are due."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ def time_us(rate: float, number: int) -> int:
 
 
 class Due:
-    """Hands out each measurement of a sensor once, as soon as simulated time has covered it."""
+    """Returns each measurement of a sensor once, as soon as simulated time has covered it."""
 
     def __init__(self, rate: float, periods: int = 0) -> None:
-        """Begin at the first time that is handed to ``numbers``.
+        """Start at the first time that is passed to ``numbers``.
 
         Args:
             rate: of the sensor, Hz.
-            periods: that a measurement lasts: 0 for one at an instant, 1 for one until the next begins.
+            periods: duration of a measurement in periods: 0 for an instant, 1 for one that lasts until the next begins.
         """
         self._rate, self._periods = rate, periods
         self._next: int | None = None

@@ -1,4 +1,4 @@
-"""What is below vehicles, for sensors that look down: models, other vehicles, people."""
+"""Objects below vehicles, for downward-looking sensors: models, other vehicles, people."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class Below:
     """Everything in a world as arrays for kernels.
 
     Attributes:
-        arrays: trees, things and places, see ``casting.cast_rays``, empty if no vehicle looks down, or there is nothing
-            to see; then (n,) the number of each vehicle's own surfaces, and (k, 3) the velocity, m/s, map, of the
-            surfaces of each number, which may lack the last ones that stand.
+        arrays: trees, objects and places, see ``casting.cast_rays``, empty if no vehicle looks down or nothing can be
+            seen; then (n,) the number of each vehicle's own surfaces, and (k, 3) the velocity, m/s, map, of the
+            surfaces of each number, where the last static ones may be missing.
         needed: whether a vehicle looks down.
     """
 
@@ -37,7 +37,7 @@ class Below:
         """Build the trees.
 
         Args:
-            world: the models are those that stand in it at the time of ``update``.
+            world: world with its models at the time of ``update``.
             others: vehicles and people.
             needed: whether a vehicle looks down.
 
@@ -61,10 +61,10 @@ class Below:
         return self.needed and self._others.any
 
     def update(self, time_us: int) -> None:
-        """Take over what is there and where it is.
+        """Update the objects and their poses.
 
         Args:
-            time_us: simulated time, microseconds; counts for people.
+            time_us: simulated time, microseconds; used for people.
         """
         if not self.needed:
             return
@@ -104,7 +104,7 @@ class Below:
         self._seen = True
 
     def _update_models(self) -> None:
-        """Place models only; nothing is done while they stand."""
+        """Place models only; do nothing while they are at rest."""
         bodies = self._world.bodies.models
         there = tuple(self._world.standing), tuple(bodies)
         if there == self._there and not bodies and not self._seen:
@@ -115,7 +115,7 @@ class Below:
         self._seen = False
 
     def _follow_models(self) -> RayScene:
-        """Return the scene of the rays with the models that are there."""
+        """Return the scene of the rays with the current models."""
         if self._rays is None:
             self._rays = RayScene([])
         models, bodies = self._world.model.models, self._world.bodies.models

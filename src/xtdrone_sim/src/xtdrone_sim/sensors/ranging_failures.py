@@ -1,4 +1,4 @@
-"""How lidars and UWB sensors fail, which users choose by the service ``TOPIC/failure``."""
+"""Failures of lidars and UWB sensors, which users inject by the service ``TOPIC/failure``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ MOST_BIAS = 100.0  # m
 
 @dataclass(frozen=True)
 class RangingFailure:
-    """How a lidar or a UWB sensor fails.
+    """Failure of a lidar or a UWB sensor.
 
     Attributes:
         kind: of ``FAILURES``.
@@ -23,7 +23,7 @@ class RangingFailure:
     value: float = 0.0
 
     def __str__(self) -> str:
-        """Return kind and value, if it counts."""
+        """Return the kind, and the value if the kind has one."""
         return f"{self.kind} {self.value:g}" if self.kind in ("biased", "dropouts") else self.kind
 
     @property

@@ -1,11 +1,11 @@
 """Sensor models of one vehicle, with noise from per-vehicle seeded streams.
 
-IMU, magnetometer, barometer, GPS, and optionally an optical-flow camera and a range finder, which face down to level
-ground at height 0 and what is above it: models, other vehicles, people.
+IMU, magnetometer, barometer, GPS, and optionally an optical-flow camera and a range finder. These two face down to
+level ground at height 0 and objects above it: models, other vehicles, people.
 
-The noise of vehicle i depends on the seed and on i only, not on the size of the fleet; that of a vehicle that joins,
-also on how many have had its place before. The streams are drawn in blocks
-of one second ahead, so the kernel only adds them; flow and range share a separate stream.
+The noise of vehicle i depends only on the seed and on i, not on the size of the fleet; that of a vehicle that joins
+also depends on the number of earlier vehicles at its place. The streams are drawn in blocks of one second in advance,
+so the kernel only adds them; flow and range share a separate stream.
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ def _optical_flow(s, v, m, noise, distance, surface):
 def _surface_below(own, v, most, below):
     """Return the distance along the body's z axis, m, to the nearest surface, and its velocity, m/s, map.
 
-    It is level ground at height 0, or anything within ``most`` but vehicle ``own`` itself.
+    It is level ground at height 0, or any object within ``most`` except vehicle ``own`` itself.
     """
     still = (0.0, 0.0, 0.0)
     cosine = 1.0 - 2.0 * (v.q[1] * v.q[1] + v.q[2] * v.q[2])
@@ -256,7 +256,7 @@ class Sensors:
     Attributes:
         failing: failure injection for sensors and motors.
         noise: arguments ``bias``, ``fast``, ``slow`` and ``down`` of ``sample_all``.
-        below: what is below the vehicles.
+        below: objects below the vehicles.
         place: argument ``place`` of ``sample_all``.
     """
 
@@ -267,7 +267,7 @@ class Sensors:
 
         Args:
             world: provides the true state.
-            others: vehicles and people, which sensors see.
+            others: vehicles and people that sensors can see.
             autopilot: its ``sensors`` are written.
             seed: seed of all noise; vehicle i uses its i-th child.
             joins: by index, the number of the join of each vehicle that has joined, from 1; see ``add_vehicle``.
@@ -291,7 +291,7 @@ class Sensors:
         self.place = np.array([datum.latitude, datum.longitude, datum.altitude])
 
     def _begin(self, i: int, join: int) -> None:
-        """Begin the streams of vehicle ``i`` and draw its turn-on biases; see ``add_vehicle``."""
+        """Start the streams of vehicle ``i`` and draw its turn-on biases; see ``add_vehicle``."""
         keys = ((i,), (i, _DOWN_STREAM)) if not join else ((i, _JOINED, join, 0), (i, _JOINED, join, _DOWN_STREAM))
         stream, down = (
             np.random.Generator(np.random.PCG64(np.random.SeedSequence(self._seed, spawn_key=key))) for key in keys
@@ -306,7 +306,7 @@ class Sensors:
             self._down_streams[i] = down
 
     def add_vehicle(self, i: int, join: int) -> None:
-        """Begin the noise of a vehicle that has joined.
+        """Start the noise of a vehicle that has joined.
 
         Args:
             i: its index.

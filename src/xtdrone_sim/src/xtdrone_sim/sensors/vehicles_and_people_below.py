@@ -1,4 +1,4 @@
-"""Vehicles and people of a simulation, as sensors that look down see them."""
+"""Vehicles and people of a simulation, as seen by downward-looking sensors."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from xtdrone_sim.worlds.scene_at import ActorState, SceneAt
 from xtdrone_sim.worlds.sdf import SdfActor
 
 _MARGIN = 1.0  # m around a vehicle's collision box, within which all of its links are
-_PERSON = 1.0, 1.5  # m: height of the centre of a person, and a radius around it that holds every posture
-_STEP_US = 4000  # over which the velocity of a person is taken
+_PERSON = 1.0, 1.5  # m: height of a person's centre, and radius of a sphere around it that contains every posture
+_STEP_US = 4000  # interval over which the velocity of a person is computed
 
 Array = NDArray[np.float64]
 
 
 class Others:
-    """What moves by itself in a simulation."""
+    """The vehicles and people of a simulation."""
 
     def __init__(
         self,
@@ -57,11 +57,11 @@ class Others:
 
     @property
     def any(self) -> bool:
-        """Whether there is anything for a vehicle to see: another one, or a person."""
+        """Whether there is another vehicle or a person that a vehicle can see."""
         return bool(self.people) or int(np.count_nonzero(self._world.plant["contact"] != ABSENT)) > 1
 
     def spheres(self, time_us: int) -> tuple[Array, Array]:
-        """Return centres (m, 3), m, map, and radii (m,), m, that hold all vehicles by index, then all people.
+        """Return centres (m, 3), m, map, and radii (m,), m, of spheres around all vehicles by index, then all people.
 
         Args:
             time_us: simulated time, microseconds.

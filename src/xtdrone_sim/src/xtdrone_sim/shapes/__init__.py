@@ -1,1 +1,1 @@
-"""Shapes as images, rays and physics need them: visuals, triangles, and arithmetic on their poses."""
+"""Shapes for images, rays and physics: visuals, triangles, and arithmetic on their poses."""

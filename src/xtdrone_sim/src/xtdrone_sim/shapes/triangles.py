@@ -206,7 +206,7 @@ def read_obj(path: Path) -> Triangles:
         except (ValueError, IndexError):
             raise MeshError(f"{path}, line {number}: {line.strip()!r} cannot be read") from None
     if not faces:
-        raise MeshError(f"{path}: has no faces, must be a Wavefront file (.obj) with some")
+        raise MeshError(f"{path}: has no faces, a Wavefront file (.obj) with faces is needed")
     return _triangles(path, values, faces)
 
 
@@ -229,7 +229,7 @@ def _triangles(path: Path, values: dict[str, list[list[float]]], faces: list) ->
         uv = np.array([*values["vt"], [0.0, 0.0]], float).reshape(-1, 2)
         normals = np.array([*values["vn"], [0.0, 0.0, 0.0]], float).reshape(-1, 3)
     except ValueError:
-        raise MeshError(f"{path}: corners are to have three numbers, texture coordinates two") from None
+        raise MeshError(f"{path}: corners must have three numbers, texture coordinates two") from None
     indices = np.array(faces, int)
     corners = points[indices[:, :, 0]]
     flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -86,7 +86,7 @@ class RobotTf:
         self._robots[name] = _Robot(frames, subscribers)
 
     def _publish_fixed(self) -> None:
-        """Publish the fixed frames of all vehicles, as a latched topic keeps one message."""
+        """Publish the fixed frames of all vehicles in one message, because a latched topic keeps only one."""
         fixed = [transform(frame, rospy.Time()) for robot in self._robots.values() for frame in robot.frames.fixed]
         self._static.publish(TFMessage(fixed))
 
@@ -102,7 +102,7 @@ class RobotTf:
         self._publish_fixed()
 
     def step(self) -> None:
-        """Publish what has come since the last turn."""
+        """Publish the transforms received since the last turn."""
         if self._new:
             self._publisher.publish(TFMessage(list(self._new.values())))
             self._new.clear()

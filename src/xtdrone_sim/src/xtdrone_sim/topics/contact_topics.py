@@ -1,4 +1,4 @@
-"""Bumpers: what each vehicle touches, published only with subscribers.
+"""Bumpers: the contacts of each vehicle, published only with subscribers.
 
 ===============================  ============================  ===================================================
 /VEHICLE/benchmarker/collision   gazebo_msgs/ContactsState     one state for each body touched; 50 Hz, simulated time
@@ -45,7 +45,7 @@ class ContactTopics:
         self.update_vehicles()
 
     def update_vehicles(self) -> None:
-        """Follow vehicles that have joined or left."""
+        """Update the topics after a vehicle has joined or left."""
         names = [name for name in self._simulation.names if name]
         for name in [name for name in self._publishers if name not in names]:
             self._publishers.pop(name).unregister()

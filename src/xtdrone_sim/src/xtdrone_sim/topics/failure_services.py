@@ -9,15 +9,15 @@ from xtdrone_sim.sensors.ranging_failures import RangingFailure
 
 
 class FailureServices:
-    """Lets the sensors of a node fail; the failure of each is found by its topic."""
+    """Injects failures into the sensors of a node; the failure of each is found by its topic."""
 
     def __init__(self) -> None:
-        """Begin without sensors."""
+        """Start without sensors."""
         self._failures: dict[str, RangingFailure] = {}
         self._services: dict[str, rospy.Service] = {}
 
     def add(self, topic: str) -> None:
-        """Advertise the service of a sensor, which is well."""
+        """Advertise the service of a sensor, initially without a failure."""
         self._failures[topic] = RangingFailure()
         self._services[topic] = rospy.Service(
             f"{topic}/failure", SetLidarFailure, lambda request: self._fail(topic, request)

@@ -1,10 +1,9 @@
-"""``/xtdrone/vehicles``: the vehicles that are there, published whenever one joins or leaves.
+"""``/xtdrone/vehicles``: the vehicles in the simulation, published whenever one joins or leaves.
 
 ==================  ======================  ==========================================================================
-/xtdrone/vehicles   std_msgs/String         latched; the text of ``/xtdrone/fleet``. As a topic it reaches the nodes of
-                                            the lockstep in the same turn in each repetition of a flight, which a
-                                            parameter does not.
-==================  ======================  ==========================================================================
+/xtdrone/vehicles   std_msgs/String         latched; the text of ``/xtdrone/fleet``. Unlike a parameter, a topic reaches
+the nodes of the lockstep in the same turn in each repetition of a flight. ==================  ======================
+==========================================================================
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ TOPIC = "/xtdrone/vehicles"
 
 Fleet = tuple[Vehicle, ...]
 Key = tuple[str, str]
-"""Name and model of a vehicle: another one of the same name is another vehicle."""
+"""Name and model of a vehicle: the same name with another model is another vehicle."""
 
 
 class FleetTopic:
@@ -32,12 +31,12 @@ class FleetTopic:
         self._publisher = lockstep.Publisher(TOPIC, String, latch=True)
 
     def publish(self, fleet: Sequence[Vehicle]) -> None:
-        """Publish the vehicles that are there."""
+        """Publish the vehicles in the simulation."""
         self._publisher.publish(String(fleet_text(fleet)))
 
 
 class FleetChanges:
-    """The side of a node that serves the whole fleet: calls it for vehicles that join and leave."""
+    """The receiving side, for a node that serves the whole fleet: calls it for vehicles that join and leave."""
 
     def __init__(
         self, fleet: Sequence[Vehicle], joined: Callable[[Vehicle], None], left: Callable[[Vehicle], None]
@@ -45,7 +44,7 @@ class FleetChanges:
         """Subscribe.
 
         Args:
-            fleet: that the node serves.
+            fleet: vehicles that the node serves.
             joined: called for a vehicle that has joined; raises ValueError if it cannot be served, which is logged.
             left: called for one that has left, before those that have joined.
         """
@@ -56,7 +55,7 @@ class FleetChanges:
 
     @property
     def fleet(self) -> Fleet:
-        """The vehicles that are there."""
+        """The vehicles in the simulation."""
         return tuple(self._there.values())
 
     def _take(self, message: String) -> None:

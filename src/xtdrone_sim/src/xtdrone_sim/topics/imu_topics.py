@@ -1,11 +1,11 @@
-"""Topics of further IMUs, published only with subscribers.
+"""Topics of additional IMUs, published only with subscribers.
 
 =================  ==================  ==============================================================================
 /VEHICLE/NAME      sensor_msgs/Imu     of each entry of ``imus:`` in the vehicle's YAML, at its rate in simulated time
 =================  ==================  ==============================================================================
 
 The orientation is the true one, of the IMU in ``map`` (ENU); rates and specific force are in the IMU's frame. The
-change of the rates, which counts away from the centre, is that by rotors and drag, without contacts.
+angular acceleration, which matters away from the centre, is that due to rotors and drag, without contacts.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class _Topic:
 
 
 class ImuTopics:
-    """Publishes the samples of a simulation's further IMUs."""
+    """Publishes the samples of a simulation's additional IMUs."""
 
     def __init__(self, simulation: Simulation) -> None:
         """Advertise the topics."""
@@ -58,7 +58,7 @@ class ImuTopics:
         self.update_vehicles()
 
     def update_vehicles(self) -> None:
-        """Follow vehicles that have joined or left."""
+        """Update the topics after a vehicle has joined or left."""
         simulation = self._simulation
         names = simulation.names
         for name in [name for name in self._topics if name not in names]:

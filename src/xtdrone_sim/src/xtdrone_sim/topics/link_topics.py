@@ -27,9 +27,9 @@ PERIOD_US = 20_000
 FRAME = "map"
 
 SceneProvider = Callable[[SceneState], None]
-"""Adds to a scene message further objects at the current time: actors, links of other models."""
+"""Adds further objects at the current time to a scene message: actors, links of other models."""
 StatesProvider = Callable[[LinkStates], None]
-"""Adds to the states of links those of other models at the current time."""
+"""Adds the links of other models at the current time to a message of link states."""
 
 
 class LinkTopics:
@@ -59,7 +59,7 @@ class LinkTopics:
         self._next_states_us = 0
 
     def update_vehicles(self) -> None:
-        """Follow vehicles that have joined or left."""
+        """Update the topics after a vehicle has joined or left."""
         simulation = self._simulation
         self._links = Links(simulation.names, simulation.models)
         jointed = {

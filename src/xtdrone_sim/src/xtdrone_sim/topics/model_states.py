@@ -36,7 +36,7 @@ class ModelStatesMessage:
         self._size = len(self._message.name)
 
     def fill(self, plant: NDArray[np.void]) -> ModelStates:
-        """Return the message of this moment; models added to it earlier are removed.
+        """Return the message for the current time; models added to it earlier are removed.
 
         Args:
             plant: (n,) ``PLANT``.

@@ -21,7 +21,7 @@ _FRAME = "map"
 
 
 def map_message(plan: NDArray[np.int8], settings: FloorPlanSettings, stamp: rospy.Time) -> OccupancyGrid:
-    """Return a plan (nx, ny) as message, at height 0 of map."""
+    """Return a plan (nx, ny) as a message, at height 0 of map."""
     message = OccupancyGrid()
     message.header.stamp, message.header.frame_id = stamp, _FRAME
     message.info.map_load_time, message.info.resolution = stamp, settings.cell

@@ -1,4 +1,4 @@
-"""UWB sensors of a fleet, and who measures whom."""
+"""UWB sensors of a fleet, and the neighbours that each measures."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def antennas_of(fleet: Sequence[Vehicle]) -> tuple[Antenna, ...]:
 
 
 def neighbours_of(own: int, antennas: Sequence[Antenna]) -> tuple[int, ...]:
-    """Return the antennas that one measures: of each other vehicle that of the same name, else its first.
+    """Return the antennas that an antenna measures: for each other vehicle, the one of the same name, else its first.
 
     Args:
         own: index of the measuring antenna.

@@ -1,4 +1,4 @@
-"""Whether something stands between the antennas of two vehicles, at a time between two scenes."""
+"""Line of sight between the antennas of two vehicles, at a time between two scenes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Moment(NamedTuple):
 
     Attributes:
         before, after: the scenes.
-        share: 0..1, how far the time is on the way from one to the other.
+        share: 0..1, fraction of the interval from one to the other.
     """
 
     before: SceneAt
@@ -44,13 +44,13 @@ class Sights:
     """Lines of sight at one moment."""
 
     def __init__(self, rays: RayScene, moment: Moment) -> None:
-        """Place all that stands and moves."""
+        """Place all objects."""
         self._rays = rays
         self._share = moment.share
         self._layout, self._places = _placed(rays, (moment.before, moment.after))
 
     def blocked(self, own: str, position: Array, others: Sequence[str], positions: Array) -> NDArray[np.bool_]:
-        """Return whether something stands between an antenna and others; the two vehicles themselves do not.
+        """Return whether an object other than the two vehicles is between an antenna and each of the others.
 
         Args:
             own: vehicle of the antenna.
@@ -72,7 +72,7 @@ class Sights:
 
 
 def _placed(rays: RayScene, scenes: Sequence[SceneAt]) -> tuple[Layout, NDArray[np.void]]:
-    """Return layout and places of scenes, again if a model has just begun to move and so changes the layout."""
+    """Return layout and places of scenes, recomputed if a model that begins to move has changed the layout."""
     while True:
         layout = rays.layout
         places = np.stack([rays.places(scene) for scene in scenes])

@@ -1,12 +1,12 @@
-"""What a UWB sensor measures: ranges and bearings of its neighbours, true and with errors.
+"""Measurements of a UWB sensor: ranges and bearings of its neighbours, true and with errors.
 
 A measured range is::
 
     r = d + bias + noise N(0, 1) + [blocked] (blocked_bias + blocked_noise N(0, 1)) + [outlier] E(outlier_excess)
 
-An outlier is a signal whose first path has been missed, so that the next one counts: as paths arrive at random times
-with a constant rate, its excess has an exponential distribution (A. A. M. Saleh and R. A. Valenzuela, A statistical
-model for indoor multipath propagation, IEEE J. Sel. Areas Commun. 5(2), 1987).
+An outlier is a signal whose first path has been missed, so that the next one is measured: since paths arrive at random
+times with a constant rate, its excess has an exponential distribution (A. A. M. Saleh and R. A. Valenzuela, A
+statistical model for indoor multipath propagation, IEEE J. Sel. Areas Commun. 5(2), 1987).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Neighbours:
         ranges: (n,) m.
         azimuths: (n,) rad, from x to y of the sensor's frame, -pi to pi.
         elevations: (n,) rad, from its plane x, y to z.
-        blocked: (n,) whether something stands between.
+        blocked: (n,) whether there is no line of sight.
         heard: (n,) whether there is a measurement.
     """
 
@@ -50,12 +50,12 @@ class Neighbours:
 
 
 def seen_from(sensor: Pose, positions: Array, range_max: float) -> Neighbours:
-    """Return where neighbours truly are, with nothing between.
+    """Return the true ranges and bearings of neighbours, all with line of sight.
 
     Args:
         sensor: pose of the sensor in the map.
-        positions: (n, 3) m, map; NaN: not there.
-        range_max: m, beyond which they are not heard.
+        positions: (n, 3) m, map; NaN: absent.
+        range_max: m, range beyond which they are not received.
     """
     offsets = positions - np.array(sensor.position)
     ranges = np.sqrt(np.sum(offsets * offsets, axis=1))
@@ -75,9 +75,9 @@ def measured(
 ) -> Neighbours:
     """Return the measurement of neighbours: with bias, noise, outliers and dropouts.
 
-    The random numbers depend on seed, vehicle, name, number of the measurement and place of the neighbour in the fleet
-    only; for a neighbour that has joined in flight on its name in place of its place, so that it changes those of no
-    other.
+    The random numbers depend only on seed, vehicle, name, number of the measurement and index of the neighbour in the
+    fleet. For a neighbour that has joined in flight, its name replaces the index, so that the numbers of the others do
+    not change.
 
     Args:
         mount: the sensor.

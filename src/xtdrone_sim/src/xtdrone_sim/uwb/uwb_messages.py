@@ -15,7 +15,7 @@ def ranges_message(sensor: Antenna, others: Sequence[Antenna], time_us: int, see
     """Return the message of a measurement.
 
     Args:
-        sensor: that has measured.
+        sensor: the measuring sensor.
         others: its n neighbours.
         time_us: simulated time of the measurement, microseconds.
         seen: the measurement.

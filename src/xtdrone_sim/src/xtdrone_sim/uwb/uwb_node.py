@@ -4,7 +4,7 @@
 topic or service                   type                          content
 =================================  ============================  =====================================================
 /T/NAME                            xtdrone_msgs/RelativeRanges   ranges, and bearings, to the other vehicles
-/T/NAME/failure                    xtdrone_msgs/SetLidarFailure  lets the sensor fail
+/T/NAME/failure                    xtdrone_msgs/SetLidarFailure  injects a failure of the sensor
 /xtdrone/scene (subscribed)        xtdrone_msgs/SceneState       poses of links and actors
 /xtdrone/models (subscribed)       xtdrone_msgs/SceneModels      models added and deleted since the start
 /xtdrone/vehicles (subscribed)     std_msgs/String               vehicles that join and leave
@@ -13,8 +13,8 @@ topic or service                   type                          content
 T is a vehicle, e.g. ``iris_uwb_0``, NAME the name of its sensor, e.g. ``uwb``.
 
 Measurement k of a sensor is at k / rate s, between two scenes, and is published in the turn of the second one. Sensors
-without subscribers measure nothing; one that is off does not answer others either. A vehicle that joins measures and
-is measured from the first scene with it on.
+without subscribers do not measure; one that is off does not respond to others either. A vehicle that joins measures and
+is measured from its first scene on.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class _Sensor:
 
     Attributes:
         joins: whether its vehicle has joined in flight and has not been in a scene yet.
-        first: neighbours at its own beginning, whose places in the measurement are kept, also of those that leave.
+        first: neighbours at the sensor's start, whose places in the measurement are kept even if they leave.
         joined: neighbours that have joined since.
     """
 
@@ -91,7 +91,7 @@ class _Sensor:
 
     @property
     def others(self) -> tuple[Antenna, ...]:
-        """All neighbours, also those that have left."""
+        """All neighbours, including those that have left."""
         return (*self.first, *self.joined)
 
 
@@ -186,12 +186,12 @@ class UwbNode:
             self._measure(now_us, sensors)
 
     def _first_us(self, sensor: _Sensor) -> int | None:
-        """Return the time of the first scene that counts for a sensor, microseconds; None without one."""
+        """Return the time of the first scene that a sensor can use, microseconds; None without one."""
         link = sensor.antenna.link
         return next((time for time, scene in self._scenes if not sensor.joins or link in scene.links), None)
 
     def _measure(self, now_us: int, sensors: Sequence[_Sensor]) -> None:
-        """Publish what sensors measure at one time."""
+        """Publish the sensors' measurements at one time."""
         (first_us, before), (last_us, after) = self._scenes[0], self._scenes[-1]
         moment = Moment(before, after, (now_us - first_us) / (last_us - first_us) if last_us > first_us else 0.0)
         poses = {one.antenna.topic: _placed(moment.pose(one.antenna.link), one.antenna) for one in self._sensors}
@@ -200,7 +200,7 @@ class UwbNode:
         for sensor in sensors:
             pose, mount = poses[sensor.antenna.topic], sensor.antenna.mount
             if pose is None:
-                rospy.logwarn_throttle(10.0, f"/xtdrone/scene does not have {sensor.antenna.link}: no ranges")
+                rospy.logwarn_throttle(10.0, f"/xtdrone/scene has no {sensor.antenna.link}: no ranges")
                 continue
             places = [heard.get(other.topic, _NOWHERE) for other in sensor.others]
             positions = np.array(places).reshape(-1, 3)
@@ -228,7 +228,7 @@ class UwbNode:
 
 
 def _look(sensor: _Sensor, sights: Sights, position: np.ndarray, positions: np.ndarray, true: Neighbours) -> None:
-    """Fill in which neighbours have no line of sight."""
+    """Set ``blocked`` for the neighbours without line of sight."""
     heard = np.flatnonzero(true.heard)
     names = [sensor.others[other].vehicle for other in heard]
     true.blocked[heard] = sights.blocked(sensor.antenna.vehicle, position, names, positions[heard])

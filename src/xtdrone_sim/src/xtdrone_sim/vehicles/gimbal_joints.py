@@ -1,9 +1,9 @@
 """Gimbals: joints that stabilise the direction of a camera against the motion of the body.
 
 A gimbal rotates about the body's z (yaw), then x (roll), then y (pitch). The commanded direction slews to a new
-setpoint at a limited rate; the joints take the angles that point the camera there for any attitude of the body, within
-their limits and speeds. The camera's direction is roll, pitch, yaw as in MAVLink: from the level frame along the
-vehicle's heading by yaw (positive to the right), pitch (positive up), roll (positive to the right).
+setpoint at a limited rate; the joints move to the angles that point the camera in this direction for any attitude of
+the body, within their limits and speeds. The camera's direction is roll, pitch, yaw as in MAVLink: from the level frame
+along the vehicle's heading by yaw (positive to the right), pitch (positive up), roll (positive to the right).
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def _about(axis, angle):
 
 @kernel
 def direction(heading, roll, pitch, yaw):
-    """Return the camera's attitude (w, x, y, z), FLU in ENU, that looks along roll, pitch, yaw (see above)."""
+    """Return the attitude (w, x, y, z), FLU in ENU, of a camera with the direction roll, pitch, yaw (see above)."""
     return multiply(_about(2, heading - yaw), multiply(_about(1, -pitch), _about(0, roll)))
 
 
@@ -87,7 +87,7 @@ def _note_attitude(g, q, heading):
 
 @kernel
 def _slew(g, dt):
-    """Slew the setpoint; yaw takes the shorter way if its joint has no limits."""
+    """Slew the setpoint; yaw turns in the shorter direction if its joint has no limits."""
     step = g.rate * dt
     for i in range(3):
         wanted = g.wanted[i] if math.isfinite(g.wanted[i]) else 0.0
@@ -99,7 +99,7 @@ def _slew(g, dt):
 
 @kernel
 def step_all(gimbals, plant, dt):
-    """Advance the gimbals of all vehicles by ``dt`` s, to the bodies' present attitudes.
+    """Advance the gimbals of all vehicles by ``dt`` s, for the bodies' current attitudes.
 
     Args:
         gimbals: (n,) ``GIMBAL``.
@@ -150,7 +150,7 @@ class Gimbals:
         self.any = bool(self._fitted)
 
     def fit(self, index: int, model: VehicleModel | None) -> None:
-        """Fit the vehicle ``index`` with the gimbal of a model, pointing ahead; without one, None removes it."""
+        """Fit the vehicle ``index`` with the gimbal of a model, pointing ahead; None removes it."""
         self.records[index] = np.zeros(1, GIMBAL)[0]
         if model is not None and model.gimbal is not None:
             _fit(self.records[index], model)

@@ -1,7 +1,7 @@
 """Landing gears, raised in flight out of the camera's view and lowered on the ground.
 
 The autopilot commands the position (PX4: raised in AUTO modes more than 2 m above home). The joints move at the speed
-of the slowest. Contact with the ground is that of the vehicle's box, independent of the gear.
+of the slowest. Contact with the ground is that of the vehicle's collision box, independent of the gear.
 """
 
 from __future__ import annotations

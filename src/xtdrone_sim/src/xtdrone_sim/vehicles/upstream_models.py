@@ -15,5 +15,5 @@ _REASONS = {
 
 
 def not_simulated(name: str) -> str:
-    """Return what keeps XTDrone's model ``name`` from flying, as a clause; "" for any other name."""
+    """Return the reason why XTDrone's model ``name`` is not available, as a clause; "" for any other name."""
     return f"{_REASONS[name]} is not simulated" if name in _REASONS else ""

@@ -138,7 +138,7 @@ class Description:
             if link.name == name:
                 return link
         names = ", ".join(link.name for link in self.links)
-        raise UrdfError(f"{self.name}: link {name!r} is not there; there are {names}")
+        raise UrdfError(f"{self.name}: link {name!r} does not exist; there are {names}")
 
     def joint(self, name: str) -> Joint:
         """Return a joint.
@@ -150,7 +150,7 @@ class Description:
             if joint.name == name:
                 return joint
         names = ", ".join(joint.name for joint in self.joints) or "none"
-        raise UrdfError(f"{self.name}: joint {name!r} is not there; there are {names}")
+        raise UrdfError(f"{self.name}: joint {name!r} does not exist; there are {names}")
 
     def carrier(self, link: str) -> tuple[str, Pose]:
         """Return the moving link to which ``link`` is fixed (itself if its joint turns), and its pose in that frame."""
@@ -246,7 +246,7 @@ def parse_urdf(text: str, path: Path) -> Description:
         UrdfError: see ``read_urdf``.
     """
     if "<!ENTITY" in text:
-        raise UrdfError(f"{path}: <!ENTITY is not allowed: write out what it stands for")
+        raise UrdfError(f"{path}: <!ENTITY is not allowed: write its text instead")
     if text.count("<") > MOST_VALUES:
         raise UrdfError(f"{path}: more than {MOST_VALUES} elements")
     try:
@@ -256,12 +256,12 @@ def parse_urdf(text: str, path: Path) -> Description:
     if robot.tag != "robot":
         raise UrdfError(f"{path}: element <{robot.tag}> is not allowed at the top, <robot>")
     if "xacro" in text:
-        raise UrdfError(f"{path}: xacro is not read, expand it first: xacro FILE.xacro > FILE.urdf")
+        raise UrdfError(f"{path}: xacro is not supported, expand it first: xacro FILE.xacro > FILE.urdf")
     return _Reader(path, robot).read(text)
 
 
 class _Reader:
-    """The state of reading one file."""
+    """State of the reader of one file."""
 
     def __init__(self, path: Path, robot: Element) -> None:
         self._path = path
@@ -380,7 +380,7 @@ class _Reader:
         if name not in self._materials:
             names = ", ".join(self._materials) or "none"
             raise self._fail(
-                where, f"material {name!r} has no colour and is none of the robot's own; there are {names}"
+                where, f"material {name!r} has no colour and is not defined by the robot; there are {names}"
             )
         return self._materials[name]
 
@@ -455,13 +455,13 @@ class _Reader:
         for joint in joints:
             for end in (joint.parent, joint.child):
                 if end not in by_name:
-                    raise self._fail(f"joint {joint.name!r}", f"link {end!r} is not there")
+                    raise self._fail(f"joint {joint.name!r}", f"link {end!r} does not exist")
         self._only_once("child link of joints", [joint.child for joint in joints])
         children = {joint.child for joint in joints}
         roots = [link for link in links if link.name not in children]
         if len(roots) != 1:
             names = ", ".join(link.name for link in roots) or "none"
-            raise self._fail("links", f"{names}: exactly one link must be held by no joint")
+            raise self._fail("links", f"{names}: exactly one link must not be the child of a joint")
         ordered, held = [roots[0]], []
         for link in ordered:
             below = [joint for joint in joints if joint.parent == link.name]
@@ -469,7 +469,7 @@ class _Reader:
             ordered += [by_name[joint.child] for joint in below]
         if len(ordered) < len(links):
             lost = ", ".join(sorted(set(by_name) - {link.name for link in ordered}))
-            raise self._fail("joints", f"{lost}: joints go round in a circle")
+            raise self._fail("joints", f"{lost}: the joints form a loop")
         return tuple(ordered), tuple(held)
 
     def _only_once(self, what: str, names: list[str]) -> None:

@@ -66,7 +66,7 @@ MODEL = np.dtype(
         ("gps_vertical_noise", "f8"),
         ("gps_velocity_noise", "f8"),
         ("gps_wander", "f8"),
-        ("gps_lead", "f8"),  # s, by which a fix is newer than the estimator assumes
+        ("gps_lead", "f8"),  # s, time by which a fix is newer than the estimator assumes
         ("gps_wander_time", "f8"),
         ("gps_satellites", "i8"),
         ("gps_hdop", "f8"),
@@ -139,7 +139,7 @@ class VehicleModel:
         urdf: links and joints; the root is the body, with the centre of mass at its origin, x ahead, z up.
         cameras: mounted cameras.
         lidars: mounted lidars.
-        imus: further IMUs.
+        imus: additional IMUs.
         uwb: sensors of ranges to other vehicles.
         gimbal: mounted gimbal; None without one.
         landing_gear: joints, at 0 on the ground and at their upper limits in flight.
@@ -204,10 +204,10 @@ def load_vehicle(name: str) -> VehicleModel:
 
 
 def _check_topics(sensors: Mapping[str, Sequence[LidarMount | ImuMount | UwbMount]]) -> None:
-    """Check that no two lists of sensors have a name, and so a topic, in common.
+    """Check that no name, and therefore no topic, occurs in two lists of sensors.
 
     Raises:
-        MountError: they have.
+        MountError: a name occurs twice.
     """
     first: dict[str, str] = {}
     for kind, mounts in sensors.items():
@@ -237,7 +237,7 @@ def _description(description: dict[str, Any], folder: Path) -> Description:
         path = place / str(name)
         if path.is_file():
             return read_urdf(path)
-    raise ModelError(f"urdf: {str(name)!r} is not there; looked for in {', '.join(map(str, places))}")
+    raise ModelError(f"urdf: {str(name)!r} does not exist; searched in {', '.join(map(str, places))}")
 
 
 def _battery(description: dict[str, Any]) -> BatteryModel:

@@ -1,1 +1,1 @@
-"""Cameras as a ground station sees them: H.264 over RTP, and MAVLink's camera protocol."""
+"""Camera video for ground stations: H.264 over RTP, and MAVLink's camera protocol."""

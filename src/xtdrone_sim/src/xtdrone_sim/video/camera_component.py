@@ -1,6 +1,6 @@
-"""A camera as a MAVLink component, by the camera protocol (https://mavlink.io/en/services/camera.html).
+"""A camera as a MAVLink component with the camera protocol (https://mavlink.io/en/services/camera.html).
 
-Ground stations find it by its heartbeat, ask for CAMERA_INFORMATION, and for VIDEO_STREAM_INFORMATION with the port on
+Ground stations find it by its heartbeat and request CAMERA_INFORMATION, and VIDEO_STREAM_INFORMATION with the port on
 which to listen. It takes no photographs and stores nothing.
 """
 
@@ -28,7 +28,7 @@ class CameraComponent:
     """
 
     def __init__(self, stream: Stream) -> None:
-        """Describe a stream, which runs."""
+        """Describe a stream, initially running."""
         self.running = True
         self._stream = stream
         self._mav = mavlink.MAVLink(None, srcSystem=stream.system, srcComponent=stream.component)
@@ -52,10 +52,10 @@ class CameraComponent:
         )
 
     def answers(self, message: Any, time: float) -> list[bytes]:
-        """Return the frames that answer a message.
+        """Return the frames of the response to a message.
 
         Args:
-            message: any, as decoded by pymavlink.
+            message: any message, as decoded by pymavlink.
             time: simulated time, s.
         """
         if message.get_type() != "COMMAND_LONG" or not self._addressed(message):

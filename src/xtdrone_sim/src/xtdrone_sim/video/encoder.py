@@ -1,8 +1,8 @@
 """H.264 over RTP by the program ffmpeg, which reads raw images from a pipe.
 
 ffmpeg packs the stream by RFC 6184 (packetisation mode 1) and repeats the parameter sets before each key image, so
-that a receiver may join at any time. Time stamps are those of wall time, as a player's clock is, however fast the
-flight. ffmpeg is a program of its own, so that encoding holds no lock of Python.
+that a receiver may join at any time. Time stamps are in wall time, like a player's clock, regardless of the speed of
+the flight. ffmpeg is a separate program, so that encoding does not hold Python's lock.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import time
 from xtdrone_sim.video.streams import CLOCK, PAYLOAD_TYPE, Stream
 
 MOST_RATE = 30.0
-"""Images a second of wall time that are encoded at most; of a faster flight some are left out."""
+"""Maximum number of images encoded per second of wall time; some images of a faster flight are left out."""
 
 _KEY_INTERVAL = 10  # images from one key image to the next
 _PACKET = 1400  # bytes, below the usual MTU
-_PATIENCE = 5.0  # s, for an end
+_PATIENCE = 5.0  # s for the program to end
 
 
 class EncoderError(RuntimeError):
@@ -31,7 +31,7 @@ class Encoder:
     """Sends the newest images of one camera.
 
     Attributes:
-        sent: number of images that the encoder has been given.
+        sent: number of images passed to the encoder.
     """
 
     def __init__(self, stream: Stream) -> None:
@@ -56,7 +56,7 @@ class Encoder:
         self._thread.start()
 
     def put(self, picture: bytes) -> None:
-        """Send an image, rows of RGB; one for which there is no time is replaced by the next one.
+        """Send an image, rows of RGB; if the encoder is busy, the next image replaces it.
 
         Raises:
             EncoderError: the program has ended.

@@ -1,4 +1,4 @@
-"""Which cameras are streamed, where to, and how a client without MAVLink finds them."""
+"""Video streams: their cameras and destinations, and session descriptions for clients without MAVLink."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from xtdrone_sim.cameras.cameras_of_fleet import Camera
 FIRST_COMPONENT = 100
 """MAV_COMP_ID_CAMERA; a vehicle's cameras have this id and the next ones."""
 MOST_CAMERAS = 6
-"""Of a vehicle: MAV_COMP_ID_CAMERA to MAV_COMP_ID_CAMERA6."""
+"""Maximum per vehicle: MAV_COMP_ID_CAMERA to MAV_COMP_ID_CAMERA6."""
 PAYLOAD_TYPE = 96
 CLOCK = 90_000
 """Hz of RTP's time stamps (RFC 6184)."""
@@ -29,9 +29,9 @@ class Stream:
     Attributes:
         camera: the camera.
         system, component: its ids in MAVLink.
-        host, port: to which it is sent by UDP.
+        host, port: UDP destination.
         rate: images per second of simulated time.
-        bitrate: of a second of wall time at most, bit/s.
+        bitrate: maximum, bit/s of wall time.
     """
 
     camera: Camera
@@ -49,7 +49,7 @@ class Stream:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height, pixels: even, as H.264 has half of them for colours."""
+        """Width and height, pixels: even, because H.264 halves the resolution of colours."""
         pinhole = self.camera.mount.pinhole
         return pinhole.width - pinhole.width % 2, pinhole.height - pinhole.height % 2
 
@@ -79,12 +79,12 @@ def streams_of(
     Args:
         fleet: the vehicles.
         cameras: all of their cameras, see ``cameras_of``.
-        names: VEHICLE/CAMERA of those to stream; none for the first camera with colours of each vehicle.
+        names: VEHICLE/CAMERA of those to stream; empty for the first colour camera of each vehicle.
         host, port: of the first stream.
         bitrate: bit/s of each.
 
     Raises:
-        ValueError: a name is not that of a camera with colours, or there is none.
+        ValueError: a name is not that of a colour camera, or there is none.
     """
     coloured = [camera for camera in cameras if camera.mount.kind in _TOPICS]
     known = [camera.topics[1:] for camera in coloured]

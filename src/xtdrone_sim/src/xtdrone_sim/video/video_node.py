@@ -1,7 +1,7 @@
 """Videos of the fleet's cameras for ground stations, as a node beside the lockstep: simulated time never waits for it.
 
-It subscribes to the topics of ``streams.Stream.topic`` and sends each image as it arrives, so the video runs as fast
-as the flight. Its MAVLink components send heartbeats to the ground station's port from one socket, and answer on it.
+It subscribes to the topics of ``streams.Stream.topic`` and sends each image as it arrives, so the video runs as fast as
+the flight. Its MAVLink components send heartbeats to the ground station's port from one socket, and respond on it.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class VideoSettings(Settings):
         "127.0.0.1", check=_check_host, allowed="a host's name or address", text="the ground station's machine"
     )
     port: int = setting(
-        0, low=0, high=65535, text="UDP port of the first video, the others follow; 0: 5600, of instance N 540 N higher"
+        0, low=0, high=65535, text="UDP port of the first video, the others follow; 0: 5600 + 540 N for instance N"
     )
     bitrate: int = setting(2_000_000, low=50_000, high=100_000_000, unit="bit/s", text="of each video")
     cameras: str = setting("", text="VEHICLE/CAMERA of each video, comma-separated; empty: each vehicle's first")
@@ -97,10 +97,10 @@ class VideoNode:
             self._encoders[k].put(bytes(image.data))
         except EncoderError as error:
             self._failed.add(k)
-            rospy.logerr(f"{error}; there is no video any more")
+            rospy.logerr(f"{error}; the video has ended")
 
     def step(self, timeout: float) -> None:
-        """Send the heartbeats that are due, and answer what arrives within ``timeout`` s of wall time."""
+        """Send the heartbeats that are due, and respond to messages that arrive within ``timeout`` s of wall time."""
         now = time.monotonic()
         if now - self._beat >= _BEAT:
             self._beat = now
@@ -113,7 +113,7 @@ class VideoNode:
                 datagram, sender = self._socket.recvfrom(_LARGEST)
             except BlockingIOError:
                 return
-            except OSError:  # an earlier datagram has found no listener
+            except OSError:  # an earlier datagram had no receiver
                 continue
             self._answer(datagram, sender)
 
@@ -128,7 +128,7 @@ class VideoNode:
                     self._send(frame, sender)
 
     def _send(self, frame: bytes, address: tuple[str, int]) -> None:
-        with contextlib.suppress(OSError):  # no network, or no room: the next heartbeat comes
+        with contextlib.suppress(OSError):  # no network or a full buffer: the next heartbeat follows
             self._socket.sendto(frame, address)
 
     def close(self) -> None:
@@ -158,7 +158,7 @@ def chosen_streams(settings: VideoSettings, fleet: Sequence[Vehicle], rate: floa
 
 
 def write_sdp(folder: str, streams: Sequence[Stream]) -> None:
-    """Write a description of each stream into a folder, which is made if it is missing.
+    """Write a description of each stream to a folder, which is created if missing.
 
     Raises:
         ValueError: the folder cannot be written.

@@ -59,7 +59,7 @@ class ActorTopics:
         self._actors.remove(number)
 
     def place(self, number: int, pose: VisualPose) -> None:
-        """Let an actor stand at a pose, upright; its current motion ends."""
+        """Place an actor upright at a pose; its current motion ends."""
         self._actors.place(number, pose.position, yaw_of(pose.orientation))
 
     def pose(self, number: int) -> VisualPose:

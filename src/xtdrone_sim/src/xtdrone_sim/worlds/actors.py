@@ -1,8 +1,8 @@
 """Motion of people who stand, follow a script or walk to a commanded position, in closed form.
 
-The state of an actor follows from its last command and from simulated time alone, so it does not depend on the division
-of time into steps, to the last bit. Actors walk through obstacles; whether things are stopped by them is a matter of
-``physics.solid_people``.
+The state of an actor follows from its last command and from simulated time alone, so it is independent, to the last
+bit, of the division of time into steps. Actors walk through obstacles; ``physics.bodies.solid_people`` makes them
+collide with vehicles and robots.
 
 Frame: map, ENU, m. Yaw counter-clockwise from east, rad.
 """
@@ -21,7 +21,7 @@ from xtdrone_sim.worlds import people_meshes
 from xtdrone_sim.worlds.sdf import SdfActor, Trajectory
 
 TURN_RATE = 1.5  # rad/s, in place
-TURNS_IN_PLACE = math.radians(10.0)  # an actor makes a larger change of heading before it walks
+TURNS_IN_PLACE = math.radians(10.0)  # rad; a larger change of heading is made before the actor walks
 FASTEST = 10.0  # m/s, largest commanded speed
 FARTHEST = 1e5  # m, largest distance of a commanded position from the origin, by axis
 STANDING = -1.0  # value of ``phase`` while standing
@@ -42,7 +42,7 @@ class ActorState(NamedTuple):
 
 
 class _Way(Protocol):
-    ends_us: float  # simulated time from which on it stands for ever; infinite: never
+    ends_us: float  # simulated time from which on it stands forever; infinite: never
 
     def at(self, time_us: int) -> ActorState:
         """Return the state at a simulated time, microseconds."""
@@ -146,7 +146,7 @@ class Actors:
         self.restart(0)
 
     def restart(self, time_us: int) -> None:
-        """Restart the initial behaviour of all actors at a simulated time, microseconds, also of those removed."""
+        """Restart the initial behaviour of all actors, including removed ones, at a simulated time, microseconds."""
         self._gone: set[int] = set()
         self._told = lambda _: None
         self._ways = [
@@ -158,7 +158,7 @@ class Actors:
         return [way.at(time_us) for way in self._ways]
 
     def present(self, time_us: int) -> list[tuple[str, ActorState]]:
-        """Return names and states of the actors that are there, as ``states``."""
+        """Return the names and states of the actors that have not been removed; see ``states``."""
         named = zip(self.names, self.states(time_us), strict=True)
         return [one for number, one in enumerate(named) if number not in self._gone]
 
@@ -203,7 +203,7 @@ class Actors:
         self._told(number)
 
     def place(self, number: int, position: Vector, yaw: float) -> None:
-        """Let an actor stand somewhere, replacing its current motion.
+        """Place an actor at a position, where it stands; this replaces its current motion.
 
         Args:
             number: index of the actor in the order of the world.

@@ -22,7 +22,7 @@ def is_known(name: str) -> bool:
 
 
 def find_world(name: str) -> Path:
-    """Return the absolute path of a world's file, which is written first if the world is generated.
+    """Return the absolute path of a world's file; that of a generated world is written first.
 
     Args:
         name: a name of ``known_names``, a generated one with options, or a path; see ``sdf.load_world_file``.

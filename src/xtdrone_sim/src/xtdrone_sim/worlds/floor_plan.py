@@ -1,4 +1,4 @@
-"""The plan of a world between two heights, in cells: a map that is given to robots, as map_server gives one."""
+"""Floor plan of a world between two heights, as an occupancy grid: a map for robots, such as map_server provides."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from xtdrone_sim.worlds.sdf import SdfWorld
 FREE, OCCUPIED = 0, 100
 
 _MOST_CELLS = 4_000_000
-_BELOW = 1e-3  # m from an edge of cells, along which walls may run exactly
+_BELOW = 1e-3  # m from a cell's edge, along which walls may run exactly
 
 
 def parse_bounds(value: Any) -> tuple[float, float, float, float]:
@@ -38,7 +38,7 @@ def parse_bounds(value: Any) -> tuple[float, float, float, float]:
 
 @dataclass(frozen=True)
 class FloorPlanSettings(Settings):
-    """What of a world is on the plan."""
+    """Extent, resolution and heights of a floor plan."""
 
     bounds: tuple[float, float, float, float] = setting(
         (0.0, -20.0, 60.0, 30.0), parse=parse_bounds, unit="m", text="x0,y0,x1,y1 of the plan, in map"
@@ -47,7 +47,7 @@ class FloorPlanSettings(Settings):
     low: float = setting(0.1, low=0.01, high=1000.0, unit="m", text="lowest height of obstacles")
     high: float = setting(0.6, low=0.01, high=1000.0, unit="m", text="highest height of obstacles")
     step: float = setting(
-        0.25, low=0.01, high=100.0, unit="m", text="maximum distance of the levels that are looked at"
+        0.25, low=0.01, high=100.0, unit="m", text="maximum distance between the levels that are evaluated"
     )
 
     def __post_init__(self) -> None:
@@ -65,19 +65,19 @@ class FloorPlanSettings(Settings):
 
     @property
     def levels(self) -> int:
-        """Number of heights that are looked at."""
+        """Number of heights that are evaluated."""
         return 1 + math.ceil((self.high - self.low) / self.step - 1e-6)
 
 
 def floor_plan(world: SdfWorld, settings: FloorPlanSettings) -> NDArray[np.int8]:
-    """Return the plan of a world's models, without what moves: (nx, ny), 0 free, 100 occupied.
+    """Return the plan of a world's models except those that move: (nx, ny), 0 free, 100 occupied.
 
-    A cell is occupied if a surface crosses the middle of it along x or y at one of the levels; the inside of solids is
-    free, and closed.
+    A cell is occupied if a surface crosses its middle line along x or y at one of the levels; the inside of a solid is
+    free, but enclosed.
 
     Args:
         world: with its models at the poses of its file.
-        settings: what is on the plan.
+        settings: extent, resolution and heights of the plan.
 
     Raises:
         ValueError: the world has too many triangles, or an invalid mesh.

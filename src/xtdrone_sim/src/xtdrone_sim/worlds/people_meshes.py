@@ -31,14 +31,14 @@ class Body:
 
     Attributes:
         height: m, without shoes, hair and hat.
-        stride: way of one walk cycle (two steps), m.
-        split: "train", or "test": kept from detectors until they are judged.
+        stride: distance of one walk cycle (two steps), m.
+        split: "train" or "test"; the latter is reserved for the evaluation of detectors.
         vertices: (V, 3), at rest, m.
         triangles: (T, 3), counter-clockwise from outside.
         texture_points: (P, 2), 0..1 from the image's lower left corner.
         texture_triangles: (T, 3), the corners' texture points.
         weights: (V, 4), shares of ``joints``; rows sum to 1.
-        joints: (V, 4), what moves a vertex.
+        joints: (V, 4), indices of the joints that move a vertex.
         poses: (1 + frames, J, 3, 4), transforms p -> R p + t of positions at rest: the stance, then the walk.
     """
 

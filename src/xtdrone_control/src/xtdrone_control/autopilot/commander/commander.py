@@ -46,7 +46,7 @@ _THROTTLE_HIGH, _THROTTLE_LOW = 0.2, -0.8  # stick positions above which arming 
 _STANDBY, _ACTIVE, _CRITICAL_STATE, _TERMINATED, _UNINIT = 3, 4, 5, 8, 0  # MAV_STATE
 _GEAR_HEIGHT = 2.0  # m above home
 _MAVLINK_MOTORS, _MAVLINK_SERVOS = range(1, 13), range(33, 41)  # ACTUATOR_OUTPUT_FUNCTION
-_PX4_FUNCTIONS, _PX4_FIRST_MOTOR = 1000, 101  # what is added to PX4's output functions, and the first motor's
+_PX4_FUNCTIONS, _PX4_FIRST_MOTOR = 1000, 101  # offset of PX4's output functions, and the first motor's
 _ON_GROUND, _IN_AIR, _TAKEOFF, _LANDING = 1, 2, 3, 4  # MAV_LANDED_STATE
 
 CommandListener = Callable[[int, Sequence[float], tuple[int, int], int | None], None]
@@ -67,9 +67,9 @@ class Commander(FlightCommands):
         health: health monitoring.
         manual: manual control input.
         on_command: listener of received MAV_CMDs, used by the logger; None for no listener. Arguments: number,
-            parameters 1 to 7, sender (system, component), MAV_RESULT or None for a command without an answer.
+            parameters 1 to 7, sender (system, component), MAV_RESULT or None for a command without an acknowledgement.
         open_log_stream: begins a stream of the vehicle's log and returns it, None while another one is open; the
-            attribute is None where no logger runs.
+            attribute is None if no logger is running.
         rebooting: a reboot was requested; the owner of the commander performs it.
         gear_up: whether a retractable landing gear should be up.
         armed: whether the vehicle is armed; its motors run unless killed or terminated.
@@ -343,7 +343,7 @@ class Commander(FlightCommands):
         return Result.ACCEPTED
 
     def test_actuator(self, function: int, value: float, seconds: float) -> Result | None:
-        """Execute MAV_CMD_ACTUATOR_TEST, with the answers of PX4 v1.14's ``Commander::handleCommandActuatorTest``.
+        """Execute MAV_CMD_ACTUATOR_TEST, with the results of PX4 v1.14's ``Commander::handleCommandActuatorTest``.
 
         Args:
             function: MAVLink's ACTUATOR_OUTPUT_FUNCTION, or 1000 plus PX4's own number.
@@ -351,7 +351,8 @@ class Commander(FlightCommands):
             seconds: duration, at most 3 s; 0 or less releases the motor.
 
         Returns:
-            ACCEPTED also for servos and motors that the vehicle does not have; None, no answer, for other functions.
+            ACCEPTED, also for servos and motors that the vehicle does not have; None (no acknowledgement) for other
+            functions.
         """
         if self.armed or int(self.parameters.get("COM_MOT_TEST_EN")) != 1:
             return Result.DENIED
@@ -564,7 +565,7 @@ class Commander(FlightCommands):
         self._apply_offboard_setpoint()
 
     def offset_start(self, values: Sequence[float]) -> tuple[Vector, float]:
-        """Return position (m, local NED) and heading (rad) from which a setpoint relative to the vehicle counts.
+        """Return the position (m, local NED) and heading (rad) to which a vehicle-relative setpoint refers.
 
         A pause longer than COM_OF_LOSS_T ends its command; see ``CommandStart``.
         """

@@ -53,7 +53,7 @@ class Cause(enum.IntEnum):
 
 
 class Clear(enum.Enum):
-    """When an action ends after its condition has cleared."""
+    """Event that ends an action after its condition has cleared."""
 
     CONDITION_CLEARED = "immediately"
     MODE_CHANGE = "at the next mode change or disarming"
@@ -61,7 +61,7 @@ class Clear(enum.Enum):
 
 
 class Takeover(enum.IntEnum):
-    """The pilot's options to take over, in ascending restriction."""
+    """The pilot's options to take over, from the least to the most restricted."""
 
     ALWAYS = 0
     MODE_SWITCH = 1
@@ -304,7 +304,7 @@ def possible(action: Action, flags: Flags) -> Action:
 
 
 def _already_landing(action: Action, delayed: Action, mode: Mode, flags: Flags) -> bool:
-    """Return whether the vehicle is landing already, which makes ``action`` unnecessary."""
+    """Return whether the vehicle is already landing, which makes ``action`` unnecessary."""
     if not can_run(mode, flags):
         return False
     if mode is modes.AUTO_LAND:

@@ -128,7 +128,7 @@ class ManualControl:
 
         Args:
             channels: pulse widths, us, from channel 1; 65535 marks a channel as unused, as does 0 after the eighth.
-                A message with unused channels only releases the override and counts as no input.
+                A message in which all channels are unused releases the override and does not count as input.
             now_us: simulated time, microseconds.
         """
         count = channel_count(channels)

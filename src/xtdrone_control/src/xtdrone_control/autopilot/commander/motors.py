@@ -1,4 +1,4 @@
-"""When the motors run: arming, kill switch, lockdown, termination (PX4's ``actuator_armed``) and motor tests."""
+"""Conditions for running motors: arming, kill switch, lockdown, termination (PX4's ``actuator_armed``), motor tests."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class MotorSwitch:
             self._since_us = self._view.time_us
 
     def test(self, motor: int, value: float, seconds: float) -> None:
-        """Run a motor of the disarmed vehicle, as PX4 v1.14's ``ActuatorTest`` does; other motors under test go on.
+        """Run a motor of the disarmed vehicle, as PX4 v1.14's ``ActuatorTest`` does; others under test keep running.
 
         Args:
             motor: number of the motor, from 0; one that the vehicle does not have is ignored.

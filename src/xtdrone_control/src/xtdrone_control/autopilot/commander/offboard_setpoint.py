@@ -27,7 +27,7 @@ def _finite(value: float) -> float:
 def _can_be_flown(given: Sequence[bool]) -> bool:
     """Return whether position, velocity and acceleration together control every axis, with x and y only in pairs.
 
-    Source: PX4 ``PositionControl::_inputValid``. ``given``: of each of their 9 values.
+    Source: PX4 ``PositionControl::_inputValid``. ``given`` tells for each of their 9 values whether it is controlled.
     """
     x, y, z = given[0::3], given[1::3], given[2::3]
     return x == y and any(x) and any(z)
@@ -41,11 +41,12 @@ _Start = TypeVar("_Start")
 
 
 class CommandStart(Generic[_Start]):
-    """Where the vehicle was when the current relative command came.
+    """Pose of the vehicle at the start of the current relative command.
 
-    A stream repeats its setpoint, many times a second. Setpoints of equal values are one command, which starts where
-    the vehicle was at the first of them. A new command starts with other values, after another setpoint, after a pause
-    that ends the stream, and while the vehicle does not follow setpoints: a command flies from where OFFBOARD begins.
+    A stream repeats its setpoint many times a second. Setpoints of equal values are one command, which starts at the
+    vehicle's pose at the first of them. A new command starts when the values change, after another kind of setpoint,
+    after a pause that ends the stream, and while the vehicle does not follow setpoints: a command is then relative to
+    the pose at which OFFBOARD begins.
     """
 
     def __init__(self) -> None:
@@ -57,7 +58,7 @@ class CommandStart(Generic[_Start]):
 
         Args:
             values: the setpoint; NaN equals NaN.
-            here: where the vehicle is now.
+            here: the vehicle's current pose.
             repeated: whether the setpoint continues a stream that the vehicle follows.
         """
         if self._current is None or not repeated or not _equal(self._current[0], values):
@@ -83,7 +84,7 @@ class OffboardSetpoint:
         self._previous_us = _NEVER_US
         self._task = TASK_TRAJECTORY
         self._count = 0  # setpoints stored so far
-        self._count_after_offset = 0  # once the latest setpoint relative to the vehicle was stored
+        self._count_after_offset = 0  # value of that count once the latest vehicle-relative setpoint was stored
         self._offset_start: CommandStart[tuple[Vector, float]] = CommandStart()
         self.incomplete = False
         self._fields: dict[str, Sequence[float] | float] = {}
@@ -102,14 +103,14 @@ class OffboardSetpoint:
         return self.fresh(limit) and self._last_us - self._previous_us <= limit * 1e6
 
     def offset_start(self, values: Sequence[float], limit: float, *, flown: bool) -> tuple[Vector, float]:
-        """Return position (m, local NED) and heading (rad) from which a setpoint relative to the vehicle counts.
+        """Return the position (m, local NED) and heading (rad) to which a vehicle-relative setpoint refers.
 
         Call it before the setpoint is stored. See ``CommandStart``.
 
         Args:
-            values: the setpoint, relative.
-            limit: pause after which the stream is another one, s.
-            flown: whether the vehicle follows the setpoints now.
+            values: the setpoint, relative to the vehicle.
+            limit: pause that ends the stream, s.
+            flown: whether the vehicle is following setpoints now.
         """
         repeated = flown and self.fresh(limit) and self._count == self._count_after_offset
         self._count_after_offset = self._count + 1

@@ -1,9 +1,9 @@
-"""Motion of a landing target, as PX4's landing_target_estimator: position and velocity from observed positions.
+"""Motion of a landing target, as in PX4's landing_target_estimator: position and velocity from observed positions.
 
 A Kalman filter per horizontal axis with a white acceleration (LTEST_ACC_UNC) and an error of the observation that grows
 with the height above the target (LTEST_MEAS_UNC). PX4's state is relative to the vehicle, with the vehicle's
-acceleration as input; here it is the target's in local NED, which is the same filter as long as the vehicle's position
-is known, and observations count at the time at which they were made.
+acceleration as input; here it is the target's in local NED, which gives the same filter as long as the vehicle's
+position is known; observations are fused at the time at which they were made.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from xtdrone_control.autopilot.vehicle_view import Vector
 MOVING = 0  # LTEST_MODE
 _GATE = 3.84  # squared normalised innovation above which an observation is rejected: one in twenty good ones
 _TIMEOUT_US = 2_000_000  # without an accepted observation, after which the next one starts again
-_LEAST_HEIGHT = 0.1  # m, of the camera above the target: below it the error stays the same
+_LEAST_HEIGHT = 0.1  # m, height of the camera above the target below which the error stays the same
 
 
 @dataclass(frozen=True)

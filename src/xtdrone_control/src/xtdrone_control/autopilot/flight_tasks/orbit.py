@@ -15,7 +15,7 @@ LEAST_RADIUS = 1.0  # m
 _LARGEST_SPEED = 10.0  # m/s
 _LARGEST_ACCELERATION = 2.0  # m/s^2, towards the centre
 _DEFAULT_SPEED = 1.0  # m/s
-_REACHED = 0.5  # of the radius, largest distance from the circle at which the approach ends
+_REACHED = 0.5  # share of the radius: distance from the circle at which the approach ends
 
 
 class Orbit:

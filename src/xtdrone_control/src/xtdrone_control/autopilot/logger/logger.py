@@ -48,7 +48,7 @@ _BASE_ROWS = _FLUSH_US // BASE_PERIOD_US
 _NEVER, _WHILE_ARMED, _BOOT_UNTIL_DISARM, _BOOT_UNTIL_END, _ARMED_UNTIL_END = -1, 0, 1, 2, 4  # SDLOG_MODE
 _INFO, _CRITICAL = 6, 2  # MAV_SEVERITY
 _VERSION = 0x010E03FF  # release 1.14.3, which defines the logged topics
-_NO_HASH = "0" * 40  # source revision: this is no build of PX4
+_NO_HASH = "0" * 40  # source revision: this is not a build of PX4
 
 _log = logging.getLogger("rosout.logger")
 
@@ -225,7 +225,7 @@ class Logger:
     """
 
     def __init__(self, autopilot: Autopilot, commanders: Sequence[Commander], folder: Path | None) -> None:
-        """Prepare to log; with SDLOG_MODE 1 or 2 the first ``update`` starts the logs.
+        """Prepare the logs; with SDLOG_MODE 1 or 2 the first ``update`` starts them.
 
         Args:
             autopilot: owner of the records.
@@ -300,7 +300,7 @@ class Logger:
             self._attach_listeners(index)
 
     def leave(self, index: int) -> None:
-        """End the log and the stream of a vehicle that leaves the simulation; it gets no other one."""
+        """End the log and the stream of a vehicle that leaves the simulation; no new ones are started for it."""
         self.flush()
         self._end_log(index)
         self._end_stream(index)

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 PIECE_SIZE = 249  # bytes, the data field of LOGGING_DATA
 NO_MESSAGE = 255  # first_message_offset of a piece in which no message begins
-CAPACITY = 4096  # pieces of data that wait, 1 MB: about 20 s of a log
-_FILE_HEADER_SIZE = 16  # bytes, the part of a ULog that is no message
+CAPACITY = 4096  # limit of queued pieces of data, 1 MB: about 20 s of a log
+_FILE_HEADER_SIZE = 16  # bytes, the header of a ULog, which is not a message
 _MESSAGE_HEADER_SIZE = 3  # bytes
 
 
@@ -48,7 +48,7 @@ class LogStream:
         self._has_header = False
 
     def write(self, data: bytes) -> None:
-        """Cut ``data``, which are whole messages (at first preceded by the file's header), into pieces."""
+        """Cut ``data`` into pieces; it consists of whole messages, preceded in the first call by the file's header."""
         at, end = 0, 0 if self.closed else len(data)
         while at < end:
             size = _MESSAGE_HEADER_SIZE + int.from_bytes(data[at : at + 2], "little")

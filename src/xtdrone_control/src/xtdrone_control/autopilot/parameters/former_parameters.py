@@ -1,4 +1,4 @@
-"""Parameters of PX4 v1.11 that v1.14 has under another name, or no longer.
+"""Parameters of PX4 v1.11 that v1.14 has renamed or removed.
 
 Scripts and parameter files of XTDrone name them: XTDrone flies v1.11.0-beta1. Source: the parameter definitions of PX4
 v1.11.0-beta1 and -beta2 against those of v1.14, ``param_translation.cpp`` and the descriptions of the commits that
@@ -111,16 +111,16 @@ _REMOVED = frozenset(
 )
 
 NAMES = frozenset(_RENAMED) | _REMOVED
-"""All former names. EKF2_AID_MASK is still there in v1.14, without effect here."""
+"""All former names. EKF2_AID_MASK still exists in v1.14, without effect here."""
 
 
 def replacements(name: str) -> tuple[str, ...]:
-    """Return the parameters of today that replace a former one; empty if it has no successor or is not a former one."""
+    """Return the current parameters that replace a former one; empty if it has no successor or is not a former one."""
     return tuple(_RENAMED.get(name, "").split())
 
 
 def hint(name: str) -> str:
-    """Return what became of a former parameter, for the end of a message; empty for all other names."""
+    """Return a phrase on the successors of a former parameter, for the end of a message; empty for all other names."""
     if name in _REMOVED:
         return ": PX4 v1.11 had it, v1.14 has nothing in its place"
     today = replacements(name)

@@ -135,13 +135,13 @@ def parse(text: str, name: str = "parameters") -> ParameterFile:
         elif line.strip():
             system, parameter, value = _row(line, where)
             if parameter in values:
-                raise ParameterFileError(f"{where}: {parameter} stands there a second time")
+                raise ParameterFileError(f"{where}: {parameter} occurs a second time")
             systems.add(system)
             values[parameter] = value
     if len(systems) > 1:
         raise ParameterFileError(f"{name}: parameters of several vehicles: {', '.join(map(str, sorted(systems)))}")
     if not systems:
-        raise ParameterFileError(f"{name}: no parameters are in it")
+        raise ParameterFileError(f"{name}: the file has no parameters")
     return ParameterFile(systems.pop(), values, stack)
 
 
@@ -152,7 +152,7 @@ def read_rows(path: Path) -> list[Row]:
     except FileNotFoundError:
         return []
     except (OSError, ContentError) as error:
-        _log.warning("parameter file %s cannot be read, defaults hold: %s", path, error)
+        _log.warning("parameter file %s cannot be read, the defaults are used: %s", path, error)
         return []
     rows = []
     for number, line in enumerate(text.splitlines(), 1):
@@ -225,7 +225,7 @@ def write(path: Path, content: ParameterFile) -> None:
 
 
 def write_changed(path: Path, rows: Iterable[Row], system: int, component: int) -> None:
-    """Replace a file atomically by the parameters of an autopilot that differ from its defaults.
+    """Replace a file atomically with the parameters of an autopilot that differ from its defaults.
 
     Args:
         path: of the file.

@@ -49,10 +49,10 @@ SLICE = 0.1
 
 @dataclass
 class _Session:
-    """This process's relation to a simulator.
+    """This process's state in relation to a simulator.
 
     Attributes:
-        reservation: Client that has reserved the node's name and is to join.
+        reservation: Client that has reserved the node's name and will join.
         client: Client that has joined.
         host: The simulator's own topics, if this process is the simulator.
         started: Whether ``start`` has been called.
@@ -261,9 +261,9 @@ def add_reset_hook(hook: Callable[[], None]) -> None:
 
 @contextlib.contextmanager
 def needs_time() -> Iterator[None]:
-    """Report to the simulator, while in this context, that the node is waiting for an event that needs time to advance.
+    """Context in which the simulator knows that the node is waiting for an event that needs time to advance.
 
-    An external autopilot, for example, answers only as time advances. The simulator then lets time advance although a
+    An external autopilot, for example, responds only as time advances. The simulator then lets time advance although a
     participant whose turn depends on this node is not done. May be used in any thread; no effect without lockstep.
     """
     client = _session.client

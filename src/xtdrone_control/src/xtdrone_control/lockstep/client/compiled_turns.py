@@ -1,9 +1,10 @@
-"""Turns of a node in compiled code, between those in which anything unusual happens.
+"""Turns of a node that run in compiled code as long as nothing unusual happens.
 
 ``lockstep_io.Turns`` has the inner loop: wait for TICK, read the due messages of certain topics, call the node's
-program, send what it publishes, and DONE. Python has the turn in which anything else arrives or which the program
-refuses, and finds its objects as if it had taken all turns itself. A compiled turn touches a few kilobytes; the
-interpreter's working set, of which each process of a fleet has its own, does not stay in the caches from turn to turn.
+program, send the messages that it publishes, and send DONE. Python runs every turn in which anything else arrives or
+which the program declines; its objects are then in the same state as if it had run all turns itself. A compiled turn
+touches a few kilobytes of memory, whereas the interpreter's working set, separate for each process of a fleet, does not
+stay in the CPU caches from turn to turn.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from .node_state import Node
 from .server_link import Connection
 from .topics import Publisher
 
-_FAR_US = 1 << 62  # no end of the turns
+_FAR_US = 1 << 62  # us; the turns have no end
 _LONGEST_WAIT = 1.0  # s of wall time
 
 _Inputs = list[tuple[int, int, Inbox]]
@@ -35,9 +36,9 @@ class CompiledWork(Protocol):
     """The work of a node's turn as a compiled program (``xtdrone_control/turn_program.h``).
 
     Attributes:
-        received: Resolved names of the topics that the program receives, in its order. Of a latched topic it accepts
-            repetitions only.
-        published: The publishers of what it publishes, in its order.
+        received: Resolved names of the topics that the program receives, in its order. On a latched topic it accepts
+            only repetitions of the last message.
+        published: The publishers of the topics that it publishes, in its order.
     """
 
     received: Sequence[str]
@@ -51,10 +52,10 @@ class CompiledWork(Protocol):
 
 
 class CompiledTurns:
-    """Takes turns of a participant by a compiled program."""
+    """Runs turns of a participant by a compiled program."""
 
     def __init__(self, node: Node, connection: Connection, deliveries: Deliveries, work: CompiledWork) -> None:
-        """Prepare nothing yet; ``carry`` takes turns.
+        """Store the arguments; ``carry`` runs the turns.
 
         Args:
             node: The participant's node.
@@ -72,7 +73,7 @@ class CompiledTurns:
         """Leave the next turn to Python; may be called in any thread.
 
         Returns:
-            Number and time in microseconds of the last compiled turn; None if none is to come.
+            Number and time in microseconds of the last compiled turn; None if no compiled turns are running.
         """
         turns = self._turns
         if turns is None:
@@ -81,14 +82,14 @@ class CompiledTurns:
         return turns.tick, turns.time_us
 
     def carry(self, tick: int, time_us: int) -> tuple[Barrier | None, int, int]:
-        """Take turns as long as possible.
+        """Run compiled turns for as long as possible.
 
         Args:
             tick: Number of the last turn.
             time_us: Its simulation time in microseconds.
 
         Returns:
-            The TICK of Python's turn, None if it is still to be awaited; number and time of the last turn taken.
+            The TICK of Python's next turn, None if it has not arrived yet; number and time of the last turn run.
 
         Raises:
             OSError: The connection to the simulator is broken.
@@ -136,7 +137,7 @@ class CompiledTurns:
         return inputs if plain else None
 
     def _outputs(self) -> _Outputs | None:
-        """Return the program's publishing ends; None if only Python can publish on one, or has not yet with digests."""
+        """Return the program's publishing ends; None if one needs Python, or Python's first message with digests."""
         digests = self._node.digests
         outputs: _Outputs = []
         for publisher in self._work.published:

@@ -48,7 +48,7 @@ def reserve(name: str, node: Node) -> Client | None:
         node: The node.
 
     Returns:
-        The client to join with; None if the node takes no part or no simulator answers yet.
+        The client to join with; None if the node does not take part or no simulator responds yet.
 
     Raises:
         ROSInitException: Another participant has the name, or the simulator uses another protocol version.

@@ -34,7 +34,7 @@ class Deliveries:
         self._void: list[tuple[int, int]] = []
 
     def update(self, news: Mapping[str, Any]) -> None:
-        """Apply the news of a PEER frame: connections made and lost, and messages void since a reset."""
+        """Apply the contents of a PEER frame: connections made and lost, and messages made void by a reset."""
         for channel, topic, publisher, port in news["made"]:
             end = self._node.ends.get(topic)
             if end is None:  # a plain rospy.Subscriber (of a tf listener, say), read by rospy's threads

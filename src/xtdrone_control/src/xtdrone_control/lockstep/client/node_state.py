@@ -38,7 +38,7 @@ class Subscription(Protocol):
 
     Attributes:
         resolved_name: Resolved topic name.
-        type: Message type, as std_msgs/String.
+        type: Message type, such as std_msgs/String.
         impl: The topic's receiving end; None once unregistered.
         pending: Latched messages that arrived before this subscriber was declared.
     """
@@ -70,7 +70,7 @@ class Node:
         exit_status: Exit status that the program should end with.
         counter: Reports connections to the server; None before the node has joined.
         udp_ports: Local ports on which the node receives the simulator's datagrams.
-        serve: Receives these datagrams; None if there are none.
+        serve: Function that receives these datagrams; None if there are none.
         datagrams: Cumulative number of datagrams sent, by the simulator's port.
         datagrams_missed: Number of datagrams given up as lost, by local port.
     """

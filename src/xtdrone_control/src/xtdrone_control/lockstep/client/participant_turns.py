@@ -141,7 +141,7 @@ class Client:
                     self._leave()
             finally:
                 lock.release()
-        # rospy closes the topics next, perhaps in the same signal handler: nothing may wait for the lock any more.
+        # rospy closes the topics next, perhaps in the same signal handler: nothing may wait for the lock from here on.
         self._joined = False
         self._ended.set()
         self._reader.wake()
@@ -268,11 +268,11 @@ class Client:
         self._enter(self._carry() or self._await_tick())
 
     def compile(self, work: CompiledWork) -> None:
-        """Take turns by a compiled program wherever possible, see ``compiled_turns``."""
+        """Run turns by a compiled program wherever possible, see ``compiled_turns``."""
         self._compiled = CompiledTurns(self._node, self._connection, self._deliveries, work)
 
     def _carry(self) -> Barrier | None:
-        """Take compiled turns; return the TICK that ends them if it has arrived already."""
+        """Run compiled turns; return the TICK that ends them if it has already arrived."""
         if self._compiled is None or self._connection.pending:
             return None
         try:
@@ -348,7 +348,7 @@ class Client:
         for port, count in expected.items():
             short = count - received.get(port, 0)
             if short < 0 < missed.get(port, 0):
-                missed[port] = max(0, missed[port] + short)  # some of those given up have arrived late
+                missed[port] = max(0, missed[port] + short)  # some that were given up as lost have arrived late
             elif short > 0 and not rospy.is_shutdown():
                 missed[port] = missed.get(port, 0) + short
                 rospy.logwarn(f"{short} datagrams from the simulator to UDP port {port} did not arrive")

@@ -108,7 +108,8 @@ class Connection:
             timeout: Longest wait in wall seconds.
 
         Returns:
-            The content of a TICK that has arrived alone; otherwise None, and received frames are in ``frames``.
+            The content of a TICK if exactly one complete TICK has arrived; otherwise None, and received frames are in
+            ``frames``.
 
         Raises:
             OSError: The connection is closed.
@@ -122,7 +123,7 @@ class Connection:
         return bool(self.frames or self._frame_reader)
 
     def compiled_turns(self, reader: Reader, topics: int, tick: int, time_us: int) -> lockstep_io.Turns:
-        """Return an object that takes turns over this connection; ``carry`` runs it.
+        """Return an object that runs turns over this connection; ``carry`` starts it.
 
         Args:
             reader: The reader given to ``watch``.
@@ -138,13 +139,13 @@ class Connection:
     def carry(
         self, reader: Reader, turns: lockstep_io.Turns, program: Any, until_us: int, timeout: float
     ) -> Barrier | None:
-        """Take turns without Python, then handle what has ended them; returns and raises as ``await_frames``.
+        """Run turns without Python, then handle the event that has ended them, like ``await_frames``.
 
         Args:
             reader: The reader given to ``watch``.
-            turns: Takes the turns.
+            turns: Object that runs the turns.
             program: Capsule of the ``TurnProgram``.
-            until_us: Simulation time in microseconds from which on Python has the turns.
+            until_us: Simulation time in microseconds from which on Python runs the turns.
             timeout: Longest wait in wall seconds.
         """
         return self._sort(reader.sort(turns.run(program, until_us, timeout)))

@@ -17,7 +17,7 @@ from .datagram_counts import DatagramCounts
 from .participant import Participant
 
 Idle = Callable[[float], None]
-"""Called with a time in seconds instead of a plain wait."""
+"""Function called with a time in seconds in place of a plain wait."""
 
 SLICE = 0.1
 """Longest single wait in wall seconds, so that limits and signals are checked in time."""
@@ -34,8 +34,8 @@ class TickBarrier:
         ticks: Number of ticks so far.
         time_us: Simulation time of the last tick in microseconds, -1 before the first.
         awaited: Number of participants whose DONE is outstanding.
-        begins_counts: Whether this barrier's TICKs begin the count of datagrams of a port. The participant then takes
-            all others that have arrived as sent before; further ones must not be sent until its DONE.
+        begins_counts: Whether this barrier's TICKs begin the count of datagrams to a port. The participant then treats
+            all datagrams that have arrived as sent before that; no more may be sent until its DONE.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class TickBarrier:
         """Set simulation time between two ticks; participants are next due at or after ``now_us``."""
         self.time_us = now_us - 1
         for participant in self._participants.values():
-            # An explicit flag, as its next tick may have the same time as its last.
+            # An explicit flag is needed, because its next tick may have the same time as its last.
             participant.news.reset = participant.tick > 0
             participant.news.mark_void()
             self.add_participant(participant)

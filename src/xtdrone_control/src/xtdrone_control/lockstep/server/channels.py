@@ -96,7 +96,7 @@ class Channels:
         self._host_end.outgoing.forget_closed()
 
     def deliver_to_host(self) -> None:
-        """Report to the simulator's own subscribers what has been sent to them by the end of a tick."""
+        """Report to the simulator's own subscribers the numbers of messages sent to them by the end of a tick."""
         if self._host is None or self._host_end is None:
             return
         news = self._host_end.news
@@ -110,7 +110,7 @@ class Channels:
         self._host.deliver(peers, counts)
 
     def reset(self) -> None:
-        """Mark messages on their way to the simulator as sent before a reset of simulation time."""
+        """Mark messages in transit to the simulator as sent before a reset of simulation time."""
         if self._host_end is not None:
             self._host_end.news.mark_void()
 

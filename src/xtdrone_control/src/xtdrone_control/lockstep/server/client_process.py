@@ -48,7 +48,7 @@ class Connection:
         host: IP address of the client; ``THIS_MACHINE`` over a Unix domain socket.
         address: Host and port of the client; ``THIS_MACHINE`` over a Unix domain socket.
         remote: Whether the client runs on another machine.
-        name: Resolved ROS name of the participant, as /follower_1; empty until it has joined.
+        name: Resolved ROS name of the participant, such as /follower_1; empty until it has joined.
         reserved: Name reserved over this connection; empty if none.
         process: The client's process if it runs on this machine, else None.
         accepted: Monotonic wall time in seconds at which it connected or reserved its name.

@@ -281,7 +281,7 @@ def _reservation(fields: _Fields) -> Reservation:
         node = printable(name, LONGEST_NAME) if isinstance(name, str) else shown(name)
         raise RefusalError("version", f"{node} uses lockstep version {shown(version)}, the simulator {VERSION}")
     if not isinstance(name, str) or len(name) > LONGEST_NAME or not _NAME.fullmatch(name):
-        allowed = f"must be a resolved ROS name, as /follower_1, of at most {LONGEST_NAME} characters"
+        allowed = f"must be a resolved ROS name, such as /follower_1, of at most {LONGEST_NAME} characters"
         raise RefusalError("name", f"name {shown(name)}: {allowed}")
     host = fields.get("host", "")
     if not isinstance(host, str) or len(host) > LONGEST_NAME:
@@ -306,7 +306,7 @@ def _topics(fields: _Fields, key: str) -> dict[str, str]:
     for entry in fields.items(key, MOST_TOPICS):
         topic, kind = _row(what, entry, 2, "[topic, type]")
         if not isinstance(kind, str) or len(kind) > LONGEST_NAME or not _TYPE.fullmatch(kind):
-            raise ProtocolError(f"{what}: type {shown(kind)}: must be a ROS type, as std_msgs/String, or *")
+            raise ProtocolError(f"{what}: type {shown(kind)}: must be a ROS type, such as std_msgs/String, or *")
         topics[_name(what, topic)] = kind
     return topics
 
@@ -340,7 +340,7 @@ def _row(what: str, entry: object, length: int, columns: str) -> list[Any]:
 
 def _name(what: str, value: object) -> str:
     if not isinstance(value, str) or len(value) > LONGEST_NAME or not _NAME.fullmatch(value):
-        allowed = f"must be a resolved ROS name, as /iris_0/cmd, of at most {LONGEST_NAME} characters"
+        allowed = f"must be a resolved ROS name, such as /iris_0/cmd, of at most {LONGEST_NAME} characters"
         raise ProtocolError(f"{what}: topic {shown(value)}: {allowed}")
     return value
 

@@ -108,7 +108,7 @@ class LockstepServer:
             link: The simulator's own publishers and subscribers.
 
         Raises:
-            ValueError: One is attached already.
+            ValueError: The simulator's own topics are already attached.
         """
         self._channels.attach_host(link)
 
@@ -248,7 +248,7 @@ class LockstepServer:
     # ---- frames ----
 
     def _handle_frame(self, connection: Connection, kind: int, payload: bytes) -> None:
-        """Handle one frame; the connection's reader accepts RESERVE and JOIN before, all others after joining.
+        """Handle one frame; the connection's reader accepts only RESERVE and JOIN before joining, all others after it.
 
         Raises:
             ProtocolError: It is malformed, or not allowed in the current state.

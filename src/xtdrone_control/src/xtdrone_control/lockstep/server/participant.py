@@ -117,7 +117,7 @@ class Participant:
     """The server's record of one participant, or of the simulator as one end of topic connections.
 
     Attributes:
-        name: Resolved ROS name, as /follower_1.
+        name: Resolved ROS name, such as /follower_1.
         connection: Its connection; None for the simulator itself.
         rate: Turns per second of simulation time in Hz; 0 for the simulator.
         schedule: Times of its turns; None for the simulator.

@@ -79,10 +79,10 @@ class Inbox:
         return max(0, self.target - self.given_up - self.received)
 
     def fetch(self) -> bool:
-        """Read until nothing is lacking or the connection has no more data at hand.
+        """Read until no message is missing or the connection has no more data available.
 
         Returns:
-            Whether nothing is lacking.
+            Whether no message is missing.
         """
         if self.target is None:
             return True

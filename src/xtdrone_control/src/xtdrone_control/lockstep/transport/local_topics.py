@@ -1,7 +1,7 @@
 """Topic connections over Unix domain sockets: between nodes in lockstep on one machine, with rospy's own handshake.
 
-A message costs a third of the kernel's time over TCP. A connection is otherwise the same: rospy's transport, header and
-counts. The subscriber numbers its connections; these numbers take the place of its TCP ports.
+A message costs a third of the kernel time that it costs over TCP. A connection is otherwise the same: rospy's
+transport, header and counts. The subscriber numbers its connections; these numbers take the place of its TCP ports.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def connect(connection: Any, host: str, port: int, publisher: str) -> bool:
 
     Raises:
         TransportInitError: The publisher refuses the connection.
-        OSError: It has ended meanwhile.
+        OSError: The publisher has ended in the meantime.
     """
     number = 1 + next(_numbers) % HIGHEST_PORT
     own = f"\0xtdrone-subscriber/{_token}-{os.getpid()}/{number}"  # the process may have been forked from another

@@ -27,12 +27,13 @@ SubscriberImpl: Any = rospy.topics._SubscriberImpl
 """Base class of a topic's receiving end, shared by all ``rospy.Subscriber`` objects of the topic in a process."""
 
 _ASK_PERIOD = 1.0  # s of wall time
-_CONNECTION_QUEUE = 1024  # connections that wait to be accepted; the kernel caps it at net.core.somaxconn
+_CONNECTION_QUEUE = 1024  # connections waiting to be accepted; the kernel caps the number at net.core.somaxconn
 
 
 def set_time_us(time_us: int) -> None:
     """Set the time that ``rospy.Time.now`` returns, in microseconds; otherwise only rospy's /clock callback sets it."""
-    # What rospy's own function does, in a tenth of the time: that creates two checked objects and logs a deprecation.
+    # Equivalent to rospy's own function in a tenth of the time; that one creates two checked objects and logs a
+    # deprecation.
     now = rospy.Time.__new__(rospy.Time)
     seconds, micros = divmod(time_us, 1_000_000)
     now.secs, now.nsecs = seconds, micros * 1000
@@ -134,7 +135,7 @@ class _Collector(RegistrationListener):  # type: ignore[misc]  # rospy has no ty
         self._added.append((resolved_name, data_type_or_uri, reg_type))
 
     def reg_removed(self, resolved_name: str, data_type_or_uri: str, reg_type: str) -> None:
-        """Pass on the end of a registration, after all before it."""
+        """Forward an unregistration, after all earlier registrations."""
         self.flush()
         self.manager.reg_removed(resolved_name, data_type_or_uri, reg_type)
 

@@ -76,7 +76,7 @@ class Reader:
     def receive(
         self, descriptor: int, timeout: float, *, whole: bool
     ) -> bytes | tuple[int, int, dict[int, int], dict[int, int]] | None:
-        """Wait until data arrives, and handle it unless it is that of the simulator alone.
+        """Wait until data arrives, and handle it unless it is from the simulator alone.
 
         Args:
             descriptor: The simulator's watched connection.
@@ -95,7 +95,7 @@ class Reader:
     def sort(
         self, received: bytes | tuple[int, int, dict[int, int], dict[int, int]] | list[int]
     ) -> bytes | tuple[int, int, dict[int, int], dict[int, int]] | None:
-        """Handle what a wait has ended with, unless it is data of the simulator alone; see ``receive``.
+        """Handle the result of a wait, unless it is data from the simulator alone; see ``receive``.
 
         Args:
             received: The result of ``lockstep_io``: data, or the descriptors that are ready.

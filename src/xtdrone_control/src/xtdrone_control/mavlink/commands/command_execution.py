@@ -23,7 +23,7 @@ from xtdrone_control.mavlink.service_base import Vehicle
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
 
 _NAN = math.nan
-_INT32_UNSET = 0x7FFFFFFF  # x and y left out of COMMAND_INT
+_INT32_UNSET = 0x7FFFFFFF  # x and y that are left out of COMMAND_INT
 _NAN_AS_INT = 0x7FF80000  # x and y of a sender that has cast NaN to an integer
 _LEAST_UNSET, _MOST_UNSET = 2147483520.0, 2147483904.0  # floats next to INT32_UNSET
 _FORCE = 21196
@@ -154,7 +154,7 @@ class CommandHandler:
             mavlink.MAV_CMD_PREFLIGHT_STORAGE: self._storage,
             mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._reboot,
             mavlink.MAV_CMD_ACTUATOR_TEST: self._test_actuator,
-            mavlink.MAV_CMD_RUN_PREARM_CHECKS: lambda *_: Result.ACCEPTED,  # they run continuously
+            mavlink.MAV_CMD_RUN_PREARM_CHECKS: lambda *_: Result.ACCEPTED,  # the checks run continuously
             mavlink.MAV_CMD_INJECT_FAILURE: self._inject_failure,
             mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: self._get_interval,
             mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
@@ -209,7 +209,7 @@ class CommandHandler:
         return _NAN if home is None else home.altitude + altitude
 
     def _takeoff(self, command: Command, _link: Link) -> Result:
-        # without a position the altitude is ignored too: a COMMAND_LONG of zeros takes off at default values
+        # without a position the altitude is ignored too: a COMMAND_LONG of zeros takes off with the default values
         given = any(command.params[4:7])
         if not given:
             return self._commander.takeoff(_NAN, _NAN)

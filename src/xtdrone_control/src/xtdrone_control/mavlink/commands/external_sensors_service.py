@@ -1,10 +1,10 @@
 """Sensors received over MAVLink: external vision, motion capture, optical flow, range finders.
 
-Each message fills the vehicle's ``SENSORS`` record; the estimator decides whether to fuse it. As in PX4 v1.14: frames,
-covariances (NaN in the first element: none), NaN for unknown values, reset_counter; VISION_SPEED_ESTIMATE is ignored,
-velocities come with ODOMETRY. Unlike in PX4, where EKF2 ignores motion capture (ATT_POS_MOCAP, ODOMETRY of that
-estimator type) and only the other estimator uses it, it counts as vision. The time of a sample is its arrival; its
-timestamp is ignored.
+Each message fills the vehicle's ``SENSORS`` record; the estimator decides whether to fuse it. Frames, covariances (NaN
+in the first element means none), NaN for unknown values and reset_counter are handled as in PX4 v1.14;
+VISION_SPEED_ESTIMATE is ignored, since velocities come with ODOMETRY. Unlike in PX4, where EKF2 ignores motion capture
+(ATT_POS_MOCAP, ODOMETRY of that estimator type) and only the other estimator uses it, it counts as vision. The time of
+a sample is its arrival; its timestamp is ignored.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@ even an infeasible one; rejected setpoints do not. Force setpoints are rejected.
 and idle bits of the type mask are ignored.
 
 BODY_OFFSET_NED is accepted beyond PX4 v1.14, which supports only LOCAL_NED and BODY_NED: XTDrone's ``cmd_pose_flu``
-uses it for an offset from the vehicle. (PX4 v1.11 took the position as local, whatever the frame.) XTDrone repeats the
-offset at 30 Hz; it counts from where the vehicle was when the command came (``CommandStart``).
+uses it for an offset from the vehicle. (PX4 v1.11 treated the position as local, whatever the frame.) XTDrone repeats
+the offset at 30 Hz; it is relative to the vehicle's position when the command arrived (``CommandStart``).
 
 SET_ACTUATOR_CONTROL_TARGET is not supported: PX4 rejects it in lockstep with a simulator.
 """

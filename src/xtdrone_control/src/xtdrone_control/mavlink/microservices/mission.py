@@ -335,7 +335,7 @@ class MissionService(Service):
             if m.seq == transfer.seq:  # other items are ignored and requested again later
                 self._store_item(link, transfer, m)
         elif transfer.state is _State.IDLE and transfer.seq and transfer.seq == m.seq + 1:
-            self._acknowledge(link, transfer.kind, _ACCEPTED)  # the last one again: the acknowledgement was lost
+            self._acknowledge(link, transfer.kind, _ACCEPTED)  # the last item again: the acknowledgement was lost
         else:
             reason, name = "Busy", "mavlink_mission_mis_item_busy"
             if transfer.state is _State.IDLE:

@@ -106,7 +106,7 @@ class ParameterService(Service):
     def _param_set(self, link: Link, m: Any) -> None:
         if not self._is_for_us(m):
             return
-        if m.param_id == _HASH_NAME:  # the ground station has these values already
+        if m.param_id == _HASH_NAME:  # the ground station already has these values
             self._lists.pop(link, None)
             self._participants.discard(link)
             return

@@ -222,7 +222,7 @@ class Streams:
             self._rebuild(0)
 
     def interval(self, number: int) -> int | None:
-        """Return the interval of message ``number``, us; -1 if it is off, None if it is no stream."""
+        """Return the interval of message ``number``, us; -1 if it is off, None if it is not a stream."""
         stream = self._streams.get(number)
         if stream is None:
             return None
@@ -237,7 +237,7 @@ class Streams:
             now_us: simulated time, microseconds.
 
         Returns:
-            False if the message is no stream, or the heartbeat, which cannot be changed.
+            False if the message is not a stream, or is the heartbeat, which cannot be changed.
         """
         stream = self._streams.get(number)
         if stream is None or number == HEARTBEAT.number:
@@ -292,7 +292,7 @@ class Streams:
 
         Args:
             number: message id.
-            send: receives the format and the payload of each message, mostly one.
+            send: receives the format and the payload of each message, of which there is usually one.
             report: as in ``send_due``.
         """
         stream = self._streams.get(number)

@@ -1,4 +1,4 @@
-"""Field values of one vehicle's telemetry messages in wire order, payloads of those with high rates.
+"""Field values of one vehicle's telemetry messages in wire order, and payloads of those with high rates.
 
 ``xtdrone_native.mavlink_wire`` builds the payloads directly from the autopilot's records. Local NED and body FRD,
 quaternions (w, x, y, z), as in MAVLink. Times are simulated; SYSTEM_TIME counts from a fixed date, so that the same
@@ -124,7 +124,7 @@ class Telemetry:
         return int(self._commander.parameters.get("MAV_PROTO_VER"))
 
     def refresh(self, now_us: int) -> None:
-        """Set the time, and note whether the estimator has an attitude and a position by now."""
+        """Set the time, and record whether the estimator has an attitude and a position yet."""
         if now_us != self.time_us:
             self.time_us = now_us
             self.time_ms = now_us // 1000

@@ -50,8 +50,8 @@ def split(datagram: bytes) -> Iterator[Frame]:
     Only lengths are checked here; ``decoder`` checks the CRC.
 
     Raises:
-        FrameError: bytes that begin no frame, a truncated frame, or a frame with unknown incompatibility flags, after
-            the frames before it have been yielded.
+        FrameError: after the valid frames before it, bytes that do not begin a frame, a truncated frame, or a frame
+            with unknown incompatibility flags.
     """
     frames, end = mavlink_wire.split(datagram)
     yield from frames
@@ -60,7 +60,7 @@ def split(datagram: bytes) -> Iterator[Frame]:
 
 
 def frame_error(datagram: bytes, start: int) -> FrameError:
-    """Return the error of ``datagram``, in which no frame begins at ``start`` or an incomplete one."""
+    """Return the error of ``datagram``, in which no frame or an incomplete one begins at ``start``."""
     size, magic = len(datagram), datagram[start]
     if magic == _MAGIC_V2 and start + _HEADER_V2 <= size:
         flags = datagram[start + 2]
@@ -71,7 +71,7 @@ def frame_error(datagram: bytes, start: int) -> FrameError:
     elif magic == _MAGIC_V1 and start + _HEADER_V1 <= size:
         length, number = datagram[start + 1] + 8, datagram[start + 5]
     else:
-        return FrameError(f"byte 0x{magic:02x} at {start} of {size} begins no MAVLink frame")
+        return FrameError(f"byte 0x{magic:02x} at {start} of {size} does not begin a MAVLink frame")
     return FrameError(f"{message_name(number)} is truncated: {size - start} of {length} bytes")
 
 

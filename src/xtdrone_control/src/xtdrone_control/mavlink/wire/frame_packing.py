@@ -61,7 +61,7 @@ class Format:
         return self.general_payload(values) if payload is None else payload
 
     def general_payload(self, values: Sequence[Any]) -> bytes:
-        """Return what ``payload`` does, slowly, for all that ``struct`` accepts and with its error texts."""
+        """Return the payload, more slowly than ``payload``, for all values of ``struct`` and with its error texts."""
         try:
             return bytes(self._pack(*values).rstrip(b"\0") or b"\0")
         except (struct.error, OverflowError) as error:

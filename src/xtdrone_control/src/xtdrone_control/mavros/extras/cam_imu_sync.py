@@ -1,4 +1,4 @@
-"""Stamps of camera triggers by the autopilot."""
+"""Time stamps of the autopilot's camera triggers."""
 
 from __future__ import annotations
 

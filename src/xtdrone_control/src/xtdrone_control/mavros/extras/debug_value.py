@@ -70,7 +70,7 @@ def _send_int(m: Any) -> Mapping[str, Any]:
 
 
 _TOPIC = "debug_value/send"
-_FREE = ("value", "x", "y", "z", "data")  # NaN is worth showing, too
+_FREE = ("value", "x", "y", "z", "data")  # NaN is published too: a debug value need not be finite
 _SENT = {
     DebugValue.TYPE_DEBUG: In(_TOPIC, DebugValue, "DEBUG", _send_debug, free=_FREE),
     DebugValue.TYPE_DEBUG_VECT: In(_TOPIC, DebugValue, "DEBUG_VECT", _send_vector, free=_FREE),
@@ -101,7 +101,7 @@ class DebugValuePlugin(Relay):
         """Send a value as the message for its type.
 
         Raises:
-            FieldError: an unknown type, or a value that does not fit.
+            FieldError: the type is unknown, or a value does not fit.
         """
         if value.type not in _SENT:
             raise FieldError("type", value.type, f"{min(_SENT)} to {max(_SENT)}")

@@ -1,4 +1,4 @@
-"""Range finders, from the autopilot and to it."""
+"""Range finders: measurements from the autopilot, and measurements sent to it."""
 
 from __future__ import annotations
 

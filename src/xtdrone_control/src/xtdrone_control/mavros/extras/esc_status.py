@@ -34,7 +34,7 @@ class EscStatusPlugin(Plugin):
         }
 
     def connected(self, connected: bool) -> None:
-        """Drop the ESCs, as the autopilot is lost or another one."""
+        """Drop the ESCs, because the autopilot was lost or replaced."""
         self._info.message.esc_info, self._status.message.esc_status = [], []
         self._last = {"info": 0, "status": 0}
 

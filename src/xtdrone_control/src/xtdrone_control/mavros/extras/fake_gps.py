@@ -27,7 +27,7 @@ _IGNORE_SPEED_ACCURACY = mavlink.GPS_INPUT_IGNORE_FLAG_SPEED_ACCURACY
 
 
 class FakeGpsPlugin(Plugin):
-    """MAVROS's fake_gps without its tf listener: ENU positions around ``fake_gps/geo_origin`` to HIL_GPS or GPS_INPUT.
+    """MAVROS's fake_gps without its tf listener: ENU positions around ``fake_gps/geo_origin``, as HIL_GPS or GPS_INPUT.
 
     The velocity is the change of the position, in NED (in MAVROS, of the earth-centred position, negated); the course
     is its direction in hundredths of a degree (in MAVROS, of a radian). The origin's altitude is above the ellipsoid.

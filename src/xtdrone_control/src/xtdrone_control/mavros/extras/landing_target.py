@@ -31,8 +31,8 @@ class LandingTargetPlugin(Plugin):
 
     ``landing_target/pose`` (or ``raw``, with ``landing_target/listen_lt``) is forwarded to the autopilot: an ENU pose
     becomes the NED position and attitude of LANDING_TARGET, which PX4 interprets in its local frame. The angular
-    offsets and sizes that MAVROS adds to a pose are not in MAVLink's units; here they are those of a camera above the
-    target that looks down, in radians. The target number is the last digit of ``landing_target/frame_id``, 0 without
+    offsets and sizes that MAVROS adds to a pose are not in MAVLink's units; here they are those of a downward-looking
+    camera above the target, in radians. The target number is the last digit of ``landing_target/frame_id``, 0 without
     one.
     """
 

@@ -1,4 +1,4 @@
-"""Odometry, both ways."""
+"""Odometry from the autopilot and to it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Optical flow, both ways."""
+"""Optical flow from the autopilot and to it."""
 
 from __future__ import annotations
 

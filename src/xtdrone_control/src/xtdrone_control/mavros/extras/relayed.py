@@ -80,7 +80,7 @@ def _adsb_to_ros(m: Any) -> Fields:
 
 def _adsb_to_mavlink(m: Any) -> Fields:
     return {
-        "callsign": text(m.callsign, 8),  # of 9 with the terminating zero
+        "callsign": text(m.callsign, 8),  # characters; the field has 9 bytes with the terminating zero
         "lat": whole(m.latitude * 1e7),
         "lon": whole(m.longitude * 1e7),
         "altitude": whole(m.altitude * 1e3),
@@ -162,7 +162,7 @@ def _xyz(v: Any) -> frames.Vector:
 
 
 def _hil_state(m: Any) -> Fields:
-    """Return HIL_STATE_QUATERNION; as in MAVROS, the rates are rotated from FLU to FRD and then as if they were ENU."""
+    """Return HIL_STATE_QUATERNION; as in MAVROS, rates are converted from FLU to FRD and then again as if ENU."""
     q = m.orientation
     rates = frames.enu_to_ned(*frames.flu_to_frd(*_xyz(m.angular_velocity)))
     velocity = frames.enu_to_ned(*_xyz(m.linear_velocity))
@@ -196,7 +196,7 @@ def _hil_sensor(m: Any) -> Fields:
     return values | pressures
 
 
-FLOW_GYRO = ("integrated_xgyro", "integrated_ygyro", "integrated_zgyro")  # NaN: not measured, also from PX4
+FLOW_GYRO = ("integrated_xgyro", "integrated_ygyro", "integrated_zgyro")  # NaN: not measured; PX4 sends it too
 
 
 def turned_flow(m: Any) -> Fields:
@@ -260,7 +260,7 @@ OnboardComputerStatusPlugin = relay(
 
 
 def _tune(m: Any) -> Fields:
-    return {"tune": text(m.tune, 247)}  # of 248 with the terminating zero
+    return {"tune": text(m.tune, 247)}  # characters; the field has 248 bytes with the terminating zero
 
 
 PlayTunePlugin = relay("play_tune", In("play_tune", PlayTuneV2, "PLAY_TUNE_V2", _tune))
@@ -293,7 +293,8 @@ TunnelPlugin = relay(
 
 
 def _vibration(m: Any) -> Fields:
-    x, y, z = frames.ned_to_enu(m.vibration_x, m.vibration_y, m.vibration_z)  # as MAVROS, though these are magnitudes
+    # As in MAVROS, although these are magnitudes.
+    x, y, z = frames.ned_to_enu(m.vibration_x, m.vibration_y, m.vibration_z)
     counts = [float(count) for count in (m.clipping_0, m.clipping_1, m.clipping_2)]
     return {"vibration.x": x, "vibration.y": y, "vibration.z": z, "clipping": counts}
 

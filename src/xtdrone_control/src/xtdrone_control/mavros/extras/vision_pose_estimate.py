@@ -16,7 +16,7 @@ _NO_COVARIANCE = [0.0] * 21  # as in MAVROS: the autopilot then uses its minimum
 
 
 class VisionPosePlugin(Plugin):
-    """MAVROS's vision_pose_estimate without its tf listener: ENU poses to VISION_POSITION_ESTIMATE."""
+    """MAVROS's vision_pose_estimate without its tf listener: sends ENU poses as VISION_POSITION_ESTIMATE."""
 
     name = "vision_pose_estimate"
 

@@ -6,7 +6,7 @@ import time
 
 
 class Throttle:
-    """Lets a key pass once in ``interval`` seconds of wall time, as logs are read by people."""
+    """Allows each key once in ``interval`` seconds; of wall time, because people read logs."""
 
     def __init__(self, interval: float = 5.0) -> None:
         """Set the interval in seconds."""

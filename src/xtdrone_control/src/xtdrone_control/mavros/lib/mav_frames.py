@@ -33,7 +33,7 @@ def mav_frame(uas: Uas, parameter: str, default: str) -> int:
     """
     name = uas.params.get(parameter, default)
     if name not in _BY_NAME:
-        raise ValueError(f"{parameter}: {name!r} is no MAVLink frame; {', '.join(_BY_NAME)} are")
+        raise ValueError(f"{parameter}: {name!r} is not a MAVLink frame; {', '.join(_BY_NAME)} are")
     return _BY_NAME[name]
 
 

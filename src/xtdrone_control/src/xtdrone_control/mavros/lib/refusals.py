@@ -17,7 +17,7 @@ from xtdrone_control.autopilot.events.events import ERROR
 
 _NS = 1_000_000_000
 _ARMING_LIMIT_NS = _NS // 2  # between a refusal and the report that explains it
-_LATE_LIMIT_NS = 3 * _NS  # PX4 does not report changes more often than every 2 s
+_LATE_LIMIT_NS = 3 * _NS  # ns; PX4 reports changes at most every 2 s
 _SUMMARY, _END = "commander_arming_check_summary", "commander_health_summary"
 _FAILSAFE = "commander_failsafe_enter"
 _ALL_MODES = 0xFFFFFFFF
@@ -31,7 +31,7 @@ class FailingCheck(NamedTuple):
     """A failing check.
 
     Attributes:
-        name: of PX4's event, as ``check_modes_local_pos``; empty if it is not known here.
+        name: of PX4's event, such as ``check_modes_local_pos``; empty if it is not known here.
         modes: the affected navigation states, one bit each.
         level: of the event; smaller is worse.
         words: its text.
@@ -65,7 +65,7 @@ class Refusals:
         self._late: tuple[str, int, int] | None = None  # text, navigation state, deadline
 
     def arming_refused(self, now_ns: int) -> None:
-        """Record an ack that refuses arming; call before the events that follow it."""
+        """Record an ack that denies arming; call it before the events that follow the ack."""
         self._arming_until_ns = now_ns + _ARMING_LIMIT_NS
 
     def reset(self) -> None:

@@ -141,7 +141,7 @@ def attitude_target(
 
 
 def certainly_finite(numbers: Iterable[float]) -> bool:
-    """Return whether the absolute values of all numbers together fit into a 32-bit float, as those of setpoints do."""
+    """Return whether the sum of the absolute values fits into a 32-bit float, as it does for any sensible setpoint."""
     return sum(map(abs, numbers)) <= FLOAT32_MAX
 
 

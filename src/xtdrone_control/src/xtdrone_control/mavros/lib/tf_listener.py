@@ -37,7 +37,7 @@ class TfListener:
         Raises:
             ValueError: the rate is not positive and finite.
         """
-        import tf2_py  # a node without listeners starts without it
+        import tf2_py  # imported here, so that a node without listeners starts without it
 
         get = uas.params.get
         self._frame = get(f"{plugin}/tf/frame_id", "map")

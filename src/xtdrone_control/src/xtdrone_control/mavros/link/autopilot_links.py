@@ -31,7 +31,7 @@ log = logging.getLogger("rosout.mavros")
 _RECEIVE_BUFFER = 1 << 20  # bytes; one vehicle's telemetry in a tick is a few hundred
 _LARGEST_DATAGRAM = 65535
 _HIGHEST_PORT = 65535
-_PROBE_PORT = 9  # arbitrary: nothing is sent to it
+_PROBE_PORT = 9  # arbitrary address: nothing is sent to it
 _GLANCE_PERIOD = 0.05  # wall s between two reads by the receiver thread while nothing depends on it
 
 RAW = -1
@@ -284,7 +284,7 @@ class Link:
 class Receiver:
     """Thread that reads from all links: on arrival while ``attention`` is held or a link is not counted, else rarely.
 
-    Reads on arrival delay the main thread, as both need the interpreter's lock.
+    Reading on arrival delays the main thread, because both need the interpreter's lock.
     """
 
     def __init__(self, links: Iterable[Link]) -> None:

@@ -70,7 +70,7 @@ def to_frame(message: Mavlink) -> bytes:
     elif message.magic == Mavlink.MAVLINK_V10 and number <= _HIGHEST_1 and not message.signature:
         head = _HEAD_1.pack(message.magic, message.len, *ids, number)
     else:
-        raise RawFrameError(f"magic {message.magic} with msgid {number} is no MAVLink, 254 (1) or 253 (2) is allowed")
+        raise RawFrameError(f"magic {message.magic} with msgid {number} is not allowed, 254 (1) or 253 (2) is allowed")
     return head + payload[: message.len] + message.checksum.to_bytes(2, "little") + bytes(message.signature)
 
 

@@ -1,4 +1,4 @@
-"""Controls that bypass the attitude controller, both ways."""
+"""Controls that bypass the attitude controller, from the autopilot and to it."""
 
 from __future__ import annotations
 

@@ -109,7 +109,7 @@ class DiagnosticsPlugin(Plugin):
         uas.timer(_PERIOD, self._publish)
 
     def connected(self, connected: bool) -> None:
-        """Forget the batteries, as the autopilot may be another one."""
+        """Drop the batteries, because the autopilot may have been replaced."""
         self._batteries.clear()
 
     def _add_system(self, topic: Any) -> None:
@@ -261,7 +261,7 @@ class DiagnosticsPlugin(Plugin):
 
 
 class _LinkCounts:
-    """Traffic of a link while there was a subscriber."""
+    """Traffic of a link, counted while there is a subscriber."""
 
     def __init__(self) -> None:
         self._packets = self._bytes = self._dropped = self._told_dropped = 0

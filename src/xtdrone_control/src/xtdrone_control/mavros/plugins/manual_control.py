@@ -1,4 +1,4 @@
-"""Manual control by sticks, both ways."""
+"""Manual control by sticks, to the autopilot and from it."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ _RETRIES = 3
 _LIST_LIMIT = 30  # consecutive attempts with progress
 _NO_INDEX = 0xFFFF
 _FENCE = "_HASH_CHECK"  # a read request for it is always answered
-_FENCES = 2  # answers to it without one for a name: not even a lost datagram explains this
+_FENCES = 2  # responses to it without one for a name; more than a lost datagram can explain
 
 _decode = decoder("PARAM_VALUE")
 
@@ -156,7 +156,7 @@ class ParamPlugin(Plugin):
         return self._values.get(name)
 
     def _read(self, name: str, encoded: bytes) -> None:
-        """Request a parameter until it arrives, or until the autopilot has shown twice that it has none such."""
+        """Request a parameter until it arrives, or until the autopilot has shown twice that it does not exist."""
         read = mavlink.MAVLink_param_request_read_message
         for _ in range(_FENCES):
             before = self._fences
@@ -191,7 +191,7 @@ class ParamPlugin(Plugin):
         self.uas.warn(f"param {name}", text, service, name, former_parameters.hint(name))
 
     def _warn_of_effect(self, name: str) -> None:
-        """Warn that a parameter of PX4 v1.11 is kept for its scripts only, if the autopilot has its successors."""
+        """Warn that a parameter of PX4 v1.11 is kept only for old scripts, if the autopilot has its successors."""
         self.uas.warn(f"param {name}", "param/set: %s is out of use%s", name, former_parameters.hint(name))
 
     def _get(self, request: Any) -> ParamGetResponse:

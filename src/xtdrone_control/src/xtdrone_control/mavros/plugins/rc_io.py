@@ -10,8 +10,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.uas import Uas
 
-_SERVOS = 16  # of one SERVO_OUTPUT_RAW, MAVLink 2
-_CHANNELS = 18  # of one RC_CHANNELS or RC_CHANNELS_OVERRIDE
+_SERVOS = 16  # outputs in one SERVO_OUTPUT_RAW, MAVLink 2
+_CHANNELS = 18  # channels in one RC_CHANNELS or RC_CHANNELS_OVERRIDE
 
 
 class RcIoPlugin(Plugin):

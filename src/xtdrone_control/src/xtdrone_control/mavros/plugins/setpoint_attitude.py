@@ -29,7 +29,7 @@ class SetpointAttitudePlugin(Plugin):
     """MAVROS's setpoint_attitude: ``cmd_vel``, or ``attitude`` with ``setpoint_attitude/use_quaternion``.
 
     The angular part of ``cmd_vel`` is body rates (rad/s, FLU). The orientation of ``attitude`` is FLU to ENU with any
-    norm; its position is ignored. Each is sent with the ``thrust`` of the closest stamp, or not at all without one.
+    norm; its position is ignored. Each is sent with the ``thrust`` of the closest stamp; without one it is dropped.
     Thrust is 0..1, with ``setpoint_attitude/reverse_thrust`` -1..1. With ``setpoint_attitude/tf/listen`` the attitude
     is that of a frame on /tf and is sent with each thrust; there are no other topics then.
     """
@@ -62,7 +62,7 @@ class SetpointAttitudePlugin(Plugin):
         if not self.uas.finite(_ATTITUDE, vector_fields("pose.orientation", q, "xyzw")):
             return
         if _norm(q) < _LEAST_NORM:
-            text = "%s: pose.orientation is zero, which is no attitude; the message is not forwarded"
+            text = "%s: pose.orientation is zero, which is not an attitude; the message is not forwarded"
             self.uas.warn(_ATTITUDE, text, _ATTITUDE)
             return
         self._pair(_SETPOINT_SIDE, pose)

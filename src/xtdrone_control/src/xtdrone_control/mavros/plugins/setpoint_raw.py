@@ -48,7 +48,7 @@ class SetpointRawPlugin(Plugin):
 
     Altitudes of ``global`` and ``target_global`` are the autopilot's: above mean sea level, or above the reference of
     ``coordinate_frame``. A ``local`` target whose ``coordinate_frame`` was left unset (0) counts as LOCAL_NED, with one
-    warning: MAVROS converts it so too, and PX4 v1.11 did not look at the frame of a position. Thrust is multiplied by
+    warning: MAVROS converts it the same way, and PX4 v1.11 ignored the frame of a position. Thrust is multiplied by
     ``setpoint_raw/thrust_scaling`` and limited to 0..1.
     """
 

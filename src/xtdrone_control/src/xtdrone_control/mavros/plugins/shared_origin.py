@@ -28,7 +28,7 @@ _MOST_HEIGHT = 10  # mm; PX4 ignores smaller changes
 
 
 class Origin(NamedTuple):
-    """A local frame's origin as MAVLink has it: 1e-7 deg, 1e-7 deg, mm AMSL."""
+    """A local frame's origin in MAVLink's units: 1e-7 deg, 1e-7 deg, mm AMSL."""
 
     latitude: int
     longitude: int
@@ -105,7 +105,7 @@ class SharedOriginPlugin(Plugin):
         before, self._heard = self._heard, Origin(origin.latitude, origin.longitude, origin.altitude)
         if not self._wanted.agrees(self._heard):
             if self._tries < MOST_TRIES:
-                self.uas.arming_held = f"its local frame begins at {self._heard}, and is to begin at {self._wanted}"
+                self.uas.arming_held = f"the origin of its local frame is {self._heard}, and has to be {self._wanted}"
             return
         self._tries = 0
         self.uas.arming_held = ""

@@ -364,7 +364,7 @@ class SysStatusPlugin(Plugin):
 def _vehicle_type(name: str) -> int:
     number = getattr(mavlink, f"MAV_TYPE_{name}", None)
     if number is None:
-        raise ParamError(f"parameter conn/heartbeat_mav_type: {name!r} is no MAV_TYPE, as ONBOARD_CONTROLLER")
+        raise ParamError(f"parameter conn/heartbeat_mav_type: {name!r} is not a MAV_TYPE, such as ONBOARD_CONTROLLER")
     return int(number)
 
 

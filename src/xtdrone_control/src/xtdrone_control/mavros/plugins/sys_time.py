@@ -54,7 +54,7 @@ class SysTimePlugin(Plugin):
             uas.timer(1.0 / rate, self._send)
 
     def connected(self, connected: bool) -> None:
-        """Drop the offset, as the autopilot may have restarted."""
+        """Drop the offset, because the autopilot may have restarted."""
         if connected:
             self._keep(None)
 

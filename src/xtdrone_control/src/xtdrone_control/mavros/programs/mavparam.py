@@ -1,4 +1,4 @@
-"""``mavparam``: read and write the autopilot's parameters, singly or all in a file."""
+"""``mavparam``: read and write the autopilot's parameters, one at a time or all in a file."""
 
 from __future__ import annotations
 

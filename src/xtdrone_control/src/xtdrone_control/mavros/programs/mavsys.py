@@ -1,4 +1,4 @@
-"""``mavsys``: set the flight mode and the rates of MAVLink messages, in groups or singly."""
+"""``mavsys``: set the flight mode and the rates of MAVLink messages, in groups or one at a time."""
 
 from __future__ import annotations
 

@@ -174,9 +174,9 @@ def new_parser(description: str) -> argparse.ArgumentParser:
     """Return a parser with the arguments common to all programs."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument(
-        "-n", "--mavros-ns", default=DEFAULT_NAMESPACE, help="MAVROS's namespace, as iris_0/mavros (%(default)s)"
+        "-n", "--mavros-ns", default=DEFAULT_NAMESPACE, help="MAVROS's namespace, such as iris_0/mavros (%(default)s)"
     )
-    parser.add_argument("-v", "--verbose", action="store_true", help="say more")
+    parser.add_argument("-v", "--verbose", action="store_true", help="print progress")
     parser.add_argument("--wait", action="store_true", help="wait until MAVROS is connected to the vehicle")
     return parser
 
@@ -262,13 +262,13 @@ def _is_offered(service: str) -> bool:
 
 
 def _advice(namespace: str) -> str:
-    """Return a hint at existing MAVROS namespaces if there is none in ``namespace``."""
+    """Return a hint that lists the existing MAVROS namespaces if ``namespace`` has no MAVROS."""
     states = [name for name, kind in rospy.get_published_topics() if kind == State._type]
     found = sorted(name.removesuffix("/state") for name in states if name.endswith("/state"))
     if namespace in found:
         return " by this MAVROS"
     named = ", ".join(name.strip("/") for name in found[:8]) + ", ..." * (len(found) > 8)
-    return f"; name a MAVROS by -n: {named}" if found else "; no MAVROS runs"
+    return f"; name a MAVROS by -n: {named}" if found else "; no MAVROS is running"
 
 
 def _line(error: Exception) -> str:

@@ -78,7 +78,7 @@ class Backend:
         if problem is not None:
             return problem
         if not _one.acquire(blocking=False):
-            return "another renderer of this process uses it"
+            return "another renderer of this process is using it"
         with without_lines(_CHATTER):
             self._plugin = self.client.loadPlugin(found.origin, f"_{_PLUGIN}Plugin")
         if self._plugin >= 0:

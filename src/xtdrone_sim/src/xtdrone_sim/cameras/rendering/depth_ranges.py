@@ -1,8 +1,9 @@
 """Depth ranges in which an image is drawn.
 
 The EGL plugin's depth buffer has 16 bits, nearly all of which resolve depths close to the near limit: with a limit of
-5 cm, surfaces 10 cm apart merge at a distance of 20 m. So the near limit is moved out as far as no visible surface is
-cut off, and a view with close objects is drawn as two images, one of the near range and one of the rest.
+5 cm, surfaces 10 cm apart merge at a distance of 20 m. So the near limit is moved out as far as possible without
+cutting off a visible surface, and a view with close objects is drawn as two images, one of the near range and one of
+the rest.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class Extents:
             self._places[body] = pose.position
 
     def ranges(self, pinhole: Pinhole, pose: Pose, near: float, far: float) -> list[tuple[float, float]]:
-        """Return the limits, m, of the images to draw over each other, the farthest first.
+        """Return the limits, m, of the images to draw on top of each other, the farthest first.
 
         Args:
             pinhole: projection.

@@ -25,7 +25,7 @@ __all__ = ["BACKENDS", "Light", "Picture", "Renderer", "RendererError"]
 _TILE = (1024, 768)  # pixels; largest image that the EGL plugin draws in one call
 _OUT_OF_SIGHT = (0.0, 0.0, -1e7)
 _MASK = (1 << 24) - 1  # bits of a label with the body; the upper ones contain the link
-_SKY = 1.0 - 2e-7  # of the depth buffer, where nothing is: TinyRenderer's is off by the rounding of its numbers
+_SKY = 1.0 - 2e-7  # depth buffer value of empty pixels; TinyRenderer's is off by its rounding
 _INDEX_LIMIT = 120_000  # maximum number of corners in a pybullet mesh
 
 
@@ -157,7 +157,7 @@ class Renderer:
 
     def _parts_of(self, body: int) -> list[int]:
         if not 0 <= body < len(self._parts):
-            raise KeyError(f"body {body!r} is not there")
+            raise KeyError(f"body {body!r} does not exist")
         return self._parts[body]
 
     def place(self, body: int, pose: Pose) -> None:

@@ -1,4 +1,4 @@
-"""Gazebo's services that ask about models; the handlers are called in the simulator's thread."""
+"""Gazebo's services that query models; the handlers are called in the simulator's thread."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from xtdrone_sim.worlds.sdf.world_records import DEFAULT_INERTIAL
 
 
 class Queries:
-    """The services that change nothing."""
+    """The read-only services."""
 
     def __init__(self, simulation: Simulation, models: Models) -> None:
-        """Keep what the answers need.
+        """Store the objects that the responses need.
 
         Args:
             simulation: the simulation.

@@ -7,9 +7,9 @@ get_model_state, get_link_state    GetModelState, GetLinkState     relative to a
 get_model_properties               GetModelProperties              links, joints, whether it is static
 get_link_properties                GetLinkProperties               mass, inertia, centre of mass
 set_model_state, set_link_state    SetModelState, SetLinkState     vehicles, models and people, in any frame
-spawn_sdf_model, spawn_urdf_model  SpawnModel                      models that stand or fall
+spawn_sdf_model, spawn_urdf_model  SpawnModel                      static or movable models
 delete_model                       DeleteModel                     models and people
-apply_body_wrench                  ApplyBodyWrench                 on vehicles and models that fall
+apply_body_wrench                  ApplyBodyWrench                 on vehicles and movable models
 clear_body_wrenches                BodyRequest
 set_model_configuration            SetModelConfiguration           joints of gimbals and landing gears
 others                                                             see ``refused_services``
@@ -19,13 +19,13 @@ others                                                             see ``refused
 topics, below /gazebo (in)
 =================================  ==============================  =====================================================
 set_model_state, set_link_state    ModelState, LinkState
-set_model_states                   ModelStates                     many at once; disarmed vehicles and models stand
-                                                                   where they are put for half a second
-=================================  ==============================  =====================================================
+set_model_states                   ModelStates                     many at once; disarmed vehicles and models are held
+there for half a second =================================  ==============================
+=====================================================
 
-Changes are made between two steps. The request of a lockstep participant in its turn is answered at once and carried
-out after the turn, as are the messages of participants: in the order of the senders' names, so that a flight does not
-depend on who was faster. All other requests are carried out at once.
+Changes are made between two steps. A request that a lockstep participant makes in its turn is answered at once and
+carried out after the turn, in the order of the senders' names, so that a flight does not depend on the speed of the
+nodes. The same holds for messages of participants. All other requests are carried out at once.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.worlds.sdf import SdfError, SdfModel, read_model
 
 _WARNING_PERIOD = 5.0  # wall s between two equal warnings
-_HOLD_STEPS = 125  # a model or disarmed vehicle stands where /gazebo/set_model_states has put it
+_HOLD_STEPS = 125  # s for which a model or disarmed vehicle is held where /gazebo/set_model_states has put it
 
 Plan = Callable[[], Change]
 """Checks a request against the current state, and returns the change; raises RequestError."""
@@ -71,13 +71,13 @@ class GazeboServices:
     """The services and topics; all methods but the handlers are called in the simulator's thread."""
 
     def __init__(self, simulation: Simulation, models: Models, topics: ModelTopics, server: LockstepServer) -> None:
-        """Keep what the requests need; see ``open``.
+        """Store the objects that the requests need; see ``open``.
 
         Args:
             simulation: the simulation.
             models: its models.
-            topics: shows changes to other nodes.
-            server: lockstep server, which knows whose turn it is.
+            topics: publishes changes to other nodes.
+            server: lockstep server, which knows the participants that are in their turn.
         """
         self._simulation, self._models, self._topics, self._server = simulation, models, topics, server
         self._deferred: list[_Deferred] = []
@@ -122,7 +122,7 @@ class GazeboServices:
                 rospy.logwarn("simulator: %s of %s: %s", request.what, request.caller, error)
 
     def restart(self) -> None:
-        """Begin again with the models of the world file."""
+        """Start again with the models of the world file."""
         self._deferred.clear()
         self._told.clear()
         changed = bool(self._models.added or self._models.deleted)
@@ -148,7 +148,7 @@ class GazeboServices:
             raise rospy.ServiceException(str(error)) from error
 
     def _change(self, request: Any, plan: Plan) -> tuple[bool, str]:
-        """Return whether a change is made, and what is done or why not."""
+        """Return whether a change is made, and a description of it or the reason why not."""
         caller = str(request._connection_header["callerid"])
         what = str(request._connection_header["service"])
         try:
@@ -157,10 +157,10 @@ class GazeboServices:
             return False, str(error)
 
     def _decide(self, caller: str, what: str, plan: Plan) -> str:
-        """Carry out a request now, or after the turn of its caller; return what is done.
+        """Carry out a request now, or after the turn of its caller; return a description.
 
         Raises:
-            RequestError: it is refused.
+            RequestError: the request is rejected.
         """
         participant = self._server.participants.get(caller)
         if participant is None or not participant.waiting:
@@ -245,7 +245,9 @@ class GazeboServices:
         topic = "/gazebo/set_model_states"
         if not len(message.name) == len(message.pose) == len(message.twist):
             sizes = f"{len(message.name)} names, {len(message.pose)} poses and {len(message.twist)} twists"
-            rospy.logwarn_throttle(_WARNING_PERIOD, f"simulator: {topic}: {sizes} are not allowed, as many of each")
+            rospy.logwarn_throttle(
+                _WARNING_PERIOD, f"simulator: {topic}: {sizes} are not allowed, as many of each as names"
+            )
             return
         for name, pose, twist in zip(message.name, message.pose, message.twist, strict=True):
 

@@ -1,4 +1,4 @@
-"""Services of Gazebo's ROS API that have no meaning here; each answers with the reason and what to use."""
+"""Services of Gazebo's ROS API that have no meaning here; each responds with the reason and an alternative."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import rospy
 from gazebo_msgs import srv
 
 _JOINTS = (
-    "joints of vehicles are moved by their autopilots (gimbal: mavros/mount_control/command, landing gear: by itself) "
+    "joints of vehicles are moved by their autopilots (gimbal: mavros/mount_control/command, landing gear: no command) "
     "and set by /gazebo/set_model_configuration"
 )
 _LIGHT = "the world has one sun, which is that of the world file (docs/worlds.md)"
@@ -28,7 +28,7 @@ REFUSED = {
 
 
 def advertise_refused() -> None:
-    """Advertise the services, so that their callers learn the reason."""
+    """Advertise the services, so that their callers get the reason."""
     for name, (kind, reason) in REFUSED.items():
         rospy.Service(f"/gazebo/{name}", kind, _Refusal(kind, f"/gazebo/{name} is not supported: {reason}"))
 

@@ -1,1 +1,1 @@
-"""Solid things beside the vehicles: obstacles, models that move, people."""
+"""Solid objects other than the vehicles: obstacles, movable models, people."""

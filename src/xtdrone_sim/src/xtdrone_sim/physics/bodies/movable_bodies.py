@@ -1,9 +1,9 @@
-"""Models that can change their place: those that fall and are pushed, and those moved or added by a request.
+"""Movable models: those that fall and can be pushed, and those moved or added by a request.
 
 A movable model is one rigid body of Bullet with the mass of all its links. At rest it sleeps: nothing integrates it
-until a vehicle or another moving body comes near. A body without mass stands where it is put. A held body stands too,
+until a vehicle or another moving body comes near. A body without mass stays where it is put. A held body stays too,
 until the time of the hold has passed. A driven body, a robot, moves as its drive determines: Bullet gets its velocity,
-so that it carries and pushes what touches it, and what stands stops it.
+so that it carries and pushes bodies that touch it, and static bodies stop it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from xtdrone_sim.worlds.sdf.world_records import SdfModel
 _NEAR = 0.1  # m between the boxes of two bodies below which a moving one wakes the other
 _ROLLING = 1e-3  # m, rolling and spinning friction: a ball comes to rest
 _LOST = 1e6  # m from the origin at which a body has left the world
-_TOUCH = 1e-3  # m of overlap from which on something stops a driven body
+_TOUCH = 1e-3  # m of overlap above which another body stops a driven one
 _STEEP = 0.7  # vertical part of a normal above which a surface is floor or ceiling
 
 
@@ -55,8 +55,8 @@ def mark_near_bodies(plant, models, boxes, speeds, moving, limits, horizon, want
         limits: (2,) see ``mark_near_obstacles``.
         horizon: time until the next check, s.
         wanted: (n,) FREE, TOUCHING or ASLEEP; updated.
-        near: (k,) set to 1 for bodies that a moving vehicle is near to; updated.
-        hit: (n,) set to 1 for vehicles that a moving body is near to; updated.
+        near: (k,) set to 1 for bodies near a moving vehicle; updated.
+        hit: (n,) set to 1 for vehicles near a moving body; updated.
 
     Returns:
         Number of vehicles near a body.
@@ -90,11 +90,11 @@ def mark_near_bodies(plant, models, boxes, speeds, moving, limits, horizon, want
 
 
 class Drive(Protocol):
-    """Moves a body along its own way; see ``robots.wheel_drives.Drive``.
+    """Moves a body along a path of its own; see ``robots.wheel_drives.Drive``.
 
     Attributes:
-        yields: whether what stands stops it.
-        floats: whether the plane z = 0 is no ground to it.
+        yields: whether static bodies stop it.
+        floats: whether it ignores the plane z = 0.
     """
 
     yields: bool
@@ -102,19 +102,19 @@ class Drive(Protocol):
 
     @property
     def is_still(self) -> bool:
-        """Whether it stands and is to stand."""
+        """Whether it stands still and has no command to move."""
 
     def propose(self, dt: float) -> tuple[Pose, Vector, Vector]:
         """Return pose, velocity, m/s, and spin, rad/s, of the model in the world for a step of ``dt``, s."""
 
     def accept(self) -> None:
-        """Make the step that was proposed last."""
+        """Apply the step that was proposed last."""
 
     def block(self) -> None:
-        """Stop at once, without the step that was proposed last."""
+        """Stop at once, discarding the step that was proposed last."""
 
     def place(self, pose: Pose) -> None:
-        """Stand at a pose."""
+        """Place it at rest at a pose."""
 
 
 @dataclass(eq=False)
@@ -124,7 +124,7 @@ class Body:
     Attributes:
         model: its description.
         frame: principal axes at the centre of mass, in the model's frame; the model's frame of a body without mass.
-        mass: kg; 0: it stands.
+        mass: kg; 0: it is static.
         moments: principal moments of inertia (3,), kg m^2.
         weight: share of the mass that has weight.
         shapes: Bullet's bodies; one of a body with mass, none if nothing of it collides.
@@ -132,9 +132,9 @@ class Body:
         pose: of the model in the world.
         velocity: of the model's origin, m/s, world.
         spin: rad/s, world.
-        held: step until which it stands where it was put.
+        held: step until which it is held where it was put.
         still_steps: steps at rest.
-        drive: what moves it; None: forces.
+        drive: drive that moves it; None: forces move it.
         way: pose, velocity and spin that the drive has proposed for the current step.
     """
 
@@ -167,18 +167,18 @@ class Body:
 
 
 class Bodies:
-    """All models of a world that can change their place.
+    """All movable models of a world.
 
     Attributes:
         by_number: by the model's number; see ``World.collisions``.
         awake: numbers of the bodies that Bullet moves.
         people: numbers of the bodies that are people.
-        tied: by number, all numbers of the bodies that joints connect with it: they wake and sleep together.
-        before_removal: is called with the number of a body that is to be taken out of Bullet.
+        tied: by number, the numbers of all bodies that joints connect to it: they wake and sleep together.
+        before_removal: function called with the number of a body before it is removed from Bullet.
     """
 
     def __init__(self, client: BulletClient, friction: float, restitution: float) -> None:
-        """Begin without bodies.
+        """Start without bodies.
 
         Args:
             client: Bullet, without gravity.
@@ -194,7 +194,7 @@ class Bodies:
 
     @property
     def models(self) -> dict[int, Body]:
-        """All bodies by number but people."""
+        """All bodies except people, by number."""
         if not self.people:
             return self.by_number
         return {number: body for number, body in self.by_number.items() if number not in self.people}
@@ -255,13 +255,13 @@ class Bodies:
         self.wake_around(boxes)
 
     def place(self, number: int, pose: Pose, velocity: Vector, spin: Vector, held: int = 0) -> None:
-        """Put a body somewhere.
+        """Place a body.
 
         Args:
             number: of its model.
             pose: of the model in the world.
             velocity, spin: of the model, m/s and rad/s, world.
-            held: step until which it stands there.
+            held: step until which it is held there.
         """
         body = self.by_number[number]
         before, _ = self._bounds([number])
@@ -284,7 +284,7 @@ class Bodies:
             self._client.resetBaseVelocity(body.shapes[0], velocity, body.spin if moving else still)
 
     def wake(self, number: int) -> None:
-        """Let Bullet move a body with mass, and those tied to it, again, at least until they are at rest."""
+        """Wake a body with mass and those tied to it: Bullet moves them, at least until they are at rest."""
         for tied in self.tied.get(number, (number,)):
             self.by_number[tied].still_steps = 0
             self.awake.add(tied)
@@ -298,7 +298,7 @@ class Bodies:
         dt: float,
         wanted: NDArray[np.int64],
     ) -> tuple[int, NDArray[np.int64]]:
-        """Mark vehicles near bodies, wake bodies near to what moves, and end holds.
+        """Mark vehicles near bodies, wake bodies near moving ones, and end holds.
 
         Args:
             plant, models, limits, wanted: see ``mark_near_bodies``.
@@ -306,7 +306,7 @@ class Bodies:
             dt: s.
 
         Returns:
-            The number of vehicles near a body, and (n,) 1 for vehicles that a moving body is near to.
+            The number of vehicles near a body, and (n,) 1 for vehicles near a moving body.
         """
         now, ahead = steps
         numbers = list(self.by_number)
@@ -341,7 +341,7 @@ class Bodies:
         return boxes, speeds
 
     def _wake_near(self, numbers: list[int], boxes: NDArray[np.float64], near: NDArray[np.int64]) -> None:
-        """Wake sleeping bodies that a vehicle, or another body that moves, is near to."""
+        """Wake sleeping bodies near a vehicle or another moving body."""
         moves = [self.by_number[k].still_steps < (1 if k in self.awake else REST_STEPS) for k in numbers]
         near = near | _meet(boxes[moves], boxes)
         for k in np.flatnonzero(near):
@@ -376,7 +376,7 @@ class Bodies:
                 body.force = [0.0, 0.0, 0.0]
 
     def read(self) -> None:
-        """Take over the motion from Bullet after its step, and let bodies at rest sleep."""
+        """Read the motion from Bullet after its step, and put bodies at rest to sleep."""
         pose_of, velocity_of = self._client.getBasePositionAndOrientation, self._client.getBaseVelocity
         for number, body in self.by_number.items():
             if body.drive is not None:
@@ -387,7 +387,7 @@ class Bodies:
                 continue
             position, (x, y, z, w) = pose_of(body.shapes[0])
             velocity, spin = velocity_of(body.shapes[0])
-            if not max(map(abs, position)) < _LOST:  # also if it is not a number
+            if not max(map(abs, position)) < _LOST:  # true for NaN as well
                 self._lose(number, body)
                 continue
             body.pose = compose(Pose(tuple(position), (w, x, y, z)), inverse(body.frame))
@@ -405,7 +405,7 @@ class Bodies:
                 self._reset(body, moving=False)
 
     def _rest_together(self, group: frozenset[int]) -> None:
-        """Let bodies that joints connect sleep once all of them are at rest."""
+        """Put bodies connected by joints to sleep once all of them are at rest."""
         if group <= self.awake and all(self.by_number[number].still_steps >= REST_STEPS for number in group):
             for number in sorted(group):
                 self._put_to_sleep(number, self.by_number[number])
@@ -417,7 +417,7 @@ class Bodies:
         self._client.resetBaseVelocity(body.shapes[0], velocity, spin)
 
     def _follow(self, number: int, body: Body, drive: Drive) -> None:
-        """Put a driven body where its drive has moved it in Bullet's last step, unless something stopped it."""
+        """Place a driven body where its drive has moved it in Bullet's last step, unless another body stopped it."""
         if number in self.awake:
             if drive.yields and self._is_blocked(body):
                 drive.block()
@@ -431,7 +431,7 @@ class Bodies:
         self._reset(body, moving=True)
 
     def _is_blocked(self, body: Body) -> bool:
-        """Return whether a driven body runs into something that stands or is driven itself."""
+        """Return whether a driven body runs into a static or another driven body."""
         _, velocity, spin = body.way
         own, origin = body.shapes[0], np.array(body.pose.position)
         if not any(velocity) and not any(spin):
@@ -457,7 +457,7 @@ class Bodies:
         self._client.resetBaseVelocity(body.shapes[0], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
     def _lose(self, number: int, body: Body) -> None:
-        """Take a body out of Bullet that has left the world; it stays at its last place, without collisions."""
+        """Remove a body that has left the world from Bullet; it stays at its last position, without collisions."""
         self.before_removal(number)
         self._client.removeBody(body.shapes[0])
         self.awake.discard(number)

@@ -81,7 +81,7 @@ def mark_near_obstacles(plant, models, boxes, origin, cell, begins, items, limit
 
 
 class Obstacles:
-    """Collision shapes of all models in a world that stay in their places.
+    """Collision shapes of all static models in a world.
 
     Attributes:
         count: number of shapes.
@@ -169,7 +169,7 @@ class Obstacles:
         Args:
             client: the Bullet world.
             number: index of the shape.
-            meshes: shapes created before by geometry, of which equal ones are used again; updated.
+            meshes: shapes created before, by geometry, for reuse; updated.
         """
         geometry, pose = self._shapes[number]
         known = {} if meshes is None else meshes
@@ -217,7 +217,7 @@ def shape_array(client: BulletClient, shapes: Sequence[tuple[Geometry, Pose]], *
     Args:
         client: Bullet.
         shapes: with their poses in the frame of the whole.
-        hollow: whether meshes keep their hollows; otherwise their convex hulls count.
+        hollow: whether meshes stay concave; otherwise their convex hulls are used.
     """
     kinds = {Box: pybullet.GEOM_BOX, Sphere: pybullet.GEOM_SPHERE, Cylinder: pybullet.GEOM_CYLINDER}
     forms = [form for form, _ in shapes]

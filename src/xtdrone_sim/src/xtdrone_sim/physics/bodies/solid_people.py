@@ -1,6 +1,6 @@
-"""People as bodies that vehicles and robots collide with: upright cylinders that walk as the people do.
+"""People as bodies for collisions with vehicles and robots: upright cylinders that follow the people.
 
-They are driven bodies of great mass: nothing that they touch changes their way, and what stands does not stop them.
+They are driven bodies of great mass: no collision changes their path, and static bodies do not stop them.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from xtdrone_sim.worlds.sdf.world_records import Inertial
 RADIUS = 0.25
 """m: about half the breadth of shoulders."""
 
-_CLEARANCE = 0.05  # m above the ground, which the cylinder does not rub on
+_CLEARANCE = 0.05  # m above the ground, so that the cylinder does not rub on it
 _TOLERANCE = 0.01  # m of overlap at the start
 _HEAVY = 1e5  # kg and kg m^2, as robots
 
 
 class Walk:
-    """The way of a person as a drive of its body; see ``bodies.Drive``."""
+    """The motion of a person as the drive of its body; see ``movable_bodies.Drive``."""
 
     yields = False
     floats = False
@@ -47,7 +47,7 @@ class Walk:
         return self._actors.rests(self._number, self._now_us())
 
     def propose(self, dt: float) -> tuple[Pose, Vector, Vector]:
-        """Return pose, mean velocity, m/s, and spin, rad/s, of a step; a script that begins again is a jump."""
+        """Return pose, mean velocity, m/s, and spin, rad/s, of a step; a script that restarts is a jump."""
         now = self._now_us()
         old, new = (self._actors.states(time)[self._number] for time in (now, now + round(dt * 1e6)))
         x, y, z = ((b - a) / dt for a, b in zip(old.position, new.position, strict=True))
@@ -57,13 +57,13 @@ class Walk:
         return pose_of(new), (x, y, z), (0.0, 0.0, turn)
 
     def accept(self) -> None:
-        """Go on: the way is a function of time."""
+        """Do nothing: the path is a function of time."""
 
     def block(self) -> None:
-        """Go on: nothing stops a person."""
+        """Do nothing: a person is never stopped."""
 
     def place(self, pose: Pose) -> None:
-        """Stand where the actor has been put, which is a matter of ``Actors``."""
+        """Do nothing: ``Actors`` has placed the person."""
 
 
 def pose_of(state: ActorState) -> Pose:
@@ -75,11 +75,11 @@ class SolidPeople:
     """The bodies of all people of a world."""
 
     def __init__(self, world: World, actors: Actors, described: Sequence[SdfActor], now_us: Callable[[], int]) -> None:
-        """Put the bodies into the world, with the numbers after those of the world's models.
+        """Add the bodies to the world, with the numbers after those of the world's models.
 
         Args:
-            world: where they walk.
-            actors: their ways; they tell of commands from now on.
+            world: world in which they walk.
+            actors: their motion; notifies this object of commands from now on.
             described: all people of the world.
             now_us: returns the simulated time, microseconds.
         """
@@ -107,7 +107,7 @@ class SolidPeople:
                     raise StartError(f"{names[other]}: the start is not free: it is {depth:.2f} m inside {name!r}")
 
     def _follow(self, k: int) -> None:
-        """Wake, move or remove the body of a person that has got a command."""
+        """Wake, move or remove the body of a person that has received a command."""
         number = self._first + k
         if number not in self._world.bodies.by_number:
             return

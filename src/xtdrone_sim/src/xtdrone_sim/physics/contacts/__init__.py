@@ -1,1 +1,1 @@
-"""Contacts of vehicles: which are near something, which sleep, and where they touch."""
+"""Contacts of vehicles: nearness to obstacles, sleep, and contact points."""

@@ -15,7 +15,7 @@ class Contact(NamedTuple):
     """A contact point of a vehicle.
 
     Attributes:
-        other: what it touches: numbered as in ``World.collisions``, or ``GROUND``.
+        other: the other body: numbered as in ``World.collisions``, or ``GROUND``.
         position: (3,) m, world.
         normal: (3,) unit vector into the vehicle, world.
         force: (3,) on the vehicle, friction included, N, world.

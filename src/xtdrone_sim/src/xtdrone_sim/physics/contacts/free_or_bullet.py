@@ -12,7 +12,7 @@ from xtdrone_sim.physics.vehicle_dynamics import ABSENT, FREE, TOUCHING
 CHECK_STEPS = 5  # steps between two updates of the contact states; margins cover the motion in between
 NEAR = 0.25  # m of clearance below which Bullet integrates a body
 FAR = 0.40  # m of clearance above which the free-flight kernel does again
-_CAUTION = 2.0  # times the acceleration by rotors at full speed, weight and drag: the most that a body may reach
+_CAUTION = 2.0  # factor on the acceleration by rotors at full speed, weight and drag: upper bound for a body
 _FASTEST_SPIN = 20.0  # rad/s below which the drag of rotation is far less than this reserve
 
 
@@ -20,8 +20,8 @@ _FASTEST_SPIN = 20.0  # rad/s below which the drag of rotation is far less than 
 def mark_near(plant, models, steps, dt, wanted):
     """Fill ``wanted`` (n,) with TOUCHING for vehicles near the ground or each other, with FREE for all others.
 
-    Absent ones remain so. Vehicles are spheres around the collision boxes, enlarged by the distance travelled until the
-    next check.
+    Absent ones stay ABSENT. Vehicles are spheres around the collision boxes, enlarged by the distance travelled until
+    the next check.
     """
     count = plant.shape[0]
     for i in range(count):
@@ -71,8 +71,8 @@ def _most_acceleration(v, m, gravity):
 def stay_free(plant, models, steps, gravity, dt):
     """Return whether all vehicles are free and no contact check of the next ``steps``, 0.1 s at most, finds a change.
 
-    After the time t a body is at most v t + a t^2 / 2 from its place and v + a t fast, with its speed v and bound a of
-    its acceleration. ``mark_near`` adds the distance travelled until the check that follows.
+    With its speed v and a bound a of its acceleration, a body has moved at most v t + a t^2 / 2 after the time t, and
+    its speed is at most v + a t. ``mark_near`` adds the distance travelled until the check that follows.
     """
     count = plant.shape[0]
     most = np.empty(count)

@@ -1,4 +1,4 @@
-"""When vehicles and bodies at rest fall asleep, and what wakes a vehicle: arming, or a moving one within reach."""
+"""Sleep of vehicles and bodies at rest; arming or a moving body within reach wakes a vehicle."""
 
 from __future__ import annotations
 

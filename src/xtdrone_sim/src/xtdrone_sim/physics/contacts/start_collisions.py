@@ -1,4 +1,4 @@
-"""Start poses of vehicles: the body's pose, and what it must not touch there."""
+"""Start poses of vehicles: the body's pose, and a check that it is free."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from xtdrone_sim.physics.quiet_pybullet import BulletClient, connect, pybullet
 from xtdrone_sim.rays.solid_ground import SolidGround
 
 _GAP = 0.001  # m between a spawned body and the ground
-_TOLERANCE = 0.01  # m; so little of an overlap is pushed apart without a jump
+_TOLERANCE = 0.01  # m; Bullet resolves an overlap this small without a jump
 
 
 class StartError(ValueError):
-    """A start that is not free; the message names the vehicle, what is there, and how deep it would be inside."""
+    """A start that is not free; the message names the vehicle, the other object, and the depth of the overlap."""
 
 
 def body_pose(pose: StartPose, height: float) -> tuple[Vector, Quaternion]:
-    """Return position, m ENU, and attitude of a body of ``height``, m, whose lowest point stands at ``pose``."""
+    """Return position, m ENU, and attitude of a body of ``height``, m, whose lowest point is at ``pose``."""
     q = from_euler(pose.roll, pose.pitch, pose.yaw)
     x, y, z = rotate(q, 0.0, 0.0, 0.5 * height + _GAP)
     return (pose.x + x, pose.y + y, pose.z + z), q
@@ -38,12 +38,12 @@ def check_starts(
     owners: Sequence[str],
     which: Sequence[int] | None = None,
 ) -> None:
-    """Check that vehicles stand above the ground and in no obstacle or other vehicle.
+    """Check that vehicles start above the ground and not inside an obstacle or another vehicle.
 
     Args:
         plant: (n,) ``PLANT``, the vehicles.
         models: (n,) ``MODEL``.
-        names: of the vehicles; those with an empty name are not there.
+        names: of the vehicles; those with an empty name are absent.
         obstacles: shapes of the world's models.
         owners: names of these models.
         which: indices of the vehicles to check; None: all.
@@ -62,7 +62,7 @@ def check_starts(
     beside = {i: obstacles.around(plant[i]["position"], float(models[i]["radius"])) for i in which or there}
     if not near and not any(beside.values()):
         return
-    client = connect()  # of its own: the contacts of the flight's stay as they are
+    client = connect()  # a separate world, so that the contacts of the flight's stay unchanged
     try:
         overlaps = _Overlaps(client, plant, models)
         for i, shapes in beside.items():
@@ -91,17 +91,17 @@ def _check_terrain(v: np.void, m: np.void, name: str, ground: SolidGround) -> No
 
 
 def check_height(ground: SolidGround, places: NDArray[np.float64], height: float, name: str, gap: float = 0.0) -> None:
-    """Check that something starts above the heightmaps of a world.
+    """Check that a vehicle or robot starts above the heightmaps of a world.
 
     Args:
         ground: of the world.
-        places: (n, 2) m, map, that it stands over.
+        places: (n, 2) m, map, points below it.
         height: of its lowest point, m.
         name: of the vehicle or robot.
-        gap: by which that point is above the given start, m.
+        gap: height of that point above the given start, m.
 
     Raises:
-        StartError: it does not; the message has the lowest height that is allowed.
+        StartError: it does not; the message gives the lowest allowed height.
     """
     most = float(ground.terrain(places).max())
     if most - height > _TOLERANCE:
@@ -128,7 +128,7 @@ def _check(depth: float, v: np.void, name: str, other: str) -> None:
 
 
 class _Overlaps:
-    """Vehicles' collision boxes in a Bullet world of their own."""
+    """Vehicles' collision boxes in a separate Bullet world."""
 
     def __init__(self, client: BulletClient, plant: NDArray[np.void], models: NDArray[np.void]) -> None:
         self._client, self._plant, self._models = client, plant, models
@@ -147,6 +147,6 @@ class _Overlaps:
         return self._bodies[i]
 
     def between(self, a: int, b: int) -> float:
-        """Return how deep two bodies are inside each other, m; 0 if they are apart."""
+        """Return the penetration depth of two bodies, m; 0 if they are apart."""
         points = self._client.getClosestPoints(a, b, 0.0)
         return max((-float(point[8]) for point in points), default=0.0)

@@ -190,9 +190,9 @@ class Services:
         return SetPhysicsPropertiesResponse(True, done + ignored)
 
     def _physics_obstacle(self, request: Any) -> str:
-        """Return which value of ``request`` is not allowed; "" if all are."""
+        """Return a text on the value of ``request`` that is not allowed; "" if all are allowed."""
         if not math.isclose(request.time_step, self._step_s, rel_tol=1e-6):
-            return f"time_step: {request.time_step:g} s is not allowed, it is {self._step_s:g} s always"
+            return f"time_step: {request.time_step:g} s is not allowed, it is always {self._step_s:g} s"
         try:
             target_speed(request.max_update_rate, self._step_s)
         except ValueError as error:

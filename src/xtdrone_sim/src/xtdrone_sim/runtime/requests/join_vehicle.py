@@ -21,13 +21,13 @@ def main(arguments: Sequence[str]) -> None:
     """Let the vehicle join, and leave after SIGINT or SIGTERM.
 
     Raises:
-        ArgumentError: invalid arguments or parameters, no simulator, or it refuses the vehicle.
+        ArgumentError: invalid arguments or parameters, no simulator, or the simulator rejects the vehicle.
     """
     check_no_arguments(arguments)
     over = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: over.set())
-    rospy.init_node("join_vehicle", disable_signals=True)  # the service is called after the signal
+    rospy.init_node("join_vehicle", disable_signals=True)  # the service is called after a signal
     name, model, pose = str(rospy.get_param("~vehicle", "")), str(rospy.get_param("~model", "")), _pose()
     if not name:
         raise ArgumentError("vehicle: no name is given, as ~vehicle:=iris_9")
@@ -55,7 +55,7 @@ def _accepted(service: str, kind: Any, *request: Any) -> str:
     """Call a service and return its message.
 
     Raises:
-        ArgumentError: it refuses, or does not answer.
+        ArgumentError: the service rejects the request or does not respond.
     """
     try:
         answer = rospy.ServiceProxy(service, kind)(*request)
@@ -67,7 +67,7 @@ def _accepted(service: str, kind: Any, *request: Any) -> str:
 
 
 def _leave(name: str) -> None:
-    """Take the vehicle out, unless the simulation has ended before."""
+    """Remove the vehicle, unless the simulation has already ended."""
     try:
         announce(f"simulator: {_accepted(_REMOVE, RemoveVehicle, name)}")
     except ArgumentError as error:

@@ -11,7 +11,7 @@ from concurrent.futures import Future
 from typing import Any
 
 Request = Callable[["Future[Any]"], None]
-"""Called in the simulator's thread; it sets the result (or an exception) of the future, then or later."""
+"""Called in the simulator's thread; it sets the result (or an exception) of the future, immediately or later."""
 
 
 class ClosedError(RuntimeError):

@@ -41,7 +41,7 @@ class Change:
     """A change of the simulated world, made between ticks.
 
     Attributes:
-        what: its name in texts, as ``reset of iris_3``.
+        what: its name in texts, such as ``reset of iris_3``.
         make: makes it and returns a description; raises ValueError or OSError if it is not allowed, after which
             nothing has changed.
     """
@@ -198,13 +198,13 @@ class Control:
 
     def pause(self, caller: str) -> str:
         """Pause after the current tick; return a description of the change."""
-        done = "it is paused already" if self.paused and self._stepper.goal is None else "paused"
+        done = "it is already paused" if self.paused and self._stepper.goal is None else "paused"
         self._end_steps(self._stepper.pause(), "it was paused")
         return self._log_change(done, caller)
 
     def resume(self, caller: str) -> str:
         """Resume; return a description of the change."""
-        done = "resumed" if self.paused else "it is running already"
+        done = "resumed" if self.paused else "it is already running"
         self._end_steps(self._stepper.resume(), "the simulation was resumed")
         self.pacer.restart()
         return self._log_change(done, caller)
@@ -413,7 +413,7 @@ class Control:
         return participant is not None and participant.waiting
 
     def _standstill(self, now: float) -> str:
-        """Return why the world stands still; "" while it moves."""
+        """Return the reason why the world stands still; "" while it moves."""
         if self.held is not None:
             return f"time has not started: {self._barrier.missing(self.held)}"
         waiting = self._slow.waiting(now)

@@ -1,4 +1,4 @@
-"""Participants that hold up the simulation: after what time the status and the log name them, and what the log says."""
+"""Participants that hold up the simulation: when the status and the log name them, and the text of the log."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ class Barrier(Protocol):
         """Participants by node name."""
 
     def missing(self, expected: int | Iterable[str] = 0) -> str:
-        """Return which participants are missing, as text; "" for none."""
+        """Return a text that names the missing participants; "" for none."""
 
 
 class SlowParticipants:
-    """The participants that the barrier has waited for too long."""
+    """The participants for which the barrier has waited too long."""
 
     def __init__(self, barrier: Barrier, hang_limit: float, warn: Callable[[str], None]) -> None:
         """Watch the participants of ``barrier``.
@@ -69,7 +69,7 @@ class SlowParticipants:
         parts = []
         for name, seconds in waiting.items():
             silent = now - self._barrier.participants[name].heard
-            how = "it lives; is it at a breakpoint?" if silent < _ALIVE_LIMIT else self._silence(silent)
+            how = "it is alive; is it at a breakpoint?" if silent < _ALIVE_LIMIT else self._silence(silent)
             parts.append(f"{name} for {seconds:.0f} s ({how})")
         self._warn(f"the world stands still, waiting for {', '.join(parts)}")
 

@@ -29,7 +29,7 @@ class Outcome:
     Attributes:
         success: whether the goal was reached.
         ticks: number of ticks made.
-        reason: why the goal was not reached; "" on success.
+        reason: reason why the goal was not reached; "" on success.
     """
 
     success: bool
@@ -74,17 +74,17 @@ class Stepper:
         """Begin a step from simulated time ``now_us``; afterwards the simulation is paused.
 
         Raises:
-            StepError: another step is under way, or the goal is not in the future.
+            StepError: another step is in progress, or the goal is not in the future.
         """
         if self.goal is not None:
-            raise StepError("another step is under way")
+            raise StepError("another step is in progress")
         if goal.ticks is None and goal.until_us is None:
             raise StepError("the step has no goal")
         if goal.ticks is not None and goal.ticks < 1:
             raise StepError(f"ticks: {goal.ticks} is not allowed, at least 1")
         if goal.until_us is not None and goal.until_us <= now_us:
             until, now = goal.until_us * 1e-6, now_us * 1e-6
-            raise StepError(f"until: {until:.3f} s is not allowed, the simulated time is {now:.3f} s already")
+            raise StepError(f"until: {until:.3f} s is not allowed, the simulated time is already {now:.3f} s")
         self.paused = True
         self.goal = goal
         self._made = 0

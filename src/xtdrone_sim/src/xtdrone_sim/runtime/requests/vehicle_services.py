@@ -1,9 +1,9 @@
 """Services that change single vehicles of the running simulation.
 
 ==============================  ==========================  ==========================================================
-/simulator/reset_vehicle        xtdrone_msgs/ResetVehicle   stand at the start or a given pose, as after a reboot
+/simulator/reset_vehicle        xtdrone_msgs/ResetVehicle   return to the start or a given pose, as after a reboot
 /simulator/add_vehicle          xtdrone_msgs/AddVehicle     join at a free place; ``reserve`` keeps places free
-/simulator/remove_vehicle       xtdrone_msgs/RemoveVehicle  leave, flying or not; the place is free then
+/simulator/remove_vehicle       xtdrone_msgs/RemoveVehicle  leave, in flight or not; the place is then free
 ==============================  ==========================  ==========================================================
 
 rospy calls the handlers in its own threads; each change is made in the simulator's thread, between two ticks.
@@ -43,7 +43,7 @@ class VehicleServices:
             control: makes changes between ticks.
             mailbox: passes requests to the simulator's thread.
             backend: the simulated vehicles.
-            followed: called in the simulator's thread after a vehicle has joined or left.
+            followed: function called in the simulator's thread after a vehicle has joined or left.
         """
         self._control = control
         self._mailbox = mailbox
@@ -54,7 +54,7 @@ class VehicleServices:
         rospy.Service("~remove_vehicle", RemoveVehicle, self._on_remove)
 
     def reset_vehicle(self, name: str, pose: StartPose | None, caller: str) -> str:
-        """Put a vehicle back; see ``SimulatorBackend.reset_vehicle``.
+        """Reset a vehicle; see ``SimulatorBackend.reset_vehicle``.
 
         Returns:
             A description of the change.
@@ -80,7 +80,7 @@ class VehicleServices:
         return self._ask(Change(f"join of {printable(name)}", make), caller)
 
     def remove_vehicle(self, name: str, caller: str) -> str:
-        """Take a vehicle out of the simulation; see ``add_vehicle``."""
+        """Remove a vehicle from the simulation; see ``add_vehicle``."""
 
         def make() -> str:
             self._backend.remove_vehicle(name)
@@ -112,7 +112,7 @@ class VehicleServices:
 
 
 def answered(act: Callable[[], str]) -> tuple[bool, str]:
-    """Return whether a change was made, and what was done or why not."""
+    """Return whether a change was made, and a description of it or the reason why not."""
     try:
         return True, act()
     except (ValueError, OSError, ControlError, ClosedError) as error:

@@ -35,7 +35,7 @@ class WindService:
 
         def make() -> str:
             self._backend.set_wind((x, y, z))
-            return f"the wind blows with ({x:g}, {y:g}, {z:g}) m/s"
+            return f"the wind is ({x:g}, {y:g}, {z:g}) m/s"
 
         def ask() -> str:
             change = Change("change of the wind", make)

@@ -1,4 +1,4 @@
-"""What all sensors have that a vehicle's YAML mounts on its body: a name, a frame and a pose."""
+"""Base class of the sensors that a vehicle's YAML mounts on its body: name, frame and pose."""
 
 from __future__ import annotations
 

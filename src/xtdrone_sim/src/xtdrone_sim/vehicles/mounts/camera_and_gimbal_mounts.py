@@ -39,10 +39,10 @@ def check_sensor_name(name: str) -> None:
     """Check the name of a sensor, which is part of its topic.
 
     Raises:
-        ValueError: the name is not allowed; the message says what is.
+        ValueError: the name is not allowed; the message says which names are.
     """
     if not _NAME.fullmatch(name):
-        raise ValueError("letters, digits and underscores, in parts separated by slashes, each from a letter on")
+        raise ValueError("letters, digits and underscores, in parts separated by slashes, each beginning with a letter")
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,8 @@ class CameraMount:
         seed: of the noises, together with vehicle and name.
         image_noise: standard deviation of each channel of colour images, in parts of full scale, as in Gazebo.
         lens: distortion of colour images; None: a pinhole.
-        exposure: time for which the shutter is open, s; 0: a moment.
-        exposure_pictures: odd number of moments whose mean is the image of an exposure that takes time.
+        exposure: time for which the shutter is open, s; 0: an instant.
+        exposure_pictures: odd number of instants whose mean is the image of an exposure longer than 0.
     """
 
     name: str
@@ -223,7 +223,7 @@ def _lens(entry: Mapping[str, Any]) -> tuple[Lens | None, Pinhole]:
     names = _LENSES[model].names
     if values is None:
         if "distortion_model" in entry:
-            raise ValueError(f"distortion: nothing is not allowed with distortion_model, {_coefficients(names)}")
+            raise ValueError(f"distortion: it must be given with distortion_model, {_coefficients(names)}")
         return None, _pinhole(entry)
     if not isinstance(values, list) or len(values) != len(names):
         raise ValueError(f"distortion: {str(values)[:80]} is not allowed, {_coefficients(names)}")

@@ -11,7 +11,7 @@ from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
 
 
 class _Mounted(Protocol):
-    """What the description of a sensor tells of its names."""
+    """The names in the description of a sensor."""
 
     @property
     def name(self) -> str:

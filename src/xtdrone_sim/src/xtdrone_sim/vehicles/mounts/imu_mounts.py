@@ -1,4 +1,4 @@
-"""Further IMUs that a vehicle's YAML mounts on its body, beside that of the autopilot."""
+"""Additional IMUs that a vehicle's YAML mounts on its body, besides that of the autopilot."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ class LidarMount(Settings):
     )
     rate: float = setting(10.0, low=LEAST_RATE, high=MOST_RATE, unit="Hz", text="scans per simulated second")
     samples: int = setting(512, low=1, high=MOST_RAYS, text="rays of a plane; of a pattern, rays of a scan")
-    angle_min: float = setting(-math.pi, low=-math.pi, high=math.pi, unit="rad", text="first ray, about z from x on")
+    angle_min: float = setting(-math.pi, low=-math.pi, high=math.pi, unit="rad", text="first ray, angle about z from x")
     angle_max: float = setting(
         math.pi,
         low=-math.pi,
@@ -69,11 +69,11 @@ class LidarMount(Settings):
     dropouts: float = setting(0.0, low=0.0, high=1.0, text="share of the returns that are lost at random")
     seed: int = setting(0, low=0, high=2**31 - 1, text="of noise and dropouts, together with vehicle and name")
     skew: bool = setting(
-        True, text="each ray is cast from where the lidar is at the ray's time; false: all at the beginning of the scan"
+        True, text="cast each ray from the lidar's pose at the ray's time; false: all at the beginning of the scan"
     )
 
     def __post_init__(self) -> None:
-        """Check the combinations, too.
+        """Check combinations of settings as well.
 
         Raises:
             SettingError: a value is not allowed.

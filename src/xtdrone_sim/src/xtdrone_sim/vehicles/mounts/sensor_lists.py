@@ -10,7 +10,7 @@ from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import MountError
 
 
 class _Mounted(Protocol):
-    """What a list needs of its sensors."""
+    """Interface of the sensors in a list."""
 
     @property
     def name(self) -> str: ...
@@ -29,10 +29,10 @@ def read_list(entries: Any, kind: str, read: Callable[[Mapping[str, Any], str], 
     Args:
         entries: content of the list; None for none.
         kind: name of the list.
-        read: reads an entry; its second argument is the place for messages, as ``imus, number 2``.
+        read: reads an entry; its second argument is the place for messages, such as ``imus, number 2``.
 
     Raises:
-        MountError: no list of mappings, an invalid entry, or a name or frame given twice.
+        MountError: not a list of mappings, an invalid entry, or a name or frame given twice.
     """
     if not isinstance(entries or [], list):
         raise MountError(f"{kind}: {entries!r} is not allowed, a list")

@@ -32,8 +32,8 @@ class UwbMount(BodySensor):
     line_of_sight: str = setting(
         SIGHT_NEEDED,
         choices=(SIGHT_NEEDED, SIGHT_BIASED, SIGHT_IGNORED),
-        text="a range is lost (needed) or longer (biased) if the world, a person or another vehicle stands between; "
-        "ignored: nothing is looked at",
+        text="a range is lost (needed) or longer (biased) if the world, a person or another vehicle blocks it; "
+        "ignored: no check",
     )
     blocked_bias: float = setting(
         0.5, low=0.0, high=100.0, unit="m", text="added to a range without line of sight (biased)"
@@ -41,11 +41,11 @@ class UwbMount(BodySensor):
     blocked_noise: float = setting(
         0.3, low=0.0, high=100.0, unit="m", text="further standard deviation of a range without line of sight (biased)"
     )
-    bearing: bool = setting(False, text="true: azimuth and elevation of the neighbour, too")
+    bearing: bool = setting(False, text="true: also measure azimuth and elevation of the neighbour")
     bearing_noise: float = setting(
         0.05, low=0.0, high=math.pi, unit="rad", text="standard deviation of azimuth and of elevation, white"
     )
-    seed: int = setting(0, low=0, high=2**31 - 1, text="of all that is random, together with vehicle and name")
+    seed: int = setting(0, low=0, high=2**31 - 1, text="of all random numbers, together with vehicle and name")
 
 
 def read_uwb(sensors: Any) -> tuple[UwbMount, ...]:

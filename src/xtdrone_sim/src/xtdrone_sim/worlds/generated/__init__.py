@@ -1,7 +1,7 @@
 """Worlds generated from a seed: ``forest``, ``maze``, ``indoor``, ``city`` and ``countryside``, with options.
 
-``forest:seed=3,density=0.05`` names a kind and its options. ``UPSTREAM`` has worlds of like purpose and dimensions
-under the names of XTDrone's.
+``forest:seed=3,density=0.05`` names a kind and its options. ``UPSTREAM`` has worlds of similar purpose and dimensions
+under the names of XTDrone's worlds.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _MOST_TEXT = 1000
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of generated world: its options, and what generates it."""
+    """A kind of generated world: its options and its generator."""
 
     settings: type[Settings]
     generate: Callable[[Any], SdfWorld]
@@ -91,7 +91,7 @@ def _options(kind: str, text: str) -> dict[str, object]:
         try:
             options[name] = load_yaml(value)
         except ContentError as error:
-            raise ModelError(f"world {kind}: {name}: {value[:60]!r} is no value") from error
+            raise ModelError(f"world {kind}: {name}: {value[:60]!r} is not a value") from error
     return options
 
 

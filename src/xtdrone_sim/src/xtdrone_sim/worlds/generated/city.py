@@ -22,7 +22,7 @@ _PAVEMENT: Colour = (0.62, 0.61, 0.6, 1.0)
 _WHITE: Colour = (1.0, 1.0, 1.0, 1.0)
 _FLOOR = 3.2  # m, height of a floor
 _MARGIN = 2.0  # m of pavement around the buildings of a block
-_KERB = 0.06  # m, thickness of the pavement; seen, not felt: the ground is the plane z = 0
+_KERB = 0.06  # m, thickness of the pavement; only visible, since the ground is the plane z = 0
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Maze: corridors between walls on a grid of cells; with ``loops`` 0 one way leads from each cell to any other."""
+"""Maze: corridors between walls on a grid of cells; with ``loops`` 0 exactly one route connects any two cells."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ class MazeSettings(Settings):
 def passages(rng: np.random.Generator, columns: int, rows: int, loops: float) -> tuple[NDArray[np.bool_], ...]:
     """Return which neighbours are connected: towards +x (columns - 1, rows) and towards +y (columns, rows - 1).
 
-    A depth-first walk from the entrance's cell, (0, 0), reaches each cell once; then ``loops`` of the walls left go.
+    A depth-first search from the entrance's cell, (0, 0), reaches each cell once; then the share ``loops`` of the
+    remaining walls is removed.
     """
     east, north = np.zeros((columns - 1, rows), bool), np.zeros((columns, rows - 1), bool)
     seen = np.zeros((columns, rows), bool)

@@ -1,4 +1,4 @@
-"""What the generators of worlds share: the start area, ground, boxes, and free places."""
+"""Common parts of the world generators: the start area, ground, boxes, and free places."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from xtdrone_sim.worlds.scenery.scenery_objects import Thing
 from xtdrone_sim.worlds.sdf import Light, SdfLink, SdfModel, SdfWorld, load_world_file
 
 START: Rectangle = (-3.0, -3.0, 18.0, 13.0)
-"""x0, y0, x1, y1, m: no world has anything here, so that the fleet finds its spawn grid free."""
+"""x0, y0, x1, y1, m: empty in every world, so that the fleet's spawn grid is free."""
 BESIDE = 20.0
 """x, m, at which buildings begin, with their entrance towards the start area."""
 
 _TILE = 256.0  # m, side of a tile of ground
-_GROUND = -0.06  # m: below shapes that lie on the ground
+_GROUND = -0.06  # m, thickness below the shapes that lie on the ground
 _WHITE = (1.0, 1.0, 1.0, 1.0)
 
 
@@ -33,7 +33,7 @@ def box(size: tuple[float, float, float], centre: tuple[float, float, float], co
 
 
 def solid(name: str, shapes: Iterable[Visual], ghosts: Iterable[Visual] = ()) -> SdfModel:
-    """Return a model that stands: shapes that collide, and ``ghosts`` that are only seen."""
+    """Return a static model: shapes that collide, and ``ghosts`` that are only visible."""
     shapes = tuple(shapes)
     collisions = tuple(Collision(shape.geometry, shape.pose) for shape in shapes)
     return SdfModel(name, links=(SdfLink("link", visuals=(*shapes, *ghosts), collisions=collisions),))
@@ -68,7 +68,7 @@ class Places:
     """Circles on the ground that keep apart from each other and from the start area."""
 
     def __init__(self, rng: np.random.Generator, region: Rectangle, *, clear: Rectangle | None = START) -> None:
-        """Begin with an empty region, m; ``clear`` stays free."""
+        """Start with an empty region, m; ``clear`` stays free."""
         self._rng, self._region, self._clear = rng, region, clear
         self._circles = np.zeros((0, 3))
 

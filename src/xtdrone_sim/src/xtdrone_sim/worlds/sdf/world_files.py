@@ -94,7 +94,7 @@ def read_model(text: str | bytes, name: str) -> SdfModel:
 
     Args:
         text: content, in a request.
-        name: stands for the request in messages.
+        name: name of the request in messages.
 
     Raises:
         SdfError: invalid content; the message names line, element, value and what is allowed.
@@ -118,7 +118,7 @@ def _read(text: str | bytes, path: Path, extending: tuple[Path, ...]) -> SdfWorl
         if element is None:
             return _from_yaml("empty")
         if path in extending:
-            raise element.error(f"{element.string()!r} leads back to this file")
+            raise element.error(f"{element.string()!r} includes this file again")
         try:
             return _load(element.string(), path.parent, (*extending, path))
         except SdfError:

@@ -37,7 +37,7 @@ DECLINATION = "xtdrone:declination"
 GROUND = "xtdrone:ground"
 SPEED = "xtdrone:speed"
 
-_BUILT_IN = ("ground_plane", "sun")  # Gazebo's models; the ground always exists, the sun is the light
+_BUILT_IN = ("ground_plane", "sun")  # Gazebo's models, ignored: the ground always exists, the sun is the light
 _MODEL_SILENT = ("self_collide", "allow_auto_disable", "enable_wind", "wind", "description", "author")
 _LINK_SILENT = (
     *("inertial", "self_collide", "kinematic", "gravity", "enable_wind", "must_be_base_link"),
@@ -71,11 +71,11 @@ def parse_world(text: str | bytes, path: Path, extended: Extended) -> SdfWorld:
 
 
 def parse_model(text: str | bytes, path: Path) -> SdfModel:
-    """Parse an SDF that has one <model>, as it comes in a request: it may only name files of models and ROS packages.
+    """Parse an SDF with one <model> from a request; it may only name files of models and ROS packages.
 
     Args:
         text: SDF with one <model>, or an <include> of one.
-        path: stands for the request in messages.
+        path: name of the request in messages.
 
     Raises:
         SdfError: invalid content; see ``parse_world``.
@@ -88,7 +88,7 @@ def parse_model(text: str | bytes, path: Path) -> SdfModel:
     ((model, joints),) = models
     if all(joint.kind == "fixed" for joint in joints):
         return divide(model, joints)[0][0]
-    root.warn_ignored(f"{model.name!r} has joints that move, which only models of a world file can have: it stands")
+    root.warn_ignored(f"{model.name!r} has joints that move, which only models of a world file can have: it is static")
     return replace(model, static=True)
 
 
@@ -112,9 +112,7 @@ def _read_world(element: Element, extended: Extended) -> SdfWorld:
     )
     for tag in ("physics", "gui", "state"):
         for found in element.all(tag):
-            found.info(
-                "is ignored: physics are the simulator's own, there is no window, the state is that of the start"
-            )
+            found.info("is ignored: the simulator has its own physics, no window, and its own initial state")
     world = replace(extended(element.one(EXTENDS)), name=element.name(), **_surroundings(element))
     world = replace(world, light=_light(element, world.light))
     models, joints = [*world.models], [*world.joints]
@@ -325,7 +323,7 @@ def _read_model(element: Element, static: bool | None = None) -> Jointed | None:
         joints = tuple(read_joint(joint, frames) for joint in element.all("joint"))
         reason = why_standing(element, divide(model, joints)[0])
     if reason:
-        element.warn_ignored(f"{name!r} is not static, but {reason}: it stands where it is")
+        element.warn_ignored(f"{name!r} is not static, but {reason}: it is treated as static")
         return replace(model, static=True), ()
     return model, joints
 
@@ -342,7 +340,7 @@ def _read_link(element: Element) -> SdfLink:
         visuals += read_visuals(child)
     for child in element.all("collision"):
         if is_plane(child):
-            child.info("of a <plane> is ignored: the ground z = 0 is always there")
+            child.info("of a <plane> is ignored: the ground z = 0 always exists")
             continue
         collisions += read_collisions(child)
     gravity = element.one("gravity")
@@ -377,7 +375,7 @@ def _skin(element: Element) -> str:
     element.warn_unknown(("filename",), ("scale",))
     name = element.required("filename").string()
     if "." in name:
-        element.warn_ignored(f"{name!r} is not supported, skins are names of people; some person takes its place")
+        element.warn_ignored(f"{name!r} is not supported, skins are names of people; another person is used instead")
         return ""
     return name
 

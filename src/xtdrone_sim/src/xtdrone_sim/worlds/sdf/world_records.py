@@ -130,7 +130,7 @@ class Trajectory:
 
 @dataclass(frozen=True)
 class SdfActor:
-    """A person.
+    """A person in the world.
 
     Attributes:
         name: name, unique among models and actors.

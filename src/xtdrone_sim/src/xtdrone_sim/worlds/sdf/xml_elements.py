@@ -57,14 +57,14 @@ class Element:
         """
         found = list(self.all(tag))
         if len(found) > 1:
-            raise found[1].error(f"stands here for the second time in <{self.tag}>, one is allowed")
+            raise found[1].error(f"occurs a second time in <{self.tag}>, one is allowed")
         return found[0] if found else None
 
     def first(self, tag: str) -> Element | None:
         """Return the first child with this tag, with a warning about others, as Gazebo reads them; None without one."""
         found = list(self.all(tag))
         for other in found[1:]:
-            other.warn_ignored(f"stands here for the second time in <{self.tag}> and is ignored")
+            other.warn_ignored(f"occurs a second time in <{self.tag}> and is ignored")
         return found[0] if found else None
 
     def required(self, tag: str) -> Element:
@@ -148,7 +148,8 @@ class File:
     Attributes:
         path: path of the file.
         told: tags and texts already logged.
-        is_foreign: the content has come in a request: it may only name files of installed models and ROS packages.
+        is_foreign: whether the content is from a request and may therefore only name files of installed models and ROS
+            packages.
     """
 
     path: Path
@@ -198,7 +199,7 @@ def parse(text: str | bytes, path: Path, is_foreign: bool = False) -> Element:
 
     def entity(name: str, *_: object) -> None:
         raise SdfError(
-            f"{path}: line {parser.CurrentLineNumber}: <!ENTITY {name}> is not allowed: write out what it stands for"
+            f"{path}: line {parser.CurrentLineNumber}: <!ENTITY {name}> is not allowed: write its text instead"
         )
 
     parser.EntityDeclHandler = entity

@@ -26,7 +26,7 @@ def pose_of(element: Element) -> Pose:
     """Parse the text of an element as a pose; see ``read_pose``."""
     frame = element.attributes.get("relative_to") or element.attributes.get("frame")
     if frame and frame not in {"world", "__model__"}:
-        raise element.error(f"relative to {frame!r} is not allowed, poses are in the frame of what holds them")
+        raise element.error(f"relative to {frame!r} is not allowed, poses are in the frame of the enclosing element")
     if element.attributes.get("degrees", "false") not in {"false", "0"}:
         raise element.error("degrees are not allowed, angles are in rad")
     form = element.attributes.get("rotation_format", "euler_rpy")

@@ -80,7 +80,7 @@ class Report:
         return next((check.text for check in self.failures if check.modes >> mode.state & 1), "")
 
     def component_bits(self, *, warnings: bool) -> int:
-        """Return the bit mask of components (health_component_t) with a warning, or else with an error."""
+        """Return the bit mask of components (health_component_t) with a warning, or of those with an error."""
         bits = 0
         for check in self.failures:
             if warnings is (check.level > events.ERROR) and check.level <= events.WARNING:
@@ -112,7 +112,7 @@ def _flyable(flags: Flags) -> int:
 
 
 def _mode_checks(flags: Flags, get: Get) -> list[Check]:
-    """Return the unmet needs of the modes, as PX4's ModeChecks."""
+    """Return the unmet needs of the modes, as PX4's ModeChecks does."""
     found = []
     if flags.attitude_invalid:
         found.append(Check("check_modes_attitude", events.CRITICAL, events.ATTITUDE_ESTIMATE, _BY_NEED["attitude"]))
@@ -209,7 +209,7 @@ class ArmingChecks:
         Args:
             flags: health flags.
             mode: requested mode.
-            armed: whether the vehicle is armed already.
+            armed: whether the vehicle is already armed.
         """
         found = []
         if not armed and mode.prevents_arming:

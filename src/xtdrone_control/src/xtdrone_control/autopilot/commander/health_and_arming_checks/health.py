@@ -124,7 +124,7 @@ class Health:
         limit = get("COM_OF_LOSS_T")
         longest = get("COM_FLT_TIME_MAX")
         check_battery = int(get("CBRK_SUPPLY_CHK")) != _SUPPLY_KEY
-        flags = (  # of ``Flags``, in its order, which is created only if one has changed
+        flags = (  # values of ``Flags`` in the order of its fields; a new ``Flags`` is created only if one has changed
             not view.initialised,
             altitude_invalid,
             position_invalid,
@@ -146,7 +146,7 @@ class Health:
         return self.flags
 
     def _positions(self, now_us: int, delay_us: float) -> tuple[bool, bool, bool]:
-        """Return whether horizontal estimate, accurate position and altitude have been invalid for ``delay_us``."""
+        """Return whether horizontal estimate, accurate position and altitude were each invalid for ``delay_us``."""
         relaxed_good, altitude_good = self._view.horizontal_valid, self._view.height_valid
         limit = self._get("COM_POS_FS_EPH")
         widest = limit * (_ERROR_HYSTERESIS if self._accurate else 1.0)

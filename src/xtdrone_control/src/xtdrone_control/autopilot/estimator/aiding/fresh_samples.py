@@ -1,4 +1,4 @@
-"""Pass each fresh sample to the module of its source, and the rates at which samples are used.
+"""Dispatch of each fresh sample to the module of its source, and the rates at which samples are used.
 
 After PX4 v1.14's EKF2 (control). Each source's module starts and stops its fusion, checks its samples, and resets the
 state to it after a long rejection; ``source_timeouts`` stops sources that are silent.

@@ -1,4 +1,4 @@
-"""Horizontal aiding: whether a source other than GPS aids, and the mark of a reset to a source."""
+"""Horizontal aiding: whether a source other than GPS aids, and the flags set by a reset to a source."""
 
 from __future__ import annotations
 

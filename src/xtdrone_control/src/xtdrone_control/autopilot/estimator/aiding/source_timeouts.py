@@ -1,4 +1,4 @@
-"""Timeouts of the aiding sources: times without samples or fusion, and what stops after them.
+"""Timeouts of the aiding sources: times without samples or fusion, and their consequences.
 
 After a timeout a source stops, the state is reset to it, or the estimate counts as dead reckoning.
 """

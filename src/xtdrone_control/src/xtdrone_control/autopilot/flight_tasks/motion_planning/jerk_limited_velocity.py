@@ -30,7 +30,7 @@ def stopping_speed(distance, accel, jerk, final):
 
 @kernel
 def turning_speed(angle, accel, radius):
-    """Return the speed, m/s, on the circle that touches both legs ``radius`` m from the corner, at ``accel`` m/s^2.
+    """Return the speed, m/s, on the circle tangent to both legs ``radius`` m from the corner, at ``accel`` m/s^2.
 
     ``angle`` (rad) is the angle between the legs, pi for straight on.
     """

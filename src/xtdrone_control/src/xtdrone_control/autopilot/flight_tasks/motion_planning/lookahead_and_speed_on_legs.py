@@ -114,7 +114,7 @@ def _lead_point(c, radius):
 
 @kernel
 def _speed_through(c, p, radius, cruise):
-    """Return the horizontal speed (m/s) at the goal on the way to way_onward; 0 to stop there.
+    """Return the horizontal speed (m/s) at which to pass the goal towards way_onward; 0 to stop there.
 
     A circle within the acceptance radius joins the two legs, flown with the share MPC_XY_TRAJ_P of MPC_ACC_HOR (PX4
     trajectory::computeStartXYSpeedFromWaypoints). The vehicle stops at waypoints where the height changes.

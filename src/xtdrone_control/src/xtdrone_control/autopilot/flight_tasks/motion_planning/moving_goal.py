@@ -1,7 +1,7 @@
 """A goal that moves: the flight to it is planned in its frame, in which it stands still.
 
-PX4 v1.14 flies to each new position of a landing target as to a goal at rest, and so stays behind a moving one; its
-later vision_target_estimator hands on the target's velocity, as here.
+PX4 v1.14 flies to each new position of a landing target as to a goal at rest, and therefore lags behind a moving one;
+its later vision_target_estimator also provides the target's velocity, as here.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from xtdrone_control.kernel import kernel
 
 @kernel
 def move_with_goal(c, s, dt):
-    """Move goal, legs and smoothed path along with the goal; the path's velocity is relative to it from here on.
+    """Move goal, legs and smoothed path with the goal's motion; the path's velocity is then relative to the goal.
 
-    A change of the goal's velocity leaves the velocity over the ground as it is.
+    A change of the goal's velocity leaves the velocity over ground unchanged.
     """
     for i in range(2):
         if s.goal_velocity[i] != c.goal_velocity[i]:
@@ -33,7 +33,7 @@ def move_with_goal(c, s, dt):
 
 @kernel
 def add_goal_velocity(c):
-    """Make the velocity of the trajectory setpoint one over the ground again."""
+    """Convert the velocity of the trajectory setpoint back to a velocity over ground."""
     for i in range(2):
         if c.goal_velocity[i] != 0.0:
             c.task_velocity[i] += c.goal_velocity[i]

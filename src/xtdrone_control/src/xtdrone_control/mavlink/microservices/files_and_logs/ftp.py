@@ -78,7 +78,7 @@ class _Client:
 
     Attributes:
         file: the open file, None without a session.
-        size: size of the file when it was opened; a log being written may have grown since.
+        size: size of the file when it was opened; a log still being written may have grown since.
         last: the last request and its reply.
         burst: file offset of the next message of a burst, -1 for none.
         burst_size: bytes in each of its messages.

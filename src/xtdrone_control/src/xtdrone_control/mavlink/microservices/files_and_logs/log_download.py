@@ -1,4 +1,4 @@
-"""Log transfer protocol, as of PX4's mavlink_log_handler: list, download and erase flight logs.
+"""Log transfer protocol, as in PX4's mavlink_log_handler: list, download and erase flight logs.
 
 Transfers are paced by simulated time, a few messages every 10 ms, so that the client's socket buffer does not overflow;
 clients request lost messages again. Each client has a separate list and transfer.

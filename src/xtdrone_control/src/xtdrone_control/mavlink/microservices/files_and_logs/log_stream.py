@@ -1,8 +1,8 @@
 """Log streaming: MAV_CMD_LOGGING_START and MAV_CMD_LOGGING_STOP, and a ULog in LOGGING_DATA.
 
-As PX4 v1.14's ``mavlink_ulog``: header and definitions are sent as LOGGING_DATA_ACKED, one piece at a time, each
-repeated every 50 ms until the client acknowledges it (50 times at most); the data follow as LOGGING_DATA without
-acknowledgements, at most ``BURST`` messages every 10 ms of simulated time. A vehicle has one stream at a time.
+As in PX4 v1.14's ``mavlink_ulog``, header and definitions are sent as LOGGING_DATA_ACKED, one piece at a time, each
+repeated every 50 ms until the client acknowledges it (50 times at most); the data follow as unacknowledged
+LOGGING_DATA, at most ``BURST`` messages every 10 ms of simulated time. A vehicle has one stream at a time.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _ACKED, _DATA = Format("LOGGING_DATA_ACKED"), Format("LOGGING_DATA")
 class LogStreamService(Service):
     """Streams the vehicle's log to one client.
 
-    The stream ends with MAV_CMD_LOGGING_STOP of any client, when a piece is not acknowledged in 2.5 s, when the client
-    is silent for 5 s, and when the autopilot is rebooted.
+    The stream ends with MAV_CMD_LOGGING_STOP from any client, when a piece is not acknowledged in 2.5 s, when the
+    client is silent for 5 s, and when the autopilot is rebooted.
     """
 
     MESSAGES: ClassVar[dict[str, str]] = {"LOGGING_ACK": "_acknowledge"}
@@ -41,13 +41,13 @@ class LogStreamService(Service):
         self._stream: LogStream | None = None
         self._link: Link | None = None
         self._target = (0, 0)  # system and component of the client
-        self._tries = 0  # how often the first piece of the definitions has been sent
+        self._tries = 0  # number of times that the first piece of the definitions has been sent
         self._sent_us = 0
         vehicle.on_command[mavlink.MAV_CMD_LOGGING_START] = self._start
         vehicle.on_command[mavlink.MAV_CMD_LOGGING_STOP] = self._stop
 
     def _start(self, params: Sequence[float], link: Link) -> Result | None:
-        """Open a stream with the answers of PX4; None, no answer, where no logger runs."""
+        """Open a stream and return the result as PX4 does; None, for no acknowledgement, if no logger is running."""
         if link.data_rate < LEAST_DATA_RATE:
             link.send_text(CRITICAL, "Not enough bandwidth to enable log streaming")
             return Result.DENIED
@@ -86,7 +86,7 @@ class LogStreamService(Service):
                 self._send_definition(link, stream, self.vehicle.now_us)
 
     def update(self, now_us: int) -> None:
-        """Send what is due, or end the stream."""
+        """Send the messages that are due, or end the stream."""
         stream, link = self._stream, self._link
         if stream is None or link is None or stream.closed or not link.open or link.silent(now_us):
             self._end()

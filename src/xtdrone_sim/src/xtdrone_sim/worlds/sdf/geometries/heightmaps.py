@@ -1,7 +1,7 @@
-"""Heightmaps: terrain from a grey image, as Wavefront files, which renderer, rays and physics read.
+"""Heightmaps: terrain from a greyscale image, as Wavefront files, which renderer, rays and physics read.
 
-The files are in the user's cache, by the content they are made from. The terrain is a surface without thickness. For
-collisions it is cut into square tiles, so that a vehicle is near to those below it alone.
+The files are in the user's cache, named by a hash of their source. The terrain is a surface without thickness. For
+collisions it is cut into square tiles, so that a vehicle is near only those below it.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ Array = NDArray[np.float64]
 
 
 def read_heightmap(path: Path, size: Vector, pos: Vector = (0.0, 0.0, 0.0), texture: float = 10.0) -> tuple[Path, ...]:
-    """Return the Wavefront files of a terrain: the whole, and then its tiles; the first call for a content writes them.
+    """Return the Wavefront files of a terrain, the whole and then its tiles; the first call for an image writes them.
 
     As in Gazebo (gazebo/common/ImageHeightmap.cc, physics/HeightmapShape.cc), black is the height 0 and the brightest
     pixel that of ``size``; columns run along x, and the image's top is at the largest y.
 
     Args:
-        path: PNG or JPEG file of 8 or 16 bits; of colours, red counts.
+        path: PNG or JPEG file of 8 or 16 bits; of a colour image, the red channel is used.
         size: of the terrain along x, y and z, m.
         pos: of its middle at the height 0, m.
         texture: side of one texture, m.
@@ -81,7 +81,7 @@ def _heights(data: bytes, path: Path) -> Array:
             values = np.asarray(picture.convert("RGB") if picture.mode == "P" else picture, float)
     except SdfError:
         raise
-    except Exception as error:  # of the decoder, of any kind
+    except Exception as error:  # any exception of the decoder
         raise SdfError(f"{path}: not a PNG or JPEG file: {type(error).__name__}: {error}") from error
     values = values[:, :, 0] if values.ndim == 3 else values
     if min(values.shape) < 2:
@@ -118,7 +118,7 @@ def _write(heights: Array, size: Vector, pos: Vector, texture: float, folder: Pa
 
 
 def _write_grid(path: Path, points: Array, normals: Array, texture: float) -> None:
-    """Write a grid (rows, columns, 3) of points as triangles, two for each cell, that look upwards."""
+    """Write a grid (rows, columns, 3) of points as triangles, two for each cell, that face upwards."""
     rows, columns = points.shape[:2]
     lines = [f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in points.reshape(-1, 3).tolist()]
     lines += [f"vt {x:.6g} {y:.6g}\n" for x, y in (points[:, :, :2] / texture).reshape(-1, 2).tolist()]

@@ -64,7 +64,7 @@ def _read_colour(material: Element) -> Colour | None:
     name = script.one("name")
     known = None if name is None else _COLOURS.get(name.text.strip())
     if known is None:
-        script.warn_ignored("is not supported and ignored, but for Gazebo's plain colours (docs/worlds.md)")
+        script.warn_ignored("is not supported and ignored; only Gazebo's plain colours are supported (docs/worlds.md)")
     return known
 
 

@@ -1,8 +1,8 @@
 """COLLADA, STL and glTF meshes and extruded polygons as Wavefront files, which renderer and physics read.
 
-The files are in the user's cache, by the content they are made from. Of COLLADA and glTF, geometry, node transforms,
-units, plain colours and textures of the materials are used. <up_axis> of COLLADA is ignored, as in Gazebo Classic. In
-glTF y is up (glTF 2.0 specification, 3.4); its meshes are turned so that z is up.
+The files are in the user's cache, named by a hash of their source. COLLADA and glTF contribute geometry, node
+transforms, units, and plain colours and textures of the materials. <up_axis> of COLLADA is ignored, as in Gazebo
+Classic. In glTF y is up (glTF 2.0 specification, 3.4); its meshes are turned so that z is up.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class MeshPart:
 
 
 def read_mesh(path: Path, submesh: str = "", centred: bool = False) -> tuple[MeshPart, ...]:
-    """Return the parts of a COLLADA, STL or glTF file, one for each material; the first call for a content converts it.
+    """Return the parts of a COLLADA, STL or glTF file, one for each material; the first call for a file converts it.
 
     Args:
         path: file with one of ``ENDINGS``.
@@ -150,7 +150,7 @@ def _loaded(data: bytes, path: Path) -> list[tuple[str, Any]]:
 
     kind = path.suffix.lower().removeprefix(".")
     if kind == "dae" and b"<!ENTITY" in data:
-        raise SdfError(f"{path}: <!ENTITY is not allowed: write out what it stands for")
+        raise SdfError(f"{path}: <!ENTITY is not allowed: write its text instead")
     pictures: Any = _Pictures(path.parent)
     try:
         scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=pictures, process=False)
@@ -168,7 +168,7 @@ def _loaded(data: bytes, path: Path) -> list[tuple[str, Any]]:
             found.append((str(name), mesh))
     except SdfError:
         raise
-    except Exception as error:  # of the parsers, of any kind
+    except Exception as error:  # any exception of the parsers
         raise SdfError(f"{path}: not a {kind.upper()} file: {type(error).__name__}: {error}") from error
     return found
 
@@ -188,7 +188,7 @@ def _metres(data: bytes) -> float:
 
 
 class _Pictures:
-    """Finds the textures and buffers of a file beside it or in the model's textures, whatever its paths say."""
+    """Finds a file's textures and buffers beside it or among the model's textures, by name alone."""
 
     def __init__(self, folder: Path) -> None:
         self._folders = (folder, folder.parent / "materials" / "textures", folder / "textures", folder.parent)

@@ -1,6 +1,6 @@
 """Joints of models: reading, and the division of a model into the rigid parts that its joints connect.
 
-A hinge or slide makes two models of one: ``door`` with the links up to the joint, and ``door::leaf``, named after its
+A hinge or slide splits a model in two: ``door`` with the links up to the joint, and ``door::leaf``, named after its
 first link, with those beyond it. Fixed joints hold links together in one part.
 """
 
@@ -52,7 +52,7 @@ def _end(element: Element, tag: str, frames: dict[str, Pose]) -> str:
     end = element.required(tag)
     name = end.string().strip()
     if name not in frames or (tag == "child" and name == WORLD):
-        raise end.error(f"{name!r} is not there to be joined; there are {', '.join(frames)}")
+        raise end.error(f"{name!r} does not exist; there are {', '.join(frames)}")
     return name
 
 
@@ -105,8 +105,8 @@ def divide(model: SdfModel, joints: Sequence[SdfJoint]) -> tuple[list[SdfModel],
         joints: between its links, fixed ones too, in the model's frame.
 
     Returns:
-        The parts, each with its first link at its origin but the first part, and the joints between them that move,
-        in the world, with names as ``door::hinge``. A part that a fixed joint holds to the world is static.
+        The parts, each except the first with its first link at its origin, and the moving joints between them, in the
+        world, with names such as ``door::hinge``. A part that a fixed joint holds to the world is static.
     """
     if model.static or not joints:
         return [model], []

@@ -1,4 +1,4 @@
-"""Files named by model://, package://, file:// and paths: where they are searched, and what a request may name."""
+"""Files named by model://, package://, file:// and paths: search folders, and the files that a request may name."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def resolve(element: Element) -> Path:
     a plain path may be relative to the folder of the element's file.
 
     Raises:
-        ForbiddenError: the element has come in a request and names a file outside models and ROS packages.
+        ForbiddenError: the element is from a request and names a file outside models and ROS packages.
         SdfError: the file or folder does not exist.
     """
     uri = element.string()

@@ -46,7 +46,7 @@ def read_inertial(link: Element) -> Inertial | None:
 
 
 def why_standing(model: Element, parts: Sequence[SdfModel]) -> str:
-    """Return why a model that is not static cannot move; "" if it can.
+    """Return the reason why a model that is not static cannot move; "" if it can.
 
     Args:
         model: its element.
@@ -66,20 +66,20 @@ def why_standing(model: Element, parts: Sequence[SdfModel]) -> str:
 
 
 def _why_not_a_body(links: Sequence[SdfLink]) -> str:
-    """Return why links cannot be one rigid body; "" if they can."""
+    """Return the reason why links cannot be one rigid body; "" if they can."""
     shapes = sum(len(link.collisions) for link in links)
     if not shapes:
-        return f"nothing of {' and '.join(repr(link.name) for link in links) or 'it'} collides: it would fall for ever"
+        return f"nothing of {' and '.join(repr(link.name) for link in links) or 'it'} collides: it would fall forever"
     if shapes > MOST_SHAPES:
         return f"{links[0].name!r} has {shapes} collision shapes, a body at most {MOST_SHAPES}"
     for link in links:
         if link.inertial is not None and not is_possible(link.inertial):
-            return f"its link {link.name!r} has no possible mass and inertia"
+            return f"its link {link.name!r} has a mass and inertia that are not physically possible"
     return ""
 
 
 def why_loose(model: Element, links: Sequence[SdfLink]) -> str:
-    """Return why links and joints do not make one model; "" if they do."""
+    """Return the reason why links and joints do not form one model; "" if they do."""
     names = [link.name for link in links]
     group = {name: name for name in (WORLD, *names)}
     for joint in model.all("joint"):

@@ -1,4 +1,4 @@
-"""Models of a world in YAML: one shape each, which stands, or with a mass falls and can be pushed."""
+"""Models of a world in YAML, of one shape each: static, or, with a mass, subject to gravity and pushes."""
 
 from __future__ import annotations
 
@@ -100,12 +100,12 @@ class _Entry:
             if field in self._given and owner != form:
                 raise self._error(field, self._given[field], f"it belongs to {owner}")
         if form == "heightmap" and "mass" in self._given:
-            raise self._error("mass", self._given["mass"], "a heightmap stands")
+            raise self._error("mass", self._given["mass"], "a heightmap is static")
 
     def _pose(self) -> Pose:
         if "pose" not in self._given:
             return Pose()
-        values = self._numbers("pose", (3, 6), -_FAR, _FAR, "x, y, z, m, and as needed roll, pitch, yaw, rad")
+        values = self._numbers("pose", (3, 6), -_FAR, _FAR, "x, y, z, m, and optionally roll, pitch, yaw, rad")
         roll, pitch, yaw = values[3:] or (0.0, 0.0, 0.0)
         return Pose((values[0], values[1], values[2]), from_euler(roll, pitch, yaw))
 
@@ -116,7 +116,7 @@ class _Entry:
             parts, solid = self._terrain()
         else:
             primitive = self._primitive(form)
-            parts, solid = [(primitive, None)], [primitive]  # no look of its own
+            parts, solid = [(primitive, None)], [primitive]  # no colour and texture of its own
         look = self._look()
         visuals = [Visual(geometry, Pose(), *(look or _own_look(part))) for geometry, part in parts]
         return tuple(visuals), tuple(Collision(geometry) for geometry in solid)
@@ -160,7 +160,7 @@ class _Entry:
         """Return the colour and the texture that the entry gives; None without either."""
         texture = self._path("texture") if "texture" in self._given else None
         if "colour" in self._given:
-            values = self._numbers("colour", (3, 4), 0.0, 1.0, "red, green, blue and as needed opacity")
+            values = self._numbers("colour", (3, 4), 0.0, 1.0, "red, green, blue and optionally opacity")
             red, green, blue, opacity = (*values, 1.0)[:4]
             return (red, green, blue, opacity), texture
         return None if texture is None else ((1.0, 1.0, 1.0, 1.0), texture)
@@ -176,13 +176,13 @@ class _Entry:
             raise SdfError(f"{self._file}: {self._place} {field}: {reason}") from error
 
     def _inertial(self, collisions: tuple[Collision, ...]) -> Inertial | None:
-        """Return mass and inertia of the solid shape, of a mesh of its bounding box; None for a model that stands."""
+        """Return mass and inertia of the solid shape, for a mesh those of its bounding box; None for a static model."""
         if self._given.get("mass") is None:
             return None
         (mass,) = self._numbers("mass", (1,), 1e-3, _HEAVIEST, "kg")
         if len(collisions) > MOST_SHAPES:
             raise self._error(
-                "mass", mass, f"a mesh of {len(collisions)} materials stands, one of at most {MOST_SHAPES} can move"
+                "mass", mass, f"a mesh of {len(collisions)} materials is static, one of at most {MOST_SHAPES} can move"
             )
         shape = collisions[0].geometry
         if isinstance(shape, Sphere):

@@ -65,7 +65,7 @@ def process_vision(e, s, p, work):
 
 @kernel
 def _vision_variance(given, noise, p):
-    """Return the larger of the message's and the parameter's variance; only the latter by EKF2_EV_NOISE_MD or NaN."""
+    """Return the larger of the message's and the parameter's variance; the latter by EKF2_EV_NOISE_MD or for NaN."""
     if int(p.ekf2_ev_noise_md) or math.isnan(given):
         return noise * noise
     return max(given, noise * noise)
