@@ -107,8 +107,8 @@ def test_the_distance_to_obstacles_is_that_of_a_fine_search():
     assert clearance.least(resting(np.zeros(3), 0.0), np.empty((0, 3)), 1.0) == FARTHEST
 
 
-@pytest.mark.parametrize("points", [np.outer((1.0, -1.0, 1.0, -1.0, 1.0), np.full(3, 1e9)), np.full((4, 3), 1e308)])
-def test_a_trajectory_that_is_too_long_to_be_checked_is_not_clear(points):
+def test_a_trajectory_that_is_too_long_to_be_checked_is_not_clear():
+    points = np.outer((1.0, -1.0, 1.0, -1.0, 1.0), np.full(3, 1e9))
     far_away = np.full((1, 3), 1e6)
     assert TrajectoryClearance().least(UniformSpline(0.0, 1.0, points), far_away, 0.5) == 0.0
 
@@ -125,7 +125,7 @@ def test_a_trajectory_at_rest_is_clear():
         ({"radius": math.nan}, "radius: nan is not allowed, above 0 m and finite"),
         ({"radius": 0.0}, "radius: 0 is not allowed"),
         ({"start": rospy.Time(4_000_000_000)}, r"start: 4e\+09 s from now is not allowed, at most 60 s"),
-        ({"control_points": [Point(0.0, 0.0, math.inf)] * 4}, "control_points: numbers that are not finite"),
+        ({"control_points": [Point(0.0, 0.0, math.inf)] * 4}, "control_points: numbers beyond"),
         ({"control_points": [Point()] * 3}, "control_points: 3 are not allowed, 4 to 10000"),
     ],
 )

@@ -47,7 +47,7 @@ class TrajectoryClearance:
 
     def _compute(self, spline: UniformSpline, points: Array) -> None:
         longest = min(_STEP / max(spline.greatest_speed(), _STEP), _LONGEST_STEP)
-        if not spline.duration <= _MOST_PLACES * longest:  # NaN as well: the speed of a trajectory may overflow
+        if not spline.duration <= _MOST_PLACES * longest:
             self._step, self._least = spline.duration, np.zeros(2)
             return
         count = math.ceil(spline.duration / longest)
