@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 import pytest
+import rospy
+from geometry_msgs.msg import Point
 from toy_flight import PERIOD, ToyFlight, forest
 from toy_swarm import Group
 
@@ -17,6 +19,7 @@ from xtdrone_planning.safety.velocity_filter import VelocityFilter
 from xtdrone_planning.swarm.flown_trajectories import FlownTrajectories
 from xtdrone_planning.swarm.settings import AgreementSettings
 from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, coasting, resting
+from xtdrone_planning.trajectories.trajectory_messages import TrajectoryError, spline_message, spline_of
 
 DISTANCE, TRACKING, RADIUS = 1.0, 0.5, 0.4  # m
 EAST, WEST, NORTH = np.array([4.5, 0.0, 0.0]), np.array([-4.5, 0.0, 0.0]), np.array([0.0, 3.0, 0.0])
@@ -102,6 +105,37 @@ def test_the_distance_to_obstacles_is_that_of_a_fine_search():
         exact = np.linalg.norm(places[:, None] - points, axis=2).min()
         assert clearance.least(spline, points, now) == pytest.approx(min(exact, FARTHEST), abs=0.05)
     assert clearance.least(resting(np.zeros(3), 0.0), np.empty((0, 3)), 1.0) == FARTHEST
+
+
+def test_a_trajectory_that_is_too_long_to_be_checked_is_not_clear():
+    points = np.outer((1.0, -1.0, 1.0, -1.0, 1.0), np.full(3, 1e9))
+    far_away = np.full((1, 3), 1e6)
+    assert TrajectoryClearance().least(UniformSpline(0.0, 1.0, points), far_away, 0.5) == 0.0
+
+
+def test_a_trajectory_at_rest_is_clear():
+    assert TrajectoryClearance().least(resting(np.zeros(3), 0.0), np.full((1, 3), 1e6), 0.5) == FARTHEST
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"interval": 1e300}, r"interval: 1e\+300 is not allowed, above 0 and at most 3600 s"),
+        ({"interval": math.nan}, "interval: nan"),
+        ({"radius": math.nan}, "radius: nan is not allowed, above 0 m and finite"),
+        ({"radius": 0.0}, "radius: 0 is not allowed"),
+        ({"start": rospy.Time(4_000_000_000)}, r"start: 4e\+09 s from now is not allowed, at most 60 s"),
+        ({"control_points": [Point(0.0, 0.0, math.inf)] * 4}, "control_points: numbers beyond"),
+        ({"control_points": [Point()] * 3}, "control_points: 3 are not allowed, 4 to 10000"),
+    ],
+)
+def test_a_message_that_is_no_usable_trajectory_is_refused(changes, text):
+    message = spline_message(resting(np.zeros(3), 5.0), "iris_0", 1, RADIUS, rospy.Time(5), "map")
+    assert np.array_equal(spline_of(message, 5.0).points, np.zeros((4, 3)))
+    for name, value in changes.items():
+        setattr(message, name, value)
+    with pytest.raises(TrajectoryError, match=text):
+        spline_of(message, 5.0)
 
 
 def test_points_at_known_vehicles_are_no_obstacles():

@@ -7,8 +7,8 @@ topic                                      type                              mea
 /T/mavros/local_position/velocity_local    geometry_msgs/TwistStamped        in: velocity, for deskewing and prediction
 /T/SOURCE/odometry                         nav_msgs/Odometry                 out: T/odom to T/base_link
 /T/SOURCE/path                             nav_msgs/Path                     out, latched: ``~path_rate``
-/T/mavros/vision_pose/pose                 geometry_msgs/PoseStamped         out: to the autopilot, while odometry is
-good /diagnostics                               diagnostic_msgs/DiagnosticArray   out: at every change, and 1 Hz
+/T/mavros/vision_pose/pose                 geometry_msgs/PoseStamped         out: to the autopilot, while it is good
+/diagnostics                               diagnostic_msgs/DiagnosticArray   out: at every change, and 1 Hz
 /tf, /tf_static                            tf2_msgs/TFMessage                out with ``~tf``: map, T/odom, T/base_link
 =========================================  ================================  =========================================
 

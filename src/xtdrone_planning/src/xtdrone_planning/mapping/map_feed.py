@@ -1,13 +1,13 @@
 """Feed of one vehicle's local map: subscribes to its sensor and pose, and inserts each measurement.
 
-===================================  =======================  ========================================================
-topic (subscribed)                   type                     meaning
-===================================  =======================  ========================================================
+===================================  =========================  ======================================================
+topic (subscribed)                   type                       meaning
+===================================  =========================  ======================================================
 /T/mavros/local_position/pose        geometry_msgs/PoseStamped  the estimated pose, used to place measurements
-/T/ODOMETRY/odometry                 nav_msgs/Odometry        instead, with ``odometry``
-/T/LIDAR                             sensor_msgs/PointCloud2  cloud of a spinning lidar, or any cloud in the sensor's
-frame /T/DEPTH/image_raw, camera_info      Image, CameraInfo        with ``~sensor`` depth, instead
-===================================  =======================  ========================================================
+/T/ODOMETRY/odometry                 nav_msgs/Odometry          instead, with ``odometry``
+/T/LIDAR                             sensor_msgs/PointCloud2    cloud of a spinning lidar, or any cloud in its frame
+/T/DEPTH/image_raw, camera_info      Image, CameraInfo          instead, with ``~sensor`` depth
+===================================  =========================  ======================================================
 """
 
 from __future__ import annotations

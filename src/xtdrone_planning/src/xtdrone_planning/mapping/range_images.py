@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,6 +97,12 @@ class RangeImage:
         return ranges[:count], directions[:count], times[:count], hits[:count]
 
 
+def _is_usable(field: Any, step: int) -> bool:
+    """Return whether a sensor_msgs/PointField is a single number of a known type within a point of ``step`` bytes."""
+    kind = _KINDS.get(field.datatype)
+    return kind is not None and field.count == 1 and field.offset + np.dtype(kind).itemsize <= step
+
+
 def points_of(message: object) -> NDArray[np.void]:
     """Return the points of a sensor_msgs/PointCloud2, (n,), as records with its fields.
 
@@ -106,9 +113,13 @@ def points_of(message: object) -> NDArray[np.void]:
     step, data = message.point_step, message.data  # type: ignore[attr-defined]
     if message.is_bigendian or not {"x", "y", "z"} <= fields.keys():  # type: ignore[attr-defined]
         raise ScanError(f"fields: {', '.join(fields) or 'none'} are not allowed, x, y, z, little-endian")
-    unknown = [f.name for f in fields.values() if f.datatype not in _KINDS or f.count != 1 or f.offset >= step]
-    if unknown or step <= 0 or len(data) % step:
-        raise ScanError(f"point_step: {step} with {len(data)} bytes and {unknown} is not allowed, a whole cloud")
+    unusable = [field.name for field in fields.values() if not _is_usable(field, step)]
+    if unusable:
+        raise ScanError(
+            f"fields: {', '.join(unusable)} are not allowed, single numbers of a known type within {step} bytes"
+        )
+    if step <= 0 or len(data) % step:
+        raise ScanError(f"point_step: {step} with {len(data)} bytes of data is not allowed, a whole number of points")
     kind = np.dtype(
         {
             "names": list(fields),

@@ -10,7 +10,7 @@ feedback, result                      MoveBaseAction
 /T/move_base_simple/goal              geometry_msgs/PoseStamped  in: a goal without an action client
 /T/move_base/NavfnROS/plan            nav_msgs/Path              out, while subscribed: the global path
 /T/move_base/DWAPlannerROS/           nav_msgs/Path              out, while subscribed: the commanded motion, and the
-part local_plan, global_plan                                          of the global path on the local costmap
+local_plan, global_plan                                          part of the global path on the local costmap
 /T/move_base/global_costmap/costmap,  nav_msgs/OccupancyGrid     out, while subscribed: 100 obstacle, 99 too near to
 local_costmap/costmap                                            one, 98 to 0 with the distance, -1 unknown
 /T/move_base/current_goal             geometry_msgs/PoseStamped  out: each goal

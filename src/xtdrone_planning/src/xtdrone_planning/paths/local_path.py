@@ -37,14 +37,14 @@ class LocalPath:
 
 
 class PathQuery(NamedTuple):
-    """Between which places a path is searched, and what it keeps to.
+    """Ends and constraints of a path to be searched.
 
     Attributes:
         start, goal: (3,) m in map; the start is within the map.
         clearance: least distance of the path to obstacles, m.
         radius: of the disc that must have been seen around each point, m.
         heights: lowest and highest flight, m in map.
-        farthest: longest way that is returned, m.
+        farthest: maximum length of the path that is returned, m.
     """
 
     start: Array
@@ -56,14 +56,14 @@ class PathQuery(NamedTuple):
 
 
 class Search(Protocol):
-    """What searches paths: ``PathSearch``, or ``sampled_path.SampledSearch``."""
+    """Interface of the path searches: ``PathSearch`` and ``sampled_path.SampledSearch``."""
 
     def find(self, grid: VoxelGrid, query: PathQuery, distance: NDArray[np.float32] | None = None) -> LocalPath:
         """Search a path.
 
         Args:
             grid: the map.
-            query: between which places, and what the path keeps to.
+            query: ends and constraints of the path.
             distance: distances to obstacles in place of the map's, m.
         """
 

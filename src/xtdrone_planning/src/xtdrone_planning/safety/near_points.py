@@ -68,7 +68,7 @@ def nearest_by_sector(points, position, reach, near):
     Sectors are uniform in azimuth and in the sine of the elevation.
 
     Args:
-        points: shape (N, 3), m.
+        points: shape (N, 3), m; those that are not finite are skipped.
         position: shape (3,), m.
         reach: m.
         near: shape (SECTORS, 3); written.
@@ -78,7 +78,7 @@ def nearest_by_sector(points, position, reach, near):
     for k in range(len(points)):
         x, y, z = points[k, 0] - position[0], points[k, 1] - position[1], points[k, 2] - position[2]
         square = x * x + y * y + z * z
-        if square >= reach * reach or square == 0.0:
+        if not 0.0 < square < reach * reach:  # also skips NaN, which has no sector
             continue
         column = min(int((math.atan2(y, x) / (2.0 * math.pi) + 0.5) * _AZIMUTHS), _AZIMUTHS - 1)
         row = min(int((z / math.sqrt(square) * 0.5 + 0.5) * _HEIGHTS), _HEIGHTS - 1)

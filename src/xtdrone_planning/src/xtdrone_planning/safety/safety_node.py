@@ -350,9 +350,7 @@ class SafetyNode:
 
     def _on_trajectory(self, index: int, message: SplineTrajectory) -> None:
         try:
-            spline = spline_of(message)
-            if not 0.0 < message.radius < np.inf:
-                raise TrajectoryError(f"radius: {message.radius} is not allowed, above 0 m")
+            spline = spline_of(message, rospy.get_time())
             self._trajectories.on_trajectory(index, message.id, spline, message.radius)
         except TrajectoryError as error:
             rospy.logwarn_throttle_identical(5.0, f"trajectory of {self._fleet[index]}: {error}; ignored")

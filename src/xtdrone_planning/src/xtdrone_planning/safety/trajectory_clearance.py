@@ -18,6 +18,7 @@ FARTHEST = 2.0
 
 _STEP = 0.1  # m between the places that are checked
 _LONGEST_STEP = 0.1  # s
+_MOST_PLACES = 10_000  # a trajectory that needs more counts as not clear
 
 
 class TrajectoryClearance:
@@ -31,7 +32,7 @@ class TrajectoryClearance:
         self._least = np.empty(0)
 
     def least(self, spline: UniformSpline, points: Array, now: float) -> float:
-        """Return the least distance, m, from now, s, on; ``FARTHEST`` if it is farther.
+        """Return the least distance, m, from now on: ``FARTHEST`` if it is farther, 0 if the trajectory is too long.
 
         Args:
             spline: the trajectory; one with the same control points at other times is the same.
@@ -45,7 +46,11 @@ class TrajectoryClearance:
         return float(self._least[int(since / self._step)])
 
     def _compute(self, spline: UniformSpline, points: Array) -> None:
-        count = math.ceil(spline.duration / min(_STEP / max(spline.greatest_speed(), _STEP), _LONGEST_STEP))
+        longest = min(_STEP / max(spline.greatest_speed(), _STEP), _LONGEST_STEP)
+        if not spline.duration <= _MOST_PLACES * longest:
+            self._step, self._least = spline.duration, np.zeros(2)
+            return
+        count = math.ceil(spline.duration / longest)
         self._step = spline.duration / count
         places = np.empty((count + 1, 3))
         places_at(spline.points, spline.interval, 0.0, self._step * np.arange(count + 1), places)

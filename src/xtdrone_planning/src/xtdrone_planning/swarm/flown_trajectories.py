@@ -1,9 +1,9 @@
 """Which vehicles fly the trajectories that they have published, and which of these keep clear of each other. No ROS.
 
-Two vehicles that fly trajectories which stay apart need no barrier between them: they pass at speeds from which they
-could not stop. A vehicle is taken to fly its trajectory while it is near a place where the trajectory is at about that
-time. How far it is off, in place, is added to the distance that must be kept; how early or late it is moves the
-trajectory in time. So two vehicles stay apart as long as neither gets further off; if one does, the barrier is back.
+Two vehicles on trajectories that stay apart need no barrier between them, although they may pass at speeds from which
+they could not stop. A vehicle counts as flying its trajectory while it is close to the trajectory's position at about
+the present time. Its deviation in space is added to the distance that must be kept; its deviation in time shifts the
+trajectory. So two vehicles stay apart as long as neither deviation grows; if one does, the barrier applies again.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 _STEP = 0.02  # s
 _SHIFTS = _STEP * np.array(sorted(range(-20, 21), key=abs))  # s: as early or late as a vehicle may be, 0 first
 _AHEAD = np.arange(-0.1, 1.0, _STEP)  # s: setpoints lead the trajectory by the lag of the vehicle
-_SAME = 0.1  # m between a setpoint and the trajectory that it is of
+_SAME = 0.1  # m between a setpoint and the trajectory that it belongs to
 
 
 class Flown(NamedTuple):
@@ -108,7 +108,7 @@ class FlownTrajectories:
         self._published[index].add(number, spline, radius)
 
     def update(self, positions: Array, now: float) -> None:
-        """Find out who flies a trajectory.
+        """Determine which vehicles fly their trajectories.
 
         Args:
             positions: of all vehicles, shape (N, 3), m; NaN: unknown.
@@ -125,7 +125,10 @@ class FlownTrajectories:
         return self._flown[index]
 
     def commands(self, index: int, setpoint: Sequence[float] | None) -> bool:
-        """Return whether a vehicle flies its trajectory and a position setpoint, m, belongs to it; None does not."""
+        """Return whether a vehicle flies its trajectory and a position setpoint, (3,) m in map, belongs to it.
+
+        Without a position setpoint (None), as with velocities, it does not.
+        """
         if setpoint is None or self._flown[index] is None:
             return False
         published, times = self._published[index], self._now + _AHEAD

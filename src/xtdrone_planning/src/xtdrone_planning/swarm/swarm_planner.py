@@ -96,7 +96,7 @@ class SwarmPlanner(Planner):
         """Propose a trajectory, unless one is pending; return whether one is pending.
 
         A proposal starts from the current trajectory. From elsewhere, e.g. after a gust, a trajectory that is clear of
-        everything the others may fly begins at once, and they hear of it.
+        everything the others may fly begins immediately, and they are informed.
         """
         trajectory = self.trajectory
         if trajectory is None or np.linalg.norm(trajectory.at(now.time)[0] - start.position) > _SAME_PLACE:
@@ -118,12 +118,15 @@ class SwarmPlanner(Planner):
         super().brake(time)
 
     def stop_from(self, state: State, time: float) -> None:
-        """Stop from a state at once; others hear of it."""
+        """Stop from a state immediately, and inform the others."""
         self._abandon()
         super().stop_from(state, time)
 
     def places_of_others(self, time: float) -> tuple[Array, Array]:
-        """Return where others are at a ROS time, s: places (m, 3), and the distances (m,) within which they are, m."""
+        """Return the positions (n, 3), m in map, of the others at a ROS time, s, and the radii (n,), m, around them.
+
+        Each vehicle is within its radius of its position, unless it deviates from its trajectory by more than ``_OFF``.
+        """
         flown = [(known.decided, known.radius) for known in self._known.values() if known.decided is not None]
         places = np.array([_place_before_or_on(spline, time) for spline, _ in flown]).reshape(-1, 3)
         return places, np.array([radius + _OFF for _, radius in flown])
@@ -193,6 +196,9 @@ class SwarmPlanner(Planner):
 
 
 def _place_before_or_on(spline: UniformSpline, time: float) -> Array:
-    """Return where a vehicle is at a time, s; what it will fly branches off smoothly from what it flies."""
+    """Return the position (3,), m in map, at a time, s: before the start, at the initial velocity towards it.
+
+    The trajectory branches off smoothly from the one that the vehicle flies until then, which is not known any more.
+    """
     place, velocity, _ = spline.at(time)
     return place - max(0.0, spline.start - time) * velocity

@@ -90,7 +90,7 @@ class SwarmTopics:
             rospy.logwarn_throttle_identical(5.0, f"{self._name}: {message.vehicle!r} is not in the fleet; ignored")
             return None
         try:
-            return rank, spline_of(message)
+            return rank, spline_of(message, rospy.get_time())
         except TrajectoryError as error:
             rospy.logwarn_throttle_identical(5.0, f"{self._name}: trajectory of {message.vehicle}: {error}; ignored")
             return None

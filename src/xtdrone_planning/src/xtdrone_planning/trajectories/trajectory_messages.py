@@ -13,6 +13,9 @@ from xtdrone_msgs.msg import SplineTrajectory
 from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline
 
 _LEAST_POINTS, _MOST_POINTS = 4, 10_000
+_FARTHEST = 1e6  # m
+_LONGEST = 3600.0  # s; checks of trajectories step through all of their time
+_LATEST = 60.0  # s from now until the start, for the same reason
 _SPACING = 0.1  # s between the poses of a path
 
 
@@ -40,20 +43,27 @@ def spline_message(
     return message
 
 
-def spline_of(message: SplineTrajectory) -> UniformSpline:
-    """Return the trajectory of a message.
+def spline_of(message: SplineTrajectory, now: float) -> UniformSpline:
+    """Return the trajectory of a message that is received now, s of ROS time.
 
     Raises:
-        TrajectoryError: too few or too many points, a number that is not finite, or an interval that is not positive.
+        TrajectoryError: too few or too many points, a number that is not finite or too large, an interval or radius
+            that is not positive, a trajectory that is too long, or one that begins too late.
     """
     count = len(message.control_points)
     if not _LEAST_POINTS <= count <= _MOST_POINTS:
         raise TrajectoryError(f"control_points: {count} are not allowed, {_LEAST_POINTS} to {_MOST_POINTS}")
-    if not (message.interval > 0.0 and math.isfinite(message.interval)):
-        raise TrajectoryError(f"interval: {message.interval} is not allowed, above 0 s")
+    longest = _LONGEST / (count - 3)
+    if not 0.0 < message.interval <= longest:
+        raise TrajectoryError(f"interval: {message.interval:g} is not allowed, above 0 and at most {longest:g} s")
+    if not 0.0 < message.radius < math.inf:
+        raise TrajectoryError(f"radius: {message.radius:g} is not allowed, above 0 m and finite")
+    ahead = message.start.to_sec() - now
+    if ahead > _LATEST:
+        raise TrajectoryError(f"start: {ahead:g} s from now is not allowed, at most {_LATEST:g} s")
     points = np.array([(point.x, point.y, point.z) for point in message.control_points])
-    if not np.isfinite(points).all():
-        raise TrajectoryError("control_points: numbers that are not finite are not allowed")
+    if not (np.abs(points) <= _FARTHEST).all():  # refuses NaN, too
+        raise TrajectoryError(f"control_points: numbers beyond +-{_FARTHEST:g} m, or not finite, are not allowed")
     return UniformSpline(message.start.to_sec(), float(message.interval), points)
 
 

@@ -69,7 +69,7 @@ class NoiseSettings(Settings):
 
 @dataclass(frozen=True)
 class Sigmas:
-    """Standard deviations: (3,) px, px, 1/m of a measurement, and rad of the turn from the last picture."""
+    """Standard deviations: (3,) px, px, 1/m of a measurement, and rad of the rotation since the last image."""
 
     measured: Array
     turn: float

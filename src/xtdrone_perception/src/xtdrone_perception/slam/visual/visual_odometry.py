@@ -215,7 +215,7 @@ class VisualOdometry:
         The disparity of a pair is measured for a patch, and its slope is not known: 0.
 
         Args:
-            picture: with a depth picture, or a pair.
+            picture: with a depth image, or a stereo pair.
             pixels: (n, 2) px.
             guess: (n,) m, NaN where unknown.
         """

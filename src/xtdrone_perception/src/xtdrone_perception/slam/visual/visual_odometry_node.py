@@ -160,7 +160,7 @@ class VisualOdometryNode(OdometryNode):
             return
         other = right if depth is None else depth
         if other is None or other.shape != grey.shape:
-            rospy.logwarn_throttle(10.0, f"{self._name}: image ignored: the images of the stereo pair differ in size")
+            rospy.logwarn_throttle(10.0, f"{self._name}: image ignored: the two images of a pair differ in size")
             return
         if not self._is_late():
             seen = SeenPicture(grey, attitude, end_ns * 1e-9, depth, right, base or 0.0)
