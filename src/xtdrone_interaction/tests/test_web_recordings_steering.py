@@ -213,10 +213,10 @@ def test_the_last_page_flies_and_the_others_stop_what_they_flew(monkeypatch: pyt
     room._key(first, {"key": "w"})
     room._cycle()
     second = begin(["iris_1"])
-    assert first.told == [("steering.ended", {"text": "another page flies iris_1 now; this one has ended"})]
+    assert first.told == [("steering.ended", {"text": "another page steers iris_1 now; this page no longer does"})]
     assert sent[-2:] == [("iris_0", Setpoint(Target.ALL)), ("iris_1", Setpoint(Target.ALL))]
     assert set(room._pilots) == {other, second}
     room._key(other, {"key": "g"})
     room._key(second, {"key": "g"})
-    assert other.told == [("steering.ended", {"text": "another page flies leader now; this one has ended"})]
+    assert other.told == [("steering.ended", {"text": "another page steers leader now; this page no longer does"})]
     assert second.told == []

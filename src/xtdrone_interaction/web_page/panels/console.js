@@ -46,9 +46,8 @@ function mount(element, station) {
     const nodes = [...new Set(state.messages.map((m) => m.node))].sort();
     const counts = Object.fromEntries(LEVELS.map((level) => [level, state.messages.filter((m) => m.level === level).length]));
     render(html`<div class="row">
-        <select title="minimum level" value=${state.least} onchange=${(event) => { state.least = event.target.value;
-          draw(); }}> ${LEVELS.map((level) => html`<option value=${level} selected=${level === state.least}>${level} and
-          above</option>`)}</select>
+        <select title="minimum level" value=${state.least} onchange=${(event) => { state.least = event.target.value; draw(); }}>
+          ${LEVELS.map((level) => html`<option value=${level} selected=${level === state.least}>${level} and above</option>`)}</select>
         <select title="node" onchange=${(event) => { state.node = event.target.value; draw(); }}>
           <option value="">all nodes</option>${nodes.map((node) => html`<option value=${node} selected=${node === state.node}>${node}</option>`)}</select>
         <input type="search" placeholder="filter" value=${state.words} style="flex:1"

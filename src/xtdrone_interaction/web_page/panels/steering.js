@@ -66,7 +66,7 @@ function mount(element, station) {
     if (!state.open) return;
     if (!pad && moved) {
       moved = false;
-      toast('The gamepad is gone: the vehicles stop.', 'bad');
+      toast('The gamepad has disappeared: the vehicles stop.', 'bad');
       station.call('steering.sticks', { speeds: [0, 0, 0, 0] }).then(told, fail);
       return;
     }
@@ -113,20 +113,19 @@ function mount(element, station) {
       <b class="mono">${digit}</b> ${name}</button>`)}<button onclick=${() => press('0')}><b class="mono">0</b> waiting</button></div>` : ''}</div>`;
 
   const ready = () => html`<div class="card operate"><p>The keys fly ${station.selection.size ? station.selection.names.join(', ') : 'all vehicles'} on
-      the topics of multirotor_keyboard_control. The vehicles stop when this panel or the page is closed, or says nothing for a second.</p>
+      the topics of multirotor_keyboard_control. The vehicles stop when this panel or the page is closed, or the page is silent for a second.</p>
     <div class="row"><label><input type="checkbox" checked=${state.leader} onchange=${() => { state.leader = !state.leader; draw(); }}/> the leader first</label>
-      <select title="quantity set by the keys" onchange=${(event) => { state.mode = event.target.value; }}><option
-        value="vel">velocities</option> <option value="accel">accelerations</option></select>
+      <select title="quantity set by the keys" onchange=${(event) => { state.mode = event.target.value; }}><option value="vel">velocities</option>
+        <option value="accel">accelerations</option></select>
       <button class="primary" data-role="begin" onclick=${begin}>Begin</button></div></div>`;
 
   function draw() {
-    render(html`${station.role === 'operate' ? (state.open && state.pilot ? flying() : ready()) : html`<p
-      class="soft">This page has watch-only access.</p>`} <div class="card"><b>Gamepad</b> <span class=${state.pad ?
-      'good' : 'soft'}>${state.pad || 'none: press a button on it'}</span> <p class="soft">Left stick: up and turn; right stick: forward and left. A land, B disarm, X
-        hover, Y take off, back arm, start offboard.</p> <div class="row"><label>most m/s <input type="number" min="0.5"
-        max="20" step="0.5" value=${state.speed}
+    render(html`${station.role === 'operate' ? (state.open && state.pilot ? flying() : ready()) : html`<p class="soft">This page has watch-only access.</p>`}
+      <div class="card"><b>Gamepad</b> <span class=${state.pad ? 'good' : 'soft'}>${state.pad || 'none: press a button on it'}</span>
+        <p class="soft">Left stick: up and turn; right stick: forward and left. A land, B disarm, X hover, Y take off, back arm, start offboard.</p>
+        <div class="row"><label>maximum m/s <input type="number" min="0.5" max="20" step="0.5" value=${state.speed}
             onchange=${(event) => { state.speed = Math.min(20, Math.max(0.5, Number(event.target.value) || 2)); draw(); }}/></label>
-          <label>most rad/s <input type="number" min="0.1" max="3" step="0.1" value=${state.turn}
+          <label>maximum rad/s <input type="number" min="0.1" max="3" step="0.1" value=${state.turn}
             onchange=${(event) => { state.turn = Math.min(3, Math.max(0.1, Number(event.target.value) || 1)); draw(); }}/></label></div></div>`, element);
   }
 
@@ -136,7 +135,7 @@ function mount(element, station) {
     station.selection.onChange(() => { if (!state.open) draw(); }),
     station.on('steering.ended', ({ text }) => { state.open = false; state.pilot = null; toast(text, 'bad'); draw(); }),
     station.on('station.state', ({ connected }) => {
-      if (!connected && state.open) toast('The connection broke: this page flies nothing now. The station stops the vehicles, unless it was killed.', 'bad');
+      if (!connected && state.open) toast('The connection is lost, and this page no longer steers. The station stops the vehicles, unless it was killed.', 'bad');
       if (!connected) { state.open = false; state.pilot = null; }
       draw();
     }),

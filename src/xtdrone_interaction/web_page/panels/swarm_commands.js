@@ -85,9 +85,8 @@ class Swarm {
       else if (this.#drawn.length < needed) this.#drawn.push([...point, this.#height]);
       this.#draw();
     };
-    return html`<div class="operate"><div class="row"><b>Own pattern</b><span class="soft">seen from above, leader at
-      the centre; click to add or remove a slot</span></div> <svg data-board width=${BOARD} height=${BOARD} viewBox=${`0
-      0 ${BOARD} ${BOARD}`} onclick=${add}
+    return html`<div class="operate"><div class="row"><b>Own pattern</b><span class="soft">seen from above, leader at the centre; click to add or remove a slot</span></div>
+      <svg data-board width=${BOARD} height=${BOARD} viewBox=${`0 0 ${BOARD} ${BOARD}`} onclick=${add}
         style="background:var(--raised);border:1px solid var(--line);border-radius:8px;cursor:crosshair;max-width:100%">
         ${Array.from({ length: SPAN / 2 - 1 }, (_, i) => px(2 * (i + 1) - SPAN / 2)).map((at) =>
           html`<path d=${`M${at} 0V${BOARD}M0 ${at}H${BOARD}`} stroke="var(--line)" stroke-width="0.7"/>`)}

@@ -35,11 +35,10 @@ function mount(element, station) {
       <span class=${`pill ${kind}`} data-cell="time-state" title=${held || (status ? `participants: ${status.participants.join(', ')}` : '')}>${text}</span>
       <span class="soft" title="real-time factor over the last second" data-cell="factor">${status ? `${status.measured.toFixed(2)}× real time` : ''}</span>
       <span class="operate row" style="margin:0">
-        <span class="group"><button data-time="pause" title=${status?.paused ? 'resume' : 'pause'} onclick=${() =>
-          control({ action: status?.paused ? 'resume' : 'pause' })}> ${status?.paused ? 'Resume' : 'Pause'}</button>
-        <button data-time="step" title="advance by this many ticks, then pause" onclick=${() => control({ action:
-        'step', ticks })}>Step</button></span> <select class="wide-only" title="ticks of a step" value=${ticks}
-        onchange=${(event) => { ticks = Number(event.target.value); }}>
+        <span class="group"><button data-time="pause" title=${status?.paused ? 'let time run' : 'stop time'} onclick=${() => control({ action: status?.paused ? 'resume' : 'pause' })}>
+          ${status?.paused ? 'Resume' : 'Pause'}</button>
+        <button data-time="step" title="advance by this many ticks, then pause" onclick=${() => control({ action: 'step', ticks })}>Step</button></span>
+        <select class="wide-only" title="ticks of a step" value=${ticks} onchange=${(event) => { ticks = Number(event.target.value); }}>
           ${TICKS.map((count) => html`<option value=${count}>${count}</option>`)}</select>
         <label class="wide-only row" style="margin:0">speed <input data-time="speed" type="range" min="0" max=${SPEEDS.length - 1} step="1" style="width:110px"
           value=${Math.max(0, SPEEDS.indexOf(status?.speed ?? 1))} onchange=${(event) => control({ action: 'speed', factor: SPEEDS[event.target.valueAsNumber] })}/>

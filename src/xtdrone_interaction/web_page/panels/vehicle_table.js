@@ -65,8 +65,9 @@ class Table {
 
   async #kill() {
     const names = this.#station.selection.names.join(', ');
-    if (await confirmed(`Stop the motors of ${names} immediately? A vehicle in the air will fall.`, 'Kill'))
-    this.#command({ action: 'kill' });
+    if (await confirmed(`Stop the motors of ${names} immediately? A vehicle in the air will fall.`, 'Kill')) {
+      this.#command({ action: 'kill' });
+    }
   }
 
   #goto() {
@@ -101,8 +102,8 @@ class Table {
           oninput=${(event) => { this.#height = event.target.valueAsNumber; }}/> m</label>
         ${act('arm', 'Arm', 'arm')}
         ${act('takeoff', 'Take off', 'arm and climb to the height', { height: this.#height })}
-        <button data-action="goto" class=${this.#station.picking ? 'on' : ''} title="click the goal; the height is set
-          here" disabled=${none} onclick=${() => this.#goto()}>Go to…</button>
+        <button data-action="goto" class=${this.#station.picking ? 'on' : ''} title="click the goal; the height is set here"
+          disabled=${none} onclick=${() => this.#goto()}>Go to…</button>
         ${act('hold', 'Hold', 'hold the position')}
         ${act('land', 'Land', 'land here')}
         ${act('rtl', 'Return', 'return home and land')}

@@ -53,10 +53,10 @@ class Ros(Protocol):
 
 
 class Need(Protocol):
-    """What makes messages of an autopilot needed, such as a topic with subscribers.
+    """A need for messages of an autopilot, such as a topic that may have subscribers.
 
     Attributes:
-        needed: whether they are.
+        needed: whether there is a need now.
     """
 
     needed: bool

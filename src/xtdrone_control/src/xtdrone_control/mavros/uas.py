@@ -186,7 +186,7 @@ class Uas:
         return self._geoid(latitude, longitude) if abs(latitude) <= _POLE and math.isfinite(longitude) else 0.0
 
     def share(self, topic: Need) -> None:
-        """Add a need shared by all vehicles, such as a topic: its subscribers also enable this vehicle's streams."""
+        """Add a need shared by all vehicles, such as a topic's subscribers: it also enables this vehicle's streams."""
         self._topics.append(topic)
 
     def subscribe(self, name: str, kind: type, callback: Callable[[Any], None]) -> None:

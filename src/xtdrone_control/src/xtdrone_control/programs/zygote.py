@@ -248,7 +248,7 @@ class Zygote:
         return run
 
     def _is_same(self, environment: Sequence[bytes]) -> bool:
-        """Return whether a node has the zygote's environment; roslaunch sets some of it only before the first node."""
+        """Return whether a node has the zygote's environment; before the first fork adopt what roslaunch has set."""
         new = set(environment)
         differing = {os.fsdecode(word.partition(b"=")[0]) for word in new ^ self._environment}
         if not self._forked and differing <= _SET_BY_ROSLAUNCH:

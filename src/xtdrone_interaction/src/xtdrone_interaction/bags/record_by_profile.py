@@ -103,7 +103,7 @@ def rosbag_arguments(profile: Profile, out: str, duration: str | None = None, mo
 
     Args:
         profile: recording settings.
-        out: path path of the files, without number and extension.
+        out: path of the files, without number and extension.
         duration: of the recording; None for unlimited. A limited recording is one file, because rosbag applies the
             duration to each file of a split one.
         more: further arguments.

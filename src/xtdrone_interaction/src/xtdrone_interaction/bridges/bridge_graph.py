@@ -10,8 +10,9 @@ from collections.abc import Callable, Sequence
 from xtdrone_interaction.topics.discovery import UNKNOWN_TYPE, TopicGraph, read_topics
 
 SHARE = 0.02
-"""Of the time that reading may take: with the three thousand topics of thirty vehicles it costs the ROS master, too."""
-LONGEST = 5.0  # s of wall time between two readings because of that
+"""Share of the wall time spent on reading: the three thousand topics of thirty vehicles cost the ROS master, too."""
+LONGEST = 5.0
+"""Upper limit of the wall time between two readings that this share leads to, s."""
 
 
 class BridgeGraph:

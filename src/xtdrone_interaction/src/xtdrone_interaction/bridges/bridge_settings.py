@@ -15,7 +15,7 @@ from xtdrone_interaction.bridges.ros_publications import Publications
 from xtdrone_interaction.bridges.ros_services import Services
 from xtdrone_interaction.topics.discovery import read_topics
 
-_OLDEST = 1.0  # s, maximum age of the graph shown to clients
+_OLDEST = 1.0  # s, age after which the graph is read again, unless reading takes long
 
 
 def patterns(value: Any) -> tuple[str, ...]:
@@ -61,7 +61,7 @@ def publications_of(graph: BridgeGraph) -> Publications:
     """Return the publishers of this process."""
 
     def subscribers(topic: str) -> int:
-        found = read_topics(rosgraph.get_master_uri()).topics.get(topic)  # read anew: the cache may be 1 s old
+        found = read_topics(rosgraph.get_master_uri()).topics.get(topic)  # read anew: the cache may be seconds old
         return 0 if found is None else len(found.subscribers)
 
     return Publications(rospy.Publisher, graph.topic_type, subscribers)

@@ -5,7 +5,7 @@
 =====================  =======================  ======================================================================
 
 At full speed /gazebo/model_states, which keeps a rate in simulated time, has some hundred messages in a wall second:
-far more than a browser draws. This topic is no part of the lockstep: the simulation waits for no subscriber, digests
+far more than a browser draws. This topic is not part of the lockstep: the simulation waits for no subscriber, digests
 leave it out, and which ticks it shows depends on the machine. While time stands still it is published once a second,
 for subscribers that come then; the world may then be one tick ahead of /clock.
 """
@@ -33,7 +33,7 @@ class LiveStates:
         """Advertise the topic.
 
         Args:
-            states: returns the present states.
+            states: returns the current states.
             clock: wall time, s.
         """
         self._states = states

@@ -28,8 +28,9 @@ class RecordedAction:
 
     Attributes:
         number: of the actions of its station, from 1.
-        tick: at which it took effect. time: simulated time of that tick, s. exact: whether all of it took effect
-            between this tick and the next.
+        tick: at which it took effect.
+        time: simulated time of that tick, s.
+        exact: whether all of it took effect between this tick and the next.
         refused: whether it ended with an error.
         page: number of the page.
         method: name, as ``vehicles.command``.

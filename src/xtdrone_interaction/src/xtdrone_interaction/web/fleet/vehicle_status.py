@@ -106,7 +106,7 @@ class VehicleStatus:
         graph = self._master.graph
         vehicles = {name: self._heard(name, self._asked.get(name), simulator, graph) for name in names}
         period = (time.thread_time() - begin) / _SHARE
-        self._due = time.monotonic() + min(period, _LONGEST_PERIOD) - 0.5 * PERIOD
+        self._due = time.monotonic() + min(period, _LONGEST_PERIOD) - 0.5 * PERIOD  # the timer's call may come early
         return {"vehicles": vehicles, "trouble": trouble}
 
     def _look_at_graph(self, simulator: Simulator | None) -> None:

@@ -29,7 +29,7 @@ _MOST_LONELY = 1e-7  # degrees; an item at 0, 0 has no place
 class SearchView:
     """Keeps the search's region, progress and events, and the missions that MAVROS has read from the vehicles.
 
-    Subscriptions to the missions of all vehicles cost much of what a page does: they are made for pages with a map.
+    Subscriptions to the missions of all vehicles are much of a page's cost: they are made only for pages with a map.
     """
 
     def __init__(self, context: StationContext, fleet: FleetWatch, datum: Callable[[], Datum | None]) -> None:

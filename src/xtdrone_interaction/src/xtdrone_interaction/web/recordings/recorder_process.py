@@ -58,7 +58,8 @@ class RecorderProcess:
         if program is None:
             raise OptionError("record: rosbag is not installed; './xtdrone setup' installs it")
         self._folder.mkdir(parents=True, exist_ok=True)
-        name = f"{time.strftime('%Y%m%d-%H%M%S')}-{profile}{f'-{instance}' if instance else ''}"
+        suffix = f"-{instance}" if instance else ""
+        name = f"{time.strftime('%Y%m%d-%H%M%S')}-{profile}{suffix}"
         arguments = rosbag_arguments(read_profile(profile), str(self._folder / name))
         process = subprocess.Popen(
             [program, *arguments],

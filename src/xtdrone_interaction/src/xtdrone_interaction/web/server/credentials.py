@@ -29,8 +29,8 @@ class Credentials:
     """Tokens of a station.
 
     Attributes:
-        operate: grants all methods; empty: none is needed, and every page of this machine may operate. view: grants the
-            methods that change nothing; empty: no such token.
+        operate: grants all methods; empty: none is needed, and every page of this machine may operate.
+        view: grants the methods that change nothing; empty: no such token.
     """
 
     operate: str = ""

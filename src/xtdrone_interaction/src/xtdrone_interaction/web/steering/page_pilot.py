@@ -38,7 +38,7 @@ class PagePilot:
 
     @property
     def targets(self) -> frozenset[str]:
-        """Names of those that the keys fly now: the vehicles, or ``leader``."""
+        """Receivers of the keys' commands now: the vehicles' names, or ``leader``."""
         return frozenset(("leader",) if self._pilot.target is Target.LEADER else self._vehicles)
 
     @property

@@ -113,12 +113,12 @@ class SteeringRoom:
         return pilot
 
     def _end_others(self, session: Session) -> None:
-        """End the pilots of other pages that fly the same: as with the keyboard program, the last one counts."""
+        """End the pilots of other pages with the same targets: the last page to steer has control."""
         mine = self._pilots[session].targets
         for other in [page for page, pilot in self._pilots.items() if page is not session and pilot.targets & mine]:
             both = ", ".join(sorted(self._pilots[other].targets & mine))
             self._end(other)
-            other.push("steering.ended", {"text": f"another page flies {both} now; this one has ended"})
+            other.push("steering.ended", {"text": f"another page steers {both} now; this page no longer does"})
 
     def _end(self, session: Session) -> None:
         pilot = self._pilots.pop(session, None)
