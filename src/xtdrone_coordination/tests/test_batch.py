@@ -455,7 +455,7 @@ def test_bad_batches() -> None:
         batch.on_topology([1.0])
     assert batch.followers[0].offsets is None
     batch.followers[0].weights = {3: 1.0}
-    with pytest.raises(IndexError, match="vehicle 3 is not allowed, 0 to 2"):
+    with pytest.raises(IndexError, match="vehicle 3 does not exist, 0 to 2"):
         batch.update()
 
 

@@ -197,7 +197,7 @@ def test_nothing_is_left_running(tmp_path: Path, then: str, number: int | None, 
     )
     program = textwrap.dedent(f"""
         import sys
-        from xtdrone_interaction import cli, options
+        from xtdrone_interaction import cli, command_options
         from xtdrone_interaction.demos.search import search_cli
         from xtdrone_interaction.launching import process_tree
         process_tree._STEPS = tuple((s, 0.5) for s, _ in process_tree._STEPS)

@@ -117,5 +117,5 @@ def test_a_log_shorter_than_announced():
 def test_a_vehicle_that_sends_nothing_is_left():
     with pytest.raises(RefusalError, match="sends no more at 0 of 180 bytes"):
         talk(logs.download(beat(), Log(1, 0, 180), lambda _: None), lambda _: [])
-    with pytest.raises(RefusalError, match="tells of 0"):
+    with pytest.raises(RefusalError, match="has listed 0"):
         talk(logs.fetch_list(beat()), lambda _: [])

@@ -75,7 +75,7 @@ def test_incomparable_files_are_reported(tmp_path: Path, capfd: pytest.CaptureFi
     (tmp_path / "words.csv").write_text("time,x,y,z\n1,2,3,four\n")
     for arguments, status, words in (
         ([a], 2, "1 runs are not allowed; 2 to"),
-        ([a, b, "--names", "one"], 2, "2 different names"),
+        ([a, b, "--names", "one"], 2, "2 different comma-separated names"),
         ([a, b], 1, "no vehicle is in all runs (a.bag has uav0, uav1; b.bag has uav2, uav3)"),
         ([a, b, "--vehicle", "uav0"], 1, "'b.bag' has no vehicle 'uav0'; it has uav2, uav3"),
         ([a, str(tmp_path / "no.bag")], 1, "does not exist"),
