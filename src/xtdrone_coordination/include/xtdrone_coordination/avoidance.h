@@ -1,7 +1,7 @@
 /// Collision avoidance between vehicles, Algorithm 1 of the paper.
 ///
-/// The C++ form of xtdrone_coordination.laws.formation_avoidance, which explains the algorithm: the same operations in the same
-/// order, so results are bit-identical without -ffast-math and without contraction to fused multiply-add
+/// The C++ form of xtdrone_coordination.laws.formation_avoidance, which explains the algorithm: the same operations in
+/// the same order, so results are bit-identical without -ffast-math and without contraction to fused multiply-add
 /// (-ffp-contract=off).
 #pragma once
 
