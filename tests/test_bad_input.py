@@ -532,7 +532,7 @@ def test_malformed_mavlink_and_other_systems_messages_change_nothing(
         other.link.mav.set_position_target_local_ned_send(0, 7, 1, 1, POSITION, 99, 99, 99, *(0,) * 8)
         other.close()
     stack.log_has("simulator", "iris_0 offboard link: bad MAVLink ignored", "iris_0 ground-station link", since=size)
-    stack.log_has("simulator", "message for system 7 ignored, this is 1", since=size)
+    stack.log_has("simulator", "message for system 7 ignored, this is system 1", since=size)
     before = len(poses.messages)
     check_undisturbed(stack, flying, 4.0)
     stamps = [message.header.stamp.to_sec() for message in poses.since(before)]

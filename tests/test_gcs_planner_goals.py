@@ -73,7 +73,7 @@ def test_what_cannot_be_flown_is_rejected_vehicle_by_vehicle(graph: Graph, plann
     ("arguments", "words"),
     [
         (["--lat", "47", "--lon", "8", "--alt", "500"], "--avoid needs X Y Z"),
-        (["1", "2", "3", "--speed", "2"], "without --speed"),
+        (["1", "2", "3", "--speed", "2"], "excludes --speed"),
     ],
 )
 def test_options_that_a_planner_does_not_take_are_named(graph: Graph, arguments: list[str], words: str) -> None:

@@ -311,7 +311,7 @@ def test_without_a_terminal_nothing_is_done(graph: Graph) -> None:
         [sys.executable, PROGRAM, "iris", "1"], input="t", capture_output=True, text=True, env=environment, timeout=120
     )
     assert done.returncode == 2
-    assert "no terminal" in done.stderr
+    assert "not a terminal" in done.stderr
     assert "multirotor_keyboard_control" not in str(rosgraph.Master("/system_tests").getSystemState())
 
 

@@ -1,4 +1,4 @@
-"""Take off, fly a square of 4 m and land: the script of './xtdrone demo hello'."""
+"""Fly a square of 4 m: the script of './xtdrone demo hello'."""
 
 from xtdrone_control.drone import connect
 
