@@ -320,7 +320,7 @@ def _status() -> type:
 def test_a_second_one_is_rejected_and_the_first_completes(stack: Stack) -> None:
     second = stack.run("second", "xtdrone_swarm", "simplified_simulator", "iris", "3")
     assert second.end() == 1
-    assert "a simulator is running" in second.output
+    assert "a simulator is already running" in second.output
     first = stack.programs["simulator"]
     assert first.alive
     first.process.send_signal(signal.SIGINT)

@@ -166,7 +166,7 @@ def test_steps_to_a_time(stack: Stack) -> None:
 
 def test_impossible_steps_are_rejected(stack: Stack) -> None:
     for goal, words in (
-        ({"until": Time(0, 1)}, "until: 0.000 s is not allowed, the simulated time is 0.636 s"),
+        ({"until": Time(0, 1)}, "until: 0.000 s is not allowed, the simulated time is already 0.636 s"),
         ({"duration": Duration(-1, 0)}, "duration: -1 s is not allowed"),
         ({"ticks": 1, "until": Time(9, 0)}, "only one of them"),
     ):
@@ -280,7 +280,7 @@ def test_invalid_values_are_reported(stack: Stack) -> None:
         assert not answer.success
         assert f"speed: {speed} is not allowed, 0 (unlimited) or at least 0.01" in answer.message
     for change, words in (
-        ({"time_step": 0.001}, "time_step: 0.001 s is not allowed, it is 0.004 s"),
+        ({"time_step": 0.001}, "time_step: 0.001 s is not allowed, it is always 0.004 s"),
         ({"max_update_rate": 1.0}, "max_update_rate: 1 Hz is not allowed, 0 (unlimited) or at least 2.5 Hz"),
         ({"gravity": Vector3(0.0, 0.0, -1.62)}, "gravity: (0, 0, -1.62) m/s^2 is not allowed"),
     ):
