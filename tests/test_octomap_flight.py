@@ -79,5 +79,5 @@ def test_the_map_is_that_of_the_world_until_its_memory_is_full(stack: Stack, tmp
     )
     first = len(reports.messages)
     graph.call(f"/{NAME}/octomap_server/reset", Empty)
-    stack.wait(lambda: any(text_of(m) == "mapping" for m in reports.messages[first:]), "it maps again", sim=10.0)
+    stack.wait(lambda: any(text_of(m) == "mapping" for m in reports.messages[first:]), "it maps again", sim=30.0)
     assert stack.state(0).mode == "OFFBOARD"  # the flight is unharmed

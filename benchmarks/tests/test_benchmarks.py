@@ -918,7 +918,7 @@ def test_table_of_the_detector() -> None:
     assert ["640 x 384", "22.00"] in lines
     assert ["320", "failed"] in lines
     assert "detector, 320 px wide: failed" in " ".join(text.split())
-    assert printed_tables.short_result("detector", row) == "21.5 ms a picture"
+    assert printed_tables.short_result("detector", row) == "21.5 ms per image"
 
 
 def test_table_of_the_renderer() -> None:
@@ -1276,7 +1276,7 @@ def _bench_with_fake_roslaunch(
     program = textwrap.dedent(f"""
         import sys
         from benchmarks import bench_cli
-        from xtdrone_interaction import cli, options
+        from xtdrone_interaction import cli, command_options
         bench_cli.calibrate = lambda: {CALIBRATION}
         command_options.check_vehicle_ports = lambda fleet: None
         sys.exit(cli.main(["bench", *{arguments!r}, "--json", {str(file)!r}]))

@@ -51,7 +51,7 @@ def test_the_bag_of_the_analysis_holds_nine_vehicles_at_even_steps(tmp_path: Pat
     (tmp_path / "made.bag").write_bytes(b"".join(analysis.chunks(2_000_000)))
     flight = read_bag([tmp_path / "made.bag"])
     assert len(flight.vehicles) == 9
-    assert flight.notes == ["the recorder did not end it: there is no index; it was read by its records"]
+    assert flight.notes == ["the recorder did not finish it: there is no index; it was read record by record"]
     place = flight.vehicles[8].position
     assert place is not None
     assert (place.value == [1.0, 2.0, 3.0]).all()

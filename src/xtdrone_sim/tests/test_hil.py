@@ -266,7 +266,7 @@ def test_an_armed_one_is_waited_for_and_then_has_its_motors_stopped():
         made.run(0.12)
         assert time.monotonic() - began >= 1.5
         assert idled
-        assert made.said("armed and does not answer") == logging.WARNING
+        assert made.said("armed and does not respond") == logging.WARNING
         assert made.simulation.autopilot.control["actuators"][0].max() > 0.0  # the last ones hold for a while
         made.run((STALE_US + 2 * STEP) * 1e-6)
         assert made.said("has sent no controls for 0.2 s: its motors stop") == logging.WARNING

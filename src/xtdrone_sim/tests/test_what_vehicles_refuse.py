@@ -23,9 +23,9 @@ def vehicles(request: pytest.FixtureRequest) -> Iterator[Vehicles]:
 def test_both_reject_invalid_values(vehicles: Vehicles) -> None:
     all_of_them, still = np.ones(2, dtype=bool), np.zeros((2, 3))
     for index in (-1, 2):
-        with pytest.raises(IndexError, match=f"vehicle {index} is not there; 0 to 1"):
+        with pytest.raises(IndexError, match=f"vehicle {index} does not exist; 0 to 1"):
             vehicles.command(index, "ARM")
-        with pytest.raises(IndexError, match=f"vehicle {index} is not there; 0 to 1"):
+        with pytest.raises(IndexError, match=f"vehicle {index} does not exist; 0 to 1"):
             vehicles.steer_one(index, VELOCITY, (0.0, 0.0, 0.0))
     with pytest.raises(ValueError, match="kind of setpoint: 7"):
         vehicles.steer(7, still, ~all_of_them)
