@@ -269,7 +269,10 @@ def test_a_model_with_mass_falls_and_rests(tmp_path: Path) -> None:
         ("- {name: a, sphere: true}", "models 'a' sphere: True is not allowed, a radius"),
         ("- {name: a, sphere: 1, mass: 0}", "models 'a' mass: 0 is not allowed, kg, 0.001 to 1e"),
         ("- {name: a, sphere: 1, mass: heavy}", "models 'a' mass: 'heavy' is not allowed, kg"),
-        ("- {name: a, sphere: 1, pose: [1, 2]}", r"models 'a' pose: \[1, 2\] is not allowed, x, y, z, m, and optionally"),
+        (
+            "- {name: a, sphere: 1, pose: [1, 2]}",
+            r"models 'a' pose: \[1, 2\] is not allowed, x, y, z, m, and opt",
+        ),
         ("- {name: a, sphere: 1, colour: [2, 0, 0]}", "models 'a' colour: .* is not allowed, red, green, blue"),
         ("- {name: a, sphere: 1, color: [1, 0, 0]}", r"models\[0\]: 'color' is not known; there are name, pose, mass"),
         ("- {name: a, sphere: 1, scale: 2}", "models 'a' scale: 2 is not allowed, it belongs to mesh"),

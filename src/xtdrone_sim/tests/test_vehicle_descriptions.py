@@ -82,7 +82,11 @@ def test_urdf_of_a_dumb_bell():
         ),
         ('<child link="right"/>', '<child link="wrong"/>', "joint 'b': link 'wrong' does not exist"),
         ('<child link="right"/>', '<child link="left"/>', "'left' is given 2 times"),
-        ('<parent link="bar"/><child link="left"/>', '<parent link="left"/><child link="left"/>', "the joints form a loop"),
+        (
+            '<parent link="bar"/><child link="left"/>',
+            '<parent link="left"/><child link="left"/>',
+            "the joints form a loop",
+        ),
         ('<limit lower="-1"', '<limit lower="1"', "lower 1, upper 2 is not allowed"),
         ('<material name="red"/>', '<material name="blue"/>', "material 'blue' has no colour"),
         ('rgba="1 0 0 1"', 'rgba="255 0 0 1"', "0 to 1"),
