@@ -50,8 +50,8 @@ def test_splits_share_no_person():
     assert not set(train) & set(test)
     with pytest.raises(ValueError, match=r"split: 'all' is not allowed, train or test"):
         people_meshes.names("all")
-    with pytest.raises(ValueError, match="person: 'nobody' is not known, there are "):
-        people_meshes.load("nobody")
+    with pytest.raises(ValueError, match="person: 'unknown' is not known, there are "):
+        people_meshes.load("unknown")
 
 
 def _load(cache, name):

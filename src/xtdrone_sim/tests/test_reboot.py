@@ -1,4 +1,4 @@
-"""MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: one vehicle's autopilot boots anew, on the ground, while the others fly on."""
+"""MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: one vehicle's autopilot reboots on the ground while the others fly on."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def test_not_while_armed_and_no_shutdown(made):
 
 
 def test_the_place_is_found_again_where_the_vehicle_is(made):
-    """Estimates start anew at the same origin, as all vehicles share one."""
+    """Estimates restart at the same origin, as all vehicles share one."""
     made.run(2.0)
     before = made.commanders[0].view.position
     assert made.command(REBOOT, 1) == 0

@@ -1,4 +1,4 @@
-"""A simulation that is set back flies as one that was started anew, to the last bit."""
+"""A simulation that is set back flies as one that has just been started, to the last bit."""
 
 from __future__ import annotations
 

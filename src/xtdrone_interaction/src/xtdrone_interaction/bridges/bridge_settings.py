@@ -61,7 +61,7 @@ def publications_of(graph: BridgeGraph) -> Publications:
     """Return the publishers of this process."""
 
     def subscribers(topic: str) -> int:
-        found = read_topics(rosgraph.get_master_uri()).topics.get(topic)  # read anew: the cache may be seconds old
+        found = read_topics(rosgraph.get_master_uri()).topics.get(topic)  # not from the cache, which may be seconds old
         return 0 if found is None else len(found.subscribers)
 
     return Publications(rospy.Publisher, graph.topic_type, subscribers)

@@ -113,7 +113,7 @@ class TopicChannels:
                     self._worker.submit(self._unlisten, topic, name)
 
     def _listen(self, name: str) -> None:
-        """Subscribe anew for each client, so that it receives latched messages, too."""
+        """Make a new subscription for each client, so that it also receives latched messages."""
         topic = self._topics.get(name)
         if topic is None or self._clients[name] <= 0:
             return
