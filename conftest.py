@@ -70,7 +70,7 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Let parallel workers begin with tests of the whole system, so that short files are left for the end."""
+    """Order the tests of parallel workers: those of the whole system first, short files at the end."""
     if hasattr(config, "workerinput"):
         whole_system = Path(__file__).resolve().parent / "tests"
         items.sort(key=lambda item: item.path.parent != whole_system)

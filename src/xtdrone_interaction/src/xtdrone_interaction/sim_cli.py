@@ -319,7 +319,7 @@ def _remove(master: str, arguments: argparse.Namespace) -> str:
 
 
 def _fail(master: str, arguments: argparse.Namespace) -> str:
-    """Let a lidar or a UWB sensor fail by its service, or a camera, which can only stop."""
+    """Make a lidar or a UWB sensor fail by its service, or stop a camera."""
     sensor = f"/{arguments.sensor.strip('/')}"
     if find_service(master, f"{sensor}/failure"):
         from xtdrone_msgs.srv import SetLidarFailure, SetLidarFailureRequest

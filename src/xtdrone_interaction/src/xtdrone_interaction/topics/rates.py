@@ -45,7 +45,7 @@ class Throttle:
     """Chooses messages so that they come at most at a rate, the last one of a burst included."""
 
     def __init__(self, most: float | None) -> None:
-        """Take a rate.
+        """Set the rate.
 
         Args:
             most: messages per s; None for all.

@@ -77,7 +77,7 @@ def _column(x, y, directions, most, guess):
 def take_rays(
     image, all_directions, all_times, farthest, is_round, is_ordered, by_columns, ranges, directions, times, hits
 ):
-    """Take the rays of a range image that tell something; return their number n. See ``RangeImage``.
+    """Select the rays of a range image that carry information; return their number n. See ``RangeImage``.
 
     Args:
         image: (rows, columns) m, not finite without a return.

@@ -116,7 +116,7 @@ def _begin(way, cells, axis, count, stride):
 
 @kernel
 def _advance(way, cells, nowhere):
-    """Let rays enter their next voxel, those that have ended ``nowhere``; return how many go on."""
+    """Move rays on to their next voxel, finished ones to ``nowhere``; return the number of unfinished rays."""
     going = 0
     for ray in range(_RAYS):
         x, y, z = way[ray], way[_RAYS + ray], way[2 * _RAYS + ray]

@@ -25,7 +25,7 @@ class TrajectoryClearance:
     """Distances between a trajectory and points, computed once for each of both."""
 
     def __init__(self) -> None:
-        """Know nothing."""
+        """Begin without a trajectory."""
         self._points: Array | None = None
         self._control: Array | None = None
         self._interval = self._step = 0.0

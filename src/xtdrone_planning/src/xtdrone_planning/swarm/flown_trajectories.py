@@ -78,7 +78,7 @@ class FlownTrajectories:
     """The trajectories of N vehicles."""
 
     def __init__(self, count: int, distance: float, tracking: float) -> None:
-        """Know none.
+        """Begin without trajectories.
 
         Args:
             count: of vehicles.

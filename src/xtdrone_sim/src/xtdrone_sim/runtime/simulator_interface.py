@@ -113,7 +113,7 @@ class SimulatorBackend(Protocol):
         """
 
     def add_vehicle(self, name: str, model: str, pose: StartPose | None) -> None:
-        """Let a vehicle join; see ``Simulation.add_vehicle``.
+        """Add a vehicle in flight; see ``Simulation.add_vehicle``.
 
         Raises:
             ValueError: it cannot join; nothing has changed then.

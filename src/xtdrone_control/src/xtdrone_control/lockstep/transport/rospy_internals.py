@@ -61,7 +61,7 @@ def topic_server_address() -> tuple[str, int]:
 
 
 def lengthen_connection_queue() -> None:
-    """Let many nodes connect to this node's topics and services at the same time.
+    """Lengthen the queue of nodes that connect to this node's topics and services.
 
     rospy queues five connections. When thirty vehicles call a service in the same tick, Linux drops those in excess,
     and TCP tries again only after 1 s.

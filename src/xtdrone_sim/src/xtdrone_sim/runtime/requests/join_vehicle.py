@@ -18,7 +18,7 @@ _ADD, _REMOVE = "/simulator/add_vehicle", "/simulator/remove_vehicle"
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Let the vehicle join, and leave after SIGINT or SIGTERM.
+    """Add the vehicle to the simulation, and remove it after SIGINT or SIGTERM.
 
     Raises:
         ArgumentError: invalid arguments or parameters, no simulator, or the simulator rejects the vehicle.

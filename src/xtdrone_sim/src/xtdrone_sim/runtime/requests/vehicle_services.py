@@ -70,7 +70,7 @@ class VehicleServices:
         return self._ask(Change(f"reset of {name}", make), caller)
 
     def add_vehicle(self, name: str, model: str, pose: StartPose | None, caller: str) -> str:
-        """Let a vehicle join; see ``SimulatorBackend.add_vehicle``, and ``reset_vehicle`` for the rest."""
+        """Add a vehicle in flight; see ``SimulatorBackend.add_vehicle``, and ``reset_vehicle`` for the rest."""
 
         def make() -> str:
             self._backend.add_vehicle(name, model, pose)

@@ -86,7 +86,7 @@ class ClientServices:
         service.shutdown("its client has withdrawn it")
 
     def answer(self, id_: object, values: Any, result: bool) -> None:
-        """Take a client's answer.
+        """Handle a client's response.
 
         Args:
             id_: of the call.
