@@ -134,7 +134,7 @@ def test_the_short_form_is_short() -> None:
 
 
 def test_a_used_folder_is_rejected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
-    monkeypatch.setattr(replay_check.options, "check_vehicle_ports", lambda fleet: None)
+    monkeypatch.setattr(replay_check.command_options, "check_vehicle_ports", lambda fleet: None)
     (tmp_path / "digest.jsonl").touch()
     assert cli.main(["replay-check", "--short", "--out", str(tmp_path)]) == 2
     assert "not an empty folder" in capsys.readouterr().err

@@ -24,7 +24,6 @@ from xtdrone_interaction.recording.flight_from_ulog import LogError, read_log
 
 _NICE = 10
 _KEPT = 3  # number of whole files kept of each kind
-_CUT_WORDS = ("cut off", "did not end it")  # of the bag reader's notes on the bag of a killed recorder
 _MIB = 1 << 20
 _BACKLOG = 3 << 30  # bytes; above this size of the queue the soak waits for the judge
 
@@ -85,8 +84,8 @@ def judge_bag(path: Path, may_be_cut: bool) -> Finding:
     notes = list(bag.notes)
     if odd:
         notes.append(f"{odd} messages do not match their definition")
-    expected = not odd and all(any(word in note for word in _CUT_WORDS) for note in notes)
-    verdict = "whole" if not notes else "cut" if expected and may_be_cut else "damaged"
+    cut = may_be_cut and bag.cut and not bag.damaged and not odd
+    verdict = "whole" if not notes else "cut" if cut else "damaged"
     return Finding("bag", str(path), verdict, size, messages, notes)
 
 

@@ -87,6 +87,7 @@ class BagFile:
         connections: by number; filled while the bag is read.
         notes: descriptions of unreadable parts with the reason, as sentences; filled while the bag is read.
         cut: whether the recorder did not finish it; known after reading.
+        damaged: whether a part before its end is invalid; known after reading.
     """
 
     def __init__(self, path: Path) -> None:
@@ -98,7 +99,7 @@ class BagFile:
         self.path = path
         self.connections: dict[int, Connection] = {}
         self.notes: list[str] = []
-        self.cut = False
+        self.cut = self.damaged = False
         self._indexed = True
         try:
             self.size = path.stat().st_size
@@ -128,7 +129,7 @@ class BagFile:
             BagError: the bag is encrypted.
         """
         self.notes.clear()
-        self.cut = False
+        self.cut = self.damaged = False
         with self.path.open("rb") as file:
             file.seek(len(_VERSION))
             while (at := file.tell()) < self.size:
@@ -174,6 +175,10 @@ class BagFile:
         while (header := _read_header(file, self.size)) is not None and header[0][b"op"][0] == _CONNECTION:
             self._add_connection(header[0], file.read(header[1]))
 
+    def _note_damage(self, text: str) -> None:
+        self.damaged = True
+        self.notes.append(text)
+
     def _note_cut(self, at: int) -> None:
         self.cut = True
         self.notes.append(
@@ -186,7 +191,7 @@ class BagFile:
         if place is None:
             self._note_cut(at)
             return False
-        self.notes.append(f"bytes {at} to {place} of {self.size} are damaged and were skipped")
+        self._note_damage(f"bytes {at} to {place} of {self.size} are damaged and were skipped")
         file.seek(place)
         return True
 
@@ -242,7 +247,7 @@ class BagFile:
                 damage = f"has a record of more than {_LONGEST_RECORD >> 20} MB"
                 break
         if following is not None:
-            self.notes.append(f"the chunk at byte {begin} states a wrong size; it was read as far as it is valid")
+            self._note_damage(f"the chunk at byte {begin} states a wrong size; it was read as far as it is valid")
         elif end < begin + size or open_end:
             if open_end or rest or damage:
                 self.cut = True
@@ -252,9 +257,9 @@ class BagFile:
             else:
                 self._note_cut(begin)
         elif damage:
-            self.notes.append(f"the chunk at byte {begin} {damage}; its messages before that and the rest were read")
+            self._note_damage(f"the chunk at byte {begin} {damage}; its messages before that and the rest were read")
         elif rest:
-            self.notes.append(f"the chunk at byte {begin} ends with {len(rest)} bytes that are no record; skipped")
+            self._note_damage(f"the chunk at byte {begin} ends with {len(rest)} bytes that are no record; skipped")
         file.seek(end)
 
     def _records(self, data: NDArray[np.uint8], at: int) -> tuple[Batch, int, bool]:
