@@ -244,9 +244,11 @@ are_kernels_prepared() {
   is_written "$state_dir/prepared" "$(digest '*.py')"
 }
 
-# Compiles the numba kernels in advance, so that the first flight does not wait for them.
+# Compiles the Python modules and the numba kernels in advance, so that the first flight does not wait for them; where
+# PYTHONDONTWRITEBYTECODE is set, every start would compile the modules.
 prepare_kernels() {
   say "kernels: compiling those that changed"
+  "$venv/bin/python" -m compileall -q "$root/src" "$root/devel/lib/python3" || true  # a module with an error says so itself
   # shellcheck disable=SC2016
   if logged kernels bash -c 'source "$1/scripts/env.bash" && exec python -m xtdrone_swarm.compile_kernels' _ "$root"; then
     write_stamp "$state_dir/prepared" "$(digest '*.py')"
