@@ -8,6 +8,15 @@ from dataclasses import dataclass, field
 from xtdrone_control.fleet import COMMAND_TOPICS
 from xtdrone_interaction.doctor.failing_check_remedies import CHECKS, UNKNOWN_CHECK
 
+ESTIMATES = (
+    ("attitude_status_flag", 1, "attitude"),
+    ("velocity_horiz_status_flag", 2, "velocity"),
+    ("pos_horiz_rel_status_flag", 8, "position"),
+    ("pos_vert_abs_status_flag", 32, "height"),
+)
+"""Estimates that flying OFFBOARD needs: field of mavros_msgs/EstimatorStatus, bit of MAVLink's ESTIMATOR_STATUS_FLAGS,
+word."""
+
 SETPOINT_TOPICS = (
     "setpoint_accel/accel",
     "setpoint_attitude/attitude",

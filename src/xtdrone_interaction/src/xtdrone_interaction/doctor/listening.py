@@ -7,17 +7,11 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
-from xtdrone_interaction.doctor.findings import SETPOINT_TOPICS, Vehicle
+from xtdrone_interaction.doctor.findings import ESTIMATES, SETPOINT_TOPICS, Vehicle
 
 _PREARM_CHECK = 1 << 28  # MAV_SYS_STATUS_PREARM_CHECK
 _WARNING = 4  # MAV_SEVERITY
 _TEXTS = 3
-_ESTIMATES = {  # fields of mavros_msgs/EstimatorStatus that flying OFFBOARD needs, in words
-    "attitude_status_flag": "attitude",
-    "velocity_horiz_status_flag": "horizontal velocity",
-    "pos_horiz_rel_status_flag": "horizontal position",
-    "pos_vert_abs_status_flag": "height",
-}
 
 
 class Listener:
@@ -60,9 +54,7 @@ class Listener:
         status = self._latest.get(f"{prefix}/sys_status")
         estimator = self._latest.get(f"{prefix}/estimator_status")
         name = prefix.strip("/").rpartition("/")[0] or "mavros"
-        missing = (
-            [] if estimator is None else [word for flag, word in _ESTIMATES.items() if not getattr(estimator, flag)]
-        )
+        missing = [] if estimator is None else [word for flag, _, word in ESTIMATES if not getattr(estimator, flag)]
         return Vehicle(
             name=name,
             prefix=prefix,

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from xtdrone_control.fleet import FleetError, check_instance, parse_fleet
-from xtdrone_interaction.doctor.findings import Check, Simulator, Vehicle
+from xtdrone_interaction.doctor.findings import ESTIMATES, Check, Simulator, Vehicle
 from xtdrone_interaction.doctor.graph import Master
 from xtdrone_interaction.sim_cli import SimError, call
 
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 LISTENING = 3.0  # s of wall time to listen to the topics of a real MAVROS
 _READINESS = "get_readiness"
 _STATE = re.compile(r"^(?P<prefix>(?:/(?P<name>\w+))?/mavros)/state$")
-_ESTIMATES = {1: "attitude", 2: "velocity", 8: "position", 32: "height"}  # ESTIMATOR_STATUS_FLAGS of MAVLink
 _MOST_HEARD = 50  # vehicles whose topics are read
 
 
@@ -126,7 +125,7 @@ def read_asked_vehicles(master: Master, *, telemetry: bool = False) -> list[Vehi
 
 
 def _estimates(flags: int) -> tuple[str, ...]:
-    return tuple(word for bit, word in _ESTIMATES.items() if flags & bit)
+    return tuple(word for _, bit, word in ESTIMATES if flags & bit)
 
 
 def _checks(entries: Iterable[object]) -> tuple[Check, ...]:

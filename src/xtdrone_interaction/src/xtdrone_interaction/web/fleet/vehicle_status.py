@@ -21,7 +21,7 @@ from mavros_msgs.msg import EstimatorStatus, State
 from sensor_msgs.msg import BatteryState
 from xtdrone_msgs.msg import SimulationStatus
 
-from xtdrone_interaction.doctor.findings import Finding, Graph, Simulator, Vehicle, examine_vehicle
+from xtdrone_interaction.doctor.findings import ESTIMATES, Finding, Graph, Simulator, Vehicle, examine_vehicle
 from xtdrone_interaction.doctor.graph import Master, read_master
 from xtdrone_interaction.doctor.readings import read_asked_vehicles, simulator_of
 from xtdrone_interaction.sim_cli import SimError
@@ -34,12 +34,6 @@ _SHARE = 0.02  # of a core, limit for the queries to the MAVROS layers
 _GRAPH_PERIOD = 10.0  # s of wall time between two queries of all nodes, at least
 _LONGEST_GRAPH_PERIOD = 30.0
 _GRAPH_SHARE = 0.02  # of the time, limit for such a query, which also loads the ROS master
-_ESTIMATES = {
-    "attitude_status_flag": "attitude",
-    "velocity_horiz_status_flag": "velocity",
-    "pos_horiz_rel_status_flag": "position",
-    "pos_vert_abs_status_flag": "height",
-}  # fields of mavros_msgs/EstimatorStatus
 log = logging.getLogger("xtdrone.web")
 
 
@@ -154,7 +148,7 @@ class VehicleStatus:
     def _missing_estimates(self, name: str) -> list[str] | None:
         """Return the estimates that the vehicle lacks; None if it has not reported."""
         message = self._message(name, _TOPICS[1])
-        return None if message is None else [word for flag, word in _ESTIMATES.items() if not getattr(message, flag)]
+        return None if message is None else [word for flag, _, word in ESTIMATES if not getattr(message, flag)]
 
     def _message(self, name: str, topic: _Topic) -> Any:
         packed = self._latest.get(f"/{name}/mavros/{topic.name}")
@@ -169,7 +163,7 @@ class VehicleStatus:
 
 
 def _missing(estimates: tuple[str, ...] | None) -> list[str] | None:
-    return None if estimates is None else [word for word in _ESTIMATES.values() if word not in estimates]
+    return None if estimates is None else [word for _, _, word in ESTIMATES if word not in estimates]
 
 
 def _as_json(finding: Finding) -> Mapping[str, str]:
