@@ -71,7 +71,7 @@ def test_the_demos_recorder_writes_what_comes_before_the_clock(
     stack: Stack, tmp_path: Path, number: signal.Signals
 ) -> None:
     rosgraph.Master("/system_tests").setParam("/use_sim_time", True)
-    file = tmp_path / "flight.bag"
+    file = tmp_path / "new folder" / "flight.bag"
     recorder = stack.start("recorder", [*RECORDER, str(file), "/xtdrone/notes", "/xtdrone/never", "__name:=recorder"])
     _record(stack, file.with_name("flight.bag.active"))
     recorder.process.send_signal(number)
@@ -146,7 +146,7 @@ def test_what_waits_for_a_stalled_disk_has_a_limit(stack: Stack, tmp_path: Path)
 @pytest.mark.parametrize(
     ("arguments", "status", "words"),
     [
-        (["/nowhere/flight.bag", "/a"], 1, "/nowhere/flight.bag cannot be recorded"),
+        (["/proc/nowhere/flight.bag", "/a"], 1, "/proc/nowhere/flight.bag cannot be recorded"),
         (["/tmp/flight.bag"], 2, "Usage: recorder FILE TOPIC..."),
         (["/tmp/flight.bag", "/a", "_buffer:=0"], 1, "~buffer must be a whole number of MB, at least 1"),
         (["/proc/flight.bag", "/a topic"], 1, "cannot be recorded"),

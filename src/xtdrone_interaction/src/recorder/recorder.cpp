@@ -123,8 +123,11 @@ class Backlog {
 // A bag that is called FILE.active until it is complete.
 class Recorder {
  public:
-  // Throws rosbag::BagException if the file cannot be written.
+  // Creates the folder of the file if there is none. Throws rosbag::BagException or std::filesystem::filesystem_error
+  // if the file cannot be written.
   explicit Recorder(const std::string& file) : file_(file), active_(file + ".active") {
+    const std::filesystem::path folder = std::filesystem::path(file).parent_path();
+    if (!folder.empty()) std::filesystem::create_directories(folder);
     bag_->setCompression(rosbag::compression::LZ4);
     bag_->open(active_, rosbag::bagmode::Write);
   }
