@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import queue
 import subprocess
 import sys
+import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +19,15 @@ pytest.importorskip("rospy")
 pytest.importorskip("websockets")
 
 from foxglove import Context, Parameter
+from websockets.sync import server
 
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_interaction.bridges.foxglove.layouts import VIEWS, layout, to_text
 from xtdrone_interaction.bridges.foxglove.parameter_values import ParameterError, RosParameters, flat, to_parameter
+from xtdrone_interaction.bridges.foxglove.standing_client import PROTOCOL, StandingClient
 from xtdrone_interaction.bridges.foxglove.topic_channels import TopicChannels
 
+_LIMIT = 30.0  # s of wall time
 LAYOUTS = Path(__file__).parents[1] / "config" / "foxglove"
 FLEETS = {"formation": "iris:9", "search": "typhoon_h480:6"}
 
@@ -272,3 +279,41 @@ def test_the_graph_and_parameters_are_told_while_clients_come_and_go() -> None:
     done = subprocess.run([sys.executable, "-c", COME_AND_GO], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stderr
     assert int(done.stdout.removeprefix("told ")) > 1
+
+
+def test_the_bridge_does_not_wait_for_a_server_that_does_not_answer() -> None:
+    asked: queue.Queue[str] = queue.Queue()
+    answer = threading.Event()
+
+    def serve(socket: Any) -> None:
+        for text in socket:
+            request = json.loads(text)
+            if request["op"] == "subscribeConnectionGraph":
+                socket.send(json.dumps({"op": "connectionGraphUpdate"}))
+                continue
+            asked.put(request["id"])
+            answer.wait()
+            socket.send(json.dumps({"op": "parameterValues", "id": request["id"]}))
+
+    with server.serve(serve, "127.0.0.1", 0, subprotocols=[PROTOCOL], close_timeout=0.1) as serving:
+        thread = threading.Thread(target=serving.serve_forever, daemon=True)
+        thread.start()
+        standing = StandingClient("127.0.0.1", serving.socket.getsockname()[1])
+        _until(lambda: standing.stands)
+        assert not any(standing.answers() for _ in range(5))
+        first = asked.get(timeout=_LIMIT)
+        assert asked.empty(), "it is asked once"
+        answer.set()
+        _until(standing.answers)
+        assert not (standing.answers() and asked.empty()), "an answer counts once"
+        assert asked.get(timeout=_LIMIT) != first
+        standing.close()
+        serving.shutdown()
+        thread.join()
+
+
+def _until(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + _LIMIT
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.005)

@@ -163,6 +163,7 @@ class FoxgloveBridge:
         if settings.operate:
             self._services = ServiceOffers(services, self._server, settings.call_timeout, self._warn)
         self._told_graph: TopicGraph | None = None
+        self._new_graph: TopicGraph | None = None  # not told yet
         self._told: dict[str, Any] = {}
         self._time = -1
 
@@ -192,12 +193,14 @@ class FoxgloveBridge:
         self._topics.update({t.name: t.type for t in topics if t.type != UNKNOWN_TYPE and t.publishers})
         if self._services is not None:
             self._services.update(graph.services)
-        self._tell_graph(graph)
+        self._new_graph = graph if graph != self._told_graph else None
 
-    def _tell_graph(self, graph: TopicGraph) -> None:
-        if graph != self._told_graph and self._standing.answers():
-            self._told_graph = graph
-            self._server.publish_connection_graph(to_connection_graph(graph, self._is_offered))
+    def tell_graph(self) -> None:
+        """Send clients the nodes of the topics and services if they have changed, as soon as the server is ready."""
+        if self._new_graph is None or not self._standing.answers():
+            return
+        self._told_graph, self._new_graph = self._new_graph, None
+        self._server.publish_connection_graph(to_connection_graph(self._told_graph, self._is_offered))
 
     def tell_parameters(self) -> None:
         """Send clients the watched parameters that have changed."""
@@ -225,6 +228,7 @@ def _run(bridge: FoxgloveBridge) -> None:
     duties = (
         (_CLOCK_PERIOD, bridge.tell_time),
         (_GRAPH_PERIOD, bridge.update),
+        (_CLOCK_PERIOD, bridge.tell_graph),
         (_PARAMETER_PERIOD, bridge.tell_parameters),
     )
     due = [0.0 for _ in duties]

@@ -24,7 +24,7 @@ from tornado.websocket import WebSocketClientConnection, WebSocketClosedError, W
 PROTOCOL = "foxglove.sdk.v1"
 _LONGEST = 1 << 30  # bytes of a frame
 _CONNECT_LIMIT = 10.0  # s
-_ANSWER_LIMIT = 5.0  # s
+_PATIENCE = 0.02  # s that a call waits for an answer, which comes within a millisecond on an idle machine
 _RETRY = 1.0  # s between two connections
 _EVERY_ADDRESS = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}
 
@@ -48,7 +48,7 @@ class StandingClient:
         self._url = f"ws://{host}:{port}"
         self._secret = secrets.token_hex(16)  # no other client can pass its parameters off as the bridge's
         self._told: dict[str, list[Parameter]] = {}
-        self._awaited = ""  # request whose answer is waited for
+        self._awaited = ""  # request whose answer has not been used
         self._answered = threading.Event()
         self._number = 0
         self._connection: WebSocketClientConnection | None = None
@@ -59,14 +59,19 @@ class StandingClient:
     def answers(self) -> bool:
         """Return whether the graph may be published now: the server has sent this client all that waited for it.
 
-        A client for which too much waits is disconnected, and the graph must not be published meanwhile.
+        A client for which too much waits is disconnected, and the graph must not be published meanwhile. The server is
+        asked by the first call, and a later one returns True once it has answered: no call waits for a slow server.
         """
         if not self.stands:
             return False
+        if not self._awaited:
+            self._awaited = self._new_request()
+            self.tell_parameters([], self._awaited)
+        if not self._answered.wait(_PATIENCE):
+            return False
+        self._awaited = ""
         self._answered.clear()
-        self._awaited = self._new_request()
-        self.tell_parameters([], self._awaited)
-        return self._answered.wait(_ANSWER_LIMIT) and self.stands
+        return self.stands
 
     def tell_parameters(self, parameters: Sequence[Parameter], request: str = "") -> None:
         """Have the server tell parameters to the clients that watch them.
@@ -121,6 +126,8 @@ class StandingClient:
 
     def _note(self, frame: str) -> None:
         if not self.stands:
+            self._awaited = ""  # of the connection before
+            self._answered.clear()
             self.stands = json.loads(frame).get("op") == "connectionGraphUpdate"
         elif self._awaited and self._awaited in frame:
             self._answered.set()
@@ -134,7 +141,6 @@ class StandingClient:
     def _end_connection(self) -> None:
         self.stands = False
         self._told.clear()
-        self._answered.set()
         if self._connection is not None:
             self._connection.close()
             self._connection = None
