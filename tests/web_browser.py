@@ -26,6 +26,7 @@ FLAGS = (
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
+    "--disable-gpu-watchdog",  # it ends what draws, for good, where a busy machine leaves it no time
     "--use-gl=angle",
     "--use-angle=swiftshader",  # WebGL on the processor
     "--enable-unsafe-swiftshader",

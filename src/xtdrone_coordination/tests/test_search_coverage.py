@@ -20,6 +20,7 @@ from xtdrone_coordination.search.planning.coverage_path import (
     Footprint,
     cover,
     footprint,
+    lane_outlines,
     length,
     sweep,
     turns,
@@ -66,6 +67,19 @@ def test_a_height_from_which_people_are_too_small_is_rejected() -> None:
         footprint(CAMERA, 12.0, 10.0)
     with pytest.raises(ValueError, match=r"overlap: 0\.9 is not allowed"):
         CoverageOptions(overlap=0.9)
+
+
+@pytest.mark.parametrize("side", [4.0, 60.0])
+def test_the_outlines_of_the_lanes_hold_what_is_seen_along_them(side: float) -> None:
+    """Of a small piece too, whose lane lies outside it, because the camera looks ahead."""
+    piece = Polygon([(0, 0), (side, 0), (side, side), (0, side)])
+    path = cover(piece, NARROW, OPTIONS)
+    outlines = [Polygon(corners) for corners in lane_outlines(path, NARROW)]
+    assert len(outlines) == len(path) / 2
+    for outline, a, b in zip(outlines, path[::2], path[1::2], strict=True):
+        seen = sweep([a, b], NARROW, 0.1)
+        assert outline.symmetric_difference(seen).area < 5e-3 * seen.area
+    assert shapely.union_all(outlines).buffer(1e-6).contains(piece)
 
 
 def _share_seen(piece: Polygon, seen: Footprint, options: CoverageOptions) -> float:

@@ -18,6 +18,7 @@ from xtdrone_interaction.web.actions import operator_actions
 from xtdrone_interaction.web.actions.held_time import Instant
 from xtdrone_interaction.web.actions.operator_actions import OperatorActions
 from xtdrone_interaction.web.actions.recorded_actions import LET_GO, REFUSED, ActionError, parse_actions
+from xtdrone_interaction.web.actions.told_to_others import in_words
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.server.credentials import Credentials
 from xtdrone_interaction.web.server.methods import CallError, Method
@@ -110,6 +111,43 @@ def test_an_action_on_the_flight_acts_while_time_stands_still(monkeypatch: pytes
         station.context.close()
 
     asyncio.run(test())
+
+
+def test_the_other_pages_are_told_an_action_and_its_own_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def test() -> None:
+        station = Station(monkeypatch, Instant(7, 0.5, True, True))
+        told: list[tuple[int, Any]] = []
+        station.context.sessions[3] = station.session
+        for number in (4, 5):
+            other = Session(number, "view", None, lambda f: f())  # type: ignore[arg-type]
+            monkeypatch.setattr(other, "push", lambda event, data, n=number: told.append((n, (event, data))))
+            station.context.sessions[number] = other
+        monkeypatch.setattr(station.session, "push", lambda *entry: told.append((3, entry)))
+        await station.do(Method("fly", lambda *_: None, "operate"), action="land", vehicles=["iris_0"])
+        await station.do(Method("steering.send", lambda *_: None, "operate"))
+        await station.do(Method("note", lambda *_: None, "operate", "nothing"))
+        assert told == [(n, ("actions.other", {"page": 3, "text": "land: iris_0"})) for n in (4, 5)]
+        station.context.close()
+
+    asyncio.run(test())
+
+
+@pytest.mark.parametrize(
+    ("method", "params", "words"),
+    [
+        ("vehicles.command", {"action": "hold", "vehicles": [f"iris_{i}" for i in range(6)]},
+         "hold: iris_0, iris_1, iris_2, iris_3 and 2 more"),
+        ("swarm.command", {"text": "cube", "target": "leader"}, "cube: leader"),
+        ("time.control", {"action": "speed", "factor": 2}, "speed 2"),
+        ("time.reset", {}, "time reset"),
+        ("time.reset", {"vehicle": "iris_1"}, "time reset: iris_1"),
+        ("map.upload", {"files": {"iris_0": "{}"}}, "map upload: iris_0"),
+        ("parameters.set_ros", {"name": "/a", "value": 1}, "parameters set_ros: /a"),
+        ("vehicles.command", {"action": {"x": [0] * 99}, "vehicles": 7}, str({"x": [0] * 99})[:120]),
+    ],
+)  # fmt: skip
+def test_actions_in_words(method: str, params: dict[str, Any], words: str) -> None:
+    assert in_words(method, params) == words
 
 
 def test_time_goes_on_after_a_failed_and_during_a_long_action(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from xtdrone_interaction.web.recordings.recorder_process import RecorderProcess
 from xtdrone_interaction.web.recordings.recording_room import allowed_file, listed
 from xtdrone_interaction.web.recordings.results import read_results
 from xtdrone_interaction.web.server.methods import CallError
+from xtdrone_interaction.web.steering import steering_room
 from xtdrone_interaction.web.steering.page_pilot import SILENCE, PagePilot
 from xtdrone_interaction.web.steering.steering_room import SteeringRoom
 
@@ -187,6 +189,9 @@ class _Context:
 
     def every(self, *_: Any) -> None: ...
 
+    async def blocking(self, call: Any, *arguments: Any) -> Any:
+        return call(*arguments)
+
 
 class _Page:
     """A page's session that keeps what it is told."""
@@ -220,3 +225,25 @@ def test_the_last_page_flies_and_the_others_stop_what_they_flew(monkeypatch: pyt
     room._key(second, {"key": "g"})
     assert other.told == [("steering.ended", {"text": "another page steers leader now; this page no longer does"})]
     assert second.told == []
+
+
+def test_what_a_killed_station_left_flying_is_stopped_unless_another_page_flies_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    room = SteeringRoom(_Context())  # type: ignore[arg-type]
+    monkeypatch.setattr(room, "_send_waiting", lambda: None)
+    monkeypatch.setattr(room, "_unconnected", lambda *_: [])
+    monkeypatch.setattr(steering_room, "_fleet", lambda: ["iris_0", "iris_1", "iris_2"])
+    room._pilots[_Page()] = PagePilot(["iris_1"], False, {}, lambda *_: None)  # type: ignore[index]
+    page: Any = _Page()
+
+    def stop(**params: Any) -> Any:
+        return asyncio.run(room._stop(page, {"mode": "accel", **params}))
+
+    assert stop(vehicles=["iris_0", "iris_1"]) == {"stopped": ["iris_0"]}
+    assert stop(vehicles=["iris_2"], leader=True) == {"stopped": ["leader"]}
+    assert room._waiting[page] == [
+        {"to": name, "mode": "accel", "speeds": [0.0, 0.0, 0.0, 0.0]} for name in ("iris_0", "leader")
+    ]
+    with pytest.raises(CallError, match="vehicles: 'iris_3' is not allowed, one of iris_0, iris_1, iris_2"):
+        stop(vehicles=["iris_3"])

@@ -40,7 +40,7 @@ WATCHING = {
 OPERATING = {
     "map.upload", "parameters.pull", "parameters.set_ros", "parameters.set_vehicle", "recordings.start",
     "recordings.stop", "steering.close", "steering.key", "steering.open", "steering.send", "steering.sticks",
-    "swarm.command", "swarm.draw", "time.control", "time.reset", "topics.publish", "vehicles.command",
+    "steering.stop", "swarm.command", "swarm.draw", "time.control", "time.reset", "topics.publish", "vehicles.command",
 }  # fmt: skip
 """Methods that change something: refused to pages that may only watch."""
 

@@ -88,11 +88,14 @@ station.showPanel = (name) => {
   if (panel) show(panel.place ?? 'dock', panel);
 };
 
-station.on('station.state', ({ connected, refused, role }) => {
+station.on('station.state', ({ connected, silent, refused, role }) => {
   const link = $('link');
-  link.textContent = connected ? (role === 'operate' ? 'connected' : 'watching') : refused ? 'wrong token' : 'reconnecting';
-  link.className = `pill ${connected ? 'good' : 'bad'}`;
+  const state = silent ? 'no answer' : role === 'operate' ? 'connected' : 'watching';
+  link.textContent = connected ? state : refused ? 'wrong token' : 'reconnecting';
+  link.className = `pill ${connected && !silent ? 'good' : 'bad'}`;
+  document.body.classList.toggle('old', !connected || silent); // what is shown
   document.body.classList.toggle('watching', role !== 'operate');
   if (refused) toast('The token in the URL is missing or wrong: open the URL that the station printed.', 'bad');
 });
+station.on('actions.other', ({ page, text }) => toast(`page ${page}: ${text}`));
 station.start();

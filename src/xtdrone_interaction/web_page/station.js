@@ -6,6 +6,9 @@ const FIRST_WAIT = 300; // ms between two attempts to connect; doubled up to the
 const LAST_WAIT = 4000;
 const ANSWER_LIMIT = 60000; // ms
 const MOST_CALLS = 24; // unanswered ones; the station refuses more than 32
+const ASK_PERIOD = 1000; // ms between two calls that a living station answers at once
+const SILENCE = 4000; // ms without any message after which the page says that the station does not answer
+const LOST = 20000; // ms without any message after which the page connects again, as after a lost network
 
 /** Functions by name, which a panel adds and removes. */
 class Listeners {
@@ -40,6 +43,8 @@ class Selection {
 export class Station {
   role = 'view';
   connected = false;
+  silent = false; // connected, but no message comes
+  restarted = false; // another start of the station than at the connection before
   replaying = false; // a recording is shown
   fleet = null; // the last frame
   roster = { version: -1, vehicles: [], movers: [], places: {} };
@@ -52,11 +57,15 @@ export class Station {
   #waiting = []; // calls that are sent when others have been answered
   #next = 1;
   #wait = FIRST_WAIT;
+  #heard = performance.now(); // when the last message came
+  #asked = false; // whether the station has been asked something to hear from it
+  #instance = null; // number of this start of the station
   #token = new URLSearchParams(location.hash.slice(1)).get('token') ?? '';
 
   constructor() {
     this.on('fleet.roster', (roster) => { this.roster = roster; });
     this.on('fleet.status', (status) => { this.status = status; });
+    setInterval(() => this.#watch(), ASK_PERIOD);
   }
 
   /** Connects, and again whenever the connection breaks. */
@@ -65,9 +74,10 @@ export class Station {
     url.protocol = location.protocol === 'https:' ? 'wss:' : 'ws:';
     url.hash = '';
     const socket = this.#socket = new WebSocket(url);
+    this.#heard = performance.now();
     socket.binaryType = 'arraybuffer';
     socket.onopen = () => {
-      this.#request('hello', { token: this.#token }).then((welcome) => this.#greeted(welcome), () => {});
+      this.#request('hello', { token: this.#token }).then((welcome) => this.#greeted(welcome)).catch(() => socket.close());
     };
     socket.onmessage = ({ data }) => this.#received(data);
     socket.onclose = (event) => this.#closed(event);
@@ -126,7 +136,45 @@ export class Station {
     if (this.#waiting.length && this.connected) this.#send(this.#waiting.shift());
   }
 
+  /** Notices a station that no longer answers, whose connection may stay open for minutes. */
+  #watch() {
+    const silence = performance.now() - this.#heard;
+    if (silence > LOST) this.#abandon();
+    else if (this.connected) {
+      this.#ask();
+      this.#setSilent(silence > SILENCE);
+    }
+  }
+
+  /** Asks something that a living station answers at once, ahead of the calls that wait. */
+  #ask() {
+    if (this.#asked) return;
+    this.#asked = true;
+    const answered = () => { this.#asked = false; };
+    this.#send({ id: this.#next++, method: 'time.status', params: {}, resolve: answered, reject: answered });
+  }
+
+  #setSilent(silent) {
+    if (silent === this.silent) return;
+    this.silent = silent;
+    this.#tellState();
+  }
+
+  #tellState() { this.emit('station.state', { connected: this.connected, silent: this.silent, role: this.role }); }
+
+  /** Gives up a connection, without waiting for the other side to close it. */
+  #abandon() {
+    const socket = this.#socket;
+    if (!socket || socket.readyState === WebSocket.CLOSED) return;
+    socket.onopen = socket.onmessage = socket.onclose = null;
+    socket.close();
+    this.#heard = performance.now();
+    this.#closed({});
+  }
+
   #received(data) {
+    this.#heard = performance.now();
+    this.#setSilent(false);
     if (typeof data !== 'string') {
       const channel = new Uint8Array(data, 0, 1)[0];
       if (channel === FLEET && this.replaying) return;
@@ -135,22 +183,25 @@ export class Station {
       return;
     }
     const message = JSON.parse(data);
+    if (this.replaying && message.event === 'fleet.roster') return; // of the flight; asked for when it is shown again
     if ('event' in message) this.#events.call(message.event, message.data);
     else this.#settle(message.id, message);
   }
 
   async #greeted(welcome) {
     this.role = welcome.role;
+    this.restarted = this.#instance !== null && this.#instance !== welcome.station;
+    this.#instance = welcome.station;
     this.connected = true;
     this.#wait = FIRST_WAIT;
     const roster = await this.call('fleet.roster');
-    this.emit('fleet.roster', roster);
-    this.emit('station.state', { connected: true, role: this.role });
+    if (!this.replaying) this.emit('fleet.roster', roster);
+    this.#tellState();
     this.emit('station.connect');
   }
 
   #closed({ code }) {
-    this.connected = false;
+    this.connected = this.silent = false;
     for (const id of [...this.#calls.keys()]) this.#settle(id, { error: 'the connection broke' });
     this.#waiting.splice(0).forEach(({ reject }) => reject(new Error('the connection broke')));
     const refused = code === 4401;

@@ -21,6 +21,7 @@ export class Subscription {
     this.closed = false;
     this.#open = () => {
       this.refused = false;
+      this.number = null; // that of the connection before may be another topic's in this one
       station.call(method, params).then(({ subscription }) => {
         this.number = subscription;
         if (this.closed) this.#end(); else onOpen(subscription);

@@ -175,6 +175,7 @@ class Map2D {
           <button data-map="upload" class="primary operate" disabled=${!this.#plan} onclick=${() => this.#upload()}>Upload</button>
           <button onclick=${() => { this.#region = this.#plan = null; this.#draw(); this.#drawTools(); }}>Clear</button>` : null}</div>
       ${this.#drawing ? html`<div class="soft">Click the corners; click the first one again to close.</div>` : null}
+      ${this.#plan ? html`<div class="soft">Shaded: the ground that the cameras see. They look ahead, so a lane begins before that ground.</div>` : null}
       ${progress ? html`<div>search: ${progress.phase}, ${progress.text}</div>` : null}`, this.#tools);
   }
 
@@ -304,9 +305,21 @@ class Map2D {
     vehicles.forEach(({ name }, i) => {
       const colour = `#${colourOf(i).getHexString()}`;
       const planned = this.#plan?.ways[name];
-      if (planned) this.#line(context, planned, colour, 2);
+      if (planned) {
+        this.#plan.seen[name].forEach((corners) => this.#area(context, corners, colour));
+        this.#line(context, planned, colour, 2.5);
+      }
       else if (this.#missions[name]) this.#line(context, this.#missions[name], colour, 1.2);
     });
+  }
+
+  #area(context, corners, colour) {
+    context.beginPath();
+    corners.forEach((place, i) => context[i ? 'lineTo' : 'moveTo'](...this.#pixel(place)));
+    context.globalAlpha = 0.16;
+    context.fillStyle = colour;
+    context.fill();
+    context.globalAlpha = 1;
   }
 
   /** Finds as ellipses of two standard deviations; candidates and rejected ones as crosses. */

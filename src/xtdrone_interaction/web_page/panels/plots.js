@@ -7,6 +7,7 @@ import { NO_PUBLISHER, Subscription, matching, save } from '../topic_choice.js';
 const COLOURS = ['#2f7de1', '#e1632f', '#2fa84f', '#a44fd1', '#d1a11e', '#1fb5b5', '#d13f7b', '#7a8697'];
 const WINDOWS = [5, 10, 30, 60, 300]; // s
 const KEPT = 60000; // samples of a curve
+const RESET = 1; // s by which time goes back at least; stamps of one topic may be out of order by less
 const DRAW_PERIOD = 100; // ms
 const HEIGHT = 230; // px of one axis
 const STORED = 'xtdrone-plots';
@@ -26,14 +27,18 @@ class Curve {
     }, () => { this.fault = ''; changed(); });
   }
 
+  /** Adds samples; tells whether their time has gone back, as it does when the simulation is reset. */
   add(t, v) {
-    if (t.length && this.t.length && t[0] < this.t.at(-1) - 1) this.clear(); // the simulation was reset
-    this.t.push(...t);
-    this.v.push(...v);
+    let from = -1; // of the last sample after which time has gone back
+    for (let i = 0; i < t.length; i++) if (t[i] < (i ? t[i - 1] : this.t.at(-1) ?? t[0]) - RESET) from = i;
+    if (from >= 0) this.clear();
+    this.t.push(...t.slice(Math.max(from, 0)));
+    this.v.push(...v.slice(Math.max(from, 0)));
     if (this.t.length > 1.2 * KEPT) {
       this.t.splice(0, this.t.length - KEPT);
       this.v.splice(0, this.v.length - KEPT);
     }
+    return from >= 0;
   }
 
   get trouble() {
@@ -209,6 +214,11 @@ function mount(element, station) {
   }, () => {});
   const all = () => axes.flatMap((axis) => axis.curves);
   const rebuild = () => axes.forEach(makePlot);
+  /** Clears the curves that end later than a time, which are those of the flight before a reset. */
+  const restart = (time) => {
+    all().filter((curve) => curve.t.at(-1) > time + RESET).forEach((curve) => curve.clear());
+    if (state.zoomed) { state.zoomed = false; drawControls(); }
+  };
   const offs = [
     station.onConnect(list),
     station.on('plots.samples', (samples) => {
@@ -217,7 +227,7 @@ function mount(element, station) {
         if (own) {
           const before = curve.trouble;
           curve.fault = '';
-          curve.add(own.t, own.v);
+          if (curve.add(own.t, own.v)) restart(own.t.at(-1));
           if (curve.trouble !== before) drawControls();
         }
       }

@@ -5,6 +5,7 @@ import { toast } from '../station.js';
 const PERIOD = 100; // ms between two words to the station
 const REPEAT = 80; // ms between two steps of a held button
 const DEAD = 0.12; // of a stick's way
+const LATE = 60000; // ms without the station after which others may fly what this page flew
 const AXES = ['forward', 'left', 'up', 'turn'];
 const UNITS = ['m/s', 'm/s', 'm/s', 'rad/s'];
 const PAD = [['w', 'forward'], ['x', 'back'], ['a', 'left'], ['d', 'right'], ['i', 'up'], [',', 'down'], ['j', 'turn left'], ['l', 'turn right']];
@@ -27,6 +28,7 @@ function mount(element, station) {
   const state = { open: false, pilot: null, leader: false, mode: 'vel', speed: 2, turn: 1, pad: '', vehicles: [] };
   let moved = false; // the sticks steer until they are back in the middle
   let buttons = [];
+  let lost = null; // what this page flew when the connection broke
 
   const fail = (error) => { toast(error.message, 'bad'); };
   const told = (pilot) => { state.pilot = pilot; state.leader = pilot.leader; draw(); };
@@ -129,13 +131,27 @@ function mount(element, station) {
             onchange=${(event) => { state.turn = Math.min(3, Math.max(0.1, Number(event.target.value) || 1)); draw(); }}/></label></div></div>`, element);
   }
 
+  /** Stops what this page flew by a station that was killed and could not stop it. */
+  const stopLost = () => {
+    const params = lost;
+    lost = null;
+    if (!params || !station.restarted || performance.now() - params.at > LATE) return;
+    station.call('steering.stop', params).then(({ stopped }) => {
+      if (stopped.length) toast(`The station was started again; stopped: ${stopped.join(', ')}.`);
+    }, fail);
+  };
+
   addEventListener('keydown', onKey);
   const timer = setInterval(readPad, PERIOD);
   const offs = [
     station.selection.onChange(() => { if (!state.open) draw(); }),
+    station.onConnect(stopLost),
     station.on('steering.ended', ({ text }) => { state.open = false; state.pilot = null; toast(text, 'bad'); draw(); }),
     station.on('station.state', ({ connected }) => {
-      if (!connected && state.open) toast('The connection is lost, and this page no longer steers. The station stops the vehicles, unless it was killed.', 'bad');
+      if (!connected && state.open) {
+        toast('The connection is lost, and this page no longer steers. The station stops the vehicles; if it was killed, they stop when it is back.', 'bad');
+        lost = { vehicles: state.vehicles, leader: state.pilot.leader, mode: state.mode, at: performance.now() };
+      }
       if (!connected) { state.open = false; state.pilot = null; }
       draw();
     }),

@@ -28,7 +28,7 @@ function mount(element, station) {
     if (await confirmed('Set all vehicles back to their start places, and time to 0?', 'Reset')) call('time.reset');
   };
   const show = () => {
-    const [kind, text] = stateOf(status);
+    const [kind, text] = station.connected && !station.silent ? stateOf(status) : ['warn', 'not known'];
     const held = status?.waiting_for.length ? `waiting for ${status.waiting_for.join(', ')} since ${status.waiting.toFixed(1)} s` : '';
     render(html`<div class="row" style="margin:0">
       <b class="mono" data-cell="clock" title="simulated time">${status ? clock(station.fleet?.time > status.time && !status.paused ? station.fleet.time : status.time) : '–'}</b>

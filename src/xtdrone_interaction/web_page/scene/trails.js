@@ -36,11 +36,17 @@ export class Trails {
   /** Takes a frame's rows at a simulated time. */
   push(rows, time) {
     if (!this.lines || rows.length !== this.#count * COLUMNS) return;
-    if (time < this.#time) this.#last = null; // a reset
+    if (time < this.#time) this.#clear(); // a reset, or an earlier moment of a recording
     if (this.#last && time - this.#time < PERIOD) return;
     if (this.#last) this.#write(rows);
     this.#last = rows.slice();
     this.#time = time;
+  }
+
+  #clear() {
+    this.#last = null;
+    this.#step = 0;
+    this.lines.geometry.setDrawRange(0, 0);
   }
 
   #write(rows) {

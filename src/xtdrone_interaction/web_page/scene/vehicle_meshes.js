@@ -1,7 +1,7 @@
 // The vehicles: for each model one instanced mesh of bodies that are near, one of those that are far and one of rotors.
 import {
   BoxGeometry, BufferAttribute, BufferGeometry, Color, DoubleSide, DynamicDrawUsage, Group, InstancedMesh, MeshBasicMaterial,
-  MeshLambertMaterial, Points, PointsMaterial, TorusGeometry,
+  MeshLambertMaterial, Points, PointsMaterial, SRGBColorSpace, TorusGeometry,
 } from '../vendor/three.js';
 import { COLUMNS } from '../fleet_frame.js';
 import { writePose, writeTurned } from './instance_matrices.js';
@@ -18,7 +18,7 @@ const WHITE = [1, 1, 1];
 const PICKED = [1.6, 1.35, 0.7];
 
 /** Returns the colour of the vehicle of a number: hues that differ most for neighbours. */
-export function colourOf(number) { return new Color().setHSL((number * 0.61803) % 1, 0.75, 0.52); }
+export function colourOf(number) { return new Color().setHSL((number * 0.61803) % 1, 0.75, 0.46, SRGBColorSpace); }
 
 export class VehicleMeshes {
   group = new Group();

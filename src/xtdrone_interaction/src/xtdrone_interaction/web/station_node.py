@@ -41,13 +41,15 @@ def main(arguments: Sequence[str]) -> None:
     settings = StationSettings.from_parameters(rospy.get_param)
     loop = IOLoop.current()
     context = StationContext(rosgraph.get_master_uri(), rospy.get_name())
-    context.act = OperatorActions(context).carry_out
+    actions = OperatorActions(context)
+    context.act = actions.carry_out
     credentials = Credentials.for_host(settings.host, settings.token, settings.view_only)
     server = StationServer(
         Address(settings.host, port_here(settings.port, DEFAULT_PORT), credentials),
         PAGE,
         methods_of_rooms(context, settings),
         operate=context.act,
+        welcome=lambda: {"station": str(actions.station)},
         sessions=context.sessions,
     )
     port = _listen(server)

@@ -190,6 +190,15 @@ def sweep(path: Sequence[Waypoint], seen: Footprint, step: float = 1.0) -> shape
     return shapely.union_all(shapely.polygons(outlines))
 
 
+def lane_outlines(path: Sequence[Waypoint], seen: Footprint) -> list[NDArray[np.float64]]:
+    """Return the corners, (6, 2) m ENU, of the ground shown along each lane of a path as ``cover`` returns it."""
+    outlines = []
+    for a, b in zip(path[::2], path[1::2], strict=True):
+        first, last = seen.outline(a.x, a.y, b.heading), seen.outline(b.x, b.y, b.heading)
+        outlines.append(np.vstack([first[:2], last[1:3], first[2:]]))
+    return outlines
+
+
 def _time(path: Sequence[Waypoint], options: CoverageOptions, home: Point | None) -> float:
     return length(path, home) / options.speed + turns(path) * options.turn_time
 

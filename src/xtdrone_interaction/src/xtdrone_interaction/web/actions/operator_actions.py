@@ -18,6 +18,7 @@ from std_msgs.msg import String
 from xtdrone_control import lockstep
 from xtdrone_interaction.web.actions.held_time import Instant, hold, let_go
 from xtdrone_interaction.web.actions.recorded_actions import LET_GO, REFUSED, TOPIC
+from xtdrone_interaction.web.actions.told_to_others import in_words
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.server.methods import Method, Params, invoke
 from xtdrone_interaction.web.server.session import Session
@@ -29,14 +30,18 @@ LONGEST_HOLD = 3.0
 
 
 class OperatorActions:
-    """Publishes and carries out the calls of role ``operate``; used in the event loop."""
+    """Publishes and carries out the calls of role ``operate``; used in the event loop.
+
+    Attributes:
+        station: number of this start of the station, which no other start has.
+    """
 
     def __init__(self, context: StationContext) -> None:
         """Advertise the topic."""
         self._context = context
         self._so_far: list[String] = []
         self._so_far_text = 0  # characters
-        self._station = time.time_ns()
+        self.station = time.time_ns()
         self._number = 0
         self._publisher = lockstep.UncountedPublisher(TOPIC, String, queue_size=_KEPT)
         listener = rospy.SubscribeListener()
@@ -91,7 +96,7 @@ class OperatorActions:
         self._number += on_flight
         self._tell(
             {
-                "station": self._station,
+                "station": self.station,
                 "number": self._number if on_flight else 0,
                 "tick": instant.tick,
                 "time": instant.time,
@@ -102,11 +107,19 @@ class OperatorActions:
             },
             keep=on_flight,
         )
+        if method.touches != "nothing":
+            self._tell_others(session, in_words(method.name, params))
         return self._number
+
+    def _tell_others(self, session: Session, words: str) -> None:
+        """Tell the other pages what this one does; its number is that of the topic's ``page``."""
+        for other in list(self._context.sessions.values()) if words else ():
+            if other is not session:
+                other.push("actions.other", {"page": session.number, "text": words})
 
     def _mark(self, mark: str, number: int) -> None:
         """Publish how an action on the flight has ended, ``LET_GO`` or ``REFUSED``."""
-        self._tell({"station": self._station, "method": mark, "params": {"number": number}}, keep=True)
+        self._tell({"station": self.station, "method": mark, "params": {"number": number}}, keep=True)
 
     def _tell(self, content: Mapping[str, Any], *, keep: bool) -> None:
         message = String(json.dumps(content, sort_keys=True))

@@ -21,6 +21,7 @@ from xtdrone_interaction.web.server.methods import CallError, Method, Params
 from xtdrone_interaction.web.server.session import Session
 
 _STEP_LIMIT = 50.0  # s of wall time; a page waits 60 s
+_LOOK = 1.0  # s of wall time between two looks whether the simulator is still there
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,8 @@ class TimeControl:
         self._context = context
         self._fleet = fleet
         self._status: dict[str, Any] | None = None
-        rospy.Subscriber("/simulator/status", SimulationStatus, self._on_status, queue_size=1)
+        self._subscriber = rospy.Subscriber("/simulator/status", SimulationStatus, self._on_status, queue_size=1)
+        context.every(_LOOK, self._note_end)
 
     def methods(self) -> list[Method]:
         """Return the methods of a page."""
@@ -52,6 +54,12 @@ class TimeControl:
     def _on_status(self, message: SimulationStatus) -> None:
         self._status = status_for_page(message)
         self._context.in_loop(self._context.push_all, "time.status", self._status)
+
+    def _note_end(self) -> None:
+        """Forget the status of a simulator that has ended: it would be shown as running."""
+        if self._status is not None and not self._subscriber.get_num_connections():
+            self._status = None
+            self._context.push_all("time.status", None)
 
     def _describe(self, _session: Session, _params: Params) -> dict[str, Any] | None:
         return self._status

@@ -13,6 +13,7 @@ from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.plans.qgc_plan import Plan
 from xtdrone_control.settings import Settings, setting
+from xtdrone_coordination.search.planning.coverage_path import lane_outlines
 from xtdrone_coordination.search.planning.plans import SearchOptions, VehiclePlan, plan_search, to_plan
 from xtdrone_coordination.search.planning.region import parse_region
 from xtdrone_interaction.gcs import station
@@ -59,7 +60,7 @@ class Plans:
         ]
 
     async def _plan(self, _session: Session, params: Params) -> dict[str, Any]:
-        """Return the number of a plan, and the path of each vehicle."""
+        """Return the number of a plan, the path of each vehicle, and the ground that its camera sees of each lane."""
         given = dict(params)
         names = chosen_vehicles(given.pop("vehicles", None), self._fleet.roster.vehicles)
         region = given.pop("region", None)
@@ -71,7 +72,8 @@ class Plans:
         for old in list(self._made)[:-_MOST_PLANS]:
             del self._made[old]
         ways = {name: [[w.x, w.y, made.height] for w in made.path] for name, made in plans.items()}
-        return {"plan": number, "ways": ways}
+        seen = {name: [o.tolist() for o in lane_outlines(made.path, made.seen)] for name, made in plans.items()}
+        return {"plan": number, "ways": ways, "seen": seen}
 
     def _make(
         self, region: object, homes: Mapping[str, tuple[float, float]], drawn: DrawnPlan

@@ -1,11 +1,12 @@
-"""The station's recorder: rosbag with a profile of ``./xtdrone record``, started and stopped by a page."""
+"""The station's recorder: rosbag with a profile of ``./xtdrone record``, started and stopped by a page.
+
+It ends with the station, also with one that is killed, and closes its file: no page could stop it afterwards.
+"""
 
 from __future__ import annotations
 
 import os
 import shutil
-import signal
-import subprocess
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any
 
 from xtdrone_interaction.bags.record_by_profile import read_profile, rosbag_arguments
 from xtdrone_interaction.command_options import OptionError
+from xtdrone_interaction.launching.process_tree import ProcessTree
 
 PROFILES = ("light", "full", "cameras", "slam")
 _STOP_LIMIT = 30.0  # s of wall time for rosbag to write what it has
@@ -20,7 +22,7 @@ _STOP_LIMIT = 30.0  # s of wall time for rosbag to write what it has
 
 @dataclass(frozen=True)
 class _Running:
-    process: subprocess.Popen[bytes]
+    tree: ProcessTree
     profile: str
     name: str
     began: float  # s of the monotonic clock
@@ -41,7 +43,7 @@ class RecorderProcess:
         self._running: _Running | None = None
 
     def start(self, profile: str, instance: int = 0) -> None:
-        """Begin to record.
+        """Begin to record. Call it in the main thread: the recorder ends with the thread that has started it.
 
         Args:
             profile: one of ``PROFILES``.
@@ -61,15 +63,9 @@ class RecorderProcess:
         suffix = f"-{instance}" if instance else ""
         name = f"{time.strftime('%Y%m%d-%H%M%S')}-{profile}{suffix}"
         arguments = rosbag_arguments(read_profile(profile), str(self._folder / name))
-        process = subprocess.Popen(
-            [program, *arguments],
-            env={**os.environ, "ROS_MASTER_URI": self._master},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-        self._running = _Running(process, profile, name, time.monotonic())
+        environment = {**os.environ, "ROS_MASTER_URI": self._master}
+        tree = ProcessTree([program, *arguments], environment, Path(os.devnull))
+        self._running = _Running(tree, profile, name, time.monotonic())
 
     def stop(self) -> str:
         """End the recording and return the files' name, once rosbag has closed them.
@@ -80,20 +76,14 @@ class RecorderProcess:
         running = self._running
         if running is None:
             raise OptionError("record: no recording is running")
-        if running.process.poll() is None:
-            os.killpg(running.process.pid, signal.SIGINT)
-            try:
-                running.process.wait(_STOP_LIMIT)
-            except subprocess.TimeoutExpired:
-                os.killpg(running.process.pid, signal.SIGKILL)
-                running.process.wait()
+        running.tree.stop(_STOP_LIMIT)
         self._running = None
         return running.name
 
     def state(self) -> dict[str, Any]:
         """Return whether a recording runs, its profile, name, size (bytes) and duration (s of wall time)."""
         running = self._running
-        if running is None or running.process.poll() is not None:
+        if running is None or running.tree.status is not None:
             return {"recording": False}
         files = [*self._folder.glob(f"{running.name}*.bag*")]
         return {

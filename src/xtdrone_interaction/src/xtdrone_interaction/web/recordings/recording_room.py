@@ -105,8 +105,7 @@ class RecordingRoom:
     async def _start(self, session: Session, params: Params) -> dict[str, Any]:
         profile = needed(params, "profile", str, f"one of {', '.join(PROFILES)}")
         try:
-            instance = await self._context.blocking(instance_here)
-            await self._context.blocking(self._recorder.start, profile, instance)
+            self._recorder.start(profile, await self._context.blocking(instance_here))
         except (OptionError, OSError) as error:
             raise CallError(str(error)) from error
         return await self._state(session, {})

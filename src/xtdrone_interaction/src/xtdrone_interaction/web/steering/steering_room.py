@@ -50,23 +50,14 @@ class SteeringRoom:
             Method("steering.key", self._key, "operate", "nothing"),
             Method("steering.sticks", self._sticks, "operate", "nothing"),
             Method("steering.close", self._close, "operate", "nothing"),
+            Method("steering.stop", self._stop, "operate", "nothing"),
             self._send_method,
             Method("steering.alive", self._alive),
         ]
 
     async def _open(self, session: Session, params: Params) -> dict[str, Any]:
-        vehicles = needed(params, "vehicles", list, "a list of vehicles")
         known = await self._context.blocking(_fleet)
-        for name in vehicles:
-            if not isinstance(name, str) or not _NAME.match(name) or (known and name not in known):
-                raise CallError(
-                    f"vehicles: {str(name)[:60]!r} is not allowed, one of {', '.join(known) or 'the fleet'}"
-                )
-        if len(vehicles) > _MOST_VEHICLES:
-            raise CallError(f"vehicles: {len(vehicles)} are not allowed, at most {_MOST_VEHICLES}")
-        mode = params.get("mode", "vel")
-        if mode not in MODES:
-            raise CallError(f"mode: {str(mode)[:20]!r} is not allowed, vel or accel")
+        vehicles, mode = _steered(params, known)
         deaf = await self._context.blocking(self._unconnected, vehicles, mode)
         self._end(session)
 
@@ -105,6 +96,17 @@ class SteeringRoom:
 
     def _close(self, session: Session, _params: Params) -> None:
         self._end(session)
+
+    async def _stop(self, session: Session, params: Params) -> dict[str, Any]:
+        """Stop what a page flew by a station that was killed, except what other pages fly by now; return whom."""
+        vehicles, mode = _steered(params, await self._context.blocking(_fleet))
+        flown = frozenset[str]().union(*(pilot.targets for pilot in self._pilots.values()))
+        stopped = [name for name in (("leader",) if params.get("leader") is True else vehicles) if name not in flown]
+        await self._context.blocking(self._unconnected, vehicles, mode)
+        still = {"mode": mode, "speeds": [0.0] * len(_LIMITS)}
+        self._waiting.setdefault(session, []).extend({"to": name, **still} for name in stopped)
+        self._send_waiting()
+        return {"stopped": stopped}
 
     def _pilot(self, session: Session) -> PagePilot:
         pilot = self._pilots.get(session)
@@ -166,6 +168,28 @@ class SteeringRoom:
                 forward, left, up, turn = message["speeds"]
                 twist = Twist(Vector3(forward, left, up), Vector3(0.0, 0.0, turn))
                 self._topics.publish(_setpoint_topic(message["to"], message["mode"]), twist)
+
+
+def _steered(params: Params, known: Sequence[str]) -> tuple[list[str], str]:
+    """Return the vehicles that a page flies, and the quantity that its keys set, one of ``MODES``.
+
+    Args:
+        params: of the call.
+        known: vehicles of the fleet; empty if it is not known.
+
+    Raises:
+        CallError: one is not allowed.
+    """
+    vehicles = needed(params, "vehicles", list, "a list of vehicles")
+    for name in vehicles:
+        if not isinstance(name, str) or not _NAME.match(name) or (known and name not in known):
+            raise CallError(f"vehicles: {str(name)[:60]!r} is not allowed, one of {', '.join(known) or 'the fleet'}")
+    if len(vehicles) > _MOST_VEHICLES:
+        raise CallError(f"vehicles: {len(vehicles)} are not allowed, at most {_MOST_VEHICLES}")
+    mode = params.get("mode", "vel")
+    if mode not in MODES:
+        raise CallError(f"mode: {str(mode)[:20]!r} is not allowed, vel or accel")
+    return vehicles, mode
 
 
 def _command_topic(name: str) -> str:
