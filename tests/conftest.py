@@ -384,6 +384,11 @@ class Stack:
             self.safety.see(states)
         self._seen = len(self._states.messages)
 
+    @property
+    def states(self) -> Any:
+        """The newest true states of all models (gazebo_msgs/ModelStates), None before the first."""
+        return self._states.last
+
     def pose(self, index: int) -> Any:
         """Return the true pose, None before the first."""
         states, name = self._states.last, self.vehicles[index].name

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from pathlib import Path as Folder
 from typing import Any
 
 import pytest
@@ -59,8 +60,14 @@ def starting(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator
 
 
 @pytest.fixture(scope="module")
-def station(starting: Stack) -> Iterator[StationPage]:
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Folder:
+    return tmp_path_factory.mktemp("recordings")
+
+
+@pytest.fixture(scope="module")
+def station(starting: Stack, recordings: Folder) -> Iterator[StationPage]:
     """The page, whose station and browser start while the simulator does."""
+    rospy.set_param("/web_station/recordings", str(recordings))
     with station_page(starting, free_port()) as page:
         yield page
 
@@ -244,13 +251,65 @@ def test_the_map_shows_what_a_search_has_seen(station: StationPage, graph: Graph
     page.click("#stage-tabs [data-panel=scene]")
 
 
-def test_the_page_comes_back_after_the_server_died(station: StationPage, stack: Stack) -> None:
+def test_a_gamepad_that_is_unplugged_stops_the_vehicle(station: StationPage, stack: Stack) -> None:
+    page = station.page
+    page.evaluate("station.selection.set(['iris_0'])")
+    page.click("#dock-tabs [data-panel=steering]")
+    page.evaluate(
+        "() => { const buttons = Array.from({length: 10}, () => ({pressed: false}));"
+        " window.pad = {connected: true, id: 'a gamepad', axes: [0, 0, 0, 0], buttons};"
+        " navigator.getGamepads = () => [window.pad]; }"
+    )
+    page.click("[data-role=begin]")
+    page.wait_for_selector("[data-role=end]")
+    page.keyboard.press("b")
+    stack.wait_state(0, mode="OFFBOARD")
+    page.evaluate("window.pad.axes[0] = -0.8")
+    stack.wait(lambda: turning(stack) > 0.3, "the stick turns it")
+    page.evaluate("window.pad = null")
+    station.told("The gamepad has disappeared: the vehicles stop.")
+    stack.wait(lambda: turning(stack) < 0.05, "it stops")
+
+
+def turning(stack: Stack) -> float:
+    """Return the first vehicle's true rate of turn, rad/s."""
+    states = stack.states
+    return abs(states.twist[states.name.index(NAMES[0])].angular.z)
+
+
+def test_two_pages_are_told_what_the_other_one_does(station: StationPage) -> None:
+    page = station.page
+    page.evaluate("import('/station.js').then(module => { window.other = new module.Station(); other.start(); })")
+    station.until("window.other?.connected")
+    page.evaluate("other.call('vehicles.command', {vehicles: ['iris_1'], action: 'hold'})")
+    station.told(": hold: iris_1")
+    page.evaluate("other.call('steering.open', {vehicles: ['iris_0']})")
+    station.told("another page steers iris_0 now; this page no longer does")
+    page.evaluate("other.call('steering.close').then(() => { other.start = () => {}; })")
+
+
+def test_the_page_comes_back_after_the_server_died(station: StationPage, stack: Stack, recordings: Folder) -> None:
+    page = station.page
+    page.click("#dock-tabs [data-panel=recordings]")
+    page.click("[data-role=record]")
+    page.wait_for_selector("[data-role=stop]")
+    page.click("#dock-tabs [data-panel=steering]")
+    page.click("[data-role=begin]")
+    page.wait_for_selector("[data-role=end]")
+    for _ in range(30):
+        page.keyboard.press("j")
+    stack.wait(lambda: turning(stack) > 0.2, "the keys turn it")
+    poll(lambda: list(recordings.glob("*.active")), "the recording has begun")
     stack.programs["web_station"].kill()
     station.until("!station.connected")
-    assert station.page.inner_text("#link") == "reconnecting"
+    assert page.inner_text("#link") == "reconnecting"
+    station.told("The connection is lost, and this page no longer steers.")
     station.start_station()
     station.until("station.connected && station.fleet.number < 1000 && station.roster.vehicles.length === 3")
-    page = station.page
+    station.told("The station was started again; stopped: iris_0.")
+    stack.wait(lambda: turning(stack) < 0.05, "it stops")
+    poll(lambda: not list(recordings.glob("*.active")) and list(recordings.glob("*.bag")), "the recording is whole")
+    page.click("#dock-tabs [data-panel=vehicles]")
     page.evaluate("station.selection.set(station.roster.vehicles.map(v => v.name))")
     page.click("[data-action=land]")
     for i in range(COUNT):

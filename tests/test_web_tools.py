@@ -88,18 +88,20 @@ def test_plots_draw_a_field_and_export_it(page: Any, panel: Callable[[str], Any]
     plots.locator("button", has_text="pose.position.z").click()
     sync_api.expect(plots.locator(f'[data-curve="{POSE}/pose.position.z"]')).to_be_visible()
 
-    def exported() -> list[str]:
-        with page.expect_download() as download:
-            plots.locator("button", has_text="CSV").click()
-        return Path(download.value.path()).read_text().splitlines()
-
-    poll(lambda: len(exported()) > 11, "ten samples are drawn", WALL_LIMIT)
-    head, *lines = exported()
-    times = [float(line.split(",")[0]) for line in lines]
+    poll(lambda: len(plotted(page)[1]) > 10, "ten samples are drawn", WALL_LIMIT)
+    head, times = plotted(page)
     assert head == f"time_s,{POSE}/pose.position.z"
     assert len(times) > 10
     assert times == sorted(times)
     assert plots.locator(".uplot canvas").count() == 1
+
+
+def plotted(page: Any) -> tuple[str, list[float]]:
+    """Return the first line and the times (s) of the file that the plots export."""
+    with page.expect_download() as download:
+        page.locator(".mount[data-panel=plots] button", has_text="CSV").click()
+    head, *lines = Path(download.value.path()).read_text().splitlines()
+    return head, [float(line.split(",")[0]) for line in lines]
 
 
 def test_the_console_shows_warnings_of_nodes(page: Any, panel: Callable[[str], Any]) -> None:
@@ -299,8 +301,11 @@ def test_one_vehicle_and_all_are_reset(
     stack.wait_state(0, armed=False)
     stack.wait(lambda: stack.height(0) < 0.5, "it stands at its place")
     assert stack.time >= before
+    panel("plots")  # with the curve that an earlier test has chosen
+    poll(lambda: plotted(page)[1], "samples are drawn")
     page.click("[data-time=reset]")
     page.click("#question .sure")
     stack.wait(lambda: stack.time < before, "time is set back")
     sync_api.expect(page.locator(".toast", has_text="simulated time is 0")).to_be_visible(timeout=_MS)
+    poll(lambda: (times := plotted(page)[1]) and max(times) < before, "the plot begins anew")
     assert not page.locator(".toast.bad").count()

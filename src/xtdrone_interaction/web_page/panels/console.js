@@ -8,14 +8,20 @@ const SHOWN = 400;
 const COLOURS = { debug: 'soft', info: '', warn: 'warn', error: 'bad', fatal: 'bad' };
 
 function mount(element, station) {
-  const state = { messages: [], least: 'info', words: '', node: '', paused: false, held: [], open: null };
+  const state = { messages: [], least: 'info', words: '', node: '', paused: false, held: [], open: null,
+    before: 0 }; // messages of earlier stations
+
+  const last = () => (state.held.at(-1) ?? state.messages.at(-1))?.number ?? 0;
 
   const add = (messages) => {
-    if (state.paused) state.held.push(...messages);
-    else state.messages.push(...messages);
+    keep(messages.map((m) => ({ ...m, number: m.number + state.before })));
+    draw();
+  };
+
+  const keep = (messages) => {
+    (state.paused ? state.held : state.messages).push(...messages);
     state.held.splice(0, state.held.length - KEPT);
     state.messages.splice(0, state.messages.length - KEPT);
-    draw();
   };
 
   const shown = () => {
@@ -27,7 +33,7 @@ function mount(element, station) {
 
   const pause = () => {
     state.paused = !state.paused;
-    if (!state.paused) add(state.held.splice(0));
+    if (!state.paused) keep(state.held.splice(0));
     draw();
   };
 
@@ -63,9 +69,8 @@ function mount(element, station) {
 
   const offs = [
     station.onConnect(() => station.call('console.open').then(({ messages }) => {
-      const last = state.messages.at(-1)?.number ?? 0;
-      if (messages.length && messages.at(-1).number < last) state.messages = []; // another station than before
-      add(messages.filter((m) => m.number > (state.messages.at(-1)?.number ?? 0)));
+      if (station.restarted) state.before = last(); // its numbers begin again
+      add(messages.filter((m) => m.number + state.before > last()));
     }, () => {})),
     station.on('console.messages', ({ messages }) => add(messages)),
   ];

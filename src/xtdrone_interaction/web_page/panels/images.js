@@ -36,7 +36,7 @@ class View {
     this.subscription = new Subscription(station, 'images.open', { topic, rate: 10, width: 960 }, 'images.close', (error) => {
       this.fault = error.message;
       changed();
-    }, () => { this.fault = ''; changed(); });
+    }, () => { this.fault = ''; this.times = []; changed(); });
     this.setDetections(detections);
   }
 

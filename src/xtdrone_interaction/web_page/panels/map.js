@@ -29,6 +29,7 @@ class Map2D {
   #options = { height: 12, speed: 5, overlap: 0.2 };
   #plan = null;
   #framed = false;
+  #due = 0; // number of the next drawing that the browser has been asked for
   #down = null;
   #style = {};
   #feed;
@@ -65,6 +66,8 @@ class Map2D {
 
   end() {
     this.#offs.forEach((off) => off());
+    cancelAnimationFrame(this.#due);
+    this.#due = -1; // nothing is drawn any more
     this.#feed.end();
     render(null, this.#tools);
     this.#canvas.parentElement?.replaceChildren();
@@ -218,7 +221,11 @@ class Map2D {
     this.#framed = true;
   }
 
-  #draw() {
+  /** Draws with the browser's next picture: a busy one would be asked for more of them than it can draw. */
+  #draw() { this.#due ||= requestAnimationFrame(() => this.#paint()); }
+
+  #paint() {
+    this.#due = 0;
     if (!this.#framed) this.#frame();
     const context = this.#canvas.getContext('2d');
     const style = getComputedStyle(document.documentElement);

@@ -72,7 +72,7 @@ function mount(element, station) {
 
   const rosRows = () => found(Object.entries(state.ros.values).map(([name, value]) => {
     const declared = state.ros.declared[name];
-    return { name, value, about: declared?.meaning ?? '', range: declared?.range ?? '', unit: declared?.unit ?? '', usual: declared?.default };
+    return { name, value, about: declared?.meaning ?? '', range: declared?.range ?? '', unit: withUnit(declared) ? '' : declared?.unit ?? '', usual: declared?.default };
   }));
 
   const vehicleRows = () => found(Object.values(state.definitions).filter(({ category }) => !state.effect || category === 'Standard').map((d) => ({
@@ -121,6 +121,9 @@ function mount(element, station) {
   draw();
   return () => { offs.forEach((off) => off()); render(null, element); };
 }
+
+/** Tells whether a declaration's range names its unit. */
+const withUnit = ({ range = '', unit = '' } = {}) => range.endsWith(` ${unit}`);
 
 /** Returns what the user typed as a value: a text stays one where the parameter was one, else JSON or text. */
 export function valueOf(text, before) {
