@@ -323,7 +323,7 @@ class Map2D {
   #area(context, corners, colour) {
     context.beginPath();
     corners.forEach((place, i) => context[i ? 'lineTo' : 'moveTo'](...this.#pixel(place)));
-    context.globalAlpha = 0.16;
+    context.globalAlpha = 0.1;
     context.fillStyle = colour;
     context.fill();
     context.globalAlpha = 1;
