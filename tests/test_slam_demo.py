@@ -78,12 +78,13 @@ def test_it_flies_by_a_2d_laser_and_by_a_camera(
 
 @pytest.mark.parametrize(
     "fault",
-    ["frozen 0 scans do not change", "off 0 no scans arrive", "dropouts 0.999 too few points are seen"],
+    ["0 frozen 0 scans do not change", "4 off 0 no scans arrive", "5 dropouts 0.999 too few points are seen"],
     ids=("frozen", "silent", "blind"),
 )
 def test_a_lidar_that_fails_is_named_and_the_vehicle_lands(fault: str, tmp_path: Path) -> None:
+    """At rest by the failsafe; at 4 and 5 m/s the script brakes while the autopilot still knows its velocity."""
     flown = fly(tmp_path / "run", "--script", str(PILOT), SLAM_FAULT=fault)
-    kind, _, text = fault.split(" ", 2)
+    _, kind, _, text = fault.split(" ", 3)
     assert f"{kind}: {text}; landed" in flown.stdout, flown.stdout + flown.stderr
 
 
