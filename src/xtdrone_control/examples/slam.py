@@ -13,7 +13,7 @@ name = sys.argv[1] if len(sys.argv) > 1 else "iris_slam_0"
 height = float(sys.argv[2]) if len(sys.argv) > 2 else 3.0
 way = [tuple(map(float, text.split(","))) for text in sys.argv[3:]] or WAY
 with connect(name) as drone:
-    drone.watch("lidar_odometry", "visual_odometry", "laser_odometry")
+    drone.watch("lidar_odometry", "visual_odometry", "laser_odometry", patience=2.0)
     try:
         drone.arm()
         x, y, z = drone.position

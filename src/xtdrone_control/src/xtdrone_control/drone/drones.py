@@ -66,16 +66,18 @@ class _Flyer:
         """
         self._run("brake", lambda _, v: v.brake())
 
-    def watch(self, *components: str) -> None:
-        """Let verbs that fly raise ``FaultError`` as soon as a component reports an error on /diagnostics.
+    def watch(self, *components: str, patience: float = 0.0) -> None:
+        """Let verbs that fly raise ``FaultError`` when a component reports an error on /diagnostics.
 
         ``arm`` waits until there is no error. ``brake`` and ``land`` are not affected.
 
         Args:
             components: names without the vehicle's, such as ``lidar_odometry``.
+            patience: s for which the error must have lasted.
         """
+        check_numbers("watch", patience=patience)
         for vehicle in self._vehicles:
-            vehicle.watch(components)
+            vehicle.watch(components, patience)
         self._runner.watch()
 
     def land(self, timeout: float = 120.0) -> None:

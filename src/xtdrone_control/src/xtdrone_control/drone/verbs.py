@@ -119,8 +119,8 @@ class Verbs:
         self._streaming_since: float | None = None
         self._requested: Request | None = None
         self._outcomes: list[tuple[bool, str]] = []
-        self._watched: set[str] = set()
-        self._faults: dict[str, str] = {}  # component to its text, of the watched ones in error
+        self._watched: dict[str, float] = {}  # component to patience, s
+        self._faults: dict[str, tuple[float, str]] = {}  # component in error to the time since when, s, and its text
 
     # inputs
 
@@ -151,7 +151,8 @@ class Verbs:
         if vehicle != self.name or component not in self._watched:
             return
         if level >= _ERROR:
-            self._faults[component] = text
+            since, _ = self._faults.get(component, (self._now(), ""))
+            self._faults[component] = since, text
         else:
             self._faults.pop(component, None)
 
@@ -162,9 +163,14 @@ class Verbs:
         self.resets += 1
         self._streaming_since = self._requested = None
 
-    def watch(self, components: Sequence[str]) -> None:
-        """Make verbs that fly raise ``FaultError`` while one of these components reports an error."""
-        self._watched.update(components)
+    def watch(self, components: Sequence[str], patience: float) -> None:
+        """Make verbs that fly raise ``FaultError`` while one of these components reports an error.
+
+        Args:
+            components: names without the vehicle's.
+            patience: s for which the error must have lasted.
+        """
+        self._watched.update(dict.fromkeys(components, patience))
 
     # verbs
 
@@ -189,7 +195,7 @@ class Verbs:
         began = self._now()
         while (not self._ready() or self._faults) and self._now() - began < timeout:
             yield
-        self._check_watched("arm")
+        self._check_watched("arm", patient=False)
         yield from self._request("arm", _ARM)
         yield from self._until("arm", lambda: self.core.armed, MODE_LIMIT, "accepted, but the vehicle is not armed")
 
@@ -319,10 +325,11 @@ class Verbs:
         self._check_mode(verb, since)
         self._check_watched(verb)
 
-    def _check_watched(self, verb: str) -> None:
-        if self._faults:
-            faults = "; ".join(f"{component}: {text}" for component, text in sorted(self._faults.items()))
-            raise FaultError(self.name, verb, faults)
+    def _check_watched(self, verb: str, *, patient: bool = True) -> None:
+        now = self._now()
+        for component, (since, text) in self._faults.items():
+            if not patient or now - since >= self._watched[component]:
+                raise FaultError(self.name, verb, f"{component}: {text}")
 
     def _check_mode(self, verb: str, since: float) -> None:
         if not self.core.armed:
