@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-rospy = pytest.importorskip("rospy")
+pytest.importorskip("rospy")
 
+import rospy
 from geometry_msgs.msg import PoseStamped, Quaternion, Transform, TransformStamped, Vector3
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage

@@ -43,7 +43,7 @@ class PlannerSettings(Settings):
         400,
         low=10,
         high=100_000,
-        text="iterations of OMPL's planners in a search: RRT* and Informed RRT* add a sample in each, BIT* examines one "
+        text="iterations of OMPL's planners in a search: RRT* and Informed RRT* add a sample in each, BIT* examines an "
         "edge between its samples",
     )
     sampling_seed: int = setting(1, low=1, high=2**31 - 1, text="seed of each search of OMPL's planners")

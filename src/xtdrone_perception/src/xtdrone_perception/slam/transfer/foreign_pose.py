@@ -120,7 +120,7 @@ class TransformChain:
         self._parents.clear()
 
     def add(self, parent: str, child: str, stamp_ns: int, pose: Array) -> None:
-        """Store the pose (4, 4) of ``child`` in ``parent`` at a time, ns; 0: none is given, ``STATIC``: at all times."""
+        """Store the pose (4, 4) of ``child`` in ``parent`` at a time, ns; 0: not given, ``STATIC``: at all times."""
         self._parents[child.lstrip("/")] = (parent.lstrip("/"), stamp_ns, pose)
 
     def pose(self, parent: str, child: str) -> tuple[int, Array] | None:
