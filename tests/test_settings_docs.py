@@ -30,7 +30,7 @@ from xtdrone_perception.localisation.relative_node import RelativeOptions
 from xtdrone_perception.slam.laser.laser_odometry import ScanMatchSettings
 from xtdrone_perception.slam.laser.laser_odometry_node import LaserOdometryOptions
 from xtdrone_perception.slam.lidar_odometry import RegistrationOptions
-from xtdrone_perception.slam.lidar_odometry_node import LidarOdometryOptions
+from xtdrone_perception.slam.lidar_odometry_node import LidarHealthLimits, LidarOdometryOptions
 from xtdrone_perception.slam.loops.loop_closure import LoopOptions
 from xtdrone_perception.slam.loops.loop_closure_node import LoopNodeOptions
 from xtdrone_perception.slam.odometry_health import HealthLimits
@@ -121,6 +121,7 @@ CLASSES: dict[str, type[Settings]] = {
         LidarOdometryOptions,
         RegistrationOptions,
         HealthLimits,
+        LidarHealthLimits,
         VisualOdometryOptions,
         TrackSettings,
         NoiseSettings,

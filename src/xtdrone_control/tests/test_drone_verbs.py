@@ -11,7 +11,7 @@ import pytest
 
 from xtdrone_control.communication.commands import MultirotorCore, Request
 from xtdrone_control.drone.drones import Drone, DroneGroup
-from xtdrone_control.drone.verbs import DroneError, RejectedError, TimedOutError, Verbs
+from xtdrone_control.drone.verbs import BRAKE_LIMIT, DroneError, FaultError, RejectedError, TimedOutError, Verbs
 
 TURN = 0.1  # s
 SPEED = 2.0  # m/s of the made-up vehicle
@@ -91,6 +91,9 @@ class Runner:
             if steps:
                 for autopilot in self.autopilots.values():
                     autopilot.turn()
+
+    def watch(self) -> None:
+        pass
 
     def release(self, names: list[str]) -> None:
         self.released += names
@@ -194,6 +197,48 @@ def test_leaving_offboard_ends_a_verb_with_the_reason(autopilot: Autopilot, dron
     autopilot.turn = failsafe
     with pytest.raises(DroneError, match=f"{verb}: mode changed from OFFBOARD to AUTO.RTL: Failsafe activated"):
         drone.go_to(50.0, 0.0, 1.0) if verb == "go_to" else drone.wait(60.0)
+
+
+def test_a_watched_component_that_fails_ends_a_verb_and_the_vehicle_brakes(autopilot: Autopilot, drone: Drone) -> None:
+    drone.watch("lidar_odometry", patience=0.5)
+    autopilot.verbs.on_diagnostic("iris_0: lidar_odometry", 1, "waiting for the first scan")
+    autopilot.verbs.on_diagnostic("iris_0: planner", 2, "is not watched")
+    autopilot.verbs.on_diagnostic("iris_1: lidar_odometry", 2, "is another vehicle's")
+    drone.arm()
+    drone.takeoff(1.0)
+    drone.set_velocity(3.0, 0.0, 0.0)
+    plain = autopilot.turn
+
+    def turn() -> None:
+        plain()
+        autopilot.verbs.telemetry.velocity = (max(0.0, 3.0 - autopilot.time + braked), 0.0, 0.0)
+        if autopilot.time > failed:
+            autopilot.verbs.on_diagnostic("iris_0: lidar_odometry", 2, "no scans arrive")
+
+    autopilot.turn, failed, braked = turn, autopilot.time + 1.0, math.inf
+    with pytest.raises(FaultError, match=r"^iris_0: wait: lidar_odometry: no scans arrive$"):
+        drone.wait(60.0)
+    assert autopilot.time == pytest.approx(failed + 0.5, abs=2 * TURN)
+    braked = autopilot.time
+    drone.brake()
+    setpoint = autopilot.core.setpoint
+    assert setpoint.velocity == (0.0, 0.0, 0.0)
+    assert setpoint.type_mask & 7 == 7  # not the position
+    assert autopilot.time - braked == pytest.approx(2.5, abs=2 * TURN)
+    with pytest.raises(FaultError):
+        drone.go_to(9.0, 0.0, 1.0)
+    braked, autopilot.verbs.telemetry.velocity = math.inf, (3.0, 0.0, 0.0)  # it never stops
+    began = autopilot.time
+    drone.brake()
+    assert autopilot.time - began == pytest.approx(BRAKE_LIMIT, abs=2 * TURN)
+    drone.land()
+    assert not drone.armed
+    with pytest.raises(FaultError, match="iris_0: arm: lidar_odometry: no scans arrive"):
+        drone.arm(timeout=2.0)
+    autopilot.turn, autopilot.mode = plain, "OFFBOARD"
+    autopilot.verbs.on_diagnostic("iris_0: lidar_odometry", 0, "good")
+    drone.arm()
+    assert drone.armed
 
 
 def test_flying_verbs_need_an_armed_vehicle(drone: Drone) -> None:

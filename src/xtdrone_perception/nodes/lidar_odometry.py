@@ -4,8 +4,8 @@
 One process serves one vehicle. ``xtdrone_perception.slam.lidar_odometry_node`` lists the topics.
 
 Parameters:
-    those of ``LidarOdometryOptions``, ``RegistrationOptions`` and ``HealthLimits`` in ``xtdrone_perception.slam``, see
-        docs/settings.md.
+    those of ``LidarOdometryOptions``, ``RegistrationOptions`` and ``LidarHealthLimits`` in ``xtdrone_perception.slam``,
+        see docs/settings.md.
     /xtdrone/fleet (as ``iris_slam:1``): the fleet; without it ids are not checked against a count.
 """
 

@@ -10,7 +10,14 @@ from scipy.spatial.transform import Rotation
 
 from xtdrone_control.settings import SettingError
 from xtdrone_perception.slam.poses import pose_of, quaternion_of, turned_about_z
-from xtdrone_perception.slam.transfer.foreign_pose import ForeignFrame, PlaceSettings, TransformChain, read_starts
+from xtdrone_perception.slam.transfer.foreign_pose import (
+    STATIC,
+    ChainWatch,
+    ForeignFrame,
+    PlaceSettings,
+    TransformChain,
+    read_starts,
+)
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -80,6 +87,25 @@ def test_a_chain_of_transforms_is_composed_and_loops_end() -> None:
     assert chain.pose("world", "base_link") is None
     chain.add("base_link", "map", 10, second)
     assert chain.pose("world", "base_link") is None
+
+
+def test_a_static_link_gives_the_chain_no_time_and_alone_no_pose() -> None:
+    chain = TransformChain()
+    mount, moving = pose_of((1.0, 0.0, 0.0), turned_about_z(1.0)), pose_of((0.0, 2.0, 0.0), turned_about_z(0.5))
+    chain.add("map", "slam_map", STATIC, mount)
+    assert chain.pose("map", "slam_map") is None
+    for stamp_ns in (0, 7):
+        chain.add("slam_map", "base_link", stamp_ns, moving)
+        found = chain.pose("map", "base_link")
+        assert found is not None
+        assert found[0] == stamp_ns
+        assert np.allclose(found[1], mount @ moving)
+
+
+def test_repeated_poses_are_told_by_their_time_or_without_one_by_their_value() -> None:
+    watch, here, there = ChainWatch(), np.eye(4), pose_of((0.0, 0.0, 1e-9), turned_about_z(0.0))
+    told = [watch.is_new(found) for found in [(5, here), (5, there), (6, there), (0, there), (0, there), (0, here)]]
+    assert told == [True, False, True, True, False, True]
 
 
 @pytest.mark.parametrize("value", ["none", [[0, 0, 0]], [[0, 0], [1, 1]], [[0, 0, 0], [math.nan, 0, 0]]])

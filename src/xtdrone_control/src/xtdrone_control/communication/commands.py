@@ -283,6 +283,10 @@ class MultirotorCore:
         if self._is_valid(topic, _TWIST_FIELDS, values) and not self._dead_zone(acceleration, yaw_rate):
             self._set(acceleration_setpoint(acceleration, yaw_rate, body=body), moving_since=now)
 
+    def brake(self) -> None:
+        """Set velocity zero: unlike HOVER, the vehicle does not return to the place where it began to brake."""
+        self._set(velocity_setpoint((0.0, 0.0, 0.0), 0.0, body=False), moving_since=None)
+
     def tick(self, now: float) -> Setpoint:
         """Return the setpoint to publish at ``now`` (s, ROS time)."""
         if self._moving_since is not None and 0.0 < self._cmd_timeout < now - self._moving_since:

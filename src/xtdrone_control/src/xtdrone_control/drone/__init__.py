@@ -16,8 +16,8 @@ other node may command the same vehicle meanwhile.
 
 Positions are in m, ENU, in the vehicle's local frame (by default, the simulator uses one map frame for all vehicles);
 velocities are in m/s, headings in rad (0 is east, counter-clockwise), times in s of ROS time. A verb blocks until it is
-done, and raises ``DroneError`` with vehicle, verb and reason; ``TimedOutError`` and ``RejectedError`` are subclasses of
-it.
+done, and raises ``DroneError`` with vehicle, verb and reason; ``TimedOutError``, ``RejectedError`` and ``FaultError``
+are subclasses of it.
 
 Two ways to run:
 
@@ -36,7 +36,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from .drones import Drone, DroneGroup
-from .verbs import DroneError, GroupError, RejectedError, TimedOutError
+from .verbs import DroneError, FaultError, GroupError, RejectedError, TimedOutError
 
 if TYPE_CHECKING:
     from .script_node import connect, connect_all
@@ -45,6 +45,7 @@ __all__ = [
     "Drone",
     "DroneError",
     "DroneGroup",
+    "FaultError",
     "GroupError",
     "RejectedError",
     "TimedOutError",

@@ -18,6 +18,9 @@ class Runner(Protocol):
     def run(self, verb: str, steps: dict[str, Steps]) -> None:
         """Run a verb for several vehicles at once until it has ended for each."""
 
+    def watch(self) -> None:
+        """Pass statuses of /diagnostics to the vehicles from now on."""
+
     def release(self, names: Sequence[str]) -> None:
         """Stop commanding vehicles; those in OFFBOARD hold position from now on."""
 
@@ -55,6 +58,27 @@ class _Flyer:
     def hold(self) -> None:
         """Stop, and hold position in OFFBOARD."""
         self._run("hold", lambda _, v: v.hold())
+
+    def brake(self) -> None:
+        """Stop as quickly as the autopilot can, with velocity zero in OFFBOARD.
+
+        Unlike ``hold`` it needs no position, and works while a watched component reports an error.
+        """
+        self._run("brake", lambda _, v: v.brake())
+
+    def watch(self, *components: str, patience: float = 0.0) -> None:
+        """Let verbs that fly raise ``FaultError`` when a component reports an error on /diagnostics.
+
+        ``arm`` waits until there is no error. ``brake`` and ``land`` are not affected.
+
+        Args:
+            components: names without the vehicle's, such as ``lidar_odometry``.
+            patience: s for which the error must have lasted.
+        """
+        check_numbers("watch", patience=patience)
+        for vehicle in self._vehicles:
+            vehicle.watch(components, patience)
+        self._runner.watch()
 
     def land(self, timeout: float = 120.0) -> None:
         """Land, and wait until the autopilot has disarmed; do nothing if it is already disarmed."""

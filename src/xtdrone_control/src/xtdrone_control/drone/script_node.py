@@ -14,6 +14,7 @@ from typing import Any
 import rosgraph
 import rosgraph.names
 import rospy
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TwistStamped
 from mavros_msgs.msg import State, StatusText, SysStatus
 from sensor_msgs.msg import BatteryState
@@ -135,6 +136,7 @@ class Session:
         self._links: dict[str, ScriptLink] = {}
         self._rate: lockstep.Rate | None = None
         self._lock = threading.RLock()
+        self._diagnostics: lockstep.Subscriber | None = None
         self._task: _Task | None = None
         self._failure: BaseException | None = None
         self._interrupt: BaseException | None = None
@@ -164,6 +166,16 @@ class Session:
             hint = "is its MAVROS running?" if known is None else f"is its MAVROS running? /xtdrone/fleet is {known}"
             raise type(error)(error.vehicle, "connect", f"{error.reason}; {hint}") from error
         return [Drone(self, self._links[name].verbs) for name in names]
+
+    def watch(self) -> None:
+        """Pass statuses of /diagnostics to the vehicles from now on."""
+        if self._diagnostics is None:
+            self._diagnostics = lockstep.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for link in list(self._links.values()):
+            for status in message.status:
+                link.verbs.on_diagnostic(status.name, status.level, status.message)
 
     def _start(self) -> None:
         try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 from xtdrone_control.communication.commands import MultirotorCore, Request
@@ -17,9 +17,11 @@ MODE_LIMIT = 5.0  # s for mavros/state, which follows the 1 Hz heartbeat, to sho
 ANSWER_LIMIT = 15.0  # s for MAVROS to answer a service call; it waits some seconds for the autopilot itself
 STREAM_LEAD = 0.5  # s of setpoints before OFFBOARD is requested; PX4 rejects it without a stream
 TEXT_GRACE = 1.0  # s after a rejection during which the autopilot's explanation may still arrive
-ARRIVED_SPEED = 0.5  # m/s below which a vehicle at its goal has arrived
+ARRIVED_SPEED = 0.5  # m/s below which a vehicle at its goal has arrived, and one that brakes has stopped
+BRAKE_LIMIT = 4.0  # s; then a velocity estimate without aiding is no longer worth waiting for
 LEAST_PROGRESS = 0.5  # m/s: the default timeout allows for this mean speed
 _WARNING = 4  # MAV_SEVERITY; texts of this severity or worse explain a rejection
+_ERROR = 2  # DiagnosticStatus.ERROR
 _PREARM_CHECK = 1 << 28  # MAV_SYS_STATUS_PREARM_CHECK
 
 _ARM, _DISARM = Request("ARM", True), Request("DISARM", False)
@@ -48,6 +50,10 @@ class RejectedError(DroneError):
 
 class TimedOutError(DroneError):
     """The verb was not done within its timeout."""
+
+
+class FaultError(DroneError):
+    """A component named to ``watch`` reports an error."""
 
 
 class GroupError(DroneError):
@@ -113,6 +119,8 @@ class Verbs:
         self._streaming_since: float | None = None
         self._requested: Request | None = None
         self._outcomes: list[tuple[bool, str]] = []
+        self._watched: dict[str, float] = {}  # component to patience, s
+        self._faults: dict[str, tuple[float, str]] = {}  # component in error to the time since when, s, and its text
 
     # inputs
 
@@ -131,11 +139,38 @@ class Verbs:
         if severity <= _WARNING:
             self.telemetry.warnings.append((self._now(), text.strip()))
 
+    def on_diagnostic(self, name: str, level: int, text: str) -> None:
+        """Store a status of /diagnostics if it is of a watched component.
+
+        Args:
+            name: ``VEHICLE: COMPONENT``.
+            level: of DiagnosticStatus: 0 OK, 1 WARN, 2 ERROR, 3 STALE.
+            text: the message.
+        """
+        vehicle, _, component = name.partition(": ")
+        if vehicle != self.name or component not in self._watched:
+            return
+        if level >= _ERROR:
+            since, _ = self._faults.get(component, (self._now(), ""))
+            self._faults[component] = since, text
+        else:
+            self._faults.pop(component, None)
+
     def on_reset(self) -> None:
         """Discard all state, because simulated time was reset."""
         self.telemetry = Telemetry()
+        self._faults.clear()
         self.resets += 1
         self._streaming_since = self._requested = None
+
+    def watch(self, components: Sequence[str], patience: float) -> None:
+        """Make verbs that fly raise ``FaultError`` while one of these components reports an error.
+
+        Args:
+            components: names without the vehicle's.
+            patience: s for which the error must have lasted.
+        """
+        self._watched.update(dict.fromkeys(components, patience))
 
     # verbs
 
@@ -158,8 +193,9 @@ class Verbs:
             return
         self._hold_here()
         began = self._now()
-        while not self._ready() and self._now() - began < timeout:
+        while (not self._ready() or self._faults) and self._now() - began < timeout:
             yield
+        self._check_watched("arm", patient=False)
         yield from self._request("arm", _ARM)
         yield from self._until("arm", lambda: self.core.armed, MODE_LIMIT, "accepted, but the vehicle is not armed")
 
@@ -195,6 +231,16 @@ class Verbs:
         self._check_armed("hold")
         self._hold_here()
         yield from self._offboard("hold")
+
+    def brake(self) -> Steps:
+        """Stop with velocity zero in OFFBOARD, whatever a watched component reports."""
+        self._check_armed("brake")
+        self.core.brake()
+        yield from self._offboard("brake")
+        began = self._now()
+        while self._speed() >= ARRIVED_SPEED and self._now() - began < BRAKE_LIMIT:
+            self._check_mode("brake", began)
+            yield
 
     def land(self, timeout: float) -> Steps:
         """Land here, and wait until the autopilot has disarmed."""
@@ -250,10 +296,15 @@ class Verbs:
             yield
 
     def _arrived(self, goal: Vector, tolerance: float) -> bool:
-        pose, velocity = self.core.pose, self.telemetry.velocity
+        pose = self.core.pose
         if pose is None or math.dist(pose[0], goal) > tolerance:
             return False
-        return velocity is None or math.hypot(*velocity) < ARRIVED_SPEED
+        return self._speed() < ARRIVED_SPEED
+
+    def _speed(self) -> float:
+        """Return the speed, m/s; 0 if it is unknown."""
+        velocity = self.telemetry.velocity
+        return 0.0 if velocity is None else math.hypot(*velocity)
 
     def _hold_here(self) -> None:
         """Stream the current pose: in OFFBOARD an earlier setpoint would move the vehicle as soon as it is armed."""
@@ -271,6 +322,16 @@ class Verbs:
             raise DroneError(self.name, verb, "the vehicle is not armed; call arm() first")
 
     def _check_offboard(self, verb: str, since: float) -> None:
+        self._check_mode(verb, since)
+        self._check_watched(verb)
+
+    def _check_watched(self, verb: str, *, patient: bool = True) -> None:
+        now = self._now()
+        for component, (since, text) in self._faults.items():
+            if not patient or now - since >= self._watched[component]:
+                raise FaultError(self.name, verb, f"{component}: {text}")
+
+    def _check_mode(self, verb: str, since: float) -> None:
         if not self.core.armed:
             raise DroneError(self.name, verb, f"the vehicle has disarmed{self._why(since)}")
         if self.core.mode != "OFFBOARD":

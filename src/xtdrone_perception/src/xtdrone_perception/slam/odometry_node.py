@@ -5,6 +5,8 @@ topic                                      type                              mea
 =========================================  ================================  =========================================
 /T/mavros/imu/data                         sensor_msgs/Imu                   in: attitude, for deskewing and prediction
 /T/mavros/local_position/velocity_local    geometry_msgs/TwistStamped        in: velocity, for deskewing and prediction
+/T/mavros/extended_state                   mavros_msgs/ExtendedState         in: whether it stands on the ground, where
+                                                                             identical images are no fault
 /T/SOURCE/odometry                         nav_msgs/Odometry                 out: T/odom to T/base_link
 /T/SOURCE/path                             nav_msgs/Path                     out, latched: ``~path_rate``
 /T/mavros/vision_pose/pose                 geometry_msgs/PoseStamped         out: to the autopilot, while it is good
@@ -28,6 +30,7 @@ import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
+from mavros_msgs.msg import ExtendedState
 from nav_msgs.msg import Odometry, Path
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -185,6 +188,7 @@ class OdometryNode:
         self._tf = lockstep.Publisher("/tf", TFMessage)
         self._tf_static = lockstep.Publisher("/tf_static", TFMessage, latch=True)
         self._motion = AutopilotMotion(name)
+        lockstep.Subscriber(f"/{name}/mavros/extended_state", ExtendedState, self._on_extended_state)
         self._clear()
         lockstep.add_reset_hook(self._restart)
         if options.tf and options.tf_map:
@@ -213,6 +217,7 @@ class OdometryNode:
         self._last_end_ns: int | None = None
         self._last_attitude: Rotation | None = None
         self._digest, self._same, self._dropped = -1, 0, 0
+        self._on_ground = False
         self._figures: Estimate | None = None
         self._poses: deque[PoseStamped] = deque(maxlen=_MOST_PATH)
         self._next_path_ns = self._next_report_ns = 0
@@ -224,6 +229,9 @@ class OdometryNode:
         self._clear()
 
     # measurements
+
+    def _on_extended_state(self, message: ExtendedState) -> None:
+        self._on_ground = message.landed_state == ExtendedState.LANDED_STATE_ON_GROUND
 
     def _is_late(self) -> bool:
         """Return whether a new measurement must be dropped, and record it."""
@@ -238,10 +246,11 @@ class OdometryNode:
 
         Args:
             payload: for ``_register``.
-            digest: of the raw data; two measurements of a working sensor differ.
+            digest: of the raw data; two measurements of a working sensor in flight differ.
             end_ns: its time.
         """
-        self._same = self._same + 1 if digest == self._digest else 0
+        is_same = digest == self._digest and not self._on_ground  # a simulated camera that stands still has no noise
+        self._same = self._same + 1 if is_same else 0
         self._digest = digest
         attitude = self._motion.attitude(end_ns)
         if attitude is None:

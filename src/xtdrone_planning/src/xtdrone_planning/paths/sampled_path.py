@@ -70,7 +70,8 @@ class SampledSearch:
 
         Args:
             planner: RRT_STAR, BIT_STAR or INFORMED_RRT_STAR.
-            iterations: of the planner in a search.
+            iterations: of the planner in a search: a sample of RRT* and Informed RRT*; an edge in the queue of BIT*,
+                which adds 100 samples at a time whenever the queue is empty.
             seed: of each search.
         """
         util.noOutputHandler()

@@ -39,7 +39,13 @@ class PlannerSettings(Settings):
         choices=GLOBAL_PLANNERS,
         text="search for the path: A*, or OMPL's",
     )
-    iterations: int = setting(400, low=10, high=100_000, text="iterations of OMPL's planners in a search")
+    iterations: int = setting(
+        400,
+        low=10,
+        high=100_000,
+        text="iterations of OMPL's planners in a search: RRT* and Informed RRT* add a sample in each, BIT* examines an "
+        "edge between its samples",
+    )
     sampling_seed: int = setting(1, low=1, high=2**31 - 1, text="seed of each search of OMPL's planners")
     lead: float = setting(
         0.2,

@@ -15,6 +15,9 @@ from xtdrone_perception.slam.poses import inverse, pose_of, turned_about_z
 
 Array = NDArray[np.float64]
 
+STATIC = -1
+"""Time of a transform that holds at all times."""
+
 _UNIT = 0.05  # tolerance of a quaternion's norm
 
 
@@ -106,32 +109,51 @@ class ForeignFrame:
 
 
 class TransformChain:
-    """The newest transforms of /tf, which are composed to chains."""
+    """The newest transforms of /tf and /tf_static, which are composed to chains."""
 
     def __init__(self) -> None:
         """Start without any."""
-        self._parents: dict[str, tuple[str, int, Array]] = {}
+        self._parents: dict[str, tuple[str, int, Array]] = {}  # child to parent, ns or a negative number, pose
 
     def clear(self) -> None:
         """Forget all transforms."""
         self._parents.clear()
 
     def add(self, parent: str, child: str, stamp_ns: int, pose: Array) -> None:
-        """Store the pose (4, 4) of ``child`` in ``parent`` at a time, ns."""
+        """Store the pose (4, 4) of ``child`` in ``parent`` at a time, ns; 0: not given, ``STATIC``: at all times."""
         self._parents[child.lstrip("/")] = (parent.lstrip("/"), stamp_ns, pose)
 
     def pose(self, parent: str, child: str) -> tuple[int, Array] | None:
         """Return the pose of a frame in one of its ancestors.
 
         Returns:
-            The time of the newest link between them, ns, and the pose (4, 4) of ``child`` in ``parent``; None if they
-            are not linked.
+            The time of the newest link between them, ns, 0 if none is given, and the pose (4, 4) of ``child`` in
+            ``parent``; None if they are not linked, or by static transforms only, which measure nothing.
         """
         parent, child = parent.lstrip("/"), child.lstrip("/")
-        pose, frame, newest = np.eye(4), child, 0
+        pose, frame, newest = np.eye(4), child, STATIC
         for _ in range(len(self._parents)):
             if frame == parent or frame not in self._parents:
                 break
             frame, stamp_ns, step = self._parents[frame]
             pose, newest = step @ pose, max(newest, stamp_ns)
-        return (newest, pose) if frame == parent and child != parent else None
+        return (newest, pose) if frame == parent and newest != STATIC else None
+
+
+class ChainWatch:
+    """Tells new poses of a chain of transforms from repeated ones."""
+
+    def __init__(self) -> None:
+        """Start without a pose."""
+        self._last: tuple[int, Array] | None = None
+
+    def is_new(self, found: tuple[int, Array]) -> bool:
+        """Return whether time (ns) and pose (4, 4) are not those of the call before.
+
+        The time tells it; where the transforms have none (0), a pose that has not changed in any bit is not a new
+        measurement.
+        """
+        last, self._last = self._last, found
+        if last is None or found[0] != last[0]:
+            return True
+        return found[0] == 0 and not np.array_equal(found[1], last[1])

@@ -3,7 +3,7 @@
 ===============================  ===============================  ====================================================
 topic                            type                             meaning
 ===============================  ===============================  ====================================================
-the source's                     Odometry, PoseStamped or /tf     in: see ``SOURCES``
+the source's                     Odometry, PoseStamped or /tf     in: see ``SOURCES``; of /tf, with /tf_static
 /T/DISTANCE                      sensor_msgs/LaserScan            in, see ``~distance``, for programs that work in the
                                                                   plane: the height
 /T/mavros/vision_pose/pose       geometry_msgs/PoseStamped        out: base_link in map, once for each pose
@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Pose, PoseStamped
+from geometry_msgs.msg import Pose, PoseStamped, TransformStamped
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from sensor_msgs.msg import LaserScan
@@ -37,7 +37,14 @@ from tf2_msgs.msg import TFMessage
 from xtdrone_control import lockstep
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_perception.slam import odometry_messages as messages
-from xtdrone_perception.slam.transfer.foreign_pose import ForeignFrame, PlaceSettings, TransformChain, pose_from
+from xtdrone_perception.slam.transfer.foreign_pose import (
+    STATIC,
+    ChainWatch,
+    ForeignFrame,
+    PlaceSettings,
+    TransformChain,
+    pose_from,
+)
 
 RATE = 60.0  # Hz
 
@@ -144,6 +151,7 @@ class PoseTransfer:
         if source.kind == "tf":
             self._parent, self._child = _frames_of(topic)
             lockstep.Subscriber("/tf", TFMessage, self._on_tf)
+            lockstep.Subscriber("/tf_static", TFMessage, self._on_static_tf)
         elif source.kind == "pose":
             lockstep.Subscriber(topic, PoseStamped, lambda message: self._enter(message.header, message.pose))
         else:
@@ -161,6 +169,7 @@ class PoseTransfer:
     def _forget(self) -> None:
         """Begin again, because simulated time was reset."""
         self._tf.clear()
+        self._watch = ChainWatch()
         self._new: PoseStamped | None = None
         self._last_height, self._measured = 0.0, -math.inf
         self._last_ns = -1
@@ -189,14 +198,20 @@ class PoseTransfer:
 
     def _on_tf(self, message: TFMessage) -> None:
         for entry in message.transforms:
-            t, q = entry.transform.translation, entry.transform.rotation
-            pose = pose_from(np.array([t.x, t.y, t.z]), np.array([q.w, q.x, q.y, q.z]))
-            if pose is None:
-                continue
-            self._tf.add(entry.header.frame_id, entry.child_frame_id, entry.header.stamp.to_nsec(), pose)
+            self._add_transform(entry, entry.header.stamp.to_nsec())
         found = self._tf.pose(self._parent, self._child)
-        if found is not None and found[0] != self._last_ns:
+        if found is not None and self._watch.is_new(found):
             self._enter(Header(stamp=rospy.Time(*divmod(found[0], 10**9))), messages.pose_message(found[1]))
+
+    def _on_static_tf(self, message: TFMessage) -> None:
+        for entry in message.transforms:
+            self._add_transform(entry, STATIC)
+
+    def _add_transform(self, entry: TransformStamped, stamp_ns: int) -> None:
+        t, q = entry.transform.translation, entry.transform.rotation
+        pose = pose_from(np.array([t.x, t.y, t.z]), np.array([q.w, q.x, q.y, q.z]))
+        if pose is not None:
+            self._tf.add(entry.header.frame_id, entry.child_frame_id, stamp_ns, pose)
 
     def _enter(self, header: Header, pose: Pose) -> None:
         """Store the vehicle's pose until the next turn."""
