@@ -1,8 +1,8 @@
-"""The simulation core with its MAVLink door, without ROS: what the tests with real clients connect to.
+"""The simulation core with its MAVLink server, without ROS; the tests with real clients connect to it.
 
 ``client_core.py COUNT FIRST SPEED [LOGS [TYPE]]``: COUNT vehicles of TYPE (iris) from global index FIRST on (which
-fixes system ids and ports), at SPEED times real time (0: as fast as it goes), flight logs below the folder LOGS. Writes
-``ready`` when it runs, and ends when its standard input does.
+fixes system ids and ports), at SPEED times real time (0: as fast as possible), flight logs below the folder LOGS.
+Writes ``ready`` when it runs, and ends when its standard input does.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the tests with real clients share: the simulation core in a process of its own, and its ports."""
+"""Shared by the tests with real clients: the simulation core in its own process, and its ports."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Core:
     """A running simulation.
 
     Attributes:
-        vehicles: with the ports at which they are met.
+        vehicles: the vehicles and their ports.
         logs: folder with flight logs.
     """
 
@@ -27,7 +27,7 @@ class Core:
         """Start it and wait until it runs.
 
         Args:
-            first: the first vehicle's global index, which fixes ports; each test file takes others.
+            first: the first vehicle's global index, which fixes ports; each test file uses others.
             logs: folder for flight logs.
             count: number of vehicles.
             speed: simulated seconds a second of wall time.

@@ -1,7 +1,7 @@
 """A lockstep participant for tests: flies three vehicles into a formation, the same way after every reset.
 
-It tells on ``/pilot/flight`` (String, JSON) a checksum of the true motion of all vehicles and of all that leader,
-followers and avoidance say in the first 15.5 s, each with its time.
+It publishes on ``/pilot/flight`` (String, JSON) a checksum of the true motion of all vehicles and of all messages of
+leader, followers and avoidance in the first 15.5 s, each with its time.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A script for './xtdrone demo slam': in flight the lidar fails as the environment's SLAM_FAULT says.
 
-It ends well if odometry names the fault on /diagnostics, no pose reaches the autopilot from then on, and the vehicle
-comes down by itself, slowly.
+It succeeds if odometry names the fault on /diagnostics, no pose reaches the autopilot from then on, and the vehicle
+descends slowly by itself.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ heights: list[tuple[float, float]] = []
 
 
 def on_diagnostics(message: DiagnosticArray) -> None:
-    """Keep what odometry says of itself."""
+    """Keep the status that odometry publishes."""
     said.extend(status.message for status in message.status if status.name.endswith("lidar_odometry"))
 
 

@@ -1,6 +1,6 @@
-"""Bad input as users would give it, to the running system: clear words, and nothing falls out of the sky.
+"""Bad input from users to the running system: clear messages, and the vehicles fly on.
 
-One system of two vehicles serves all tests of this file, which run in the order in which they stand: before takeoff,
+One system of two vehicles serves all tests of this file, which run in file order: before takeoff,
 in flight, and at last its nodes are killed one after the other.
 """
 
@@ -52,7 +52,7 @@ PROGRAMS = {
 
 
 def node(*arguments: str, **environment: str) -> subprocess.Popen[str]:
-    """Start a program of the workspace by itself."""
+    """Start a program of the workspace on its own."""
     path, *rest = arguments
     return subprocess.Popen(
         [sys.executable, str(REPOSITORY / "src" / path), *rest],
@@ -64,7 +64,7 @@ def node(*arguments: str, **environment: str) -> subprocess.Popen[str]:
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
-    """Return exit status and output of a program that ends by itself."""
+    """Return exit status and output of a program that ends on its own."""
     try:
         output, _ = process.communicate(timeout=WALL_LIMIT)
     except subprocess.TimeoutExpired:
@@ -79,7 +79,7 @@ def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
 
 @pytest.fixture(scope="module")
 def without_master() -> dict[str, subprocess.Popen[str]]:
-    """Every program, started where no master is."""
+    """Every program, started without a master."""
     return {name: node(*command, ROS_MASTER_URI="http://127.0.0.1:1") for name, command in PROGRAMS.items()}
 
 
@@ -123,7 +123,7 @@ def test_an_occupied_port_ends_the_launch(graph: Graph, tmp_path: Path, port: in
 
 @pytest.fixture(scope="module")
 def refused_simulators(graph: Graph) -> dict[str, subprocess.Popen[str]]:
-    """Simulators with bad values, all at the same time; other values are refused in test_settings.py."""
+    """Simulators with bad values, all at once; test_settings.py covers the other values."""
     values = {"type": "_fleet:=helicopter:2", "world": "_world:=mars", "speed": "_speed:=0.001"}
     return {
         name: node(PROGRAMS["simulator"][0], value, f"__name:=refused_simulator_{i}", **graph.environment)
@@ -151,7 +151,7 @@ def test_a_bad_value_ends_the_simulator(
 
 @pytest.fixture(scope="module")
 def refused_directors(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[int, str]]:
-    """Directors with bad values, all at the same time; their exit status and output."""
+    """Directors with bad values, all at once; their exit status and output."""
     import rospy
 
     folder = tmp_path_factory.mktemp("patterns")
@@ -212,7 +212,7 @@ def test_a_bad_value_ends_the_director_with_one_line(
 
 @pytest.fixture(scope="module")
 def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    """Two vehicles with everything that a formation has, each in its own process."""
+    """Two vehicles with all nodes of a formation, each in its own process."""
     import rospy
 
     wait_for_ports()
@@ -236,7 +236,7 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
 
 
 class Gcs:
-    """A ground station of its own on one of a vehicle's ports."""
+    """An independent ground station on one of a vehicle's ports."""
 
     def __init__(self, stack: Stack, port: int, target: int) -> None:
         self._stack = stack
@@ -252,7 +252,7 @@ class Gcs:
         return self.ack(number)
 
     def drain(self) -> None:
-        """Read what has come: a socket that telemetry has filled at full speed has no room for an answer."""
+        """Read pending datagrams: a socket that telemetry has filled at full speed has no room for an answer."""
         for _ in range(2000):  # more than it holds
             if self.link.recv_match() is None:
                 return
@@ -291,14 +291,14 @@ def gcs(stack: Stack) -> Iterator[Callable[[int], Gcs]]:
 
 @pytest.fixture
 def flying(stack: Stack) -> list[tuple[float, float, float]]:
-    """Both vehicles hold their places in OFFBOARD; return the places, m ENU."""
+    """Two vehicles that hold their positions in OFFBOARD; return the positions, m ENU."""
     places = [stack.fly(i, HEIGHT) for i in range(2)]
     stack.safety.reset()
     return places
 
 
 def check_undisturbed(stack: Stack, places: list[tuple[float, float, float]], seconds: float = 2.0) -> None:
-    """Check that both fly on at their places."""
+    """Check that both vehicles hold their positions."""
     stack.pass_time(seconds)
     for i, place in enumerate(places):
         assert stack.settled(i, place), (i, place, stack.pose(i))
@@ -393,7 +393,7 @@ def test_unknown_patterns_and_invalid_steering_are_rejected_by_the_leader(stack:
 
 
 def test_arming_in_offboard_requires_a_setpoint_stream(stack: Stack, gcs: Callable[[int], Gcs]) -> None:
-    """There is one here, so the same is asked of a mode that is not for arming, and why is told by an event alone."""
+    """A stream exists here, so the test requests a mode that does not allow arming; only an event has the reason."""
     station = gcs(1)
     assert station.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 4.0, 6.0) == mavlink.MAV_RESULT_ACCEPTED  # AUTO.LAND
     assert station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0) == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
@@ -447,7 +447,7 @@ def _target(mask: int, field: str, value: float) -> PositionTarget:
 
 
 def _broken_topics() -> dict[str, tuple[Any, str, str]]:
-    """Return topic to message, program that must complain, its words."""
+    """Return topic to message, the program that must report it, and its text."""
     attitude = AttitudeTarget(type_mask=AttitudeTarget.IGNORE_ATTITUDE, thrust=0.5)
     return {
         "/iris_0/mavros/setpoint_raw/local": (_target(POSITION, "position.y", NAN), "mavros", "position.y is nan"),
@@ -504,7 +504,7 @@ def test_non_finite_setpoints_are_rejected_over_mavlink(
 
 
 def _malformed() -> list[bytes]:
-    """Datagrams that are no MAVLink, or only half."""
+    """Return datagrams that are not MAVLink, or truncated."""
     chance = random.Random(1)
     good = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
     frame = mavlink.MAVLink_command_long_message(1, 1, 400, 0, 0, 21196, 0, 0, 0, 0, 0).pack(good)  # forced disarm
@@ -563,9 +563,9 @@ def test_a_killed_leader_and_follower_leave_the_others_flying(
 
 
 def test_arming_again_in_the_air_saves_a_vehicle(stack: Stack, flying: list[tuple[float, float, float]]) -> None:
-    """Motors cut in the air by force, and armed again at once: in one datagram, so that nothing comes between.
+    """Motors disarmed by force in the air are armed again at once: in one datagram, so that nothing comes between.
 
-    As PX4, which asks for no checks within 5 s of a disarming in the air.
+    PX4 too skips the checks within 5 s of a disarming in the air.
     """
     size = len(stack.programs["mavros"].output)
     packer = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)

@@ -1,4 +1,4 @@
-"""The project's own ground station flies three vehicles: one flight, test by test in the order of this file."""
+"""The project's own ground station flies three vehicles: one flight, tests in file order."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def core(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Core]:
 
 @pytest.fixture(scope="module")
 def until(core: Core) -> Iterator[Callable[[Callable[[list[VehicleState]], bool], str], None]]:
-    """Yield what waits until the vehicles' states are as wanted."""
+    """Yield a function that waits until the vehicles' states meet a condition."""
     peers = [Peer.of(vehicle) for vehicle in core.vehicles]
 
     with GroundStation(peers, heartbeat=True) as station:
@@ -94,7 +94,7 @@ def test_hold_mode_and_return(until):
 
 
 def flown(watched: bool) -> tuple[np.ndarray, int]:
-    """Return the places and velocities of two vehicles that take off, and how much a station has asked."""
+    """Return positions and velocities of two vehicles that take off, and the number of a station's requests."""
     fleet = tuple(Vehicle("iris", i, FIRST + COUNT + i) for i in range(2))
     simulation = Simulation(fleet, seed=2)
     server = MavlinkServer(fleet, simulation.autopilot, simulation.commanders)

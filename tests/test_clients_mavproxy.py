@@ -1,4 +1,4 @@
-"""MAVProxy, typed into as at its prompt, against the autopilot: one flight, test by test in the order of this file.
+"""MAVProxy at its prompt, against the autopilot: one flight, tests in file order.
 
 Its ``mode`` command is not used: with PX4's mode numbers MAVProxy and pymavlink do not agree on the arguments.
 """
@@ -27,7 +27,7 @@ MISSION = """QGC WPL 110
 
 
 class Prompt:
-    """A MAVProxy and what it has written."""
+    """A MAVProxy process and its output."""
 
     def __init__(self, port: int, folder: Path) -> None:
         program = Path(sys.executable).with_name("mavproxy.py")
@@ -53,7 +53,7 @@ class Prompt:
                 self._changed.notify_all()
 
     def say(self, line: str, *answers: str) -> str:
-        """Type a line, wait until all ``answers`` have come behind it, and return all that came."""
+        """Type a line, wait until all ``answers`` follow it, and return the output since then."""
         assert self._process.stdin is not None
         with self._changed:
             start = len(self._text)
@@ -62,7 +62,7 @@ class Prompt:
         return self.wait(*answers, start=start)
 
     def wait(self, *texts: str, start: int = 0) -> str:
-        """Wait until all ``texts`` stand in what was written from ``start`` on; return that."""
+        """Wait until all ``texts`` are in the output from ``start`` on; return that output."""
         with self._changed:
             found = self._changed.wait_for(lambda: all(text in self._text[start:] for text in texts), CLIENT_LIMIT)
             assert found, f"MAVProxy does not write {texts}, but {self._text[start:][-2000:]!r}"

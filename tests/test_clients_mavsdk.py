@@ -1,4 +1,4 @@
-"""MAVSDK-Python, as its users write it, against the autopilot: one flight, test by test in the order of this file."""
+"""MAVSDK-Python, as its users write it, against the autopilot: one flight, tests in file order."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ T = TypeVar("T")
 
 
 class Client:
-    """A MAVSDK System, and the loop in which it lives.
+    """A MAVSDK System, and its event loop.
 
     Attributes:
         drone: the System.
@@ -49,11 +49,11 @@ class Client:
         await first(self.drone.core.connection_state(), lambda state: state.is_connected)
 
     def run(self, what: Awaitable[T]) -> T:
-        """Let ``what`` come to its end."""
+        """Run ``what`` to its end."""
         return self._loop.run_until_complete(asyncio.wait_for(what, CLIENT_LIMIT))
 
     def until(self, stream: AsyncIterator[T], condition: Callable[[T], bool] = lambda value: True) -> T:
-        """Return the first value of a telemetry stream that is as ``condition`` wants it."""
+        """Return the first value of a telemetry stream that satisfies ``condition``."""
         return self.run(first(stream, condition))
 
     def close(self) -> None:
@@ -83,7 +83,7 @@ def client(core: Core) -> Iterator[Client]:
 
 
 def near(client: Client, north: float, east: float, down: float, radius: float = 0.5) -> Any:
-    """Wait until the vehicle is at a place, m NED from the world's origin."""
+    """Wait until the vehicle is at a position, m NED from the world's origin."""
 
     def is_there(state: Any) -> bool:
         p = state.position
@@ -162,7 +162,7 @@ def test_metadata_of_events_and_parameters(client):
 
 
 def test_events_as_text(client):
-    """MAVSDK reads the definitions itself and puts our events into words by them."""
+    """MAVSDK reads the definitions itself, and formats our events with them."""
     events = client.drone.events
 
     async def listen(stream: AsyncIterator[T], condition: Callable[[T], bool], cause: Awaitable[Any]) -> T:
@@ -242,7 +242,7 @@ def test_go_to_a_place(client):
 
 
 def test_follow_me(client):
-    """In front of a target that stands, whose course counts as north: above the place where the vehicle is."""
+    """In front of a standing target, whose course counts as north: above the vehicle's present position."""
     follow = client.drone.follow_me
     config = Config(9.0, 6.0, 0.5, Config.FollowAltitudeMode.CONSTANT, 4.0, 0.0)
     client.run(follow.set_config(config))

@@ -1,6 +1,6 @@
 """Four clients at once on one vehicle, each with a link of its own: MAVSDK twice, MAVProxy, and a pymavlink script.
 
-Each does its own work while the others do theirs, one goes in flight, and another one comes.
+Each works while the others do; one disconnects in flight, and another one connects.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""``./xtdrone doctor`` beside running simulations: what it finds, and that a flight is the same with it."""
+"""``./xtdrone doctor`` beside running simulations: its findings, and no effect on the flight."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ INJECT_FAILURE, GPS, OFF = 420, 4.0, 1.0  # MAV_CMD_INJECT_FAILURE, FAILURE_UNIT
 
 
 def doctor(graph: Graph) -> tuple[int, str]:
-    """Return status and report, its blanks and line ends as single blanks."""
+    """Return status and report, with each run of white space as one blank."""
     command = [sys.executable, "-m", "xtdrone_interaction", "doctor", "--master", graph.uri]
     done = subprocess.run(command, capture_output=True, text=True, timeout=WALL_LIMIT, check=False)
     assert not done.stderr, done.stderr
@@ -132,7 +132,7 @@ def test_a_flight_is_the_same_with_the_doctor(graph: Graph, tmp_path: Path) -> N
 
 
 def _beside(graph: Graph, process: subprocess.Popen[bytes]) -> list[str]:
-    """Run the doctor again and again until a process has ended; return its reports."""
+    """Run the doctor repeatedly until a process has ended; return its reports."""
     reports: list[str] = []
 
     def look() -> None:

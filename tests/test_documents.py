@@ -1,4 +1,4 @@
-"""What documents name is there: files behind links and pictures, headings, commands of the launcher, launch files."""
+"""Things that documents name exist: files behind links and pictures, headings, launcher commands, launch files."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def anchors(text: str) -> set[str]:
 
 
 def dead_links(document: Path) -> list[str]:
-    """Return the links of a document that lead to nothing in the repository."""
+    """Return the links of a document without a target in the repository."""
     return [link for link in _LINK.findall(_FENCED.sub("", document.read_text())) if not _leads(document, link)]
 
 

@@ -43,7 +43,7 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
 
 
 def flight(stack: Stack, count: int) -> dict[str, Any]:
-    """Return what the pilot tells of flight number ``count``, from 0."""
+    """Return the pilot's report of flight number ``count``, from 0."""
     told = stack.graph.hear("/pilot/flight", String)
     poll(lambda: len(told.messages) > count, f"flight {count} is told of; {stack.described()}")
     return json.loads(told.messages[count].data)

@@ -1,4 +1,4 @@
-"""Gazebo's ROS API as upstream's programs use it: plain rospy, in a world with people, walls and loose things."""
+"""Gazebo's ROS API as upstream's programs use it: plain rospy, in a world with people, walls and loose objects."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ URDF = """<robot name="r"><link name="base"><inertial><mass value="2"/><inertia 
 
 @pytest.fixture(scope="module")
 def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    """A simulator alone, as fast as it goes."""
+    """A simulator alone, as fast as possible."""
     wait_for_ports(FLEET)
     folder = tmp_path_factory.mktemp("gazebo")
     (folder / "yard.world").write_text(WORLD)
@@ -93,7 +93,7 @@ def state_of(stack: Stack, name: str, frame: str = "") -> Any:
 
 
 def step(stack: Stack) -> float:
-    """Let 20 ms of simulated time pass; return the time then, s."""
+    """Advance by 20 ms of simulated time; return the time then, s."""
     return float(stack.graph.call("/simulator/step", Step, duration=genpy.Duration(0, 20_000_000)).sim_time.to_sec())
 
 
@@ -228,7 +228,7 @@ def test_a_wrench_on_a_vehicle_gives_the_acceleration_of_its_mass(stack: Stack) 
 
 
 def test_a_swarm_driven_without_autopilots(stack: Stack) -> None:
-    """As upstream's control_gazebo_vehicles.py: 20 Hz, twists and orientations left unset."""
+    """As by upstream's control_gazebo_vehicles.py: 20 Hz, twists and orientations left unset."""
     for number in (0, 1):
         answer = call(
             stack, "spawn_sdf_model", srv.SpawnModel, model_name=f"drone_{number}", model_xml=BOX, robot_namespace="",

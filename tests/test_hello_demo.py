@@ -1,4 +1,4 @@
-"""``./xtdrone demo hello``: two at once beside each other, as two users of one machine start them."""
+"""``./xtdrone demo hello``: two at once, as two users of one machine start them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ with connect("iris_0") as drone:
 
 
 def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
-    """Start the demo as a user with an own home."""
+    """Start the demo as a user with a separate home."""
     home = folder.with_name(f"{folder.name}-home")
     home.mkdir()
     environment = {k: v for k, v in os.environ.items() if k not in ("ROS_MASTER_URI", "DISPLAY", "ROS_LOG_DIR")}

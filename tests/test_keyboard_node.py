@@ -50,13 +50,13 @@ sys.exit(keyboard_node.main())
 
 
 def _sit_down() -> None:
-    """In the child: the terminal controls it, and a hang-up counts although nohup may have started the tests."""
+    """In the child: take the terminal as the controlling one, and restore SIGHUP, which nohup may have disabled."""
     fcntl.ioctl(0, termios.TIOCSCTTY, 0)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 class Seat:
-    """A program at a terminal of its own, as a shell would start it in one.
+    """A program at its own terminal, as started by a shell.
 
     Attributes:
         process: the program.
@@ -83,7 +83,7 @@ class Seat:
                 self._written += data
 
     def settings(self) -> list[Any]:
-        """How the terminal is set."""
+        """The settings of the terminal."""
         return termios.tcgetattr(self._slave)
 
     @property
@@ -92,11 +92,11 @@ class Seat:
 
     @property
     def text(self) -> str:
-        """All that was written, without what moves the cursor."""
+        """The output without cursor control."""
         return _ESCAPES.sub("\n", self.raw)
 
     def see(self, *words: str, since: int = 0) -> None:
-        """Wait until the terminal has been told these words."""
+        """Wait until these words are in the output."""
 
         def seen() -> bool:
             assert self.process.poll() is None, self.text
@@ -111,11 +111,11 @@ class Seat:
         os.write(self._master, keys.encode())
 
     def state(self) -> str:
-        """The process's state as /proc has it: T is stopped."""
+        """The process's state in /proc: T is stopped."""
         return Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()[0]
 
     def hang_up(self) -> None:
-        """Close the terminal's other end, as a window or an ssh connection that goes."""
+        """Close the terminal's other end, like a closed window or a lost ssh connection."""
         self._hung_up = True
         self.type("h")  # the answer wakes the reader
         self._reader.join()
@@ -125,7 +125,7 @@ class Seat:
         return self.process.wait(WALL_LIMIT)
 
     def leave(self) -> None:
-        """Free everything."""
+        """Release everything."""
         if self.process.poll() is None:
             self.process.kill()
             self.process.wait()
@@ -151,7 +151,7 @@ def sit(graph: Graph) -> Iterator[Callable[..., Seat]]:
 
 
 def taken(seat: Seat) -> bool:
-    """Whether keys come singly and unseen."""
+    """Whether keys arrive one by one and without echo."""
     return not seat.settings()[3] & (termios.ICANON | termios.ECHO)
 
 
@@ -159,7 +159,7 @@ def taken(seat: Seat) -> bool:
 
 
 def shutdown_by_master(seat: Seat) -> None:
-    """As ``rosnode kill`` does."""
+    """Shut the node down as ``rosnode kill`` does."""
     uri = rosgraph.Master("/system_tests").lookupNode("/multirotor_keyboard_control")
     with contextlib.suppress(OSError):  # it may be gone before it has answered
         xmlrpc.client.ServerProxy(uri).shutdown("/system_tests", "a test")
@@ -210,7 +210,7 @@ def test_a_terminal_that_goes_ends_it_and_stops_the_vehicles(graph: Graph, sit: 
 
 
 def heard(topic: str) -> bool:
-    """Return whether a subscriber is connected to the keyboard's topic; before, the keyboard may report none."""
+    """Return whether a subscriber is connected to the keyboard's topic; before that, the keyboard may report none."""
     uri = rosgraph.Master("/system_tests").lookupNode("/multirotor_keyboard_control")
     _, _, connections = xmlrpc.client.ServerProxy(uri).getBusInfo("/system_tests")
     return any(entry[2] == "o" and entry[4] == topic and entry[5] for entry in connections)
@@ -218,7 +218,7 @@ def heard(topic: str) -> bool:
 
 @pytest.mark.timeout(2 * START_LIMIT)
 def test_stopped_and_continued_and_every_key_counts(graph: Graph, sit: Callable[..., Seat]) -> None:
-    """Ctrl-Z gives the terminal back, ``fg`` takes it again; then narrower, leader and patterns, and the end."""
+    """Ctrl-Z restores the terminal, ``fg`` takes it again; then a narrow one, leader and patterns, and the end."""
     speeds = graph.hear("/xtdrone/iris_0/cmd_vel_flu", Twist)
     commands = graph.hear("/xtdrone/iris_1/cmd", String)
     leader = graph.hear("/xtdrone/leader/cmd", String)
@@ -345,7 +345,7 @@ def test_a_failed_start_has_a_reason(
 
 @pytest.mark.timeout(3 * START_LIMIT)
 def test_keys_reach_the_vehicles(graph: Graph, sit: Callable[..., Seat], tmp_path: Path) -> None:
-    """XTDrone's documented takeoff, a single press, hover, landing, takeoff by mode; while paused too."""
+    """XTDrone's documented takeoff, a single press, hover, landing, takeoff by mode; also while paused."""
     stack = Stack(graph, tmp_path, "iris:2")
     both = range(2)
     poses = [graph.hear(f"/iris_{i}/mavros/local_position/pose", PoseStamped) for i in both]
@@ -363,7 +363,7 @@ def test_keys_reach_the_vehicles(graph: Graph, sit: Callable[..., Seat], tmp_pat
             stack.wait_state(index, mode=mode, sim=LONG)
 
     def wait_hover() -> None:
-        """Wait until both are told a place, and then until they have come to rest; they must stay there."""
+        """Wait until both have a position setpoint and have come to rest; they must stay there."""
         wait(lambda: all(not ear.last.type_mask & PositionTarget.IGNORE_PX for ear in targets), "both are to hover")
         stack.pass_time(5.0)
         before = [place(i) for i in both]
@@ -430,7 +430,7 @@ def test_keys_reach_the_vehicles(graph: Graph, sit: Callable[..., Seat], tmp_pat
 def test_the_leader_is_steered_by_accelerations_and_others_follow(
     graph: Graph, sit: Callable[..., Seat], tmp_path: Path
 ) -> None:
-    """The real leader and followers: a pattern by its digit, faster and faster, and to rest; they start in the air."""
+    """With the real leader and followers, from a start in the air: a pattern by its digit, speed steps, and rest."""
     count = 3
     stack = Stack(graph, tmp_path, f"solo:{count}")
     poses = [graph.hear(f"/solo_{i}/mavros/local_position/pose", PoseStamped) for i in range(count)]

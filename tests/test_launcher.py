@@ -1,4 +1,4 @@
-"""`./xtdrone` itself, in places and with words that it refuses before it sets anything up."""
+"""The launcher `./xtdrone` in folders and with arguments that it rejects before any set-up."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_unwritable_folders_are_replaced() -> None:
 
 
 def test_jobs_of_a_shell_end_with_it_unless_they_are_disowned(tmp_path: Path) -> None:
-    """Also those that ignore a hang-up, and all processes of a job."""
+    """So do jobs that ignore a hang-up, and all processes of a job."""
     rc = f"source <(sed '/^source.*env.bash/d' {REPOSITORY}/scripts/shellrc.bash)"
     lines = (
         "(echo $BASHPID > group; sleep 600; true) &",

@@ -1,4 +1,4 @@
-"""Nodes that are killed in mid-flight: the formation flies on without their vehicle, the same way each time."""
+"""Nodes that are killed in flight: the formation flies on without their vehicle, the same way each time."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ COMMUNICATION, FOLLOWER = "multirotor_communication.py iris {} ", "follower_cons
 
 
 def kill(stack: Stack, command: str) -> None:
-    """Kill -9 the one process whose command line has ``command``."""
+    """Kill the one process whose command line has ``command``, by SIGKILL."""
     [pid] = [pid for pid, line in stack.processes().items() if command in line]
     os.kill(pid, signal.SIGKILL)
 

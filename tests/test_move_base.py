@@ -49,7 +49,7 @@ def goal_at(x: float, y: float, yaw: float) -> MoveBaseGoal:
 
 
 class Client:
-    """An actionlib client."""
+    """A client of actionlib."""
 
     def __init__(self, stack: Stack, name: str) -> None:
         self.action = actionlib.SimpleActionClient(f"/{name}/move_base", MoveBaseAction)
@@ -86,7 +86,7 @@ def stack(graph: Graph, tmp_path: Path) -> Iterator[Stack]:
 
 
 def least_distances(states: list[ModelStates], height: dict[str, float]) -> dict[str, float]:
-    """Return the least distance, m, of each vehicle's middle to walls and furniture."""
+    """Return the least distance, m, from each vehicle's centre to walls and furniture."""
     least = {}
     for name, low in height.items():
         level = LevelMap(CostmapSettings(cell=0.05, inflation=2.0))

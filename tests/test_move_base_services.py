@@ -1,4 +1,4 @@
-"""The services of move_base, called over a real master: paths on a made map, and what is refused."""
+"""The services of move_base, called over a real master: paths on a synthetic map, and rejections."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A MAVROS that is not ours in our layer's place, nodes of one real vehicle, and what the launch files make of them.
+"""Another MAVROS in our layer's place, nodes of one real vehicle, and the launch files for them.
 
 The MAVROS layer, out of the lockstep, stands in for it.
 """
@@ -26,7 +26,7 @@ MAVROS = REPOSITORY / "src/xtdrone_control/nodes/mavros_node.py"
 
 
 def load(file: str, *arguments: str) -> ROSLaunchConfig:
-    """Return what roslaunch makes of a launch file and its arguments."""
+    """Return roslaunch's configuration of a launch file and its arguments."""
     config = ROSLaunchConfig()
     XmlLoader().load(str(REPOSITORY / "launch" / file), config, argv=list(arguments), verbose=False)
     return config
@@ -106,7 +106,7 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
 
 
 def test_vehicles_fly_with_a_mavros_outside_the_lockstep(stack: Stack) -> None:
-    """iris_0 with a communication node in lockstep, iris_1 with nodes that know of none."""
+    """iris_0 with a communication node in lockstep, iris_1 with nodes outside the lockstep."""
     graph = stack.graph
     own = ["__name:=mavros", "__ns:=/iris_0", "_lockstep:=false", "_fcu_url:=udp://:24540@127.0.0.1:34580"]
     stack.start("mavros", [sys.executable, str(MAVROS), *own])

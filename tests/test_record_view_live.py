@@ -1,4 +1,4 @@
-"""A film of a flight that is running, and the pictures' topics; what is left when something of it dies."""
+"""A film of a running flight, and the pictures' topics; the remaining processes when a part of it dies."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def stack(graph: Graph, tmp_path: Path) -> Iterator[Stack]:
 
 
 def record(stack: Stack, folder: Path) -> Program:
-    """Film the flight into film.mp4 of a folder until it is ended, and wait until a frame has been drawn."""
+    """Film the flight into film.mp4 of a folder, and wait until a frame has been drawn."""
     robots = [
         {
             "Class": "rviz/RobotModel",
@@ -73,7 +73,7 @@ def record(stack: Stack, folder: Path) -> Program:
 
 
 def frames_of(film: Path) -> int:
-    """Return how many frames can be read from a film."""
+    """Return the number of readable frames of a film."""
     capture = cv2.VideoCapture(str(film))
     count = 0
     while capture.read()[0]:
@@ -82,7 +82,7 @@ def frames_of(film: Path) -> int:
 
 
 def left(stack: Stack) -> list[str]:
-    """Return what still runs of the film's programs."""
+    """Return the film's programs that still run."""
     return [command for command in stack.processes().values() if any(name in command for name in PROGRAMS)]
 
 

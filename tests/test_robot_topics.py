@@ -1,4 +1,4 @@
-"""Robots in the running simulator: topics as of XTDrone's UGV, lockstep, restart, and what is refused."""
+"""Robots in the running simulator: the topics of XTDrone's UGV, lockstep, restart, and rejections."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The set-up script: interrupted at any moment, beside another one, and with everything there."""
+"""The set-up script: interrupted at any moment, beside another one, and with everything installed."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def make_wheel(folder: Path, number: int) -> str:
 
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
-    """A repository whose requirements are small wheels, which needs no Debian package and is built already."""
+    """A built repository whose requirements are small wheels, and which needs no Debian package."""
     shutil.copytree(REPOSITORY / "scripts", tmp_path / "scripts", ignore=shutil.ignore_patterns("packages"))
     (tmp_path / "scripts/packages").mkdir()
     (tmp_path / "scripts/packages/none.txt").write_text("coreutils\n")
@@ -47,7 +47,7 @@ def root(tmp_path: Path) -> Path:
 
 
 def start(root: Path) -> subprocess.Popen[str]:
-    """Start the part of the set-up that makes the virtual environment, in a process group of its own."""
+    """Start the part of the set-up that creates the virtual environment, in its own process group."""
     built = "is_built() { :; }; are_kernels_prepared() { :; }"
     begin = f'set -euo pipefail; root="{root}"; source "$root/scripts/install_and_build.bash"'
     script = f"{begin}; {built}; set_up demo; echo ready"
@@ -100,7 +100,7 @@ def test_a_set_up_killed_at_any_moment_is_repaired_by_the_next_one(root: Path) -
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_an_interrupted_pip_ends_the_set_up_and_is_noticed(root: Path, number: signal.Signals) -> None:
-    """Ctrl-C reaches the whole group; a killed pip alone leaves its parent, which reports the failure."""
+    """Ctrl-C reaches the whole group; a killed pip leaves its parent, which reports the failure."""
     process = start(root)
     log = root / ".setup/logs/pip-requirements.log"
     poll(lambda: log.is_file() and "Installing collected packages" in log.read_text(), "pip installs", LIMIT)

@@ -1,6 +1,6 @@
-"""Speed, pause, step and reset of a running simulation, seen by its users.
+"""Speed, pause, step and reset of a running simulation, as its users see it.
 
-One system serves all tests of this file, which run in the order in which they stand. It has one vehicle, MAVROS, the
+One system serves all tests of this file, which run in file order. It has one vehicle, MAVROS, the
 communication node and a participant of the tests' own, which flies the same flight after each start (meddler.py).
 """
 
@@ -90,7 +90,7 @@ def status(stack: Stack) -> SimulationStatus:
 
 
 def now(stack: Stack) -> float:
-    """Return the simulated time as the simulator knows it, s."""
+    """Return the simulator's own simulated time, s."""
     return status(stack).sim_time.to_sec()
 
 
@@ -107,13 +107,13 @@ def step(stack: Stack, **goal: Any) -> Any:
 
 
 def passes(stack: Stack, seconds: float = 1.0) -> None:
-    """Advance simulated time, as the simulator knows it."""
+    """Wait until the simulator's own time has advanced."""
     until = now(stack) + seconds
     poll(lambda: now(stack) >= until, f"{seconds} s pass")
 
 
 def meddle(stack: Stack, service: str, kind: str, **fields: Any) -> dict[str, Any]:
-    """Let the participant call a service in its turn, and return what it tells of it."""
+    """Have the participant call a service in its turn; return its report."""
     done = stack.graph.hear("/meddler/done", String)
     poll(lambda: done._subscriber.get_num_connections(), "the participant is heard")
     count = len(done.messages)
@@ -123,7 +123,7 @@ def meddle(stack: Stack, service: str, kind: str, **fields: Any) -> dict[str, An
 
 
 def flight(stack: Stack, count: int) -> dict[str, Any]:
-    """Return what the participant tells of flight number ``count``, from 0."""
+    """Return the participant's report of flight number ``count``, from 0."""
     told = stack.graph.hear("/meddler/flight", String)
     poll(lambda: len(told.messages) > count, f"flight {count} is told of")
     return json.loads(told.messages[count].data)
@@ -343,7 +343,7 @@ def test_a_ground_station_that_hangs_is_no_matter(stack: Stack) -> None:
 
 
 def _second(stack: Stack, name: str) -> Program:
-    """Start another simulator, whose log does not take the place of the node that has this name."""
+    """Start another simulator, with a log apart from that of the node of the same name."""
     program = str(REPOSITORY / "src" / "xtdrone_sim" / "nodes" / "simulator.py")
     return stack.start(f"second_{name}", [sys.executable, program, f"__name:={name}"])
 

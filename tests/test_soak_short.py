@@ -1,4 +1,4 @@
-"""The soak's short form through the whole stack: every kind of event, a good verdict, and no process left behind."""
+"""The soak's short form through the whole stack: every kind of event, a good verdict, and no process left running."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The whole stack for two vehicles as ``roslaunch multi_vehicle.launch`` starts it, at full speed, seen by its users.
 
-One launch serves all tests of this file, which run in the order in which they stand: on the ground, in flight, landing,
+One launch serves all tests of this file, which run in file order: on the ground, in flight, landing,
 and at last the launch is made to end.
 """
 
@@ -91,12 +91,12 @@ def _fleet_is_set(graph: Graph) -> bool:
 
 @pytest.fixture
 def flying(stack: Stack) -> list[tuple[float, float, float]]:
-    """Both vehicles hold their places in OFFBOARD; return the places, m ENU."""
+    """Two vehicles that hold their positions in OFFBOARD; return the positions, m ENU."""
     return [stack.fly(i, HEIGHT) for i in range(2)]
 
 
 def ear(stack: Stack, topic: str, kind: type) -> Any:
-    """Return the ear on a topic of iris_1, which has a message."""
+    """Return the subscription to a topic of iris_1, after its first message."""
     found = stack.graph.hear(f"/iris_1/mavros/{topic}", kind)
     stack.wait(lambda: found.last is not None, f"{topic} comes")
     return found
@@ -255,19 +255,19 @@ def test_a_real_client_gets_acks_and_messages(stack: Stack, station: Station) ->
 
 
 class Typed:
-    """A program of MAVROS as it is typed, against iris_0's MAVROS; in this process, which is a node already."""
+    """A MAVROS program as a user types it, against iris_0's MAVROS; it runs in this process, already a node."""
 
     def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
         self._capsys = capsys
 
     def __call__(self, program: Any, line: str) -> str:
-        """Return what it prints."""
+        """Return the program's output."""
         self._capsys.readouterr()
         execute(program.parser(), ["-n", "iris_0/mavros", *line.split()])
         return str(self._capsys.readouterr().out)
 
     def fails(self, program: Any, line: str) -> str:
-        """Return its last words."""
+        """Return the program's error message."""
         with pytest.raises(ProgramError) as error:
             self(program, line)
         return str(error.value)
@@ -280,7 +280,7 @@ def typed(capsys: pytest.CaptureFixture[str]) -> Typed:
 
 @pytest.fixture
 def unhurried(stack: Stack) -> Iterator[None]:
-    """The simulation leaves the processors to programs that live by wall time."""
+    """Run at real time, so that programs that depend on wall time get the processors."""
     stack.graph.call("/simulator/set_speed", SetSpeed, speed=1.0)
     yield
     stack.graph.call("/simulator/set_speed", SetSpeed, speed=0.0)
@@ -347,7 +347,7 @@ def test_mavros_s_programs_command(stack: Stack, typed: Typed, monkeypatch: pyte
 
 @pytest.mark.usefixtures("unhurried")
 def test_mavros_s_programs_are_found_by_their_names(stack: Stack) -> None:
-    """Each is run once, all at the same time; one speaks to a MAVROS that is not there."""
+    """Each is run once, all at once; one addresses a MAVROS that does not exist."""
     folder = REPOSITORY / "src/xtdrone_control/mavros"
     lines = {
         "mavsys": "-n iris_0/mavros message_interval --id 32 --rate 0",
@@ -453,7 +453,7 @@ def test_commands_land_both(stack: Stack) -> None:
 
 
 def test_a_dead_part_ends_the_launch_and_leaves_nothing(stack: Stack, graph: Graph) -> None:
-    """MAVROS is required: without it roslaunch ends the simulator, in order, and a participant ends by itself."""
+    """MAVROS is required: without it roslaunch shuts the simulator down in order, and a participant ends by itself."""
     import rosgraph
 
     os.kill(stack.pid("mavros_node.py"), signal.SIGKILL)

@@ -1,4 +1,4 @@
-"""visualize.py beside a flight on the simplified simulator: films miss no frame, the window holds nothing up."""
+"""visualize.py beside a flight on the simplified simulator: films miss no frame, the window delays no node."""
 
 from __future__ import annotations
 
@@ -179,7 +179,7 @@ def start_simulator(stack: Stack, *arguments: str) -> Program:
 
 
 def window_is_shown(display: str) -> bool:
-    """Return whether there is anything but the black background."""
+    """Return whether the screen has anything but the black background."""
     return bool(np.array(ImageGrab.grab(xdisplay=display)).max() > 100)
 
 

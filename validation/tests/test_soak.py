@@ -182,7 +182,7 @@ def test_few_samples_are_not_judged():
 
 
 def stretches(last_wall: float = 10.0, last_cpu: float = 6.0, last_others: float = 0.1) -> list[Stretch]:
-    """Return 40 episodes of 100 s; those of the last quarter take other times."""
+    """Return 40 episodes of 100 s; those of the last quarter have other times."""
     rng = random.Random(2)
     made = []
     for number in range(40):

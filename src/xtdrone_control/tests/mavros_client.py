@@ -1,4 +1,4 @@
-"""A ROS program for test_mavros_node: uses the topics and services of /iris_0/mavros and prints what it saw as JSON."""
+"""A ROS program for test_mavros_node: uses the topics and services of /iris_0/mavros and prints its records as JSON."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ POSITION |= PositionTarget.IGNORE_AFX | PositionTarget.IGNORE_AFY | PositionTarg
 
 
 def target(frame: int, mask: int) -> PositionTarget:
-    """Return a setpoint with a number of its own in every field."""
+    """Return a setpoint with a distinct number in every field."""
     message = PositionTarget(coordinate_frame=frame, type_mask=mask, yaw=0.3, yaw_rate=0.4)
     message.position.x, message.position.y, message.position.z = 1.0, 2.0, 3.0
     message.velocity.x, message.velocity.y, message.velocity.z = 4.0, 5.0, 6.0

@@ -1,4 +1,4 @@
-"""Files without an end, pipes, and texts that unfold: refused in words, at once and without the memory for them."""
+"""Endless files, pipes and texts that expand: rejected with a message, at once and without filling the memory."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
 
 @pytest.fixture
 def bounded() -> Iterator[None]:
-    """A test that needs much memory or wall time fails."""
+    """Fail a test that uses 64 MB of memory or 20 s of CPU time."""
     tracemalloc.start()
     begin = time.process_time()
     yield

@@ -1,4 +1,4 @@
-"""Every MAV_CMD with zero parameters, disarmed: what a PX4 v1.14.3 answered, and what ours does."""
+"""Every MAV_CMD with zero parameters, disarmed: the replies of PX4 v1.14.3 and of this autopilot."""
 
 from __future__ import annotations
 

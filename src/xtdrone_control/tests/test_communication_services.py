@@ -1,4 +1,4 @@
-"""Calls of MAVROS's services by the communication node."""
+"""The communication node's calls of MAVROS services."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from xtdrone_control.communication.commands import Request
 
 
 def test_time_may_flow_while_an_answer_is_waited_for_in_a_turn(monkeypatch):
-    """A PX4 answers a MAVROS that takes no part in the lockstep only then."""
+    """With a MAVROS outside the lockstep, PX4 replies only while time advances."""
     seen = []
 
     @contextmanager

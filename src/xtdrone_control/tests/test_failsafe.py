@@ -1,4 +1,4 @@
-"""Failsafe decisions: tables after PX4 v1.14, and what holds for all of them."""
+"""Failsafe decisions: tables after PX4 v1.14, and laws for all combinations."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def worst(mode, flags, get, **situation):
 
 
 class Course:
-    """One vehicle's failsafe, asked at 10 Hz."""
+    """One vehicle's failsafe, evaluated at 10 Hz."""
 
     def __init__(self, mode=modes.AUTO_LOITER, **parameters):
         self.now_us = 0
@@ -68,7 +68,7 @@ class Course:
         return outcome
 
     def until(self, mode, flags, limit=20.0):
-        """Return the seconds until ``mode`` is flown."""
+        """Return the time in s until ``mode`` is active."""
         start_us = self.now_us
         for _ in range(round(limit * 10)):
             if self.step(flags).mode is mode:
@@ -230,7 +230,7 @@ def joined(first, second):
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(MODES, SOME_FLAGS, SOME_FLAGS, SETTINGS, st.booleans())
 def test_more_that_is_wrong_is_never_answered_by_less(mode, flags, more, parameters, starting):
-    """But for disarming, which PX4 asks for where the flight has hardly begun, whatever else is wrong."""
+    """The exception is disarming, which PX4 chooses shortly after takeoff despite any other fault."""
     get = getter(**parameters)
     both = joined(flags, more)
     less, all_of_it = worst(mode, flags, get, starting=starting), worst(mode, both, get, starting=starting)
@@ -352,7 +352,7 @@ def test_a_landing_vehicle_does_not_climb_to_return():
 
 
 def test_an_intermittent_condition_acts_eventually():
-    """Three quarters of a second lost in every second: the delay shrinks faster than it grows again."""
+    """With a loss of 0.75 s in every second, the delay runs down faster than it recovers."""
     course = Course(modes.POSCTL, NAV_RCL_ACT=3)
     for flags in itertools.islice(itertools.cycle([Flags(manual_lost=True)] * 8 + [Flags()] * 2), 120):
         course.step(flags)

@@ -1,4 +1,4 @@
-"""AUTO.FOLLOW_TARGET: the estimate of the target, the setpoint beside it, the door to the reports."""
+"""AUTO.FOLLOW_TARGET: the estimate of the target, the setpoint relative to it, the acceptance of reports."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def at(seconds: float) -> int:
 
 
 def test_gains_by_hand():
-    """FLW_TGT_RS 0.125 makes beta 1/2 for positions: 1 - b^3, 3/2 (1 - b)^2 (1 + b) and (1 - b)^3 of the error."""
+    """With FLW_TGT_RS 0.125, b = 1/2 for positions; the gains are 1 - b^3, 3/2 (1 - b)^2 (1 + b) and (1 - b)^3."""
     estimate = TargetEstimate()
     estimate.measure(at(1.0), (0.0, 0.0, 0.0), UNKNOWN, 0.125)
     estimate.measure(at(3.0), (8.0, 0.0, -16.0), UNKNOWN, 0.125)  # 2 s later
@@ -42,7 +42,7 @@ def test_gains_by_hand():
 
 
 def test_gains_of_a_velocity_by_hand():
-    """The error of a velocity is taken by 1 - (0.9 b)^2, its share of acceleration by (1 - 0.9 b)^2 a second."""
+    """The gain of velocity is 1 - (0.9 b)^2, that of acceleration (1 - 0.9 b)^2 per second."""
     estimate = TargetEstimate()
     estimate.measure(at(1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.125)
     estimate.measure(at(1.4), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.125)  # too early for another position
@@ -78,7 +78,7 @@ def test_a_repeated_position_counts_after_a_second_and_a_second_report_of_a_mome
 
 
 class Following(Flight):
-    """A vehicle that is where its setpoint is, 10 m over home, and a target."""
+    """A vehicle that is always at its setpoint, 10 m above home, and a target."""
 
     def __init__(self, **parameters: float) -> None:
         super().__init__(**parameters)
@@ -102,7 +102,7 @@ class Following(Flight):
         return np.array([self.control[f"task_{name}"] for name in ("position", "velocity", "acceleration")])
 
     def fly(self, seconds: float) -> np.ndarray:
-        """Be where the setpoint is for ``seconds``; return the setpoints, (n, 3, 3)."""
+        """Move the vehicle along its setpoints for ``seconds``; return the setpoints, (n, 3, 3)."""
         rows = []
         for _ in range(round(seconds * 10)):
             for _ in range(5):
@@ -124,10 +124,10 @@ class Following(Flight):
     ],
 )
 def test_position_beside_the_target(speed, parameters, z):
-    """Distance, height and angle in closed form, for a target 1.5 m over home that stands or moves to the south-east.
+    """Distance, height and angle equal the closed form, for a target 1.5 m above home at rest or moving south-east.
 
-    The filter has no error behind a constant velocity; what is left of the start after 20 s is below 1 mm: the slowest
-    part, the approach to the angle, is e^-t.
+    The filter has no steady error at constant velocity; after 20 s the initial error is below 1 mm: its slowest part,
+    the approach to the angle, decays as e^-t.
     """
     course = math.radians(135.0) if speed else 0.0  # north until it moves
     velocity = (speed * math.cos(course), speed * math.sin(course), 0.0)
@@ -167,9 +167,7 @@ reports = st.lists(
 @settings(max_examples=10, deadline=None)
 @given(reports, st.floats(1.0, 30.0), st.floats(-180.0, 180.0), st.floats(0.0, 20.0))
 def test_the_setpoint_has_no_steps(found, distance, angle, speed):
-    """However the reports jump: the setpoint moves on by what its own velocity says, and round the target not faster
-    than allowed.
-    """
+    """For any jump of the reports the setpoint moves by its own velocity, and round the target within the limit."""
     flight = Following(FLW_TGT_DST=distance, FLW_TGT_FA=angle, FLW_TGT_MAX_VEL=speed, FLW_TGT_HT=10.0)
     rows = []
     for x, y, north, east in found:

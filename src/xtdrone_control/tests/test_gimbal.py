@@ -1,4 +1,4 @@
-"""The gimbal's setpoint, who may give it, its MAVLink, and MAVROS's mount_control."""
+"""The gimbal's setpoint, its control authority, its MAVLink, and MAVROS's mount_control."""
 
 from __future__ import annotations
 

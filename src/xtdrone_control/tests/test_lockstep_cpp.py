@@ -571,7 +571,7 @@ def test_unreachable_machine_is_detected_within_seconds(graph: MixedGraph, monke
 
 
 def keepalive_timers(local: int, remote: int) -> list[float]:
-    """Return the times in seconds until the kernel probes the other end of a TCP connection; empty if it does not.
+    """Return the times (s) after which the kernel probes a TCP connection; empty without keepalive.
 
     Args:
         local: Local port.

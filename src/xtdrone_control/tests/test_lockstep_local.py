@@ -1,4 +1,4 @@
-"""The lockstep within one machine: Unix domain sockets beside TCP, and the inner loops in C++; no ROS master."""
+"""The lockstep on one machine: Unix domain sockets beside TCP, and the inner loops in C++; no ROS master."""
 
 from __future__ import annotations
 
@@ -390,7 +390,7 @@ def test_receive_returns_a_tick_only_if_it_is_alone():
 
 @pytest.fixture
 def accepted(monkeypatch):
-    """Serve topic connections without rospy; yields the port and the accepted connections."""
+    """Serve topic connections without rospy; yield the port and the accepted connections."""
     rospy = pytest.importorskip("rospy")
     from xtdrone_control.lockstep.transport import local_topics
 

@@ -624,7 +624,7 @@ def test_decreasing_datagram_count_is_rejected(server, log):
 
 
 def test_counts_for_a_late_participant_begin_when_it_joins(server):
-    """Datagrams that the simulator has sent since the last tick may have found no socket."""
+    """Datagrams sent since the last tick may not have found an open socket."""
     sent = {24540: 3}
     server.open_datagram_ports([14580], lambda: sent)
     a = FakeParticipant(server, "/a")

@@ -1,4 +1,4 @@
-"""The pilot: who is listened to, scaling of a radio's channels, gestures, switches, taking over."""
+"""Manual control: the selected source, scaling of a radio's channels, gestures, switches, taking over."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def test_slots_of_the_mode_switch():
 
 
 class Piloted:
-    """A fake flight whose pilot holds the sticks."""
+    """A fake flight with a pilot at the sticks."""
 
     def __init__(self, **parameters):
         self.flight = Flight(**parameters)

@@ -37,7 +37,7 @@ def world():
 
 @pytest.fixture
 def clients(world):
-    """Four ground stations on the ground-station port; the first has the port that heartbeats go to."""
+    """Four ground stations on the ground-station port; the first has the port that receives the heartbeats."""
     port = world.fleet[0].gcs_local_port
     made = [Client(GCS_REMOTE_PORT if i == 0 else 0, port, system=250 + i) for i in range(4)]
     for client in made:
@@ -154,7 +154,7 @@ def test_clients_of_all_ports_share_one_room():
 
 
 def test_all_ports_recover_while_time_is_paused(monkeypatch):
-    """Stations that have left every other port's room full keep a newcomer out for 5 s of wall time at most."""
+    """Stations that fill the room of every other port keep a newcomer out for 5 s of wall time at most."""
     wall = [0.0]
     monkeypatch.setattr("xtdrone_control.mavlink.client_link.time.monotonic", lambda: wall[0])
     world = World(3)
@@ -193,7 +193,7 @@ def test_strangers_that_have_gone_are_not_counted_for_ever(world):
 
 
 def frames_of(kind, system=_SYSTEM):
-    """Return a message of the kind that a flood may be of, or bytes that are none."""
+    """Return a message of a flood, or bytes that are not MAVLink."""
     messages = {
         "command": mavlink.MAVLink_command_long_message(system, 1, 512, 0, 32, 0, 0, 0, 0, 0, 0),
         "refused command": mavlink.MAVLink_command_long_message(system, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0),
@@ -209,7 +209,7 @@ def frames_of(kind, system=_SYSTEM):
 
 
 class Flooder:
-    """Sends the same datagram many times a step from some sockets, and reads what it is sent."""
+    """Sends one datagram many times a step from several sockets, and reads the replies."""
 
     def __init__(self, own, port, count=1):
         self.sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
@@ -235,7 +235,7 @@ class Flooder:
 
 @pytest.fixture
 def acted(monkeypatch):
-    """Senders of the datagrams that were acted on."""
+    """Return the senders of all handled datagrams."""
     senders = []
     handle_datagram = Receiver.handle_datagram
 
@@ -295,7 +295,7 @@ def test_a_modest_client_is_answered_at_once_during_a_flood(world, clients):
 
 
 def test_a_transfer_in_small_steps_loses_nothing_at_full_speed(world):
-    """A ground station that asks for one after the other, while each simulated step takes as long as an answer."""
+    """A ground station requests piece after piece, while each simulated step takes as long as a reply."""
     station = Client(0, world.fleet[0].gcs_local_port)
     read = mavlink.MAVLink_param_request_read_message(_SYSTEM, 1, b"MPC_XY_P", -1)
     for _ in range(1000):

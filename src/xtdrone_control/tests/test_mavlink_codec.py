@@ -51,7 +51,7 @@ def packer():
 
 
 def _example(cls, source):
-    """A message of a class with random values in every field, arrays and texts included."""
+    """Return a message of a class with random values in every field, arrays and texts included."""
     values = []
     for name, kind, length in zip(cls.fieldnames, cls.fieldtypes, _array_lengths(cls), strict=True):
         assert name
@@ -251,7 +251,7 @@ class TestStreams:
 
 
 class TestCommands:
-    """Commands and their acks; the acks come back from inside the send, so no test waits."""
+    """Commands and their acks; the acks arrive inside the send call, so no test waits."""
 
     def setup_method(self):
         self.sent = []

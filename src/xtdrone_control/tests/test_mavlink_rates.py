@@ -1,4 +1,4 @@
-"""Default streams: the messages and rates of a PX4 v1.14.3, as counted over 20 s while it stood disarmed."""
+"""Default streams: messages and rates of a disarmed PX4 v1.14.3, counted over 20 s."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def station(world):
 
 
 def frames(client):
-    """Yield (name, frame) of everything that a client was sent, and forget it."""
+    """Yield and clear (name, frame) of everything sent to a client."""
     for datagram in client.datagrams:
         for number, _, _, frame in split(datagram):
             yield message_name(number), frame
@@ -123,7 +123,7 @@ def frames(client):
 
 
 def latest(client):
-    """Return the last of each message, decoded by our own codec, which knows those that pymavlink leaves out."""
+    """Return the last message of each kind, decoded by our own codec, which includes those missing in pymavlink."""
     return {name: decoder(name)(frame) for name, frame in frames(client)}
 
 

@@ -1,4 +1,4 @@
-"""The autopilot's MAVLink, through real UDP sockets with pymavlink on the other side."""
+"""The autopilot's MAVLink over real UDP sockets, with pymavlink at the other end."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Client:
         self.socket.sendto(message.pack(self.mav), self.remote)
 
     def take_in(self):
-        """Empty the socket, which holds less than a second's telemetry, and read no more of a datagram than MAVROS."""
+        """Empty the socket, which holds less than a second of telemetry; read no more of a datagram than MAVROS."""
         while self.socket.fileno() != -1:
             try:
                 self.datagrams.append(self.socket.recv(MAVROS_READS))
@@ -54,7 +54,7 @@ class Client:
                 return
 
     def receive(self):
-        """Return the messages that have come; every frame must parse."""
+        """Return the messages that have arrived; every frame must parse."""
         self.take_in()
         new, self._parsed = self.datagrams[self._parsed :], len(self.datagrams)
         return [message for datagram in new for message in self.mav.parse_buffer(datagram) or []]
@@ -81,7 +81,7 @@ class World:
         self.commander.update()
 
     def ask(self, *messages, client=None):
-        """Send, let the server act, and return its answers."""
+        """Send messages, run the server, and return its replies."""
         client = client or self.client
         for message in messages:
             client.send(message)
@@ -89,7 +89,7 @@ class World:
         return client.receive()
 
     def command(self, number, *params, client=None):
-        """Return the result of a COMMAND_LONG, and the other answers."""
+        """Send a COMMAND_LONG; return its result and the other replies."""
         values = [*params, *[0.0] * (7 - len(params))]
         message = mavlink.MAVLink_command_long_message(_SYSTEM, 1, number, 0, *values)
         answers = self.ask(message, client=client)
@@ -124,7 +124,7 @@ class World:
         return found
 
     def hear(self):
-        """Make the client known, so that telemetry flows."""
+        """Register the client by a message, so that telemetry flows."""
         self.ask(heartbeat())
 
     def fly_offboard(self, x=1.0, y=2.0, z=-5.0, yaw=0.0):
@@ -246,7 +246,7 @@ def test_ground_station_rates(world):
 
 
 def test_one_message_a_datagram_and_counters(world):
-    """Real MAVROS reads 296 bytes of a datagram, and PX4 sends a message in each."""
+    """Real MAVROS reads 296 bytes of a datagram, and PX4 sends one message in each."""
     world.hear()
     world.run(1.0, step_us=20_000)
     datagrams = world.client.datagrams
@@ -740,7 +740,7 @@ def test_time_and_ping(world):
 
 
 def test_origin_is_set_on_the_ground(world):
-    """Where there was none it gives the local position a place; then the place stays and the local position moves."""
+    """The first origin fixes the local position globally; a second keeps the global and moves the local position."""
     estimator = world.autopilot.estimator[0]
     estimator["origin"]["set"] = 0
     estimator["position"] = (3.0, 4.0, -1.0)
@@ -809,7 +809,7 @@ def test_malformed_bytes_are_counted_and_the_link_lives_on(world, caplog):
 
 
 def test_random_payloads_with_a_right_checksum_do_no_harm(world):
-    """Frames that pass the parser with any content: nothing raises, and what can be sent still is."""
+    """Frames with a valid checksum and any payload raise nothing, and all outputs can still be sent."""
     rng = random.Random(1)
     names = world.server.messages
     classes = [c for c in MESSAGES.values() if c.msgname in names]
@@ -887,7 +887,7 @@ def test_a_held_home_position_comes_after_the_commands_of_the_tick(world):
 
 
 def test_a_free_clients_setpoint_counts_for_the_offboard_command_that_follows_it(world):
-    """MAVSDK's ``offboard.start()``: one setpoint, then the command."""
+    """MAVSDK's ``offboard.start()`` sends one setpoint, then the command."""
     vehicle = world.fleet[0]
     station = Client(0, vehicle.offboard_local_port)
     world.ask(heartbeat())

@@ -271,7 +271,7 @@ class _Vehicle:
         ]
 
     def fill(self, generator: np.random.Generator, senseless: float) -> None:
-        """Draw every field of the records; each with the probability ``senseless`` is not finite or huge."""
+        """Draw every field of the records; each is non-finite or huge with probability ``senseless``."""
         scale = 10.0 ** generator.uniform(-3.0, 4.0)
         for record in self.records:
             for name in record.dtype.names:

@@ -1,4 +1,4 @@
-"""Each plugin between fake ROS and a UDP socket that plays the autopilot."""
+"""Each plugin between fake ROS and a UDP socket in the autopilot's place."""
 
 from __future__ import annotations
 
@@ -600,7 +600,7 @@ class TestCommandServices:
 
     @pytest.fixture
     def answered(self, bench):
-        """Return a function that calls a service while the autopilot answers ``result``, and gives what it received."""
+        """Return a function that calls a service while the autopilot replies ``result``, and returns its messages."""
 
         def call(service, request, result):
             got = []

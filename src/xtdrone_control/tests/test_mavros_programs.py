@@ -1,4 +1,4 @@
-"""mavsys and its kin: files, tables and command lines; tests/test_stack.py runs them on a MAVROS."""
+"""mavsys and related programs: files, tables and command lines; tests/test_stack.py runs them on a MAVROS."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""MAVLink frames as topics, both ways, and /diagnostics."""
+"""MAVLink frames as topics in both directions, and /diagnostics."""
 
 from __future__ import annotations
 

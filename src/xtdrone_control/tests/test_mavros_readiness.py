@@ -1,4 +1,4 @@
-"""Battery and estimator of ``~get_readiness``: asked of the autopilot while a caller needs them, and no longer."""
+"""Battery and estimator of ``~get_readiness``: requested from the autopilot only while a caller needs them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ IDS = {147, 230}  # BATTERY_STATUS, ESTIMATOR_STATUS
 
 
 class Caller:
-    """A vehicle's plugins with a demand for telemetry, and a clock of the test's."""
+    """A vehicle's plugins with demand-driven telemetry, and a clock set by the test."""
 
     def __init__(self) -> None:
         self.now = 0.0
@@ -35,7 +35,7 @@ class Caller:
             self.bench.uas.refresh()
 
     def intervals(self) -> dict[int, float]:
-        """Return the intervals (us) of battery and estimator asked of the autopilot since the last call."""
+        """Return the intervals (us) of battery and estimator requested from the autopilot since the last call."""
         assert self.bench is not None
         sent = [m for m in self.bench.received() if m.get_type() == "COMMAND_LONG" and m.command == INTERVAL]
         return {int(m.param1): m.param2 for m in sent if int(m.param1) in IDS}

@@ -1,6 +1,6 @@
-"""Any message that ROS can carry, to every topic and service of the MAVROS layer: sent, or refused in words.
+"""Any message that ROS can carry, to every topic and service of the MAVROS layer: sent, or rejected with a message.
 
-Messages are made from their types, so plugins to come are covered by being there.
+Messages are generated from their types, so the test includes later plugins without a change.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ INTEGER = re.compile(r"(u?)int(8|16|32|64)|byte|char")
 
 
 def number(kind: str, rng: random.Random, wild: float) -> float | int | bool:
-    """Return a number of a ROS type, with a chance of ``wild`` one at the edges of what that type holds."""
+    """Return a number of a ROS type, with probability ``wild`` one at the edges of its range."""
     if kind == "bool":
         return rng.random() < 0.5
     match = INTEGER.fullmatch(kind)
@@ -83,7 +83,7 @@ def message(cls: Any, rng: random.Random, wild: float) -> Any:
 
 
 def over_the_wire(original: Any) -> Any:
-    """Return the message as a subscriber gets it."""
+    """Return the message as a subscriber receives it."""
     buffer = io.BytesIO()
     original.serialize(buffer)
     return type(original)().deserialize(buffer.getvalue())
@@ -165,7 +165,7 @@ def bench() -> Any:
 
 
 def complete(bench: Bench, topic: str) -> Callable[[Any], None]:
-    """Return a function that publishes to a topic, and what its plugin waits for before it sends anything."""
+    """Return a function that publishes to a topic, after the messages that its plugin needs beforehand."""
     name, callback = topic.removeprefix("/iris_0/mavros/"), bench.ros.subscribers[topic]
     pairs = {"setpoint_attitude/cmd_vel": ("thrust", Thrust), "setpoint_attitude/thrust": ("cmd_vel", TwistStamped)}
 
@@ -187,7 +187,7 @@ def complete(bench: Bench, topic: str) -> Callable[[Any], None]:
 
 
 def storm(bench: Bench, call: Callable[[Any], Any], cls: Any, seed: str) -> tuple[int, int]:
-    """Send random messages; return how many led to a datagram and how many did not."""
+    """Send random messages; return how many led to a datagram, and how many did not."""
     rng = random.Random(seed)
     sent = kept = 0
     for _ in range(ROUNDS):
@@ -282,7 +282,7 @@ def test_a_value_out_of_range_is_reported_once(
 
 
 def test_a_masked_value_out_of_range_is_reported(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
-    """It would be ignored, but MAVLink cannot carry it."""
+    """The mask has the value ignored, but MAVLink cannot encode it."""
     target = raw(-1e300)
     target.type_mask = PositionTarget.IGNORE_VY
     bench.call("setpoint_raw/local", target)

@@ -47,7 +47,7 @@ def mavros() -> set[Offered]:
 
 
 def ours() -> dict[Offered, str]:
-    """Return what is offered here, to the plugin."""
+    """Return the features offered here, each with its plugin."""
     found = {}
     for plugin in PLUGINS:
         bench = Bench([plugin])
@@ -63,7 +63,7 @@ def ours() -> dict[Offered, str]:
 
 
 def left_out() -> dict[tuple[str, str], tuple[str, str]]:
-    """Return direction and name of what is left out, to the plugin and the reason."""
+    """Return direction and name of each omitted feature, with its plugin and the reason."""
     found = {}
     for plugin, entries in LEFT_OUT.items():
         for entry in entries:

@@ -1,4 +1,4 @@
-"""Messages by radio: range, delay, loss, bursts and bandwidth, and that nothing but the seed decides."""
+"""Messages by radio: range, delay, loss, bursts and bandwidth, all decided by the seed alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A mission flown item by item, by a vehicle that is where it should be."""
+"""A mission flown item by item by a vehicle that is always at its setpoint."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def hovering():
 
 
 def fly(flight, *items):
-    """Fly ``items`` from the air."""
+    """Fly ``items``, starting in the air."""
     flight.load(*items)
     assert flight.commander.request(modes.AUTO_MISSION) == 0
     flight.texts()

@@ -1,4 +1,4 @@
-"""The mission protocol: transfers, refusals and timeouts as PX4 has them."""
+"""The mission protocol: transfers, rejections and timeouts as in PX4."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def texts(served):
 
 
 def run(served, seconds):
-    """Advance time; return the messages that the services send, without events."""
+    """Advance time; return the messages that the services send, events excluded."""
     return [entry for entry in served.run(seconds) if entry[1] not in ("EVENT", "CURRENT_EVENT_SEQUENCE")]
 
 
@@ -378,7 +378,7 @@ def test_landing_targets_need_the_local_frame(served):
 
 
 class LossyClient:
-    """A client as QGroundControl is, on a line that loses messages both ways."""
+    """A client after QGroundControl, on a link that loses messages in both directions."""
 
     def __init__(self, served, loss, seed):
         self.served = served
@@ -394,7 +394,7 @@ class LossyClient:
         self.inbox += [entry for entry in messages if self.rng.random() >= self.loss]
 
     def wait(self, *wanted):
-        """Return the next of the ``wanted`` messages within 1.5 s, None when none comes."""
+        """Return the next of the ``wanted`` messages within 1.5 s, None if there is none."""
         for _ in range(75):
             while self.inbox:
                 name, message = self.inbox.pop(0)

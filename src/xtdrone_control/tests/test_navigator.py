@@ -197,7 +197,7 @@ def test_speed_change_lasts_until_the_next_mode(flight):
 
 
 def test_speed_change_holds_through_a_reposition(flight):
-    """A real PX4 v1.14.3 flew at 2.91 m/s to where it was sent after DO_CHANGE_SPEED to 3 m/s."""
+    """After DO_CHANGE_SPEED to 3 m/s, PX4 v1.14.3 flew to a reposition at 2.91 m/s."""
     flight.commander.change_speed(1, 3.0)
     place = (ORIGIN[0] + 0.001, ORIGIN[1], ORIGIN[2] + 5.0)
     assert flight.commander.reposition(place, math.nan, -1.0) is Result.ACCEPTED

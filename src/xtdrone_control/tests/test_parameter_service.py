@@ -1,4 +1,4 @@
-"""The parameter protocol as PX4 speaks it, and parameter files."""
+"""The parameter protocol after PX4, and parameter files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def request_list(system=SYSTEM):
 
 
 def values(found):
-    """Leave the parameters of what has come."""
+    """Return the PARAM_VALUE entries of the found messages."""
     return [entry for entry in found if entry[-2] == "PARAM_VALUE"]
 
 

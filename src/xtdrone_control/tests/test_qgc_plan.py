@@ -1,4 +1,4 @@
-"""QGroundControl's plan files: what it writes is read, what is written is read back, what cannot be used is named."""
+"""QGroundControl's plan files: its files are read, written files are read back, unusable content is named."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ DRAWN = {
 
 
 def drawn(*path, value):
-    """Return the drawn plan's text with ``value`` at ``path``."""
+    """Return the text of the plan drawn in QGroundControl, with ``value`` at ``path``."""
     document = copy.deepcopy(DRAWN)
     target = document
     for key in path[:-1]:

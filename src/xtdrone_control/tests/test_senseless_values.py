@@ -1,4 +1,4 @@
-"""Parameters, items and estimates that make no sense: PX4 takes them, so they must do no harm beyond their vehicle."""
+"""Senseless parameters, items and estimates: PX4 accepts them, so they must do no harm beyond their vehicle."""
 
 from __future__ import annotations
 

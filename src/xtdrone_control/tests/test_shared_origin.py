@@ -1,4 +1,4 @@
-"""The shared origin of PX4s' local frames, against an autopilot that answers as PX4 v1.14 does."""
+"""The shared origin of PX4s' local frames, against an autopilot that replies as PX4 v1.14 does."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ SPAWN = (473977420, 85456338, 488120)  # 3 m east of it
 
 
 class Px4:
-    """Fake PX4: its estimator moves the origin after the answer.
+    """A fake PX4 whose estimator moves the origin after the reply.
 
     Attributes:
         bench: the MAVROS layer.
         origin: 1e-7 deg, 1e-7 deg, mm AMSL; None while there is no position.
         set: how often SET_GPS_GLOBAL_ORIGIN came.
-        in_air: the estimator passes over an origin.
+        in_air: the estimator ignores a new origin.
     """
 
     def __init__(self, bench: Bench) -> None:
@@ -36,7 +36,7 @@ class Px4:
         self.in_air = False
 
     def pass_time(self) -> None:
-        """Run a turn of the MAVROS layer, and answer."""
+        """Run a turn of the MAVROS layer, and send the autopilot's replies."""
         self.bench.ros.time_ns += round(PERIOD * 1e9)
         self.bench.uas.step(self.bench.ros.time_ns)
         for message in self.bench.received():
@@ -67,7 +67,7 @@ def px4():
 
 
 def arm(px4):
-    """Ask for arming; a test's autopilot gives no ack, so only what is held back has an answer at once."""
+    """Request arming. The test's autopilot sends no ack, so only a withheld request is answered at once."""
     return px4.bench.ros.services["/iris_0/mavros/cmd/arming"](CommandBoolRequest(value=True))
 
 

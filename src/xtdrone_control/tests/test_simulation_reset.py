@@ -37,7 +37,7 @@ def world():
 
 @pytest.fixture
 def clock(monkeypatch):
-    """Wall time, moved by the test."""
+    """Wall time, set by the test."""
 
     class Clock:
         now = 1000.0
@@ -285,7 +285,7 @@ def test_void_messages_are_dropped_but_latched_ones():
 
 
 def test_the_heartbeat_of_a_station_is_noted(world, station):
-    """The ground station's link serves commands while time stands still."""
+    """The link of a ground station serves commands while time is paused."""
     answers = world.ask(
         heartbeat(6), mavlink.MAVLink_param_request_read_message(FIRST_ID + 1, 1, b"MPC_XY_P", -1), client=station
     )

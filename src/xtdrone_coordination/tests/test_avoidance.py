@@ -1,4 +1,4 @@
-"""Algorithm 1 and what is around it."""
+"""Algorithm 1 (avoidance) and the functions around it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from xtdrone_coordination.laws.formation_avoidance import avoid, contribution, g
 
 
 def vectors() -> list[tuple[float, float, float]]:
-    """Return many vectors within the radius, the awkward ones first."""
+    """Return many vectors within the radius, special cases first."""
     units = [(s * x, s * y, s * z) for s in (1.0, -1.0) for x, y, z in ((1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0))]
     awkward = [*units, (1e-7, 0.0, 0.0), (0.0, 0.0, 1e-9), (0.3, -0.3, 0.0)]
     return awkward + [tuple(v) for v in np.random.default_rng(5).uniform(-0.8, 0.8, (200, 3)).tolist()]

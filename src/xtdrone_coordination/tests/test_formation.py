@@ -228,7 +228,7 @@ def test_avoidance_may_be_external_or_absent() -> None:
 
 
 def test_own_avoidance_replaces_a_silent_one_until_it_returns() -> None:
-    """Counted in ticks, as the age of positions is."""
+    """The timeout counts ticks, like the age of positions."""
     follower, warnings = follower_alone(avoid="topic", clearance=0.0, vel_max=9.0, pose_timeout=0.1)
     own, _ = follower_alone(avoid="own", clearance=0.0, vel_max=9.0)
     news: list[str] = []
@@ -237,7 +237,7 @@ def test_own_avoidance_replaces_a_silent_one_until_it_returns() -> None:
         one.on_pattern(OFFSETS)
 
     def turn(heard: tuple[float, float, float] | None) -> bool:
-        """Return whether the follower uses what it was told."""
+        """Return whether the follower uses the avoidance that it received."""
         for one in (follower, own):
             for j, p in enumerate([(0.0, 0.0, 0.0), (5.0, 0.5, 0.0), (5.0, 0.0, 0.0)]):
                 one.swarm.on_position(j, p)
@@ -359,7 +359,7 @@ def test_leader_accepts_shapes_with_arguments_as_commands() -> None:
 
 def test_vehicles_without_a_path_to_the_leader_are_reported() -> None:
     class Halves(Leader):
-        """The upper half of the numbers goes round in a circle."""
+        """The upper half of the vehicles listens in a circle."""
 
         def topology(self, offsets: np.ndarray) -> np.ndarray:
             half = self.count // 2

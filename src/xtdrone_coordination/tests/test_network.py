@@ -1,4 +1,4 @@
-"""The laws of the network: what comes, when, to whom, and that nothing but the seed decides."""
+"""The laws of the network: arrival, delay and receivers of samples, all decided by the seed alone."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ FEW = settings(derandomize=True, max_examples=12, deadline=None)
 
 
 def walk(count: int, turns: int, seed: int = 0, size: float = 10.0, speed: float = 3.0) -> np.ndarray:
-    """Return positions of vehicles that stray about, shape (turns, count, 3)."""
+    """Return positions of vehicles on random walks, shape (turns, count, 3)."""
     rng = np.random.default_rng(seed)
     steps = rng.normal(0.0, speed / RATE, (turns, count, 3)).cumsum(axis=0)
     return rng.uniform(-size, size, (count, 3)) + steps
 
 
 def labels(turn: int, count: int) -> np.ndarray:
-    """Return velocities that say in which turn and by whom a sample was made."""
+    """Return velocities that encode turn and sender of a sample."""
     return np.column_stack([np.full(count, turn), np.arange(count), np.zeros(count)]).astype(float)
 
 
 def fly(network: Network, track: np.ndarray) -> np.ndarray:
-    """Return the turn of the sample that each vehicle knows of each other after each turn, NaN for none: (T, N, N)."""
+    """Return the turn of the sample that each vehicle holds of each other after each turn, NaN for none: (T, N, N)."""
     known = np.empty((len(track), network.count, network.count))
     for turn, positions in enumerate(track):
         network.step(positions, labels(turn, network.count))
@@ -50,13 +50,13 @@ def fly(network: Network, track: np.ndarray) -> np.ndarray:
 
 
 def others(known: np.ndarray) -> np.ndarray:
-    """Return (T, N, N) without what each vehicle knows of itself: (T, N (N - 1))."""
+    """Return (T, N, N) without the diagonal: (T, N (N - 1))."""
     count = known.shape[1]
     return known[:, ~np.eye(count, dtype=bool)]
 
 
 def plainly(network: Network, track: np.ndarray) -> np.ndarray:
-    """Return what :func:`fly` does, by delivering message after message; for infinite bandwidth."""
+    """Return the result of :func:`fly` by delivery of message after message; for infinite bandwidth."""
     options, count, seed = network.options, network.count, network.air.seed
     memory = math.ceil(options.memory * RATE)
     newest: dict[tuple[int, int], tuple[int, int]] = {}

@@ -27,7 +27,7 @@ COUNTS = [*range(2, 34), 57, 100, 333, 1000, 1001]
 
 
 def bumpy_cloud(count: int) -> np.ndarray:
-    """A torus with noise, shape (count, 3); its unit is no metre."""
+    """Return a torus with noise, shape (count, 3), in units other than metres."""
     rng = np.random.default_rng(3)
     u, v = rng.uniform(0.0, 2.0 * np.pi, (2, count))
     radius = 0.05 + 0.02 * np.cos(v)

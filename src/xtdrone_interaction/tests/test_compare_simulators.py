@@ -1,4 +1,4 @@
-"""The comparison of two flights, on made-up ones whose differences are known."""
+"""The comparison of two flights, on synthetic ones with known differences."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ def flight(
     Args:
         rate: 1/s, of the approach.
         start: time of the first command, s.
-        step: between two recorded positions, s.
-        order: which slot each follower gets, in all but the first pattern.
-        shift: so far the followers stay from their slots, m.
+        step: time between two recorded positions, s.
+        order: slot of each follower, in all but the first pattern.
+        shift: distance of the followers from their slots, m.
         patterns: name and slots, flown in turn.
     """
     events: list[dict[str, object]] = [
@@ -74,7 +74,7 @@ def flight(
 
 
 def test_a_flight_does_not_differ_from_itself_later_and_at_another_rate() -> None:
-    """Flights are laid over each other at the command, whenever it came and however often was recorded."""
+    """Flights are aligned at the command, whatever its time and the rate of the recording."""
     differences = compare(flight(), flight(start=5.004, step=0.02))
     assert [d.pattern for d in differences] == ["origin", "line"]
     for d in differences:

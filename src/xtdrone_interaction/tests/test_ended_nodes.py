@@ -96,7 +96,7 @@ REQUIRED = "{line}REQUIRED process [{node}-2] has died!\nprocess has {how}\nlog 
 
 
 def required(node: str, how: str) -> str:
-    """roslaunch's words for the end of a required node."""
+    """Return roslaunch's text for the end of a required node."""
     return REQUIRED.format(line="=" * 80, node=node, how=how)
 
 

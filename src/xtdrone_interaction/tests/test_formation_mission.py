@@ -1,4 +1,4 @@
-"""The mission with a fleet of points that follow commands."""
+"""The mission with a fleet of points that follow commands exactly."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def lost(fleet: PointFleet) -> list[tuple[str, str]]:
 
 
 def test_the_flight_continues_without_a_follower_that_leaves_offboard() -> None:
-    """It does what PX4's failsafe does, and nothing waits for it: it is still armed at the end."""
+    """The follower flies PX4's failsafe and the mission does not wait for it: it is still armed at the end."""
     fleet = PointFleet()
     fleet.refuses = lambda index, command: index == 4 and fleet.view.mode[4] == "POSCTL"
     for _ in fleet.mission.fly():
@@ -252,7 +252,7 @@ def test_vehicles_that_never_connect_are_reported() -> None:
 
 
 def test_the_director_ignores_invalid_offsets(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A pattern that any node may publish: another size, or numbers by which all would be in their slots."""
+    """Any node may publish a pattern: these have another size, or offsets that put every vehicle into its slot."""
     pytest.importorskip("rospy")
     from std_msgs.msg import Float32MultiArray
 

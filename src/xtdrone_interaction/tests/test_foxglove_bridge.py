@@ -153,7 +153,7 @@ class _Listener:
 
 
 class _Raw:
-    """Subscriptions that are counted."""
+    """Counts subscriptions."""
 
     def __init__(self) -> None:
         self.listeners: list[Any] = []

@@ -1,4 +1,4 @@
-"""The ground station with real autopilots' MAVLink doors over UDP, while simulated time stands still."""
+"""The ground station with the autopilot's MAVLink servers over UDP, while simulated time is paused."""
 
 from __future__ import annotations
 

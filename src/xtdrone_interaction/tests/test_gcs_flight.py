@@ -1,4 +1,4 @@
-"""Commands of the ground station in flight: to PX4 and ArduPilot, and to real ports while time stands."""
+"""Flight commands of the ground station: to PX4 and ArduPilot, and to real ports while time is paused."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ KNOWN = {message.id: message for message in (ORIGIN, HOME, HERE)}
 
 
 class Obedient:
-    """A vehicle that accepts everything."""
+    """A vehicle that accepts every command."""
 
     def __init__(self, known=KNOWN):
         self.obeyed = []
@@ -164,7 +164,7 @@ def field():
 
 
 def test_one_of_three_rejects(field, capsys):
-    """Arming by force does not ask for checks."""
+    """Forced arming skips the checks."""
     vehicles = [str(vehicle.id) for vehicle in field.vehicles]
     assert main(["arm", "--force", "--vehicle", *vehicles[:2]]) == 0
     assert [commander.armed for commander in field.commanders] == [True, True, False]

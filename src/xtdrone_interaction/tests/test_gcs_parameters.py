@@ -1,4 +1,4 @@
-"""Parameters by the ground station: encodings, and real doors while time stands."""
+"""Parameters by the ground station: encodings, and real MAVLink servers while time is paused."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def _text(name):
 
 
 class Store:
-    """A vehicle with parameters, one that says integers by their numbers, as ArduPilot; some cannot be set."""
+    """A vehicle with parameters, some of them read-only; it encodes integers by value, as ArduPilot does."""
 
     def __init__(self, values, fixed=()):
         self.values = dict(values)

@@ -1,4 +1,4 @@
-"""``./xtdrone launch``, and demos that cannot start: a line on the screen, the status, and nothing left running."""
+"""``./xtdrone launch``, and demos that cannot start: a message, the exit status, and no process left running."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ PROGRAMS = {  # the boss ends when the file "end" is there, the worker never
 
 
 class Command:
-    """A command that runs, in a session of its own, and its output."""
+    """A running command in a session of its own, and its output."""
 
     def __init__(self, folder: Path, *arguments: str, limits: Callable[[], None] | None = None) -> None:
         self.mark = f"XTDRONE_TEST_LAUNCH={folder}"
@@ -60,7 +60,7 @@ class Command:
         return self.file.read_text(encoding="utf-8", errors="replace")
 
     def wait_for(self, words: str) -> None:
-        """Wait until the words are on the screen."""
+        """Wait until the words are in the output."""
         end = time.monotonic() + LIMIT
         while words not in self.output:
             assert self.process.poll() is None, self.output
@@ -76,7 +76,7 @@ class Command:
             pytest.fail(f"it does not end: {self.output}")
 
     def running(self) -> dict[int, str]:
-        """Return id and command line of every process that it has started and that lives."""
+        """Return id and command line of every live process that it has started."""
         found = {}
         for entry in Path("/proc").iterdir():
             try:
@@ -87,7 +87,7 @@ class Command:
         return found
 
     def gone(self) -> bool:
-        """Wait until nothing of it runs; return whether that comes to be."""
+        """Wait until none of its processes runs; return whether that happens in time."""
         end = time.monotonic() + LIMIT
         while (left := self.running()) and time.monotonic() < end:
             time.sleep(0.1)
@@ -274,7 +274,7 @@ sys.exit(cli.main(sys.argv[1:]))
 
 @pytest.mark.parametrize("then", ["mute master", "kill -9"])
 def test_a_demo_whose_launch_hangs_is_ended(tmp_path: Path, then: str) -> None:
-    """A master that takes connections and says nothing; and a demo that is killed while its nodes ignore signals."""
+    """Cases: a master that accepts connections and never replies, and a killed demo whose nodes ignore signals."""
     program = STUBBORN.format(python=sys.executable, master=MUTE if then == "mute master" else "")
     path = fake_roslaunch.install(tmp_path, program)
     environment = {**os.environ, "PATH": path, "XTDRONE_TEST_LAUNCH": str(tmp_path)}

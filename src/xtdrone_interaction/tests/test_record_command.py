@@ -1,4 +1,4 @@
-"""Recording by profiles: which topics each takes, and what rosbag is called with."""
+"""Recording by profiles: the topics of each, and the arguments of rosbag."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_invalid_arguments_are_reported(capfd: pytest.CaptureFixture[str]) -> No
 
 @pytest.fixture
 def masters() -> Iterator[Callable[[bool], str]]:
-    """Return a function that starts a ROS master with or without a simulator on it, and gives its URI."""
+    """Return a function that starts a ROS master, with or without a simulator, and returns its URI."""
     started = []
 
     def start(simulator: bool) -> str:
@@ -121,7 +121,7 @@ def masters() -> Iterator[Callable[[bool], str]]:
 
 @pytest.fixture
 def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a folder of flights in which there is none yet, in place of the workspace's own."""
+    """Replace the workspace's folder of flights by one that does not exist yet, and return it."""
     runs = tmp_path / "runs"
     runs.mkdir()
     monkeypatch.setattr(sim_cli, "RUNS", runs)

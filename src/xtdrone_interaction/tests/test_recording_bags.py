@@ -1,4 +1,4 @@
-"""Reading bags: everything that is whole, of whatever is left of them."""
+"""Reading bags: every intact message of a damaged file."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_damage_affects_only_the_damaged_part(tmp_path: Path, packing: str) -> N
 
 
 def records(data: bytes) -> Iterator[tuple[bytes, int]]:
-    """Yield each record's header, and where the size of what follows it stands."""
+    """Yield each record's header, and the position of the size of its data."""
     at = len(b"#ROSBAG V2.0\n")
     while at < len(data):
         body = at + 4 + int.from_bytes(data[at : at + 4], "little")
@@ -124,7 +124,7 @@ def records(data: bytes) -> Iterator[tuple[bytes, int]]:
 @pytest.mark.parametrize("packing", ["", "lz4", "bz2"])
 @pytest.mark.parametrize("kind", [b"op=\x05", b"op=\x04"])
 def test_a_wrong_size_does_not_hide_the_following_entries(tmp_path: Path, packing: str, kind: bytes) -> None:
-    """The second chunk's, or that of an index of messages: far beyond the end of the file."""
+    """The size of the second chunk, or of an index of messages, lies far beyond the end of the file."""
     path = tmp_path / "whole.bag"
     expected = small_bag(path, packing)
     data = bytearray(path.read_bytes())
@@ -296,7 +296,7 @@ def test_a_thousand_topics_and_an_unknown_definition(tmp_path: Path) -> None:
 
 
 def test_a_recording_that_was_split_is_one(tmp_path: Path) -> None:
-    """Its connections have other numbers in each file."""
+    """Connections have other numbers in each file."""
     for number, spaces in enumerate((["/iris_0", "/iris_1"], ["/iris_1", "/iris_0"], ["/iris_1"])):
         with Bag(tmp_path / f"flight_{number}.bag") as bag:
             for k in range(100 * number, 100 * number + 100):
@@ -359,7 +359,7 @@ def test_a_formation_flight_cut_off_is_judged_as_far_as_it_goes(flight_bag: Path
 
 
 def test_report_and_analysis_of_a_recorder_that_was_killed_agree(flight_bag: Path, tmp_path: Path) -> None:
-    """The events' file beside the bag goes on to the flight's end."""
+    """The events' file beside the bag continues to the flight's end."""
     path = tmp_path / "flight.bag"
     path.write_bytes(flight_bag.read_bytes()[: flight_bag.stat().st_size * 6 // 10])
     events = [json.dumps(event) for event in read_formation(flight_bag).events]

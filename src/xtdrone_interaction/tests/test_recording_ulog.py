@@ -1,4 +1,4 @@
-"""Reports of flight logs: figures in closed form, and logs that are not whole."""
+"""Reports of flight logs: figures in closed form, and incomplete logs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LOST = 0.5  # s; until then the estimator does not know where it is
 
 
 def block(topic: str, number: int, time: np.ndarray, **values: object) -> bytes:
-    """Return all messages of a topic, one behind the other."""
+    """Return all messages of a topic, concatenated."""
     template = data_template(message_format(topic), number)
     rows = np.repeat(template[None], len(time))
     rows["record"]["timestamp"] = START_US + np.round(1e6 * time).astype(np.uint64)
@@ -39,7 +39,7 @@ def block(topic: str, number: int, time: np.ndarray, **values: object) -> bytes:
 
 
 def make_log() -> bytes:
-    """Return a log: armed from 1 s to 19 s, up to 6 m; pitch rates follow late; a vibration along z."""
+    """Return a log: armed from 1 s to 19 s, up to 6 m; pitch rates lag; a vibration along z."""
     time = np.arange(0.0, SECONDS, 1 / RATE)
     slow, status = time[::25], np.array([0.0, 1.0, 2.0, 19.0, SECONDS])
     angle = 2 * np.pi * PITCHING * time
@@ -110,7 +110,7 @@ def test_figures_are_those_of_the_motion(tmp_path: Path, data: bytes) -> None:
 
 
 def test_values_missing_in_the_log_are_not_shown(tmp_path: Path, data: bytes) -> None:
-    """The estimator's place before it has one, a message alone with a time of its own, sticks of before the log."""
+    """Positions before the first estimate, a single message with its own time, and sticks from before the log."""
     log = read_log(write(tmp_path / "log.ulg", data))
     assert log.duration == pytest.approx(SECONDS)
     place = log.series("vehicle_local_position", "x", "z", "vx", "vz")
@@ -123,7 +123,7 @@ def test_values_missing_in_the_log_are_not_shown(tmp_path: Path, data: bytes) ->
 
 
 def test_data_appended_after_a_crash_are_read(tmp_path: Path, data: bytes) -> None:
-    """PX4 appends what it saved of a crash: at an offset that the flags tell, behind a message that is not whole."""
+    """PX4 appends the data saved in a crash at an offset stated in the flags, after a truncated message."""
     text = logged_string(4, START_US + 19_000_000, "hard fault")
     bad = bytearray(data[:-5])
     flags = 16 + 3

@@ -1,4 +1,4 @@
-"""Flight records, reports and pictures, from a made-up flight."""
+"""Flight records, reports and pictures, from a synthetic flight."""
 
 from __future__ import annotations
 

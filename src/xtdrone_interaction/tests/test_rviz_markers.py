@@ -228,7 +228,7 @@ def test_the_view_of_a_search_has_the_whole_flight_in_it(east, north):
 
 
 def assert_seen(text, places):
-    """All places, (k, 3), m from the frame that a view looks at, are in its picture."""
+    """Check that all points, (k, 3), m in the frame of a view, are in its picture."""
     view = yaml.safe_load(text)["Visualization Manager"]["Views"]["Current"]
     pitch, yaw = view["Pitch"], view["Yaw"]
     away = np.array([math.cos(yaw) * math.cos(pitch), math.sin(yaw) * math.cos(pitch), math.sin(pitch)])

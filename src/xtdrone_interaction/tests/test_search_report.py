@@ -1,4 +1,4 @@
-"""Report and map of a search, from a record of known numbers."""
+"""Report and map of a search, from a record with known figures."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ FINISHED: dict[str, Any] = {
 
 
 def confirmed(x: float, y: float, time: float = 30.0, vehicle: str = "typhoon_h480_0") -> dict[str, Any]:
-    """A find at (x, y) m."""
+    """Return a find at (x, y) m."""
     return {"event": "confirmed", "time": time + 0.5, "vehicle": vehicle, "position": [x, y], "found_time": time}
 
 
 def record(*events: dict[str, Any], sights: list[Sight] | None = None, **changes: Any) -> SearchRecord:
-    """Two vehicles; the first flies 100 m east at 1 m/s. A person walks north from (10, -30) at 1 m/s."""
+    """Return a record: the first vehicle flies 100 m east at 1 m/s; a person walks north from (10, -30) at 1 m/s."""
     time = np.linspace(0.0, 100.0, 1001)
     position = np.zeros((1001, 2, 3))
     position[:, 0, 0] = time

@@ -1,4 +1,4 @@
-"""The command ``demo simplified``: what is refused and how, and a whole flight in one process."""
+"""The command ``demo simplified``: rejections, and a whole flight in one process."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ALONE = [*DEMO, "--without-ros"]
 
 @pytest.fixture(autouse=True)
 def no_display(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """No window; results go into the test's folder."""
+    """Disable the window, and direct results into the test's folder."""
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.chdir(tmp_path)
@@ -93,7 +93,7 @@ def test_options_unavailable_on_ros_are_reported(
 
 
 def test_ros_gets_the_window_and_the_classes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The launch file gets them, with absolute paths."""
+    """The launch file receives them, with absolute paths."""
     monkeypatch.setattr(command_options, "_taken", lambda number, kind: False)
     monkeypatch.setattr(supervised_launch.shutil, "which", lambda program: program)
     flown: list[DemoSettings] = []
@@ -164,7 +164,7 @@ def test_the_report_of_a_flight_without_ros_is_made_again(tmp_path: Path, capfd:
 
 
 def test_with_a_display_the_flight_is_in_a_window_which_closes_at_its_end(tmp_path: Path) -> None:
-    """In a process of its own: Tk ends the process when a display goes that it has ever had a window on."""
+    """The flight runs in its own process: Tk ends a process when a display closes on which it had a window."""
     arguments = ["--n", "4", "--patterns", "cube", "--no-compare", "--speed", "20", "--out", "out"]
     with virtual_display() as display:
         flight = subprocess.Popen(

@@ -24,7 +24,7 @@ class Logs:
         self.startup = Startup(folder)
 
     def add(self, text: str, name: str = "run/simulator-2-stdout.log") -> bool:
-        """Add to a log and return whether that moves."""
+        """Append to a log; return whether the progress changes."""
         path = self._folder / name
         path.parent.mkdir(exist_ok=True)
         with path.open("a") as file:

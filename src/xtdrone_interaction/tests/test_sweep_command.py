@@ -1,4 +1,4 @@
-"""``xtdrone sweep`` as a user runs it: to its end, killed and resumed, stopped, changed, with own classes that fail."""
+"""``xtdrone sweep`` as a user runs it: to its end, killed and resumed, stopped, changed, with failing user classes."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def rows(folder: Path) -> list[dict[str, Any]]:
 
 
 def serial(file: Path) -> list[dict[str, Any]]:
-    """Return what the study's runs give one after the other in this process."""
+    """Return the results of the study's runs, one after the other in this process."""
     study = read_study(file)
     common = {
         "engine": study.engine,
@@ -93,7 +93,7 @@ def group_is_gone(group: int) -> bool:
 
 
 def processes_of(group: int) -> int:
-    """Return how many processes of a group run."""
+    """Return the number of running processes of a group."""
     found = 0
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
@@ -105,7 +105,7 @@ def processes_of(group: int) -> int:
 
 
 def committed(out: Path) -> int:
-    """Return how many runs are in the file of a sweep that has locked it, or has been killed."""
+    """Return the number of runs in the file of a sweep that holds its lock, or was killed."""
     try:
         database = sqlite3.connect(f"file:{out / 'runs.sqlite'}?mode=ro&immutable=1", uri=True)
     except sqlite3.Error:  # not there yet

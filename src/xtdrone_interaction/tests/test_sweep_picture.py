@@ -1,4 +1,4 @@
-"""Pictures of sweeps: what is chosen, the means that are drawn, and what is refused."""
+"""Pictures of sweeps: selection, plotted means, and rejections."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The store of a sweep's rows: commits, locks, every run once, column types, folders that are refused."""
+"""The store of a sweep's rows: commits, locks, every run once, column types, rejected folders."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Operators' actions without ROS master: what is read of a bag, how they are carried out, and ports of instances."""
+"""Operators' actions without a ROS master: reading from a bag, execution, and ports of instances."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_what_cannot_be_repeated_is_refused(texts: list[str], reason: str) -> No
 
 
 class Station:
-    """Operators' actions on a simulator that is made up."""
+    """Operators' actions on a fake simulator."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, instant: Instant) -> None:
         self.log: list[Any] = []

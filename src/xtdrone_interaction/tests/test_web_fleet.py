@@ -1,4 +1,4 @@
-"""What the station makes of the simulator's messages, and of what pages ask for."""
+"""The station's handling of the simulator's messages and of pages' requests."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ class Topics:
 
 
 class Page:
-    """A page that keeps what it is told."""
+    """A page that keeps the messages sent to it."""
 
     number = 1
 

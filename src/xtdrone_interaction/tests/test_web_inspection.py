@@ -1,4 +1,4 @@
-"""The station's rooms of inspection, without ROS master and browser."""
+"""The station's rooms of inspection, without a ROS master and a browser."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Deaf(RawSubscriptions):
 
 
 class Page:
-    """A socket that keeps what is sent."""
+    """A socket that keeps the messages sent to it."""
 
     def __init__(self) -> None:
         self.sent: list[Any] = []
@@ -59,7 +59,7 @@ class Page:
 
 
 class Known(TopicRoom):
-    """A room whose ROS graph is given."""
+    """A room with a given ROS graph."""
 
     async def graph(self) -> TopicGraph:
         return GRAPH

@@ -1,4 +1,4 @@
-"""The station's server: what a stranger, a careless page and a slow browser can do."""
+"""The station's server against strangers, careless pages and slow browsers."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def test_files_are_sent_packed_once_and_then_only_if_they_have_changed() -> None
 
 
 def test_all_modules_of_the_page_are_asked_for_at_once() -> None:
-    """Otherwise a browser learns of a module only when it has read the one that imports it."""
+    """Otherwise a browser finds a module only when it has read the one that imports it."""
     modules = {str(path.relative_to(PAGE)) for path in PAGE.rglob("*.js")} - {"app.js", "vendor/three_names.js"}
     text = (PAGE / "index.html").read_text(encoding="utf-8")
     assert set(re.findall(r'<link rel="modulepreload" href="([^"]+)">', text)) == modules

@@ -1,4 +1,4 @@
-"""What a stranger, and a page that may only watch, can do with each route and method that the station really has."""
+"""Access of strangers, and of pages that may only watch, to each route and method of the real station."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ OPERATING = {
 
 
 class Guarded:
-    """A server with the real rooms, whose methods note that they were called and do nothing."""
+    """A server with the real rooms, whose methods record their calls and do nothing."""
 
     def __init__(self, context: StationContext) -> None:
         self.called: list[str] = []

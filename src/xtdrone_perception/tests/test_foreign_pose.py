@@ -1,4 +1,4 @@
-"""Poses of programs of others: frames, optical axes, heights, and chains of transforms."""
+"""Poses from external programs: frames, optical axes, heights, and chains of transforms."""
 
 from __future__ import annotations
 

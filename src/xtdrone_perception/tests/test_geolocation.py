@@ -1,4 +1,4 @@
-"""Positions on the ground against geometry by hand, and their covariance against random errors."""
+"""Positions on the ground against hand-computed geometry, and their covariance against random errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Exploration without ROS: maps of floors and their merging, ways, sharing by messages, and whole flights on floors."""
+"""Exploration without ROS: maps of floors and their merging, routes, sharing by messages, whole flights on floors."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def halves(place: tuple[float, float], mine: frozenset[int], theirs: frozenset[i
 
 
 def exchange(loss: float, seconds: float, silent_after: float = math.inf) -> list[Sharing]:
-    """Let three vehicles share eight regions by messages that are lost with a probability."""
+    """Run three vehicles that share eight regions by messages, which are lost with a probability."""
     names = ["a", "b", "c"]
     vehicles = [Sharing(name, names, 8, 5.0) for name in names]
     rng = np.random.default_rng(1)

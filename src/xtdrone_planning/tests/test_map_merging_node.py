@@ -1,4 +1,4 @@
-"""map_merging.py with a real master in lockstep: three vehicles with made maps; the third one's has another yard.
+"""map_merging.py with a real master in lockstep: three vehicles with synthetic maps, the third in another yard.
 
 Run as a program, this file is one of the other nodes: ``fleet`` (the vehicles) or ``recorder``.
 """
@@ -83,7 +83,7 @@ def fleet() -> None:
 
 
 def recorder(file: str) -> None:
-    """Record what the node publishes, one JSON line each."""
+    """Record the node's messages, one JSON line each."""
     lockstep.init_node("recorder", rate=20.0)
     out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process
 

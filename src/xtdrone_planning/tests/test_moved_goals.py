@@ -1,4 +1,4 @@
-"""A goal that moves, as of a follower's velocity, is followed without stops, and round what stands in its way."""
+"""A moving goal, as of a follower's velocity, is followed without stops, and around obstacles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Several planners that agree by radio, without a simulator: separation, precedence, delays and losses."""
+"""Several planners that coordinate by radio, without a simulator: separation, precedence, delays and losses."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def test_a_path_leads_round_the_place_where_another_rests():
 
 
 def blown_off(flight: ToyFlight) -> None:
-    """Fly at speed, and be led 1.5 m off the trajectory."""
+    """Fly at speed, then displace the vehicle by 1.5 m from the trajectory."""
     flight.planner = SwarmPlanner(flight.map.grid, flight.settings, flight.limits, AgreementSettings(check=0.2), rank=1)
     flight.planner.set_goal(np.array([16.0, 0.0, 2.0]))
     flight.run(3.5)

@@ -1,4 +1,4 @@
-"""The safety filter without ROS: solver, barriers, and groups of vehicles that exchange places."""
+"""The safety filter without ROS: solver, barriers, and groups of vehicles that exchange positions."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ NO_POINTS = np.empty((0, 3))
 
 
 def fly(places, goals, settings, seconds, obstacles=NO_POINTS):
-    """Fly vehicles to goals; return places (turns, N, 3) in m, until all have arrived or the time is over."""
+    """Fly vehicles to goals; return positions (turns, N, 3) in m, until all have arrived or time is up."""
     places, velocities = places.copy(), np.zeros_like(places)
     filters = [VelocityFilter(settings, 1.0 / RATE) for _ in places]
     waiting = [np.zeros_like(places)] * DELAY

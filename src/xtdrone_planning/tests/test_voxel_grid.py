@@ -53,7 +53,7 @@ def test_a_ray_passes_the_voxels_that_dense_samples_of_it_pass():
 
 
 def passed_one_by_one(grid, origin, end):
-    """Return the voxels of a ray, by the method of Amanatides and Woo in its plain form."""
+    """Return the voxels of a ray by the plain form of Amanatides and Woo's method."""
     place, length = np.asarray(origin) / 0.2 - grid.corner, (np.asarray(end) - origin) / 0.2
     cell = np.floor(place).astype(int)
     step = np.sign(length).astype(int)

@@ -1,4 +1,4 @@
-"""Range finder and flow camera of the autopilot over what stands in the world."""
+"""The autopilot's range finder and flow camera above objects of the world."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ def test_a_walking_person_below_is_seen(tmp_path):
 
 
 def test_many_steps_at_once_are_those_one_by_one():
-    """A vehicle falls past one that looks down, which flies in compiled steps or not."""
+    """A vehicle falls past one with a downward sensor, which flies in compiled steps or not."""
 
     def flown(steps: int) -> tuple[bytes, list[float]]:
         simulation = Simulation(parse_fleet("iris_rangefinder:2"), seed=3)

@@ -1,7 +1,7 @@
 """The cameras' node with a real master in lockstep; this file plays the simulator.
 
-Called as a program this file is one of the other nodes: ``teller`` (of the scene), ``taker`` (of one camera's pictures)
-or ``slow`` (the cameras' node with a drawer that waits for lines on standard input).
+Run as a program, this file is one of the other nodes: ``teller`` publishes the scene, ``taker`` receives one camera's
+pictures, and ``slow`` is the cameras' node with a renderer that waits for lines on standard input.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ cameras:
 
 
 def teller() -> None:
-    """Publisher of the cameras' poses; they turn downwards, so the horizon moves up in the picture."""
+    """Publish the cameras' poses; the cameras turn downwards, so the horizon moves up in the picture."""
     lockstep.init_node("teller", rate=50.0)
     publisher = lockstep.Publisher("/xtdrone/scene", SceneState)
     links = [f"{vehicle.name}::cgo3_camera_link" for vehicle in parse_fleet(FLEET)]
@@ -78,7 +78,7 @@ def teller() -> None:
 
 
 def taker(file: str, freeze: str, thaw: str) -> None:
-    """Writes down what comes of the first camera, a JSON line a message; freezes and thaws it at these times, s."""
+    """Record the first camera's messages, a JSON line each; freeze and restore it at these times, s."""
     lockstep.init_node("taker", rate=50.0)
     out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process
 
@@ -110,7 +110,7 @@ def taker(file: str, freeze: str, thaw: str) -> None:
 
 
 def slow(file: str) -> None:
-    """The cameras' node; each picture, of no content, takes a line of standard input."""
+    """Run the cameras' node; each picture, of no content, waits for a line of standard input."""
     from xtdrone_sim.cameras.camera_node import CameraNode, CameraSettings
     from xtdrone_sim.cameras.cameras_of_fleet import cameras_of
 

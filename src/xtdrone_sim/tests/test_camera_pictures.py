@@ -1,4 +1,4 @@
-"""Colour pictures of cameras: lens distortion against OpenCV, noise, compressed pictures, and what is refused."""
+"""Colour pictures of cameras: lens distortion against OpenCV, noise, compressed pictures, and rejections."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def matrix(pinhole: Pinhole) -> NDArray[np.float64]:
 
 
 def balls_seen(mount: CameraMount, place: tuple[float, float, float]) -> tuple[float, float]:
-    """Return where a camera at the origin shows a small ball, as OpenCV counts pixels."""
+    """Return the pixel at which a camera at the origin shows a small ball, in OpenCV's convention."""
     assert mount.lens is not None
     camera = Camera("iris_0", mount)
     with Renderer("tiny") as renderer:

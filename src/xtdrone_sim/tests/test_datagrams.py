@@ -40,7 +40,7 @@ class Server:
 
 @dataclass
 class Mavlink:
-    """Receives what is in its socket; what is on its way comes one at a time."""
+    """Receives the datagrams in its socket; those on the way arrive one at a time."""
 
     received: dict[int, int] = field(default_factory=lambda: {PORT: 0})
     in_socket: int = 0

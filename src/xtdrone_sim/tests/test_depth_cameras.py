@@ -1,4 +1,4 @@
-"""Depth cameras and stereo pairs: depth against rays and closed form, disparity, messages, and what is refused."""
+"""Depth cameras and stereo pairs: depth against rays and closed form, disparity, messages, and rejections."""
 
 from __future__ import annotations
 

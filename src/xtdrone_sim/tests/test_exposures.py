@@ -1,4 +1,4 @@
-"""Which camera exposes when; what becomes of the process that draws."""
+"""The exposure times of each camera, and failures of the rendering process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Failsafes flown on the whole core, with their timing, by simulated time, to 0.2 s."""
+"""Failsafes flown on the whole core; simulated times are held to 0.2 s."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TOLERANCE = 0.2  # s
 
 
 class Sortie:
-    """One vehicle that hovers at 4 m in AUTO.LOITER; everything by its commander."""
+    """One vehicle that hovers at 4 m in AUTO.LOITER, flown by its commander alone."""
 
     def __init__(self, **parameters: float) -> None:
         self.simulation = Simulation(parse_fleet("iris:1"))
@@ -67,7 +67,7 @@ class Sortie:
                 self.named.append(self.commander.events.popleft().name)
 
     def until(self, done, limit: float) -> float:
-        """Fly on until ``done()``; return the seconds that took."""
+        """Fly on until ``done()``; return the elapsed time, s."""
         start = self.now
         while not done():
             assert self.now - start < limit, f"not within {limit} s; {self.commander.mode.label}; {self.said}"
@@ -172,7 +172,7 @@ def test_loss_of_the_ground_station_is_only_announced_by_default(sortie):
 
 
 def test_a_draining_battery_warns_and_then_lands_the_vehicle(sortie):
-    """As PX4's simulator drains it: full to empty in SIM_BAT_DRAIN; BAT_CRIT_THR 7 %, COM_LOW_BAT_ACT 2."""
+    """The battery drains as in PX4's simulator, in SIM_BAT_DRAIN; BAT_CRIT_THR 7 %, COM_LOW_BAT_ACT 2."""
     flight = sortie(SIM_BAT_DRAIN=25.0, SIM_BAT_MIN_PCT=0.0, BAT1_V_LOAD_DROP=0.0, COM_FAIL_ACT_T=1.0)
     flight.until(lambda: "commander_failsafe_enter_low_bat" in flight.named, 25.0)
     assert flight.now - flight.armed == pytest.approx(25.0 * 0.85, abs=TOLERANCE)
@@ -229,7 +229,7 @@ def test_a_mission_into_a_fence_is_stopped(sortie):
 
 
 def _goto(flight, north):
-    """Send the vehicle ``north`` metres away from where it is, by DO_REPOSITION."""
+    """Send the vehicle ``north`` metres from its position, by DO_REPOSITION."""
     x, y, z = flight.commander.view.position
     place = flight.commander.view.to_global((x + north, y, z))
     return flight.commander.reposition(place, math.nan, math.nan)
@@ -283,7 +283,7 @@ def test_a_motor_that_stops_is_found_by_its_current(sortie):
 
 @pytest.mark.parametrize(("breaker", "action"), [(121212, "warn"), (0, "terminate")])
 def test_the_attitude_limit(sortie, breaker, action):
-    """Told to bank beyond FD_FAIL_R by attitude setpoints."""
+    """Attitude setpoints command a bank beyond FD_FAIL_R."""
     flight = sortie(CBRK_FLIGHTTERM=breaker, FD_FAIL_R=20, COM_LKDOWN_TKO=0.0)
     flight.hover_offboard()
     half = math.radians(30.0) / 2

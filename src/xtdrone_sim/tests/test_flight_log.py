@@ -1,4 +1,4 @@
-"""A flight's log: what pyulog and its tools read in it, against what the simulation had."""
+"""A flight log as pyulog and its tools read it, against the simulation's values."""
 
 from __future__ import annotations
 
@@ -245,7 +245,7 @@ def test_texts(flight, log):
 
 
 def tool(name: str, *arguments: object, folder: Path) -> str:
-    """Run one of pyulog's programs; it must say nothing of trouble."""
+    """Run one of pyulog's programs; it must report no error."""
     program = Path(sys.executable).with_name(name)
     done = subprocess.run(
         [str(program), *map(str, arguments)], capture_output=True, text=True, cwd=folder, timeout=100, check=False
@@ -287,7 +287,7 @@ def test_logging_changes_nothing(flight):
 
 
 def test_tail_cut_anywhere(flight, tmp_path, capsys):
-    """A log without its last bytes is read silently."""
+    """A log without its last bytes is read without a warning."""
     whole = flight.log().read_bytes()
     cut = tmp_path / "cut.ulg"
     for missing in range(0, 400):
@@ -324,7 +324,7 @@ def test_data_written_before_a_crash_is_readable(tmp_path):
     [(-1, []), (0, [1]), (1, [0]), (2, [0]), (4, [1])],
 )
 def test_modes_of_logging(tmp_path, mode, starts):
-    """SDLOG_MODE says when a log is begun: at boot, or at the first arming after 1 s."""
+    """SDLOG_MODE selects when a log begins: at boot, or at the first arming after 1 s."""
     flight = Flight(tmp_path, SDLOG_MODE=mode) if mode == 1 else _booted_with(tmp_path, mode)
     flight.run_until(1_000_000)
     flight.commander.arm_disarm(True)

@@ -1,4 +1,4 @@
-"""PX4s in our autopilot's place: the simulator link against a stand-in that follows PX4's side of it."""
+"""PX4s in our autopilot's place: the simulator link against a stand-in written from PX4's side."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ STEP = 4000
 
 
 class World:
-    """A simulation whose vehicles PX4s fly, and what its links have said."""
+    """A simulation whose vehicles are flown by PX4s, and the messages of its links."""
 
     def __init__(self, count: int = 1, **options: object) -> None:
         self.log: list[tuple[int, str]] = []
@@ -42,7 +42,7 @@ class World:
         self.px4s: list[StandIn] = []
 
     def start(self, index: int = 0, script=None, **options) -> StandIn:
-        """Start a PX4 and wait until its link is there."""
+        """Start a PX4 and wait for its link."""
         px4 = StandIn(FLEET[index], script, **options)
         self.px4s.append(px4)
         end = time.monotonic() + WALL_LIMIT
@@ -59,7 +59,7 @@ class World:
                 px4.check()
 
     def said(self, text: str) -> int:
-        """Return the level of the first word with ``text``."""
+        """Return the level of the first message with ``text``."""
         found = [level for level, said in self.log if text in said]
         assert found, (text, self.log)
         return found[0]
@@ -83,7 +83,7 @@ def take_off(px4: StandIn) -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def patience():
-    """A stand-in that a busy machine holds up is not one that is silent."""
+    """Extend the limit of silence, so that a stand-in delayed by a busy machine does not count as silent."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(hil_module, "DISARMED_LIMIT", WALL_LIMIT)
         yield
@@ -230,7 +230,7 @@ def test_one_that_dies_stops_its_motors_and_the_other_flies_on():
 
 
 def test_a_disarmed_ones_silence_does_not_stop_the_world(monkeypatch):
-    """PX4 sends no controls while it is disarmed in OFFBOARD without setpoints."""
+    """PX4 sends no controls while disarmed in OFFBOARD without setpoints."""
     monkeypatch.setattr(hil_module, "DISARMED_LIMIT", 0.2)
 
     def be_silent(px4: StandIn) -> None:

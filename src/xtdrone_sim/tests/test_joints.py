@@ -1,4 +1,4 @@
-"""Joints between models: reading, and motion against the equations of a pendulum, an incline and limits."""
+"""Joints between models: parsing, and motion against the equations of a pendulum, an incline and limits."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_limits_stop_without_a_rebound_and_hold_the_weight(kind: str, axis: str,
 
 
 def test_damping_brings_a_falling_slide_to_its_final_speed_and_friction_holds_it() -> None:
-    """m g = d v; friction above m g holds."""
+    """The final speed is that of m g = d v; friction above m g holds the slide."""
     loose = "<axis><xyz>0 0 -1</xyz><dynamics><damping>40</damping></dynamics></axis>"
     world = simulation(model(joint("prismatic", loose)))
     run(world, 0.6)
@@ -105,7 +105,7 @@ def test_damping_brings_a_falling_slide_to_its_final_speed_and_friction_holds_it
 
 @pytest.mark.parametrize("kind", ["revolute", "ball", "prismatic"])
 def test_free_bodies_keep_momentum_and_energy_falls(kind: str) -> None:
-    """Without gravity on them, two joined bodies that are struck keep the sum of their momenta."""
+    """Without gravity, two joined bodies keep the sum of their momenta after a blow."""
     first = ROD.format(name="a", pose="0 0 0 0 0 0").replace("</link>", "<gravity>0</gravity></link>")
     second = ROD.format(name="b", pose="0.7 0 0 0 0 0").replace("</link>", "<gravity>0</gravity></link>")
     axis = "<axis><xyz>0 1 0</xyz><limit><lower>-0.2</lower><upper>0.2</upper></limit></axis>"

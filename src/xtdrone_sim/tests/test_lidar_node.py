@@ -1,7 +1,7 @@
 """The lidars' node with a real master in lockstep; this file plays the simulator.
 
-Called as a program this file is one of the other nodes: ``teller`` (of the scene), ``taker`` (of scans), ``inviter``
-(of a vehicle that joins and leaves) or ``watcher`` (of everyone's scans).
+Run as a program, this file is one of the other nodes: ``teller`` publishes the scene, ``taker`` receives scans,
+``inviter`` has a vehicle join and leave, and ``watcher`` receives every vehicle's scans.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ GUEST = (4.0, 3.0, 2.03)  # m
 
 
 def teller() -> None:
-    """Publisher of the vehicles' places: the first flies to the second, which stands."""
+    """Publish the vehicles' poses: the first flies to the second, which stands."""
     lockstep.init_node("teller", rate=50.0)
     publisher = lockstep.Publisher("/xtdrone/scene", SceneState)
 
@@ -58,7 +58,7 @@ def teller() -> None:
 
 
 def taker(file: str) -> None:
-    """Writes down the scans of the first vehicle, a JSON line each; lets its lidar fail from 0.5 s on."""
+    """Record the scans of the first vehicle, a JSON line each; let its lidar fail from 0.5 s on."""
     lockstep.init_node("taker", rate=50.0)
     out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process
 
@@ -88,7 +88,7 @@ def taker(file: str) -> None:
 
 
 def inviter(unusable: str) -> None:
-    """Publisher of the vehicles' places; in its second flight two vehicles join at 0.32 s and leave at 0.92 s.
+    """Publish the vehicles' poses; in the second flight two vehicles join at 0.32 s and leave at 0.92 s.
 
     Args:
         unusable: description file of the second vehicle, which cannot be loaded, so that no lidar detects the vehicle.
@@ -120,9 +120,9 @@ def inviter(unusable: str) -> None:
 
 
 def watcher(file: str) -> None:
-    """Writes down the scans of three vehicles, a JSON line each, and when it is connected to the third.
+    """Record the scans of three vehicles, a JSON line each, and the time of the connection to the third.
 
-    In its second flight it makes calls that are refused.
+    In the second flight, send requests that are rejected.
     """
     lockstep.init_node("watcher", rate=50.0)
     out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process

@@ -1,4 +1,4 @@
-"""States by the wall clock: how often they are published, with a clock of the test's."""
+"""States by wall time: the rate of publishing, with a clock set by the test."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from xtdrone_sim.topics.live_states import PERIOD, STANDING_PERIOD, LiveStates
 
 
 class Topic:
-    """The topic's publisher, with subscribers that are made up."""
+    """The topic's publisher, with fake subscribers."""
 
     def __init__(self, *_: Any, **__: Any) -> None:
         self.subscribers = 1
@@ -29,7 +29,7 @@ class Topic:
 
 
 class Bench:
-    """Live states, whose clock the test sets."""
+    """Live states with a clock set by the test."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 0.0

@@ -204,7 +204,7 @@ def test_hidden_bodies_reappear(renderer: Renderer) -> None:
 
 
 def test_close_and_far_objects_are_resolved_together(renderer: Renderer) -> None:
-    """Whatever the depth buffer: two sheets 4 cm apart 60 m away, behind a thing at 0.3 m."""
+    """The depth buffer resolves two sheets 4 cm apart at 60 m, behind an object at 0.3 m."""
     green, blue = (0.0, 1.0, 0.0, 1.0), (0.0, 0.0, 1.0, 1.0)
     sheets = [renderer.add([Visual(Box((80.0, 80.0, 0.001)), colour=colour)]) for colour in (green, blue)]
     renderer.place(sheets[0], Pose((0.0, 0.0, 60.0)))

@@ -1,4 +1,4 @@
-"""Scenery from a seed: the same again, nothing inside another, people on free ground, nothing shared by the splits."""
+"""Scenery from a seed: repeatable, without overlaps, people on free ground, nothing shared by the splits."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_the_same_seed_repeats_the_world(scene: SdfWorld) -> None:
 
 
 def test_the_shipped_world_is_that_of_seed_0() -> None:
-    """Around the region that launch/search.launch has searched."""
+    """It surrounds the region that launch/search.launch searches."""
     shipped, made = load_world_file("outdoor"), outdoor(0, region=(10.0, -35.0, 120.0, 35.0), walking=True)
     assert shipped.models == made.models
     assert shipped.actors[0].pose == made.actors[0].pose

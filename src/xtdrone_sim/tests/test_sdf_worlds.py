@@ -1,4 +1,4 @@
-"""SDF worlds: read, written, refused with the place of what is wrong, warned of once."""
+"""SDF worlds: read, written, rejected with the place of the error, warned of once."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ LIGHTS = st.builds(
 
 @st.composite
 def models_called(draw: st.DrawFn, name: str) -> SdfModel:
-    """Static ones of up to two links, and movable ones of one that collides."""
+    """Draw static models with up to two links, and movable ones with one link that collides."""
     links = tuple(draw(st.lists(LINKS, max_size=2)))
     movable = len(links) == 1 and bool(links[0].collisions) and draw(st.booleans())
     return SdfModel(name, draw(POSES), not movable, links)

@@ -39,7 +39,7 @@ def mount_of(**changes: Any) -> CameraMount:
 
 
 def turning(time_us: int, rate: float = RATE) -> SceneState:
-    """Return the scene of a vehicle at the origin that turns to the left, ahead at 0.5 s."""
+    """Return the scene of a vehicle at the origin that turns left and faces ahead at 0.5 s."""
     turn = Quaternion(*to_xyzw(from_euler(0.0, 0.0, rate * (1e-6 * time_us - 0.5))))
     scene = SceneState(links=[LINK], poses=[PoseMessage(Point(0.0, 0.0, 1.0), turn)])
     scene.header.stamp = rospy.Time(0, 1000 * time_us)

@@ -1,4 +1,4 @@
-"""People as bodies: where they are, what they push and stop, and that nothing changes without them."""
+"""People as bodies: positions, contacts with other bodies, and no effect where there are none."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pause, step, speed and reset with a clock and a barrier that the test moves: no ROS, no waiting."""
+"""Pause, step, speed and reset with a clock and a barrier moved by the test: no ROS, no waiting."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class FakeBarrier:
 
 
 class Loop:
-    """The simulator's loop as the node has it, by a wall clock of the test's own."""
+    """The simulator's loop as in the node, with a wall clock set by the test."""
 
     def __init__(self, speed: float = 1.0, *, paused: bool = False, cost: float = 0.0, started: bool = True) -> None:
         self.wall = 100.0

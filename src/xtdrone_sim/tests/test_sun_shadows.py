@@ -1,4 +1,4 @@
-"""Shadows of the sun in pictures: where closed form has them, how dark they are, and that options keep them away."""
+"""Shadows of the sun in pictures: position in closed form, darkness, and options that disable them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The UWB sensors' node with a real master in lockstep; this file plays the simulator.
 
-Called as a program this file is one of the other nodes: ``teller`` (of the scene), ``taker`` (of ranges), ``inviter``
-(of a vehicle that joins and leaves) or ``watcher`` (of everyone's ranges).
+Run as a program, this file is one of the other nodes: ``teller`` publishes the scene, ``taker`` receives ranges,
+``inviter`` has a vehicle join and leave, and ``watcher`` receives every vehicle's ranges.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ RATE = 8.0  # Hz: most measurements are between two scenes
 
 
 def places(time: float) -> list[tuple[float, float, float]]:
-    """Return where the vehicles are, m: the third is too far away."""
+    """Return the positions of the vehicles, m; the third is out of range."""
     return [(SPEED * time, 0.0, 2.0), (10.0, 10.0, 2.0), (100.0, 0.0, 2.0)]
 
 
 def teller() -> None:
-    """Publisher of the vehicles' places."""
+    """Publish the vehicles' poses."""
     lockstep.init_node("teller", rate=50.0)
     publisher = lockstep.Publisher("/xtdrone/scene", SceneState)
 
@@ -57,7 +57,7 @@ def teller() -> None:
 
 
 def taker(file: str) -> None:
-    """Writes down the ranges of the first vehicle, a JSON line each; lets sensors fail between measurements."""
+    """Record the ranges of the first vehicle, a JSON line each; let sensors fail between measurements."""
     lockstep.init_node("taker", rate=50.0)
     out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process
 
@@ -91,7 +91,7 @@ def taker(file: str) -> None:
 
 
 def inviter() -> None:
-    """Publisher of the vehicles' places; in its second flight the third joins at 0.32 s and leaves at 0.92 s."""
+    """Publish the vehicles' poses; in the second flight the third joins at 0.32 s and leaves at 0.92 s."""
     lockstep.init_node("inviter", rate=50.0)
     publisher = lockstep.Publisher("/xtdrone/scene", SceneState)
     vehicles = lockstep.Publisher("/xtdrone/vehicles", String, latch=True)
@@ -115,7 +115,7 @@ def inviter() -> None:
 
 
 def watcher(file: str) -> None:
-    """Writes down the ranges of all vehicles, a JSON line each."""
+    """Record the ranges of all vehicles, a JSON line each."""
     lockstep.init_node("watcher", rate=50.0)
     out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process
 

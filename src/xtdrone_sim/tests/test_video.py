@@ -1,4 +1,4 @@
-"""Videos for ground stations: a decoder of others shows the pictures, and a client finds them by MAVLink."""
+"""Videos for ground stations: an independent decoder shows the pictures, and a client finds them by MAVLink."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def picture(number: int = 0) -> NDArray[np.uint8]:
 
 
 def teller() -> None:
-    """Publisher of the first camera's pictures, which runs freely."""
+    """Publish the first camera's pictures, free-running."""
     rospy.init_node("teller")
     publisher = rospy.Publisher(f"{CAMERA}/image_raw", Image, queue_size=1)
     number = 0
@@ -64,7 +64,7 @@ def teller() -> None:
 
 
 def decoded(sdp: Path) -> NDArray[np.uint8]:
-    """Return a picture that ffmpeg receives and decodes, RGB."""
+    """Return a picture received and decoded by ffmpeg, RGB."""
     options = ("-loglevel", "error", "-protocol_whitelist", "file,udp,rtp", "-i", str(sdp), "-frames:v", "3")
     command = ["ffmpeg", "-nostdin", *options, "-f", "rawvideo", "-pix_fmt", "rgb24", "pipe:1"]
     done = subprocess.run(command, capture_output=True, timeout=30.0, check=True)
@@ -73,7 +73,7 @@ def decoded(sdp: Path) -> NDArray[np.uint8]:
 
 @contextlib.contextmanager
 def sending(stream: Any) -> Iterator[None]:
-    """Send a moving picture meanwhile."""
+    """Send a moving picture in the background."""
     encoder = Encoder(stream)
     stop = threading.Event()
 
@@ -185,7 +185,7 @@ def test_an_encoder_that_ends_is_reported(monkeypatch: pytest.MonkeyPatch, tmp_p
 
 
 def asked(component: CameraComponent, command: int, *params: float, target: int = 100) -> list[Any]:
-    """Return what a component answers a ground station."""
+    """Return a component's reply to a ground station."""
     station = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
     values = [*params, *[0.0] * (7 - len(params))]
     packed = mavlink.MAVLink_command_long_message(1, target, command, 0, *values).pack(station)

@@ -1,4 +1,4 @@
-"""Full physics behind the simplified simulator's cut: flights, refusals, restart."""
+"""Full physics behind the interface of the simplified simulator: flights, rejections, restart."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The picture of a swarm: what is drawn where, films, bad input."""
+"""The picture of a swarm: positions of drawn objects, films, bad input."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def at(picture: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 def nearest_vehicle(colour: np.ndarray, colours: np.ndarray) -> int:
-    """Return whose colour this is; the far ones are paler by up to 0.4."""
+    """Return the vehicle of this colour; far vehicles are paler by up to 0.4."""
     pale = np.linspace(0.0, 0.42, 15)[:, None, None]
     return int(np.abs(colours + pale * (1.0 - colours) - colour).max(axis=2).min(axis=0).argmin())
 
@@ -184,7 +184,7 @@ def test_a_long_trail_of_a_fast_film_has_few_points():
 
 
 def test_cached_parts_of_a_picture_equal_a_new_drawing():
-    """The room is drawn once while the camera rests; figure.savefig draws everything: the same pixels."""
+    """The room is drawn once while the camera rests; figure.savefig draws everything: the pixels are equal."""
     view = make_view(30)
     for frame in flight(30, 8):
         view.update(frame)
@@ -461,7 +461,7 @@ def play(window: Window, *actions) -> None:
 
 
 def event(window: Window, name: str, **options):
-    """Return an action: an event of mouse or keyboard."""
+    """Return an action: a mouse or keyboard event."""
 
     def generate() -> None:
         widget = window._canvas.get_tk_widget()
