@@ -1,6 +1,6 @@
 """Set-up of all tests: top-level packages in child processes, repeatable draws of Hypothesis, parallel workers.
 
-With ``-n N``, each worker of pytest-xdist has a network of its own, with a loopback only. So the simulations of two
+With ``-n N``, each worker of pytest-xdist has its own network with a loopback only. So the simulations of two
 workers use the same ports and abstract sockets without conflict. A file's tests run in one worker, in their order.
 """
 
@@ -24,7 +24,7 @@ os.environ["PYTHONPATH"] = os.pathsep.join(
     filter(None, [os.environ.get("PYTHONPATH"), str(Path(__file__).resolve().parent)])
 )
 
-# A shell without job control starts its background jobs with SIGINT ignored, which all programs below inherit.
+# A shell without job control starts background jobs with SIGINT ignored, and all programs below inherit that.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 

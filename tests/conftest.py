@@ -29,10 +29,10 @@ from xtdrone_interaction.launching.process_tree import ProcessTree
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 FLEET = "iris:2"
-WALL_LIMIT = 120.0  # s; longest that anything may take, on a machine that is busy otherwise
-START_LIMIT = 200.0  # s; longest for a simulator to start, with kernels that are still to be compiled
+WALL_LIMIT = 120.0  # s; longest wait for anything, on a busy machine
+START_LIMIT = 200.0  # s; longest start of a simulator, with kernels still to be compiled
 _PORTS_LIMIT = 240.0  # s of wall time for another simulation on this machine to end
-_SLICE = 0.05  # s between looks at what sends no message: logs, processes
+_SLICE = 0.05  # s between polls of logs and processes, which send no message
 _MASTERS_OWN = {"rosdistro", "roslaunch", "rosversion", "run_id"}  # parameters that roscore sets
 os.environ.pop("DISPLAY", None)  # no simulator opens its window on the tester's screen
 _TAG = "XTDRONE_TEST_STACK"  # environment variable by which a stack's processes are found
@@ -277,7 +277,7 @@ class Stack:
         self.safety = Safety([vehicle.name for vehicle in self.vehicles])
         self._states = graph.hear("/gazebo/model_states", _kind("gazebo_msgs/ModelStates"))
         self._seen = 0
-        # many a second at full speed, and only the newest counts
+        # high rate at full speed, and only the newest counts
         self._clock = graph.hear("/clock", _kind("rosgraph_msgs/Clock"), queue_size=1)
 
     # processes

@@ -54,7 +54,7 @@ class Pilot:
 
     def _take(self, topic: str, message: Any) -> None:
         latched = topic.endswith(("pattern", "topology"))
-        # latched ones of before the reset come in the first turn after it, and then they are taken back, by empty ones
+        # latched ones from before the reset arrive in the first turn after it, and then empty ones withdraw them
         if latched and (self._turn == 0 or not message.data):
             return
         if topic.endswith("states"):

@@ -1,6 +1,6 @@
 """Several hosts with a network between them, on one machine: for tests of distributed systems.
 
-A host is a network and a process namespace with one network card, a TAP device. A process of its own, the *wire* (this
+A host is a network and a process namespace with one network card, a TAP device. A separate process, the *wire* (this
 file run as a program), holds the other ends of all TAP devices and passes Ethernet frames between them like a
 switch, with a delay and a loss for each frame, drawn from a seeded generator. Frames whose delays differ overtake each
 other. So TCP has to retransmit and to reorder, and UDP datagrams are lost, as on a poor wireless link.
@@ -8,7 +8,7 @@ other. So TCP has to retransmit and to reorder, and UDP datagrams are lost, as o
 The wire stands for ``tc qdisc add dev eth0 root netem delay 5ms 3ms loss 0.5%``, which does the same inside the kernel,
 but which not every kernel has: here namespaces and TAP devices are enough.
 
-Everything ends with the process that made it, also if that is killed: a host's first process and the wire end when
+Everything ends with the process that created it, even if that is killed: a host's first process and the wire end when
 their standard input closes, with a host's first process the kernel kills all others of that host, and TAP devices and
 namespaces without a process are no more. Linux only; root rights are needed.
 """
@@ -41,7 +41,7 @@ from typing import Any
 START_LIMIT = 120.0  # s of wall time
 PROGRAMS = ("unshare", "nsenter")
 _PREFIX = "10.77.0."
-_POLL = 0.02  # s between looks at what sends no message
+_POLL = 0.02  # s between polls
 
 # <linux/if_tun.h>, <linux/sockios.h>, <linux/if.h>, <linux/sched.h>
 _TUNSETIFF, _IFF_TAP, _IFF_NO_PI = 0x400454CA, 0x0002, 0x1000
@@ -422,7 +422,7 @@ class Wire:
         others = [other for other in self._cards if other is not card] if place is None else [place]
         generator = card.generator
         for other in others:
-            # Both drawn each time, so that one frame's fate does not depend on another's.
+            # Both are drawn each time, so that one frame's fate does not affect another's.
             lost, late = generator.random() < self._loss, self._least + self._spread * generator.random()
             if card.cut or other.cut:
                 self._counters["cut"] += 1

@@ -29,8 +29,8 @@ RATE = 20.0
 VEHICLE = "iris_3d_lidar_0"
 GOAL = (40.0, 5.0, 2.0)
 LAST_GOAL = (36.0, 3.0, 2.5)  # by the ground station
-EGO_WAY, EGO_TIME = 3.0, 4.0  # m to the north, s: as EGO-Planner would send it, from rest to rest
-LIMIT = 60.0  # s for each thing that is waited for
+EGO_WAY, EGO_TIME = 3.0, 4.0  # m to the north, s: as EGO-Planner sends it, from rest to rest
+LIMIT = 60.0  # s for each wait
 
 
 class Pilot:

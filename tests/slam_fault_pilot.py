@@ -1,4 +1,4 @@
-"""A script for './xtdrone demo slam': in flight the lidar fails as the environment's SLAM_FAULT says.
+"""A script for './xtdrone demo slam': in flight the lidar fails by the environment variable SLAM_FAULT.
 
 It succeeds if odometry names the fault on /diagnostics, no pose reaches the autopilot from then on, and the vehicle
 descends slowly by itself.
@@ -18,10 +18,10 @@ from xtdrone_msgs.srv import SetLidarFailure
 from xtdrone_control import lockstep
 from xtdrone_control.drone import connect
 
-FAULT = os.environ["SLAM_FAULT"]  # KIND VALUE TEXT: of the failure service, and what diagnostics say
+FAULT = os.environ["SLAM_FAULT"]  # KIND VALUE TEXT: for the failure service, and the text in diagnostics
 DESCENT_LIMIT = 45.0  # s
 SINK_LIMIT = 2.0  # m/s
-GRACE = 0.6  # s from the fault to the last pose: the scan before it is under way, another one is needed to tell
+GRACE = 0.6  # s from the fault to the last pose: the scan before it is in progress, and detection needs another one
 FED = 0.5  # s, longest time between poses of a healthy odometry
 
 name = sys.argv[1]

@@ -32,7 +32,7 @@ from std_msgs.msg import String
 OFFBOARD_PORT, GCS_PORT = 34580, 18570
 HEIGHT = 4.0  # m
 NAN, INF = math.nan, math.inf
-SINK_LIMIT = 1.0  # m/s; failsafe and landing sink with MPC_LAND_SPEED, 0.7 m/s
+SINK_LIMIT = 1.0  # m/s; failsafe and landing descend at MPC_LAND_SPEED, 0.7 m/s
 TILT_LIMIT = math.radians(20.0)
 
 POSITION = 0b110111111000  # SET_POSITION_TARGET_LOCAL_NED.type_mask: position only
@@ -74,7 +74,7 @@ def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
     return process.returncode, output
 
 
-# ---- before anything runs
+# ---- before any node runs
 
 
 @pytest.fixture(scope="module")
@@ -253,7 +253,7 @@ class Gcs:
 
     def drain(self) -> None:
         """Read pending datagrams: a socket that telemetry has filled at full speed has no room for an answer."""
-        for _ in range(2000):  # more than it holds
+        for _ in range(2000):  # more than the buffer holds
             if self.link.recv_match() is None:
                 return
 
@@ -402,7 +402,7 @@ def test_arming_in_offboard_requires_a_setpoint_stream(stack: Stack, gcs: Callab
     assert (answer.success, answer.result) == (False, mavlink.MAV_RESULT_TEMPORARILY_REJECTED)
     stack.log_has("mavros", "iris_1: FCU: Arming denied: Mode not suitable for arming")
     arm = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
-    station.link.mav.command_long_send(2, 1, arm, 0, 2.0, *(0.0,) * 6)  # neither arm nor disarm: PX4 does not answer
+    station.link.mav.command_long_send(2, 1, arm, 0, 2.0, *(0.0,) * 6)  # neither arm nor disarm: PX4 does not reply
     stack.log_has("mavros", "iris_1: FCU: Unsupported ARM_DISARM param: 2.000")
     assert station.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 4.0, 3.0) == mavlink.MAV_RESULT_ACCEPTED  # AUTO.LOITER
 
@@ -496,7 +496,7 @@ def test_non_finite_setpoints_are_rejected_over_mavlink(
         station.link.mav.set_attitude_target_send(0, 1, 1, 0, [value, 0, 0, 0], 0, 0, 0, 0.5)
         station.link.mav.set_attitude_target_send(0, 1, 1, 0, [1, 0, 0, 0], 0, 0, 0, value)
         station.link.mav.set_position_target_global_int_send(0, 1, 1, 6, POSITION, 0, 0, value, *(0,) * 8)
-    send(0, 1, 1, 77, POSITION, *(0,) * 11)  # no such frame
+    send(0, 1, 1, 77, POSITION, *(0,) * 11)  # there is no such frame
     stack.log_has("simulator", "setpoint cannot be flown", "setpoint rejected: attitude has norm", since=size)
     stack.log_has("mavros", "iris_0: FCU: SET_POSITION_TARGET_LOCAL_NED coordinate frame 77 unsupported", since=told)
     check_undisturbed(stack, flying)
@@ -538,7 +538,7 @@ def test_malformed_mavlink_and_other_systems_messages_change_nothing(
     stamps = [message.header.stamp.to_sec() for message in poses.since(before)]
     assert len(stamps) > 60
     rate = (len(stamps) - 1) / (stamps[-1] - stamps[0])
-    assert rate == pytest.approx(30.0, rel=0.1)  # the telemetry still goes to MAVROS
+    assert rate == pytest.approx(30.0, rel=0.1)  # MAVROS still receives the telemetry
 
 
 # ---- nodes that die, in flight
@@ -556,7 +556,7 @@ def test_a_killed_leader_and_follower_leave_the_others_flying(
     stack.log_has("communication_1", "no velocity or acceleration for 1.0 s: HOVER")
     stack.programs["leader"].kill()
     stack.log_has("simulator", "leader")
-    stack.pass_time(4.0)  # it hovers where it was when the follower fell silent, and must first fly back there
+    stack.pass_time(4.0)  # it hovers where the follower stopped publishing, and must first fly back
     pose = stack.pose(1).position
     places = [flying[0], (pose.x, pose.y, pose.z)]
     check_undisturbed(stack, places, 3.0)
@@ -622,7 +622,7 @@ def test_a_killed_simulator_ends_all_others(stack: Stack) -> None:
     back = stack.run("mavros", "xtdrone_control", "mavros_node.py")
     states = stack.graph.hear("/iris_0/mavros/state", State)
     count = len(states.messages)
-    # simulated time flies while the program starts
+    # simulated time runs fast while the program starts
     stack.wait(lambda: any(s.connected for s in states.since(count)), "mavros is back", sim=INF)
     stack.programs["simulator"].kill()
     for program in (back, stack.programs["communication_0"]):

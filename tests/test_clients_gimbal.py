@@ -10,7 +10,7 @@ import pytest
 from client_world import Core
 
 with warnings.catch_warnings():
-    warnings.simplefilter("ignore", FutureWarning)  # the package says that its next one is another
+    warnings.simplefilter("ignore", FutureWarning)  # the package announces a change in its next version
     pytest.importorskip("mavsdk")
     from mavsdk.gimbal import ControlMode, GimbalError, GimbalMode, SendMode
     from test_clients_mavsdk import HOME, Client

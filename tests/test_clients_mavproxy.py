@@ -23,7 +23,7 @@ MISSION = """QGC WPL 110
 1\t0\t3\t16\t1\t0\t0\t0\t47.397900\t8.545594\t8\t1
 2\t0\t3\t16\t1\t0\t0\t0\t47.397900\t8.545750\t8\t1
 3\t0\t3\t21\t0\t0\t0\t0\t47.397800\t8.545750\t0\t1
-"""  # from the takeoff on: what MAVProxy calls waypoint 0 is PX4's first
+"""  # counted from the takeoff: MAVProxy's waypoint 0 is PX4's first
 
 
 class Prompt:
@@ -69,7 +69,7 @@ class Prompt:
             return self._text[start:]
 
     def close(self) -> None:
-        self._process.kill()  # it does not always end when asked to
+        self._process.kill()  # it does not always end on request
         self._process.wait()
         self._reader.join(CLIENT_LIMIT)
 
@@ -95,7 +95,7 @@ def test_it_finds_a_vehicle_and_its_parameters(prompt):
 def test_parameters(prompt):
     prompt.say("param show MPC_XY_VEL_MAX", "MPC_XY_VEL_MAX   12.0")
     prompt.say("param set MIS_TAKEOFF_ALT 6")
-    for _ in range(100):  # the setting goes out when MAVProxy comes to it, and it does not say when
+    for _ in range(100):  # MAVProxy sends the setting later, and does not report when
         if "= 6.0" in prompt.say("param fetch MIS_TAKEOFF_ALT", "MIS_TAKEOFF_ALT = "):
             return
     pytest.fail("the parameter is not set")

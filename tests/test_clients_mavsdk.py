@@ -13,7 +13,7 @@ import pytest
 from client_world import CLIENT_LIMIT, Core, free_port
 
 with warnings.catch_warnings():
-    warnings.simplefilter("ignore", FutureWarning)  # the package says that its next one is another
+    warnings.simplefilter("ignore", FutureWarning)  # the package announces a change in its next version
     mavsdk = pytest.importorskip("mavsdk")
     from mavsdk.action import ActionError
     from mavsdk.component_metadata import MetadataType
@@ -171,7 +171,7 @@ def test_events_as_text(client):
         return await found
 
     async def refused() -> None:
-        for _ in range(3):  # the definitions are loaded beside this
+        for _ in range(3):  # the definitions are loaded in the background
             with pytest.raises(ActionError):
                 await client.drone.action.arm()
             await asyncio.sleep(0.3)
@@ -250,7 +250,7 @@ def test_follow_me(client):
     assert [client.run(get(f"FLW_TGT_{name}")) for name in ("HT", "DST", "RS", "MAX_VEL", "FA")] == [9, 6, 0.5, 4, 0]
     client.run(follow.start())
     client.until(client.drone.telemetry.flight_mode(), lambda mode: mode is FlightMode.FOLLOW_ME)
-    client.until(client.drone.telemetry.position())  # a message later the plugin has seen the mode, too
+    client.until(client.drone.telemetry.position())  # one message later the plugin has received the mode, too
     target = item(5.1, 0.0, 488.0)
     location = TargetLocation(target.latitude_deg, target.longitude_deg, 488.0, 0.0, 0.0, 0.0)
     client.run(follow.set_target_location(location))
@@ -330,7 +330,7 @@ def test_the_flights_log_is_downloaded(client, core, tmp_path):
     client.run(download())
     assert path.stat().st_size == entries[-1].size_bytes
     downloaded = path.read_bytes()
-    written = [file.read_bytes() for file in core.logs.rglob("*.ulg")]  # it may go on after the list was made
+    written = [file.read_bytes() for file in core.logs.rglob("*.ulg")]  # the log may grow after the list was made
     assert [content.startswith(downloaded) for content in written] == [True]
     names = {data.name for data in pyulog.ULog(str(path)).data_list}
     assert {"vehicle_local_position", "vehicle_attitude", "vehicle_status"} <= names

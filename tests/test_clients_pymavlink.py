@@ -35,7 +35,7 @@ class Station:
         for vehicle in core.vehicles:
             self.connection.clients.add(("127.0.0.1", vehicle.gcs_local_port))
         self._ends = [("127.0.0.1", vehicle.gcs_local_port) for vehicle in core.vehicles]
-        self.connection.write = self._write  # to every vehicle, also before it has spoken
+        self.connection.write = self._write  # to every vehicle, also before its first message
 
     def _write(self, buffer: bytes) -> None:
         for end in self._ends:

@@ -46,7 +46,7 @@ def section(report: str, vehicle: str) -> str:
 
 def test_the_doctor_names_what_is_wrong_and_what_to_do(graph: Graph, tmp_path: Path) -> None:
     wait_for_ports(FLEET)
-    # nodes that tests before this one have killed
+    # nodes killed by earlier tests
     subprocess.run(["rosnode", "cleanup"], input="y\n", env={**os.environ, **graph.environment}, text=True, check=True)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 18_570))

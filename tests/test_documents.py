@@ -28,7 +28,7 @@ _LAUNCH_FILE = re.compile(r"(?<!/)\blaunch/[\w/]+\.(?:launch|yaml)\b")
 
 
 def anchors(text: str) -> set[str]:
-    """Return the anchors that GitHub gives to a document's headings."""
+    """Return the anchors of a document's headings on GitHub."""
     titles = re.findall(r"^#+ +(.+)$", _FENCED.sub("", text), re.MULTILINE)
     plain = (re.sub(r"[^\w\- ]", "", title.lower()) for title in titles)
     return {title.replace(" ", "-") for title in plain}

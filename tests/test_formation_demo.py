@@ -28,7 +28,7 @@ from xtdrone_interaction.recording.missions.formation_record import FormationRec
 FLEET = "iris:6"
 FLIGHT_LIMIT = 600.0  # s of wall time
 START_LIMIT = 180.0
-PAPER_TOPOLOGY = [  # section 5.1: row i tells whom UAV i listens to; the rule gives it for origin and for T in order
+PAPER_TOPOLOGY = [  # section 5.1: row i lists to whom UAV i listens; as by the rule, for origin and for T in order
     [0, 0, 0, 0, 0, 0],
     [1, 0, 0, 0, 0, 0],
     [1, 1, 0, 0, 0, 0],
@@ -149,7 +149,7 @@ def test_a_stopped_flight_leaves_nothing_running(tmp_path: Path, number: int) ->
     The first of these flights also rejects a second one of the same instance.
     """
     out = tmp_path / "out"
-    slow = ["--speed", "2"] if number == signal.SIGINT else []  # it still flies when the second has been refused
+    slow = ["--speed", "2"] if number == signal.SIGINT else []  # it still flies when the second has been rejected
     demo = subprocess.Popen(_command(out, *slow), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         if number == signal.SIGINT:
@@ -167,7 +167,7 @@ def test_a_stopped_flight_leaves_nothing_running(tmp_path: Path, number: int) ->
     assert _processes_with(str(out)) == []
     record = read_formation(out / "flight.bag")
     assert record.track.time[-1] > 0.0
-    check_vehicle_ports(parse_fleet(FLEET))  # free again
+    check_vehicle_ports(parse_fleet(FLEET))  # the ports are free again
 
 
 def _check_second_is_refused(out: Path) -> None:

@@ -56,7 +56,7 @@ def test_the_formation_flies_the_same_after_a_reset(stack: Stack) -> None:
     assert first["counts"]["/xtdrone/iris_1/cmd_vel_enu"] > 100
     stack.graph.call("/gazebo/reset_simulation", Empty)
     assert flight(stack, 1) == first  # to the last bit
-    # those who are no participants, and those who come later, are told that there is no pattern any more
+    # nodes outside the lockstep, and late ones, receive an empty pattern
     told = [bool(message.data) for message in patterns.messages]
     empty = told.index(False)
     assert told == [True] * empty + [False] + [True] * (len(told) - empty - 1)

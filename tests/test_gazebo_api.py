@@ -142,7 +142,7 @@ def test_states_and_links_come_at_250_hz(stack: Stack) -> None:
         wanted = round((end - begin) / 0.004)
         for ear, name in ((states, "crate"), (links, "crate::link")):
             poll(lambda ear=ear, name=name: marked(ear, name) >= wanted, "the messages of the steps")
-            assert marked(ear, name) <= wanted + 5  # a tick may have stood ready when the crate was put there
+            assert marked(ear, name) <= wanted + 5  # a tick may have been ready when the crate was placed
     finally:
         call(stack, "unpause_physics", Empty)
     names = links.last.name
@@ -157,7 +157,7 @@ def test_the_ground_station_knows_the_names(
     from xtdrone_interaction.gcs.search_for_vehicles import running_fleet
 
     monkeypatch.setenv("ROS_MASTER_URI", stack.graph.uri)
-    monkeypatch.chdir(stack.folder)  # flights of the workspace are found, too
+    monkeypatch.chdir(stack.folder)  # flights of the workspace are listed, too
     assert running_fleet(0) == FLEET
     assert main(["status", "--once", "--vehicle", "iris_1", "typhoon_h480_0"]) == 0
     output = capsys.readouterr().out

@@ -1,6 +1,6 @@
 """The whole stack over PX4s: ``multi_vehicle.launch autopilot:=hil``, and a stand-in for each vehicle's PX4.
 
-Each vehicle has a MAVROS node of its own, as real MAVROS is started.
+Each vehicle has its own MAVROS node, like real MAVROS.
 """
 
 from __future__ import annotations

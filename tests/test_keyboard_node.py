@@ -35,8 +35,8 @@ from std_srvs.srv import Trigger
 from xtdrone_coordination.patterns import Patterns
 
 PROGRAM = str(REPOSITORY / "src" / "xtdrone_interaction" / "nodes" / "multirotor_keyboard_control.py")
-READY = "Ctrl-C ends"  # the screen's last line of the table
-LONG = 1000.0  # s of simulated time in which a key has its effect, ten to a second of wall time
+READY = "Ctrl-C ends"  # the last line of the table on the screen
+LONG = 1000.0  # s of simulated time in which a key takes effect; ten pass in a second of wall time
 _ESCAPES = re.compile(r"\x1b(?:\[[0-9;?]*[a-zA-Z]|[()][0-9A-B]|[=>78])")
 
 BROKEN = """
@@ -117,7 +117,7 @@ class Seat:
     def hang_up(self) -> None:
         """Close the terminal's other end, like a closed window or a lost ssh connection."""
         self._hung_up = True
-        self.type("h")  # the answer wakes the reader
+        self.type("h")  # the key wakes the reader
         self._reader.join()
         os.close(self._master)
 
@@ -155,13 +155,13 @@ def taken(seat: Seat) -> bool:
     return not seat.settings()[3] & (termios.ICANON | termios.ECHO)
 
 
-# ---- the terminal is as it was
+# ---- the terminal is restored
 
 
 def shutdown_by_master(seat: Seat) -> None:
     """Shut the node down as ``rosnode kill`` does."""
     uri = rosgraph.Master("/system_tests").lookupNode("/multirotor_keyboard_control")
-    with contextlib.suppress(OSError):  # it may be gone before it has answered
+    with contextlib.suppress(OSError):  # it may end before it has replied
         xmlrpc.client.ServerProxy(uri).shutdown("/system_tests", "a test")
 
 
@@ -302,7 +302,7 @@ def test_a_lost_and_a_new_master_are_reported(
             master.wait()
 
 
-# ---- what cannot be run
+# ---- bad values
 
 
 def test_without_a_terminal_nothing_is_done(graph: Graph) -> None:
@@ -396,7 +396,7 @@ def test_keys_reach_the_vehicles(graph: Graph, sit: Callable[..., Seat], tmp_pat
         )
 
         before = [place(i) for i in both]
-        seat.type("w")  # 0.01 m/s; vehicles look east
+        seat.type("w")  # 0.01 m/s; vehicles face east
         wait(lambda: all(place(i)[0] - before[i][0] > 0.1 for i in both), "a press moves both")
         assert all(abs(place(i)[1] - before[i][1]) < 0.02 for i in both)
         assert all(ear.last.velocity.x == 0.01 for ear in targets)
@@ -467,7 +467,7 @@ def test_the_leader_is_steered_by_accelerations_and_others_follow(
         seat.type(f"g{digit[1]}")
         stack.wait(in_formation, "they fly a circle", sim=LONG)
         start = place(0)
-        seat.type("w" * 20)  # 0.2 m/s^2; vehicles look east
+        seat.type("w" * 20)  # 0.2 m/s^2; vehicles face east
         stack.wait(lambda: velocity.last.twist.linear.x > 0.8, "the leader gets faster and faster", sim=LONG)
         assert not in_formation(), "the others lag behind"
         seat.type("s")

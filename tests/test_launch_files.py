@@ -47,7 +47,7 @@ def test_a_generated_launch_file_flies(stack: Stack) -> None:
     stack.wait(lambda: tf.last, "XTDrone's static_transform_publisher publishes")
     assert tf.last.transforms[0].child_frame_id.strip("/") == "iris_0/camera_link"
 
-    for name in NAMES:  # setpoints come by wall time: a busy machine must not end OFFBOARD
+    for name in NAMES:  # setpoints are sent by wall time: a busy machine must not end OFFBOARD
         answer = graph.call(
             f"/{name}/mavros/param/set", ParamSet, param_id="COM_OF_LOSS_T", value=ParamValue(real=60.0)
         )

@@ -78,7 +78,7 @@ def test_invalid_words_are_rejected_with_the_allowed_ones(
 def test_help_needs_neither_python_nor_a_set_up(tmp_path: Path, arguments: str, first: str, contained: str) -> None:
     tools = tmp_path / "tools"
     tools.mkdir()
-    for tool in ("bash", "env", "readlink", "dirname", "cat", "sed"):  # a bare Debian has no more of what may be used
+    for tool in ("bash", "env", "readlink", "dirname", "cat", "sed"):  # a bare Debian has no other usable ones
         (tools / tool).symlink_to(f"/bin/{tool}")
     run = launcher(tmp_path, *arguments.split(), environment={"PATH": str(tools)})
     assert (run.returncode, run.stderr) == (0, "")
@@ -132,7 +132,7 @@ def test_jobs_of_a_shell_end_with_it_unless_they_are_disowned(tmp_path: Path) ->
         if select.select([master], [], [], 0.1)[0]:
             try:
                 said += os.read(master, 4096)
-            except OSError:  # no process has the terminal any more
+            except OSError:  # no process holds the terminal any more
                 break
     os.close(master)
     group, hardened, kept = (int((tmp_path / name).read_text()) for name in ("group", "hardened", "kept"))

@@ -69,7 +69,7 @@ def test_the_flight_continues_without_dead_nodes_and_is_repeatable(graph: Graph,
     lost = {event["vehicle"]: event for event in first if event["event"] == "lost"}
     assert set(lost) == {"iris_2", "iris_3"}
     assert lost["iris_3"]["reason"].startswith("is armed in mode 'POSCTL'")
-    assert 18.0 < lost["iris_3"]["time"] < 21.0  # a second until the vehicle notices, and the state comes
+    assert 18.0 < lost["iris_3"]["time"] < 21.0  # a second until the vehicle times out and its state arrives
     assert lost["iris_2"]["reason"].startswith("no command of its follower")
     assert lost["iris_2"]["time"] == pytest.approx(25.0 + COMMAND_LIMIT, abs=0.15)
     assert first[-1]["event"] == "done"
@@ -84,7 +84,7 @@ def test_a_leader_whose_node_is_killed_lands_all(graph: Graph, tmp_path: Path) -
     assert events[-1]["event"] == "failed"
     assert events[-1]["reason"] == "leader: its node has published no pattern for 5 s"
     [given_up] = [event for event in events if event["event"] == "giving up"]
-    assert events[-1]["time"] - given_up["time"] < 60.0  # they land; none is waited for in vain
+    assert events[-1]["time"] - given_up["time"] < 60.0  # they land; the director waits for none of the lost ones
 
 
 @pytest.mark.timeout(FLIGHT_LIMIT + START_LIMIT)

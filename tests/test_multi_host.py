@@ -23,14 +23,14 @@ from network import Host, Network, Program
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PORT = 11311
-WALL_LIMIT = 180.0  # s; longest that anything may take, on a machine that is busy otherwise
+WALL_LIMIT = 180.0  # s; longest wait for anything, on a busy machine
 FLIGHT = ("n:=3", "patterns:=triangle", "speed:=0")
 LENGTH = 14.0  # s of simulated time: takeoff, and 6 s in formation
 POOR = {"delay": 0.005, "jitter": 0.003, "loss": 0.005}
 CUT_TIME = 10.0  # s of simulated time, in formation
-SILENCE = 4.0  # s of wall time until a host that says nothing counts as gone
+SILENCE = 4.0  # s of wall time until a silent host counts as lost
 HEIGHT = 1.5  # m above the ground; AUTO.TAKEOFF ends higher
-_POLL = 0.1  # s between looks at what sends no message: logs, files
+_POLL = 0.1  # s between polls of logs and files
 
 _REASON = network.why_not()
 pytestmark = pytest.mark.skipif(bool(_REASON), reason=_REASON)
@@ -101,7 +101,7 @@ def fly(net: Network, folder: Path) -> Site:
         programs.append(site.launch(last, "formation.launch", *FLIGHT, "main:=false"))
     site.wait(lambda: site.time() >= LENGTH, f"{LENGTH} s are flown", programs[0])
     programs[0].interrupt()
-    for program in programs:  # the nodes on the last host end by themselves: the simulator is gone
+    for program in programs:  # the nodes on the last host end by themselves, without their simulator
         assert program.end(WALL_LIMIT) == 0, program.output[-3000:]
     return site
 
@@ -127,7 +127,7 @@ def test_the_flight_on_two_hosts_is_the_same_to_the_last_bit(
     until = min(alone.time(), two.time()) * 1e6
     expected = {line: topics for line, topics in alone.lines().items() if line[1] <= until}
     found = {line: topics for line, topics in two.lines().items() if line[1] <= until}
-    # What is said at the end is said when it comes, and the last line ends where the flight was ended.
+    # Messages at the end are recorded on arrival, and the last line ends where the flight was ended.
     last = (until // 1_000_000 - 1) * 1_000_000
     assert {line for line in expected if line[1] <= last} == {line for line in found if line[1] <= last}
     differences = [
@@ -258,7 +258,7 @@ def test_the_wire_delays_reorders_and_loses(tmp_path: Path) -> None:
     assert min(times.values()) >= 2 * 0.002
     assert max(times.values()) - min(times.values()) > 0.003
     assert list(times) != sorted(times)
-    assert 299 - len(times) == counters["lost_udp"]  # a question or its answer
+    assert 299 - len(times) == counters["lost_udp"]  # a request or its reply
     assert counters["lost_udp"] == pytest.approx(300 * 0.19, abs=4 * math.sqrt(300 * 0.19))
 
 

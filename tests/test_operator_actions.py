@@ -1,4 +1,4 @@
-"""A session on the page is recorded, and its actions, repeated on another simulation, give the same flight."""
+"""A session on the page is recorded; its actions, repeated on another simulation, result in the same flight."""
 
 from __future__ import annotations
 

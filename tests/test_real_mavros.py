@@ -1,6 +1,6 @@
 """Another MAVROS in our layer's place, nodes of one real vehicle, and the launch files for them.
 
-The MAVROS layer, out of the lockstep, stands in for it.
+The MAVROS layer, outside the lockstep, replaces it.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def test_vehicles_fly_with_a_mavros_outside_the_lockstep(stack: Stack) -> None:
     stack.run("communication", "xtdrone_control", "multirotor_communication.py", "iris", "0")
     launch = str(REPOSITORY / "launch/real_uav.launch")
     stack.start("real_uav", ["roslaunch", launch, "number:=1", "fcu_url:=udp://:24541@127.0.0.1:34581"])
-    for i in range(2):  # setpoints come by wall time: a busy machine must not end OFFBOARD
+    for i in range(2):  # setpoints are sent by wall time: a busy machine must not end OFFBOARD
         stack.wait_state(i, sim=300.0)
         answer = graph.call(
             f"/iris_{i}/mavros/param/set", ParamSet, param_id="COM_OF_LOSS_T", value=ParamValue(real=60.0)

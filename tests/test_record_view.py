@@ -17,11 +17,11 @@ import pytest
 import yaml
 from conftest import Graph
 
-NAMES = ("iris_0", "typhoon_h480_0", "iris_1")  # the second one has joints, of which the bag says nothing
-MIDDLES = (0.0, 0.09, 0.0)  # m above base_link, of what is seen of each
+NAMES = ("iris_0", "typhoon_h480_0", "iris_1")  # the second one has joints, which the bag does not contain
+MIDDLES = (0.0, 0.09, 0.0)  # m above base_link, centre of the visible part of each
 STEP = 0.04  # s, a multiple of the simulator's step
 COUNT = 16  # poses, and so frames
-SIZE = (960, 540)  # larger than a window is at first
+SIZE = (960, 540)  # larger than a window's initial size
 DISTANCE, PITCH, YAW = 9.0, 0.6, 0.8  # the view's
 FIELD = math.pi / 4.0  # rad, vertical, rviz's own
 BACKGROUND = (232, 236, 242)

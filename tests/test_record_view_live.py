@@ -107,7 +107,7 @@ def test_topics_show_the_vehicles_where_they_are_and_the_film_ends_with_the_flig
             next((m for m in ear.messages if m.header.stamp == stamp), None) for ear in (*ears[1:], *places)
         )
         if any(message is None for message in (info, camera, *poses)):
-            continue  # it came before we listened
+            continue  # it arrived before the subscription
         assert (image.header.frame_id, camera.header.frame_id, image.encoding) == ("map", "map", "rgb8")
         assert (image.width, image.height) == (info.width, info.height) == (640, 360)
         picture = np.frombuffer(image.data, np.uint8).reshape(360, 640, 3).astype(int)
@@ -146,7 +146,7 @@ def test_the_flight_continues_without_the_film(stack: Stack, tmp_path: Path) -> 
     def interrupt() -> None:
         stack.programs["record-view"].process.send_signal(signal.SIGINT)
 
-    endings: dict[str, tuple[Callable[[], None], int, str, bool]] = {  # exit status, words, is there a film
+    endings: dict[str, tuple[Callable[[], None], int, str, bool]] = {  # exit status, text, whether a film exists
         "ctrl-c": (interrupt, 130, "stopped by SIGINT", True),
         "no-xvfb": (partial(kill, stack, "Xvfb"), 1, "rviz_offscreen has failed (status 1)", True),
         "no-ffmpeg": (partial(kill, stack, "ffmpeg"), 1, "ffmpeg has ended", False),

@@ -84,7 +84,7 @@ def test_a_set_up_killed_at_any_moment_is_repaired_by_the_next_one(root: Path) -
     duration = time.monotonic() - began
     moments = random.Random(1)
     for number in range(20):
-        if number % 5 == 0:  # from nothing; else from what the kill before has left
+        if number % 5 == 0:  # from nothing; otherwise from the state left by the kill before
             shutil.rmtree(root / ".venv")
         process = start(root)
         try:
@@ -118,7 +118,7 @@ def test_an_interrupted_pip_ends_the_set_up_and_is_noticed(root: Path, number: s
 def test_an_interrupted_pip_is_noticed(root: Path) -> None:
     finish(start(root))
     (root / ".venv/.requirements.installed").unlink()
-    (root / ".venv/lib/python3.11/site-packages/part2/m7.py").unlink()  # pip believes the package to be complete
+    (root / ".venv/lib/python3.11/site-packages/part2/m7.py").unlink()  # pip considers the package complete
     (root / ".venv/.pip-at-work").touch()
     assert "an installation was interrupted" in finish(start(root))
     assert is_whole(root)

@@ -129,7 +129,7 @@ def scripted(count: int) -> np.ndarray:
     return np.array(rows)
 
 
-# ---- what cannot be run
+# ---- bad values
 
 
 @pytest.mark.parametrize(
@@ -206,7 +206,7 @@ def test_a_vehicle_whose_communication_node_dies_holds(graph: Graph, tmp_path: P
 
 @pytest.fixture(scope="module")
 def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    # Tests say setpoints once: their pace is the wall clock's.
+    # Tests send a setpoint once: its rate depends on wall time.
     stack = start(graph, tmp_path_factory.mktemp("simplified"), 3, "_speed:=10", "_setpoint_timeout:=0")
     try:
         for index in range(3):
@@ -242,7 +242,7 @@ def test_topics_are_mavros_ones(stack: Stack) -> None:
         ),
         "all topics come",
     )
-    stamps = [message.header.stamp.to_nsec() // 1000 for message in pose.messages[1:]]  # that in the first tick apart
+    stamps = [message.header.stamp.to_nsec() // 1000 for message in pose.messages[1:]]  # except for the first tick
     assert 1.99 < (stamps[60] - stamps[0]) * 1e-6 < 2.01  # 30 Hz
     assert all(stamp % 4000 == 0 for stamp in stamps)
     assert (pose.last.header.frame_id, velocity.last.header.frame_id) == ("map", "base_link")

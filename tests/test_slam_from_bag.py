@@ -1,6 +1,6 @@
 """A user's SLAM on a recorded flight, by the commands of docs/mapping.md.
 
-The bag is made here: a vehicle on an arc. The SLAM is this process: it publishes the true poses as VINS-Fusion
+The bag is written here: a vehicle on an arc. The SLAM is this process: it publishes the true poses as VINS-Fusion
 would, of a camera's optical frame, in a rotated frame with another origin.
 """
 

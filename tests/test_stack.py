@@ -1,7 +1,7 @@
 """The whole stack for two vehicles as ``roslaunch multi_vehicle.launch`` starts it, at full speed, seen by its users.
 
 One launch serves all tests of this file, which run in file order: on the ground, in flight, landing,
-and at last the launch is made to end.
+and at last the end of the launch.
 """
 
 from __future__ import annotations
@@ -205,7 +205,7 @@ def test_the_battery_is_plausible(stack: Stack) -> None:
     assert 0.0 < battery.percentage <= 1.0
     assert 9.0 < battery.voltage < 26.0
     assert sum(battery.cell_voltage) == pytest.approx(battery.voltage)
-    assert math.isnan(battery.current)  # PX4's simulator does not measure it, and says -1 A
+    assert math.isnan(battery.current)  # PX4's simulator does not measure it, and reports -1 A
 
 
 def test_home_is_the_datum_and_the_offset(stack: Stack) -> None:
@@ -375,7 +375,7 @@ def test_taking_off_is_told_by_texts_and_states(stack: Stack, station: Station) 
     extended = ear(stack, "extended_state", ExtendedState)
     stack.wait(lambda: extended.last.landed_state == ExtendedState.LANDED_STATE_IN_AIR, "it is in the air")
     heartbeat = station.next("HEARTBEAT")
-    while not heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED:  # what was sent before lies in the socket
+    while not heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED:  # earlier messages are still in the socket
         heartbeat = station.next("HEARTBEAT")
     assert heartbeat.system_status == mavlink.MAV_STATE_ACTIVE
     assert mavutil.mode_string_v10(heartbeat) == "OFFBOARD"
@@ -399,7 +399,7 @@ def test_east_is_x_north_is_y_and_left_is_positive(stack: Stack, flying: list[tu
     assert pose.last.pose.position.y == pytest.approx(begin.y, abs=0.4)
     stack.graph.say("/xtdrone/iris_1/cmd_vel_enu", north)
     stack.wait(lambda: pose.last.pose.position.y > begin.y + 2.0, "it flies north")
-    # the two topics do not come at the same moment; eastwards it moves no more
+    # the two topics are not published at the same moment; the vehicle no longer moves east
     stack.wait(lambda: abs(stack.pose(1).position.x - pose.last.pose.position.x) < 0.7, "the truth is the same")
 
     left = Twist()
@@ -438,7 +438,7 @@ def test_services_fly_too(stack: Stack, flying: list[tuple[float, float, float]]
     assert (arm.success, arm.result) == (True, mavlink.MAV_RESULT_ACCEPTED)
     stack.wait(lambda: stack.height(1) > 1.0, "it takes off")
     stack.wait_state(1, mode="AUTO.LOITER")
-    # as a real PX4: it counts as arrived NAV_MC_ALT_RAD (0.8 m) below MIS_TAKEOFF_ALT (2.5 m), and stays there
+    # as a real PX4: it accepts the altitude NAV_MC_ALT_RAD (0.8 m) below MIS_TAKEOFF_ALT (2.5 m), and stays there
     assert stack.height(1) == pytest.approx(1.7, abs=0.4)
 
 

@@ -20,7 +20,7 @@ def found(prefix: Path | None, **settings: str) -> dict[str, str]:
     environment = {key: value for key, value in os.environ.items() if key not in hidden} | settings
     if prefix is not None:
         environment["CMAKE_PREFIX_PATH"] = str(prefix)
-    twice = f"source {REPOSITORY}/devel/setup.bash --extend;" * 2  # as .bashrc and its reader do
+    twice = f"source {REPOSITORY}/devel/setup.bash --extend;" * 2  # as .bashrc and a user's terminal do
     command = ["bash", "-c", f"{twice} rospack list"]
     run = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     packages = dict(line.split(maxsplit=1) for line in run.stdout.splitlines())

@@ -18,7 +18,7 @@ from std_msgs.msg import String
 from steering_pilot import MAVROS, QUATERNION
 
 FLEET = "iris:1"
-PLACE = 0.4  # m that a vehicle which has settled may be off
+PLACE = 0.4  # m, greatest error of a settled vehicle
 Leg = tuple[list[float], list[float]]
 
 

@@ -56,7 +56,7 @@ def test_follower_and_communication_run_on_wall_time(stack: Stack) -> None:
     assert (commands.last.linear.y, commands.last.linear.z) == (0.0, 0.0)
     assert targets.last.header.stamp.to_sec() > EPOCH
     assert targets.last.coordinate_frame == PositionTarget.FRAME_LOCAL_NED
-    # Their own clock paces them: there is no /clock.
+    # Their own clock sets the pace: there is no /clock.
     first = len(commands.messages)
     began = time.monotonic()
     poll(lambda: fly() and len(commands.messages) >= first + 30, "a second's commands", WALL_LIMIT)

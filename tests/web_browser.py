@@ -51,7 +51,7 @@ class StationPage:
         page.on("console", lambda message: self._note(message))
 
     def _note(self, message: Any) -> None:
-        if message.type == "error" and "WebSocket" not in message.text:  # of a server that a test has killed
+        if message.type == "error" and "WebSocket" not in message.text:  # of a server killed by a test
             self.errors.append(message.text)
 
     def start_station(self) -> None:

@@ -110,7 +110,7 @@ def test_invalid_values_are_reported(
     monkeypatch.setattr(command_options, "check_vehicle_ports", lambda fleet: None)  # another simulation may be running
     try:
         status = cli.main(["bench", *arguments])
-    except SystemExit as error:  # argparse
+    except SystemExit as error:  # argparse exits
         status = error.code
     assert status == 2
     assert message in capfd.readouterr().err
@@ -274,7 +274,7 @@ def test_cpu_time_goes_to_programs_and_others(proc: Path) -> None:
     (proc / "stat").write_text(f"cpu  {user} 0 100 {idle} 5000 0 0 {steal} 0 0\n")
     use = process_use.CpuSample.take(10, proc).since(before)
     assert use.programs == pytest.approx({"roslaunch": 0.0, "simulator": 2.0, "follower": 1.0})
-    assert use.others == pytest.approx(3.0)  # 4 s used and 2 s stolen, of which 3 s were ours
+    assert use.others == pytest.approx(3.0)  # 4 s used and 2 s stolen, of which this launch used 3 s
 
 
 def test_own_process_is_read_from_the_real_proc() -> None:
@@ -507,7 +507,7 @@ def test_interrupted_barrier_leaves_nothing_running(tmp_path: Path) -> None:
     )
     end = time.monotonic() + PATIENCE
     while not _marked(mark, "lockstep_idle") and time.monotonic() < end:
-        time.sleep(0.02)  # a process has no event for its grandparent's starter
+        time.sleep(0.02)  # no event records that a process belongs to its grandparent's starter
     assert _marked(mark, "lockstep_idle")
     bench_process.send_signal(signal.SIGINT)
     output, _ = bench_process.communicate(timeout=PATIENCE)
@@ -1200,7 +1200,7 @@ def test_an_interrupted_comparison_leaves_nothing_running(commits: Path, monkeyp
     assert fake_roslaunch.running(str(commits)) == []
 
 
-# ---- processes
+# the copy of its commit has run the set-up
 
 FAKE_ROSLAUNCH = """\
 #!{python}

@@ -1,6 +1,6 @@
 """The MD5 sums of our message types are those that MAVROS, Gazebo and other tools expect.
 
-ROS refuses a connection when the sums of the two ends differ, so an equal sum is what makes the types interchangeable.
+ROS rejects a connection when the sums of the two ends differ, so types with equal sums are interchangeable.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def test_definition_has_the_expected_sum(expected: Expected) -> None:
 
 def require_built(package: str) -> None:
     """Skip the test if the package's generated Python classes are not on the path."""
-    # Without a file of its own it is no generated package but a folder of the source tree that lies on the path.
+    # Without its own __init__.py it is not a generated package but a folder of the source tree on the path.
     spec = importlib.util.find_spec(package)
     if spec is None or spec.origin is None:
         pytest.skip(f"{package} is not built, or the devel space is not sourced")

@@ -42,7 +42,7 @@ def main() -> None:
     state = rospy.wait_for_message(f"{NS}/state", State, LIMIT)
     pose = rospy.wait_for_message(f"{NS}/local_position/pose", PoseStamped, LIMIT)
     imu = Imu(linear_acceleration_covariance=[-1.0] + [0.0] * 8)
-    while imu.linear_acceleration_covariance[0] < 0.0:  # the autopilot's first accelerations may come after this topic
+    while imu.linear_acceleration_covariance[0] < 0.0:  # its first accelerations may arrive after this topic
         imu = rospy.wait_for_message(f"{NS}/imu/data", Imu, LIMIT)
     arm = rospy.ServiceProxy(f"{NS}/cmd/arming", CommandBool)
     mode = rospy.ServiceProxy(f"{NS}/set_mode", SetMode)
@@ -62,7 +62,7 @@ def main() -> None:
         "modes": modes,
     }
     print(json.dumps(result), flush=True)
-    sys.stdin.read()  # until the test has what it waits for
+    sys.stdin.read()  # until the test has its results
     publisher.unregister()
 
 

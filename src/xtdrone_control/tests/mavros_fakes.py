@@ -29,7 +29,7 @@ class FakePublisher:
         self.messages.append(copy.deepcopy(message))
 
     def get_num_connections(self) -> int:
-        """Return what the test set."""
+        """Return the number set by the test."""
         return self.connections
 
 
@@ -52,7 +52,7 @@ class FakeRos:
         return hash(tuple(publisher.connections for publisher in self.publishers.values()))
 
     def now_ns(self) -> int:
-        """Return what the test set."""
+        """Return the time set by the test."""
         return self.time_ns
 
     def publisher(self, topic: str, kind: type, latch: bool) -> FakePublisher:

@@ -119,7 +119,7 @@ def test_invalid_yaml_is_reported_in_one_line(text: str, words: str) -> None:
 def test_too_many_values_are_rejected_before_construction(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bounded_file, "MOST_VALUES", 1000)
     with pytest.raises(ContentError, match="more than 1000 values"):
-        load_yaml("[" + "1, " * 1001)  # its end is never looked at
+        load_yaml("[" + "1, " * 1001)  # the end of the text is not parsed
     assert len(load_yaml("[" + "1, " * 999 + "]")) == 999
 
 

@@ -367,7 +367,7 @@ def test_an_offset_counts_from_where_its_command_came(flight):
     fly_offboard(flight)
     flight.place(1.0, 2.0, -3.0, yaw=math.pi / 2)
     assert offset(flight, 2.0) == pytest.approx([1.0, 4.0, -3.0])
-    for y in (2.5, 3.0, 3.9):  # on its way, and turning
+    for y in (2.5, 3.0, 3.9):  # during the approach, while turning
         flight.place(1.0, y, -3.0, yaw=0.3 * y)
         flight.run(0.1)
         assert offset(flight, 2.0) == pytest.approx([1.0, 4.0, -3.0])

@@ -14,7 +14,7 @@ from xtdrone_control.drone.drones import Drone, DroneGroup
 from xtdrone_control.drone.verbs import DroneError, RejectedError, TimedOutError, Verbs
 
 TURN = 0.1  # s
-SPEED = 2.0  # m/s of the made-up vehicle
+SPEED = 2.0  # m/s of the fake vehicle
 READY = 1 << 28
 
 

@@ -72,7 +72,7 @@ def test_magnetic_heading(angles):
     innovation, attitude, bias, found = fusion.magnetic_heading(e[0], s[0], DECLINATION)
     assert found
     assert innovation == pytest.approx(math.remainder(DECLINATION - angle(e), math.tau))
-    # the derivatives are those where the field points to the declination, whatever the sample's noise
+    # the derivatives hold where the field points to the declination, whatever the sample's noise
     north, east, down = rotate(e["q"][0], *(s["mag"][0] - e["mag_bias"][0]))
     cos, sin = math.cos(innovation), math.sin(innovation)
     field = (cos * north - sin * east, sin * north + cos * east, down)

@@ -203,12 +203,12 @@ def test_fallbacks_of_modes_that_cannot_be_flown(mode, wrong, navl, expected):
     assert worst(mode, Flags(**wrong), getter(COM_POSCTL_NAVL=navl)) == expected
 
 
-# what holds for all of them
+# laws for all of them
 
 BOOLEANS = [name for name, kind in Flags.__annotations__.items() if "bool" in str(kind)]
 SOME_FLAGS = st.builds(Flags, **{name: st.booleans() for name in BOOLEANS}, battery=st.integers(0, 3))
 MODES = st.sampled_from(modes.SUPPORTED)
-# what the vehicle does at the worst; with 7, disarming on offboard loss, PX4 forgoes what else is wrong
+# the vehicle's worst-case action; with 7, disarming on offboard loss, PX4 ignores other faults
 SETTINGS = st.fixed_dictionaries(
     {
         "NAV_RCL_ACT": st.sampled_from([1, 2, 3, 5, 6]),
@@ -339,7 +339,7 @@ def test_a_worse_failsafe_ends_a_takeover():
     course = Course(modes.AUTO_MISSION, NAV_DLL_ACT=2)
     course.run(6.0, Flags(gcs_lost=True))
     course.step(Flags(gcs_lost=True), mode=modes.POSCTL)
-    course.run(20.0, Flags(gcs_lost=True))  # the delay has grown again
+    course.run(20.0, Flags(gcs_lost=True))  # the delay has recovered
     both = Flags(gcs_lost=True, battery=BATTERY_CRITICAL)
     assert course.step(both).mode is modes.AUTO_LOITER
     assert course.until(modes.AUTO_LAND, both, 6.0) == pytest.approx(5.0, abs=0.2)

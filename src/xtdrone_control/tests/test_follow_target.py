@@ -150,7 +150,7 @@ def test_position_beside_the_target(speed, parameters, z):
     np.testing.assert_allclose(acceleration, (0.0, 0.0, NAN), atol=2e-3)
     flight.run(0.1)
     height = -z if get("FLW_TGT_ALT_M") == 0 else get("FLW_TGT_HT")
-    # seen from where the vehicle has been put, a step behind
+    # measured from the position to which the vehicle was moved, a step behind
     pitch = flight.commander.navigator.payload.gimbal[1]
     assert pitch == pytest.approx(-math.atan2(height, distance), abs=1e-3 + speed * DT / distance)
     if distance > 1.1:
@@ -179,7 +179,7 @@ def test_the_setpoint_has_no_steps(found, distance, angle, speed):
     position, velocity, _ = np.array(rows).transpose(1, 0, 2)[:, :, :2]
     moved, changed = np.diff(position, axis=0), np.linalg.norm(np.diff(velocity, axis=0), axis=1)
     off = np.linalg.norm(moved - velocity[:-1] * DT, axis=1)
-    # the mean velocity of a step is off its first one by no more than the change in it, and the arc's sagitta
+    # the mean velocity of a step differs from its first one by at most the change within it, and the arc's sagitta
     assert (off <= changed * DT + (speed * DT) ** 2 / distance + 1e-9).all()
 
 
@@ -192,7 +192,7 @@ def test_without_a_target_it_stops_and_with_a_lost_one_it_holds_position():
     flight.report(20.0, 0.0, 0.0, (2.0, 0.0, 0.0))
     flight.fly(15.0)
     assert flight.commander.mode is modes.AUTO_FOLLOW_TARGET
-    # 3 s of 2 m/s on from where it was seen last, 8 m behind
+    # 3 s at 2 m/s from the last reported position, 8 m behind
     np.testing.assert_allclose(flight.step(), [(18.0, 0.0, -8.0), (0.0, 0.0, NAN), (0.0, 0.0, NAN)], atol=2e-3)
 
 
@@ -213,7 +213,7 @@ def test_near_the_ground_it_climbs_and_far_from_its_height_it_goes_nowhere_else(
 
 def test_it_is_rejected_without_a_position_and_prevents_arming():
     flight = Flight()
-    assert flight.commander.request(modes.AUTO_FOLLOW_TARGET) is Result.ACCEPTED  # disarmed every mode can be chosen
+    assert flight.commander.request(modes.AUTO_FOLLOW_TARGET) is Result.ACCEPTED  # any mode is accepted while disarmed
     assert (flight.commander.base_mode, flight.commander.custom_mode) == (17, 4 << 16 | 8 << 24)
     flight.run(0.1)
     assert flight.commander.arm_disarm(True) is Result.TEMPORARILY_REJECTED
@@ -239,7 +239,7 @@ def test_without_a_home_it_holds_position_until_one_is_set():
     assert flight.setpoint["task"] == TASK_FOLLOW
 
 
-# the door
+# acceptance of reports
 
 
 def message(latitude=ORIGIN[0], longitude=ORIGIN[1], altitude=ORIGIN[2], velocity=(1.0, 2.0, 0.0)):

@@ -270,7 +270,7 @@ def test_due_times_satisfy_their_definition():
             assert wanted <= due < wanted + STEP
             assert due > previous
             previous = due
-            # It is the next due time after any earlier time, and is followed by that of the next index.
+            # The function returns the next due time after any earlier time, followed by that of the next index.
             assert schedule.after_us(due - 1) == due
             assert schedule.after_us(due) == schedule.due_us(index + 1)
 
@@ -426,7 +426,7 @@ def test_garbage_closes_only_its_own_connection(server, log, garbage):
 
 
 class Stranger(FakeParticipant):
-    """A client that sends only what the test tells it to."""
+    """A client that sends only the bytes that the test chooses."""
 
     def __init__(self, server: LockstepServer) -> None:
         host, port = server.uri.removeprefix("tcp://").split(":")
@@ -758,7 +758,7 @@ def test_leave_causes_no_warning(server, log):
 
 
 def test_silent_participant_is_dropped_after_the_hang_limit(log):
-    server = LockstepServer(hang_limit=1.5, log=log)  # enough for /a even on a starved machine
+    server = LockstepServer(hang_limit=1.5, log=log)  # enough time for /a even on a starved machine
     a, b = FakeParticipant(server, "/a"), FakeParticipant(server, "/b")
     joined(server, a, b)
     with Running(server, 0):

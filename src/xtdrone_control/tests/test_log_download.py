@@ -89,7 +89,7 @@ def test_list(world):
     entries = world.log_list()
     assert entries == [(i, 3, 2, _TIMES[i], _SIZES[i]) for i in range(3)]
     assert world.log_list(1, 1) == [(1, 3, 1, _TIMES[1], _SIZES[1])]
-    assert [entry[0] for entry in world.log_list(7, 9)] == [2]  # PX4 keeps to what there is
+    assert [entry[0] for entry in world.log_list(7, 9)] == [2]  # PX4 limits the range to existing logs
 
 
 def test_no_logs(world):
@@ -292,7 +292,7 @@ def test_no_path_leads_out(client, world, tmp_path, path):
     data = path.encode("latin-1")
     for opcode in (4, 14):
         kind, found = client.one(opcode, data)
-        if path.startswith("/log/2020-01-01/00_00_00.ulg"):  # the file itself: a slash more, or what comes after a zero
+        if path.startswith("/log/2020-01-01/00_00_00.ulg"):  # an additional slash, or characters after a zero
             assert kind == _ACK
             client.one(2)
         else:

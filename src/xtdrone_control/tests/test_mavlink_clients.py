@@ -148,7 +148,7 @@ def test_clients_of_all_ports_share_one_room():
                 link.heard(0, 2)
                 taken += 1
     assert taken == CLIENTS + 3 * VEHICLE_CLIENTS
-    ports[0].send_due(6_000_000, {})  # the silent ones of one port are forgotten
+    ports[0].send_due(6_000_000, {})  # the silent clients of one port are dropped
     assert ports[5].link_of(("127.0.0.1", 2000), 6_000_000) is not None
     world.close()
 
@@ -308,7 +308,7 @@ def test_a_transfer_in_small_steps_loses_nothing_at_full_speed(world):
 def test_excess_requests_are_answered_later(world, clients, caplog):
     flooder, stranger = clients[1], Client(0, world.fleet[0].gcs_local_port)
     for client in (flooder, stranger):
-        for _ in range(150):  # a socket's buffer holds no more than some hundred
+        for _ in range(150):  # a socket's buffer holds only some hundred messages
             client.send(_REQUEST_POSITION)
     clients[2].send(_REQUEST_POSITION)
     world.server.receive(1.0)
@@ -433,7 +433,7 @@ class TestVersion1:
     def test_a_client_that_turns_to_version_2_is_answered_in_it(self, world):
         client = self.client(world)
         world.ask(heartbeat(6), client=client)
-        del client.send  # the instance's; the class's speaks version 2
+        del client.send  # the instance attribute; the class's method sends version 2
         world.ask(_REQUEST_POSITION, client=client)
         assert {datagram[0] for datagram in client.datagrams} == {0xFD}
         client.socket.close()

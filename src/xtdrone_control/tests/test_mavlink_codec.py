@@ -364,7 +364,7 @@ class TestLink:
     def test_messages_before_the_first_count_belong_to_the_first_turn(self):
         link = Link("iris_0", FcuUrl("127.0.0.1", free_udp_port(), "127.0.0.1", 9))
         link.wanted = frozenset({32})
-        receiver = Receiver([link])  # its thread may be late: it is not started
+        receiver = Receiver([link])  # its thread is not started, as if it were late
         fcu = udp_socket()
         packer = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
 

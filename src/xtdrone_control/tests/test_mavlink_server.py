@@ -23,7 +23,7 @@ from xtdrone_control.mavlink.udp_port_and_clients import LinkError
 from xtdrone_control.mavlink.wire.dialect import MESSAGES
 
 _SYSTEM = FIRST_ID + 1
-MAVROS_READS = 296  # bytes of a datagram; what comes after them is lost to it
+MAVROS_READS = 296  # bytes of a datagram; MAVROS loses the rest
 _ALL_BUT_POSITION = 0b110111111000
 _ALL_BUT_VELOCITY = 0b110111000111
 _ALL_BUT_YAW = 0b101111111111
@@ -103,7 +103,7 @@ class World:
         self.server.reserve({self.fleet[0].offboard_remote_port: ["127.0.0.1"]})
 
     def run(self, seconds, step_us=4000):
-        """Advance time and return what the client has received."""
+        """Advance time and return the messages to the client."""
         end = self.autopilot.time_us + round(seconds * 1e6)
         found = []
         while self.autopilot.time_us < end:
@@ -185,7 +185,7 @@ def test_a_first_client_gets_the_streams_without_a_request_and_without_timeout(w
     messages = world.run(20.0, 20_000)
     kinds = {m.get_type() for m in messages}
     assert len(kinds) >= 27
-    assert abs(len(named(messages, "ATTITUDE")) - 1000) <= 60  # from the first heartbeat on, 50 ticks a second
+    assert abs(len(named(messages, "ATTITUDE")) - 1000) <= 60  # from the first heartbeat, at 50 ticks a second
     assert not [port.remote_port for port in world.server.ports[1:3] if port.default.streams.active]  # no socket there
     beat = named(messages, "HEARTBEAT")[0]
     assert (beat.type, beat.autopilot, beat.base_mode, beat.custom_mode, beat.system_status) == (2, 12, 29, 50593792, 3)
@@ -401,7 +401,7 @@ def test_content(world):
     assert (odom.vx, odom.vy, odom.vz) == pytest.approx((1.0, 2.0, -0.5))
     assert odom.pose_covariance[0] == pytest.approx(0.04)
     assert odom.pose_covariance[1] == 0.0
-    assert (odom.frame_id, odom.child_frame_id) == (1, 1)  # PX4 v1.14's: LOCAL_NED both
+    assert (odom.frame_id, odom.child_frame_id) == (1, 1)  # PX4 v1.14 sends LOCAL_NED for both
     gps = got["GPS_RAW_INT"]
     assert (gps.fix_type, gps.vel, gps.cog, gps.h_acc, gps.eph) == (3, 200, 27000, 900, 65535)
     assert got["SCALED_PRESSURE"].press_abs == pytest.approx(955.98)
@@ -815,7 +815,7 @@ def test_random_payloads_with_a_right_checksum_do_no_harm(world):
     classes = [c for c in MESSAGES.values() if c.msgname in names]
     assert len(classes) == len(names)
     specials = [struct.pack("<f", v) for v in (math.nan, math.inf, -1.0, 1e30, 400.0, 511.0, 1.0)]
-    likely = {  # values that get past the first checks
+    likely = {  # values that pass the first checks
         "target_system": [_SYSTEM],
         "target": [_SYSTEM],
         "target_component": [1],
@@ -835,7 +835,7 @@ def test_random_payloads_with_a_right_checksum_do_no_harm(world):
         if rng.random() < 0.8:
             values = list(cls.unpacker.unpack(payload))
             for place, field in enumerate(cls.ordered_fieldnames):
-                if field in likely:  # no array but text lies before these, and text is one value
+                if field in likely:  # only text arrays precede these, and text is one value
                     values[sum(cls.lengths[:place])] = rng.choice(likely[field])
             payload = bytearray(cls.unpacker.pack(*values))
         payload = bytes(payload[: rng.randint(1, size)]) if rng.random() < 0.2 else bytes(payload)
@@ -869,7 +869,7 @@ def test_held_setpoints_follow_the_commands_of_the_tick_in_any_order_of_arrival(
     world.ask(steer)
     assert world.command(176, 1, 6)[0] == 0
     world.commander.update()
-    assert world.setpoint["position"][0] == 9.0  # nothing is kept any more
+    assert world.setpoint["position"][0] == 9.0  # no datagram is stored any more
 
 
 def test_a_held_home_position_comes_after_the_commands_of_the_tick(world):

@@ -38,7 +38,7 @@ class TestBindHost:
             bind_host_for("nowhere")
 
     def test_an_unreachable_host_is_reported_with_its_address(self):
-        # A plain socket may not broadcast; this address represents every unreachable one.
+        # A plain socket must not broadcast; this address stands for every unreachable one.
         with pytest.raises(
             autopilot_links.LinkError, match=r"fcu_host: 'elsewhere' \(255\.255\.255\.255\) cannot be reached"
         ):

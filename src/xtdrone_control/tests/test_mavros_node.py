@@ -24,7 +24,7 @@ from xtdrone_control.mavros.mavros_node import system_state
 
 HERE = Path(__file__).parent
 NODE = HERE.parent / "nodes" / "mavros_node.py"
-LIMIT = 120.0  # s, for anything that another process must do
+LIMIT = 120.0  # s, for any action of another process
 
 HEARTBEAT = mavlink.MAVLink_heartbeat_message(2, 12, 0x1D, 0x03040000, 3, 3)
 
@@ -233,9 +233,9 @@ def test_lockstep_reads_the_counted_messages_and_counts_its_own(master):
                 received += 1
                 beats += message.get_type() == "HEARTBEAT"
         assert now_us == 2_000_000  # 100 turns at 50 Hz
-        assert beats == 2  # one a simulated second, however fast it went
+        assert beats == 2  # one per simulated second, at any speed
         with pytest.raises(BlockingIOError):
-            fcu.recv(65535)  # nothing that was not counted
+            fcu.recv(65535)  # no uncounted datagram
     finally:
         proxy.deleteParam("/test", "/lockstep/uri")
         _, output = end(node)

@@ -54,7 +54,7 @@ def test_streams_are_requested_by_a_caller_and_end_some_seconds_after_the_last(c
     assert bench is not None
     bench.send(BATTERY, ESTIMATOR)
     bench.uas.refresh()
-    assert caller.intervals() == dict.fromkeys(IDS, -1.0)  # not needed: the autopilot is asked to stop them
+    assert caller.intervals() == dict.fromkeys(IDS, -1.0)  # no caller needs them: the autopilot is asked to stop them
     caller.demand.ask()
     assert caller.intervals() == dict.fromkeys(IDS, 0.0)
     caller.now = 9.0
@@ -81,5 +81,5 @@ def test_battery_and_estimator_are_those_last_received(caller: Caller) -> None:
     known = readiness(bench.uas, telemetry=True)
     assert known.battery == pytest.approx(0.83)
     assert (known.estimated, known.estimator_flags) == (True, 1 | 2 | 32)
-    assert bench.published("battery") == bench.published("estimator_status") == []  # nothing is decoded for topics
+    assert bench.published("battery") == bench.published("estimator_status") == []  # no subscriber: nothing is decoded
     assert math.isnan(readiness(bench.uas).battery)

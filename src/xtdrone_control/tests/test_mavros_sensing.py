@@ -392,7 +392,7 @@ class TestBothWays:
         bench.take(out)
         bench.call(topic, ros)
         datagram = bench.fcu.recv(65535)
-        bench.send_raw(datagram)  # what comes from component 240 is taken from anyone only
+        bench.send_raw(datagram)  # only messages open to any sender are accepted from component 240
         return bench.published(out)
 
     @pytest.mark.parametrize(
@@ -413,7 +413,7 @@ class TestBothWays:
     )  # fmt: skip
     def test_information(self, bench, topic, out, ros):
         [got] = self.back(bench, topic, ros, out)
-        for name in ros.__slots__[1:]:  # all but header, or target_system
+        for name in ros.__slots__[1:]:  # all fields except header, or target_system
             assert plain(getattr(got, name)) == plain(getattr(ros, name))
 
     @given(
@@ -835,7 +835,7 @@ class TestServices:
         again = bench.ros.services["/iris_0/mavros/vehicle_info_get"]
         assert again(srv.VehicleInfoGetRequest(get_all=True, sysid=9)).vehicles == [info]
         assert not again(srv.VehicleInfoGetRequest(sysid=9, compid=1)).success
-        assert bench.received() == []  # it is known by now
+        assert bench.received() == []  # the answer is cached by now
 
     def test_nothing_is_known_before_the_first_heartbeat(self, bench):
         info = bench.ros.services["/iris_0/mavros/vehicle_info_get"]

@@ -35,7 +35,7 @@ from xtdrone_control.mavros.plugins.ftp import FtpPlugin
 
 ROUNDS = 60
 FTP = struct.Struct("<HBBBBBBI")
-FRAMES = "/iris_0/mavlink/to"  # takes what is a MAVLink frame, which no random message is
+FRAMES = "/iris_0/mavlink/to"  # accepts MAVLink frames only, which no random message is
 NAMED = ("MPC_XY_VEL_MAX", "COM_RC_IN_MODE")  # parameters that the autopilot has: a real number and an integer
 HOSTILE = (math.nan, math.inf, -math.inf, 1e300, -1e300, 1.7e308, -0.0, 5e-324, FLOAT32_MAX, 1.001 * FLOAT32_MAX)
 INTEGER = re.compile(r"(u?)int(8|16|32|64)|byte|char")
@@ -192,7 +192,7 @@ def storm(bench: Bench, call: Callable[[Any], Any], cls: Any, seed: str) -> tupl
     sent = kept = 0
     for _ in range(ROUNDS):
         before = bench.link.sent
-        bench.ros.time_ns += 10**9  # nothing comes too fast
+        bench.ros.time_ns += 10**9  # no message arrives too fast
         call(over_the_wire(message(cls, rng, rng.choice((0.0, 0.05, 0.3, 1.0)))))
         sent, kept = (sent + 1, kept) if bench.link.sent > before else (sent, kept + 1)
     return sent, kept
@@ -208,7 +208,7 @@ def test_every_topic_accepts_any_message(bench: Bench, caplog: pytest.LogCapture
         assert sent or topic == FRAMES, topic
         name = topic.removeprefix("/iris_0/mavros/").removeprefix("/iris_0/")
         warnings = [r for r in caplog.records if name in r.getMessage()]
-        assert len(warnings) >= kept, topic  # nothing is dropped without a word
+        assert len(warnings) >= kept, topic  # each dropped message has a warning
         assert not any(r.exc_info for r in caplog.records), topic
 
 

@@ -23,7 +23,7 @@ _DATA = Path(__file__).parent / "data" / "mavros_surface.txt"
 _LISTS = Path(__file__).parents[1] / "mavros" / "launch" / "px4_pluginlists.yaml"
 _PAGE = Path(__file__).parents[3] / "docs" / "mavros.md"
 _TABLE = re.compile(r"(?<=<!-- made by test_mavros_surface.py -->\n).*?(?=<!-- end -->)", re.DOTALL)
-# What a node has without a plugin: rospy's, and the transforms that a parameter switches on.
+# Features of a node without plugins: rospy's, and the transforms that a parameter enables.
 _OTHERS = {
     "published /rosout rosgraph_msgs/Log",
     "published /tf tf2_msgs/TFMessage",
@@ -41,7 +41,7 @@ class Offered(NamedTuple):
 
 
 def mavros() -> set[Offered]:
-    """Return what MAVROS offers."""
+    """Return MAVROS's features."""
     lines = [line.split() for line in _DATA.read_text().splitlines() if not line.startswith("#")]
     return {Offered(direction, _short(name), kind) for direction, name, kind in lines}
 

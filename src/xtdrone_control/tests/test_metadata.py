@@ -24,7 +24,7 @@ from xtdrone_control.mavlink.microservices.files_and_logs.metadata import checks
 from xtdrone_control.mavlink.wire.codec import decoder, split
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
 
-# a module's file, not the package's: in a catkin workspace that is a stand-in in the devel space
+# a module's file, not the package's: in a catkin workspace the package's is a stub in the devel space
 _PACKAGE = Path(events.__file__).parents[2]
 _SOURCES = [path for part in ("autopilot", "mavlink") for path in (_PACKAGE / part).rglob("*.py")]
 _EVENT_NAME = re.compile(
@@ -77,7 +77,7 @@ def test_only_texts_with_an_event_end_with_a_tab():
     }
 
 
-# texts of a real PX4 v1.14.3, all with a tab, and the events that say the same
+# texts of a real PX4 v1.14.3, all with a tab, and the events of the same meaning
 _FLOWN = {
     "Armed by external command": "commander_armed_by",
     "Using minimum takeoff altitude: 2.50 m": "navigator_takeoff_min_alt",

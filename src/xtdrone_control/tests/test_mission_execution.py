@@ -103,7 +103,7 @@ def test_a_positive_timeout_does_not_wait_for_the_heading():
 
 @pytest.mark.parametrize(
     ("mode", "bearing"), [(0, 90.0), (1, -90.0), (2, 90.0), (4, 90.0)]
-)  # home is at the origin, the vehicle on its way from 10 m to 30 m east
+)  # home is at the origin; the vehicle flies from 10 m to 30 m east
 def test_heading_modes(mode, bearing):
     flight = MissionFlight(MPC_YAW_MODE=mode)
     flight.hover()

@@ -127,7 +127,7 @@ def test_content_is_not_judged_at_upload(served, wrong):
         ({"command": 9999}, 3),
         ({"command": 115, "frame": 2}, 3),  # CONDITION_YAW
         ({"command": 183, "frame": 2}, 3),  # DO_SET_SERVO
-        ({"command": 20, "frame": 6}, 3),  # a return has no place
+        ({"command": 20, "frame": 6}, 3),  # a return has no position
         ({"command": 16, "frame": 2}, 3),
         ({"command": 201, "frame": 2, "params": (3.0, 0.0, 0.0, 0.0)}, 6),
         ({"command": 5001}, 1),
@@ -137,7 +137,7 @@ def test_content_is_not_judged_at_upload(served, wrong):
 def test_rejected_items(served, wrong, result):
     assert upload(served, [item(0), item(1, **wrong)]) == result
     assert served.commander.navigator.plans.mission == ()
-    assert upload(served, [item(0)]) == 0  # the refusal ended the transfer
+    assert upload(served, [item(0)]) == 0  # the rejection ended the transfer
 
 
 @pytest.mark.parametrize(
@@ -154,7 +154,7 @@ def test_a_second_client_is_rejected_during_an_upload(served):
     served.ask(item(0))
     (answer,) = served.ask(number(1), served.other)
     assert answer.type == 1
-    assert (answer.target_system, answer.target_component) == (0, 0)  # as by PX4, on a link without a partner yet
+    assert (answer.target_system, answer.target_component) == (0, 0)  # as in PX4, on a link without a partner yet
     (answer,) = served.ask(item(1))
     assert answer.type == 0
     assert upload(served, [item(0)], link=served.other) == 0

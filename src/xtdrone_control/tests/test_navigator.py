@@ -83,7 +83,7 @@ def test_loiter_brakes_ahead(flight):
     flight.commander.request(modes.POSCTL)
     flight.autopilot.estimator["velocity"] = (3.0, 4.0, 0.5)
     flight.commander.request(modes.AUTO_LOITER)
-    stop = 25.0 / (2 * 3.0) + 0.6 * 5.0  # and while the deceleration rises
+    stop = 25.0 / (2 * 3.0) + 0.6 * 5.0  # the last term is the distance while the deceleration rises
     assert goal(flight) == pytest.approx([0.6 * stop, 0.8 * stop, -10.0])
 
 
@@ -134,7 +134,7 @@ def test_return_climbs_flies_back_descends_and_lands(flight):
         (11.0, 5.0, 30.0),  # outside the cone
         (8.0, 5.0, 8.0),  # inside: 45 degrees
         (3.0, 2.0, 4.0),  # at least twice the acceptance radius
-        (0.5, 2.0, 2.0),  # over home: as it is
+        (0.5, 2.0, 2.0),  # above home: unchanged
     ],
 )
 def test_return_height(flight, distance, height, expected):

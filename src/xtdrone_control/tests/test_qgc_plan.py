@@ -159,7 +159,7 @@ def test_a_missing_or_binary_file_is_reported(tmp_path):
         qgc_plan.read(tmp_path / "b.plan")
 
 
-# ---- there and back
+# ---- round trip
 
 numbers = st.floats(-1e6, 1e6) | st.just(NAN)
 places = st.tuples(st.floats(-90, 90), st.floats(-180, 180), st.floats(-1000, 9000))

@@ -72,7 +72,7 @@ def test_a_rejection_is_explained_by_the_modes_failing_checks() -> None:
     assert told.by(*report(STREAM, MISSION, STATION, BATTERY), now_ns=SECOND) == [
         "Arming denied: No offboard signal; Critical battery"
     ]
-    assert told.by(*report(STREAM, BATTERY), now_ns=SECOND) == []  # once
+    assert told.by(*report(STREAM, BATTERY), now_ns=SECOND) == []  # reported once
 
 
 def test_a_rejection_without_a_known_reason_lists_all_failing_checks() -> None:

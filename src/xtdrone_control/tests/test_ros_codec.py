@@ -477,7 +477,7 @@ def test_no_memory_is_lost() -> None:
 
     rounds(500)
     gc.collect()
-    objects = len(gc.get_objects())  # first, as its list of up to 1 MB stays in the process's heap
+    objects = len(gc.get_objects())  # called once beforehand, as its list of up to 1 MB stays in the process's heap
     before = _resident()
     references = sys.getrefcount(Vector3), sys.getrefcount(genpy.Time), sys.getrefcount("frame_id")
     rounds(12_000)

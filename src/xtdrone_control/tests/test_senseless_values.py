@@ -163,7 +163,7 @@ def test_a_height_reference_that_does_not_exist(reference):
     assert np.isfinite(autopilot.estimator["position"]).all()
 
 
-# what happens at the wrong moment
+# commands at the wrong moment
 
 
 def test_a_kill_switch_that_is_still_on_counts_from_the_next_arming():

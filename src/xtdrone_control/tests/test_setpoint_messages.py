@@ -118,7 +118,7 @@ def test_body_frame(values, mask, roll, pitch, yaw):
     unset = [_NAN] * 3
     assert same(parts[0], unset)
     for found, wanted in zip(parts[1:], (velocity, acceleration), strict=True):
-        if wanted is None or not np.isnan(wanted).any():  # a NaN part leaves its message open to rounding
+        if wanted is None or not np.isnan(wanted).any():  # a NaN part leaves its message subject to rounding
             assert same(found, unset if wanted is None else wanted)
     assert math.isnan(found_yaw) if mask & 1024 else found_yaw == 0.5, "from north"
 

@@ -82,7 +82,7 @@ def test_the_origin_is_set_once_there_is_a_position(px4, caplog):
     assert "47.3977420 deg, 8.5456338 deg, 488.120 m AMSL, and has to be 47.3977420 deg, 8.5455940" in caplog.text
     for _ in range(5):
         px4.pass_time()
-    assert (px4.origin, px4.set) == (SHARED, 2)  # the answer to the first is the old one
+    assert (px4.origin, px4.set) == (SHARED, 2)  # the reply to the first has the old origin
     assert px4.bench.uas.arming_held == ""
     assert "iris_0: the local frame begins at the shared origin" in caplog.text
     px4.origin = (SHARED[0] + 1, SHARED[1] - 1, SHARED[2] + 10)  # rounded
@@ -95,7 +95,7 @@ def test_an_origin_that_another_px4_begins_with_is_moved_too(px4):
     px4.origin = SPAWN
     for _ in range(4):
         px4.pass_time()
-    px4.origin = SPAWN  # restarted, faster than the connection times out
+    px4.origin = SPAWN  # restarted before the connection times out
     px4.bench.send(mavlink.MAVLink_gps_global_origin_message(*SPAWN, 0))
     px4.pass_time()
     assert px4.origin == SHARED

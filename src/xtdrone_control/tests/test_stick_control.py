@@ -76,7 +76,7 @@ def test_sticks_tilt_towards_where_they_point(parts, forward, right):
     x, y, z = rotation.rotate(c["sp_q"], 0.0, 0.0, 1.0)
     size = min(math.hypot(forward, right), 1.0)
     assert math.degrees(math.acos(z)) == pytest.approx(size * p["mpc_man_tilt_max"], abs=1e-6)
-    # thrust, against the body's z, leans to where the stick points, seen from the heading
+    # the thrust, opposite to the body's z, leans in the direction of the stick, relative to the heading
     assert math.atan2(-y, -x) == pytest.approx(1.0 + math.atan2(right, forward), abs=1e-6)
 
 

@@ -58,7 +58,7 @@ def formats(draw, nested: tuple[Format, ...] = ()):
 
 
 def flat(record, prefix=""):
-    """Return a record's values by the names that pyulog gives them."""
+    """Return a record's values by their names in pyulog."""
     found = {}
     for name in record.dtype.names:
         value = record[name]

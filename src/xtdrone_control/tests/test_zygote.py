@@ -86,7 +86,7 @@ MODULES = {
 
 
 class Launch:
-    """A running roslaunch, with a master of its own."""
+    """A running roslaunch with its own master."""
 
     def __init__(self, folder: Path, nodes: str, before: list[str]) -> None:
         self.folder = folder

@@ -29,7 +29,7 @@ def test_is_finite_perpendicular_antisymmetric_and_of_the_papers_size(r: tuple[f
 
 
 def test_is_the_papers_cross_product() -> None:
-    r = np.array([0.2, 0.9, -0.4])  # less along x, so n = x
+    r = np.array([0.2, 0.9, -0.4])  # smaller along x, so n = x
     expected = (1 - np.linalg.norm(r) / 1.5) * np.cross(r, [1, 0, 0]) / np.linalg.norm(np.cross(r, [1, 0, 0]))
     assert contribution(tuple(r)) == pytest.approx(expected)
     r = np.array([-1.0, 0.0, 0.0])  # here the paper's signed test divides 0 by 0
@@ -57,7 +57,7 @@ def test_sums_over_those_near_and_ignores_the_unknown() -> None:
 
 def test_giving_way_removes_only_the_closing_component() -> None:
     other = [(0.0, 0.0, 0.0), (1.1, 0.0, 0.0)]
-    # half of the way remains: a quarter in each of the two rounds
+    # half of the correction remains: a quarter in each of the two rounds
     assert give_way(0, other, (1.0, 0.5, 0.0), 1.5, 0.7) == pytest.approx((1.0 / 16.0, 0.5, 0.0))
     assert give_way(0, other, (-1.0, 0.5, 0.0), 1.5, 0.7) == (-1.0, 0.5, 0.0)
     assert give_way(0, [(0.0, 0.0, 0.0), (0.6, 0.0, 0.0)], (1.0, 0.5, 0.0), 1.5, 0.7) == pytest.approx((0, 0.5, 0))

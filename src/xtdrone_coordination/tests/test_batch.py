@@ -229,7 +229,7 @@ def fly(twins: Twins, seed: int, turns: int, *, box: float, losses: float, dt: f
     count = twins.plain.count
     accel = twins.single[0].options.mode == "accel"
     x, v = rng.uniform(-box, box, (count, 3)), rng.normal(size=(count, 3))
-    x[rng.integers(count)] = x[rng.integers(count)]  # at one place, maybe
+    x[rng.integers(count)] = x[rng.integers(count)]  # possibly at one position
     for k in range(turns):
         if k % 50 == 1:
             offsets = Patterns(count).offsets(("cube", "triangle", "pyramid", "origin")[k // 50 % 4])
@@ -343,7 +343,7 @@ def test_a_law_in_arrays_of_the_wrong_shape_stops_the_vehicle_not_the_swarm() ->
     twins.pattern(Patterns(3).offsets("cube"))
     for followers in (twins.single, twins.batched):
         for follower in followers:
-            follower.warn = lambda text: None  # it tells what it was given, here of one and there of all
+            follower.warn = lambda text: None  # it logs the given values, here of one follower and there of all
     twins.hear(9.0 * np.eye(3), np.zeros((3, 3)))
     assert not twins.turn().any()
     assert all("control_laws returned" in text for follower in twins.batched for text in follower.problem_log.current)

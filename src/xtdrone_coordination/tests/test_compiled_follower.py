@@ -189,7 +189,7 @@ def test_equals_python_turn_by_turn(monkeypatch: pytest.MonkeyPatch, options: Fo
         now_us = (turn + 1) * PERIOD_US
         set_time_us(now_us)
         command = rng.random()
-        if command < 0.9:  # else the commands stop, and may time out
+        if command < 0.9:  # otherwise the commands stop, and may time out
             still = (turn // 40) % 5 == 4 and command < 0.8  # at times within the dead zone
             scale = 0.0005 if still else 0.7
             own.linear.x, own.linear.y, own.linear.z, own.angular.z = scale * rng.uniform(-1.0, 1.0, 4)
@@ -276,7 +276,7 @@ def swarm_around(out: str) -> None:
                     publishers[topic].publish(message)
             if done % 30 == 20:
                 user.publish(String(data="HOVER"))
-            if done == 45:  # a subscriber of the velocity command that comes in flight
+            if done == 45:  # connects a subscriber of the velocity command in flight
                 late.append(hear(f"/xtdrone/{VEHICLE}/cmd_vel_enu", Twist))
 
         lockstep.spin(step)

@@ -252,7 +252,7 @@ def test_own_avoidance_replaces_a_silent_one_until_it_returns() -> None:
     told = (0.0, 0.0, 0.5)
     assert turn(told)
     assert [turn(None) for _ in range(3 + 4)] == [True] * 3 + [False] * 4  # 0.1 s are 3 ticks
-    assert [turn((math.nan, 0.0, 0.0)), turn((0.0, math.inf, 0.0))] == [False, False]  # as if they had not come
+    assert [turn((math.nan, 0.0, 0.0)), turn((0.0, math.inf, 0.0))] == [False, False]  # as if they had not arrived
     assert warnings == ["follower 1: no avoidance on its topic within 0.1 s: using its own until one is received"]
     assert not news
     assert [turn(told), turn(None)] == [True, True]
@@ -594,7 +594,7 @@ def test_a_restart_brings_back_the_state_after_construction() -> None:
     swarm = Swarm(4, avoid="topic")
     members = [swarm.leader, *swarm.followers]
     for one in members:
-        one._warn = print  # the same text at both times
+        one._warn = print  # both warnings have the same text
     before = [state_of(one) for one in members]
     positions = swarm.state.positions
     swarm.command("cube")
@@ -609,7 +609,7 @@ def test_a_restart_brings_back_the_state_after_construction() -> None:
     for one in members:
         one.restart()
     assert [state_of(one) for one in members] == before
-    assert swarm.state.positions is positions  # who holds the list sees it
+    assert swarm.state.positions is positions  # a holder of the list sees the change
 
 
 def test_a_subclass_resets_its_own_attributes() -> None:

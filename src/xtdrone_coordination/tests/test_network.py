@@ -334,7 +334,7 @@ def test_known_states_behave_like_a_list() -> None:
         tuple(p) if came >= 0 else None for p, came in zip(samples.positions.tolist(), samples.came, strict=True)
     ]
     assert None in expected
-    assert [known.positions[j] for j in range(30)] == expected  # more than few, one by one
+    assert [known.positions[j] for j in range(30)] == expected  # more than a few
     assert list(known.positions) == known.positions[:] == expected
     assert known.positions[-1] == expected[-1]
     assert known.positions[3:9] == expected[3:9]
@@ -397,14 +397,14 @@ def test_vehicles_out_of_reach_of_the_leader_are_reported() -> None:
     network = Network(6, NetworkOptions(range=5.0))
     places = np.array([[0.0, 0, 0], [4, 0, 0], [8, 0, 0], [20, 0, 0], [22, 0, 0], [1, 0, 0]])
     adjacency = np.zeros((6, 6))
-    adjacency[[1, 2, 3, 4, 5], [0, 1, 2, 3, 4]] = 1.0  # a chain; 5 listens to 4 alone, near the leader as it is
+    adjacency[[1, 2, 3, 4, 5], [0, 1, 2, 3, 4]] = 1.0  # a chain; 5 listens to 4 alone, although it is near the leader
     network.step(places, np.zeros((6, 3)))
     assert network.unreachable(adjacency) == [3, 4, 5]
     assert network.unreachable(np.nonzero(adjacency)) == [3, 4, 5]
     adjacency[5, 0] = 1.0
     assert network.unreachable(adjacency) == [3, 4]
     network.step(np.where(np.arange(6)[:, None] == 1, np.nan, places), np.zeros((6, 3)))
-    assert network.unreachable(adjacency) == [3, 4]  # believed where it was last
+    assert network.unreachable(adjacency) == [3, 4]  # assumed at its last known position
     places[3:5, 0] -= 8.0
     network.step(places, np.zeros((6, 3)))
     assert network.unreachable(adjacency) == []

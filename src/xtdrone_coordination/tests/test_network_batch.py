@@ -131,7 +131,7 @@ def test_together_is_as_one_by_one(
             single.followers[8].swarm.restart()
         seen = x.copy()
         if 20 <= turn < 65:
-            seen[[4, 11]] = np.nan  # fallen silent, to others and to themselves
+            seen[[4, 11]] = np.nan  # silent, to others and to themselves
         together.network.step(seen, v)
         single.network.step(seen, v)
         commands, given = batch.update()

@@ -78,7 +78,7 @@ def test_tables_hold_the_same(bag: Path, flight_bag: Path, tmp_path: Path, form:
     assert load(models["name"])[:2] == ["ground_plane", "iris_0"]
     assert len(load(models["pose.position.x"])) == 10
     pattern = read(out / f"xtdrone_formation_pattern.{form}").slice(0, 1).to_pylist()[0]
-    assert len(json.loads(pattern["data"])) == 24  # layout.dim has texts in a list: field by field as JSON
+    assert len(json.loads(pattern["data"])) == 24  # layout.dim has strings in a list: field by field as JSON
 
 
 def test_damaged_messages_are_skipped_and_reported(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

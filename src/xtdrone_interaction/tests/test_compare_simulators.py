@@ -106,7 +106,7 @@ def test_a_constant_difference_is_measured() -> None:
 def test_other_assignments_are_reported_and_compared_by_slot(capsys: pytest.CaptureFixture[str]) -> None:
     differences = compare(flight(rate=50.0), flight(rate=50.0, order=(1, 0, 2)))
     assert [d.reassigned for d in differences] == [0, 2]
-    assert differences[1].greatest < 5.0  # from where they came; later they are in the same slots
+    assert differences[1].greatest < 5.0  # differs on the way from the start; later they are in the same slots
     assert differences[1].rms < 0.5
     print_comparison(differences, Console(width=100))
     assert "Pattern 'line': 2 followers have other slots than in full physics" in capsys.readouterr().out

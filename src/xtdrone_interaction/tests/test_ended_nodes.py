@@ -116,7 +116,7 @@ def test_a_failed_simulator_is_listed_before_its_participants(log: Path) -> None
     ended_nodes.update(1.0)
     assert [str(ended).partition(" at")[0] for ended in ended_nodes.all()] == [
         "simulator has died (SIGKILL)",
-        "follower_2 has died (SIGKILL)",  # killed: not of the simulator's end
+        "follower_2 has died (SIGKILL)",  # killed, not ended because of the simulator
     ]
     assert ended_nodes.consequences == ["follower_1"]
 

@@ -238,7 +238,7 @@ def test_a_pattern_that_does_not_settle_is_noted() -> None:
 
 def test_a_leader_without_the_pattern_ends_the_flight() -> None:
     fleet = PointFleet()
-    fleet.slots["cube"] = fleet.slots["cube"] + 1.0  # what the mission expects is not what the leader gives
+    fleet.slots["cube"] = fleet.slots["cube"] + 1.0  # the mission expects other slots than the leader publishes
     fleet.leader = lambda command: setattr(fleet.view, "offsets", fleet.slots["origin"])  # type: ignore[method-assign]
     with pytest.raises(MissionError, match="no offsets of pattern 'cube' within 10 s"):
         fleet.fly()
@@ -275,7 +275,7 @@ def test_the_director_ignores_invalid_offsets(monkeypatch: pytest.MonkeyPatch) -
         hear(Float32MultiArray(data=data))
     assert director.view.offsets is not None
     assert director.view.offsets.tolist() == slots["cube"].tolist()
-    assert len(warnings) == 4  # of which rospy says one
+    assert len(warnings) == 4  # of which rospy logs one
     assert "7 values that are not 6 finite numbers; ignored" in warnings[0]
-    hear(Float32MultiArray())  # taken back
+    hear(Float32MultiArray())  # pattern withdrawn
     assert director.view.error() is None

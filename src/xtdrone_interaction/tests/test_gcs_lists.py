@@ -123,7 +123,7 @@ def test_an_ardupilots_first_item_is_its_home():
     vehicle, content = ArduPilot(), survey(0)
     talk(plan_exchanges.upload_plan(7, content, autopilot=ARDUPILOT), vehicle)
     assert [item.command for item in vehicle.lists[0]] == [16, *(item.command for item in content.mission)]
-    assert vehicle.lists[0][-1].param1 == 2.0  # a jump to what is item 1 of the plan
+    assert vehicle.lists[0][-1].param1 == 2.0  # a jump to the plan's item 1
     found = talk(plan_exchanges.download_plan(7, autopilot=ARDUPILOT), vehicle)
     assert (found.mission[-1].params[0], found.drawn_for) == (1.0, "ArduPilot")
     for kind in plan.KINDS:

@@ -255,7 +255,7 @@ def test_a_tcp_line_that_ends(field):
         open_connection(*peer.address)
 
 
-# ---- what a vehicle tells
+# ---- status of a vehicle
 
 
 def message(text, part=0, number=0):

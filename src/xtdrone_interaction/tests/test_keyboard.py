@@ -22,7 +22,7 @@ KEYS = [*STEERING, *"tyvnrbskg0123456789"]
 LIMITS = (20.0, 20.0, 20.0, 3.0)
 
 
-# ---- what keys mean
+# ---- meaning of keys
 
 
 @settings(deadline=None, derandomize=True)

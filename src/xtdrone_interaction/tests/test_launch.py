@@ -25,7 +25,7 @@ LIMIT = 120.0  # s of wall time; only a broken run takes it
 _MODULES = {
     "launch": ["xtdrone_interaction", "launch"],
     "demo": ["xtdrone_interaction", "demo"],
-}  # as ./xtdrone has it
+}  # as ./xtdrone sets it
 LAUNCH = """\
 <launch>
   <arg name="code" default="0"/>
@@ -33,7 +33,7 @@ LAUNCH = """\
   <node pkg="rosbag" type="record" name="boss" launch-prefix="{folder}/boss $(arg code)" required="true"/>
 </launch>
 """
-PROGRAMS = {  # the boss ends when the file "end" is there, the worker never
+PROGRAMS = {  # the boss ends when the file "end" exists, the worker never
     "worker": "exec sleep 600",
     "boss": "while [ ! -e {folder}/end ]; do sleep 0.1; done; exit $1",
 }
@@ -215,7 +215,7 @@ def test_a_simulation_reports_readiness_listens_locally_and_reports_the_first_de
     command.wait_for("estimators ready")
     sockets = _sockets(command.running())
     assert sum(kind == "udp" for kind, _, _ in sockets) >= 8  # three of each autopilot, and MAVROS's
-    # roscpp's XML-RPC server listens everywhere, whatever ROS_IP is; here that of rosout
+    # roscpp's XML-RPC server listens on all interfaces, whatever ROS_IP is; here it is rosout's
     open_ends = [(kind, line) for kind, address, line in sockets if address != "0100007F"]
     assert [kind for kind, line in open_ends if "rosout/rosout" in line] == ["tcp"]
     assert [end for end in open_ends if "rosout/rosout" not in end[1]] == []
@@ -247,7 +247,7 @@ def test_a_demo_without_means_ends_with_a_line(tmp_path: Path, limits: Callable[
     assert command.running() == {}
 
 
-# stands for roslaunch; what it starts ignores signals, as nodes do that hang
+# stand-in for roslaunch; its children ignore signals, like hanging nodes
 STUBBORN = """\
 #!{python}
 import signal, socket, subprocess, sys, time

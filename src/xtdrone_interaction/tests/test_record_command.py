@@ -38,7 +38,7 @@ def test_profiles_select_their_topics(name: str) -> None:
     arguments = rosbag_arguments(profile, "/tmp/out")
     given = arguments[-len(profile.topics) :]
     excluded = arguments[arguments.index("-x") + 1] if "-x" in arguments else "(?!)"
-    for topic in set().union(*TAKEN.values()):  # as rosbag itself decides
+    for topic in set().union(*TAKEN.values()):  # rosbag's own selection
         taken = any(re.fullmatch(entry, topic) for entry in given) and not re.fullmatch(excluded, topic)
         assert taken == profile.includes(topic), topic
 
@@ -55,7 +55,7 @@ def test_rosbag_is_called_with_the_profile(tmp_path: Path, given: list[str], exp
     program.chmod(0o755)
     out = tmp_path / "new" / "flight"
     pid = os.fork()
-    if pid == 0:  # it becomes rosbag
+    if pid == 0:  # the child becomes rosbag
         os.environ["PATH"] = f"{tmp_path}:{os.environ['PATH']}"
         os._exit(cli.main(["record", "light", "--out", str(out), *given, "__name:=recorder"]))
     assert os.waitpid(pid, 0)[1] == 0

@@ -71,7 +71,7 @@ def test_a_bag_cut_off_anywhere_gives_its_beginning(tmp_path: Path, packing: str
         found, notes = read(tmp_path / "cut.bag")
         assert found == expected[: len(found)], cut
         assert notes or len(found) == len(expected), cut
-        assert len(found) >= most, cut  # what is longer gives at least as much
+        assert len(found) >= most, cut  # a longer file yields at least as many messages
         most = len(found)
     assert most == len(expected)
 
@@ -326,7 +326,7 @@ def test_memory_of_long_recordings_is_bounded() -> None:
         columns.add(("a", "pose"), time, np.column_stack([time, 2 * time]))
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert most < 3 * 8 * 40_000  # bytes; what is dropped does not live on in what is kept
+    assert most < 3 * 8 * 40_000  # bytes; dropped data is not kept alive by the stored data
     series = columns.series()["a", "pose"]
     assert 5_000 < len(series) < 14_000
     assert columns.stride > 1
@@ -387,7 +387,7 @@ def test_damage_in_the_middle_is_no_cut(flight_bag: Path, tmp_path: Path) -> Non
 
 def test_an_archive_of_a_flight_without_ros_is_analysed(flight_bag: Path, tmp_path: Path) -> None:
     record = read_formation(flight_bag)
-    topologies = [replace(record.topologies[0], time=change.time) for change in record.patterns]  # one a pattern
+    topologies = [replace(record.topologies[0], time=change.time) for change in record.patterns]  # one per pattern
     save_formation(replace(record, topologies=topologies), tmp_path / "flight.npz")
     assert cli.main(["analyse", str(tmp_path / "flight.npz")]) == 0
     figures = json.loads((tmp_path / "flight-analysis" / "report.json").read_text())

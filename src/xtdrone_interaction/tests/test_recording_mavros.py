@@ -142,7 +142,7 @@ def check(flight: Recording, end: float) -> None:
         place = vehicle.position
         assert place is not None
         assert place.time[-1] > end - 0.5
-        np.testing.assert_allclose(place.value, helix(place.time), atol=1e-6)  # by the stamps, not when it was recorded
+        np.testing.assert_allclose(place.value, helix(place.time), atol=1e-6)  # by the stamps, not the recording times
         assert [mode for _, mode in vehicle.modes] == ["POSCTL", "OFFBOARD"]
         assert [when for when, armed in vehicle.armed if armed] == [pytest.approx(2.0)]
         assert vehicle.texts[0] == (pytest.approx(0.0), 4, "Low")

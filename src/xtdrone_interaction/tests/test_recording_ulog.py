@@ -25,7 +25,7 @@ SECONDS, RATE = 20.0, 250.0
 PITCHING, LATE, AMPLITUDE = 3.0, 0.048, 0.4  # Hz, s, rad/s
 SHAKING = 40.0  # Hz
 START_US = 5_000_000
-LOST = 0.5  # s; until then the estimator does not know where it is
+LOST = 0.5  # s; until then the estimator has no position
 
 
 def block(topic: str, number: int, time: np.ndarray, **values: object) -> bytes:
@@ -54,7 +54,7 @@ def make_log() -> bytes:
         "vehicle_status": {"time": status, **states},
         "vehicle_local_position": {"time": slow, **place},
         "vehicle_local_position_setpoint": {"time": slow, "x": 3.0 * slow + 0.25, "z": np.nan, "vx": 3.5, "vz": np.nan},
-        "mission_result": {"time": np.array([5000.0])},  # stored before; its time is of nothing in this log
+        "mission_result": {"time": np.array([5000.0])},  # stored earlier; its time belongs to nothing in this log
         "manual_control_setpoint": {"time": np.array([-4.0, -3.0, 5.0]), "roll": np.array([0.1, 0.2, 0.3])},
         "vehicle_rates_setpoint": {"time": time, "pitch": AMPLITUDE * np.sin(angle)},
         "vehicle_angular_velocity": {"time": time, "xyz": rates},
@@ -106,7 +106,7 @@ def test_figures_are_those_of_the_motion(tmp_path: Path, data: bytes) -> None:
     assert pitch.greatest == pytest.approx(error, rel=0.03)
     assert rows["Position", "north [m]"].rms == pytest.approx(0.25, abs=1e-4)
     assert rows["Velocity", "north [m/s]"].greatest == pytest.approx(0.5)
-    assert ("Position", "up [m]") not in rows  # it was never told a height
+    assert ("Position", "up [m]") not in rows  # the estimator has received no height
 
 
 def test_values_missing_in_the_log_are_not_shown(tmp_path: Path, data: bytes) -> None:

@@ -92,7 +92,7 @@ def test_slots_stand_about_the_leader(markers):
 
 def test_an_edge_points_from_sender_to_receiver(markers):
     adjacency = np.zeros((3, 3), int)
-    adjacency[2, 1] = 1  # 2 listens to 1
+    adjacency[2, 1] = 1  # vehicle 2 listens to 1
     markers.on_topology(adjacency)
     assert points(shown(markers)["topology", 0]) == [PLACES[1], PLACES[2]]
 
@@ -158,14 +158,14 @@ def test_a_list_without_points_is_never_shown_and_no_marker_twice(markers):
         for number, marker in enumerate(state.array(0.0).markers):
             assert marker.header.frame_id == "map"
             if marker.action == Marker.DELETEALL:
-                assert number == 0  # rviz wants it first
+                assert number == 0  # rviz needs it first
                 continue
             assert (marker.ns, marker.id) not in seen
             seen.add((marker.ns, marker.id))
             if marker.action == Marker.ADD and marker.type in (Marker.LINE_LIST, Marker.LINE_STRIP, Marker.SPHERE_LIST):
                 assert marker.points
                 assert len(marker.colors) in (0, len(marker.points))
-            assert not marker.text or marker.type == Marker.TEXT_VIEW_FACING  # rviz warns of others
+            assert not marker.text or marker.type == Marker.TEXT_VIEW_FACING  # rviz logs a warning for any other type
 
 
 @pytest.mark.parametrize("trail", [-1.0, math.nan, math.inf])

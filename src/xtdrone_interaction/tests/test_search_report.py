@@ -114,7 +114,7 @@ def test_an_aborted_search_is_reported_with_the_known_results() -> None:
     report = make_report(record(confirmed(10.3, 0.4), follow, **changes), {"on_find": "continue"})
     assert report["shortcomings"] == ["the search was cut short"]
     assert report["find"]["error"] == pytest.approx(0.5)
-    assert report["following"][0]["duration"] == pytest.approx(10.0)  # until the record's end
+    assert report["following"][0]["duration"] == pytest.approx(10.0)  # to the end of the record
     with (console := Console(width=100)).capture() as printed:
         print_search(report, console)
     assert "Cut short." in printed.get()
@@ -148,4 +148,4 @@ def test_views_have_a_tile_a_vehicle_with_its_newest_picture() -> None:
     width, height = views.size[0] // 3, (views.size[1] - 22) // 2
     middle_of_tile = picture[height + 22 + 135, width + width // 2, :3]
     assert tuple(middle_of_tile) == (250, 250, 250)
-    assert tuple(picture[22 + 135, width // 2, :3]) == (32, 32, 32)  # nothing seen yet
+    assert tuple(picture[22 + 135, width // 2, :3]) == (32, 32, 32)  # no cell seen yet

@@ -68,7 +68,7 @@ def test_a_flight_elsewhere_is_found_until_it_ends(tmp_path):
     master.write_text("http://127.0.0.1:1\n")
     pointer = sim_cli.announce(flight, runs)
     assert list(sim_cli.flights([runs])) == [master]
-    master.unlink()  # killed: the pointer has stayed
+    master.unlink()  # killed: the pointer to it remains
     assert list(sim_cli.flights([runs])) == []
     stale = pointer.rename(pointer.with_name("1"))
     sim_cli.announce(flight, runs)

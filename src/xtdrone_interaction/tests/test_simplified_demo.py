@@ -130,7 +130,7 @@ def test_a_recorded_flight_is_compared_with(
     comparison = json.loads((tmp_path / "out" / "report.json").read_text())["comparison"]
     assert comparison["with"] == str(flight_bag)
     assert [p["pattern"] for p in comparison["patterns"]] == ["origin", "cube", "pyramid", "triangle"]
-    assert 0.05 < comparison["rms"] < 2.0  # the made-up flight's followers are faster
+    assert 0.05 < comparison["rms"] < 2.0  # the followers of the synthetic flight are faster
     assert (tmp_path / "out" / "comparison_1_origin_to_cube.png").is_file()
     assert "RMS difference over all" in capfd.readouterr().out
 
@@ -280,7 +280,7 @@ def test_pacing_makes_up_for_a_picture_but_not_for_a_pause(monkeypatch: pytest.M
     monkeypatch.setattr(simplified_demo.time, "monotonic", lambda: wall)
     pacing = simplified_demo._Pacing(10.0)
     assert pacing.ahead(0.0) == 0.0
-    wall += 0.1  # a picture was drawn: a second of the flight is due
+    wall += 0.1  # a picture was drawn: a second of flight is due
     assert pacing.ahead(0.5) == pytest.approx(-0.05)
     assert pacing.ahead(1.2) == pytest.approx(0.02)
     wall += 60.0  # a pause

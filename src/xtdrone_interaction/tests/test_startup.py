@@ -114,7 +114,7 @@ def test_a_stopped_node_behind_its_launcher_is_reported(tmp_path: Path) -> None:
         ) as launcher,
     ):
         assert launcher.stdout is not None
-        launcher.stdout.readline()  # the command line of a program that is being started is empty for a moment
+        launcher.stdout.readline()  # the command line of a starting program is empty for a moment
         node.send_signal(signal.SIGSTOP)
         os.waitid(os.P_PID, node.pid, os.WSTOPPED)
         words = not_joined(_NODES.format(pid=launcher.pid).splitlines(), [], {}, tmp_path)

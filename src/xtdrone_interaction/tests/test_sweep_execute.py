@@ -97,7 +97,7 @@ def test_a_cluster_without_workers_ends_the_sweep(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(dask_execution, "_WORKERS_LIMIT", 2.5)
     with local_client(1) as lonely:
         lonely.cluster.scale(0)
-        while lonely.nthreads():  # until the scheduler has noticed; it announces that to no client
+        while lonely.nthreads():  # until the scheduler has noticed, which it announces to no client
             time.sleep(0.01)
         executor = Executor(lonely, sweep_standin.work, {})
         with pytest.raises(SweepError, match=r"workers: the cluster has had none for 2.5 s"):

@@ -205,7 +205,7 @@ def test_a_page_has_a_bounded_number_of_subscriptions_which_end_with_it() -> Non
 def test_any_parameters_are_answered_or_refused(params: dict[str, Any]) -> None:
     async def test(station: Station) -> None:
         for method in ("topics.echo", "topics.fields", "plots.open", "topics.close", "plots.close", "topics.measure"):
-            with contextlib.suppress(ValueError):  # all else fails the test
+            with contextlib.suppress(ValueError):  # any other exception fails the test
                 json.dumps(await station.call(method, **params))
 
     tried(test)

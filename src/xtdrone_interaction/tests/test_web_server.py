@@ -257,7 +257,7 @@ def test_a_slow_browser_costs_no_memory_and_no_other_page(folder: Path, monkeypa
         ("http://127.0.0.1:8642", "127.0.0.1:8642", "127.0.0.1", True),
         ("http://localhost:8642", "localhost:8642", "127.0.0.1", True),
         (None, "[::1]:8642", "127.0.0.1", True),
-        ("http://127.0.0.1:9000", "127.0.0.1:8642", "127.0.0.1", False),  # another server of this machine
+        ("http://127.0.0.1:9000", "127.0.0.1:8642", "127.0.0.1", False),  # another server on this machine
         ("http://rebound.example:8642", "rebound.example:8642", "127.0.0.1", False),
         ("http://10.0.0.2:8642", "10.0.0.2:8642", "0.0.0.0", True),
         ("http://evil.example", "10.0.0.2:8642", "0.0.0.0", False),

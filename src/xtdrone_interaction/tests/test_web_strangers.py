@@ -88,7 +88,7 @@ def test_each_method_is_refused_to_a_stranger_and_each_command_to_a_watcher() ->
             assert station.names("view") == WATCHING
             assert station.names("operate") == OPERATING
             for name in sorted(WATCHING | OPERATING):
-                for token in ({}, {"token": TOKENS.operate}):  # only hello takes a token
+                for token in ({}, {"token": TOKENS.operate}):  # only hello accepts a token
                     stranger = await station.connect()
                     await stranger.write_message(json.dumps({"id": 1, "method": name, "params": token}))
                     assert await asyncio.wait_for(stranger.read_message(), 10.0) is None, name

@@ -11,7 +11,7 @@ from xtdrone_planning.paths.clear_place import nearest_clear
 from xtdrone_planning.replanning.settings import GoalError
 
 SPEED = 1.5  # m/s of the slot
-CARRY = 1.15  # s; without a time of agreement less than in forest.launch
+CARRY = 1.15  # s; without an agreed time, less than in forest.launch
 
 
 def follow(flight: ToyFlight, seconds: float, begin: float, end: float) -> list[float]:

@@ -162,7 +162,7 @@ def test_places_of_others_are_those_on_their_trajectories():
     flight = ToyFlight(np.zeros((0, 3)))
     planner = SwarmPlanner(flight.map.grid, flight.settings, flight.limits, AgreementSettings(), rank=1)
     planner.on_decided(0, 1, coasting(np.zeros(3), np.array([2.0, 0.0, 0.0]), 10.0), RADIUS)
-    for time in (9.8, 10.0, 11.0):  # before its start it is on the one before, of which this one is the continuation
+    for time in (9.8, 10.0, 11.0):  # before its start it is on the previous one, of which this one is the continuation
         places, reach = planner.places_of_others(time)
         assert places == pytest.approx(np.array([[2.0 * (time - 10.0), 0.0, 0.0]]), abs=1e-9)
         assert RADIUS < reach[0] < 2.0 * RADIUS

@@ -15,7 +15,7 @@ from xtdrone_planning.replanning.settings import PlannerSettings
 from xtdrone_planning.replanning.situation import Situation
 from xtdrone_planning.trajectories.local_trajectory import TrajectorySettings
 
-PERIOD = 0.05  # s, a turn; a scan comes in every second one
+PERIOD = 0.05  # s, one turn; a scan arrives in every second turn
 RANGE = 20.0
 LIMITS = TrajectorySettings()
 

@@ -24,7 +24,7 @@ except ImportError:
     xtdrone_msgs = None
 
 ROSMASTER = shutil.which("rosmaster")
-PATIENCE = 120.0  # s of wall time, for what should take a few
+PATIENCE = 120.0  # s of wall time for actions that take a few
 
 needs_ros = pytest.mark.skipif(ROSMASTER is None or xtdrone_msgs is None, reason="needs ROS 1 and the built workspace")
 

@@ -1,6 +1,6 @@
 """A stand-in for PX4 on its simulator link, written from PX4's side: simulator_mavlink of v1.14.
 
-It connects to the simulator, sends a heartbeat and asks for HIL_STATE_QUATERNION, takes its time from HIL_SENSOR (it
+It connects to the simulator, sends a heartbeat and requests HIL_STATE_QUATERNION, takes its time from HIL_SENSOR (it
 starts at 0 with the first one), receives nothing of the world but HIL_SENSOR and HIL_GPS, and answers every HIL_SENSOR
 with HIL_ACTUATOR_CONTROLS. pymavlink's own parser and packer are used. The firmware is our autopilot's.
 

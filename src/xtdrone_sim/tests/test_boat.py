@@ -181,7 +181,7 @@ def test_a_vehicle_stays_on_deck_in_waves() -> None:
     world = World(load_world("empty"), [load_vehicle("iris")], [start], DT)
     boat, alone = model.drive(Pose()), model.drive(Pose())
     world.add_model(0, model.model("boat_0", Pose()), Pose(), boat)
-    assert world.overlaps(0) == []  # the hull reaches below the plane z = 0
+    assert world.overlaps(0) == []  # the hull extends below the plane z = 0
     for _ in range(round(8.0 / DT)):
         boat.command(1.0, 0.1)
         alone.command(1.0, 0.1)

@@ -364,7 +364,7 @@ def test_range_finder_holds_the_height_where_it_counts():
     assert flight.e["position"][2] == pytest.approx(flight.position[2], abs=0.1)
 
 
-# what fails
+# failures
 
 
 def test_without_gyroscope_nothing_is_valid_until_it_is_back():

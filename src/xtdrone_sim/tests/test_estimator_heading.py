@@ -22,7 +22,7 @@ VEHICLES = 24
 # heading (deg) and how long it is held, s
 LEGS = ((90.0, 60.0), (0.0, 30.0), (-90.0, 15.0), (-180.0, 15.0), (90.0, 10.0))
 GROUND = 40.0  # s
-REFUSED = 7.0  # s until the magnetometer is believed after all
+REFUSED = 7.0  # s until the magnetometer is accepted after all
 
 
 class Fleet:

@@ -223,7 +223,7 @@ def test_a_mission_into_a_fence_is_stopped(sortie):
     flight.commander.navigator.set_plan(plan.MISSION, [item], 0)
     assert flight.commander.request(modes.AUTO_MISSION) == 0
     flight.run(0.5)
-    flight.commander.parameters.set("GF_MAX_HOR_DIST", 10.0)  # only now: PX4 would have refused the mission
+    flight.commander.parameters.set("GF_MAX_HOR_DIST", 10.0)  # only now: otherwise PX4 would have rejected the mission
     flight.until(lambda: flight.commander.health.breach, 12.0)
     assert flight.until_mode(modes.AUTO_LOITER) < TOLERANCE
 
@@ -240,7 +240,7 @@ def test_a_flight_to_a_place_beyond_the_fence_is_stopped_at_the_fence(sortie, de
     flight = sortie(GF_ACTION=2, COM_FAIL_ACT_T=delay)
     start = flight.commander.view.position[0]
     assert _goto(flight, 30.0) == 0
-    flight.commander.parameters.set("GF_MAX_HOR_DIST", 15.0)  # only now: the place would have been refused
+    flight.commander.parameters.set("GF_MAX_HOR_DIST", 15.0)  # only now: before, the position would be rejected
     flight.until(lambda: flight.commander.health.breach, 12.0)
     flight.run(8.0)
     assert flight.commander.mode is modes.AUTO_LOITER
@@ -251,7 +251,7 @@ def test_a_flight_to_a_place_beyond_the_fence_is_stopped_at_the_fence(sortie, de
 def test_a_place_beyond_the_fence_is_rejected(sortie):
     flight = sortie(GF_ACTION=2, GF_MAX_HOR_DIST=15.0)
     start = flight.commander.view.position[0]
-    assert _goto(flight, 30.0) == 0  # PX4's commander accepts what its navigator then refuses
+    assert _goto(flight, 30.0) == 0  # PX4's commander accepts what its navigator then rejects
     flight.run(5.0)
     assert "Reposition is outside geofence" in flight.said
     assert "navigator_reposition_outside_geofence" in flight.named
@@ -315,7 +315,7 @@ def test_the_attitude_limit_at_takeoff_disarms(sortie):
 
 
 def test_flight_termination_by_command(sortie):
-    flight = sortie(COM_DISARM_LAND=-1.0)  # it falls, and would be disarmed by landing
+    flight = sortie(COM_DISARM_LAND=-1.0)  # it falls, and landing detection would disarm it
     assert flight.commander.flight_termination(2.0) == 0
     flight.run(0.1)
     assert flight.simulation.autopilot.setpoint[0]["armed"] == 0

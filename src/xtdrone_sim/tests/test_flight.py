@@ -191,7 +191,7 @@ def test_orbit(flying, radius, speed, behaviour):
     assert path[:, 2] == pytest.approx(start[2] - 3.0, abs=0.4)
     expected = math.copysign(min(speed, math.sqrt(2.0 * abs(radius))), radius) / abs(radius)
     angles = np.unwrap(np.arctan2(*np.vstack([first, arm]).T[::-1]))
-    # drag holds it back: the velocity integrators, fixed to the ground, do not follow a turning velocity
+    # drag slows it down: the velocity integrators, fixed to the ground, do not follow a rotating velocity
     assert 0.8 < (angles[-1] - angles[0]) / span / expected < 1.02
     north, east = arm[-1] / distance[-1]
     sign = math.copysign(1.0, radius)

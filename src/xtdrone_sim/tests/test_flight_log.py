@@ -24,7 +24,7 @@ from xtdrone_sim.simulation import Simulation
 ARMED_US, LANDING_US = 2_000_000, 12_000_000
 CHANGED_US = 8_504_000
 
-# what Flight Review's first plots are made of (its configured_plots.py), and PlotJuggler shows
+# the data of Flight Review's first plots (its configured_plots.py), also shown by PlotJuggler
 SHOWN = {
     "vehicle_local_position": ["x", "y", "z", "vx", "vy", "vz"],
     "vehicle_local_position_setpoint": ["x", "y", "z", "vx", "vy", "vz"],
@@ -219,13 +219,13 @@ def test_parameters(flight, log):
     second = ULog(str(flight.log("iris_1")))
     assert second.initial_parameters["MAV_SYS_ID"] == 2
     assert second.get_default_parameters(0)["MAV_SYS_ID"] == 1
-    assert "MAV_SYS_ID" not in second.get_default_parameters(1)  # the fleet's own is as it is
+    assert "MAV_SYS_ID" not in second.get_default_parameters(1)  # the fleet's own value is unchanged
 
 
 def test_commands_and_sticks(log):
     commands = log.get_dataset("vehicle_command").data
     assert commands["command"].tolist() == [511, 203]
-    assert commands["timestamp"].tolist() == [CHANGED_US, CHANGED_US + 1]  # a topic's times rise
+    assert commands["timestamp"].tolist() == [CHANGED_US, CHANGED_US + 1]  # the times of a topic increase
     assert (commands["param1"][0], commands["param5"][0]) == (30.0, 47.123456789)
     assert math.isnan(commands["param3"][0])
     acks = log.get_dataset("vehicle_command_ack").data
@@ -316,7 +316,7 @@ def test_data_written_before_a_crash_is_readable(tmp_path):
     (path,) = tmp_path.rglob("*.ulg")
     log = ULog(str(path))
     assert not log.file_corruption
-    assert log.last_timestamp >= 2_900_000  # a second at most is lost
+    assert log.last_timestamp >= 2_900_000  # at most a second is lost
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ from xtdrone_control.mavlink.streams.stream_schedule import GCS_RATES, Streams
 from xtdrone_sim.simulation import Simulation
 
 CALM, TROUBLED = 0, (1, 2)
-HEIGHT = 5.0  # m, at which the calm vehicle holds
+HEIGHT = 5.0  # m, height of the undisturbed vehicle
 FAR = 5000.0  # m between vehicles
 STRANGE = (0.0, 1.0, -1.0, 2.0, 0.5, 10.0, 1e-30, 1e9, 3e38, -3e38, math.nan, math.inf, -math.inf)
 COMMANDS = (16, 20, 21, 22, 23, 84, 176, 177, 178, 179, 183, 185, 186, 187, 189, 192, 195, 196, 197, 201, 223, 224,
@@ -136,7 +136,7 @@ class Client:
             (6, 8, 3, 3, 3, 4, 3, 3, 3, 1),
         )[0]()  # fmt: skip
 
-    # what it asks for
+    # requests
 
     def number(self) -> float:
         return self.rng.choice(STRANGE) if self.rng.random() < 0.5 else float(self.rng.randint(-5, 20))
@@ -353,6 +353,6 @@ def rage(seed: int, minutes: int) -> Flight:
 
 @pytest.mark.parametrize("seed", range(30, 32))
 def test_random_commands_raise_nothing_and_leave_the_others_alone(seed, caplog):
-    caplog.set_level(logging.CRITICAL)  # values out of range are warned of by the thousand
+    caplog.set_level(logging.CRITICAL)  # values out of range cause thousands of warnings
     flight = rage(seed, minutes=4)
     assert all(client.told > 1000 for client in flight.clients)

@@ -86,7 +86,7 @@ def test_mazes_are_connected_and_perfect_without_loops(seed: int, columns: int, 
     links |= {(i * rows + j, i * rows + j + 1) for i, j in np.argwhere(north).tolist()}
     assert len(reached(columns * rows, links)) == columns * rows
     if loops == 0.0:
-        assert len(links) == columns * rows - 1  # a tree: one way between any two cells
+        assert len(links) == columns * rows - 1  # a tree: exactly one path between any two cells
 
 
 @settings(deadline=None, max_examples=40)

@@ -111,10 +111,10 @@ def test_it_turns_at_its_rate():
 
 def test_joint_limits_hold():
     rig = Rig()
-    rig.payload.gimbal = (0.0, 1.5, 0.0)  # the pitch joint ends at 1.05 upwards
+    rig.payload.gimbal = (0.0, 1.5, 0.0)  # the pitch joint's limit is 1.05 upwards
     rig.run(2.0)
     assert rig.payload.gimbal_attitude[1] == pytest.approx(1.05, abs=1e-6)
-    rig.turn(1.2, 0.0, 0.0)  # more than the roll joint can take back
+    rig.turn(1.2, 0.0, 0.0)  # more than the roll joint can compensate
     rig.payload.gimbal = (0.0, 0.0, 0.0)
     rig.run(2.0)
     assert rig.payload.gimbal_attitude[0] == pytest.approx(1.2 - 0.785398, abs=1e-3)

@@ -187,7 +187,7 @@ def test_a_history_without_the_link_has_no_motion_and_old_scenes_are_forgotten()
     assert scenes.first_us is not None
     assert 4_700_000 <= scenes.first_us <= 4_880_000
     assert scenes.motion(RayScene([]), "iris_1::base_link", 4_900_000, 4_980_000) is None
-    scenes.add(4_980_000, SceneAt({}, {}))  # not later: ignored
+    scenes.add(4_980_000, SceneAt({}, {}))  # not later than the last: ignored
     assert scenes.motion(RayScene([]), LINK, 4_900_000, 4_980_000) is not None
     scenes.clear()
     assert scenes.last_us is None

@@ -56,7 +56,7 @@ def test_fast_ticks_are_shown_at_the_rate_of_the_wall_clock(monkeypatch: pytest.
     for _ in range(1000):
         bench.tick(0.001)
     assert 1.0 / PERIOD - 2 <= len(bench.topic.messages) <= 1.0 / PERIOD + 1
-    assert bench.made == len(bench.topic.messages)  # none is made in vain
+    assert bench.made == len(bench.topic.messages)  # no message is built in vain
 
 
 def test_slow_ticks_are_all_shown_and_none_without_subscribers(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -71,7 +71,7 @@ def test_altitude_mode_climbs_holds_tilts_and_lands():
     # PX4: the stick is a share of the largest horizontal acceleration
     assert pilot.tilt == pytest.approx(math.degrees(math.atan(0.5 * math.tan(math.radians(35.0)))), abs=2.0)
     assert abs(path[-1, 2] - held[-1]) < 0.4
-    assert path[-1, 1] - path[0, 1] > 5.0  # it was placed looking east
+    assert path[-1, 1] - path[0, 1] > 5.0  # spawned facing east
     pilot.sticks = (0.0, 0.0, -1.0, 0.0)
     for _ in range(60):
         pilot.run(1.0)

@@ -209,7 +209,7 @@ def rage(world: World, count: int, seed: int) -> None:
             frame = storm.valid() if storm.rng.random() < 0.5 else storm.broken()
             speakers[(sent + i) % len(speakers)].send_bytes(frame)
         world.step()
-        while world.server.backlog:  # time stands, so all is acted on
+        while world.server.backlog:  # time is paused, so all messages are handled
             world.server.receive()
         for speaker in speakers:
             speaker.receive()
@@ -238,7 +238,7 @@ def test_a_storm_of_a_million_frames_does_no_harm(world):
     rage(world, 1_000_000, seed=2)
 
 
-# floods while it flies
+# floods in flight
 
 
 def target(world: World, t: float) -> Any:
@@ -292,7 +292,7 @@ def fly(flood: int, ports: tuple[str, ...] = ()) -> tuple[bytes, list[bytes], Wo
             frame = harmless(rng).pack(mav)
             if rng.random() < 0.3:
                 frame = frame[:-1] + bytes([frame[-1] ^ 1])
-            # one stranger is busy, the others come by
+            # one stranger sends much, the others a little
             strangers[0 if i % 4 else rng.randrange(len(strangers))].send_bytes(frame)
         world.step()
         truth.append(world.simulation.world.plant.tobytes())

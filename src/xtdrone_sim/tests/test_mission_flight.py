@@ -14,7 +14,7 @@ from xtdrone_sim.simulation import Simulation
 
 REFERENCE_TIME = 39.3  # s from the mode command to the end
 ARMED_AFTER = 1.3  # s, as in the reference
-# times since the mode command, s, of what PX4 said
+# times since the mode command, s, of PX4's texts
 REFERENCE = (
     ("Armed by external command", 1.32),
     ("Takeoff to 10.0 meters above home", 1.37),

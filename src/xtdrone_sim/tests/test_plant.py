@@ -80,7 +80,7 @@ def test_torque_free_spin_keeps_angular_momentum_and_energy(iris):
 
 def test_yaw_torque_follows_rotor_directions(iris):
     state = body()
-    state["rotor_speed"][0, :2] = 700.0  # counter-clockwise pair faster: the body turns clockwise
+    state["rotor_speed"][0, :2] = 700.0  # the counter-clockwise pair is faster: the body turns clockwise
     state["rotor_speed"][0, 2:4] = 600.0
     vehicle_dynamics.rotor_wrench(state[0], iris[0])
     m = iris[0]

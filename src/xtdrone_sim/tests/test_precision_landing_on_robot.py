@@ -17,8 +17,8 @@ from xtdrone_sim.simulation import Simulation
 STEP_US = 20_000
 OBSERVED_US = 100_000  # period of the camera
 LATENCY_US = 140_000  # from exposure to the autopilot
-BLIND = 0.25  # m above the platform, below which no tag fits into the picture
-REACH = 6.0  # m, at which a tag is seen
+BLIND = 0.25  # m above the platform; nearer, no tag fits into the picture
+REACH = 6.0  # m, within which a tag is seen
 
 
 class Landing:

@@ -149,7 +149,7 @@ def test_not_while_armed_and_no_shutdown(made):
     made.run(0.2)
     assert made.command(REBOOT, 1) == 2
     assert made.commanders[0] is before
-    before.rebooting = True  # asked for just before it was armed
+    before.rebooting = True  # requested just before it was armed
     made.run(0.4)
     assert made.commanders[0] is before
     assert not before.rebooting

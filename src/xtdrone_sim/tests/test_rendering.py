@@ -163,7 +163,7 @@ def test_textures_are_seen_the_right_way_round(renderer: Renderer, tmp_path: Pat
     night = Light((0.0, 0.0, -1.0), (0.2, 0.1, 0.1), (0.3, 0.2, 0.1), (0.0, 0.0, 0.0))
     rgb = renderer.draw(pinhole, camera, light=night).rgb
     assert rgb[120, 160].tolist() == pytest.approx([64, 38, 26], abs=3)
-    renderer.place(dimmed, Pose((0.0, 0.0, 0.0), _turn((1.0, 0.0, 0.0), math.pi)))  # shows its back, which is none
+    renderer.place(dimmed, Pose((0.0, 0.0, 0.0), _turn((1.0, 0.0, 0.0), math.pi)))  # its back side is not drawn
     renderer.hide(shapes[1])
     assert not renderer.draw(pinhole, camera, light=night).rgb.any()
 

@@ -182,7 +182,7 @@ def test_in_the_world_a_robot_moves_as_alone_to_the_last_bit() -> None:
     assert body.pose == alone.state.pose
     assert math.hypot(*body.velocity) == pytest.approx(1.5, rel=1e-4)
     scene.run(5.0)
-    assert not scene.world.is_busy  # it stands, and costs nothing
+    assert not scene.world.is_busy  # it stands still, and needs no steps
 
 
 def test_a_vehicle_on_the_platform_rides_along() -> None:
@@ -358,6 +358,6 @@ def test_a_start_inside_something_is_found() -> None:
     found = dict(scene.world.overlaps(1))
     assert found.keys() == {0, 1, 3}  # the vehicle, the wall, the other robot
     assert found[0] > 0.03
-    assert found[3] > 0.2  # the least way apart, upwards
+    assert found[3] > 0.2  # the shortest way out, upwards
     alone = Scene({"ugv": Pose((0.0, 0.0, 0.0))}, StartPose(0.0, 0.0, 0.505))
     assert alone.world.overlaps(0) == []

@@ -122,7 +122,7 @@ def test_train_and_test_scenes_share_neither_textures_nor_forms() -> None:
     for split in ("train", "test"):
         both = [colours_and_files(outdoor(seed, split=split, objects=2.0)) for seed in range(2)]
         found[split] = (set.union(*(a for a, _ in both)), set.union(*(b for _, b in both)))
-    # where there is only one of a kind, both have it
+    # a model used in both splits must be the only one of its kind
     only_one = {"wall", "ground", "road", "gable", "hip", "cone", "triangle"}
     for train, test in zip(found["train"], found["test"], strict=True):
         shared = {path.stem.rpartition("_")[0] for path in train & test}

@@ -52,7 +52,7 @@ def visual(inside: str) -> str:
     return model(f"<visual name='v'>{inside}</visual>")
 
 
-# any world that the types allow
+# any world allowed by the types
 
 
 def numbers(low: float, high: float) -> st.SearchStrategy[float]:
@@ -145,7 +145,7 @@ def test_written_files_can_be_read(made: SdfWorld) -> None:
     assert read_world(write_world(made), FILE) == made
 
 
-# what Gazebo's files have
+# contents of Gazebo's files
 
 GAZEBO = world(
     """
@@ -255,7 +255,7 @@ def test_invalid_lights_are_reported(content: str, words: str) -> None:
     assert str(caught.value).startswith(f"{FILE}: line ")
 
 
-# what Gazebo takes without an error
+# input that Gazebo accepts without an error
 
 BOX = "<collision name='c'><geometry><box><size>1 1 1</size></box></geometry></collision>"
 JOINT = "<joint name='j' type='{}'><parent>l</parent><child>k</child></joint>"
@@ -381,7 +381,7 @@ def test_a_request_names_no_files_but_those_of_models(uri: str) -> None:
     assert read_model(f"<sdf version='1.6'>{model(BOX)}</sdf>", "request").name == "m"
 
 
-# what is wrong
+# errors
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,7 @@ def test_variants_fly_as_the_iris_and_their_frames_are_on_tf():
 def test_each_sensor_measures_one_of_each_other_vehicle():
     names = [("a", "front"), ("a", "rear"), ("b", "uwb"), ("b", "rear"), ("c", "uwb")]
     antennas = [Antenna(vehicle, "base_link", UwbMount(name=name)) for vehicle, name in names]
-    assert neighbours_of(0, antennas) == (2, 4)  # there is no other front
+    assert neighbours_of(0, antennas) == (2, 4)  # there is no other front antenna
     assert neighbours_of(1, antennas) == (3, 4)
     assert neighbours_of(4, antennas) == (0, 2)
     assert [a.frame_id for a in antennas_of(parse_fleet("iris:1,iris_uwb:2"))] == [

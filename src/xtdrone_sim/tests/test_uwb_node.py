@@ -157,15 +157,15 @@ def test_ranges_have_exact_times_fail_on_request_and_repeat_after_a_reset(graph:
     flights = [[note for note in part if note["what"] == "ranges"] for part in (notes[:back], notes[back:])]
     assert flights[0] == flights[1]
     stamps = [note["stamp"] for note in flights[0]]
-    assert stamps == [*range(0, 1_200_000, 125_000), 1_500_000, 1_625_000]  # 1.25 and 1.375 s: off
+    assert stamps == [*range(0, 1_200_000, 125_000), 1_500_000, 1_625_000]  # 1.25 and 1.375 s: switched off
     assert {note["frame"] for note in flights[0]} == {f"{NAMES[0]}/uwb_frame"}
     by_time = {note["stamp"]: note["ranges"] for note in flights[0]}
     assert by_time[625_000] == by_time[750_000] == by_time[500_000]  # frozen
-    assert by_time[1_125_000] == []  # its neighbour is off, and does not answer
+    assert by_time[1_125_000] == []  # its neighbour is switched off, and does not answer
     for stamp, ranges in by_time.items():
         if stamp in (625_000, 750_000, 1_125_000):
             continue
-        ((vehicle, frame, distance, azimuth, elevation),) = ranges  # the third vehicle is too far away
+        ((vehicle, frame, distance, azimuth, elevation),) = ranges  # the third vehicle is out of range
         assert (vehicle, frame) == (NAMES[1], f"{NAMES[1]}/uwb_frame")
         x, y = 10.0 - SPEED * stamp * 1e-6, 10.0
         bias = 5.0 if stamp in (875_000, 1_000_000) else 0.0
@@ -191,7 +191,7 @@ def test_a_vehicle_that_joins_measures_and_is_measured_until_it_leaves(graph: Gr
         server.reset_time(0)
     run_ticks(graph, server, 0, 40_000, len(names))
     notes = read_notes(file)
-    assert [note["back"] for note in notes if "back" in note] == [0, 0]  # the topic has ended
+    assert [note["back"] for note in notes if "back" in note] == [0, 0]  # the publisher is gone
     back = next(k for k, note in enumerate(notes) if "back" in note)
     alone, joined = (
         {(note["vehicle"], note["stamp"]): note["ranges"] for note in part if "vehicle" in note}

@@ -120,7 +120,7 @@ def test_typhoon_is_fitted_as_upstream():
     names = [link.name for link in model.urdf.moving]
     legs, gimbal = ["left_leg", "right_leg"], ["vertical_arm", "horizontal_arm", "camera"]
     assert names == ["base_link", *legs, *(f"cgo3_{part}_link" for part in gimbal)]
-    for i, place in enumerate(model.record["rotor_position"][:6]):  # what is seen of a rotor is where it pulls
+    for i, place in enumerate(model.record["rotor_position"][:6]):  # a rotor's visual is where its thrust acts
         np.testing.assert_allclose(model.urdf.joint(f"rotor_{i}_joint").pose.position, place)
 
 
@@ -149,7 +149,7 @@ def test_every_link_has_a_pose_before_the_first_joint_state(name):
         assert frame.pose.orientation == pytest.approx(joint.pose.orientation)
 
 
-# vehicles of a user's own
+# user-defined vehicles
 
 
 @pytest.fixture

@@ -98,7 +98,7 @@ def assert_resembles(image: NDArray[np.uint8]) -> None:
     assert image.shape == (*SIZE, 3)
     yellow = (image[150:210].astype(int) - (250, 240, 20)).__abs__().max(axis=2) < 60
     columns = np.flatnonzero(yellow.mean(axis=0) > 0.8)
-    assert 50 <= len(columns) <= 64  # the square, whole
+    assert 50 <= len(columns) <= 64  # the whole square
     difference = np.abs(image.astype(int) - picture((columns[0] - 40) // 8))
     assert difference.mean() < 6.0
 
@@ -134,7 +134,7 @@ def test_packets_are_those_of_rfc_6184_and_a_receiver_may_join_at_any_time() -> 
     numbers = [int.from_bytes(packet[2:4], "big") for packet in packets]
     assert {(b - a) % 65536 for a, b in pairwise(numbers)} == {1}
     times = sorted({int.from_bytes(packet[4:8], "big") for packet in packets})
-    assert np.diff(times).mean() / 90_000 == pytest.approx(0.05, rel=0.5)  # as they were sent
+    assert np.diff(times).mean() / 90_000 == pytest.approx(0.05, rel=0.5)  # with the intervals of sending
     units = [unit for packet in packets for unit in units_begun(packet[12:])]
     keys = [k for k, unit in enumerate(units) if unit == 5]
     assert len(keys) >= 2
@@ -232,7 +232,7 @@ def test_what_it_cannot_do_is_refused(component: CameraComponent) -> None:
     assert asked(component, mavlink.MAV_CMD_IMAGE_START_CAPTURE)[0].result == mavlink.MAV_RESULT_UNSUPPORTED
     for number in (mavlink.MAVLINK_MSG_ID_STORAGE_INFORMATION, float("nan"), 1e9):
         assert asked(component, mavlink.MAV_CMD_REQUEST_MESSAGE, number)[0].result == mavlink.MAV_RESULT_DENIED
-    assert asked(component, mavlink.MAV_CMD_REQUEST_MESSAGE, 259.0, target=1) == []  # the autopilot's
+    assert asked(component, mavlink.MAV_CMD_REQUEST_MESSAGE, 259.0, target=1) == []  # the id is the autopilot's
     assert asked(component, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, target=0) == []
 
 

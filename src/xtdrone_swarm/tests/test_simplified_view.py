@@ -71,7 +71,7 @@ def nearest_vehicle(colour: np.ndarray, colours: np.ndarray) -> int:
     return int(np.abs(colours + pale * (1.0 - colours) - colour).max(axis=2).min(axis=0).argmin())
 
 
-# ---- what is drawn where ----
+# ---- positions in the picture ----
 
 
 @pytest.mark.parametrize(("azimuth", "elevation", "zoom"), [(0, 0, 1), (70, 35, 1), (0, -60, 1), (-130, 5, 0.7)])
@@ -122,7 +122,7 @@ def test_nearer_vehicles_hide_farther_ones_but_never_the_leader():
     away = view.camera.basis[2]  # towards the eye
     places = UP + np.outer([-3.0, 0.0, 2.0], away)
     view.update(Frame(0.0, places))
-    # One line of sight goes through all three only where perspective does not part them: the picture's middle.
+    # One line of sight passes through all three only without parallax: in the middle of the picture.
     spots = view.projection.pixels(places)
     assert np.ptp(spots, axis=0).max() < 15.0
     assert nearest_vehicle(at(view.draw(), spots[0]), view.colours) == 0
@@ -216,7 +216,7 @@ def test_a_thousand_vehicles_are_all_in_the_picture():
     assert (places < [800.0, HEIGHT]).all()
     picture = view.draw()
     coloured = sum(np.ptp(at(picture, p)) > 0.15 for p in places[1:])
-    assert coloured > 900  # the rest have a neighbour's white rim before them
+    assert coloured > 900  # the others are behind a neighbour's white rim
     assert len(np.unique(palette(1000), axis=0)) == 25
 
 
@@ -548,7 +548,7 @@ def test_the_window_shows_the_picture_and_follows_its_size(window):
 def test_a_picture_is_drawn_only_when_something_has_changed(window):
     frames = list(flight(number=5))
     play(window, *[lambda f=f: f for f in frames], *[lambda: None] * 10)
-    assert 5 <= window.pictures <= 7  # one more for the size that the window gets
+    assert 5 <= window.pictures <= 7  # one more picture for the window's actual size
 
 
 def test_nothing_of_tk_outlives_the_window(window):
@@ -579,7 +579,7 @@ def test_a_swarm_is_shown_at_the_requested_speed(display, monkeypatch):
 
     with pytest.raises(InterruptedError):
         swarm.watch(speed=float("inf"), each_turn=each_turn, size=(320, 240))
-    assert np.diff(turns) == pytest.approx(1.0 / 30.0, abs=0.005)  # no turn is left out
+    assert np.diff(turns) == pytest.approx(1.0 / 30.0, abs=0.005)  # no turn is skipped
 
 
 def test_a_paused_swarm_does_not_move(window, monkeypatch):
