@@ -39,7 +39,7 @@ _TAG = "XTDRONE_TEST_STACK"  # environment variable by which a stack's processes
 
 
 def built() -> bool:
-    """Whether roslaunch and the workspace's packages are there."""
+    """Return whether roslaunch and the workspace's packages exist."""
     if shutil.which("roslaunch") is None:
         return False
     import rospkg

@@ -563,7 +563,7 @@ def test_a_killed_leader_and_follower_leave_the_others_flying(
 
 
 def test_arming_again_in_the_air_saves_a_vehicle(stack: Stack, flying: list[tuple[float, float, float]]) -> None:
-    """Motors disarmed by force in the air are armed again at once: in one datagram, so that nothing comes between.
+    """A vehicle disarmed by force in the air is armed again by the same datagram, so that nothing comes between.
 
     PX4 too skips the checks within 5 s of a disarming in the air.
     """

@@ -39,7 +39,7 @@ PAPER_TOPOLOGY = [  # section 5.1: row i lists to whom UAV i listens; as by the 
 
 
 def _built() -> bool:
-    """Whether roslaunch and the workspace's packages are there."""
+    """Return whether roslaunch and the workspace's packages exist."""
     if shutil.which("roslaunch") is None:
         return False
     import rospkg

@@ -228,7 +228,7 @@ def test_a_wrench_on_a_vehicle_gives_the_acceleration_of_its_mass(stack: Stack) 
 
 
 def test_a_swarm_driven_without_autopilots(stack: Stack) -> None:
-    """As by upstream's control_gazebo_vehicles.py: 20 Hz, twists and orientations left unset."""
+    """Positions are set as by upstream's control_gazebo_vehicles.py: 20 Hz, twists and orientations unset."""
     for number in (0, 1):
         answer = call(
             stack, "spawn_sdf_model", srv.SpawnModel, model_name=f"drone_{number}", model_xml=BOX, robot_namespace="",

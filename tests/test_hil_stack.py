@@ -39,7 +39,7 @@ def hears(stack: Stack, *texts: str) -> None:
 
 
 def in_one_frame(stack: Stack, index: int) -> bool:
-    """Whether the vehicle's own position is its position in the world, which differs from the origin of its PX4."""
+    """Return whether the vehicle's own position is its position in the world, unlike the origin of its PX4."""
     pose = stack.graph.hear(f"/iris_{index}/mavros/local_position/pose", PoseStamped).last
     truth = stack.pose(index)
     if pose is None or truth is None:

@@ -50,7 +50,7 @@ sys.exit(keyboard_node.main())
 
 
 def _sit_down() -> None:
-    """In the child: take the terminal as the controlling one, and restore SIGHUP, which nohup may have disabled."""
+    """Make the terminal the child's controlling one, and restore SIGHUP, which nohup may have disabled."""
     fcntl.ioctl(0, termios.TIOCSCTTY, 0)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
@@ -83,7 +83,7 @@ class Seat:
                 self._written += data
 
     def settings(self) -> list[Any]:
-        """The settings of the terminal."""
+        """Return the settings of the terminal."""
         return termios.tcgetattr(self._slave)
 
     @property
@@ -111,7 +111,7 @@ class Seat:
         os.write(self._master, keys.encode())
 
     def state(self) -> str:
-        """The process's state in /proc: T is stopped."""
+        """Return the process's state in /proc: T is stopped."""
         return Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()[0]
 
     def hang_up(self) -> None:
@@ -151,7 +151,7 @@ def sit(graph: Graph) -> Iterator[Callable[..., Seat]]:
 
 
 def taken(seat: Seat) -> bool:
-    """Whether keys arrive one by one and without echo."""
+    """Return whether keys arrive one by one and without echo."""
     return not seat.settings()[3] & (termios.ICANON | termios.ECHO)
 
 
@@ -218,7 +218,7 @@ def heard(topic: str) -> bool:
 
 @pytest.mark.timeout(2 * START_LIMIT)
 def test_stopped_and_continued_and_every_key_counts(graph: Graph, sit: Callable[..., Seat]) -> None:
-    """Ctrl-Z restores the terminal, ``fg`` takes it again; then a narrow one, leader and patterns, and the end."""
+    """Ctrl-Z restores the terminal and ``fg`` takes it again; keys of leader and patterns still take effect."""
     speeds = graph.hear("/xtdrone/iris_0/cmd_vel_flu", Twist)
     commands = graph.hear("/xtdrone/iris_1/cmd", String)
     leader = graph.hear("/xtdrone/leader/cmd", String)
@@ -345,7 +345,7 @@ def test_a_failed_start_has_a_reason(
 
 @pytest.mark.timeout(3 * START_LIMIT)
 def test_keys_reach_the_vehicles(graph: Graph, sit: Callable[..., Seat], tmp_path: Path) -> None:
-    """XTDrone's documented takeoff, a single press, hover, landing, takeoff by mode; also while paused."""
+    """Takeoff as documented by XTDrone, a single press, hover, landing and takeoff by mode work, also while paused."""
     stack = Stack(graph, tmp_path, "iris:2")
     both = range(2)
     poses = [graph.hear(f"/iris_{i}/mavros/local_position/pose", PoseStamped) for i in both]
@@ -430,7 +430,7 @@ def test_keys_reach_the_vehicles(graph: Graph, sit: Callable[..., Seat], tmp_pat
 def test_the_leader_is_steered_by_accelerations_and_others_follow(
     graph: Graph, sit: Callable[..., Seat], tmp_path: Path
 ) -> None:
-    """With the real leader and followers, from a start in the air: a pattern by its digit, speed steps, and rest."""
+    """Leader and followers fly a pattern by its digit, speed up and come to rest, from a start in the air."""
     count = 3
     stack = Stack(graph, tmp_path, f"solo:{count}")
     poses = [graph.hear(f"/solo_{i}/mavros/local_position/pose", PoseStamped) for i in range(count)]

@@ -108,7 +108,7 @@ def test_unwritable_folders_are_replaced() -> None:
 
 
 def test_jobs_of_a_shell_end_with_it_unless_they_are_disowned(tmp_path: Path) -> None:
-    """So do jobs that ignore a hang-up, and all processes of a job."""
+    """Jobs that ignore a hang-up end too, with all their processes."""
     rc = f"source <(sed '/^source.*env.bash/d' {REPOSITORY}/scripts/shellrc.bash)"
     lines = (
         "(echo $BASHPID > group; sleep 600; true) &",

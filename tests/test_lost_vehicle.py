@@ -89,7 +89,7 @@ def test_a_leader_whose_node_is_killed_lands_all(graph: Graph, tmp_path: Path) -
 
 @pytest.mark.timeout(FLIGHT_LIMIT + START_LIMIT)
 def test_the_demo_ends_with_a_table_that_names_the_vehicle(tmp_path: Path) -> None:
-    """In full physics, where PX4's failsafe takes over."""
+    """The flight is in full physics, where PX4's failsafe takes over."""
     out = tmp_path / "out"
     command = [sys.executable, "-m", "xtdrone_interaction.cli"]
     demo = subprocess.Popen(

@@ -106,7 +106,7 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
 
 
 def test_vehicles_fly_with_a_mavros_outside_the_lockstep(stack: Stack) -> None:
-    """iris_0 with a communication node in lockstep, iris_1 with nodes outside the lockstep."""
+    """iris_0 flies with a communication node in lockstep, iris_1 with nodes outside the lockstep."""
     graph = stack.graph
     own = ["__name:=mavros", "__ns:=/iris_0", "_lockstep:=false", "_fcu_url:=udp://:24540@127.0.0.1:34580"]
     stack.start("mavros", [sys.executable, str(MAVROS), *own])

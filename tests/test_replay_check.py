@@ -64,7 +64,7 @@ def test_the_short_check_finds_every_flight_the_same(tmp_path: Path) -> None:
 
 @pytest.mark.timeout(LIMIT + WALL_LIMIT)
 def test_another_seed_is_another_flight(tmp_path: Path) -> None:
-    """A check that finds no differences at all would be worthless."""
+    """Its digest differs; a check that finds no differences at all would be worthless."""
     wait_for_ports("iris:3")
     folder = tmp_path / "seeds"
     run("-c", FLY_SEEDS, str(folder))

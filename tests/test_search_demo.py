@@ -30,7 +30,7 @@ FLIGHT_LIMIT = 900.0  # s of wall time
 
 
 def _built() -> bool:
-    """Whether roslaunch and the workspace's packages are there."""
+    """Return whether roslaunch and the workspace's packages exist."""
     if shutil.which("roslaunch") is None:
         return False
     import rospkg

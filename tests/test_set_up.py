@@ -100,7 +100,7 @@ def test_a_set_up_killed_at_any_moment_is_repaired_by_the_next_one(root: Path) -
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_an_interrupted_pip_ends_the_set_up_and_is_noticed(root: Path, number: signal.Signals) -> None:
-    """Ctrl-C reaches the whole group; a killed pip leaves its parent, which reports the failure."""
+    """Ctrl-C reaches the whole group; after a kill of pip alone, its parent reports the failure."""
     process = start(root)
     log = root / ".setup/logs/pip-requirements.log"
     poll(lambda: log.is_file() and "Installing collected packages" in log.read_text(), "pip installs", LIMIT)

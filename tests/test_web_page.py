@@ -122,7 +122,7 @@ def test_time_is_paused_stepped_and_resumed(station: StationPage, stack: Stack, 
     station.until("document.querySelector('[data-cell=time-state]').textContent === 'paused'")
 
     def held() -> bool:
-        """Whether two messages have reported a pause: the first may be of the tick before the last one."""
+        """Return whether two messages have reported a pause: the first may be of the tick before the last one."""
         last = status.messages[-2:]
         return len(last) == 2 and all(message.paused for message in last) and last[0].tick == last[1].tick
 

@@ -9,7 +9,7 @@ from xtdrone_control.communication.commands import Request
 
 
 def test_time_may_flow_while_an_answer_is_waited_for_in_a_turn(monkeypatch):
-    """With a MAVROS outside the lockstep, PX4 replies only while time advances."""
+    """While a service call waits in a turn, time advances: PX4 replies to a MAVROS outside the lockstep only then."""
     seen = []
 
     @contextmanager

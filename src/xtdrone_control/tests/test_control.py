@@ -53,7 +53,7 @@ def test_collective_thrust_goes_to_all_motors():
 
 @pytest.mark.parametrize(("torque", "raised"), [((0.1, 0, 0), {1, 2}), ((0, 0.1, 0), {0, 2}), ((0, 0, 0.1), {0, 1})])
 def test_each_axis_raises_the_right_motors(torque, raised):
-    """Roll right speeds up the left motors, pitch up the front ones, yaw clockwise the counter-clockwise ones."""
+    """Roll right speeds up the left motors, pitch up the front ones, yaw right the counter-clockwise ones."""
     u = allocate(torque, 0.5)["actuators"][:4]
     assert set(np.flatnonzero(u > 0.505)) == raised
 

@@ -122,7 +122,7 @@ def test_covariance_stays_symmetric_and_positive():
 
 
 def test_covariance_prediction_equals_the_dense_product():
-    """The reference is Phi P Phi' + Q with the dense Phi of the error dynamics (Sola 2017, eq. 270)."""
+    """The predicted covariance is Phi P Phi' + Q with the dense Phi of the error dynamics (Sola 2017, eq. 270)."""
     flight = Flight()
     flight.run(10.0)
     e, p = flight.e.copy(), flight.p[0]

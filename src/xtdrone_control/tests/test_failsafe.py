@@ -230,7 +230,7 @@ def joined(first, second):
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(MODES, SOME_FLAGS, SOME_FLAGS, SETTINGS, st.booleans())
 def test_more_that_is_wrong_is_never_answered_by_less(mode, flags, more, parameters, starting):
-    """The exception is disarming, which PX4 chooses shortly after takeoff despite any other fault."""
+    """An additional fault never weakens the action, except that PX4 chooses disarming shortly after takeoff."""
     get = getter(**parameters)
     both = joined(flags, more)
     less, all_of_it = worst(mode, flags, get, starting=starting), worst(mode, both, get, starting=starting)

@@ -37,7 +37,7 @@ def test_path_reaches_its_velocity_within_its_limits(wanted):
 
 
 def test_time_of_a_long_change_is_the_least_one():
-    """From rest to v: a / j of rising and a / j of falling acceleration, the rest at a: v / a + a / j in total."""
+    """From rest to v it takes v / a + a / j: a / j of rising and a / j of falling acceleration, the rest at a."""
     _, v, _ = fly((6.0, 0.0, 0.0))
     time = DT * (np.argmax(v[:, 0] > 6.0 - 1e-6) + 1)
     assert time == pytest.approx(6.0 / 3.0 + 3.0 / 4.0, abs=2 * DT)

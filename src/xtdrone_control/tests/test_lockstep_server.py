@@ -180,7 +180,7 @@ def test_reader_checks_the_header_before_the_payload_arrives():
 
 
 def test_long_barrier_frames_do_not_leak_memory():
-    """The sender chooses their length, so a cache per length would fill the memory."""
+    """No cache is kept per length of a frame, since the sender chooses the length."""
     whole = [protocol.pack_barrier(Kind.DONE, 1, 0, {i: i for i in range(n)}, {})[5:] for n in (40_000, 40_001, 40_002)]
     protocol.unpack_barrier(whole[0])
     tracemalloc.start()
@@ -871,7 +871,7 @@ def test_zombie_process_is_dropped(log):
 
 
 def test_process_stopped_by_a_debugger_is_not_dropped(log):
-    """A debugger such as gdb stops all threads, including the one that sends keep-alives."""
+    """A debugger such as gdb stops all threads, including the one that sends keep-alives; the server keeps waiting."""
     server = LockstepServer(hang_limit=0.2, log=log)
     traced = "import ctypes, os, signal; ctypes.CDLL(None).ptrace(0, 0, 0, 0); os.kill(os.getpid(), signal.SIGSTOP)"
     process = subprocess.Popen([sys.executable, "-c", traced])  # 0: PTRACE_TRACEME, this process is the debugger

@@ -295,7 +295,7 @@ def test_a_modest_client_is_answered_at_once_during_a_flood(world, clients):
 
 
 def test_a_transfer_in_small_steps_loses_nothing_at_full_speed(world):
-    """A ground station requests piece after piece, while each simulated step takes as long as a reply."""
+    """No piece is lost when each simulated step takes as long as the server's reply to a request."""
     station = Client(0, world.fleet[0].gcs_local_port)
     read = mavlink.MAVLink_param_request_read_message(_SYSTEM, 1, b"MPC_XY_P", -1)
     for _ in range(1000):

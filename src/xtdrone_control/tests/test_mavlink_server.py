@@ -246,7 +246,7 @@ def test_ground_station_rates(world):
 
 
 def test_one_message_a_datagram_and_counters(world):
-    """Real MAVROS reads 296 bytes of a datagram, and PX4 sends one message in each."""
+    """Each datagram has one message, as from PX4, since real MAVROS reads only 296 bytes of it."""
     world.hear()
     world.run(1.0, step_us=20_000)
     datagrams = world.client.datagrams

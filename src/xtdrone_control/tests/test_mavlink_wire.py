@@ -40,7 +40,7 @@ def _number(letter: str) -> st.SearchStrategy:
 
 @st.composite
 def messages(draw):
-    """A message type of pymavlink with values in wire order, arrays flattened; mostly within their ranges."""
+    """Draw a message type of pymavlink with values in wire order, arrays flattened; mostly within their ranges."""
     kind = mavlink.mavlink_map[codec.MESSAGE_ID[draw(st.sampled_from(NAMES))]]
     values, count = [], ""
     for letter in kind.unpacker.format[1:]:
@@ -121,7 +121,7 @@ def test_only_formats_of_mavlink_are_accepted():
 
 
 def _split(datagram):
-    """Frames of a datagram, and the position after the last one."""
+    """Return the frames of a datagram, and the position after the last one."""
     start, found = 0, []
     while start < len(datagram):
         rest = datagram[start:]

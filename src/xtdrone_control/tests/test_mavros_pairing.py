@@ -59,7 +59,7 @@ def test_nothing_is_drawn_after_clear():
     st.integers(1, 5),
 )
 def test_each_is_used_once_and_in_order(steps, size):
-    """Stamps never go back, and each topic has its own rate."""
+    """In each topic, at its own rate, stamps of pairs increase and no message is used twice."""
     pairing, now = Pairing(size), [0, 0]
     pairs = []
     for count, (side, step) in enumerate(steps):

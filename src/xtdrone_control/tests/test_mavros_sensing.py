@@ -369,7 +369,7 @@ def test_nothing_is_requested_without_a_subscriber(bench):
 
 
 def test_any_bytes_make_a_message_that_can_be_sent(bench, caplog):
-    """ROS fields are narrower than MAVLink's in places; any payload still yields a message that can be serialised."""
+    """Any payload yields a ROS message that can be serialised, although its fields are narrower in places."""
     dice = random.Random(1)
     bench.take(*(row[1] for row in OUT), "esc_info", "esc_status", "odometry/in")
     packer = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)

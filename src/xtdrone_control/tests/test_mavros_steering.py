@@ -266,7 +266,7 @@ class TestGlobalPosition:
         assert refused(bench, caplog, topic, geo_pose(latitude=91.0), "latitude 91.0")
 
     def test_a_goal_is_the_vehicles_position_and_the_way_from_it(self, bench):
-        """There 1e-4 deg of latitude are 11.12 m north, and 1e-4 deg of longitude 7.55 m east."""
+        """1e-4 deg of latitude are 11.12 m to the north, and 1e-4 deg of longitude 7.55 m to the east."""
         bench.call("setpoint_position/global_to_local", geo_pose(LATITUDE + 1e-4, LONGITUDE + 1e-4, ALTITUDE + 5.0))
         assert bench.received() == []
         bench.send(self.LOCAL, self.HERE)
@@ -703,7 +703,7 @@ class TestActuators:
 
 
 def test_streams_that_px4_does_not_send_by_default_are_requested_at_a_rate(bench):
-    """PX4 has no default rate for these on a companion's link, so a rate of 0 would leave them off."""
+    """PX4 has no default rate for these on a companion's link: a rate of 0 would leave them off."""
     bench.send(mavlink.MAVLink_heartbeat_message(2, 12, 0x91, 6 << 16, 4, 3))
     bench.received()
     bench.take("manual_control/control", "target_actuator_control", "rc/in")

@@ -282,7 +282,7 @@ def test_a_value_out_of_range_is_reported_once(
 
 
 def test_a_masked_value_out_of_range_is_reported(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
-    """The mask has the value ignored, but MAVLink cannot encode it."""
+    """The autopilot ignores the masked value, but MAVLink cannot encode it."""
     target = raw(-1e300)
     target.type_mask = PositionTarget.IGNORE_VY
     bench.call("setpoint_raw/local", target)

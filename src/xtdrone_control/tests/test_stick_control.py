@@ -102,7 +102,7 @@ def test_full_sticks_give_the_largest_rates(parts):
 
 
 def test_half_a_stick_follows_the_rate_curve(parts):
-    """PX4's superexpo: ((1 - e) x + e x^3) (1 - g) / (1 - |x| g)."""
+    """The rate is PX4's superexpo, ((1 - e) x + e x^3) (1 - g) / (1 - |x| g)."""
     c, s, _, p = parts
     s["stick_y"] = 0.5
     stick_control.stick_rates(c, s, p)

@@ -66,7 +66,7 @@ def test_giving_way_removes_only_the_closing_component() -> None:
 
 
 def test_giving_way_to_one_vehicle_does_not_approach_another() -> None:
-    """Two neighbours side by side: giving way to the first turns the velocity towards the second."""
+    """With two neighbours side by side, giving way to the first must not turn the velocity towards the second."""
     positions = [(0.0, 0.0, 0.0), (0.6, 0.2, 0.0), (0.6, -0.2, 0.0)]
     velocity = give_way(0, positions, (1.0, 0.0, 0.0), 1.5, 0.7)
     for other in positions[1:]:

@@ -172,7 +172,7 @@ def test_publishes_what_the_python_node_publishes(graph: Graph, topic: str, ids:
 
 @needs_ros
 def test_rejects_wrong_arguments_as_the_python_node(graph: Graph) -> None:
-    """The messages differ: the Python node also checks the type and the fleet, which the example in C++ leaves out."""
+    """Only the messages differ: the Python node also checks the type and the fleet, which the C++ example omits."""
 
     def both(arguments: list[str]) -> None:
         python, cpp = (graph.run(str(PROGRAMS[name]), *arguments) for name in ("avoid.py", "avoid_cpp"))

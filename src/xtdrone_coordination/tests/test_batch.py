@@ -287,7 +287,7 @@ def test_short_flights_of_any_kind(
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(data=st.data(), count=st.integers(2, 30), options=options_of_followers)
 def test_places_that_are_hard(data: st.DataObject, count: int, options: FollowerOptions) -> None:
-    """Coincident vehicles, and vehicles exactly at the radius, far away, and at unknown positions."""
+    """Both agree on coincident vehicles, and on vehicles exactly at the radius, far away, and at unknown positions."""
     number = st.one_of(
         st.sampled_from([0.0, -0.0, 1.5, -1.5, 1e-7, 0.7, 3.0, 1e9, -1e200, 1.7e308]), st.floats(-5.0, 5.0)
     )
@@ -308,7 +308,7 @@ def test_a_long_flight_of_nine(mode: str) -> None:
 
 @pytest.mark.parametrize("box", [2.0, 12.0])
 def test_a_flight_of_two_hundred_and_fifty(box: float) -> None:
-    """All vehicles close to each other, and spread over the cells."""
+    """Batch and single followers agree with all vehicles close to each other, and spread over the cells."""
     fly(Twins(250, [Follower], [FollowerOptions(pose_timeout=0.1)]), 2, 24, box=box, losses=0.1)
 
 

@@ -293,7 +293,7 @@ def test_queries_in_any_order_or_none_give_the_same_result(options: NetworkOptio
 
 
 def test_the_numbering_of_vehicles_does_not_matter() -> None:
-    """Networks without random impairments; draws depend on vehicle numbers."""
+    """The laws hold for any numbering in networks without random impairments; draws depend on the numbers."""
     options = NetworkOptions(range=9.0, delay=0.08)
     track = walk(8, 50)
     order = np.random.default_rng(1).permutation(8)

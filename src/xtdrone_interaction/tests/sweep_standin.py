@@ -17,7 +17,7 @@ def figures(varied: Mapping[str, Any], seed: int) -> dict[str, Any]:
 
 
 def work(common: Mapping[str, Any], tasks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """As ``fly_batch``; ``common`` may hold ``seconds`` a run, ``folder`` and ``deadly``, a seed."""
+    """Replace ``fly_batch``; ``common`` may hold ``seconds`` per run, ``folder``, and ``deadly``, a seed."""
     rows = []
     for task in tasks:
         if "folder" in common:

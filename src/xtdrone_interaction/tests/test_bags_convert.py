@@ -82,7 +82,7 @@ def test_tables_hold_the_same(bag: Path, flight_bag: Path, tmp_path: Path, form:
 
 
 def test_damaged_messages_are_skipped_and_reported(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """A string longer than its message, a pattern with half its layout, and a message with additional bytes."""
+    """Skipped are a string longer than its message, a pattern with half its layout, and additional bytes."""
     path = tmp_path / "flight.bag"
     kind = "std_msgs/msg/Float32MultiArray"
     with Bag(path) as bag:

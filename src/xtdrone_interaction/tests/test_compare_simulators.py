@@ -84,7 +84,7 @@ def test_a_flight_does_not_differ_from_itself_later_and_at_another_rate() -> Non
 
 
 def test_the_rms_of_two_first_order_approaches() -> None:
-    """The integral of (exp(-at) - exp(-bt))^2 over the window, times the mean squared step."""
+    """It is the integral of (exp(-at) - exp(-bt))^2 over the window, times the mean squared step."""
     a, b = 1.0, 0.5
     line = compare(flight(rate=a), flight(rate=b))[1]
     step = np.mean(np.linalg.norm(LINE - GRID, axis=1) ** 2)

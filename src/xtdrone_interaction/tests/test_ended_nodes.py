@@ -108,7 +108,7 @@ def test_a_required_nodes_normal_end_is_no_failure(log: Path) -> None:
 
 
 def test_a_failed_simulator_is_listed_before_its_participants(log: Path) -> None:
-    """roslaunch may notice a participant's end first."""
+    """The order does not follow roslaunch's log, which may report a participant's end first."""
     ended_nodes = EndedNodes(log)
     add(log, "[follower_1-9] process has died [pid 9, exit code 1, cmd x].\n" + KILLED)
     add(log, required("simulator", "died [pid 7, exit code -9, cmd /x/simulator.py]."))

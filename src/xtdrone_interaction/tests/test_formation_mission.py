@@ -252,7 +252,7 @@ def test_vehicles_that_never_connect_are_reported() -> None:
 
 
 def test_the_director_ignores_invalid_offsets(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Any node may publish a pattern: these have another size, or offsets that put every vehicle into its slot."""
+    """Ignored are patterns of another size, and offsets that would put every vehicle into its slot."""
     pytest.importorskip("rospy")
     from std_msgs.msg import Float32MultiArray
 

@@ -164,7 +164,7 @@ def field():
 
 
 def test_one_of_three_rejects(field, capsys):
-    """Forced arming skips the checks."""
+    """A rejection fails the command, and the accepted vehicles stay armed; forced arming skips the checks."""
     vehicles = [str(vehicle.id) for vehicle in field.vehicles]
     assert main(["arm", "--force", "--vehicle", *vehicles[:2]]) == 0
     assert [commander.armed for commander in field.commanders] == [True, True, False]

@@ -210,7 +210,7 @@ def test_a_serial_line_that_is_pulled_in_the_end(field, capsys):
 
 
 def test_several_vehicles_over_one_line(field):
-    """Frames of all vehicles arrive at one port, as from a router."""
+    """The station separates the frames of all vehicles at one port, as from a router."""
     mav = [mavlink.MAVLink(None, srcSystem=system, srcComponent=1) for system in (3, 7)]
     beat = mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 1 | 128, 5, 4, 3)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

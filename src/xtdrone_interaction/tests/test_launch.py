@@ -274,7 +274,7 @@ sys.exit(cli.main(sys.argv[1:]))
 
 @pytest.mark.parametrize("then", ["mute master", "kill -9"])
 def test_a_demo_whose_launch_hangs_is_ended(tmp_path: Path, then: str) -> None:
-    """Cases: a master that accepts connections and never replies, and a killed demo whose nodes ignore signals."""
+    """It ends if the master accepts connections and never replies, and if it is killed while nodes ignore signals."""
     program = STUBBORN.format(python=sys.executable, master=MUTE if then == "mute master" else "")
     path = fake_roslaunch.install(tmp_path, program)
     environment = {**os.environ, "PATH": path, "XTDRONE_TEST_LAUNCH": str(tmp_path)}

@@ -121,7 +121,7 @@ def masters() -> Iterator[Callable[[bool], str]]:
 
 @pytest.fixture
 def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Replace the workspace's folder of flights by one that does not exist yet, and return it."""
+    """Replace the workspace's folder of flights by an empty one, and return it."""
     runs = tmp_path / "runs"
     runs.mkdir()
     monkeypatch.setattr(sim_cli, "RUNS", runs)

@@ -188,7 +188,7 @@ def test_unknown_types_become_tables(tmp_path: Path, capfd: pytest.CaptureFixtur
 
 @pytest.mark.parametrize("own_origins", [False, True])
 def test_vehicles_that_gps_alone_places_share_an_origin(tmp_path: Path, own_origins: bool) -> None:
-    """The second starts 100 m north and 50 m east of the first; local positions share the origin, or begin at home."""
+    """The second starts 100 m north and 50 m east of the first, whether local positions share an origin or not."""
     with MavrosBag(tmp_path / "made.bag") as bag:
         kind = "sensor_msgs/msg/NavSatFix"
         for time in np.arange(0.0, 10.0, 0.1).tolist():
@@ -260,7 +260,7 @@ def test_a_clock_of_dates_that_is_corrected_does_not_part_a_flight(tmp_path: Pat
 
 
 def test_a_search_is_no_formation_flight(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """Events of a search name vehicles too."""
+    """Events of a search name vehicles too, but are not read as a formation's."""
     with Bag(tmp_path / "flight.bag") as bag:
         for time in np.arange(0.0, 10.0, 0.1).tolist():
             bag.pose("/uav0", (time, 0.0, 0.0), time)

@@ -215,7 +215,7 @@ class Mine(Leader):
 
 
 def test_a_flight_with_ones_own_follower(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """Report, pictures, comparison and film of the last state; the class is the user's in both simulators."""
+    """Report, pictures, comparison and film exist; the class is the user's in both simulators."""
     (tmp_path / "brisk.py").write_text(FOLLOWER)
     out = tmp_path / "out"
     arguments = ["--n", "6", "--patterns", "T", "--follower", "brisk.py", "--film", "last.png", "--out", str(out)]

@@ -63,7 +63,7 @@ def test_the_same_flight_twice_is_the_same_to_the_bit(record: FormationRecord) -
 
 
 def test_full_physics_flies_the_same_mission_close_by(record: FormationRecord) -> None:
-    """The same classes with the same assignments; sensor noise and GPS wander are part of the difference."""
+    """Classes and assignments are the same; sensor noise and GPS wander are part of the difference."""
     vehicles = CoreVehicles(COUNT)
     full = fly(vehicles=vehicles, leader=with_assignments_of(record, type(Swarm(COUNT).leader)))
     vehicles.close()

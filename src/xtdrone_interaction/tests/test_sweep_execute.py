@@ -178,7 +178,7 @@ def test_missing_scheduler(address: str) -> None:
 
 @contextmanager
 def scheduler_of_its_own(port: int) -> Iterator[subprocess.Popen[bytes]]:
-    """A scheduler started like a user's, and a worker."""
+    """Start a scheduler like a user's, and a worker."""
     address = f"tcp://127.0.0.1:{port}"
     begin = [
         sys.executable,

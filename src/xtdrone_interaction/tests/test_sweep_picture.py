@@ -23,7 +23,7 @@ def _close() -> Iterator[None]:
 
 
 def results(**parameters: list[Any]) -> Results:
-    """A grid of runs with three seeds: the figure is the sum of the numbers, plus the seed."""
+    """Return a grid of runs with three seeds: the figure is the sum of the numbers, plus the seed."""
     names = list(parameters)
     grid = np.meshgrid(*[np.arange(len(v)) for v in parameters.values()], [0, 1, 2], indexing="ij")
     columns: dict[str, list[Any]] = {

@@ -91,7 +91,7 @@ def test_it_finds_its_way_along_a_wall(is_stereo: bool, most: float) -> None:
 
 
 def test_an_autopilot_whose_heading_still_settles_does_not_turn_the_way() -> None:
-    """An estimator's heading drifts by 0.5 degrees a second in its first seconds."""
+    """The estimated path does not turn although the heading drifts by 0.5 degrees a second at first."""
     ends = [
         distance_between(fly(False, 16, 0.009, noise)[0].pose, true_pose(15))
         for noise in (NOISE, NoiseSettings(turn_drift=0.0, turn_noise=0.0003))

@@ -60,7 +60,7 @@ def test_a_further_wind_is_the_plant_s_own() -> None:
 
 
 def test_intensities_and_scales_of_the_specification() -> None:
-    """At 20 ft, 0.177 + 0.000823 h is 0.19346."""
+    """The denominator 0.177 + 0.000823 h is 0.19346 at 20 ft."""
     sigma_u, sigma_w, length_u, length_w = intensities(20 * 0.3048, 15.4)
     assert (sigma_w, length_w) == pytest.approx((1.54, 6.096))
     assert sigma_u == pytest.approx(1.54 / 0.19346**0.4)

@@ -98,7 +98,7 @@ def nearest_triangle(corners, origin, direction) -> float:
 
 
 def test_another_vehicle_below_is_seen_and_one_s_own_body_is_not():
-    """A vehicle without URDF is a box of the size of its collision box."""
+    """A vehicle without URDF counts as a box of the size of its collision box."""
     simulation = quiet("iris_rangefinder:1,px4_reference:1", "empty")
     assert simulation.models[1].urdf.text == ""
     plant, height = simulation.world.plant, simulation.world.models["box"][1][2]

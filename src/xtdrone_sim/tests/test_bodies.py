@@ -209,7 +209,7 @@ def test_a_teleported_vehicle_keeps_to_the_state_that_it_was_given() -> None:
 
 @pytest.mark.parametrize("models", [(), (crate((1.0, 40.0, 0.5)),)])
 def test_free_flight_gives_the_bits_of_single_steps(models: tuple[SdfModel, ...]) -> None:
-    """Cases: a model that rests and is pushed later, a wrench, and a teleport."""
+    """This holds with a model that rests and is pushed later, a wrench, and a teleport."""
 
     def fly(whole: bool) -> bytes:
         simulation = Simulation(parse_fleet("iris:2"), seed=3)

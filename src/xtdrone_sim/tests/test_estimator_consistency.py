@@ -114,7 +114,7 @@ def within(values: np.ndarray, dimension: int) -> np.ndarray:
 
 @pytest.mark.parametrize("block", list(BLOCKS))
 def test_average_nees_lies_in_its_bounds(block):
-    """On the average of all samples, and at three samples of four, since neighbouring samples are not independent."""
+    """They hold on the average of all samples, and at three samples of four, as neighbouring samples are dependent."""
     dimension = BLOCKS[block].stop - BLOCKS[block].start
     seen = fly()[block]
     assert within(seen.mean(keepdims=True), dimension).all(), seen.mean()

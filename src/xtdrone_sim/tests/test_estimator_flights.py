@@ -404,7 +404,7 @@ def test_a_hover_outlasts_a_bad_barometer_and_a_bad_magnetometer(kind):
     ],
 )
 def test_failures_change_the_samples_and_end(unit, field, kind):
-    """Compared with a twin without failure: other samples during the failure, the same noise after it."""
+    """Compared with a twin without failure, samples differ during the failure, and the noise is the same after it."""
     flights = [Flight("iris_opt_flow"), Flight("iris_opt_flow")]
     for flight in flights:
         flight.run(1.0)

@@ -172,7 +172,7 @@ def test_returns_home():
 
 @pytest.mark.parametrize(("radius", "speed", "behaviour"), [(10.0, 3.0, 0), (-6.0, 2.0, 3), (5.0, 9.0, 1)])
 def test_orbit(flying, radius, speed, behaviour):
-    """Distance, angular rate and heading are a circle's; 2 m/s^2 towards the centre limit the speed."""
+    """Distance, angular rate and heading are those of a circle; 2 m/s^2 towards the centre limit the speed."""
     flying.setpoint = None
     start = flying.estimate()
     heading = flying.view.yaw

@@ -82,7 +82,7 @@ class Pipe:
         self.told += 1
 
     def stream(self, now_us: int) -> None:
-        """Send the telemetry that is due."""
+        """Build and count the telemetry that is due."""
         self.telemetry.refresh(now_us)
         outbox = Outbox("127.0.0.1", 9, 1, 1)
         self.streams.send_due(now_us, {}, outbox, None, lambda _text: None)

@@ -63,7 +63,7 @@ def test_fifteen_vehicles_start_free(name: str) -> None:
 @settings(deadline=None, max_examples=25)
 @given(SEEDS, st.floats(0.5, 8.0))
 def test_trees_keep_apart_and_leave_no_gap(seed: int, apart: float) -> None:
-    """Maximal Poisson discs: no pair nearer than ``apart``, and hardly a point farther than that from all trees."""
+    """The trees are maximal Poisson discs: no pair nearer than ``apart``, hardly a point farther from all trees."""
     points = places(np.random.default_rng(seed), 0.0, 0.0, 20.0, 15.0, apart)
     distances = [math.dist(a, b) for a, b in itertools.combinations(points.tolist(), 2)]
     assert min(distances, default=apart) >= apart - 2e-3  # coordinates are rounded to 1 mm

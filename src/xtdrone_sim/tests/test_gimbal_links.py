@@ -230,7 +230,7 @@ def _raised(simulation: Simulation) -> float:
 
 
 def test_the_landing_gear_is_up_in_flight_and_down_to_land():
-    """As in PX4: up in AUTO modes from 2 m above home, down when the vehicle lands, otherwise unchanged."""
+    """As in PX4, it is up in AUTO modes from 2 m above home, down when the vehicle lands, otherwise unchanged."""
     simulation = Simulation(parse_fleet("typhoon_h480:1"), seed=2)
     commander = simulation.commanders[0]
     commander.parameters.set("MIS_TAKEOFF_ALT", 6.0)

@@ -230,7 +230,7 @@ def test_one_that_dies_stops_its_motors_and_the_other_flies_on():
 
 
 def test_a_disarmed_ones_silence_does_not_stop_the_world(monkeypatch):
-    """PX4 sends no controls while disarmed in OFFBOARD without setpoints."""
+    """The world advances although PX4 sends no controls while disarmed in OFFBOARD without setpoints."""
     monkeypatch.setattr(hil_module, "DISARMED_LIMIT", 0.2)
 
     def be_silent(px4: StandIn) -> None:

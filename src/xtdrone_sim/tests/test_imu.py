@@ -22,7 +22,7 @@ UP = np.array([0.0, 0.0, 9.80665])
 
 
 def test_lever_arm_and_frame() -> None:
-    """Rotation about z at 2 rad/s, growing by 3 rad/s^2, 0.5 m ahead: centripetal -2, tangential 1.5 m/s^2."""
+    """At 2 rad/s about z, growing by 3 rad/s^2, a sensor 0.5 m ahead measures -2 (centripetal) and 1.5 m/s^2."""
     rates, change = np.array([0.0, 0.0, 2.0]), np.array([0.0, 0.0, 3.0])
     gyro, accel = Imu("iris_0", ImuMount(position=(0.5, 0.0, 0.0))).measure(0, rates, change, UP)
     assert gyro == pytest.approx([0.0, 0.0, 2.0])

@@ -156,7 +156,7 @@ def test_not_while_armed_and_no_shutdown(made):
 
 
 def test_the_place_is_found_again_where_the_vehicle_is(made):
-    """Estimates restart at the same origin, which all vehicles share."""
+    """After the reboot, estimates restart at the same origin, which all vehicles share."""
     made.run(2.0)
     before = made.commanders[0].view.position
     assert made.command(REBOOT, 1) == 0

@@ -88,7 +88,7 @@ def test_spheres_are_seen_where_the_closed_form_has_them(renderer: Renderer, pin
 
 
 def test_shapes_cover_the_expected_pixels(renderer: Renderer) -> None:
-    """Box and cylinder from above, a mesh from its outer side only, in one body and in several colours."""
+    """Box and cylinder show from above, a mesh from its outer side only, in one body and in several colours."""
     camera = Pose((0.0, 0.0, 10.0), _turn((1.0, 0.0, 0.0), math.pi))  # looks down; y of the world is up in the picture
     pinhole = Pinhole(640, 480, 400.0, 400.0, 320.0, 240.0)
     green, blue = (0.0, 1.0, 0.0, 1.0), (0.0, 0.0, 1.0, 1.0)

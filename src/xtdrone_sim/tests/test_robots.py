@@ -353,7 +353,7 @@ def test_a_wrong_listing_is_named(text: str, words: str) -> None:
 
 
 def test_a_start_inside_something_is_found() -> None:
-    """It overlaps a vehicle, a wall or another robot; a vehicle on the platform is not an overlap."""
+    """Overlaps with a vehicle, a wall and another robot are found; a vehicle on the platform is none."""
     scene = Scene({"ugv": Pose((0.5, 0.0, 0.0)), "ugv2": Pose((1.0, 0.0, 0.0))}, StartPose(0.0, 0.0), (wall(1.2),))
     found = dict(scene.world.overlaps(1))
     assert found.keys() == {0, 1, 3}  # the vehicle, the wall, the other robot

@@ -164,7 +164,7 @@ def test_a_blocked_range_is_lost_longer_or_the_same():
 
 
 def test_walls_and_other_vehicles_block_the_sight_but_the_two_vehicles_do_not():
-    """Four vehicles in a row: the second and third see each other; beyond the fourth there is a low wall."""
+    """Of four vehicles in a row, the second and third see each other; beyond the fourth there is a low wall."""
     wall = SdfModel("wall", Pose((8.0, 0.0, 1.0)), links=(SdfLink("link", visuals=(Visual(Box((0.2, 6.0, 2.0))),)),))
     names = [f"iris_{k}" for k in range(4)]
     rays = RayScene([wall], parse_fleet("iris:4"))

@@ -51,7 +51,7 @@ def formation(count: int, pattern: str = "cube", time: float = 0.0, title: str =
 
 
 def flight(count: int = 9, number: int = 20, fps: float = 10.0) -> Iterator[Frame]:
-    """Vehicles on their way from the spawn grid into the cube."""
+    """Return frames of vehicles on their way from the spawn grid into the cube."""
     slots = with_leader(Patterns(count).offsets("cube")) + UP
     start = with_leader(Patterns(count).offsets("origin")) + UP
     edges = np.argwhere(veteran_topology(slots) > 0)
@@ -184,7 +184,7 @@ def test_a_long_trail_of_a_fast_film_has_few_points():
 
 
 def test_cached_parts_of_a_picture_equal_a_new_drawing():
-    """The room is drawn once while the camera rests; figure.savefig draws everything: the pixels are equal."""
+    """With the room cached while the camera rests, the pixels equal those of a complete drawing by savefig."""
     view = make_view(30)
     for frame in flight(30, 8):
         view.update(frame)
@@ -364,7 +364,7 @@ def test_progress_is_shown(tmp_path):
 
 
 def fly_cube(swarm: Swarm) -> None:
-    """Choose the cube at 0.5 s."""
+    """Select the cube at 0.5 s."""
     if not swarm.leader.pattern and swarm.time > 0.5:
         swarm.choose("cube")
 
