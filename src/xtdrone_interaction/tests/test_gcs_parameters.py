@@ -37,7 +37,7 @@ values = st.one_of(floats, whole)
 def test_a_value_is_the_same_on_both_ends(value, bytewise):
     number, kind = value
     if not bytewise and kind != REAL32:
-        number %= 1 << 24  # what a float holds exactly
+        number %= 1 << 24  # integers that a float holds exactly
         number = min(number, LIMITS[kind][1])
     if bytewise and kind != REAL32 and struct.unpack("<I", struct.pack("<q", number)[:4])[0] & 0x7F800000 == 0x7F800000:
         number = 5  # a float may change the bits of a NaN in transit

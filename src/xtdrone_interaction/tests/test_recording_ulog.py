@@ -110,7 +110,7 @@ def test_figures_are_those_of_the_motion(tmp_path: Path, data: bytes) -> None:
 
 
 def test_values_missing_in_the_log_are_not_shown(tmp_path: Path, data: bytes) -> None:
-    """Hidden are positions before the first estimate, a message of another time base, and sticks from before the log."""
+    """Hidden are positions before the first estimate, a message of another time base, sticks from before the log."""
     log = read_log(write(tmp_path / "log.ulg", data))
     assert log.duration == pytest.approx(SECONDS)
     place = log.series("vehicle_local_position", "x", "z", "vx", "vz")

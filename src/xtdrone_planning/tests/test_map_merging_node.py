@@ -41,7 +41,7 @@ FRAMES = [
     pose_of(place, turned_about_z(heading))
     for place, heading in (((1.0, -2.0, 0.0), 0.0), ((12.0, 7.0, 0.5), 2.4), ((3.0, 1.0, 0.3), 0.1))
 ]
-LIMITS = [(0.0, 25.0), (15.0, 40.0), (0.0, 25.0)]  # m, of what each sees
+LIMITS = [(0.0, 25.0), (15.0, 40.0), (0.0, 25.0)]  # m, seen by each vehicle
 SEEDS = [0, 0, 50]  # of the yards that they are in
 NOISE = 0.15  # m
 

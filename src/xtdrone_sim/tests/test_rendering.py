@@ -110,7 +110,7 @@ def test_shapes_cover_the_expected_pixels(renderer: Renderer) -> None:
         return mask.sum() / scale**2
 
     assert picture.rgb[0, 0].tolist() == SKY_RGB
-    # Upper faces, and of the sides what perspective shows of them.
+    # Upper faces, and the part of the sides that is visible in perspective.
     assert area(of(0)) == pytest.approx(2.0 * 1.0 + _sides(2.0, 1.0, 2.0, 2.0), rel=0.03)
     assert area(of(2)) == pytest.approx(2.0 * 1.0 + _sides(2.0, 1.0, 2.0, 2.0, 1.0), rel=0.03)
     assert picture.labels is not None
