@@ -28,7 +28,7 @@ from xtdrone_interaction.recording.missions.formation_record import FormationRec
 FLEET = "iris:6"
 FLIGHT_LIMIT = 600.0  # s of wall time
 START_LIMIT = 180.0
-PAPER_TOPOLOGY = [  # section 5.1: row i lists to whom UAV i listens; as by the rule, for origin and for T in order
+PAPER_TOPOLOGY = [  # section 5.1: row i marks the UAVs that UAV i listens to; by the rule, for origin and T in order
     [0, 0, 0, 0, 0, 0],
     [1, 0, 0, 0, 0, 0],
     [1, 1, 0, 0, 0, 0],
