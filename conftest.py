@@ -1,6 +1,6 @@
-"""Shared by all tests: the top-level packages in child processes, repeatable draws of Hypothesis, parallel workers.
+"""Set-up of all tests: top-level packages in child processes, repeatable draws of Hypothesis, parallel workers.
 
-With ``-n N``, each worker of pytest-xdist has a network of its own, with a loopback only. So the simulations of two
+With ``-n N``, each worker of pytest-xdist has its own network with a loopback only. So the simulations of two
 workers use the same ports and abstract sockets without conflict. A file's tests run in one worker, in their order.
 """
 
@@ -24,7 +24,7 @@ os.environ["PYTHONPATH"] = os.pathsep.join(
     filter(None, [os.environ.get("PYTHONPATH"), str(Path(__file__).resolve().parent)])
 )
 
-# A shell without job control starts its background jobs with SIGINT ignored, which all programs below inherit.
+# A shell without job control starts background jobs with SIGINT ignored, and all programs below inherit that.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -48,10 +48,10 @@ else:
 
 
 def _enter_own_network() -> None:
-    """Move this thread, and all that it starts, into a new network namespace whose loopback is up.
+    """Move this thread, and all processes that it starts, into a new network namespace whose loopback is up.
 
     Raises:
-        OSError: this user, or this machine, may not make one.
+        OSError: this user or this machine cannot create one.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.unshare(_CLONE_NEWNET) != 0:
@@ -63,21 +63,21 @@ def _enter_own_network() -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_cmdline_main(config: pytest.Config) -> None:
-    """Distribute whole files, in the order of their collection."""
+    """Distribute whole files in collection order."""
     if config.getoption("numprocesses", None):
         config.option.dist = "loadfile"
         config.option.loadscopereorder = False
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Order the tests of parallel workers: those of the whole system first, short files at the end."""
+    """Order the tests of parallel workers: those of the whole system first, short files last."""
     if hasattr(config, "workerinput"):
         whole_system = Path(__file__).resolve().parent / "tests"
         items.sort(key=lambda item: item.path.parent != whole_system)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Give a worker its network."""
+    """Put a worker into its own network."""
     if not hasattr(config, "workerinput"):
         return
     try:

@@ -1,6 +1,6 @@
-"""A program such as XTDrone's users write: rospy only, outside the lockstep, flying iris_0 by an attitude controller.
+"""A program like those of XTDrone's users: rospy only, outside the lockstep; an attitude controller flies iris_0.
 
-Its PositionTarget has no frame (0), as that of XTDrone's attitude demo. After take-off it flies to 1 m east by
+Its PositionTarget has no frame (0), as that of XTDrone's attitude demo. After takeoff it flies to 1 m east by
 attitudes, back by body rates, and then repeats one offset forward of the vehicle (frame 9) as XTDrone's communication
 node does. It publishes on ``/demo/flight`` (String, JSON) the position at the end of each leg, m ENU.
 """
@@ -37,7 +37,7 @@ ONLY_POSITION_YAW = (
 
 
 class Demo:
-    """One setpoint for each pose that comes."""
+    """Publishes one setpoint for each received pose."""
 
     def __init__(self) -> None:
         self._poses: queue.SimpleQueue[PoseStamped] = queue.SimpleQueue()

@@ -1,8 +1,8 @@
-"""The simulation core with its MAVLink door, without ROS: what the tests with real clients connect to.
+"""The simulation core with its MAVLink server, without ROS; the tests with real clients connect to it.
 
 ``client_core.py COUNT FIRST SPEED [LOGS [TYPE]]``: COUNT vehicles of TYPE (iris) from global index FIRST on (which
-fixes system ids and ports), at SPEED times real time (0: as fast as it goes), flight logs below the folder LOGS. Writes
-``ready`` when it runs, and ends when its standard input does.
+fixes system ids and ports), at SPEED times real time (0: as fast as possible), flight logs below the folder LOGS.
+Writes ``ready`` when it runs, and ends when its standard input does.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot
 from xtdrone_sim.runtime.requests.pacing import Pacer
 from xtdrone_sim.simulation import Simulation
 
-CHUNK_US = 8000  # simulated time between two looks at the sockets
+CHUNK_US = 8000  # simulated time between two polls of the sockets
 
 
 def main(count: int, first: int, speed: float, logs: str = "", kind: str = "iris") -> None:
@@ -28,7 +28,7 @@ def main(count: int, first: int, speed: float, logs: str = "", kind: str = "iris
     simulation = Simulation(fleet, seed=1, autopilots=partial(BuiltinAutopilot, logs=Path(logs) if logs else None))
     server = MavlinkServer(fleet, simulation.autopilot, simulation.commanders)
     pacer = Pacer(speed)
-    simulation.step()  # compiles what is not compiled yet
+    simulation.step()  # compiles missing kernels
     print("ready", flush=True)
     while not select.select([sys.stdin], [], [], 0.0)[0]:
         until = simulation.time_us + CHUNK_US

@@ -1,4 +1,4 @@
-"""What the tests with real clients share: the simulation core in a process of its own, and its ports."""
+"""Shared by the tests with real clients: the simulation core in its own process, and its ports."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from pathlib import Path
 from xtdrone_control.fleet import Vehicle
 
 CORE = Path(__file__).with_name("client_core.py")
-START_LIMIT = 180.0  # s of wall time for the core to be up: it may have to compile its kernels
-CLIENT_LIMIT = 120.0  # s of wall time for what a client does; simulated time runs several times as fast
+START_LIMIT = 180.0  # s of wall time for the core to start: it may have to compile its kernels
+CLIENT_LIMIT = 120.0  # s of wall time for a client's action; simulated time runs several times as fast
 
 
 class Core:
     """A running simulation.
 
     Attributes:
-        vehicles: with the ports at which they are met.
+        vehicles: the vehicles and their ports.
         logs: folder with flight logs.
     """
 
@@ -27,7 +27,7 @@ class Core:
         """Start it and wait until it runs.
 
         Args:
-            first: the first vehicle's global index, which fixes ports; each test file takes others.
+            first: the first vehicle's global index, which fixes ports; each test file uses others.
             logs: folder for flight logs.
             count: number of vehicles.
             speed: simulated seconds a second of wall time.
@@ -46,7 +46,7 @@ class Core:
         assert self._process.stdout is not None
         ready, _, _ = select.select([self._process.stdout], [], [], START_LIMIT)
         line = self._process.stdout.readline() if ready else b"nothing in time"
-        while line and b"ready" not in line:  # pybullet says when it was built
+        while line and b"ready" not in line:  # pybullet prints its build time
             line = self._process.stdout.readline()
         assert b"ready" in line, (line, self._output.read_text())
 

@@ -1,4 +1,4 @@
-"""What the system tests share: a ROS master, programs of the workspace, this process's ears and mouth on the graph.
+"""Shared by the system tests: a ROS master, programs of the workspace, this process's subscriptions and publishers.
 
 A test waits for events (a message, a line in a log, a process's end) and measures limits in simulated time; wall time
 only bounds how long a broken run may take.
@@ -29,17 +29,17 @@ from xtdrone_interaction.launching.process_tree import ProcessTree
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 FLEET = "iris:2"
-WALL_LIMIT = 120.0  # s; longest that anything may take, on a machine that is busy otherwise
-START_LIMIT = 200.0  # s; longest for a simulator to start, with kernels that are still to be compiled
+WALL_LIMIT = 120.0  # s; longest wait for anything, on a busy machine
+START_LIMIT = 200.0  # s; longest start of a simulator, with kernels still to be compiled
 _PORTS_LIMIT = 240.0  # s of wall time for another simulation on this machine to end
-_SLICE = 0.05  # s between looks at what sends no message: logs, processes
+_SLICE = 0.05  # s between polls of logs and processes, which send no message
 _MASTERS_OWN = {"rosdistro", "roslaunch", "rosversion", "run_id"}  # parameters that roscore sets
 os.environ.pop("DISPLAY", None)  # no simulator opens its window on the tester's screen
 _TAG = "XTDRONE_TEST_STACK"  # environment variable by which a stack's processes are found
 
 
 def built() -> bool:
-    """Whether roslaunch and the workspace's packages are there."""
+    """Return whether roslaunch and the workspace's packages exist."""
     if shutil.which("roslaunch") is None:
         return False
     import rospkg
@@ -48,7 +48,7 @@ def built() -> bool:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip what needs the built workspace where there is none."""
+    """Skip tests that need the built workspace where there is none."""
     if built():
         return
     for item in items:
@@ -91,7 +91,7 @@ class Ear:
         return self.messages[-1] if self.messages else None
 
     def since(self, count: int) -> list[Any]:
-        """Return all after the first ``count``."""
+        """Return all messages after the first ``count``."""
         return self.messages[count:]
 
     def _take(self, message: Any) -> None:
@@ -104,7 +104,7 @@ class Ear:
 
 
 class Graph:
-    """A ROS master of the tests' own, and this process as a plain node on it.
+    """A ROS master for the tests, and this process as a plain node on it.
 
     Attributes:
         uri: the master's.
@@ -136,7 +136,7 @@ class Graph:
         rospy.init_node("system_tests", disable_signals=True)
 
     def hear(self, topic: str, kind: type, queue_size: int | None = None) -> Ear:
-        """Return the ear on a topic."""
+        """Return the subscription to a topic."""
         if topic not in self._ears:
             self._ears[topic] = Ear(self, topic, kind, queue_size)
         return self._ears[topic]
@@ -167,7 +167,7 @@ class Graph:
         return rospy.ServiceProxy(service, kind)(**fields)
 
     def forget(self) -> None:
-        """Close all ears and mouths, and take all parameters from the master."""
+        """Close all subscriptions and publishers, and delete all parameters from the master."""
         for entry in (*self._ears.values(), *self._mouths.values()):
             entry.close() if isinstance(entry, Ear) else entry.unregister()
         self._ears.clear()
@@ -175,7 +175,7 @@ class Graph:
         self.forget_parameters()
 
     def forget_parameters(self) -> None:
-        """Take from the master what nodes were given or have left on it: others of their names would have it too."""
+        """Delete the parameters of nodes from the master; later nodes of the same names would inherit them."""
         import rosgraph
 
         master = rosgraph.Master("/system_tests")
@@ -200,7 +200,7 @@ def _kind(name: str) -> type:
 
 
 class Program:
-    """A program of the workspace, started as ``rosrun`` would."""
+    """A program of the workspace, started as by ``rosrun``."""
 
     def __init__(self, stack: Stack, name: str, arguments: Sequence[str]) -> None:
         self.name = name
@@ -213,7 +213,7 @@ class Program:
 
     @property
     def output(self) -> str:
-        """What it has written so far."""
+        """The output so far."""
         return self.log.read_text(encoding="utf-8", errors="replace")
 
     @property
@@ -221,12 +221,12 @@ class Program:
         return self.process.poll() is None
 
     def kill(self) -> None:
-        """As ``kill -9``."""
+        """Kill the program, as ``kill -9`` does."""
         self.process.kill()
         self.process.wait()
 
     def end(self, limit: float = WALL_LIMIT) -> int:
-        """Wait for its end and return the exit status."""
+        """Wait for the program's end and return the exit status."""
         try:
             return self.process.wait(limit)
         except subprocess.TimeoutExpired:
@@ -234,7 +234,7 @@ class Program:
 
 
 class Safety:
-    """The worst that true motion has shown, from /gazebo/model_states.
+    """The extremes of the true motion, from /gazebo/model_states.
 
     Attributes:
         sink: greatest speed downwards, m/s, by vehicle.
@@ -259,13 +259,13 @@ class Safety:
 
 
 class Stack:
-    """A running system: programs and what they say.
+    """A running system: programs, their output and their topics.
 
     Attributes:
         graph: master and topics.
         folder: logs.
         programs: by name.
-        safety: the worst motion so far.
+        safety: the extremes of motion so far.
     """
 
     def __init__(self, graph: Graph, folder: Path, fleet: str = FLEET) -> None:
@@ -277,7 +277,7 @@ class Stack:
         self.safety = Safety([vehicle.name for vehicle in self.vehicles])
         self._states = graph.hear("/gazebo/model_states", _kind("gazebo_msgs/ModelStates"))
         self._seen = 0
-        # many a second at full speed, and only the newest counts
+        # high rate at full speed, and only the newest counts
         self._clock = graph.hear("/clock", _kind("rosgraph_msgs/Clock"), queue_size=1)
 
     # processes
@@ -316,7 +316,7 @@ class Stack:
         return found[0]
 
     def stop(self) -> None:
-        """End everything: asked first, then killed."""
+        """End all programs; kill those that do not end on request."""
         for program in self.programs.values():
             if program.alive:
                 program.process.send_signal(signal.SIGINT)
@@ -342,8 +342,8 @@ class Stack:
         """Return the first true value of ``condition``.
 
         Args:
-            condition: looked at whenever a message has come.
-            what: for the failure.
+            condition: evaluated whenever a message arrives.
+            what: description for the failure.
             sim: limit of simulated time, s.
             wall: limit of wall time, s, for a simulation that stands still.
         """
@@ -372,7 +372,7 @@ class Stack:
         )
 
     def described(self) -> str:
-        """Return what is known, for a failure."""
+        """Return the known state, for a failure message."""
         ended = {name: p.process.returncode for name, p in self.programs.items() if not p.alive}
         tails = {name: p.output[-3000:] for name, p in self.programs.items()}
         return f"time {self.time:.2f} s, ended {ended}, last words {tails}"
@@ -404,7 +404,7 @@ class Stack:
         return self.graph.hear(f"/{self.vehicles[index].name}/mavros/state", _kind("mavros_msgs/State")).last
 
     def wait_state(self, index: int, *, mode: str | None = None, armed: bool | None = None, sim: float = 30.0) -> None:
-        """Wait until mavros/state says so."""
+        """Wait for a mavros/state with these values."""
 
         def holds() -> bool:
             state = self.state(index)
@@ -418,7 +418,7 @@ class Stack:
         self.wait(holds, f"{self.vehicles[index].name} is {mode or ''} {'' if armed is None else armed}", sim)
 
     def wait_landed(self, index: int, sim: float = 30.0) -> None:
-        """Wait until mavros/state says disarmed, and true motion, whose topic may lag behind, has it on the ground."""
+        """Wait until mavros/state is disarmed, and the true motion, whose topic may lag behind, is on the ground."""
         self.wait_state(index, armed=False, sim=sim)
         self.wait(lambda: self.height(index) < 0.3, f"{self.vehicles[index].name} is on the ground", sim)
 
@@ -427,7 +427,7 @@ class Stack:
         self.graph.say(f"/xtdrone/{self.vehicles[index].name}/cmd", _kind("std_msgs/String")(data=text))
 
     def settled(self, index: int, position: tuple[float, float, float], radius: float = 0.4) -> bool:
-        """Whether a vehicle is near a true position, m ENU."""
+        """Return whether a vehicle is near a true position, m ENU."""
         pose = self.pose(index)
         if pose is None:
             return False
@@ -435,7 +435,7 @@ class Stack:
         return math.dist((p.x, p.y, p.z), position) < radius
 
     def fly(self, index: int, height: float) -> tuple[float, float, float]:
-        """Take off to ``height`` above the spawn place in OFFBOARD by XTDrone's commands; return the place."""
+        """Take off to ``height`` above the spawn position in OFFBOARD by XTDrone's commands; return the position."""
         name = self.vehicles[index].name
         self.wait_state(index, sim=60.0)
         p = self.wait(lambda: self.pose(index), f"{name} has a pose").position
@@ -486,7 +486,7 @@ def session_graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
 
 @pytest.fixture(scope="module")
 def graph(session_graph: Graph) -> Iterator[Graph]:
-    """The master without what the module before has left on it."""
+    """The master without the parameters and registrations of the module before."""
     with _master_of(session_graph):
         session_graph.forget()
         yield session_graph

@@ -1,7 +1,7 @@
 """A lockstep participant for tests: flies three vehicles into a formation, the same way after every reset.
 
-It tells on ``/pilot/flight`` (String, JSON) a checksum of the true motion of all vehicles and of all that leader,
-followers and avoidance say in the first 15.5 s, each with its time.
+It publishes on ``/pilot/flight`` (String, JSON) a checksum of the true motion of all vehicles and of all messages of
+leader, followers and avoidance in the first 15.5 s, each with its time.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Pilot:
 
     def _take(self, topic: str, message: Any) -> None:
         latched = topic.endswith(("pattern", "topology"))
-        # latched ones of before the reset come in the first turn after it, and then they are taken back, by empty ones
+        # latched ones from before the reset arrive in the first turn after it, and then empty ones withdraw them
         if latched and (self._turn == 0 or not message.data):
             return
         if topic.endswith("states"):

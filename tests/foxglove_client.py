@@ -1,4 +1,4 @@
-"""A client of Foxglove's WebSocket protocol, as small as the tests need it, on the package websockets.
+"""A client of Foxglove's WebSocket protocol, with the operations that the tests need, on the package websockets.
 
 Source: the specification in foxglove/ws-protocol (docs/spec.md), of which ``foxglove.sdk.v1`` is the present name.
 """
@@ -70,7 +70,7 @@ class FoxgloveClient:
         return value
 
     def take(self) -> None:
-        """Receive a frame, if one comes soon."""
+        """Receive a frame, if one arrives soon."""
         try:
             frame = self._socket.recv(timeout=0.2)
         except TimeoutError:

@@ -1,8 +1,8 @@
 """A lockstep participant for tests: calls services in its own turn, and flies the same flight after every reset.
 
-``/meddler/do`` (String, JSON: service, type) is answered on ``/meddler/done`` (String, JSON: what came of it, and the
+``/meddler/do`` (String, JSON: service, type) is answered on ``/meddler/done`` (String, JSON: the result, and the
 simulated times before and after the call). With ``~fly`` it takes vehicle iris_0 off, from 3 s after each start, and
-tells on ``/meddler/flight`` (String, JSON) a checksum of the vehicle's true motion in the first 10 s.
+publishes on ``/meddler/flight`` (String, JSON) a checksum of the vehicle's true motion in the first 10 s.
 """
 
 from __future__ import annotations

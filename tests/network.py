@@ -1,16 +1,16 @@
-"""Several hosts with a network between them, on one machine: for tests of what runs on more than one.
+"""Several hosts with a network between them, on one machine: for tests of distributed systems.
 
-A host is a network and a process namespace with one network card, a TAP device. A process of its own, the *wire* (this
-file called as a program), holds the other ends of all TAP devices and passes Ethernet frames between them like a
+A host is a network and a process namespace with one network card, a TAP device. A separate process, the *wire* (this
+file run as a program), holds the other ends of all TAP devices and passes Ethernet frames between them like a
 switch, with a delay and a loss for each frame, drawn from a seeded generator. Frames whose delays differ overtake each
 other. So TCP has to retransmit and to reorder, and UDP datagrams are lost, as on a poor wireless link.
 
 The wire stands for ``tc qdisc add dev eth0 root netem delay 5ms 3ms loss 0.5%``, which does the same inside the kernel,
-but which not every kernel has: here nothing but namespaces and TAP devices is asked of it.
+but which not every kernel has: here namespaces and TAP devices are enough.
 
-Everything ends with the process that made it, also if that is killed: a host's first process and the wire end when
+Everything ends with the process that created it, even if that is killed: a host's first process and the wire end when
 their standard input closes, with a host's first process the kernel kills all others of that host, and TAP devices and
-namespaces without a process are no more. Linux only; root's rights are needed.
+namespaces without a process are no more. Linux only; root rights are needed.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from typing import Any
 START_LIMIT = 120.0  # s of wall time
 PROGRAMS = ("unshare", "nsenter")
 _PREFIX = "10.77.0."
-_POLL = 0.02  # s between looks at what sends no message
+_POLL = 0.02  # s between polls
 
 # <linux/if_tun.h>, <linux/sockios.h>, <linux/if.h>, <linux/sched.h>
 _TUNSETIFF, _IFF_TAP, _IFF_NO_PI = 0x400454CA, 0x0002, 0x1000
@@ -54,11 +54,11 @@ _BATCH = 64  # frames read from one host before the others have their turn
 
 
 class NetworkError(RuntimeError):
-    """Hosts or wire that cannot be made, or that are gone."""
+    """Hosts or wire cannot be created, or have ended."""
 
 
 def why_not() -> str:
-    """Return why no network can be made here, empty if it can."""
+    """Return why no network can be created here; empty if it can."""
     if not sys.platform.startswith("linux"):
         return "network namespaces are Linux's"
     if os.geteuid() != 0:
@@ -88,7 +88,7 @@ class Program:
 
     Attributes:
         name: for logs and failures.
-        log: file with its output.
+        log: file with the program's output.
     """
 
     def __init__(
@@ -110,27 +110,27 @@ class Program:
 
     @property
     def output(self) -> str:
-        """What it has written so far."""
+        """The output so far."""
         return self.log.read_text(encoding="utf-8", errors="replace")
 
     @property
     def status(self) -> int | None:
-        """Its exit status, None while it runs."""
+        """The exit status, None while the program runs."""
         return self._process.poll()
 
     def interrupt(self) -> None:
-        """Do as Ctrl-C does."""
+        """Interrupt the program, as Ctrl-C does."""
         self._signal(signal.SIGINT)
 
     def kill(self) -> None:
-        """Do as ``kill -9`` does."""
+        """Kill the program, as ``kill -9`` does."""
         self._signal(signal.SIGKILL)
 
     def end(self, limit: float) -> int:
-        """Wait up to ``limit`` s for its end and return the exit status.
+        """Wait up to ``limit`` s for the program's end and return the exit status.
 
         Raises:
-            NetworkError: it runs on.
+            NetworkError: it is still running.
         """
         try:
             return self._process.wait(limit)
@@ -151,14 +151,14 @@ class Host:
     Attributes:
         name: host name.
         address: IPv4 address on the network.
-        pid: its first process, which does nothing but keep it.
+        pid: its first process, which only keeps the host alive.
     """
 
     def __init__(self, name: str, address: str) -> None:
-        """Make it, without its network card.
+        """Create the host, without its network card.
 
         Raises:
-            NetworkError: namespaces cannot be made.
+            NetworkError: namespaces cannot be created.
         """
         self.name = name
         self.address = address
@@ -176,7 +176,7 @@ class Host:
         self.pid = _only_child(self._keeper)
 
     def run(self, name: str, command: Sequence[str], environment: Mapping[str, str], log: Path) -> Program:
-        """Start a program on this host, in the present folder."""
+        """Start a program on this host, in the current folder."""
         program = Program(self, name, command, environment, log)
         self.programs.append(program)
         return program
@@ -195,14 +195,14 @@ class Host:
     def kill_all(self) -> None:
         """Kill every process but the first; the network card stays, so that their connections are closed.
 
-        The youngest die first: a node before its launcher and roslaunch, whose end would let it leave in order.
+        The youngest are killed first: a node before its launcher and roslaunch, whose end would shut it down in order.
         """
         for pid in sorted(self.processes(), reverse=True):
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
 
     def close(self) -> None:
-        """End it with everything that runs on it."""
+        """End the host and all its processes."""
         assert self._keeper.stdin is not None
         assert self._keeper.stdout is not None
         self._keeper.stdin.close()
@@ -217,7 +217,7 @@ class Host:
 
 
 def _only_child(process: subprocess.Popen[Any]) -> int:
-    """Return the id of the process that unshare or nsenter has forked, which may take it a moment."""
+    """Return the id of the process forked by unshare or nsenter, once it exists."""
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
     end = time.monotonic() + START_LIMIT
     while time.monotonic() < end:
@@ -243,7 +243,7 @@ class Network:
     def __init__(
         self, count: int = 2, *, delay: float = 0.0, jitter: float = 0.0, loss: float = 0.0, seed: int = 0
     ) -> None:
-        """Make hosts and wire.
+        """Create hosts and wire.
 
         Args:
             count: number of hosts.
@@ -253,7 +253,7 @@ class Network:
             seed: of the random delays and losses.
 
         Raises:
-            NetworkError: it cannot be made.
+            NetworkError: it cannot be created.
         """
         self.hosts: list[Host] = []
         self._wire: subprocess.Popen[str] | None = None
@@ -288,7 +288,7 @@ class Network:
         return self._ask("counters")
 
     def cut(self, host: Host) -> None:
-        """Pull a host's cable: nothing more comes from it or to it."""
+        """Cut a host off: no more frames to it or from it."""
         self._ask("cut", host.pid)
 
     def close(self) -> None:
@@ -336,10 +336,10 @@ class Card:
     """The wire's end of a host's network card."""
 
     def __init__(self, pid: int, address: str, generator: random.Random) -> None:
-        """Make the TAP device ``eth0`` in the host's network namespace, with an address of a /24 network; both up.
+        """Create the TAP device ``eth0`` in the host's network namespace, with an address of a /24 network; both up.
 
         Raises:
-            OSError: it cannot be made.
+            OSError: it cannot be created.
         """
         self.pid = pid
         self.generator = generator
@@ -370,10 +370,10 @@ class Card:
 
 
 class Wire:
-    """Passes frames between cards until its standard input ends, and obeys what is written there."""
+    """Passes frames between cards until its standard input ends, and executes the requests written there."""
 
     def __init__(self, cards: Sequence[Card], delay: float, jitter: float, loss: float) -> None:
-        """Take the cards; delay and jitter in s, loss from 0 to 1."""
+        """Keep the cards; delay and jitter in s, loss from 0 to 1."""
         self._cards = list(cards)
         self._least, self._spread, self._loss = delay - jitter, 2.0 * jitter, loss
         self._counters: collections.Counter[str] = collections.Counter(forwarded=0)
@@ -383,7 +383,7 @@ class Wire:
         self._rest = b""
 
     def run(self) -> None:
-        """Work until standard input ends."""
+        """Pass frames until standard input ends."""
         poller = select.epoll()
         poller.register(0, select.EPOLLIN)
         by_descriptor = {card.descriptor: card for card in self._cards}
@@ -416,13 +416,13 @@ class Wire:
             self._take(card, frame)
 
     def _take(self, card: Card, frame: bytes) -> None:
-        """Send a frame on its way: to the card with its destination, or to all others."""
+        """Schedule a frame: for the card with its destination, or for all others."""
         self._places[frame[6:12]] = card
         place = self._places.get(frame[:6])
         others = [other for other in self._cards if other is not card] if place is None else [place]
         generator = card.generator
         for other in others:
-            # Both drawn each time, so that one frame's fate does not depend on another's.
+            # Both are drawn each time, so that one frame's fate does not affect another's.
             lost, late = generator.random() < self._loss, self._least + self._spread * generator.random()
             if card.cut or other.cut:
                 self._counters["cut"] += 1
@@ -453,7 +453,7 @@ class Wire:
         self._counters["forwarded"] += 1
 
     def _obey(self) -> bool:
-        """Answer requests, each a line; return False when there will be no more."""
+        """Reply to requests, each a line; return False at the end of the input."""
         data = os.read(0, 4096)
         *lines, self._rest = (self._rest + data).split(b"\n")
         for line in lines:
@@ -472,7 +472,7 @@ def _protocol(frame: bytes) -> str:
 
 
 def main() -> int:
-    """Be the wire."""
+    """Run the wire."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # its creator ends it
     parser = argparse.ArgumentParser(description=main.__doc__)
     for name in ("delay", "jitter", "loss"):

@@ -1,6 +1,6 @@
 """Fly vehicles with MAVROS's topics and services alone, as XTDrone's users' scripts do: ``offboard_script.py NAME...``.
 
-Each is armed, takes off to 2 m above its start in OFFBOARD, and lands.
+Each vehicle is armed, takes off to 2 m above its start in OFFBOARD, and lands.
 """
 
 from __future__ import annotations

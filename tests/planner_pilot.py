@@ -1,4 +1,4 @@
-"""A lockstep participant for tests: takes iris_3d_lidar_0 off, stands for EGO-Planner, sends goals to its planner, lets
+"""A lockstep participant for tests: takes iris_3d_lidar_0 off, acts as EGO-Planner, sends goals to its planner, lets
 its lidar fail, and has ``./xtdrone gcs goto --avoid`` send the last goal.
 
 Writes the planner's states and its reports on /diagnostics, as they change, with the simulated time, and ends.
@@ -29,8 +29,8 @@ RATE = 20.0
 VEHICLE = "iris_3d_lidar_0"
 GOAL = (40.0, 5.0, 2.0)
 LAST_GOAL = (36.0, 3.0, 2.5)  # by the ground station
-EGO_WAY, EGO_TIME = 3.0, 4.0  # m to the north, s: as EGO-Planner would send it, from rest to rest
-LIMIT = 60.0  # s for each thing that is waited for
+EGO_WAY, EGO_TIME = 3.0, 4.0  # m to the north, s: as EGO-Planner sends it, from rest to rest
+LIMIT = 60.0  # s for each wait
 
 
 class Pilot:
@@ -100,7 +100,7 @@ class Pilot:
             yield
 
     def _follow_commands(self) -> Iterator[None]:
-        """Fly commands of another planner, which ego_transfer.py passes on; note how far the vehicle was off."""
+        """Fly another planner's commands, forwarded by ego_transfer.py; record the deviation of the vehicle."""
         start, begun, most = self._pose.pose.position, rospy.get_time(), 0.0
         while rospy.get_time() - begun < EGO_TIME + 3.0:
             since = rospy.get_time() - begun
@@ -144,7 +144,7 @@ class Pilot:
         self._note("station", status=station.returncode, text=station.stdout.read())
 
     def fly(self) -> Iterator[None]:
-        """Take off; another planner; goals that are not allowed; a lidar that freezes, then is silent; arrive twice."""
+        """Take off; fly another planner's commands, rejected goals, a frozen and then silent lidar; arrive twice."""
         yield from self._wait(1.0)
         self._send(GOAL)  # on the ground: dropped
         yield from self._wait(4.0)

@@ -1,4 +1,4 @@
-"""A script that flies two vehicles with range sensors: how far the second one is from where the first one estimates it.
+"""A script that flies two vehicles with range sensors: the error of the first one's estimate of the second's position.
 
 ``ranging_pilot.py FILE``: the first hovers, the second flies curves about it. FILE (JSON) gets the time until the first
 estimate (s of the curves), errors (m), and normalised squared errors for each degree of freedom.
@@ -26,7 +26,7 @@ found: list[tuple[float, float, float]] = []  # s, error (m), normalised squared
 
 
 def on_models(states: ModelStates) -> None:
-    """Keep the true places."""
+    """Keep the true positions."""
     for name, pose in zip(states.name, states.pose, strict=True):
         places[name] = np.array([pose.position.x, pose.position.y, pose.position.z])
 

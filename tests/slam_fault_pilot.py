@@ -1,7 +1,7 @@
-"""A script for './xtdrone demo slam': in flight the lidar fails as the environment's SLAM_FAULT says.
+"""A script for './xtdrone demo slam': in flight the lidar fails by the environment variable SLAM_FAULT.
 
-It ends well if odometry names the fault on /diagnostics, no pose reaches the autopilot from then on, and the vehicle
-comes down slowly: at rest by the autopilot's failsafe, or at speed as in slam.py, where it brakes and lands at once.
+It succeeds if odometry names the fault on /diagnostics, no pose reaches the autopilot from then on, and the vehicle
+descends slowly: at rest by the autopilot's failsafe, or at speed as in slam.py, where it brakes and lands at once.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from xtdrone_msgs.srv import SetLidarFailure
 from xtdrone_control import lockstep
 from xtdrone_control.drone import FaultError, connect
 
-FAULT = os.environ["SLAM_FAULT"]  # SPEED KIND VALUE TEXT: m/s, of the failure service, and what diagnostics say
+FAULT = os.environ["SLAM_FAULT"]  # SPEED KIND VALUE TEXT: m/s, for the failure service, and the text in diagnostics
 DESCENT_LIMIT = 45.0  # s
 SINK_LIMIT = 2.0  # m/s
-GRACE = 0.6  # s from the fault to the last pose: the scan before it is under way, another one is needed to tell
+GRACE = 0.6  # s from the fault to the last pose: the scan before it is in progress, and detection needs another one
 FED = 0.5  # s, longest time between poses of a healthy odometry
 PATIENCE = 2.0  # s, that of slam.py
 LANDING_LIMIT, WAY_LIMIT = 14.0, 20.0  # s and m from a fault at speed to the place of the landing
@@ -36,7 +36,7 @@ places: list[tuple[float, float, float, float]] = []
 
 
 def on_diagnostics(message: DiagnosticArray) -> None:
-    """Keep what odometry says of itself."""
+    """Keep the status that odometry publishes."""
     said.extend(status.message for status in message.status if status.name.endswith("lidar_odometry"))
 
 

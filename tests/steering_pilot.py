@@ -1,7 +1,7 @@
-"""A lockstep participant for tests: flies iris_0 by one kind of MAVROS's setpoints after the other.
+"""A lockstep participant for tests: flies iris_0 by each kind of MAVROS's setpoints in turn.
 
-It tells on ``/pilot/flight`` (String, JSON) where each leg has led: the true place (m, ENU) at its begin and its end,
-and at last how the services answered.
+It publishes on ``/pilot/flight`` (String, JSON) the true position (m, ENU) at the start and the end of each leg, and
+finally the responses of the services.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ QUATERNION = "setpoint_attitude/use_quaternion"
 
 
 def turned(pitch: float, yaw: float) -> Quaternion:
-    """FLU: a positive pitch is nose down."""
+    """Return a ROS quaternion in FLU: a positive pitch is nose down."""
     cp, sp, cy, sy = math.cos(pitch / 2), math.sin(pitch / 2), math.cos(yaw / 2), math.sin(yaw / 2)
     return Quaternion(x=-sp * sy, y=sp * cy, z=cp * sy, w=cp * cy)
 
@@ -119,7 +119,7 @@ class Pilot:
         self._legs["followed"] = [self._sticks.x, self._sticks.z]
 
     def _geo(self, east: float, north: float, geoid: float = 0.0) -> GeoPoseStamped:
-        """A goal over mean sea level, or over the ellipsoid: with the ``geoid``'s height over that, m."""
+        """Return a goal above mean sea level or, with the ``geoid``'s height, m, above the ellipsoid."""
         message = GeoPoseStamped()
         place = message.pose.position
         place.latitude, place.longitude = latitude_longitude(east, north)

@@ -1,7 +1,7 @@
-"""A lockstep participant for tests: commands the leader by a script, and keeps what /xtdrone/swarm says in each turn.
+"""A lockstep participant for tests: commands the leader by a script, and records /xtdrone/swarm in each turn.
 
 ``swarm_script.py FILE``: at the end of the script the positions, shape (turns, N, 3), go to FILE (.npy), and
-``/script/done`` (String, latched) says so.
+``/script/done`` (String, latched) reports it.
 """
 
 from __future__ import annotations

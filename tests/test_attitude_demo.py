@@ -18,7 +18,7 @@ from mavros_msgs.srv import ParamGet
 from std_msgs.msg import String
 
 FLEET = "iris:1"
-PLACE = 0.3  # m off a goal, at most
+PLACE = 0.3  # m, greatest distance from a goal
 
 
 @pytest.fixture(scope="module")

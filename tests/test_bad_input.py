@@ -1,6 +1,6 @@
-"""Bad input as users would give it, to the running system: clear words, and nothing falls out of the sky.
+"""Bad input from users to the running system: clear messages, and the vehicles fly on.
 
-One system of two vehicles serves all tests of this file, which run in the order in which they stand: before takeoff,
+One system of two vehicles serves all tests of this file, which run in file order: before takeoff,
 in flight, and at last its nodes are killed one after the other.
 """
 
@@ -32,7 +32,7 @@ from std_msgs.msg import String
 OFFBOARD_PORT, GCS_PORT = 34580, 18570
 HEIGHT = 4.0  # m
 NAN, INF = math.nan, math.inf
-SINK_LIMIT = 1.0  # m/s; failsafe and landing sink with MPC_LAND_SPEED, 0.7 m/s
+SINK_LIMIT = 1.0  # m/s; failsafe and landing descend at MPC_LAND_SPEED, 0.7 m/s
 TILT_LIMIT = math.radians(20.0)
 
 POSITION = 0b110111111000  # SET_POSITION_TARGET_LOCAL_NED.type_mask: position only
@@ -52,7 +52,7 @@ PROGRAMS = {
 
 
 def node(*arguments: str, **environment: str) -> subprocess.Popen[str]:
-    """Start a program of the workspace by itself."""
+    """Start a program of the workspace on its own."""
     path, *rest = arguments
     return subprocess.Popen(
         [sys.executable, str(REPOSITORY / "src" / path), *rest],
@@ -64,7 +64,7 @@ def node(*arguments: str, **environment: str) -> subprocess.Popen[str]:
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
-    """Return exit status and output of a program that ends by itself."""
+    """Return exit status and output of a program that ends on its own."""
     try:
         output, _ = process.communicate(timeout=WALL_LIMIT)
     except subprocess.TimeoutExpired:
@@ -74,12 +74,12 @@ def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
     return process.returncode, output
 
 
-# ---- before anything runs
+# ---- before any node runs
 
 
 @pytest.fixture(scope="module")
 def without_master() -> dict[str, subprocess.Popen[str]]:
-    """Every program, started where no master is."""
+    """Every program, started without a master."""
     return {name: node(*command, ROS_MASTER_URI="http://127.0.0.1:1") for name, command in PROGRAMS.items()}
 
 
@@ -123,7 +123,7 @@ def test_an_occupied_port_ends_the_launch(graph: Graph, tmp_path: Path, port: in
 
 @pytest.fixture(scope="module")
 def refused_simulators(graph: Graph) -> dict[str, subprocess.Popen[str]]:
-    """Simulators with bad values, all at the same time; other values are refused in test_settings.py."""
+    """Simulators with bad values, all at once; test_settings.py covers the other values."""
     values = {"type": "_fleet:=helicopter:2", "world": "_world:=mars", "speed": "_speed:=0.001"}
     return {
         name: node(PROGRAMS["simulator"][0], value, f"__name:=refused_simulator_{i}", **graph.environment)
@@ -151,7 +151,7 @@ def test_a_bad_value_ends_the_simulator(
 
 @pytest.fixture(scope="module")
 def refused_directors(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[int, str]]:
-    """Directors with bad values, all at the same time; their exit status and output."""
+    """Directors with bad values, all at once; their exit status and output."""
     import rospy
 
     folder = tmp_path_factory.mktemp("patterns")
@@ -212,7 +212,7 @@ def test_a_bad_value_ends_the_director_with_one_line(
 
 @pytest.fixture(scope="module")
 def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    """Two vehicles with everything that a formation has, each in its own process."""
+    """Two vehicles with all nodes of a formation, each in its own process."""
     import rospy
 
     wait_for_ports()
@@ -236,7 +236,7 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
 
 
 class Gcs:
-    """A ground station of its own on one of a vehicle's ports."""
+    """An independent ground station on one of a vehicle's ports."""
 
     def __init__(self, stack: Stack, port: int, target: int) -> None:
         self._stack = stack
@@ -252,8 +252,8 @@ class Gcs:
         return self.ack(number)
 
     def drain(self) -> None:
-        """Read what has come: a socket that telemetry has filled at full speed has no room for an answer."""
-        for _ in range(2000):  # more than it holds
+        """Read pending datagrams: a socket that telemetry has filled at full speed has no room for an answer."""
+        for _ in range(2000):  # more than the buffer holds
             if self.link.recv_match() is None:
                 return
 
@@ -291,14 +291,14 @@ def gcs(stack: Stack) -> Iterator[Callable[[int], Gcs]]:
 
 @pytest.fixture
 def flying(stack: Stack) -> list[tuple[float, float, float]]:
-    """Both vehicles hold their places in OFFBOARD; return the places, m ENU."""
+    """Two vehicles that hold their positions in OFFBOARD; return the positions, m ENU."""
     places = [stack.fly(i, HEIGHT) for i in range(2)]
     stack.safety.reset()
     return places
 
 
 def check_undisturbed(stack: Stack, places: list[tuple[float, float, float]], seconds: float = 2.0) -> None:
-    """Check that both fly on at their places."""
+    """Check that both vehicles hold their positions."""
     stack.pass_time(seconds)
     for i, place in enumerate(places):
         assert stack.settled(i, place), (i, place, stack.pose(i))
@@ -393,7 +393,7 @@ def test_unknown_patterns_and_invalid_steering_are_rejected_by_the_leader(stack:
 
 
 def test_arming_in_offboard_requires_a_setpoint_stream(stack: Stack, gcs: Callable[[int], Gcs]) -> None:
-    """There is one here, so the same is asked of a mode that is not for arming, and why is told by an event alone."""
+    """A stream exists here, so the test requests a mode that does not allow arming; only an event has the reason."""
     station = gcs(1)
     assert station.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 4.0, 6.0) == mavlink.MAV_RESULT_ACCEPTED  # AUTO.LAND
     assert station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0) == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
@@ -402,7 +402,7 @@ def test_arming_in_offboard_requires_a_setpoint_stream(stack: Stack, gcs: Callab
     assert (answer.success, answer.result) == (False, mavlink.MAV_RESULT_TEMPORARILY_REJECTED)
     stack.log_has("mavros", "iris_1: FCU: Arming denied: Mode not suitable for arming")
     arm = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
-    station.link.mav.command_long_send(2, 1, arm, 0, 2.0, *(0.0,) * 6)  # neither arm nor disarm: PX4 does not answer
+    station.link.mav.command_long_send(2, 1, arm, 0, 2.0, *(0.0,) * 6)  # neither arm nor disarm: PX4 does not reply
     stack.log_has("mavros", "iris_1: FCU: Unsupported ARM_DISARM param: 2.000")
     assert station.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 4.0, 3.0) == mavlink.MAV_RESULT_ACCEPTED  # AUTO.LOITER
 
@@ -447,7 +447,7 @@ def _target(mask: int, field: str, value: float) -> PositionTarget:
 
 
 def _broken_topics() -> dict[str, tuple[Any, str, str]]:
-    """Return topic to message, program that must complain, its words."""
+    """Return topic to message, the program that must report it, and its text."""
     attitude = AttitudeTarget(type_mask=AttitudeTarget.IGNORE_ATTITUDE, thrust=0.5)
     return {
         "/iris_0/mavros/setpoint_raw/local": (_target(POSITION, "position.y", NAN), "mavros", "position.y is nan"),
@@ -496,7 +496,7 @@ def test_non_finite_setpoints_are_rejected_over_mavlink(
         station.link.mav.set_attitude_target_send(0, 1, 1, 0, [value, 0, 0, 0], 0, 0, 0, 0.5)
         station.link.mav.set_attitude_target_send(0, 1, 1, 0, [1, 0, 0, 0], 0, 0, 0, value)
         station.link.mav.set_position_target_global_int_send(0, 1, 1, 6, POSITION, 0, 0, value, *(0,) * 8)
-    send(0, 1, 1, 77, POSITION, *(0,) * 11)  # no such frame
+    send(0, 1, 1, 77, POSITION, *(0,) * 11)  # there is no such frame
     stack.log_has("simulator", "setpoint cannot be flown", "setpoint rejected: attitude has norm", since=size)
     stack.log_has("mavros", "iris_0: FCU: SET_POSITION_TARGET_LOCAL_NED coordinate frame 77 unsupported", since=told)
     check_undisturbed(stack, flying)
@@ -504,7 +504,7 @@ def test_non_finite_setpoints_are_rejected_over_mavlink(
 
 
 def _malformed() -> list[bytes]:
-    """Datagrams that are no MAVLink, or only half."""
+    """Return datagrams that are not MAVLink, or truncated."""
     chance = random.Random(1)
     good = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
     frame = mavlink.MAVLink_command_long_message(1, 1, 400, 0, 0, 21196, 0, 0, 0, 0, 0).pack(good)  # forced disarm
@@ -538,7 +538,7 @@ def test_malformed_mavlink_and_other_systems_messages_change_nothing(
     stamps = [message.header.stamp.to_sec() for message in poses.since(before)]
     assert len(stamps) > 60
     rate = (len(stamps) - 1) / (stamps[-1] - stamps[0])
-    assert rate == pytest.approx(30.0, rel=0.1)  # the telemetry still goes to MAVROS
+    assert rate == pytest.approx(30.0, rel=0.1)  # MAVROS still receives the telemetry
 
 
 # ---- nodes that die, in flight
@@ -556,16 +556,16 @@ def test_a_killed_leader_and_follower_leave_the_others_flying(
     stack.log_has("communication_1", "no velocity or acceleration for 1.0 s: HOVER")
     stack.programs["leader"].kill()
     stack.log_has("simulator", "leader")
-    stack.pass_time(4.0)  # it hovers where it was when the follower fell silent, and must first fly back there
+    stack.pass_time(4.0)  # it hovers where the follower stopped publishing, and must first fly back
     pose = stack.pose(1).position
     places = [flying[0], (pose.x, pose.y, pose.z)]
     check_undisturbed(stack, places, 3.0)
 
 
 def test_arming_again_in_the_air_saves_a_vehicle(stack: Stack, flying: list[tuple[float, float, float]]) -> None:
-    """Motors cut in the air by force, and armed again at once: in one datagram, so that nothing comes between.
+    """A vehicle disarmed by force in the air is armed again by the same datagram, so that nothing comes between.
 
-    As PX4, which asks for no checks within 5 s of a disarming in the air.
+    PX4 too skips the checks within 5 s of a disarming in the air.
     """
     size = len(stack.programs["mavros"].output)
     packer = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
@@ -622,7 +622,7 @@ def test_a_killed_simulator_ends_all_others(stack: Stack) -> None:
     back = stack.run("mavros", "xtdrone_control", "mavros_node.py")
     states = stack.graph.hear("/iris_0/mavros/state", State)
     count = len(states.messages)
-    # simulated time flies while the program starts
+    # simulated time runs fast while the program starts
     stack.wait(lambda: any(s.connected for s in states.since(count)), "mavros is back", sim=INF)
     stack.programs["simulator"].kill()
     for program in (back, stack.programs["communication_0"]):

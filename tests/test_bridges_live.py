@@ -250,7 +250,7 @@ def test_what_a_client_must_not_send_is_answered_and_the_server_goes_on(stack: S
         assert "one too many, at most 500" in _operation(socket, "status")["msg"]
         with pytest.raises(ConnectionClosed):
             _send_more_than_allowed(socket)
-    with pytest.raises(InvalidStatus):  # a page of another machine
+    with pytest.raises(InvalidStatus):  # a page on another machine
         connect(f"ws://127.0.0.1:{ROSBRIDGE}", ping_interval=None, origin="http://example.org")  # type: ignore[arg-type]
     stack.pass_time(0.5)
 

@@ -1,4 +1,4 @@
-"""A flight with all bridges and a client that watches everything is, to the last bit, the flight without them."""
+"""A flight with all bridges and a client of all topics is, to the last bit, the flight without them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FOXGLOVE = 8765
 
 
 class _Everything(threading.Thread):
-    """A client of Foxglove's that subscribes to every topic."""
+    """A client of Foxglove's bridge that subscribes to every topic."""
 
     def __init__(self) -> None:
         super().__init__(daemon=True)

@@ -1,4 +1,4 @@
-"""The project's own ground station flies three vehicles: one flight, test by test in the order of this file."""
+"""The project's own ground station flies three vehicles: one flight, tests in file order."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def core(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Core]:
 
 @pytest.fixture(scope="module")
 def until(core: Core) -> Iterator[Callable[[Callable[[list[VehicleState]], bool], str], None]]:
-    """Yield what waits until the vehicles' states are as wanted."""
+    """Yield a function that waits until the vehicles' states meet a condition."""
     peers = [Peer.of(vehicle) for vehicle in core.vehicles]
 
     with GroundStation(peers, heartbeat=True) as station:
@@ -64,7 +64,7 @@ def test_all_take_off(until):
 
 
 def test_all_go_to_a_place_of_the_map(until):
-    assert gcs("goto", "6", "-8", "5", "--speed", "6") == 2  # all at one place
+    assert gcs("goto", "6", "-8", "5", "--speed", "6") == 2  # all at one position
     assert gcs("goto", "6", "-8", "5", "--speed", "6", "--spacing", "3") == 0
     until(
         lambda states: all(math.dist(s.local, (6.0, -8.0, 5.0 + 3.0 * i)) < 1.0 for i, s in enumerate(states)), "there"
@@ -73,7 +73,7 @@ def test_all_go_to_a_place_of_the_map(until):
 
 
 def test_a_landed_vehicle_rejects_and_the_others_continue(until, capsys):
-    assert main(["land", "--vehicle", VEHICLES[0]]) == 0  # the lowest: the others are above it
+    assert main(["land", "--vehicle", VEHICLES[0]]) == 0  # the lowest one: the others are above it
     until(lambda states: not states[0].armed, "landed")
     capsys.readouterr()
     assert gcs("goto", "0", "0", "6", "--spacing", "3") == 1
@@ -86,7 +86,7 @@ def test_a_landed_vehicle_rejects_and_the_others_continue(until, capsys):
 def test_hold_mode_and_return(until):
     flying = ["--vehicle", *VEHICLES[1:]]
     assert main(["hold", *flying]) == 0
-    assert main(["takeoff", "9", *flying]) == 1  # they fly already
+    assert main(["takeoff", "9", *flying]) == 1  # they are in the air already
     assert main(["mode", "LAND", "--vehicle", VEHICLES[1]]) == 0
     assert main(["rtl", "--vehicle", VEHICLES[2]]) == 0
     until(lambda states: (states[1].mode, states[2].mode) == ("AUTO.LAND", "AUTO.RTL"), "modes")
@@ -94,7 +94,7 @@ def test_hold_mode_and_return(until):
 
 
 def flown(watched: bool) -> tuple[np.ndarray, int]:
-    """Return the places and velocities of two vehicles that take off, and how much a station has asked."""
+    """Return positions and velocities of two vehicles that take off, and the number of a station's requests."""
     fleet = tuple(Vehicle("iris", i, FIRST + COUNT + i) for i in range(2))
     simulation = Simulation(fleet, seed=2)
     server = MavlinkServer(fleet, simulation.autopilot, simulation.commanders)

@@ -1,4 +1,4 @@
-"""MAVSDK's gimbal plugin, as its users write it, with the simulated typhoon's gimbal: test by test in this order."""
+"""MAVSDK's gimbal plugin, as its users write it, with the simulated typhoon's gimbal: tests in file order."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from client_world import Core
 
 with warnings.catch_warnings():
-    warnings.simplefilter("ignore", FutureWarning)  # the package says that its next one is another
+    warnings.simplefilter("ignore", FutureWarning)  # the package announces a change in its next version
     pytest.importorskip("mavsdk")
     from mavsdk.gimbal import ControlMode, GimbalError, GimbalMode, SendMode
     from test_clients_mavsdk import HOME, Client
@@ -34,7 +34,7 @@ def client(core: Core) -> Iterator[Client]:
 
 @pytest.fixture(scope="module")
 def gimbal_id(client: Client) -> int:
-    """The id that MAVSDK gives to the gimbal that it finds."""
+    """The id that MAVSDK assigns to the gimbal that it finds."""
     found = client.until(client.drone.gimbal.gimbal_list(), lambda found: bool(found.gimbals))
     (gimbal,) = found.gimbals
     assert (gimbal.gimbal_manager_component_id, gimbal.gimbal_device_id) == (1, 1)
@@ -42,7 +42,7 @@ def gimbal_id(client: Client) -> int:
 
 
 def looks(client: Client, pitch: float, yaw: float) -> Any:
-    """Wait until the gimbal points somewhere, degrees from the horizon and the heading."""
+    """Wait until the gimbal has a direction, degrees from the horizon and the heading."""
 
     def there(attitude: Any) -> bool:
         angles = attitude.euler_angle_forward

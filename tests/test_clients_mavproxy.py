@@ -1,4 +1,4 @@
-"""MAVProxy, typed into as at its prompt, against the autopilot: one flight, test by test in the order of this file.
+"""MAVProxy at its prompt, against the autopilot: one flight, tests in file order.
 
 Its ``mode`` command is not used: with PX4's mode numbers MAVProxy and pymavlink do not agree on the arguments.
 """
@@ -23,11 +23,11 @@ MISSION = """QGC WPL 110
 1\t0\t3\t16\t1\t0\t0\t0\t47.397900\t8.545594\t8\t1
 2\t0\t3\t16\t1\t0\t0\t0\t47.397900\t8.545750\t8\t1
 3\t0\t3\t21\t0\t0\t0\t0\t47.397800\t8.545750\t0\t1
-"""  # from the takeoff on: what MAVProxy calls waypoint 0 is PX4's first
+"""  # counted from the takeoff: MAVProxy's waypoint 0 is PX4's first
 
 
 class Prompt:
-    """A MAVProxy and what it has written."""
+    """A MAVProxy process and its output."""
 
     def __init__(self, port: int, folder: Path) -> None:
         program = Path(sys.executable).with_name("mavproxy.py")
@@ -53,7 +53,7 @@ class Prompt:
                 self._changed.notify_all()
 
     def say(self, line: str, *answers: str) -> str:
-        """Type a line, wait until all ``answers`` have come behind it, and return all that came."""
+        """Type a line, wait until all ``answers`` follow it, and return the output since then."""
         assert self._process.stdin is not None
         with self._changed:
             start = len(self._text)
@@ -62,14 +62,14 @@ class Prompt:
         return self.wait(*answers, start=start)
 
     def wait(self, *texts: str, start: int = 0) -> str:
-        """Wait until all ``texts`` stand in what was written from ``start`` on; return that."""
+        """Wait until all ``texts`` are in the output from ``start`` on; return that output."""
         with self._changed:
             found = self._changed.wait_for(lambda: all(text in self._text[start:] for text in texts), CLIENT_LIMIT)
             assert found, f"MAVProxy does not write {texts}, but {self._text[start:][-2000:]!r}"
             return self._text[start:]
 
     def close(self) -> None:
-        self._process.kill()  # it does not always end when asked to
+        self._process.kill()  # it does not always end on request
         self._process.wait()
         self._reader.join(CLIENT_LIMIT)
 
@@ -95,7 +95,7 @@ def test_it_finds_a_vehicle_and_its_parameters(prompt):
 def test_parameters(prompt):
     prompt.say("param show MPC_XY_VEL_MAX", "MPC_XY_VEL_MAX   12.0")
     prompt.say("param set MIS_TAKEOFF_ALT 6")
-    for _ in range(100):  # the setting goes out when MAVProxy comes to it, and it does not say when
+    for _ in range(100):  # MAVProxy sends the setting later, and does not report when
         if "= 6.0" in prompt.say("param fetch MIS_TAKEOFF_ALT", "MIS_TAKEOFF_ALT = "):
             return
     pytest.fail("the parameter is not set")

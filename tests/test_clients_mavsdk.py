@@ -1,4 +1,4 @@
-"""MAVSDK-Python, as its users write it, against the autopilot: one flight, test by test in the order of this file."""
+"""MAVSDK-Python, as its users write it, against the autopilot: one flight, tests in file order."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 from client_world import CLIENT_LIMIT, Core, free_port
 
 with warnings.catch_warnings():
-    warnings.simplefilter("ignore", FutureWarning)  # the package says that its next one is another
+    warnings.simplefilter("ignore", FutureWarning)  # the package announces a change in its next version
     mavsdk = pytest.importorskip("mavsdk")
     from mavsdk.action import ActionError
     from mavsdk.component_metadata import MetadataType
@@ -32,7 +32,7 @@ T = TypeVar("T")
 
 
 class Client:
-    """A MAVSDK System, and the loop in which it lives.
+    """A MAVSDK System, and its event loop.
 
     Attributes:
         drone: the System.
@@ -49,11 +49,11 @@ class Client:
         await first(self.drone.core.connection_state(), lambda state: state.is_connected)
 
     def run(self, what: Awaitable[T]) -> T:
-        """Let ``what`` come to its end."""
+        """Run ``what`` to its end."""
         return self._loop.run_until_complete(asyncio.wait_for(what, CLIENT_LIMIT))
 
     def until(self, stream: AsyncIterator[T], condition: Callable[[T], bool] = lambda value: True) -> T:
-        """Return the first value of a telemetry stream that is as ``condition`` wants it."""
+        """Return the first value of a telemetry stream that satisfies ``condition``."""
         return self.run(first(stream, condition))
 
     def close(self) -> None:
@@ -83,7 +83,7 @@ def client(core: Core) -> Iterator[Client]:
 
 
 def near(client: Client, north: float, east: float, down: float, radius: float = 0.5) -> Any:
-    """Wait until the vehicle is at a place, m NED from the world's origin."""
+    """Wait until the vehicle is at a position, m NED from the world's origin."""
 
     def is_there(state: Any) -> bool:
         p = state.position
@@ -162,7 +162,7 @@ def test_metadata_of_events_and_parameters(client):
 
 
 def test_events_as_text(client):
-    """MAVSDK reads the definitions itself and puts our events into words by them."""
+    """MAVSDK reads the definitions itself, and formats our events with them."""
     events = client.drone.events
 
     async def listen(stream: AsyncIterator[T], condition: Callable[[T], bool], cause: Awaitable[Any]) -> T:
@@ -171,7 +171,7 @@ def test_events_as_text(client):
         return await found
 
     async def refused() -> None:
-        for _ in range(3):  # the definitions are loaded beside this
+        for _ in range(3):  # the definitions are loaded in the background
             with pytest.raises(ActionError):
                 await client.drone.action.arm()
             await asyncio.sleep(0.3)
@@ -242,7 +242,7 @@ def test_go_to_a_place(client):
 
 
 def test_follow_me(client):
-    """In front of a target that stands, whose course counts as north: above the place where the vehicle is."""
+    """In front of a standing target, whose course counts as north: above the vehicle's present position."""
     follow = client.drone.follow_me
     config = Config(9.0, 6.0, 0.5, Config.FollowAltitudeMode.CONSTANT, 4.0, 0.0)
     client.run(follow.set_config(config))
@@ -250,7 +250,7 @@ def test_follow_me(client):
     assert [client.run(get(f"FLW_TGT_{name}")) for name in ("HT", "DST", "RS", "MAX_VEL", "FA")] == [9, 6, 0.5, 4, 0]
     client.run(follow.start())
     client.until(client.drone.telemetry.flight_mode(), lambda mode: mode is FlightMode.FOLLOW_ME)
-    client.until(client.drone.telemetry.position())  # a message later the plugin has seen the mode, too
+    client.until(client.drone.telemetry.position())  # one message later the plugin has received the mode, too
     target = item(5.1, 0.0, 488.0)
     location = TargetLocation(target.latitude_deg, target.longitude_deg, 488.0, 0.0, 0.0, 0.0)
     client.run(follow.set_target_location(location))
@@ -330,7 +330,7 @@ def test_the_flights_log_is_downloaded(client, core, tmp_path):
     client.run(download())
     assert path.stat().st_size == entries[-1].size_bytes
     downloaded = path.read_bytes()
-    written = [file.read_bytes() for file in core.logs.rglob("*.ulg")]  # it may go on after the list was made
+    written = [file.read_bytes() for file in core.logs.rglob("*.ulg")]  # the log may grow after the list was made
     assert [content.startswith(downloaded) for content in written] == [True]
     names = {data.name for data in pyulog.ULog(str(path)).data_list}
     assert {"vehicle_local_position", "vehicle_attitude", "vehicle_status"} <= names

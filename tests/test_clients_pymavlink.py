@@ -35,14 +35,14 @@ class Station:
         for vehicle in core.vehicles:
             self.connection.clients.add(("127.0.0.1", vehicle.gcs_local_port))
         self._ends = [("127.0.0.1", vehicle.gcs_local_port) for vehicle in core.vehicles]
-        self.connection.write = self._write  # to every vehicle, also before it has spoken
+        self.connection.write = self._write  # to every vehicle, also before its first message
 
     def _write(self, buffer: bytes) -> None:
         for end in self._ends:
             self.connection.port.sendto(buffer, end)
 
     def listen(self) -> Any:
-        """Take one message; send a heartbeat each second."""
+        """Receive one message; send a heartbeat each second."""
         if time.monotonic() >= self._beat:
             self._beat = time.monotonic() + 1.0
             self.connection.mav.heartbeat_send(6, 8, 0, 0, 4)
@@ -59,7 +59,7 @@ class Station:
             self.listen()
 
     def command(self, system: int, command: int, *params: float) -> int:
-        """Send a command, again each second as MAVLink's clients do, and return its result.
+        """Send a command, repeat it each second as MAVLink clients do, and return its result.
 
         A busy client's socket may have no room for the acknowledgement.
         """
@@ -80,7 +80,7 @@ class Station:
         return int(self.last[key].result)
 
     def height(self, system: int) -> float:
-        """Return the height above home as last told, m."""
+        """Return the last received height above home, m."""
         message = self.last.get((system, "GLOBAL_POSITION_INT"))
         return message.relative_alt * 1e-3 if message else math.nan
 
@@ -90,7 +90,7 @@ class Station:
 
 @pytest.fixture(autouse=True)
 def short_reads(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have pymavlink read no more of a datagram than real MAVROS does."""
+    """Limit pymavlink's reads of a datagram to the size that real MAVROS reads."""
     monkeypatch.setattr(mavutil, "UDP_MAX_PACKET_LEN", 296)
 
 
@@ -127,7 +127,7 @@ def test_one_script_flies_nine_vehicles(core, station):
 
 
 def test_a_parameter_list_is_complete_at_each(core, station):
-    """What a busy client's socket had no room for it asks for again, as every ground station does."""
+    """Messages without room in a busy client's socket are requested again, as every ground station does."""
     for vehicle in core.vehicles[:3]:
         names: dict[int, str] = {}
         total = 0

@@ -1,6 +1,6 @@
-"""Four clients at once on one vehicle, each with a link of its own: MAVSDK twice, MAVProxy, and a pymavlink script.
+"""Four clients at once on one vehicle, each with its own link: MAVSDK twice, MAVProxy, and a pymavlink script.
 
-Each does its own work while the others do theirs, one goes in flight, and another one comes.
+Each works while the others do; one disconnects in flight, and another one connects.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ def test_four_clients_at_one_vehicle(core, tmp_path):
     try:
         prompt.wait(f"Detected vehicle {system}:1", "Received ", "parameters")
         script.until(lambda: (system, "HEARTBEAT") in script.last, "a heartbeat")
-        # one sets, all hear of it
+        # one sets, all receive it
         script.connection.mav.param_set_send(system, 1, b"MIS_TAKEOFF_ALT", 4.0, 9)
         script.until(
             lambda: getattr(script.last.get((system, "PARAM_VALUE")), "param_id", "") == "MIS_TAKEOFF_ALT", "its answer"
         )
         for client in (onboard, ground):
             assert client.run(client.drone.param.get_param_float("MIS_TAKEOFF_ALT")) == 4.0
-        # one arms, another one takes off, all see it
+        # one arms, another one takes off, all receive it
         ground.until(ground.drone.telemetry.health(), lambda health: health.is_armable)
         prompt.say("arm throttle", "COMPONENT_ARM_DISARM: ACCEPTED")
         onboard.until(onboard.drone.telemetry.armed(), lambda armed: armed)
@@ -52,12 +52,12 @@ def test_four_clients_at_one_vehicle(core, tmp_path):
         ground.until(ground.drone.telemetry.position(), lambda position: position.relative_altitude_m > 3.0)
         script.until(lambda: script.height(system) > 3.0, "the script sees it")
         prompt.wait("Takeoff detected")
-        # one goes, the others stay
+        # one disconnects, the others stay
         onboard.close()
         assert script.command(system, mavlink.MAV_CMD_NAV_LAND) == 0
         ground.until(ground.drone.telemetry.armed(), lambda armed: not armed)
         prompt.wait("DISARMED")
-        # another one comes in its place
+        # another one connects in its place
         onboard = Client(f"udpin://127.0.0.1:{vehicle.offboard_remote_port}")
         assert not onboard.until(onboard.drone.telemetry.in_air(), lambda in_air: not in_air)
     finally:

@@ -1,4 +1,4 @@
-"""``./xtdrone doctor`` beside running simulations: what it finds, and that a flight is the same with it."""
+"""``./xtdrone doctor`` beside running simulations: its findings, and no effect on the flight."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ INJECT_FAILURE, GPS, OFF = 420, 4.0, 1.0  # MAV_CMD_INJECT_FAILURE, FAILURE_UNIT
 
 
 def doctor(graph: Graph) -> tuple[int, str]:
-    """Return status and report, its blanks and line ends as single blanks."""
+    """Return status and report, with each run of white space as one blank."""
     command = [sys.executable, "-m", "xtdrone_interaction", "doctor", "--master", graph.uri]
     done = subprocess.run(command, capture_output=True, text=True, timeout=WALL_LIMIT, check=False)
     assert not done.stderr, done.stderr
@@ -46,7 +46,7 @@ def section(report: str, vehicle: str) -> str:
 
 def test_the_doctor_names_what_is_wrong_and_what_to_do(graph: Graph, tmp_path: Path) -> None:
     wait_for_ports(FLEET)
-    # nodes that tests before this one have killed
+    # nodes killed by earlier tests
     subprocess.run(["rosnode", "cleanup"], input="y\n", env={**os.environ, **graph.environment}, text=True, check=True)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 18_570))
@@ -132,7 +132,7 @@ def test_a_flight_is_the_same_with_the_doctor(graph: Graph, tmp_path: Path) -> N
 
 
 def _beside(graph: Graph, process: subprocess.Popen[bytes]) -> list[str]:
-    """Run the doctor again and again until a process has ended; return its reports."""
+    """Run the doctor repeatedly until a process has ended; return its reports."""
     reports: list[str] = []
 
     def look() -> None:

@@ -1,4 +1,4 @@
-"""What documents name is there: files behind links and pictures, headings, commands of the launcher, launch files."""
+"""Things that documents name exist: files behind links and pictures, headings, launcher commands, launch files."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ _LAUNCH_FILE = re.compile(r"(?<!/)\blaunch/[\w/]+\.(?:launch|yaml)\b")
 
 
 def anchors(text: str) -> set[str]:
-    """Return the anchors that GitHub gives to a document's headings."""
+    """Return the anchors of a document's headings on GitHub."""
     titles = re.findall(r"^#+ +(.+)$", _FENCED.sub("", text), re.MULTILINE)
     plain = (re.sub(r"[^\w\- ]", "", title.lower()) for title in titles)
     return {title.replace(" ", "-") for title in plain}
 
 
 def dead_links(document: Path) -> list[str]:
-    """Return the links of a document that lead to nothing in the repository."""
+    """Return the links of a document without a target in the repository."""
     return [link for link in _LINK.findall(_FENCED.sub("", document.read_text())) if not _leads(document, link)]
 
 

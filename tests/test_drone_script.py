@@ -1,4 +1,4 @@
-"""Scripts that fly by ``xtdrone_control.drone`` on the running system, in lockstep and free-running, one and three."""
+"""Scripts that fly by ``xtdrone_control.drone`` on the running system: in lockstep and free-running, one and three."""
 
 from __future__ import annotations
 

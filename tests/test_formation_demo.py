@@ -1,7 +1,7 @@
 """The formation flight through the whole stack, from the command to the table: needs the built workspace.
 
-One small flight (six UAVs, one pattern, one process per role) is flown as fast as the machine allows; the tests look at
-what it left behind. Figures of the paper's nine UAVs come from ``./xtdrone demo formation`` itself.
+One small flight (six UAVs, one pattern, one process per role) is flown as fast as the machine allows; the tests examine
+its results. Figures of the paper's nine UAVs come from ``./xtdrone demo formation`` itself.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from xtdrone_interaction.recording.missions.formation_record import FormationRec
 FLEET = "iris:6"
 FLIGHT_LIMIT = 600.0  # s of wall time
 START_LIMIT = 180.0
-PAPER_TOPOLOGY = [  # section 5.1: row i tells whom UAV i listens to; the rule gives it for origin and for T in order
+PAPER_TOPOLOGY = [  # section 5.1: row i marks the UAVs that UAV i listens to; by the rule, for origin and T in order
     [0, 0, 0, 0, 0, 0],
     [1, 0, 0, 0, 0, 0],
     [1, 1, 0, 0, 0, 0],
@@ -39,7 +39,7 @@ PAPER_TOPOLOGY = [  # section 5.1: row i tells whom UAV i listens to; the rule g
 
 
 def _built() -> bool:
-    """Whether roslaunch and the workspace's packages are there."""
+    """Return whether roslaunch and the workspace's packages exist."""
     if shutil.which("roslaunch") is None:
         return False
     import rospkg
@@ -61,7 +61,7 @@ def _command(out: Path, *arguments: str) -> list[str]:
 
 
 def _processes_with(text: str) -> list[str]:
-    """Command lines of all processes whose environment or command line has ``text``, ours left out."""
+    """Return the command lines of all other processes with ``text`` in their environment or command line."""
     found = []
     for entry in Path("/proc").iterdir():
         if not entry.name.isdigit() or int(entry.name) == os.getpid():
@@ -77,7 +77,7 @@ def _processes_with(text: str) -> list[str]:
 
 @dataclass(frozen=True)
 class Flight:
-    """What a flight left behind."""
+    """The results of a flight."""
 
     folder: Path
     output: str
@@ -117,7 +117,7 @@ def test_every_pattern_settles_without_a_close_call(flight: Flight) -> None:
 
 
 def test_the_papers_topology_flies(flight: Flight) -> None:
-    """On the grid, where every UAV has its own slot, it is the paper's matrix; later the rule's for the slots."""
+    """On the grid, with a slot for each UAV, it is the paper's matrix; later the rule's for the slots."""
     windows = flight.record.windows
     np.testing.assert_array_equal(windows[0].topology, PAPER_TOPOLOGY)
     for window in windows:
@@ -144,12 +144,12 @@ def test_nothing_is_left_running_after_the_flight(flight: Flight) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])  # SIGTERM: test_cli.py
 def test_a_stopped_flight_leaves_nothing_running(tmp_path: Path, number: int) -> None:
-    """In the air: Ctrl-C ends all processes and leaves a readable bag; so does a kill -9.
+    """Ctrl-C in flight ends all processes and leaves a readable bag; so does kill -9.
 
-    The first of these flights also refuses a second one of the same instance.
+    The first of these flights also rejects a second one of the same instance.
     """
     out = tmp_path / "out"
-    slow = ["--speed", "2"] if number == signal.SIGINT else []  # it still flies when the second has been refused
+    slow = ["--speed", "2"] if number == signal.SIGINT else []  # it still flies when the second has been rejected
     demo = subprocess.Popen(_command(out, *slow), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         if number == signal.SIGINT:
@@ -167,7 +167,7 @@ def test_a_stopped_flight_leaves_nothing_running(tmp_path: Path, number: int) ->
     assert _processes_with(str(out)) == []
     record = read_formation(out / "flight.bag")
     assert record.track.time[-1] > 0.0
-    check_vehicle_ports(parse_fleet(FLEET))  # free again
+    check_vehicle_ports(parse_fleet(FLEET))  # the ports are free again
 
 
 def _check_second_is_refused(out: Path) -> None:
@@ -210,7 +210,7 @@ def _command_line(process: Path) -> str:
 
 
 def _wait_for_event(events: Path, name: str, demo: subprocess.Popen) -> None:
-    """Wait until the director has written an event; fail when the demo ends before."""
+    """Wait until the director has written an event; fail if the demo ends first."""
     end = time.monotonic() + START_LIMIT
     while not (events.is_file() and f'"event": "{name}"' in events.read_text(encoding="utf-8")):
         assert demo.poll() is None, f"the demo ended with status {demo.returncode} before {name!r}"

@@ -43,7 +43,7 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
 
 
 def flight(stack: Stack, count: int) -> dict[str, Any]:
-    """Return what the pilot tells of flight number ``count``, from 0."""
+    """Return the pilot's report of flight number ``count``, from 0."""
     told = stack.graph.hear("/pilot/flight", String)
     poll(lambda: len(told.messages) > count, f"flight {count} is told of; {stack.described()}")
     return json.loads(told.messages[count].data)
@@ -56,7 +56,7 @@ def test_the_formation_flies_the_same_after_a_reset(stack: Stack) -> None:
     assert first["counts"]["/xtdrone/iris_1/cmd_vel_enu"] > 100
     stack.graph.call("/gazebo/reset_simulation", Empty)
     assert flight(stack, 1) == first  # to the last bit
-    # those who are no participants, and those who come later, are told that there is no pattern any more
+    # nodes outside the lockstep, and late ones, receive an empty pattern
     told = [bool(message.data) for message in patterns.messages]
     empty = told.index(False)
     assert told == [True] * empty + [False] + [True] * (len(told) - empty - 1)

@@ -1,4 +1,4 @@
-"""Gazebo's ROS API as upstream's programs use it: plain rospy, in a world with people, walls and loose things."""
+"""Gazebo's ROS API as upstream's programs use it: plain rospy, in a world with people, walls and loose objects."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ URDF = """<robot name="r"><link name="base"><inertial><mass value="2"/><inertia 
 
 @pytest.fixture(scope="module")
 def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    """A simulator alone, as fast as it goes."""
+    """A simulator alone, as fast as possible."""
     wait_for_ports(FLEET)
     folder = tmp_path_factory.mktemp("gazebo")
     (folder / "yard.world").write_text(WORLD)
@@ -93,7 +93,7 @@ def state_of(stack: Stack, name: str, frame: str = "") -> Any:
 
 
 def step(stack: Stack) -> float:
-    """Let 20 ms of simulated time pass; return the time then, s."""
+    """Advance by 20 ms of simulated time; return the time then, s."""
     return float(stack.graph.call("/simulator/step", Step, duration=genpy.Duration(0, 20_000_000)).sim_time.to_sec())
 
 
@@ -142,7 +142,7 @@ def test_states_and_links_come_at_250_hz(stack: Stack) -> None:
         wanted = round((end - begin) / 0.004)
         for ear, name in ((states, "crate"), (links, "crate::link")):
             poll(lambda ear=ear, name=name: marked(ear, name) >= wanted, "the messages of the steps")
-            assert marked(ear, name) <= wanted + 5  # a tick may have stood ready when the crate was put there
+            assert marked(ear, name) <= wanted + 5  # a tick may have been ready when the crate was placed
     finally:
         call(stack, "unpause_physics", Empty)
     names = links.last.name
@@ -157,7 +157,7 @@ def test_the_ground_station_knows_the_names(
     from xtdrone_interaction.gcs.search_for_vehicles import running_fleet
 
     monkeypatch.setenv("ROS_MASTER_URI", stack.graph.uri)
-    monkeypatch.chdir(stack.folder)  # flights of the workspace are found, too
+    monkeypatch.chdir(stack.folder)  # flights of the workspace are listed, too
     assert running_fleet(0) == FLEET
     assert main(["status", "--once", "--vehicle", "iris_1", "typhoon_h480_0"]) == 0
     output = capsys.readouterr().out
@@ -228,7 +228,7 @@ def test_a_wrench_on_a_vehicle_gives_the_acceleration_of_its_mass(stack: Stack) 
 
 
 def test_a_swarm_driven_without_autopilots(stack: Stack) -> None:
-    """As upstream's control_gazebo_vehicles.py: 20 Hz, twists and orientations left unset."""
+    """Positions are set as by upstream's control_gazebo_vehicles.py: 20 Hz, twists and orientations unset."""
     for number in (0, 1):
         answer = call(
             stack, "spawn_sdf_model", srv.SpawnModel, model_name=f"drone_{number}", model_xml=BOX, robot_namespace="",

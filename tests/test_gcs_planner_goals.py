@@ -1,4 +1,4 @@
-"""``./xtdrone gcs goto --avoid`` hands goals to planners, and says why not."""
+"""``./xtdrone gcs goto --avoid`` passes goals to planners, and reports why it cannot."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FLYING, LANDED = "iris_3d_lidar_0", "iris_3d_lidar_1"
 
 @pytest.fixture
 def planner(graph: Graph) -> Iterator[Ear]:
-    """Yield the goals of one of two vehicles; this process stands for their planner."""
+    """Yield the goals of one of two vehicles; this process acts as their planner."""
     graph.forget()
     rospy.set_param("/system_tests/highest", 3.0)
     goals = graph.hear(f"/{FLYING}/planner/goal", PoseStamped)

@@ -1,4 +1,4 @@
-"""``./xtdrone demo hello``: two at once beside each other, as two users of one machine start them."""
+"""``./xtdrone demo hello``: two at once, as two users of one machine start them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ with connect("iris_0") as drone:
 
 
 def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
-    """Start the demo as a user with an own home."""
+    """Start the demo as a user with a separate home."""
     home = folder.with_name(f"{folder.name}-home")
     home.mkdir()
     environment = {k: v for k, v in os.environ.items() if k not in ("ROS_MASTER_URI", "DISPLAY", "ROS_LOG_DIR")}
@@ -47,7 +47,7 @@ def test_two_at_once_choose_ports_of_their_own(tmp_path: Path) -> None:
     outputs = [demo.communicate(timeout=START_LIMIT + WALL_LIMIT)[0] for demo in demos]
     assert [demo.returncode for demo in demos] == [0, 1], outputs
     first, second = outputs
-    # the script is shown, each corner of the square is reached, and the copy is offered
+    # the output has the script, each corner of the square, and the offer of a copy
     for number, line in enumerate(HELLO.read_text(encoding="utf-8").splitlines(), start=1):
         assert re.search(rf"^ *{number} {re.escape(line)} *$", first, re.MULTILINE), (line, first)
     assert len(re.findall(r"^  <iris_0: OFFBOARD, armed, at \(", first, re.MULTILINE)) == 4
@@ -74,7 +74,7 @@ def test_values_that_are_not_allowed_are_named(
 ) -> None:
     try:
         status = cli.main(["demo", "hello", *options])
-    except SystemExit as ended:  # of argparse
+    except SystemExit as ended:  # argparse exits
         status = int(str(ended.code))
     assert status == 2
     assert words in capsys.readouterr().err

@@ -1,6 +1,6 @@
 """The whole stack over PX4s: ``multi_vehicle.launch autopilot:=hil``, and a stand-in for each vehicle's PX4.
 
-Each vehicle has a MAVROS node of its own, as real MAVROS is started.
+Each vehicle has its own MAVROS node, like real MAVROS.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def start_px4(stack: Stack, instance: int) -> None:
 
 
 def hears(stack: Stack, *texts: str) -> None:
-    """Wait until the simulator has said all ``texts``."""
+    """Wait until the simulator has logged all ``texts``."""
     ear = stack.graph.hear("/rosout", Log)
     poll(
         lambda: all(any(text in message.msg for message in list(ear.messages)) for text in texts),
@@ -39,7 +39,7 @@ def hears(stack: Stack, *texts: str) -> None:
 
 
 def in_one_frame(stack: Stack, index: int) -> bool:
-    """Whether the vehicle's own position is its place in the world, which is not where its PX4 began to count."""
+    """Return whether the vehicle's own position is its position in the world, unlike the origin of its PX4."""
     pose = stack.graph.hear(f"/iris_{index}/mavros/local_position/pose", PoseStamped).last
     truth = stack.pose(index)
     if pose is None or truth is None:
@@ -49,7 +49,7 @@ def in_one_frame(stack: Stack, index: int) -> bool:
 
 
 def fly(stack: Stack, index: int) -> None:
-    """Take off in OFFBOARD by XTDrone's commands, over the spawn place."""
+    """Take off in OFFBOARD by XTDrone's commands, above the spawn position."""
     stack.wait(lambda: in_one_frame(stack, index), f"iris_{index} counts from the world's origin", sim=60.0)
     place = stack.pose(index).position
     target = Pose()

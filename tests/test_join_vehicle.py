@@ -69,7 +69,7 @@ def test_a_vehicle_joins_flies_and_leaves(stack: Stack) -> None:
     stack.wait(lambda: bumper.last and bumper.last.states, "iris_1 touches the ground")
     assert bumper.last.states[0].collision2_name == "ground_plane::link::collision"
     assert stack.graph.call("/iris_1/mavros/set_mode", SetMode, custom_mode="AUTO.TAKEOFF").mode_sent
-    arming = "/iris_1/mavros/cmd/arming"  # refused until the estimate of its place is valid
+    arming = "/iris_1/mavros/cmd/arming"  # rejected until the position estimate is valid
     stack.wait(lambda: stack.graph.call(arming, CommandBool, value=True).success, "iris_1 arms")
     stack.wait(lambda: truth.last and truth.last.pose.pose.position.z > 1.0, "iris_1 flies")
     stack.wait(lambda: not bumper.last.states, "iris_1 touches nothing")

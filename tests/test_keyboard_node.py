@@ -35,8 +35,8 @@ from std_srvs.srv import Trigger
 from xtdrone_coordination.patterns import Patterns
 
 PROGRAM = str(REPOSITORY / "src" / "xtdrone_interaction" / "nodes" / "multirotor_keyboard_control.py")
-READY = "Ctrl-C ends"  # the screen's last line of the table
-LONG = 1000.0  # s of simulated time in which a key has its effect, ten to a second of wall time
+READY = "Ctrl-C ends"  # the last line of the table on the screen
+LONG = 1000.0  # s of simulated time in which a key takes effect; ten pass in a second of wall time
 _ESCAPES = re.compile(r"\x1b(?:\[[0-9;?]*[a-zA-Z]|[()][0-9A-B]|[=>78])")
 
 BROKEN = """
@@ -50,13 +50,13 @@ sys.exit(keyboard_node.main())
 
 
 def _sit_down() -> None:
-    """In the child: the terminal controls it, and a hang-up counts although nohup may have started the tests."""
+    """Make the terminal the child's controlling one, and restore SIGHUP, which nohup may have disabled."""
     fcntl.ioctl(0, termios.TIOCSCTTY, 0)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 class Seat:
-    """A program at a terminal of its own, as a shell would start it in one.
+    """A program at its own terminal, as started by a shell.
 
     Attributes:
         process: the program.
@@ -83,7 +83,7 @@ class Seat:
                 self._written += data
 
     def settings(self) -> list[Any]:
-        """How the terminal is set."""
+        """Return the settings of the terminal."""
         return termios.tcgetattr(self._slave)
 
     @property
@@ -92,11 +92,11 @@ class Seat:
 
     @property
     def text(self) -> str:
-        """All that was written, without what moves the cursor."""
+        """The output without cursor control."""
         return _ESCAPES.sub("\n", self.raw)
 
     def see(self, *words: str, since: int = 0) -> None:
-        """Wait until the terminal has been told these words."""
+        """Wait until these words are in the output."""
 
         def seen() -> bool:
             assert self.process.poll() is None, self.text
@@ -111,13 +111,13 @@ class Seat:
         os.write(self._master, keys.encode())
 
     def state(self) -> str:
-        """The process's state as /proc has it: T is stopped."""
+        """Return the process's state in /proc: T is stopped."""
         return Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()[0]
 
     def hang_up(self) -> None:
-        """Close the terminal's other end, as a window or an ssh connection that goes."""
+        """Close the terminal's other end, like a closed window or a lost ssh connection."""
         self._hung_up = True
-        self.type("h")  # the answer wakes the reader
+        self.type("h")  # the key wakes the reader
         self._reader.join()
         os.close(self._master)
 
@@ -125,7 +125,7 @@ class Seat:
         return self.process.wait(WALL_LIMIT)
 
     def leave(self) -> None:
-        """Free everything."""
+        """Release everything."""
         if self.process.poll() is None:
             self.process.kill()
             self.process.wait()
@@ -151,17 +151,17 @@ def sit(graph: Graph) -> Iterator[Callable[..., Seat]]:
 
 
 def taken(seat: Seat) -> bool:
-    """Whether keys come singly and unseen."""
+    """Return whether keys arrive one by one and without echo."""
     return not seat.settings()[3] & (termios.ICANON | termios.ECHO)
 
 
-# ---- the terminal is as it was
+# ---- the terminal is restored
 
 
 def shutdown_by_master(seat: Seat) -> None:
-    """As ``rosnode kill`` does."""
+    """Shut the node down as ``rosnode kill`` does."""
     uri = rosgraph.Master("/system_tests").lookupNode("/multirotor_keyboard_control")
-    with contextlib.suppress(OSError):  # it may be gone before it has answered
+    with contextlib.suppress(OSError):  # it may end before it has replied
         xmlrpc.client.ServerProxy(uri).shutdown("/system_tests", "a test")
 
 
@@ -210,7 +210,7 @@ def test_a_terminal_that_goes_ends_it_and_stops_the_vehicles(graph: Graph, sit: 
 
 
 def heard(topic: str) -> bool:
-    """Return whether a subscriber is connected to the keyboard's topic; before, the keyboard may report none."""
+    """Return whether a subscriber is connected to the keyboard's topic; before that, the keyboard may report none."""
     uri = rosgraph.Master("/system_tests").lookupNode("/multirotor_keyboard_control")
     _, _, connections = xmlrpc.client.ServerProxy(uri).getBusInfo("/system_tests")
     return any(entry[2] == "o" and entry[4] == topic and entry[5] for entry in connections)
@@ -218,7 +218,7 @@ def heard(topic: str) -> bool:
 
 @pytest.mark.timeout(2 * START_LIMIT)
 def test_stopped_and_continued_and_every_key_counts(graph: Graph, sit: Callable[..., Seat]) -> None:
-    """Ctrl-Z gives the terminal back, ``fg`` takes it again; then narrower, leader and patterns, and the end."""
+    """Ctrl-Z restores the terminal and ``fg`` takes it again; keys of leader and patterns still take effect."""
     speeds = graph.hear("/xtdrone/iris_0/cmd_vel_flu", Twist)
     commands = graph.hear("/xtdrone/iris_1/cmd", String)
     leader = graph.hear("/xtdrone/leader/cmd", String)
@@ -302,7 +302,7 @@ def test_a_lost_and_a_new_master_are_reported(
             master.wait()
 
 
-# ---- what cannot be run
+# ---- bad values
 
 
 def test_without_a_terminal_nothing_is_done(graph: Graph) -> None:
@@ -345,7 +345,7 @@ def test_a_failed_start_has_a_reason(
 
 @pytest.mark.timeout(3 * START_LIMIT)
 def test_keys_reach_the_vehicles(graph: Graph, sit: Callable[..., Seat], tmp_path: Path) -> None:
-    """XTDrone's documented takeoff, a single press, hover, landing, takeoff by mode; while paused too."""
+    """Takeoff as documented by XTDrone, a single press, hover, landing and takeoff by mode work, also while paused."""
     stack = Stack(graph, tmp_path, "iris:2")
     both = range(2)
     poses = [graph.hear(f"/iris_{i}/mavros/local_position/pose", PoseStamped) for i in both]
@@ -363,7 +363,7 @@ def test_keys_reach_the_vehicles(graph: Graph, sit: Callable[..., Seat], tmp_pat
             stack.wait_state(index, mode=mode, sim=LONG)
 
     def wait_hover() -> None:
-        """Wait until both are told a place, and then until they have come to rest; they must stay there."""
+        """Wait until both have a position setpoint and have come to rest; they must stay there."""
         wait(lambda: all(not ear.last.type_mask & PositionTarget.IGNORE_PX for ear in targets), "both are to hover")
         stack.pass_time(5.0)
         before = [place(i) for i in both]
@@ -396,7 +396,7 @@ def test_keys_reach_the_vehicles(graph: Graph, sit: Callable[..., Seat], tmp_pat
         )
 
         before = [place(i) for i in both]
-        seat.type("w")  # 0.01 m/s; vehicles look east
+        seat.type("w")  # 0.01 m/s; vehicles face east
         wait(lambda: all(place(i)[0] - before[i][0] > 0.1 for i in both), "a press moves both")
         assert all(abs(place(i)[1] - before[i][1]) < 0.02 for i in both)
         assert all(ear.last.velocity.x == 0.01 for ear in targets)
@@ -430,7 +430,7 @@ def test_keys_reach_the_vehicles(graph: Graph, sit: Callable[..., Seat], tmp_pat
 def test_the_leader_is_steered_by_accelerations_and_others_follow(
     graph: Graph, sit: Callable[..., Seat], tmp_path: Path
 ) -> None:
-    """The real leader and followers: a pattern by its digit, faster and faster, and to rest; they start in the air."""
+    """Leader and followers fly a pattern by its digit, speed up and come to rest, from a start in the air."""
     count = 3
     stack = Stack(graph, tmp_path, f"solo:{count}")
     poses = [graph.hear(f"/solo_{i}/mavros/local_position/pose", PoseStamped) for i in range(count)]
@@ -467,7 +467,7 @@ def test_the_leader_is_steered_by_accelerations_and_others_follow(
         seat.type(f"g{digit[1]}")
         stack.wait(in_formation, "they fly a circle", sim=LONG)
         start = place(0)
-        seat.type("w" * 20)  # 0.2 m/s^2; vehicles look east
+        seat.type("w" * 20)  # 0.2 m/s^2; vehicles face east
         stack.wait(lambda: velocity.last.twist.linear.x > 0.8, "the leader gets faster and faster", sim=LONG)
         assert not in_formation(), "the others lag behind"
         seat.type("s")

@@ -27,7 +27,7 @@ def test_values_that_are_not_allowed_are_named(
 ) -> None:
     try:
         status = cli.main(["demo", "landing", *options])
-    except SystemExit as ended:  # of argparse
+    except SystemExit as ended:  # argparse exits
         status = int(str(ended.code))
     assert status == 2
     assert words in capsys.readouterr().err

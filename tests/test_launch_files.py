@@ -1,4 +1,4 @@
-"""Launch files of XTDrone's shape: what they name is found here, start a flight, or end with one clear line."""
+"""Launch files of XTDrone's form: the nodes they name exist here; they start a flight or end with a clear line."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FLEET = "iris:2,typhoon_h480:1"
 
 @pytest.fixture
 def stack(graph: Graph, tmp_path: Path) -> Iterator[Stack]:
-    """Nothing yet; what the test starts in it is stopped."""
+    """An empty system; programs that the test starts in it are stopped afterwards."""
     wait_for_ports(FLEET)
     graph.forget()
     stack = Stack(graph, tmp_path, FLEET)
@@ -47,7 +47,7 @@ def test_a_generated_launch_file_flies(stack: Stack) -> None:
     stack.wait(lambda: tf.last, "XTDrone's static_transform_publisher publishes")
     assert tf.last.transforms[0].child_frame_id.strip("/") == "iris_0/camera_link"
 
-    for name in NAMES:  # setpoints come by wall time: a busy machine must not end OFFBOARD
+    for name in NAMES:  # setpoints are sent by wall time: a busy machine must not end OFFBOARD
         answer = graph.call(
             f"/{name}/mavros/param/set", ParamSet, param_id="COM_OF_LOSS_T", value=ParamValue(real=60.0)
         )

@@ -1,4 +1,4 @@
-"""`./xtdrone` itself, in places and with words that it refuses before it sets anything up."""
+"""The launcher `./xtdrone` in folders and with arguments that it rejects before any set-up."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_invalid_words_are_rejected_with_the_allowed_ones(
 def test_help_needs_neither_python_nor_a_set_up(tmp_path: Path, arguments: str, first: str, contained: str) -> None:
     tools = tmp_path / "tools"
     tools.mkdir()
-    for tool in ("bash", "env", "readlink", "dirname", "cat", "sed"):  # a bare Debian has no more of what may be used
+    for tool in ("bash", "env", "readlink", "dirname", "cat", "sed"):  # a bare Debian has no other usable ones
         (tools / tool).symlink_to(f"/bin/{tool}")
     run = launcher(tmp_path, *arguments.split(), environment={"PATH": str(tools)})
     assert (run.returncode, run.stderr) == (0, "")
@@ -108,7 +108,7 @@ def test_unwritable_folders_are_replaced() -> None:
 
 
 def test_jobs_of_a_shell_end_with_it_unless_they_are_disowned(tmp_path: Path) -> None:
-    """Also those that ignore a hang-up, and all processes of a job."""
+    """Jobs that ignore a hang-up end too, with all their processes."""
     rc = f"source <(sed '/^source.*env.bash/d' {REPOSITORY}/scripts/shellrc.bash)"
     lines = (
         "(echo $BASHPID > group; sleep 600; true) &",
@@ -132,7 +132,7 @@ def test_jobs_of_a_shell_end_with_it_unless_they_are_disowned(tmp_path: Path) ->
         if select.select([master], [], [], 0.1)[0]:
             try:
                 said += os.read(master, 4096)
-            except OSError:  # no process has the terminal any more
+            except OSError:  # no process holds the terminal any more
                 break
     os.close(master)
     group, hardened, kept = (int((tmp_path / name).read_text()) for name in ("group", "hardened", "kept"))

@@ -1,4 +1,4 @@
-"""Nodes that are killed in mid-flight: the formation flies on without their vehicle, the same way each time."""
+"""Nodes that are killed in flight: the formation flies on without their vehicle, the same way each time."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ COMMUNICATION, FOLLOWER = "multirotor_communication.py iris {} ", "follower_cons
 
 
 def kill(stack: Stack, command: str) -> None:
-    """Kill -9 the one process whose command line has ``command``."""
+    """Kill the one process whose command line has ``command``, by SIGKILL."""
     [pid] = [pid for pid, line in stack.processes().items() if command in line]
     os.kill(pid, signal.SIGKILL)
 
@@ -69,7 +69,7 @@ def test_the_flight_continues_without_dead_nodes_and_is_repeatable(graph: Graph,
     lost = {event["vehicle"]: event for event in first if event["event"] == "lost"}
     assert set(lost) == {"iris_2", "iris_3"}
     assert lost["iris_3"]["reason"].startswith("is armed in mode 'POSCTL'")
-    assert 18.0 < lost["iris_3"]["time"] < 21.0  # a second until the vehicle notices, and the state comes
+    assert 18.0 < lost["iris_3"]["time"] < 21.0  # a second until the vehicle times out and its state arrives
     assert lost["iris_2"]["reason"].startswith("no command of its follower")
     assert lost["iris_2"]["time"] == pytest.approx(25.0 + COMMAND_LIMIT, abs=0.15)
     assert first[-1]["event"] == "done"
@@ -84,12 +84,12 @@ def test_a_leader_whose_node_is_killed_lands_all(graph: Graph, tmp_path: Path) -
     assert events[-1]["event"] == "failed"
     assert events[-1]["reason"] == "leader: its node has published no pattern for 5 s"
     [given_up] = [event for event in events if event["event"] == "giving up"]
-    assert events[-1]["time"] - given_up["time"] < 60.0  # they land; none is waited for in vain
+    assert events[-1]["time"] - given_up["time"] < 60.0  # they land; the director waits for none of the lost ones
 
 
 @pytest.mark.timeout(FLIGHT_LIMIT + START_LIMIT)
 def test_the_demo_ends_with_a_table_that_names_the_vehicle(tmp_path: Path) -> None:
-    """In full physics, where PX4's failsafe takes over."""
+    """The flight is in full physics, where PX4's failsafe takes over."""
     out = tmp_path / "out"
     command = [sys.executable, "-m", "xtdrone_interaction.cli"]
     demo = subprocess.Popen(

@@ -49,7 +49,7 @@ def goal_at(x: float, y: float, yaw: float) -> MoveBaseGoal:
 
 
 class Client:
-    """An actionlib client."""
+    """A client of actionlib."""
 
     def __init__(self, stack: Stack, name: str) -> None:
         self.action = actionlib.SimpleActionClient(f"/{name}/move_base", MoveBaseAction)
@@ -86,7 +86,7 @@ def stack(graph: Graph, tmp_path: Path) -> Iterator[Stack]:
 
 
 def least_distances(states: list[ModelStates], height: dict[str, float]) -> dict[str, float]:
-    """Return the least distance, m, of each vehicle's middle to walls and furniture."""
+    """Return the least distance, m, from each vehicle's centre to walls and furniture."""
     least = {}
     for name, low in height.items():
         level = LevelMap(CostmapSettings(cell=0.05, inflation=2.0))
@@ -154,7 +154,7 @@ def test_a_uav_and_a_robot_go_through_rooms(graph: Graph, stack: Stack) -> None:
         graph.call(f"/{UGV}/move_base/make_plan", GetPlan, goal=wall, tolerance=0.0)
     known = [len(message.data) - message.data.count(-1) for message in whole.messages]
     begin = len(whole.messages)
-    graph.call(f"/{UAV}/move_base/clear_costmaps", Empty)  # it knows what is in sight now, not the rooms that it passed
+    graph.call(f"/{UAV}/move_base/clear_costmaps", Empty)  # it contains the present view, not the rooms that it passed
     stack.wait(lambda: any(len(m.data) - m.data.count(-1) < 0.8 * known[-1] for m in whole.since(begin)), "forgotten")
 
     ugv.go(*IN_WALL)

@@ -1,4 +1,4 @@
-"""The services of move_base, called over a real master: paths on a made map, and what is refused."""
+"""The services of move_base, called over a real master: paths on a synthetic map, and rejections."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_plans_and_cleared_costmaps(graph: Graph) -> None:
         with pytest.raises(rospy.ServiceException, match=words):
             graph.call(f"{BASE}/make_plan", GetPlan, **{"start": pose(1, 1), "goal": pose(5, 5), **request})
 
-    graph.call(f"{BASE}/clear_costmaps", Empty)  # nothing to forget yet
+    graph.call(f"{BASE}/clear_costmaps", Empty)  # no obstacle to clear yet
     refused("no position of the vehicle has been received", start=PoseStamped())
     refused("no map has been received")
     values = np.zeros((SIDE, SIDE), np.int8)
@@ -73,8 +73,8 @@ def test_plans_and_cleared_costmaps(graph: Graph) -> None:
     refused("tolerance: -1 is not allowed, at least 0 and finite, m", tolerance=-1.0)
 
     with services.lock:
-        level.evidence[:, 80] = 350  # something was seen all across
+        level.evidence[:, 80] = 350  # obstacles were seen all across
     assert plan(pose(6.0, 15.0)) == []
     graph.call(f"{BASE}/clear_costmaps", Empty)
     assert plan(pose(6.0, 15.0)) == path
-    assert plan(pose(11.0, 5.0)) == []  # the given wall stays
+    assert plan(pose(11.0, 5.0)) == []  # the wall of the given map stays

@@ -1,6 +1,6 @@
-"""One system on several hosts: the same flight to the last bit over a good wire and over a poor one, and hosts that go.
+"""One system on several hosts: the same flight to the last bit over a good wire and a poor one, and hosts that fail.
 
-Hosts are namespaces, see ``network``. Called as a program this file is a node: the pilot of the flight whose MAVROS
+Hosts are namespaces, see ``network``. Run as a program, this file is a node: the pilot of the flight whose MAVROS
 layer is on another host.
 """
 
@@ -23,14 +23,14 @@ from network import Host, Network, Program
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PORT = 11311
-WALL_LIMIT = 180.0  # s; longest that anything may take, on a machine that is busy otherwise
+WALL_LIMIT = 180.0  # s; longest wait for anything, on a busy machine
 FLIGHT = ("n:=3", "patterns:=triangle", "speed:=0")
 LENGTH = 14.0  # s of simulated time: takeoff, and 6 s in formation
 POOR = {"delay": 0.005, "jitter": 0.003, "loss": 0.005}
 CUT_TIME = 10.0  # s of simulated time, in formation
-SILENCE = 4.0  # s of wall time until a host that says nothing counts as gone
+SILENCE = 4.0  # s of wall time until a silent host counts as lost
 HEIGHT = 1.5  # m above the ground; AUTO.TAKEOFF ends higher
-_POLL = 0.1  # s between looks at what sends no message: logs, files
+_POLL = 0.1  # s between polls of logs and files
 
 _REASON = network.why_not()
 pytestmark = pytest.mark.skipif(bool(_REASON), reason=_REASON)
@@ -40,7 +40,7 @@ Line = tuple[str, int]
 
 
 class Site:
-    """Hosts with one ROS master, on the first of them, and what runs there."""
+    """Hosts with one ROS master, on the first of them, and their programs."""
 
     def __init__(self, net: Network, folder: Path) -> None:
         self.net = net
@@ -49,7 +49,7 @@ class Site:
         self.digest = folder / "digest.jsonl"
 
     def run(self, host: Host, name: str, *command: str) -> Program:
-        """Start a program on a host as a user would: the master's address and the host's own are all that it knows."""
+        """Start a program on a host as a user would, given only the master's address and the host's own."""
         environment = {key: value for key, value in os.environ.items() if key != "ROS_HOSTNAME"}
         environment |= {
             "ROS_MASTER_URI": f"http://{self.hosts[0].address}:{PORT}",
@@ -66,7 +66,7 @@ class Site:
         return self.run(host, name, "roslaunch", *wait, str(REPOSITORY / "launch" / file), *arguments)
 
     def lines(self) -> dict[Line, dict[str, list[int]]]:
-        """Return what the digest file says so far: topics with messages, bytes and checksum."""
+        """Return the digest file's latest entries: topics with messages, bytes and checksum."""
         if not self.digest.exists():
             return {}
         *whole, _ = self.digest.read_text(encoding="utf-8").split("\n")
@@ -77,7 +77,7 @@ class Site:
         return max((time_us for who, time_us in self.lines() if who == name), default=0) * 1e-6
 
     def wait(self, condition: Callable[[], Any], what: str, launch: Program, limit: float = WALL_LIMIT) -> None:
-        """Wait until ``condition`` holds; ``launch`` must not end meanwhile."""
+        """Wait until ``condition`` holds; ``launch`` must keep running."""
         end = time.monotonic() + limit
         while not condition():
             assert launch.status is None, f"{what}: {launch.name} has ended:\n{self.logs()}"
@@ -85,7 +85,7 @@ class Site:
             time.sleep(_POLL)
 
     def logs(self) -> str:
-        """Return the last words of all programs."""
+        """Return the last output of all programs."""
         programs = [program for host in self.hosts for program in host.programs]
         return "\n".join(f"--- {program.name}\n{program.output[-1500:]}" for program in programs)
 
@@ -101,7 +101,7 @@ def fly(net: Network, folder: Path) -> Site:
         programs.append(site.launch(last, "formation.launch", *FLIGHT, "main:=false"))
     site.wait(lambda: site.time() >= LENGTH, f"{LENGTH} s are flown", programs[0])
     programs[0].interrupt()
-    for program in programs:  # the nodes on the last host end by themselves: the simulator is gone
+    for program in programs:  # the nodes on the last host end by themselves, without their simulator
         assert program.end(WALL_LIMIT) == 0, program.output[-3000:]
     return site
 
@@ -127,7 +127,7 @@ def test_the_flight_on_two_hosts_is_the_same_to_the_last_bit(
     until = min(alone.time(), two.time()) * 1e6
     expected = {line: topics for line, topics in alone.lines().items() if line[1] <= until}
     found = {line: topics for line, topics in two.lines().items() if line[1] <= until}
-    # What is said at the end is said when it comes, and the last line ends where the flight was ended.
+    # Messages at the end are recorded on arrival, and the last line ends where the flight was ended.
     last = (until // 1_000_000 - 1) * 1_000_000
     assert {line for line in expected if line[1] <= last} == {line for line in found if line[1] <= last}
     differences = [
@@ -175,7 +175,7 @@ def test_mavros_on_another_host_flies_on_when_datagrams_get_lost(tmp_path: Path)
 
 
 def test_a_lost_host_removes_only_its_participants(tmp_path: Path) -> None:
-    """One is cut off, on the other all is killed: the flight goes on without them, with the follower that is left."""
+    """One host is cut off, all processes of the other are killed: the flight continues with the remaining follower."""
     with Network(3) as net:
         site = Site(net, tmp_path)
         first, second, third = site.hosts
@@ -258,7 +258,7 @@ def test_the_wire_delays_reorders_and_loses(tmp_path: Path) -> None:
     assert min(times.values()) >= 2 * 0.002
     assert max(times.values()) - min(times.values()) > 0.003
     assert list(times) != sorted(times)
-    assert 299 - len(times) == counters["lost_udp"]  # a question or its answer
+    assert 299 - len(times) == counters["lost_udp"]  # a request or its reply
     assert counters["lost_udp"] == pytest.approx(300 * 0.19, abs=4 * math.sqrt(300 * 0.19))
 
 
@@ -303,7 +303,7 @@ def test_nothing_is_left_when_its_maker_is_killed() -> None:
 
 
 class Pilot:
-    """Lets every vehicle take off, hover for a while and land, by XTDrone's commands; repeats what has no effect."""
+    """Has every vehicle take off, hover for a while and land, by XTDrone's commands; repeats those without effect."""
 
     def __init__(self, names: Sequence[str]) -> None:
         """Declare the topics."""
@@ -352,7 +352,7 @@ class Pilot:
 
 
 def main() -> None:
-    """Be the pilot."""
+    """Run the pilot."""
     import rospy
 
     from xtdrone_control import lockstep

@@ -87,4 +87,4 @@ def test_the_map_is_that_of_the_world_until_its_memory_is_full(stack: Stack, tmp
     assert len(voxels(stack)) == 0
     graph.call("/gazebo/unpause_physics", Empty)
     stack.wait(lambda: len(voxels(stack)) > 100, "it maps again", sim=30.0)
-    assert stack.state(0).mode == "OFFBOARD"  # the flight is unharmed
+    assert stack.state(0).mode == "OFFBOARD"  # the flight is not affected

@@ -1,4 +1,4 @@
-"""A session on the page is recorded, and its actions, repeated on another simulation, give the same flight."""
+"""A session on the page is recorded; its actions, repeated on another simulation, result in the same flight."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ URL = re.compile(r"station \(operate\): (\S+)")
 
 
 def fly(graph: Graph, folder: Path, act: Callable[[Stack], None], *options: str) -> Digests:
-    """Fly while ``act`` acts, and return the digests; ``options`` are of the launch file."""
+    """Fly while ``act`` acts; return the digests. ``options`` are of the launch file."""
     folder.mkdir()
     wait_for_ports(FLEET)
     stack = Stack(graph, folder, FLEET)
@@ -45,7 +45,7 @@ def fly(graph: Graph, folder: Path, act: Callable[[Stack], None], *options: str)
 
 
 class Page:
-    """What a page sends for a user's clicks and keys."""
+    """The messages that a page sends for a user's clicks and keys."""
 
     def __init__(self, url: str) -> None:
         self._socket = connect(url.replace("http", "ws") + "ws", max_size=None)

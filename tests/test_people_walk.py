@@ -1,4 +1,4 @@
-"""People of a world in the running simulator: told where to go, seen where they are, put back by a reset."""
+"""People of a world in the running simulator: sent to goals, published, put back by a reset."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ WORLD = """<?xml version="1.0"?>
 
 @pytest.fixture(scope="module")
 def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    """A simulator alone, as fast as it goes."""
+    """A simulator alone, as fast as possible."""
     wait_for_ports(FLEET)
     folder = tmp_path_factory.mktemp("people")
     (folder / "people.world").write_text(WORLD)

@@ -52,7 +52,7 @@ def test_a_lidar_that_fails_in_flight_is_reported_and_does_no_harm(graph, tmp_pa
     assert any(level == 2 and "sensor silent for 0." in text for level, text in reports)
     assert reports[-1][0] == 0
     ends = [line["end"] for line in lines if line["kind"] == "trajectory"]
-    assert all(end[2] < 5.0 for end in ends)  # the goal that was too high was never flown to
+    assert all(end[2] < 5.0 for end in ends)  # the rejected goal, which was too high, was never flown to
     assert [40.0, 5.0, 2.0] in ends
     assert ends[-1] == [36.0, 3.0, 2.5]
     station = next(line for line in lines if line["kind"] == "station")

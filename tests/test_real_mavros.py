@@ -1,6 +1,6 @@
-"""A MAVROS that is not ours in our layer's place, nodes of one real vehicle, and what the launch files make of them.
+"""Another MAVROS in our layer's place, nodes of one real vehicle, and the launch files for them.
 
-The MAVROS layer, out of the lockstep, stands in for it.
+The MAVROS layer, outside the lockstep, replaces it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ MAVROS = REPOSITORY / "src/xtdrone_control/nodes/mavros_node.py"
 
 
 def load(file: str, *arguments: str) -> ROSLaunchConfig:
-    """Return what roslaunch makes of a launch file and its arguments."""
+    """Return roslaunch's configuration of a launch file and its arguments."""
     config = ROSLaunchConfig()
     XmlLoader().load(str(REPOSITORY / "launch" / file), config, argv=list(arguments), verbose=False)
     return config
@@ -106,14 +106,14 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
 
 
 def test_vehicles_fly_with_a_mavros_outside_the_lockstep(stack: Stack) -> None:
-    """iris_0 with a communication node in lockstep, iris_1 with nodes that know of none."""
+    """iris_0 flies with a communication node in lockstep, iris_1 with nodes outside the lockstep."""
     graph = stack.graph
     own = ["__name:=mavros", "__ns:=/iris_0", "_lockstep:=false", "_fcu_url:=udp://:24540@127.0.0.1:34580"]
     stack.start("mavros", [sys.executable, str(MAVROS), *own])
     stack.run("communication", "xtdrone_control", "multirotor_communication.py", "iris", "0")
     launch = str(REPOSITORY / "launch/real_uav.launch")
     stack.start("real_uav", ["roslaunch", launch, "number:=1", "fcu_url:=udp://:24541@127.0.0.1:34581"])
-    for i in range(2):  # setpoints come by wall time: a busy machine must not end OFFBOARD
+    for i in range(2):  # setpoints are sent by wall time: a busy machine must not end OFFBOARD
         stack.wait_state(i, sim=300.0)
         answer = graph.call(
             f"/iris_{i}/mavros/param/set", ParamSet, param_id="COM_OF_LOSS_T", value=ParamValue(real=60.0)

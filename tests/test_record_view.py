@@ -1,4 +1,4 @@
-"""Films of flights as rviz shows them, without a screen: what the pictures show, and what is refused."""
+"""Films of flights as rviz shows them, without a screen: contents of the pictures, and rejections."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ import pytest
 import yaml
 from conftest import Graph
 
-NAMES = ("iris_0", "typhoon_h480_0", "iris_1")  # the second one has joints, of which the bag says nothing
-MIDDLES = (0.0, 0.09, 0.0)  # m above base_link, of what is seen of each
+NAMES = ("iris_0", "typhoon_h480_0", "iris_1")  # the second one has joints, which the bag does not contain
+MIDDLES = (0.0, 0.09, 0.0)  # m above base_link, centre of the visible part of each
 STEP = 0.04  # s, a multiple of the simulator's step
 COUNT = 16  # poses, and so frames
-SIZE = (960, 540)  # larger than a window is at first
+SIZE = (960, 540)  # larger than a window's initial size
 DISTANCE, PITCH, YAW = 9.0, 0.6, 0.8  # the view's
 FIELD = math.pi / 4.0  # rad, vertical, rviz's own
 BACKGROUND = (232, 236, 242)
@@ -29,14 +29,14 @@ LIMIT = 560.0  # s of wall time for one film
 
 
 def place(number: int, time: float) -> np.ndarray:
-    """Where a vehicle is: far enough from the others, and fast enough that a frame's delay would be seen."""
+    """Return a vehicle's position: far enough from the others, and fast enough that a frame's delay would be seen."""
     x = 2.5 * (number - 1)
     return np.array([x, 3.0 * (time - 1.3) * (-1.0) ** number, 0.4 * number])
 
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recorded flight; the recorder's times are wrong, as they may be."""
+    """A recorded flight; the recorder's times are wrong, as is possible."""
     import rosbag
     import rospy
     from geometry_msgs.msg import PoseStamped
@@ -58,7 +58,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def view(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A view of the robot models alone: whatever is not background is a vehicle."""
+    """A view of the robot models alone: every pixel off the background is a vehicle."""
     robots = [
         {
             "Class": "rviz/RobotModel",
@@ -115,7 +115,7 @@ def record(*arguments: Any, **environment: str) -> subprocess.CompletedProcess[s
 
 @pytest.fixture(scope="module")
 def made(bag: Path, view: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """A folder with film.mp4 and its frames, and what was said on standard error."""
+    """A folder with film.mp4 and its frames, and the output on standard error."""
     folder = tmp_path_factory.mktemp("film")
     size = "x".join(map(str, SIZE))
     done = record(view, "--bag", bag, "--fps", "25", "--size", size, "--out", folder / "film.mp4",

@@ -1,4 +1,4 @@
-"""A film of a flight that is running, and the pictures' topics; what is left when something of it dies."""
+"""A film of a running flight, and the pictures' topics; the remaining processes when a part of it dies."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def stack(graph: Graph, tmp_path: Path) -> Iterator[Stack]:
 
 
 def record(stack: Stack, folder: Path) -> Program:
-    """Film the flight into film.mp4 of a folder until it is ended, and wait until a frame has been drawn."""
+    """Film the flight into film.mp4 of a folder, and wait until a frame has been drawn."""
     robots = [
         {
             "Class": "rviz/RobotModel",
@@ -73,7 +73,7 @@ def record(stack: Stack, folder: Path) -> Program:
 
 
 def frames_of(film: Path) -> int:
-    """Return how many frames can be read from a film."""
+    """Return the number of readable frames of a film."""
     capture = cv2.VideoCapture(str(film))
     count = 0
     while capture.read()[0]:
@@ -82,7 +82,7 @@ def frames_of(film: Path) -> int:
 
 
 def left(stack: Stack) -> list[str]:
-    """Return what still runs of the film's programs."""
+    """Return the film's programs that still run."""
     return [command for command in stack.processes().values() if any(name in command for name in PROGRAMS)]
 
 
@@ -107,7 +107,7 @@ def test_topics_show_the_vehicles_where_they_are_and_the_film_ends_with_the_flig
             next((m for m in ear.messages if m.header.stamp == stamp), None) for ear in (*ears[1:], *places)
         )
         if any(message is None for message in (info, camera, *poses)):
-            continue  # it came before we listened
+            continue  # it arrived before the subscription
         assert (image.header.frame_id, camera.header.frame_id, image.encoding) == ("map", "map", "rgb8")
         assert (image.width, image.height) == (info.width, info.height) == (640, 360)
         picture = np.frombuffer(image.data, np.uint8).reshape(360, 640, 3).astype(int)
@@ -146,7 +146,7 @@ def test_the_flight_continues_without_the_film(stack: Stack, tmp_path: Path) -> 
     def interrupt() -> None:
         stack.programs["record-view"].process.send_signal(signal.SIGINT)
 
-    endings: dict[str, tuple[Callable[[], None], int, str, bool]] = {  # exit status, words, is there a film
+    endings: dict[str, tuple[Callable[[], None], int, str, bool]] = {  # exit status, text, whether a film exists
         "ctrl-c": (interrupt, 130, "stopped by SIGINT", True),
         "no-xvfb": (partial(kill, stack, "Xvfb"), 1, "rviz_offscreen has failed (status 1)", True),
         "no-ffmpeg": (partial(kill, stack, "ffmpeg"), 1, "ffmpeg has ended", False),

@@ -1,4 +1,4 @@
-"""The recorders: of a profile, and of the demos. The bag is whole when they are asked to end."""
+"""The recorders: of a profile, and of the demos. The bag is complete after a request to end."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def stack(graph: Graph, tmp_path: Path) -> Iterator[Stack]:
 
 
 def _record(stack: Stack, active: Path) -> None:
-    """Publish until the recorder has written some of it."""
+    """Publish until the recorder has written messages."""
 
     def recorded() -> bool:
         stack.graph.say("/xtdrone/notes", String("word " * 50_000))  # the recorder packs and writes every 768 kB
@@ -110,7 +110,7 @@ def _trace(request: int, thread: int) -> None:
 
 @contextlib.contextmanager
 def _stalled(thread: int) -> Iterator[None]:
-    """Stop one thread of another process, as a disk does that takes nothing."""
+    """Stop one thread of another process, like a disk that blocks."""
     try:
         _trace(_PTRACE_SEIZE, thread)
     except OSError as error:

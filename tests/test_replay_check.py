@@ -1,6 +1,6 @@
 """The same flight at another speed, on one busy core, with other processes: the same messages to the last bit.
 
-The check runs as a program of its own, for it ends every process below it when it ends.
+The check runs as a separate program, since it ends every process below it when it ends.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ with StopRequest() as stop:
 
 
 def run(*command: str) -> str:
-    """Run Python with these arguments to its end and return what it wrote."""
+    """Run Python with these arguments to its end and return its output."""
     result = subprocess.run(
         [sys.executable, *command], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=LIMIT
     )
@@ -56,7 +56,7 @@ def test_the_short_check_finds_every_flight_the_same(tmp_path: Path) -> None:
     assert output.count("the same to the last bit") == len(replay_check.SHORT)
     digests = [json.loads(line) for line in (folder / "as-fast-as-it-goes/digest.jsonl").read_text().splitlines()]
     topics = {topic for row in digests for topic in row["topics"]}
-    # What the comparison rests on: the truth, what the autopilots tell, what the swarm's nodes command.
+    # The basis of the comparison: the truth, the autopilots' telemetry, the commands of the swarm's nodes.
     assert {"truth", "/gazebo/model_states", "/iris_1/mavros/local_position/pose", "/xtdrone/swarm"} <= topics
     assert {"/xtdrone/iris_1/cmd_vel_enu", "/iris_1/mavros/setpoint_raw/local", "/xtdrone/leader/pose"} <= topics
     assert {row["name"] for row in digests} >= {"/simulator", "/mavros", "/leader", "/formation_director"}
@@ -64,7 +64,7 @@ def test_the_short_check_finds_every_flight_the_same(tmp_path: Path) -> None:
 
 @pytest.mark.timeout(LIMIT + WALL_LIMIT)
 def test_another_seed_is_another_flight(tmp_path: Path) -> None:
-    """A check that finds everything the same would be worth nothing."""
+    """Its digest differs; a check that finds no differences at all would be worthless."""
     wait_for_ports("iris:3")
     folder = tmp_path / "seeds"
     run("-c", FLY_SEEDS, str(folder))

@@ -1,4 +1,4 @@
-"""Robots in the running simulator: topics as of XTDrone's UGV, lockstep, restart, and what is refused."""
+"""Robots in the running simulator: the topics of XTDrone's UGV, lockstep, restart, and rejections."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def start(stack: Stack) -> Start:
 
 
 def test_a_ugv_and_a_car_drive_by_cmd_vel(stack: Stack, start: Start, tmp_path: Path) -> None:
-    for kind in ("ugv", "car"):  # that drive on after a single command
+    for kind in ("ugv", "car"):  # these kinds drive on after a single command
         (tmp_path / f"{kind}.yaml").write_text(f"extends: {kind}\nlimits: {{timeout: 0}}\n")
     start(
         f"[{{name: ugv_0, type: {tmp_path}/ugv.yaml, pose: [5, 0, 1.5]}}, {{name: car_0, type: {tmp_path}/car.yaml}}]"
@@ -61,7 +61,7 @@ def test_a_ugv_and_a_car_drive_by_cmd_vel(stack: Stack, start: Start, tmp_path: 
     assert (turned.header.frame_id, turned.child_frame_id) == ("ugv_0/odom", "ugv_0/base_link")
     assert (turned.twist.twist.linear.x, turned.twist.twist.angular.z) == pytest.approx((1.0, 0.2))
     place, yaw = turned.pose.pose.position, 2.0 * math.asin(turned.pose.pose.orientation.z)
-    # on a circle of 5 m to the left of the start, but for the way in which it has gathered speed
+    # on a circle of 5 m to the left of the start, except for the distance of the acceleration
     assert math.hypot(place.x, place.y - 5.0) == pytest.approx(5.0, abs=0.4)
     assert math.atan2(place.y, place.x) == pytest.approx(0.5 * yaw, abs=0.1)
 

@@ -48,7 +48,7 @@ def server(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[i
 
 @pytest.fixture(scope="module")
 def page(server: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """A page of this machine with roslibjs, connected."""
+    """A page on this machine with roslibjs, connected."""
     from playwright.sync_api import sync_playwright
 
     handler = functools.partial(http.server.SimpleHTTPRequestHandler, directory=str(PAGE))

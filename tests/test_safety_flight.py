@@ -1,4 +1,4 @@
-"""The safety filter under a script that flies two vehicles into each other, and under the keyboard's topics."""
+"""The safety filter with a script that flies two vehicles into each other, and with the keyboard's topics."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ print("least", float(np.linalg.norm(track[:, 0] - track[:, 1], axis=1).min()))
 
 
 def fly(graph: Graph, folder: Path, *arguments: str) -> tuple[str, list[SafetyIntervention], bytes]:
-    """Fly the script; return what it has printed, all interventions and the file of checksums."""
+    """Fly the script; return its output, all interventions and the file of checksums."""
     fleet = "iris:2"
     wait_for_ports(fleet)
     graph.forget()

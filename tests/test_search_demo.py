@@ -1,6 +1,6 @@
 """The cooperative search through the whole stack, from the command to the report: needs the built workspace.
 
-Two UAVs search a small region; the tests look at what the flight left behind.
+Two UAVs search a small region; the tests examine its results.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ FLIGHT_LIMIT = 900.0  # s of wall time
 
 
 def _built() -> bool:
-    """Whether roslaunch and the workspace's packages are there."""
+    """Return whether roslaunch and the workspace's packages exist."""
     if shutil.which("roslaunch") is None:
         return False
     import rospkg
@@ -59,7 +59,7 @@ def _report(folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 def _processes_with(text: str) -> list[str]:
-    """Command lines of all processes whose environment or command line has ``text``, ours left out."""
+    """Return the command lines of all other processes with ``text`` in their environment or command line."""
     found = []
     for entry in Path("/proc").iterdir():
         if not entry.name.isdigit() or int(entry.name) == os.getpid():
@@ -75,7 +75,7 @@ def _processes_with(text: str) -> list[str]:
 
 @dataclass(frozen=True)
 class Flight:
-    """What a flight left behind."""
+    """The results of a flight."""
 
     folder: Path
     output: str
@@ -112,7 +112,7 @@ def test_the_person_is_found_and_followed(flight: Flight) -> None:
 
 
 def test_no_picture_is_lost(flight: Flight) -> None:
-    """In lockstep time waits for cameras and detector: two pictures a second of each, none passed over."""
+    """In lockstep, time waits for cameras and detector: two pictures a second from each, none skipped."""
     record = flight.record
     for name in NAMES:
         sights = record.sights[name]

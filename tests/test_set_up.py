@@ -1,4 +1,4 @@
-"""The set-up script: interrupted at any moment, beside another one, and with everything there."""
+"""The set-up script: interrupted at any moment, beside another one, and with everything installed."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def make_wheel(folder: Path, number: int) -> str:
 
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
-    """A repository whose requirements are small wheels, which needs no Debian package and is built already."""
+    """A built repository whose requirements are small wheels, and which needs no Debian package."""
     shutil.copytree(REPOSITORY / "scripts", tmp_path / "scripts", ignore=shutil.ignore_patterns("packages"))
     (tmp_path / "scripts/packages").mkdir()
     (tmp_path / "scripts/packages/none.txt").write_text("coreutils\n")
@@ -47,7 +47,7 @@ def root(tmp_path: Path) -> Path:
 
 
 def start(root: Path) -> subprocess.Popen[str]:
-    """Start the part of the set-up that makes the virtual environment, in a process group of its own."""
+    """Start the part of the set-up that creates the virtual environment, in its own process group."""
     built = "is_built() { :; }; are_kernels_prepared() { :; }"
     begin = f'set -euo pipefail; root="{root}"; source "$root/scripts/install_and_build.bash"'
     script = f"{begin}; {built}; set_up demo; echo ready"
@@ -84,7 +84,7 @@ def test_a_set_up_killed_at_any_moment_is_repaired_by_the_next_one(root: Path) -
     duration = time.monotonic() - began
     moments = random.Random(1)
     for number in range(20):
-        if number % 5 == 0:  # from nothing; else from what the kill before has left
+        if number % 5 == 0:  # from nothing; otherwise from the state left by the kill before
             shutil.rmtree(root / ".venv")
         process = start(root)
         try:
@@ -100,7 +100,7 @@ def test_a_set_up_killed_at_any_moment_is_repaired_by_the_next_one(root: Path) -
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_an_interrupted_pip_ends_the_set_up_and_is_noticed(root: Path, number: signal.Signals) -> None:
-    """Ctrl-C reaches the whole group; a killed pip alone leaves its parent, which reports the failure."""
+    """Ctrl-C reaches the whole group; after a kill of pip alone, its parent reports the failure."""
     process = start(root)
     log = root / ".setup/logs/pip-requirements.log"
     poll(lambda: log.is_file() and "Installing collected packages" in log.read_text(), "pip installs", LIMIT)
@@ -118,7 +118,7 @@ def test_an_interrupted_pip_ends_the_set_up_and_is_noticed(root: Path, number: s
 def test_an_interrupted_pip_is_noticed(root: Path) -> None:
     finish(start(root))
     (root / ".venv/.requirements.installed").unlink()
-    (root / ".venv/lib/python3.11/site-packages/part2/m7.py").unlink()  # pip believes the package to be complete
+    (root / ".venv/lib/python3.11/site-packages/part2/m7.py").unlink()  # pip considers the package complete
     (root / ".venv/.pip-at-work").touch()
     assert "an installation was interrupted" in finish(start(root))
     assert is_whole(root)

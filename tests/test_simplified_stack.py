@@ -35,7 +35,7 @@ FLIGHT_LIMIT = 300.0  # s of wall time
 
 
 def start(graph: Graph, folder: Path, count: int, *parameters: str) -> Stack:
-    """Start the simulator alone, and wait for it; what was heard of another one's vehicles is forgotten."""
+    """Start the simulator alone and wait for it; messages of another one's vehicles are discarded."""
     graph.forget()
     stack = Stack(graph, folder, f"iris:{count}")
     stack.run("simulator", "xtdrone_swarm", "simplified_simulator", "iris", str(count), *parameters)
@@ -66,7 +66,7 @@ def fly(graph: Graph, folder: Path, *arguments: str) -> list[dict[str, Any]]:
 
 
 def digests(folder: Path, until_us: int) -> dict[tuple[str, int], Any]:
-    """Return what each participant says in each second."""
+    """Return each participant's digest of each second."""
     lines = [json.loads(line) for line in (folder / "digest").read_text().splitlines()]
     return {(line["name"], line["time"]): line["topics"] for line in lines if line["time"] <= until_us}
 
@@ -109,7 +109,7 @@ def test_it_is_the_flight_of_the_swarm_without_ros_to_the_last_bit(graph: Graph,
 
 
 def scripted(count: int) -> np.ndarray:
-    """Fly the script without ROS: what is said in a turn is heard in the next.
+    """Fly the script without ROS: messages of one turn are received in the next.
 
     The simulator's first tick, at 20 ms, comes before the first turn of a swarm, and nothing happens in it.
     """
@@ -129,7 +129,7 @@ def scripted(count: int) -> np.ndarray:
     return np.array(rows)
 
 
-# ---- what cannot be run
+# ---- bad values
 
 
 @pytest.mark.parametrize(
@@ -177,14 +177,14 @@ def test_a_bad_parameter_ends_the_node(graph: Graph, tmp_path: Path) -> None:
 
 
 def test_a_vehicle_whose_communication_node_dies_holds(graph: Graph, tmp_path: Path) -> None:
-    """Its last velocity must not carry it away for ever: PX4 leaves OFFBOARD after a second, and so does this."""
+    """Its last velocity must not last for ever: PX4 leaves OFFBOARD after a second, and so does this simulator."""
     parameters = ["_airborne:=true", "_speed:=0", "_participants:=communication"]
     stack = start(graph, tmp_path, 2, *parameters)
     try:
         stack.run("communication", "xtdrone_control", "multirotor_communication.py", "iris", "all")
 
         def flies() -> bool:
-            """Say it again and again: the simulator listens too, and may be the first to be connected."""
+            """Send the command repeatedly: the simulator subscribes too, and may be the first to be connected."""
             graph.say("/xtdrone/iris_1/cmd_vel_enu", Twist(linear=Vector3(x=2.0)))
             return bool(pose_of(stack, 1).last) and place(stack, 1)[0] > 10.0
 
@@ -206,7 +206,7 @@ def test_a_vehicle_whose_communication_node_dies_holds(graph: Graph, tmp_path: P
 
 @pytest.fixture(scope="module")
 def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    # Tests say setpoints once: their pace is the wall clock's.
+    # Tests send a setpoint once: its rate depends on wall time.
     stack = start(graph, tmp_path_factory.mktemp("simplified"), 3, "_speed:=10", "_setpoint_timeout:=0")
     try:
         for index in range(3):
@@ -242,7 +242,7 @@ def test_topics_are_mavros_ones(stack: Stack) -> None:
         ),
         "all topics come",
     )
-    stamps = [message.header.stamp.to_nsec() // 1000 for message in pose.messages[1:]]  # that in the first tick apart
+    stamps = [message.header.stamp.to_nsec() // 1000 for message in pose.messages[1:]]  # except for the first tick
     assert 1.99 < (stamps[60] - stamps[0]) * 1e-6 < 2.01  # 30 Hz
     assert all(stamp % 4000 == 0 for stamp in stamps)
     assert (pose.last.header.frame_id, velocity.last.header.frame_id) == ("map", "base_link")

@@ -1,6 +1,6 @@
-"""Speed, pause, step and reset of a running simulation, seen by its users.
+"""Speed, pause, step and reset of a running simulation, as its users see it.
 
-One system serves all tests of this file, which run in the order in which they stand. It has one vehicle, MAVROS, the
+One system serves all tests of this file, which run in file order. It has one vehicle, MAVROS, the
 communication node and a participant of the tests' own, which flies the same flight after each start (meddler.py).
 """
 
@@ -40,7 +40,7 @@ GCS_PORT = 18570
 G = 9.80665
 NAMES = {"/mavros", "/communication", "/meddler"}
 
-# a ground station that lives by wall time
+# a ground station that runs by wall time
 STATION = f"""
 import time
 from pymavlink import mavutil
@@ -90,7 +90,7 @@ def status(stack: Stack) -> SimulationStatus:
 
 
 def now(stack: Stack) -> float:
-    """Return the simulated time as the simulator knows it, s."""
+    """Return the simulator's own simulated time, s."""
     return status(stack).sim_time.to_sec()
 
 
@@ -107,13 +107,13 @@ def step(stack: Stack, **goal: Any) -> Any:
 
 
 def passes(stack: Stack, seconds: float = 1.0) -> None:
-    """Advance simulated time, as the simulator knows it."""
+    """Wait until the simulator's own time has advanced."""
     until = now(stack) + seconds
     poll(lambda: now(stack) >= until, f"{seconds} s pass")
 
 
 def meddle(stack: Stack, service: str, kind: str, **fields: Any) -> dict[str, Any]:
-    """Let the participant call a service in its turn, and return what it tells of it."""
+    """Have the participant call a service in its turn; return its report."""
     done = stack.graph.hear("/meddler/done", String)
     poll(lambda: done._subscriber.get_num_connections(), "the participant is heard")
     count = len(done.messages)
@@ -123,7 +123,7 @@ def meddle(stack: Stack, service: str, kind: str, **fields: Any) -> dict[str, An
 
 
 def flight(stack: Stack, count: int) -> dict[str, Any]:
-    """Return what the participant tells of flight number ``count``, from 0."""
+    """Return the participant's report of flight number ``count``, from 0."""
     told = stack.graph.hear("/meddler/flight", String)
     poll(lambda: len(told.messages) > count, f"flight {count} is told of")
     return json.loads(told.messages[count].data)
@@ -196,7 +196,7 @@ def test_a_pause_holds_everything_and_everything_answers(stack: Stack) -> None:
     poll(lambda: stack.time == before, "what was published before the pause is heard")
     while link.recv_match() is not None:
         pass
-    # three seconds of wall time, by the ground station's heartbeats; what was under way has come by the first
+    # three seconds of wall time, by the ground station's heartbeats; messages in transit have arrived by the first
     for beats in range(3):
         beat = link.recv_match(type="HEARTBEAT", blocking=True, timeout=WALL_LIMIT)
         assert beat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED
@@ -243,12 +243,12 @@ def test_the_status_reports_changes(stack: Stack) -> None:
 def test_speed_is_kept(stack: Stack) -> None:
     assert stack.graph.call("/simulator/set_speed", SetSpeed, speed=0.5).success
     told = stack.graph.hear("/simulator/status", SimulationStatus)
-    # the first factors look back to the time before
+    # the first factors still average over the time before
     count = len(told.messages)
     poll(lambda: len(told.messages) >= count + 4, "the status comes once a second")
     for found in told.since(count + 2):
         assert found.speed == 0.5
-        assert 0.0 < found.measured_speed < 0.75  # 0.2 s of lag are made up for, perhaps within one second
+        assert 0.0 < found.measured_speed < 0.75  # 0.2 s of lag are made up for, possibly within one second
     stack.graph.say("/simulator/speed", Float64(0.0))
     poll(lambda: status(stack).speed == 0.0, "the topic sets the speed")
 
@@ -317,7 +317,7 @@ def test_the_participant_that_holds_time_is_reported(stack: Stack) -> None:
         poll(lambda: "/meddler" in status(stack).waiting_for, "the participant is waited for")
         found = status(stack)
         assert "waiting for /meddler" in found.reason
-        assert stack.graph.call("/simulator/set_speed", SetSpeed, speed=0.0).success  # the pace is taken at once
+        assert stack.graph.call("/simulator/set_speed", SetSpeed, speed=0.0).success  # the pace changes at once
         poll(lambda: status(stack).waiting.to_sec() > 5.0, "it goes on")
         assert found.sim_time == status(stack).sim_time
     finally:
@@ -343,7 +343,7 @@ def test_a_ground_station_that_hangs_is_no_matter(stack: Stack) -> None:
 
 
 def _second(stack: Stack, name: str) -> Program:
-    """Start another simulator, whose log does not take the place of the node that has this name."""
+    """Start another simulator, with a log apart from that of the node of the same name."""
     program = str(REPOSITORY / "src" / "xtdrone_sim" / "nodes" / "simulator.py")
     return stack.start(f"second_{name}", [sys.executable, program, f"__name:={name}"])
 
@@ -383,18 +383,18 @@ def test_reset_world_puts_the_vehicle_back(stack: Stack) -> None:
     before = now(stack)
     stack.graph.call("/gazebo/reset_world", Empty)
     assert now(stack) >= before
-    assert step(stack, duration=Duration(0, 100_000_000)).success  # too short to fall down
+    assert step(stack, duration=Duration(0, 100_000_000)).success  # too short to fall
     found = stack.graph.call("/gazebo/get_link_state", GetLinkState, link_name="iris_0::base_link")
     assert found.link_state.pose.position.z < 0.2
     resume(stack)
     stack.wait_state(0, mode="AUTO.LOITER", armed=False)
-    stack.pass_time(2.0)  # rebooted, it knows where it is after a second
+    stack.pass_time(2.0)  # after the reboot, its position is valid after a second
     place = stack.fly(0, HEIGHT)
     assert place[:2] == (0.0, 3.0)
 
 
 def test_reset_simulation_starts_from_nothing(stack: Stack) -> None:
-    # flight 1 is what this begins, in the air and at full speed; flight 2 is after a reset by a participant
+    # flight 1 begins here, in the air and at full speed; flight 2 is after a reset by a participant
     stack.graph.call("/gazebo/reset_simulation", Empty)
     first, second = flight(stack, 0), flight(stack, 1)
     assert second == first  # to the last bit

@@ -1,7 +1,7 @@
-"""A SLAM of one's own on a recorded flight, as docs/mapping.md says: the page's commands are run.
+"""A user's SLAM on a recorded flight, by the commands of docs/mapping.md.
 
-The bag is made here: a vehicle on an arc. The SLAM is this process: it gives the true poses as VINS-Fusion would give
-them, of a camera's optical frame, in a frame that begins elsewhere and is turned.
+The bag is written here: a vehicle on an arc. The SLAM is this process: it publishes the true poses as VINS-Fusion
+would, of a camera's optical frame, in a rotated frame with another origin.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def folder(graph: Graph, tmp_path: Path) -> Iterator[Path]:
 
 
 class Slam:
-    """A stand-in for VINS-Fusion, which begins when its results are heard."""
+    """A stand-in for VINS-Fusion, which starts when its results have a subscriber."""
 
     def __init__(self) -> None:
         self._out = rospy.Publisher("/vins_estimator/camera_pose", Odometry, queue_size=100)

@@ -1,4 +1,4 @@
-"""The soak's short form through the whole stack: every kind of event, a good verdict, and no process left behind."""
+"""The soak's short form through the whole stack: every kind of event, a good verdict, and no process left running."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_a_short_soak_is_good(soaked: tuple[Path, int, str]) -> None:
     events = [event for episode in soak_script.generate_short(SEED, COUNT) for event in episode.events]
     for action in {event.action for event in events}:
         assert counts["actions"][action] == sum(event.action == action for event in events), action
-    assert counts["latest_event"] < 5.0  # only what runs freely overshoots, s
+    assert counts["latest_event"] < 5.0  # s; only nodes outside the lockstep overshoot
     assert counts["flights"] >= 0.9 * counts["expected"] > 0
     assert counts["words_without_listener"] == 0
 

@@ -1,7 +1,7 @@
 """The whole stack for two vehicles as ``roslaunch multi_vehicle.launch`` starts it, at full speed, seen by its users.
 
-One launch serves all tests of this file, which run in the order in which they stand: on the ground, in flight, landing,
-and at last the launch is made to end.
+One launch serves all tests of this file, which run in file order: on the ground, in flight, landing,
+and at last the end of the launch.
 """
 
 from __future__ import annotations
@@ -91,12 +91,12 @@ def _fleet_is_set(graph: Graph) -> bool:
 
 @pytest.fixture
 def flying(stack: Stack) -> list[tuple[float, float, float]]:
-    """Both vehicles hold their places in OFFBOARD; return the places, m ENU."""
+    """Two vehicles that hold their positions in OFFBOARD; return the positions, m ENU."""
     return [stack.fly(i, HEIGHT) for i in range(2)]
 
 
 def ear(stack: Stack, topic: str, kind: type) -> Any:
-    """Return the ear on a topic of iris_1, which has a message."""
+    """Return the subscription to a topic of iris_1, after its first message."""
     found = stack.graph.hear(f"/iris_1/mavros/{topic}", kind)
     stack.wait(lambda: found.last is not None, f"{topic} comes")
     return found
@@ -205,7 +205,7 @@ def test_the_battery_is_plausible(stack: Stack) -> None:
     assert 0.0 < battery.percentage <= 1.0
     assert 9.0 < battery.voltage < 26.0
     assert sum(battery.cell_voltage) == pytest.approx(battery.voltage)
-    assert math.isnan(battery.current)  # PX4's simulator does not measure it, and says -1 A
+    assert math.isnan(battery.current)  # PX4's simulator does not measure it, and reports -1 A
 
 
 def test_home_is_the_datum_and_the_offset(stack: Stack) -> None:
@@ -255,19 +255,19 @@ def test_a_real_client_gets_acks_and_messages(stack: Stack, station: Station) ->
 
 
 class Typed:
-    """A program of MAVROS as it is typed, against iris_0's MAVROS; in this process, which is a node already."""
+    """A MAVROS program as a user types it, against iris_0's MAVROS; it runs in this process, already a node."""
 
     def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
         self._capsys = capsys
 
     def __call__(self, program: Any, line: str) -> str:
-        """Return what it prints."""
+        """Return the program's output."""
         self._capsys.readouterr()
         execute(program.parser(), ["-n", "iris_0/mavros", *line.split()])
         return str(self._capsys.readouterr().out)
 
     def fails(self, program: Any, line: str) -> str:
-        """Return its last words."""
+        """Return the program's error message."""
         with pytest.raises(ProgramError) as error:
             self(program, line)
         return str(error.value)
@@ -280,7 +280,7 @@ def typed(capsys: pytest.CaptureFixture[str]) -> Typed:
 
 @pytest.fixture
 def unhurried(stack: Stack) -> Iterator[None]:
-    """The simulation leaves the processors to programs that live by wall time."""
+    """Run at real time, so that programs that depend on wall time get the processors."""
     stack.graph.call("/simulator/set_speed", SetSpeed, speed=1.0)
     yield
     stack.graph.call("/simulator/set_speed", SetSpeed, speed=0.0)
@@ -347,7 +347,7 @@ def test_mavros_s_programs_command(stack: Stack, typed: Typed, monkeypatch: pyte
 
 @pytest.mark.usefixtures("unhurried")
 def test_mavros_s_programs_are_found_by_their_names(stack: Stack) -> None:
-    """Each is run once, all at the same time; one speaks to a MAVROS that is not there."""
+    """Each is run once, all at once; one addresses a MAVROS that does not exist."""
     folder = REPOSITORY / "src/xtdrone_control/mavros"
     lines = {
         "mavsys": "-n iris_0/mavros message_interval --id 32 --rate 0",
@@ -375,7 +375,7 @@ def test_taking_off_is_told_by_texts_and_states(stack: Stack, station: Station) 
     extended = ear(stack, "extended_state", ExtendedState)
     stack.wait(lambda: extended.last.landed_state == ExtendedState.LANDED_STATE_IN_AIR, "it is in the air")
     heartbeat = station.next("HEARTBEAT")
-    while not heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED:  # what was sent before lies in the socket
+    while not heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED:  # earlier messages are still in the socket
         heartbeat = station.next("HEARTBEAT")
     assert heartbeat.system_status == mavlink.MAV_STATE_ACTIVE
     assert mavutil.mode_string_v10(heartbeat) == "OFFBOARD"
@@ -399,7 +399,7 @@ def test_east_is_x_north_is_y_and_left_is_positive(stack: Stack, flying: list[tu
     assert pose.last.pose.position.y == pytest.approx(begin.y, abs=0.4)
     stack.graph.say("/xtdrone/iris_1/cmd_vel_enu", north)
     stack.wait(lambda: pose.last.pose.position.y > begin.y + 2.0, "it flies north")
-    # the two topics do not come at the same moment; eastwards it moves no more
+    # the two topics are not published at the same moment; the vehicle no longer moves east
     stack.wait(lambda: abs(stack.pose(1).position.x - pose.last.pose.position.x) < 0.7, "the truth is the same")
 
     left = Twist()
@@ -438,7 +438,7 @@ def test_services_fly_too(stack: Stack, flying: list[tuple[float, float, float]]
     assert (arm.success, arm.result) == (True, mavlink.MAV_RESULT_ACCEPTED)
     stack.wait(lambda: stack.height(1) > 1.0, "it takes off")
     stack.wait_state(1, mode="AUTO.LOITER")
-    # as a real PX4: it counts as arrived NAV_MC_ALT_RAD (0.8 m) below MIS_TAKEOFF_ALT (2.5 m), and stays there
+    # as a real PX4: it accepts the altitude NAV_MC_ALT_RAD (0.8 m) below MIS_TAKEOFF_ALT (2.5 m), and stays there
     assert stack.height(1) == pytest.approx(1.7, abs=0.4)
 
 
@@ -453,7 +453,7 @@ def test_commands_land_both(stack: Stack) -> None:
 
 
 def test_a_dead_part_ends_the_launch_and_leaves_nothing(stack: Stack, graph: Graph) -> None:
-    """MAVROS is required: without it roslaunch ends the simulator, in order, and a participant ends by itself."""
+    """MAVROS is required: without it roslaunch shuts the simulator down in order, and a participant ends by itself."""
     import rosgraph
 
     os.kill(stack.pid("mavros_node.py"), signal.SIGKILL)

@@ -1,4 +1,4 @@
-"""Our stand-ins for packages of PX4, Gazebo and MAVROS, beside real ones in another workspace."""
+"""Our stand-ins for packages of PX4, Gazebo and MAVROS, with the real ones in another workspace."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ OURS = {"mavros": str(REPOSITORY / "src/xtdrone_control/mavros")} | {
 
 
 def found(prefix: Path | None, **settings: str) -> dict[str, str]:
-    """Return where our names are found with our workspace sourced, and another one below it if there is one."""
+    """Return the paths of our names with our workspace sourced, on top of another one if there is one."""
     hidden = ("ROS_PACKAGE_PATH", "CMAKE_PREFIX_PATH", "PYTHONPATH")
     environment = {key: value for key, value in os.environ.items() if key not in hidden} | settings
     if prefix is not None:
         environment["CMAKE_PREFIX_PATH"] = str(prefix)
-    twice = f"source {REPOSITORY}/devel/setup.bash --extend;" * 2  # as .bashrc and its reader do
+    twice = f"source {REPOSITORY}/devel/setup.bash --extend;" * 2  # as .bashrc and a user's terminal do
     command = ["bash", "-c", f"{twice} rospack list"]
     run = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     packages = dict(line.split(maxsplit=1) for line in run.stdout.splitlines())

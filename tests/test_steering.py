@@ -1,4 +1,4 @@
-"""A vehicle in the real simulator flies by every kind of MAVROS's setpoints; steering_pilot.py asks for them."""
+"""A vehicle in the real simulator flies by every kind of MAVROS's setpoints, published by steering_pilot.py."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from std_msgs.msg import String
 from steering_pilot import MAVROS, QUATERNION
 
 FLEET = "iris:1"
-PLACE = 0.4  # m that a vehicle which has settled may be off
+PLACE = 0.4  # m, greatest error of a settled vehicle
 Leg = tuple[list[float], list[float]]
 
 
 @pytest.fixture(scope="module")
 def legs(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Leg]]:
-    """What the pilot tells of its flight: true places (m, ENU) at begin and end of each leg."""
+    """The pilot's report of its flight: true positions (m, ENU) at the start and end of each leg."""
     wait_for_ports(FLEET)
     stack = Stack(graph, tmp_path_factory.mktemp("steering"), FLEET)
     try:
@@ -46,7 +46,7 @@ def test_setpoint_raw_global_takes_it_there(legs: dict[str, Leg]) -> None:
 
 @pytest.mark.parametrize(("name", "axis"), [("attitude east", 0), ("attitude north", 1)])
 def test_setpoint_attitude_tilts_it_and_thrust_holds_it(legs: dict[str, Leg], name: str, axis: int) -> None:
-    """0.1 rad of tilt are about 1 m/s^2: some half a metre in 1.5 s, lag and all."""
+    """A tilt of 0.1 rad gives about 1 m/s^2: about half a metre in 1.5 s, lag included."""
     begin, end = legs[name]
     assert 0.3 < end[axis] - begin[axis] < 1.2
     assert end[2] == pytest.approx(begin[2], abs=PLACE)
@@ -67,14 +67,14 @@ def test_setpoint_accel_pushes_it(legs: dict[str, Leg]) -> None:
 
 
 def test_setpoint_trajectory_leads_it_along(legs: dict[str, Leg]) -> None:
-    """2 m at 1 m/s, of which it has flown a part when the last point comes."""
+    """The trajectory is 2 m at 1 m/s; part of it has been flown when the last point arrives."""
     begin, end = legs["trajectory"]
     assert 0.7 < end[0] - begin[0] < 2.5
     assert end[1] == pytest.approx(begin[1], abs=PLACE)
 
 
 def test_manual_control_flies_it_by_hand(legs: dict[str, Leg]) -> None:
-    """The stick leads forward, and it heads east."""
+    """The stick points forward, and the vehicle faces east."""
     begin, end = legs["sticks"]
     assert 0.5 < end[0] - begin[0] < 4.0
     assert end[1:] == pytest.approx(begin[1:], abs=PLACE)

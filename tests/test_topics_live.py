@@ -18,7 +18,7 @@ TOPIC = "/tried/point"
 
 
 class Kept:
-    """A callback that keeps what it gets."""
+    """A callback that keeps its messages."""
 
     def __init__(self) -> None:
         self.messages: list[RawMessage] = []

@@ -1,13 +1,13 @@
-"""The tutorials of docs/tutorials, run as they are written.
+"""The tutorials of docs/tutorials, run as written.
 
-Of a tutorial's fenced blocks, in order and in one folder:
+A tutorial's fenced blocks run in order and in one folder:
 
 - ``sh`` is run by ``bash -euo pipefail``;
 - a language and a file name, as ``python my_follower.py`` or ``yaml vee.yaml``, becomes that file;
 - ``python`` alone is run as a script;
 - ``text`` and ``console`` are for the reader.
 
-``./xtdrone`` is there without its set-up, as are the repository's folders that tutorials speak of.
+The folder holds ``./xtdrone`` without its set-up, and the repository's folders that tutorials use.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def blocks(text: str) -> list[tuple[str, str, str]]:
 
 
 def make_folder(folder: Path) -> None:
-    """Put into a folder what a tutorial expects around it."""
+    """Copy into a folder the files that a tutorial expects around it."""
     launcher = folder / "xtdrone"
     launcher.write_text(_LAUNCHER, encoding="utf-8")
     launcher.chmod(0o755)
@@ -50,7 +50,7 @@ def make_folder(folder: Path) -> None:
 
 
 def run(command: list[str], folder: Path, environment: dict[str, str]) -> tuple[int, str]:
-    """Run one block; return its exit status and what it has written. Whatever it leaves running is ended, and fails."""
+    """Run one block; return exit status and output. Processes that it leaves running are ended, and the test fails."""
     log = folder / "output.txt"
     with (
         open(log, "w", encoding="utf-8") as output,
@@ -75,7 +75,7 @@ def run(command: list[str], folder: Path, environment: dict[str, str]) -> tuple[
 
 
 def _end_group(group: int) -> bool:
-    """Kill what is left of a process group; return whether there was anything."""
+    """Kill the remaining processes of a group; return whether there were any."""
     try:
         os.killpg(group, signal.SIGKILL)
     except ProcessLookupError:

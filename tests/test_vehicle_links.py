@@ -1,4 +1,4 @@
-"""Where the links of a vehicle with a gimbal are, as nodes hear of it: scene, Gazebo's topics and service, TF.
+"""The links of a vehicle with a gimbal, as published: scene, Gazebo's topics and service, TF.
 
 One system serves all tests of this file; nothing flies, the gimbal turns.
 """

@@ -18,8 +18,8 @@ from mavros_msgs.srv import ParamGet
 
 FLEET = "iris:1"
 PLACE_LIMIT = 0.15  # m
-SINK_LIMIT = 2.0  # m/s; with motors stopped half a metre up it would come to 3
-# QGroundControl's file: GPS is not used, vision sets height, position and heading
+SINK_LIMIT = 2.0  # m/s; with motors stopped half a metre up it would reach 3
+# QGroundControl's file: no GPS; vision provides height, position and heading
 PARAMETERS = "1\t1\tEKF2_GPS_CTRL\t0\t6\n1\t1\tEKF2_HGT_REF\t3\t6\n1\t1\tEKF2_EV_CTRL\t11\t6\n"
 
 
@@ -63,7 +63,7 @@ def test_it_takes_off_and_holds_position_by_vision(stack: Stack) -> None:
 
 
 def test_without_vision_it_descends(stack: Stack) -> None:
-    """The estimate ends some seconds after the last pose; the vehicle comes down by itself."""
+    """The estimate ends some seconds after the last pose; the vehicle descends by itself."""
     reports = stack.graph.hear("/diagnostics", DiagnosticArray)
     stack.programs["vision"].kill()
     stack.wait(lambda: stack.state(0).mode != "OFFBOARD", "it notices", sim=20.0)

@@ -1,4 +1,4 @@
-"""visualize.py beside a flight on the simplified simulator: films miss no frame, the window holds nothing up."""
+"""visualize.py beside a flight on the simplified simulator: films miss no frame, the window delays no node."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ NAMES = ("iris_0", "iris_1", "iris_2")
 FPS = 10.0
 
 
-# ---- what the topics say ----
+# ---- drawing of the topics ----
 
 
 def poses(points: np.ndarray) -> list[Pose]:
@@ -60,7 +60,7 @@ def test_a_flight_is_known_from_its_topics(source: str) -> None:
     assert frame.slots == pytest.approx(places[0] + with_leader(offsets))
     assert frame.edges.tolist() == [[1, 0], [2, 0], [2, 1]]
     assert (frame.time, frame.title, frame.note) == (1.5, "triangle", "2 x")
-    for empty in (Float32MultiArray(), Float32MultiArray(data=[1.0] * 3)):  # taken back; of another fleet
+    for empty in (Float32MultiArray(), Float32MultiArray(data=[1.0] * 3)):  # withdrawn; of another fleet
         take(flight, source, "/xtdrone/formation_pattern", empty)
         assert flight.frame(2.0).slots is None
 
@@ -119,7 +119,7 @@ def test_a_film_has_every_frame_of_simulated_time(stack: Stack, tmp_path: Path) 
     fly(stack, "speed:=0", "until:=3", "participants:=visualize")
     node = stack.run("visualize", "xtdrone_swarm", "visualize.py", "iris", "3", f"_film:={film}", f"_fps:={FPS:g}")
     assert node.end() == 0, node.output
-    assert frames_of(film) == 1 + 3.0 * FPS, node.output  # one of the lockstep's first tick, which is everybody's
+    assert frames_of(film) == 1 + 3.0 * FPS, node.output  # one of the first tick, common to all
     assert stack.programs["roslaunch"].end() == 0
     assert not list(tmp_path.glob(".*part*"))
 
@@ -132,7 +132,7 @@ def test_a_film_that_is_ended_by_ctrl_c_is_complete(stack: Stack, tmp_path: Path
     node.process.send_signal(signal.SIGINT)
     assert node.end() == 0, node.output
     assert frames_of(film) >= 2.0 * FPS
-    stack.pass_time(1.0)  # the flight of the others goes on
+    stack.pass_time(1.0)  # the other nodes fly on
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -179,7 +179,7 @@ def start_simulator(stack: Stack, *arguments: str) -> Program:
 
 
 def window_is_shown(display: str) -> bool:
-    """Return whether there is anything but the black background."""
+    """Return whether the screen has anything but the black background."""
     return bool(np.array(ImageGrab.grab(xdisplay=display)).max() > 100)
 
 

@@ -41,7 +41,7 @@ def until(page: Any, condition: str) -> None:
 
 def test_all_are_drawn_with_few_calls(page: Any) -> None:
     until(page, "globalThis.station?.view?.costs.first > 0")
-    until(page, "station.view.costs.triangles > 20000")  # the surroundings, too
+    until(page, "station.view.costs.triangles > 20000")  # including the surroundings
     page.evaluate("station.view.costs.restart()")
     until(page, "station.view.costs.summary().frames > 10")
     costs = page.evaluate("station.view.costs.summary()")

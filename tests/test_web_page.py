@@ -52,7 +52,7 @@ def starting(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator
         "lidars:=true",
         "lidar_rate:=2",
     )
-    # without it communication takes no part in the lockstep, and the simulator waits 120 s for it
+    # otherwise the communication node stays out of the lockstep, and the simulator waits 120 s for it
     poll(lambda: rosgraph.Master("/system_tests").hasParam("/lockstep/uri"), "roslaunch starts a simulator")
     stack.run("communication", "xtdrone_control", "multirotor_communication.py", "iris", "all")
     yield stack
@@ -129,7 +129,7 @@ def test_time_is_paused_stepped_and_resumed(station: StationPage, stack: Stack, 
     station.until("document.querySelector('[data-cell=time-state]').textContent === 'paused'")
 
     def held() -> bool:
-        """Whether it has been paused for two messages: the first may be of the tick before the last one."""
+        """Return whether two messages have reported a pause: the first may be of the tick before the last one."""
         last = status.messages[-2:]
         return len(last) == 2 and all(message.paused for message in last) and last[0].tick == last[1].tick
 
@@ -182,7 +182,7 @@ def test_a_lidar_s_cloud_and_a_planned_path_are_layers(station: StationPage, sta
         station.until(f"station.view.layer('{topic}')?.count > 20")
     cloud, path = (page.evaluate(f"station.view.layer('{topic}')") for topic in (CLOUD, PATH))
     assert (cloud["kind"], path["kind"]) == ("points", "line")
-    assert path["origin"] == pytest.approx([1.0, 2.0, 3.2], abs=0.01)  # where the spline's first three points lead
+    assert path["origin"] == pytest.approx([1.0, 2.0, 3.2], abs=0.01)  # from the spline's first three points
     assert path["extent"][0] == pytest.approx(9.0, abs=0.1)
     vehicle = stack.pose(2).position  # the lidar sees the ground around it, in the map frame
     middle = [low + 0.5 * extent for low, extent in zip(cloud["origin"], cloud["extent"], strict=True)]
@@ -220,7 +220,7 @@ def test_a_stored_layer_comes_on_when_it_is_published(station: StationPage, grap
     page.click("[data-layers=list]")
     row = page.locator("label", has=page.locator(f"[data-layer='{later}']"))
     sync_api.expect(row).to_contain_text("not published yet")
-    page.check(f"[data-layer='{PATH}']")  # another choice leaves it stored
+    page.check(f"[data-layer='{PATH}']")  # another choice keeps it stored
     spline = UniformSpline(0.0, 0.5, np.array([[float(n), 2.0, 3.0] for n in range(12)]))
     graph.say_latched(later, path_message(spline, rospy.Time.now(), "map"))
     station.until(f"station.view.layer('{later}')?.count > 20")

@@ -204,7 +204,7 @@ def test_a_cut_recording_and_one_that_is_none_say_what_is_wrong(
     none.click()
     sync_api.expect(none).to_have_count(0)
     rows.locator('tr[data-file="cut.bag"] td.link').click()
-    # What is left of a short recording may be without a whole chunk: then it is refused.
+    # The rest of a short recording may lack a whole chunk: then it is rejected.
     told = page.locator("[data-role=player] .warn").or_(page.locator(".toast.bad", has_text="cut.bag"))
     sync_api.expect(told.first).to_be_visible()
     page.evaluate("station.call('recordings.state')")

@@ -1,6 +1,6 @@
 """The same nodes without a simulator, as on a real vehicle: no sim time, plain topics, rospy's rate.
 
-This test stands for MAVROS: it publishes what that would, and takes what goes to it.
+This test acts as MAVROS: it publishes MAVROS's topics and receives the commands.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def test_follower_and_communication_run_on_wall_time(stack: Stack) -> None:
     graph.say("/xtdrone/formation_pattern", Float32MultiArray(data=[3.0, 0.0, 0.0]))
 
     def fly() -> bool:
-        """What MAVROS would publish now; the follower is a metre west of its slot."""
+        """Publish MAVROS's present messages; the follower is a metre west of its slot."""
         graph.say("/iris_0/mavros/local_position/pose", pose(0.0, 0.0, 5.0))
         graph.say("/iris_1/mavros/local_position/pose", pose(2.0, 0.0, 5.0))
         return bool(targets.last) and targets.last.velocity.x > 0.9 and len(commands.messages) >= 20
@@ -56,7 +56,7 @@ def test_follower_and_communication_run_on_wall_time(stack: Stack) -> None:
     assert (commands.last.linear.y, commands.last.linear.z) == (0.0, 0.0)
     assert targets.last.header.stamp.to_sec() > EPOCH
     assert targets.last.coordinate_frame == PositionTarget.FRAME_LOCAL_NED
-    # Their own clock paces them: there is no /clock.
+    # Their own clock sets the pace: there is no /clock.
     first = len(commands.messages)
     began = time.monotonic()
     poll(lambda: fly() and len(commands.messages) >= first + 30, "a second's commands", WALL_LIMIT)

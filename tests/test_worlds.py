@@ -1,4 +1,4 @@
-"""A world of one's own in the running simulator: found by others, listed, hit; a wrong one refused."""
+"""A user's own world in the running simulator: its messages, its listing, its collisions; a faulty one is rejected."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""A vision system for the tests: the true pose of a vehicle as VINS-Fusion would give it, ``vision_source.py iris_0``.
+"""A vision system for the tests: publishes a vehicle's true pose as VINS-Fusion would; ``vision_source.py iris_0``.
 
-It takes part in the lockstep, and publishes 30 times a second what /gazebo/model_states says, with a little noise, as
+It joins the lockstep, and publishes the pose of /gazebo/model_states 30 times a second, with a little noise, as
 the pose of the optical frame of a camera in the vehicle's middle that looks ahead.
 """
 

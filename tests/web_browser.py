@@ -1,7 +1,7 @@
 """A browser without a screen on the station of a running flight, for tests of the page.
 
 ``station_page(stack)`` starts the station beside a stack's simulation and opens its page in Debian's chromium. The
-page's own object ``station`` (``web_page/station.js``) tells what it has received.
+page's own object ``station`` (``web_page/station.js``) reports the received messages.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class StationPage:
 
     Attributes:
         page: of playwright.
-        errors: what the page has logged as an error.
+        errors: messages that the page has logged as errors.
     """
 
     def __init__(self, stack: Stack, page: Any, port: int) -> None:
@@ -52,18 +52,18 @@ class StationPage:
         page.on("console", lambda message: self._note(message))
 
     def _note(self, message: Any) -> None:
-        if message.type == "error" and "WebSocket" not in message.text:  # of a server that a test has killed
+        if message.type == "error" and "WebSocket" not in message.text:  # of a server killed by a test
             self.errors.append(message.text)
 
     def start_station(self) -> None:
-        """Start the station's node, and wait until it listens."""
+        """Start the station's node and wait until it listens."""
         arguments = [f"_port:={self._port}", "__name:=web_station"]
         program = self._stack.run("web_station", "xtdrone_interaction", "web_station.py", *arguments)
         found = poll(lambda: _URL.search(program.output), "the station prints its URL")
         self.url = found[1]
 
     def open(self) -> None:
-        """Open the page and wait until it is connected and knows all vehicles."""
+        """Open the page and wait until it is connected and lists all vehicles."""
         self.page.goto(self.url)
         self.until(f"station.connected && station.roster.vehicles.length === {len(self._stack.vehicles)}")
         self.until("station.fleet && station.fleet.number > 1")
@@ -73,11 +73,11 @@ class StationPage:
         poll(lambda: self.page.evaluate(f"Boolean({condition})"), condition)
 
     def toasts(self) -> str:
-        """Return what the page tells now."""
+        """Return the page's present messages."""
         return str(self.page.inner_text("#toasts"))
 
     def told(self, text: str) -> None:
-        """Wait until the page tells something."""
+        """Wait for a message on the page."""
         poll(lambda: text in self.toasts(), f"the page tells {text!r}")
 
     def picture(self, name: str) -> None:

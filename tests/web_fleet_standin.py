@@ -1,6 +1,6 @@
 """The station's server with vehicles that fly circles by a formula: the page with a hundred, without their simulation.
 
-Server, page, shapes and frames are the station's own; only where the vehicles are is not flown.
+Server, page, shapes and frames are the station's own; only the vehicles' positions are not simulated.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ def _answering(value: Any) -> Callable[[Session, Params], Any]:
 
 @contextmanager
 def fleet_standin(fleet: str, world: str) -> Iterator[FleetStandIn]:
-    """Serve the page of a fleet, as ``iris:100``, in the surroundings of a world's file."""
+    """Serve the page of a fleet, such as ``iris:100``, in the world of a file."""
     standin = FleetStandIn(fleet, world)
     standin.start()
     yield standin

@@ -1,4 +1,4 @@
-"""The benchmark: options, what is read from events and /proc, tables, JSON, clean-up. Nothing is timed."""
+"""Benchmark options, figures read from events and /proc, tables, JSON and clean-up; nothing is timed."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_invalid_values_are_reported(
     monkeypatch.setattr(command_options, "check_vehicle_ports", lambda fleet: None)  # another simulation may be running
     try:
         status = cli.main(["bench", *arguments])
-    except SystemExit as error:  # argparse
+    except SystemExit as error:  # argparse exits
         status = error.code
     assert status == 2
     assert message in capfd.readouterr().err
@@ -230,7 +230,7 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
 
 
 def _process(proc: Path, pid: int, parent: int, cpu: float, command: list[str], state: str = "S", pss: int = 0) -> None:
-    """Make a process of a /proc: half of ``cpu`` s is user's, half is system's time; ``pss`` in kB."""
+    """Write a process into a fake /proc: ``cpu`` s of CPU time, half user, half system; ``pss`` in kB."""
     folder = proc / str(pid)
     folder.mkdir(parents=True, exist_ok=True)
     half = int(cpu * TICKS / 2)
@@ -243,7 +243,7 @@ def _process(proc: Path, pid: int, parent: int, cpu: float, command: list[str], 
 
 @pytest.fixture
 def proc(tmp_path: Path) -> Path:
-    """A machine with a launch (10) of two followers and a simulator, a zombie in it, and a foreign process (50)."""
+    """A fake /proc: a launch (10) with two followers, a simulator and a zombie, and an unrelated process (50)."""
     proc = tmp_path / "proc"
     _process(proc, 10, 1, 1.0, ["/usr/bin/python3", "/usr/bin/roslaunch", "x.launch"], pss=100)
     _process(proc, 11, 10, 4.0, ["python3", "/ws/lib/simulator.py", "__name:=simulator"], pss=1000)
@@ -274,7 +274,7 @@ def test_cpu_time_goes_to_programs_and_others(proc: Path) -> None:
     (proc / "stat").write_text(f"cpu  {user} 0 100 {idle} 5000 0 0 {steal} 0 0\n")
     use = process_use.CpuSample.take(10, proc).since(before)
     assert use.programs == pytest.approx({"roslaunch": 0.0, "simulator": 2.0, "follower": 1.0})
-    assert use.others == pytest.approx(3.0)  # 4 s used and 2 s stolen, of which 3 s were ours
+    assert use.others == pytest.approx(3.0)  # 4 s used and 2 s stolen, of which this launch used 3 s
 
 
 def test_own_process_is_read_from_the_real_proc() -> None:
@@ -365,7 +365,7 @@ FLYING = {"typhoon_h480_0": "searching", "typhoon_h480_1": "second look"}
 def _probed(
     monkeypatch: pytest.MonkeyPatch, messages: list[tuple[float, float, str, dict[str, str]]]
 ) -> tuple[int, list[dict[str, Any]]]:
-    """Return the exit status and the events of a probe that measures 10 s; before each message two pictures came."""
+    """Run a probe that measures 10 s; return its exit status and events. Two pictures precede each message."""
     samples = iter([({1: ("yolo", 1.0)}, 10.0), ({1: ("yolo", 7.0)}, 20.0)])
     monkeypatch.setattr(search_speed_meter.CpuSample, "take", lambda root: process_use.CpuSample(*next(samples)))
     monkeypatch.setattr(search_speed_meter, "process_tree", lambda root: [root, 2, 3])
@@ -507,7 +507,7 @@ def test_interrupted_barrier_leaves_nothing_running(tmp_path: Path) -> None:
     )
     end = time.monotonic() + PATIENCE
     while not _marked(mark, "lockstep_idle") and time.monotonic() < end:
-        time.sleep(0.02)  # a process has no event for its grandparent's starter
+        time.sleep(0.02)  # no event records that a process belongs to its grandparent's starter
     assert _marked(mark, "lockstep_idle")
     bench_process.send_signal(signal.SIGINT)
     output, _ = bench_process.communicate(timeout=PATIENCE)
@@ -541,7 +541,7 @@ TURNS = {"commands": 1.0, "setpoints": 1.0, "poses": 1.0, "swarm": 0.9}
 def _search(
     exact: float, works: Callable[[float, int], bool], breaks: float = math.inf
 ) -> list[free_running_speeds.Trial]:
-    """Run a search; ``works`` says whether nodes keep up at a speed in the trial of that number."""
+    """Run a search; ``works(speed, trial number)`` returns whether the nodes keep up at that speed."""
     trials: list[free_running_speeds.Trial] = []
     while (speed := free_running_speeds.next_speed(exact, trials)) is not None:
         turns = TURNS | {"poses": 0.99 if works(speed, len(trials)) else 0.5}
@@ -722,7 +722,7 @@ def test_the_station_s_cost_is_that_of_windows_with_clients() -> None:
 
 
 def test_the_station_s_readers_count_frames_of_the_fleet() -> None:
-    """A server that sends what the station does; the readers are the program that the probe starts."""
+    """The server sends what the station sends; the readers are the program that the probe starts."""
     frame = pack_fleet_frame(np.zeros((30, COLUMNS)), np.zeros((0, COLUMNS)), 1.0, 1, 1)
     with _station_that_sends(frame) as url:
         command = [sys.executable, "-m", "benchmarks.nodes.web_clients", url, "2"]
@@ -786,7 +786,7 @@ def test_the_probe_is_launched_beside_a_flight_with_its_page(tmp_path: Path) -> 
 
 
 def test_calibration_does_the_documented_work() -> None:
-    """The results are those of the same loops in plain Python; a change of the work changes the reference too."""
+    """The results equal those of the same loops in plain Python, so a change of the work changes the reference too."""
     value = 88172645463325252
     for _ in range(1000):
         value ^= value << 13 & (1 << 64) - 1
@@ -1136,7 +1136,7 @@ def _program(folder: Path, speed: str) -> None:
 
 @pytest.fixture
 def commits(tmp_path: Path) -> Path:
-    """A repository whose first commit is half as fast as its working tree."""
+    """A repository whose first commit runs at half the speed of its working tree."""
     folder = tmp_path / "work"
     folder.mkdir()
     (folder / "requirements.txt").write_text("numpy\n")
@@ -1152,7 +1152,7 @@ def commits(tmp_path: Path) -> Path:
 
 
 def _compare(commits: Path, monkeypatch: pytest.MonkeyPatch, parts: str) -> tuple[int, dict[str, Any]]:
-    """Compare with the first commit; return exit status and results."""
+    """Run the comparison with the first commit; return exit status and results."""
     monkeypatch.setattr(command_options, "check_vehicle_ports", lambda fleet: None)  # another simulation may be running
     monkeypatch.setattr(bench, "resolve", lambda name: compare_with_commit.resolve(name, commits))
     monkeypatch.setattr(bench, "calibrate", lambda: CALIBRATION)
@@ -1200,7 +1200,7 @@ def test_an_interrupted_comparison_leaves_nothing_running(commits: Path, monkeyp
     assert fake_roslaunch.running(str(commits)) == []
 
 
-# ---- processes
+# the copy of its commit has run the set-up
 
 FAKE_ROSLAUNCH = """\
 #!{python}
@@ -1269,7 +1269,7 @@ def test_search_flies_over_a_world_without_people(tmp_path: Path) -> None:
 def _bench_with_fake_roslaunch(
     folder: Path, then: str, arguments: list[str]
 ) -> tuple[subprocess.CompletedProcess[str], dict[str, Any], list[str]]:
-    """Run the benchmark with a roslaunch that does ``then``; return its end, its results and what still runs of it."""
+    """Run the benchmark with a roslaunch that executes ``then``; return status, results and surviving processes."""
     mark = f"xtdrone-test-{os.getpid()}-{folder.name}"
     path = fake_roslaunch.install(folder, FAKE_ROSLAUNCH.format(python=sys.executable, mark=mark, then=then))
     file = folder / "b.json"

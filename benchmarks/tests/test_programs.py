@@ -1,4 +1,4 @@
-"""The benchmark programs, on the smallest cases."""
+"""The benchmark programs on their smallest cases."""
 
 from __future__ import annotations
 

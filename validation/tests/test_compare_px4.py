@@ -108,14 +108,14 @@ def test_invalid_values_are_reported(arguments, capsys):
 
 
 def elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have the vehicle's MAVLink on ports far from those of a running simulation."""
+    """Place the vehicle's MAVLink on ports far from those of a running simulation."""
     for name, port in (("offboard_local_port", 34820), ("offboard_remote_port", 24820), ("gcs_local_port", 18820)):
         monkeypatch.setattr(Vehicle, name, port)
 
 
 @pytest.fixture(scope="module")
 def flown():
-    """Our autopilot in the recorded one's flights, on its plant."""
+    """Our autopilot in the recorded flights, on the recorded plant."""
     with pytest.MonkeyPatch.context() as monkeypatch:
         elsewhere(monkeypatch)
         return flown_scripts.fly("px4_reference", flown_scripts.FLIGHTS, 0, lambda _name: None)

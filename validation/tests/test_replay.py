@@ -113,7 +113,7 @@ def test_invalid_values_are_reported(options: list[str], word: str, capsys: Any)
 def test_two_digest_files_are_compared_by_the_command(tmp_path: Path, capsys: Any) -> None:
     first, same, other = flight(tmp_path / "a"), tmp_path / "b", flight(tmp_path / "c", [62, 610, 333])
     lines = first.read_text().splitlines(keepends=True)
-    same.write_text("".join([lines[0], lines[2], lines[1], lines[3]]))  # nodes of a second in another order
+    same.write_text("".join([lines[0], lines[2], lines[1], lines[3]]))  # nodes of one second in another order
     assert cli.main(["replay-check", "--compare", str(first), str(same)]) == 0
     assert "3 topics, 71 messages, until 2.000 s: the same to the last bit" in capsys.readouterr().out
     assert cli.main(["replay-check", "--compare", str(first), str(other)]) == 1

@@ -182,7 +182,7 @@ def test_few_samples_are_not_judged():
 
 
 def stretches(last_wall: float = 10.0, last_cpu: float = 6.0, last_others: float = 0.1) -> list[Stretch]:
-    """Return 40 episodes of 100 s; those of the last quarter take other times."""
+    """Return 40 episodes of 100 s; those of the last quarter have other times."""
     rng = random.Random(2)
     made = []
     for number in range(40):
@@ -200,7 +200,7 @@ def stretches(last_wall: float = 10.0, last_cpu: float = 6.0, last_others: float
     [
         ({}, "flat"),
         ({"last_wall": 15.0, "last_cpu": 9.0}, "slower"),
-        ({"last_wall": 15.0}, "slower"),  # it waits for something, and the machine is free
+        ({"last_wall": 15.0}, "slower"),  # it waits for something while the machine is idle
         ({"last_wall": 15.0, "last_others": 1.5}, "not comparable"),
         ({"last_wall": 15.0, "last_cpu": 9.0, "last_others": 1.5}, "slower"),
         ({"last_wall": 5.0, "last_cpu": 3.0}, "flat"),
@@ -246,7 +246,7 @@ def test_bags_are_whole_cut_or_damaged(tmp_path: Path):
     data = bag(path)
     assert (judge_bag(path, False).verdict, judge_bag(path, False).messages) == ("whole", 200)
     path.write_bytes(data[: len(data) // 2])
-    assert judge_bag(path, may_be_cut=False).verdict == "damaged"  # its recorder ended in peace
+    assert judge_bag(path, may_be_cut=False).verdict == "damaged"  # its recorder ended normally
     cut = judge_bag(path, may_be_cut=True)
     assert cut.verdict == "cut"
     assert 50 < cut.messages < 150
@@ -300,7 +300,7 @@ def test_warnings_are_counted_by_kind_and_tracebacks_found(tmp_path: Path):
         "3.6 WARN /mavros [a.py:1(g)] [topics: /ro"
     )
     own.write_text("fine\n")
-    (folder / "master.log").write_text("Traceback (most recent call last):\n")  # of an update to a killed node
+    (folder / "master.log").write_text("Traceback (most recent call last):\n")  # of an update sent to a killed node
     logs = TextLogs(tmp_path)
     logs.update()
     assert logs.warnings["WARN /simulator: # datagrams were lost at # s"] == 2

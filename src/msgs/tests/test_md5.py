@@ -1,6 +1,6 @@
 """The MD5 sums of our message types are those that MAVROS, Gazebo and other tools expect.
 
-ROS refuses a connection when the sums of the two ends differ, so an equal sum is what makes the types interchangeable.
+ROS rejects a connection when the sums of the two ends differ, so types with equal sums are interchangeable.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Expected(NamedTuple):
 
 
 def read_expected() -> list[Expected]:
-    """Reads md5sums.txt: `package/Name kind md5` a line, # starts a comment line."""
+    """Read md5sums.txt: one `package/Name kind md5` per line; # starts a comment line."""
     lines = [line for line in SUMS_FILE.read_text().splitlines() if line and not line.startswith("#")]
     return [Expected(*line.replace("/", " ").split()) for line in lines]
 
@@ -55,14 +55,14 @@ ALL_TYPES = pytest.mark.parametrize("expected", EXPECTED, ids=[f"{e.type_name}.{
 
 @functools.cache
 def search_path() -> dict[str, list[str]]:
-    """The folders with .msg files, by package: ours, and those of the ROS installation."""
+    """Return the folders with .msg files by package: this workspace's and the ROS installation's."""
     ros = rospkg.RosPack([str(PACKAGES_DIR), *rospkg.get_ros_paths()])
     folders = {package: Path(ros.get_path(package), "msg") for package in ros.list()}
     return {package: [str(folder)] for package, folder in folders.items() if folder.is_dir()}
 
 
 def source_md5(expected: Expected) -> str:
-    """The sum that genmsg works out from the definition in the source tree."""
+    """Return the sum that genmsg computes from the definition in the source tree."""
     context = genmsg.MsgContext.create_default()
     path = PACKAGES_DIR / expected.package / expected.kind / f"{expected.name}.{expected.kind}"
     load = genmsg.msg_loader.load_msg_from_file if expected.kind == "msg" else genmsg.msg_loader.load_srv_from_file
@@ -77,8 +77,8 @@ def test_definition_has_the_expected_sum(expected: Expected) -> None:
 
 
 def require_built(package: str) -> None:
-    """Skips the test when the package's generated Python classes are not on the path."""
-    # Without a file of its own it is no generated package but a folder of the source tree that lies on the path.
+    """Skip the test if the package's generated Python classes are not on the path."""
+    # Without its own __init__.py it is not a generated package but a folder of the source tree on the path.
     spec = importlib.util.find_spec(package)
     if spec is None or spec.origin is None:
         pytest.skip(f"{package} is not built, or the devel space is not sourced")

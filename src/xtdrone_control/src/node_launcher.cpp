@@ -39,7 +39,7 @@ extern char** environ;  // NOLINT
 namespace {
 constexpr int BACKLOG = 4096;         // launchers that wait while the zygote imports
 constexpr time_t CONNECT_LIMIT = 20;  // s; the socket may belong to another user's process that accepts no connections
-constexpr size_t TITLE_SIZE = 4096;   // bytes that the zygote gets for the command lines of its nodes
+constexpr size_t TITLE_SIZE = 4096;   // bytes reserved in the zygote for its nodes' command lines
 constexpr int FORWARDED[] = {SIGHUP, SIGINT, SIGQUIT, SIGUSR1, SIGUSR2, SIGTERM};
 
 // The zygote's messages: PID after the fork, ENDED with the wait status, REFUSED if it cannot run the program.
@@ -51,8 +51,8 @@ struct Reply {
   int32_t value;
 };
 
-// The launcher in lists of processes: `node_launcher __name:=NODE PID`, so that a search for the node's script finds
-// the node alone, and its process is known (xtdrone_interaction/monitoring/missing_nodes.py reads it).
+// The launcher's command line in lists of processes: `node_launcher __name:=NODE PID`. A search for the node's script
+// then finds the node alone, and xtdrone_interaction/monitoring/missing_nodes.py reads the node's process id.
 class Title {
  public:
   explicit Title(char** words) : begin_(words[1]) {
@@ -78,7 +78,7 @@ class Title {
   std::string name_;
 };
 
-// Replaces the launcher by the program, as if it had not been there.
+// Replaces the launcher by the program, as if there had been no launcher.
 [[noreturn]] void runDirectly(char** command) {
   execvp(command[0], command);
   fprintf(stderr, "node_launcher: %s: %s\n", command[0], strerror(errno));

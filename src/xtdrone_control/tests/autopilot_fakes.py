@@ -1,4 +1,4 @@
-"""An autopilot without kernels, for tests of what stands on its records."""
+"""An autopilot without kernels, for tests of the code above its records."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FIRST_ID = 170  # far from the ports of a running simulation
 
 
 class FakeAutopilot:
-    """Records as the kernels would keep them: ready on the ground, with a good estimate."""
+    """Records in the state in which the kernels keep them: ready on the ground, with a good estimate."""
 
     def __init__(self, count: int = 1) -> None:
         self.count = count
@@ -73,7 +73,7 @@ class Flight:
         self.commander.update()
 
     def run(self, seconds: float, each: Any = None) -> None:
-        """Advance time with updates at 10 Hz, calling ``each`` before every one."""
+        """Advance time by updates at 10 Hz, and call ``each`` before every update."""
         for _ in range(round(seconds * 10)):
             self.autopilot.time_us += 100_000
             if each is not None:
@@ -81,7 +81,7 @@ class Flight:
             self.commander.update()
 
     def follow(self) -> None:
-        """Be where TASK_GOTO wants the vehicle."""
+        """Move the vehicle to the position of TASK_GOTO."""
         if self.setpoint["task"] == TASK_GOTO:
             self.place(*self.setpoint["goal_position"].tolist())
 
@@ -89,7 +89,7 @@ class Flight:
         self.autopilot.place(0, x, y, z, yaw)
 
     def hover(self) -> None:
-        """Position setpoint of the OFFBOARD stream."""
+        """Return a position setpoint of the OFFBOARD stream."""
         nan = (math.nan,) * 3
         self.commander.offboard_trajectory((1.0, 2.0, -3.0), nan, nan, 0.0, math.nan)
 

@@ -1,4 +1,4 @@
-"""A ROS program for test_mavros_node: uses the topics and services of /iris_0/mavros and prints what it saw as JSON."""
+"""A ROS program for test_mavros_node: uses the topics and services of /iris_0/mavros and prints its records as JSON."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ POSITION |= PositionTarget.IGNORE_AFX | PositionTarget.IGNORE_AFY | PositionTarg
 
 
 def target(frame: int, mask: int) -> PositionTarget:
-    """Return a setpoint with a number of its own in every field."""
+    """Return a setpoint with a distinct number in every field."""
     message = PositionTarget(coordinate_frame=frame, type_mask=mask, yaw=0.3, yaw_rate=0.4)
     message.position.x, message.position.y, message.position.z = 1.0, 2.0, 3.0
     message.velocity.x, message.velocity.y, message.velocity.z = 4.0, 5.0, 6.0
@@ -42,7 +42,7 @@ def main() -> None:
     state = rospy.wait_for_message(f"{NS}/state", State, LIMIT)
     pose = rospy.wait_for_message(f"{NS}/local_position/pose", PoseStamped, LIMIT)
     imu = Imu(linear_acceleration_covariance=[-1.0] + [0.0] * 8)
-    while imu.linear_acceleration_covariance[0] < 0.0:  # the autopilot's first accelerations may come after this topic
+    while imu.linear_acceleration_covariance[0] < 0.0:  # its first accelerations may arrive after this topic
         imu = rospy.wait_for_message(f"{NS}/imu/data", Imu, LIMIT)
     arm = rospy.ServiceProxy(f"{NS}/cmd/arming", CommandBool)
     mode = rospy.ServiceProxy(f"{NS}/set_mode", SetMode)
@@ -62,7 +62,7 @@ def main() -> None:
         "modes": modes,
     }
     print(json.dumps(result), flush=True)
-    sys.stdin.read()  # until the test has what it waits for
+    sys.stdin.read()  # until the test has its results
     publisher.unregister()
 
 

@@ -17,7 +17,7 @@ from xtdrone_control.mavros.uas import Uas
 
 
 class FakePublisher:
-    """Keeps copies of what is published."""
+    """Keeps copies of published messages."""
 
     def __init__(self) -> None:
         """Begin with no subscriber."""
@@ -29,7 +29,7 @@ class FakePublisher:
         self.messages.append(copy.deepcopy(message))
 
     def get_num_connections(self) -> int:
-        """Return what the test set."""
+        """Return the number set by the test."""
         return self.connections
 
 
@@ -52,11 +52,11 @@ class FakeRos:
         return hash(tuple(publisher.connections for publisher in self.publishers.values()))
 
     def now_ns(self) -> int:
-        """Return what the test set."""
+        """Return the time set by the test."""
         return self.time_ns
 
     def publisher(self, topic: str, kind: type, latch: bool) -> FakePublisher:
-        """Make a publisher; one for all of a topic, as rospy does."""
+        """Return the topic's publisher, one per topic as in rospy."""
         self.kinds[topic] = kind
         return self.publishers.setdefault(topic, FakePublisher())
 
@@ -75,16 +75,16 @@ class FakeRos:
         self.params[name] = value
 
     def get_param(self, name: str, default: Any) -> Any:
-        """Return what was set by that name."""
+        """Return the value set for that name."""
         return self.params.get(name, default)
 
     def needs_time(self) -> contextlib.nullcontext[None]:
-        """Time flows in any case."""
+        """Return an empty context: simulated time always advances."""
         return contextlib.nullcontext()
 
 
 class Bench:
-    """One vehicle's plugins between fake ROS and a UDP socket that plays the autopilot, all in the test's thread.
+    """One vehicle's plugins between fake ROS and a UDP socket in the autopilot's place, all in the test's thread.
 
     Attributes:
         fcu: the autopilot's socket.
@@ -115,7 +115,7 @@ class Bench:
         self.uas.refresh()
 
     def frame(self, message: Any) -> bytes:
-        """Return ``message`` as the autopilot sends it; the next one has the next sequence number."""
+        """Return ``message`` as a frame of the autopilot; each frame has the next sequence number."""
         frame = bytes(message.pack(self._packer))
         self._packer.seq = (self._packer.seq + 1) & 0xFF
         return frame
@@ -131,7 +131,7 @@ class Bench:
         self.uas.receive(self.ros.time_ns)
 
     def published(self, topic: str) -> list[Any]:
-        """Return and forget what was published on a topic."""
+        """Return and clear the messages published on a topic."""
         publisher = self.ros.publishers[f"/iris_0/mavros/{topic}"]
         messages, publisher.messages = publisher.messages, []
         return messages
@@ -141,7 +141,7 @@ class Bench:
         self.ros.subscribers[f"/iris_0/mavros/{topic}"](message)
 
     def received(self) -> list[Any]:
-        """Return the messages that the autopilot got."""
+        """Return the messages that the autopilot has received."""
         messages = []
         while True:
             try:

@@ -16,7 +16,7 @@ _WALL_LIMIT = 120.0  # s; only a broken run takes so long
 
 
 class Pair:
-    """The two, with what goes between them.
+    """A plugin, a vehicle's services, and the messages between them.
 
     Attributes:
         bench: the plugin's side.
@@ -31,7 +31,7 @@ class Pair:
         self.lost = 0
 
     def call(self, service: str, request: Any) -> Any:
-        """Call a service in a thread, as rospy does, and play the autopilot until it is done."""
+        """Call a service in a thread, as rospy does, and run the autopilot until the call returns."""
         results: list[Any] = []
         handler = self.bench.ros.services[f"/iris_0/mavros/{service}"]
         thread = threading.Thread(target=lambda: results.append(handler(request)), daemon=True)

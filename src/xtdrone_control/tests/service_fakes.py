@@ -1,4 +1,4 @@
-"""One vehicle's MAVLink services without sockets: messages in, answers out, for tests."""
+"""One vehicle's MAVLink services without sockets, for tests: messages in, replies out."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SYSTEM = FIRST_ID + 1
 
 
 class FakeLink:
-    """A client's link, and its port, that keeps what it is given, decoded."""
+    """A client's link and port that keep all sent messages, decoded."""
 
     def __init__(self, telemetry: VehicleTelemetry, system_id: int) -> None:
         self.telemetry = telemetry
@@ -87,7 +87,7 @@ class Served:
         self.commander.texts.clear()
 
     def ask(self, message: Any, link: FakeLink | None = None, *, participant: bool = False) -> list[Any]:
-        """Give the services ``message`` (pymavlink's, or a ready frame) and return what they answer at once."""
+        """Pass ``message`` (pymavlink's or a packed frame) to the services; return their immediate replies."""
         link = link or self.link
         link.sent.clear()
         frame = message if isinstance(message, bytes) else bytes(message.pack(link.client))
@@ -96,7 +96,7 @@ class Served:
         return [answer for _, answer in link.sent]
 
     def command(self, number: int, *params: float, link: FakeLink | None = None) -> tuple[int | None, list[str]]:
-        """Return a COMMAND_LONG's result, None without an acknowledgement, and the texts that it causes, less tabs."""
+        """Return a COMMAND_LONG's result, None without an acknowledgement, and its texts, without tabs."""
         self.commander.texts.clear()
         values = [*params, *[0.0] * (7 - len(params))]
         answers = self.ask(mavlink.MAVLink_command_long_message(SYSTEM, 1, number, 0, *values), link)
@@ -106,7 +106,7 @@ class Served:
         return (acks[0].result if acks else None), [text.rstrip("\t") for _, text in self.commander.texts]
 
     def run(self, seconds: float, step_us: int = 4000) -> list[tuple[int, str, Any]]:
-        """Advance time; return (time, name, message) of what the services send on the first link."""
+        """Advance time; return (time, name, message) of each message that the services send on the first link."""
         found = []
         for _ in range(round(seconds * 1e6 / step_us)):
             self.autopilot.time_us += step_us

@@ -1,4 +1,4 @@
-"""Events: their numbers, their arguments, and which the commander sends."""
+"""Events: their ids, their arguments, and those that the commander sends."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def taken(flight):
 
 @pytest.mark.parametrize(("name", "hashed"), [("", 0x811C9DC5), ("a", 0xE40C292C), ("foobar", 0xBF9CF968)])
 def test_numbers_are_fnv_1a(name, hashed):
-    """Test vectors of the FNV authors' page."""
+    """The hash reproduces the test vectors on the page of the FNV authors."""
     assert event_id(name) == 1 << 24 | hashed & 0xFFFFFF
 
 

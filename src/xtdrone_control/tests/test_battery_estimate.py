@@ -1,4 +1,4 @@
-"""PX4's estimate of the battery, and what the arming checks make of it."""
+"""PX4's battery estimate, and the arming checks that use it."""
 
 from __future__ import annotations
 

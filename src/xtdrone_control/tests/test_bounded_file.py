@@ -1,4 +1,4 @@
-"""Files without an end, pipes, and texts that unfold: refused in words, at once and without the memory for them."""
+"""Endless files, pipes and texts that expand: rejected with a message, at once and without filling the memory."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
 
 @pytest.fixture
 def bounded() -> Iterator[None]:
-    """A test that needs much memory or wall time fails."""
+    """Fail a test that uses 64 MB of memory or 20 s of CPU time."""
     tracemalloc.start()
     begin = time.process_time()
     yield
@@ -119,7 +119,7 @@ def test_invalid_yaml_is_reported_in_one_line(text: str, words: str) -> None:
 def test_too_many_values_are_rejected_before_construction(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bounded_file, "MOST_VALUES", 1000)
     with pytest.raises(ContentError, match="more than 1000 values"):
-        load_yaml("[" + "1, " * 1001)  # its end is never looked at
+        load_yaml("[" + "1, " * 1001)  # the end of the text is not parsed
     assert len(load_yaml("[" + "1, " * 999 + "]")) == 999
 
 

@@ -1,4 +1,4 @@
-"""Every MAV_CMD with zero parameters, disarmed: what a PX4 v1.14.3 answered, and what ours does."""
+"""Every MAV_CMD with zero parameters, disarmed: the replies of PX4 v1.14.3 and of this autopilot."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from xtdrone_control.autopilot.parameters.parameters import Parameters
 
 _REFERENCE = Path(__file__).parent / "data" / "px4_command_acks.csv"
 
-# Answers that differ on purpose: result, texts, and why.
+# Deliberate differences: result, texts, and the reason.
 _ACCEPTED, _UNSUPPORTED = 0, 3
 _OTHERWISE: dict[int, tuple[int, list[str], str]] = {
     84: (_UNSUPPORTED, [], "a multicopter has no transition"),
@@ -44,7 +44,7 @@ def test_zero_parameters_disarmed(number, name, result, texts):
         result, texts, _why = _OTHERWISE[number]
     served = Served()
     found_result, found_texts = served.command(number)
-    # with a tab where PX4 sends an event, too; the reference was written down without
+    # with a tab where PX4 also sends an event; the reference was recorded without
     assert (found_result, [text.rstrip("\t") for text in found_texts]) == (result, texts), name
 
 
@@ -55,7 +55,7 @@ def test_deviating_answers_are_in_the_reference():
         assert why
 
 
-# what surrounds the handlers
+# checks around the handlers
 
 
 def command_long(number, *params, system=SYSTEM, component=1):
@@ -109,7 +109,7 @@ def test_reposition_takes_its_heading_in_radians(served):
     message = command_int(192, 0x7FFFFFFF, 0x7FFFFFFF, math.nan, params=(-1.0, 1.0, 0.0, 1.5))
     assert served.ask(message)[0].result == 0
     assert served.autopilot.setpoint[0]["goal_yaw"] == pytest.approx(1.5)
-    for flags in (0.0, 3.0, math.nan):  # no change of mode, or more than that
+    for flags in (0.0, 3.0, math.nan):  # no change of mode, or other flags
         assert served.command(192, -1, flags)[0] == 3
 
 
@@ -162,8 +162,8 @@ def test_versions(served):
     version = served.link.sent[0][1]
     assert version.flight_sw_version == 17695743
     assert version.uid == SYSTEM
-    # the reference's, but for SET_ACTUATOR_CONTROL_TARGET (1024), which in lockstep it refuses; without MISSION_INT,
-    # FENCE and RALLY MAVSDK sends no plans and QGroundControl shows none
+    # the reference's without SET_ACTUATOR_CONTROL_TARGET (1024), rejected in lockstep; without MISSION_INT,
+    # FENCE and RALLY, MAVSDK sends no plans and QGroundControl shows none
     assert version.capabilities == 60671 & ~1024
     served.ask(command_long(512, 300))
     version = served.link.sent[0][1]

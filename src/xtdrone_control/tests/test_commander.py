@@ -1,4 +1,4 @@
-"""Arming, modes, failsafes, home: after what a PX4 v1.14.3 did."""
+"""Arming, modes, failsafes and home position, after the behaviour of PX4 v1.14.3."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_mode_by_base_mode_alone(flight, base_mode, mode):
     ],
 )
 def test_modes_not_for_arming(flight, mode):
-    """Modes that a real PX4 rejected without pilot, setpoints and mission, with the reason in events only."""
+    """PX4 v1.14.3 rejects arming in these modes without pilot, setpoints and mission; the reason is in events only."""
     assert flight.commander.request(mode) is Result.ACCEPTED
     flight.run(0.1)
     flight.texts()
@@ -356,7 +356,7 @@ def test_offboard_loss_actions(action, mode, task):
 
 
 def offset(flight, x, yaw=0.0):
-    """Position x m forward of the vehicle, as XTDrone's communication node repeats it, in the record's local NED."""
+    """Return a position x m forward of the vehicle in local NED, as XTDrone's communication node repeats it."""
     message = SimpleNamespace(coordinate_frame=9, type_mask=0b100111111000, x=x, y=0.0, z=0.0, yaw=yaw, yaw_rate=0.0)
     message.vx = message.vy = message.vz = message.afx = message.afy = message.afz = math.nan
     local_target(flight.commander, message)
@@ -367,7 +367,7 @@ def test_an_offset_counts_from_where_its_command_came(flight):
     fly_offboard(flight)
     flight.place(1.0, 2.0, -3.0, yaw=math.pi / 2)
     assert offset(flight, 2.0) == pytest.approx([1.0, 4.0, -3.0])
-    for y in (2.5, 3.0, 3.9):  # on its way, and turning
+    for y in (2.5, 3.0, 3.9):  # during the approach, while turning
         flight.place(1.0, y, -3.0, yaw=0.3 * y)
         flight.run(0.1)
         assert offset(flight, 2.0) == pytest.approx([1.0, 4.0, -3.0])

@@ -1,4 +1,4 @@
-"""The multirotor communication node's decisions, without ROS."""
+"""Decisions of the multirotor communication node, without ROS."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ WEST_OF_NORTH = (0.0, 0.0, HALF, HALF)  # yaw 90 deg
 
 
 class Recorder:
-    """Keeps what would be logged."""
+    """Keeps the log messages."""
 
     def __init__(self) -> None:
         self.infos: list[str] = []

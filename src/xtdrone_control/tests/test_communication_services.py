@@ -1,4 +1,4 @@
-"""Calls of MAVROS's services by the communication node."""
+"""The communication node's calls of MAVROS services."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from xtdrone_control.communication.commands import Request
 
 
 def test_time_may_flow_while_an_answer_is_waited_for_in_a_turn(monkeypatch):
-    """A PX4 answers a MAVROS that takes no part in the lockstep only then."""
+    """While a service call waits in a turn, time advances: PX4 replies to a MAVROS outside the lockstep only then."""
     seen = []
 
     @contextmanager

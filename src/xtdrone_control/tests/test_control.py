@@ -38,7 +38,7 @@ def allocate(torque, thrust, positions=IRIS, moments=MOMENTS, failed=0, airmode=
 
 
 def produced(control, positions=IRIS, moments=MOMENTS):
-    """Return roll, pitch, yaw torque and thrust of the motor commands, thrust counted as its command."""
+    """Return roll, pitch and yaw torque and the thrust of motor commands, the thrust in units of its command."""
     return control_allocator.effectiveness(positions, moments) @ control["actuators"][: len(positions)]
 
 
@@ -53,7 +53,7 @@ def test_collective_thrust_goes_to_all_motors():
 
 @pytest.mark.parametrize(("torque", "raised"), [((0.1, 0, 0), {1, 2}), ((0, 0.1, 0), {0, 2}), ((0, 0, 0.1), {0, 1})])
 def test_each_axis_raises_the_right_motors(torque, raised):
-    """Roll right raises the left motors, pitch up the front ones, yaw clockwise the counter-clockwise ones."""
+    """Roll right speeds up the left motors, pitch up the front ones, yaw right the counter-clockwise ones."""
     u = allocate(torque, 0.5)["actuators"][:4]
     assert set(np.flatnonzero(u > 0.505)) == raised
 
@@ -108,7 +108,7 @@ def test_tilt_is_limited_and_points_at_the_acceleration(parts):
     position_control.thrust_to_attitude(c, e)
     z = rotation.rotate(c["sp_q"], 0.0, 0.0, 1.0)
     assert math.degrees(math.acos(z[2])) == pytest.approx(30.0, abs=1e-6)
-    assert -z[0] > 0.0  # thrust leans north
+    assert -z[0] > 0.0  # the thrust leans north
 
 
 def test_horizontal_limit_keeps_the_first_vector_s_priority():
@@ -180,7 +180,7 @@ def test_a_quadrotor_without_a_rotor_gives_up_yaw_and_remains_level(rotor):
     assert control["actuators"][rotor] == 0.0
     roll, pitch, _, thrust = produced(control)
     assert thrust > 0.5
-    assert abs(roll) < 0.02 * thrust  # of a lever of 0.2
+    assert abs(roll) < 0.02 * thrust  # with a lever of 0.2
     assert abs(pitch) < 0.02 * thrust
 
 

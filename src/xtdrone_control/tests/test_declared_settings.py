@@ -87,7 +87,7 @@ def test_undeclared_fields_are_not_checked() -> None:
 
 @dataclass(frozen=True)
 class Further(Example):
-    """A combination is restricted too."""
+    """Adds a restriction on a combination of values."""
 
     clearance: float = setting(0.5, low=0.0, unit="m", text="clearance")
 
@@ -179,7 +179,7 @@ def test_help_states_range_unit_and_default() -> None:
 
 @dataclass(frozen=True)
 class Wind(Settings):
-    """Settings that a command line gives by their places."""
+    """Settings that are positional on the command line."""
 
     east: float = setting(..., low=-50.0, high=50.0, unit="m/s", text="towards the east", positional=True)
     up: float = setting(0.0, low=-5.0, high=5.0, unit="m/s", text="upwards", metavar="RISE", positional=True)
@@ -225,7 +225,7 @@ def _speed(given: object) -> float:
 
 @dataclass(frozen=True)
 class Special(Settings):
-    """Settings that are parsed, and tuples."""
+    """Settings parsed from text, and tuples."""
 
     offset: tuple[float, float, float] = setting((0.0, 0.0, 1.0), low=-10.0, high=10.0, unit="m", text="offset")
     names: tuple[str, ...] = setting(("a", "b"), text="names")

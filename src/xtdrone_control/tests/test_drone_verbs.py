@@ -1,4 +1,4 @@
-"""A scripted vehicle's verbs against a made-up autopilot, without ROS."""
+"""Verbs of a scripted vehicle against a fake autopilot, without ROS."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from xtdrone_control.drone.drones import Drone, DroneGroup
 from xtdrone_control.drone.verbs import BRAKE_LIMIT, DroneError, FaultError, RejectedError, TimedOutError, Verbs
 
 TURN = 0.1  # s
-SPEED = 2.0  # m/s of the made-up vehicle
+SPEED = 2.0  # m/s of the fake vehicle
 READY = 1 << 28
 
 
@@ -26,7 +26,7 @@ class Silent:
 
 
 class Autopilot:
-    """Accepts everything at once unless told otherwise, and flies straight to position setpoints in OFFBOARD."""
+    """Accepts every request at once by default, and flies straight to position setpoints in OFFBOARD."""
 
     def __init__(self, name: str = "iris_0") -> None:
         self.time, self.position, self.mode, self.armed = 0.0, np.zeros(3), "AUTO.LOITER", False
@@ -79,7 +79,7 @@ class Autopilot:
 
 
 class Runner:
-    """Runs verbs on made-up autopilots."""
+    """Runs verbs on fake autopilots."""
 
     def __init__(self, *autopilots: Autopilot) -> None:
         self.autopilots = {autopilot.verbs.name: autopilot for autopilot in autopilots}

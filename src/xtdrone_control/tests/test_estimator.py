@@ -1,4 +1,4 @@
-"""The error-state filter against a flown truth: convergence, biases, rejected outliers, lost GPS."""
+"""The error-state filter against a known motion: convergence, biases, rejected outliers, lost GPS."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FIELD = 0.48 * np.array(
 
 
 class Flight:
-    """A vehicle on a circle, turning, with noisy sensors written into one record; then the filter over them."""
+    """A vehicle that circles and turns, with noisy sensors written into one record, and the filter that fuses them."""
 
     def __init__(self, seed: int = 1, radius: float = 5.0) -> None:
         self.rng = np.random.default_rng(seed)
@@ -48,7 +48,7 @@ class Flight:
         self.work = np.zeros((2, N_STATES))
 
     def truth(self, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Position, velocity, acceleration (NED); at rest for 2 s, then a circle that starts from rest."""
+        """Return position, velocity and acceleration (NED): 2 s at rest, then a circle that starts from rest."""
         if t < 2.0:
             return np.zeros(3), np.zeros(3), np.zeros(3)
         phase = 0.05 * (t - 2.0) ** 2 if t < 12.0 else 5.0 + (t - 12.0)
@@ -92,7 +92,7 @@ class Flight:
         ekf.update(self.e[0], s, self.p[0], DT, self.work)
 
     def errors(self) -> tuple[float, float, float]:
-        """Position (m), velocity (m/s) and attitude (rad) error norms now."""
+        """Return the present norms of the errors of position (m), velocity (m/s) and attitude (rad)."""
         position, velocity, _ = self.truth(self.k * DT)
         e = self.e[0]
         dot = abs(float(np.dot(self.q, e["q"])))
@@ -122,7 +122,7 @@ def test_covariance_stays_symmetric_and_positive():
 
 
 def test_covariance_prediction_equals_the_dense_product():
-    """Phi P Phi' + Q with the dense Phi of the error dynamics (Sola 2017, eq. 270)."""
+    """The predicted covariance is Phi P Phi' + Q with the dense Phi of the error dynamics (Sola 2017, eq. 270)."""
     flight = Flight()
     flight.run(10.0)
     e, p = flight.e.copy(), flight.p[0]

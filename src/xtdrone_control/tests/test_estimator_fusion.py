@@ -1,4 +1,4 @@
-"""Each measurement model against finite differences of what it predicts; updates and resets against dense algebra."""
+"""Each measurement model against finite differences of its prediction; updates and resets against dense algebra."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FIELD = (0.21, 0.02, 0.43)
 
 
 def estimate(angles=(0.3, -0.2, 1.1)) -> np.ndarray:
-    """Return an ESTIMATOR record with some state and a positive covariance."""
+    """Return an ESTIMATOR record with an arbitrary state and a positive covariance."""
     e = np.zeros(1, ESTIMATOR)
     e["q"][0] = from_euler(*angles)
     e["velocity"][0] = (2.0, -1.0, 0.4)
@@ -44,7 +44,7 @@ def moved(e: np.ndarray, state: int, amount: float) -> np.ndarray:
 
 
 def gradient(predict, e: np.ndarray) -> np.ndarray:
-    """Return the central differences of ``predict`` by every error state."""
+    """Return the central differences of ``predict`` with respect to each error state."""
     sides = [[predict(moved(e, i, sign * STEP)) for sign in (1, -1)] for i in range(N_STATES)]
     return np.array([math.remainder(up - down, math.tau) / (2 * STEP) for up, down in sides])
 
@@ -72,7 +72,7 @@ def test_magnetic_heading(angles):
     innovation, attitude, bias, found = fusion.magnetic_heading(e[0], s[0], DECLINATION)
     assert found
     assert innovation == pytest.approx(math.remainder(DECLINATION - angle(e), math.tau))
-    # the derivatives are those where the field points to the declination, whatever the sample's noise
+    # the derivatives hold where the field points to the declination, whatever the sample's noise
     north, east, down = rotate(e["q"][0], *(s["mag"][0] - e["mag_bias"][0]))
     cos, sin = math.cos(innovation), math.sin(innovation)
     field = (cos * north - sin * east, sin * north + cos * east, down)
@@ -100,11 +100,11 @@ def test_euler_yaw(angles):
 
 @pytest.mark.parametrize("angles", ATTITUDES[:3])
 def test_optical_flow(angles):
-    """The flow of a point on level ground seen along the body's z axis."""
+    """The prediction is the flow of the point of level ground on the body's z axis."""
     e, hagl = estimate(angles), 4.0
 
     def flow(state, axis):
-        """Rate of the line of sight to the ground point, by geometry: velocity across it over the distance."""
+        """Return the rate of the line of sight to the ground point, by geometry: transverse velocity over distance."""
         q = state["q"][0]
         distance = hagl / rotate(q, 0.0, 0.0, 1.0)[2]
         vx, vy, _ = rotate_inverse(q, *state["velocity"][0])

@@ -1,4 +1,4 @@
-"""Events: broadcast, numbered, and sent again on request."""
+"""Events are broadcast, numbered, and sent again on request."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Failsafe decisions: tables after PX4 v1.14, and what holds for all of them."""
+"""Failsafe decisions: tables after PX4 v1.14, and laws for all combinations."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def worst(mode, flags, get, **situation):
 
 
 class Course:
-    """One vehicle's failsafe, asked at 10 Hz."""
+    """One vehicle's failsafe, evaluated at 10 Hz."""
 
     def __init__(self, mode=modes.AUTO_LOITER, **parameters):
         self.now_us = 0
@@ -68,7 +68,7 @@ class Course:
         return outcome
 
     def until(self, mode, flags, limit=20.0):
-        """Return the seconds until ``mode`` is flown."""
+        """Return the time in s until ``mode`` is active."""
         start_us = self.now_us
         for _ in range(round(limit * 10)):
             if self.step(flags).mode is mode:
@@ -203,12 +203,12 @@ def test_fallbacks_of_modes_that_cannot_be_flown(mode, wrong, navl, expected):
     assert worst(mode, Flags(**wrong), getter(COM_POSCTL_NAVL=navl)) == expected
 
 
-# what holds for all of them
+# laws for all of them
 
 BOOLEANS = [name for name, kind in Flags.__annotations__.items() if "bool" in str(kind)]
 SOME_FLAGS = st.builds(Flags, **{name: st.booleans() for name in BOOLEANS}, battery=st.integers(0, 3))
 MODES = st.sampled_from(modes.SUPPORTED)
-# what the vehicle does at the worst; with 7, disarming on offboard loss, PX4 forgoes what else is wrong
+# the vehicle's worst-case action; with 7, disarming on offboard loss, PX4 ignores other faults
 SETTINGS = st.fixed_dictionaries(
     {
         "NAV_RCL_ACT": st.sampled_from([1, 2, 3, 5, 6]),
@@ -230,7 +230,7 @@ def joined(first, second):
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(MODES, SOME_FLAGS, SOME_FLAGS, SETTINGS, st.booleans())
 def test_more_that_is_wrong_is_never_answered_by_less(mode, flags, more, parameters, starting):
-    """But for disarming, which PX4 asks for where the flight has hardly begun, whatever else is wrong."""
+    """An additional fault never weakens the action, except that PX4 chooses disarming shortly after takeoff."""
     get = getter(**parameters)
     both = joined(flags, more)
     less, all_of_it = worst(mode, flags, get, starting=starting), worst(mode, both, get, starting=starting)
@@ -339,7 +339,7 @@ def test_a_worse_failsafe_ends_a_takeover():
     course = Course(modes.AUTO_MISSION, NAV_DLL_ACT=2)
     course.run(6.0, Flags(gcs_lost=True))
     course.step(Flags(gcs_lost=True), mode=modes.POSCTL)
-    course.run(20.0, Flags(gcs_lost=True))  # the delay has grown again
+    course.run(20.0, Flags(gcs_lost=True))  # the delay has recovered
     both = Flags(gcs_lost=True, battery=BATTERY_CRITICAL)
     assert course.step(both).mode is modes.AUTO_LOITER
     assert course.until(modes.AUTO_LAND, both, 6.0) == pytest.approx(5.0, abs=0.2)
@@ -352,7 +352,7 @@ def test_a_landing_vehicle_does_not_climb_to_return():
 
 
 def test_an_intermittent_condition_acts_eventually():
-    """Three quarters of a second lost in every second: the delay shrinks faster than it grows again."""
+    """With a loss of 0.75 s in every second, the delay runs down faster than it recovers."""
     course = Course(modes.POSCTL, NAV_RCL_ACT=3)
     for flags in itertools.islice(itertools.cycle([Flags(manual_lost=True)] * 8 + [Flags()] * 2), 120):
         course.step(flags)

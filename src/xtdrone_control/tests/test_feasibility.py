@@ -1,4 +1,4 @@
-"""Feasibility checks of a mission before its start, with PX4's texts."""
+"""Feasibility checks of a mission before its start, with the texts of PX4."""
 
 from __future__ import annotations
 

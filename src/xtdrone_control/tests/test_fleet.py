@@ -1,4 +1,4 @@
-"""Vehicles' numbers: ports of instances that do not meet, ids that stay."""
+"""Numbers of vehicles: disjoint ports of instances, stable ids."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from xtdrone_control.fleet import MAX_INSTANCE, MAX_VEHICLES, FleetError, Vehicl
 
 
 def ports(vehicle: Vehicle) -> list[int]:
-    """All ports of its own."""
+    """Return all ports of a vehicle."""
     return [
         vehicle.offboard_local_port, vehicle.offboard_remote_port, vehicle.gcs_local_port, vehicle.payload_local_port,
         vehicle.payload_remote_port, vehicle.simulator_tcp_port,

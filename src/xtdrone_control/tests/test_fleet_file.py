@@ -49,7 +49,7 @@ def test_the_text_of_a_fleet_is_read_as_the_same_fleet(tmp_path: Path) -> None:
     for fleet in (
         parse_fleet("iris:3,typhoon_h480:2"),
         read_fleet_file(written(tmp_path, FILE)),
-        parse_fleet("iris:3")[::2],  # one has left
+        parse_fleet("iris:3")[::2],  # one has left the fleet
         parse_fleet("- {name: iris_4, id: 7}\n- {name: solo_0, id: 2}"),
     ):
         assert parse_fleet(fleet_text(fleet)) == fleet

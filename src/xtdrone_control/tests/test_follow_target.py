@@ -1,4 +1,4 @@
-"""AUTO.FOLLOW_TARGET: the estimate of the target, the setpoint beside it, the door to the reports."""
+"""AUTO.FOLLOW_TARGET: the estimate of the target, the setpoint relative to it, the acceptance of reports."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def at(seconds: float) -> int:
 
 
 def test_gains_by_hand():
-    """FLW_TGT_RS 0.125 makes beta 1/2 for positions: 1 - b^3, 3/2 (1 - b)^2 (1 + b) and (1 - b)^3 of the error."""
+    """With FLW_TGT_RS 0.125, b = 1/2 for positions; the gains are 1 - b^3, 3/2 (1 - b)^2 (1 + b) and (1 - b)^3."""
     estimate = TargetEstimate()
     estimate.measure(at(1.0), (0.0, 0.0, 0.0), UNKNOWN, 0.125)
     estimate.measure(at(3.0), (8.0, 0.0, -16.0), UNKNOWN, 0.125)  # 2 s later
@@ -42,7 +42,7 @@ def test_gains_by_hand():
 
 
 def test_gains_of_a_velocity_by_hand():
-    """The error of a velocity is taken by 1 - (0.9 b)^2, its share of acceleration by (1 - 0.9 b)^2 a second."""
+    """The gain of velocity is 1 - (0.9 b)^2, that of acceleration (1 - 0.9 b)^2 per second."""
     estimate = TargetEstimate()
     estimate.measure(at(1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.125)
     estimate.measure(at(1.4), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.125)  # too early for another position
@@ -78,7 +78,7 @@ def test_a_repeated_position_counts_after_a_second_and_a_second_report_of_a_mome
 
 
 class Following(Flight):
-    """A vehicle that is where its setpoint is, 10 m over home, and a target."""
+    """A vehicle that is always at its setpoint, 10 m above home, and a target."""
 
     def __init__(self, **parameters: float) -> None:
         super().__init__(**parameters)
@@ -102,7 +102,7 @@ class Following(Flight):
         return np.array([self.control[f"task_{name}"] for name in ("position", "velocity", "acceleration")])
 
     def fly(self, seconds: float) -> np.ndarray:
-        """Be where the setpoint is for ``seconds``; return the setpoints, (n, 3, 3)."""
+        """Move the vehicle along its setpoints for ``seconds``; return the setpoints, (n, 3, 3)."""
         rows = []
         for _ in range(round(seconds * 10)):
             for _ in range(5):
@@ -124,10 +124,10 @@ class Following(Flight):
     ],
 )
 def test_position_beside_the_target(speed, parameters, z):
-    """Distance, height and angle in closed form, for a target 1.5 m over home that stands or moves to the south-east.
+    """Distance, height and angle equal the closed form, for a target 1.5 m above home at rest or moving south-east.
 
-    The filter has no error behind a constant velocity; what is left of the start after 20 s is below 1 mm: the slowest
-    part, the approach to the angle, is e^-t.
+    The filter has no steady error at constant velocity; after 20 s the initial error is below 1 mm: its slowest part,
+    the approach to the angle, decays as e^-t.
     """
     course = math.radians(135.0) if speed else 0.0  # north until it moves
     velocity = (speed * math.cos(course), speed * math.sin(course), 0.0)
@@ -150,7 +150,7 @@ def test_position_beside_the_target(speed, parameters, z):
     np.testing.assert_allclose(acceleration, (0.0, 0.0, NAN), atol=2e-3)
     flight.run(0.1)
     height = -z if get("FLW_TGT_ALT_M") == 0 else get("FLW_TGT_HT")
-    # seen from where the vehicle has been put, a step behind
+    # measured from the position to which the vehicle was moved, a step behind
     pitch = flight.commander.navigator.payload.gimbal[1]
     assert pitch == pytest.approx(-math.atan2(height, distance), abs=1e-3 + speed * DT / distance)
     if distance > 1.1:
@@ -167,9 +167,7 @@ reports = st.lists(
 @settings(max_examples=10, deadline=None)
 @given(reports, st.floats(1.0, 30.0), st.floats(-180.0, 180.0), st.floats(0.0, 20.0))
 def test_the_setpoint_has_no_steps(found, distance, angle, speed):
-    """However the reports jump: the setpoint moves on by what its own velocity says, and round the target not faster
-    than allowed.
-    """
+    """For any jump of the reports the setpoint moves by its own velocity, and round the target within the limit."""
     flight = Following(FLW_TGT_DST=distance, FLW_TGT_FA=angle, FLW_TGT_MAX_VEL=speed, FLW_TGT_HT=10.0)
     rows = []
     for x, y, north, east in found:
@@ -181,7 +179,7 @@ def test_the_setpoint_has_no_steps(found, distance, angle, speed):
     position, velocity, _ = np.array(rows).transpose(1, 0, 2)[:, :, :2]
     moved, changed = np.diff(position, axis=0), np.linalg.norm(np.diff(velocity, axis=0), axis=1)
     off = np.linalg.norm(moved - velocity[:-1] * DT, axis=1)
-    # the mean velocity of a step is off its first one by no more than the change in it, and the arc's sagitta
+    # the mean velocity of a step differs from its first one by at most the change within it, and the arc's sagitta
     assert (off <= changed * DT + (speed * DT) ** 2 / distance + 1e-9).all()
 
 
@@ -194,7 +192,7 @@ def test_without_a_target_it_stops_and_with_a_lost_one_it_holds_position():
     flight.report(20.0, 0.0, 0.0, (2.0, 0.0, 0.0))
     flight.fly(15.0)
     assert flight.commander.mode is modes.AUTO_FOLLOW_TARGET
-    # 3 s of 2 m/s on from where it was seen last, 8 m behind
+    # 3 s at 2 m/s from the last reported position, 8 m behind
     np.testing.assert_allclose(flight.step(), [(18.0, 0.0, -8.0), (0.0, 0.0, NAN), (0.0, 0.0, NAN)], atol=2e-3)
 
 
@@ -215,7 +213,7 @@ def test_near_the_ground_it_climbs_and_far_from_its_height_it_goes_nowhere_else(
 
 def test_it_is_rejected_without_a_position_and_prevents_arming():
     flight = Flight()
-    assert flight.commander.request(modes.AUTO_FOLLOW_TARGET) is Result.ACCEPTED  # disarmed every mode can be chosen
+    assert flight.commander.request(modes.AUTO_FOLLOW_TARGET) is Result.ACCEPTED  # any mode is accepted while disarmed
     assert (flight.commander.base_mode, flight.commander.custom_mode) == (17, 4 << 16 | 8 << 24)
     flight.run(0.1)
     assert flight.commander.arm_disarm(True) is Result.TEMPORARILY_REJECTED
@@ -241,7 +239,7 @@ def test_without_a_home_it_holds_position_until_one_is_set():
     assert flight.setpoint["task"] == TASK_FOLLOW
 
 
-# the door
+# acceptance of reports
 
 
 def message(latitude=ORIGIN[0], longitude=ORIGIN[1], altitude=ORIGIN[2], velocity=(1.0, 2.0, 0.0)):

@@ -1,4 +1,4 @@
-"""Properties of the frame conversions, on seeded random vectors and attitudes, and a table from closed form."""
+"""Properties of the frame conversions on seeded random vectors and attitudes, and a closed-form table."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_axes():
 @pytest.mark.parametrize("v", VECTORS)
 @pytest.mark.parametrize("q", ATTITUDES)
 def test_attitude_conversion_turns_the_same_physical_vector(q, v):
-    """A body vector given in FRD, turned by the NED attitude, is the one given in FLU, turned by the ENU attitude."""
+    """An FRD vector rotated by the NED attitude equals its FLU form rotated by the ENU attitude."""
     ned = frames.rotate(q, v)
     enu = frames.rotate(frames.attitude_ned_to_enu(*q), frames.frd_to_flu(*v))
     assert frames.ned_to_enu(*ned) == pytest.approx(enu, abs=1e-9)
@@ -84,7 +84,7 @@ def test_level_and_heading_north_is_a_quarter_turn_in_enu():
 
 @pytest.mark.parametrize(("roll", "pitch", "yaw"), [(0.3, -0.4, 1.2), (-1.0, 1.2, -3.0), (0.0, 0.0, 0.0)])
 def test_angles_in_ned_become_angles_in_enu(roll, pitch, yaw):
-    """Roll keeps its sign, pitch turns it (nose up is negative in FLU), yaw is measured from east."""
+    """Roll keeps its sign, pitch changes it (nose up is negative in FLU), yaw is measured from east."""
     q = frames.attitude_ned_to_enu(*frames.quaternion_from_rpy(roll, pitch, yaw))
     assert frames.rpy_from_quaternion(q) == pytest.approx((roll, -pitch, frames.yaw_ned_to_enu(yaw)), abs=1e-12)
 
@@ -117,7 +117,7 @@ def test_wrapped_angle_is_in_range_and_congruent(wrap, angle):
 
 
 def test_geodetic_offsets():
-    """A small step along each axis: the ellipsoid's radii of curvature at 47.4 deg by their textbook formulas."""
+    """A small step along each axis matches the ellipsoid's radii of curvature at 47.4 deg (textbook formulas)."""
     a, e2 = 6378137.0, 0.00669437999014
     latitude = math.radians(47.4)
     w = math.sqrt(1.0 - e2 * math.sin(latitude) ** 2)

@@ -1,4 +1,4 @@
-"""Geofence geometry, against the winding number and a plain reading of PX4's rule."""
+"""Geofence geometry against the winding number and a direct implementation of PX4's rule."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ polygon = st.builds(star, point, st.lists(st.floats(1.0, 80.0), min_size=3, max_
 
 
 def winding_number(vertices, p):
-    """Return how often the polygon turns round ``p``: the sum of the angles under which its edges are seen."""
+    """Return the winding number of the polygon around ``p``: the sum of the angles subtended by its edges."""
     rays = [complex(x - p[0], y - p[1]) for x, y in vertices]
     turned = sum(cmath.phase(after / before) for before, after in zip(rays, rays[1:] + rays[:1], strict=True))
     return round(turned / (2 * math.pi))

@@ -1,4 +1,4 @@
-"""The geoid against published heights of the model, and the laws of an interpolation on a sphere."""
+"""The geoid against published heights of the model, and laws of interpolation on a sphere."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The gimbal's setpoint, who may give it, its MAVLink, and MAVROS's mount_control."""
+"""The gimbal's setpoint, its control authority, its MAVLink, and MAVROS's mount_control."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_yaw_follows_the_vehicle_unless_it_is_locked(flight, gimbal):
     assert gimbal.angles == approx(0.0, DOWN, -0.5)
     flight.place(0.0, 0.0, -10.0, yaw=-2.0)
     assert gimbal.angles == approx(0.0, DOWN, 2.5)
-    gimbal.look((NAN, NAN, NAN))  # as it is, from now on with the vehicle
+    gimbal.look((NAN, NAN, NAN))  # from now on it turns with the vehicle
     flight.place(0.0, 0.0, -10.0, yaw=0.0)
     assert gimbal.angles == approx(0.0, DOWN, 2.5)
     gimbal.look((1.0, 1.0, 1.0), NEUTRAL)
@@ -111,10 +111,10 @@ def test_mount_control_of_the_first_version(served):
     assert payload.gimbal == approx(math.radians(5.0), DOWN, math.radians(10.0))
     assert served.command(205, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0)[0] == 0
     assert payload.gimbal == (0.0, 0.0, 0.0)
-    assert served.command(205, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 3.0)[0] == 3  # by radio
+    assert served.command(205, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 3.0)[0] == 3  # from the radio control
     north = served.commander.view.to_global((100.0, 0.0, 100.0))
     assert served.command(205, 0.0, 0.0, 0.0, north[2], north[0], north[1], 4.0)[0] == 0
-    assert payload.gimbal[1] == pytest.approx(-math.pi / 4, abs=1e-3)  # floats hold places to a metre
+    assert payload.gimbal[1] == pytest.approx(-math.pi / 4, abs=1e-3)  # a float resolves a position to a metre
 
 
 def set_pitch_yaw(pitch, flags=0):
@@ -126,7 +126,7 @@ def test_only_the_client_in_control_steers(served):
     assert served.command(1000, -30.0, 10.0, NAN, NAN)[0] == 2
     served.ask(set_pitch_yaw(-0.3))
     assert math.isnan(payload.gimbal[1])
-    assert served.command(1001, -2, -2, -1, -1)[0] == 0  # its sender takes it
+    assert served.command(1001, -2, -2, -1, -1)[0] == 0  # the sender takes control
     assert payload.gimbal_manager.primary == GCS
     assert served.command(1000, -30.0, 10.0, NAN, NAN)[0] == 0
     assert payload.gimbal == approx(0.0, math.radians(-30.0), math.radians(10.0))
@@ -137,7 +137,7 @@ def test_only_the_client_in_control_steers(served):
     assert payload.gimbal == approx(0.1, -0.4, 0.3)
     other = mavlink.MAVLink(None, srcSystem=9, srcComponent=1)
     served.other.client = other
-    assert served.command(1001, -3, -3, -1, -1, link=served.other)[0] == 0  # he has none to give back
+    assert served.command(1001, -3, -3, -1, -1, link=served.other)[0] == 0  # it has no control to release
     assert served.command(1000, 0.0, 0.0, link=served.other)[0] == 2
     assert served.command(1001, -3, -3, -1, -1)[0] == 0
     assert served.command(1001, 9, 1, 255, 190)[0] == 0
@@ -217,7 +217,7 @@ def test_mavros_publishes_the_orientation(bench):
     bench.received()
     bench.take("mount_control/orientation")
     asked = [(m.param1, m.param2) for m in bench.received() if m.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL]
-    assert (mavlink.MAVLINK_MSG_ID_MOUNT_ORIENTATION, 20_000.0) in asked  # pictures are put on the ground by it
+    assert (mavlink.MAVLINK_MSG_ID_MOUNT_ORIENTATION, 20_000.0) in asked  # needed to project pictures onto the ground
     bench.send(mavlink.MAVLink_mount_orientation_message(1000, 10.0, -60.0, 30.0, 90.0))
     [found] = bench.published("mount_control/orientation")
     assert type(found) is Quaternion

@@ -14,7 +14,7 @@ DT = 0.02
 
 
 def fly(wanted, accel=(3.0, 3.0, 3.0), jerk=4.0, seconds=8.0, start=(0.0, 0.0, 0.0)):
-    """Return (n, 3) accelerations, velocities and positions of the path from rest at ``start`` velocity."""
+    """Return accelerations, velocities and positions, (n, 3) each, of a path without initial acceleration."""
     path = np.zeros(1, PATH)[0]
     path["velocity"] = start
     rows = []
@@ -37,7 +37,7 @@ def test_path_reaches_its_velocity_within_its_limits(wanted):
 
 
 def test_time_of_a_long_change_is_the_least_one():
-    """From rest to v: a / j of rising, a / j of falling acceleration, the rest at a: v / a + a / j."""
+    """From rest to v it takes v / a + a / j: a / j of rising and a / j of falling acceleration, the rest at a."""
     _, v, _ = fly((6.0, 0.0, 0.0))
     time = DT * (np.argmax(v[:, 0] > 6.0 - 1e-6) + 1)
     assert time == pytest.approx(6.0 / 3.0 + 3.0 / 4.0, abs=2 * DT)
@@ -61,7 +61,7 @@ def test_velocity_is_limited():
 @pytest.mark.parametrize("final", [0.0, 1.7])
 @pytest.mark.parametrize("distance", [0.1, 2.0, 50.0])
 def test_stopping_speed_suffices_to_slow_down(distance, final):
-    """v^2 - final^2 = 2 a d less what the rising deceleration costs: v 2 a / j on the way."""
+    """The distance is (v^2 - final^2) / (2 a) + 2 v a / j; the last term is the build-up of the deceleration."""
     accel, jerk = 3.0, 4.0
     speed = jerk_limited_velocity.stopping_speed(distance, accel, jerk, final)
     if speed > final:

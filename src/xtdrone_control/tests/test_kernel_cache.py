@@ -1,4 +1,4 @@
-"""Which sources the kernel cache hangs on, and which kernels can create arrays."""
+"""The sources on which the kernel cache depends, and kernels that can create arrays."""
 
 from __future__ import annotations
 

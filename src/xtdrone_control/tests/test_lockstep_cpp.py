@@ -148,7 +148,7 @@ def rewinder(name: str) -> None:
     """Publish the time from 100 s, and from 50 s after SIGUSR1."""
     rospy.init_node(name, disable_rostime=True)
     publisher = rospy.Publisher("/clock", Clock, queue_size=10)
-    now = 100_000  # ms
+    now = 100_000  # 0.1 s, in us
 
     def rewind(*_: object) -> None:
         nonlocal now
@@ -323,7 +323,7 @@ def test_signal_ends_a_node_waiting_for_its_turn(
     assert server.wait_for(["/a"], timeout=PATIENCE)
     run(server, 100_000)
     process.send_signal(number)
-    assert process.wait(PATIENCE) == 0  # there is no further tick
+    assert process.wait(PATIENCE) == 0  # there are no more ticks
     server.poll(PATIENCE)
     assert not server.participants
 
@@ -461,7 +461,7 @@ def test_reset_hook_runs_before_callbacks(graph: MixedGraph, server: LockstepSer
     reset = lines.index(["0", "reset"])
     assert [line for line in lines if line[1] == "reset"] == [["0", "reset"]]
     assert {int(line[0]) for line in lines[:reset]} == set(due_times(50.0, 300_000)[1:])
-    # Messages on their way at the reset are void: the first turn after it has none.
+    # Messages in flight at the reset are void: the first turn after it receives none.
     assert {int(line[0]) for line in lines[reset + 1 :]} == set(due_times(50.0, 200_000)[1:])
 
 
@@ -562,7 +562,7 @@ def test_unreachable_machine_is_detected_within_seconds(graph: MixedGraph, monke
 
     def keepalive_runs() -> bool:
         timers[:] = keepalive_timers(*ports)
-        return bool(timers)  # while sent data is unacknowledged the kernel shows another timer
+        return bool(timers)  # while sent data is unacknowledged, the kernel reports another timer
 
     wait_until(keepalive_runs, "the node's keep-alive timer runs")
     assert len(timers) == 1
@@ -571,7 +571,7 @@ def test_unreachable_machine_is_detected_within_seconds(graph: MixedGraph, monke
 
 
 def keepalive_timers(local: int, remote: int) -> list[float]:
-    """Return the times in seconds until the kernel probes the other end of a TCP connection; empty if it does not.
+    """Return the times (s) after which the kernel probes a TCP connection; empty without keepalive.
 
     Args:
         local: Local port.

@@ -23,7 +23,7 @@ class _Subscription(SimpleNamespace):
 
 
 class _Participant:
-    """A node with subscribers, and what they receive.
+    """A node with subscribers, and the messages that they receive.
 
     Attributes:
         node: the node.

@@ -58,7 +58,7 @@ class Good:
         self.world = world
         self.name = name
         self.count = 0  # messages sent over each of its connections
-        self.reported = 0  # the same by the end of the last tick
+        self.reported = 0  # the count at the end of the last tick
         self.channels: dict[int, tuple[str, str]] = {}
         self.known: dict[int, int] = {}
         self.tick = 0

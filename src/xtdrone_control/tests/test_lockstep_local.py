@@ -1,4 +1,4 @@
-"""The lockstep within one machine: Unix domain sockets beside TCP, and the inner loops in C++; no ROS master."""
+"""The lockstep on one machine: Unix domain sockets beside TCP, and the inner loops in C++; no ROS master."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_length_beyond_all_data_is_awaited_without_memory():
         splitter.read(receiver, 4096)
 
 
-# ---- the server's door ----
+# ---- joining ----
 
 
 def test_neighbours_and_participants_over_tcp_take_the_same_turns(server):
@@ -356,7 +356,7 @@ def test_reads_inside_a_collection_of_garbage_leave_a_message_intact():
             gc.set_threshold(*limits)
         assert messages == [b"first"]
         assert len(lists) == 200
-        assert splitters[1].read(late, 4096) is None  # the collection has read it
+        assert splitters[1].read(late, 4096) is None  # the collection has read from it
 
 
 def test_receive_returns_a_tick_only_if_it_is_alone():
@@ -390,7 +390,7 @@ def test_receive_returns_a_tick_only_if_it_is_alone():
 
 @pytest.fixture
 def accepted(monkeypatch):
-    """Serve topic connections without rospy; yields the port and the accepted connections."""
+    """Serve topic connections without rospy; yield the port and the accepted connections."""
     rospy = pytest.importorskip("rospy")
     from xtdrone_control.lockstep.transport import local_topics
 

@@ -948,7 +948,7 @@ def test_corrected_wall_clock_is_not_a_reset(monkeypatch: pytest.MonkeyPatch, wa
 def test_publisher_waits_for_a_named_subscriber(graph: Graph) -> None:
     graph.start("patient", "patient")
     wait_until(lambda: "waits" in graph.output("patient"), "the publisher waits")
-    other = graph.start("recorder", "other")  # this one is not waited for
+    other = graph.start("recorder", "other")  # the barrier does not wait for this node
     assert graph.start("recorder", "recorder").wait(PATIENCE) == 0, graph.output("recorder")
     assert graph.processes["patient"].wait(PATIENCE) == 0, graph.output("patient")
     assert graph.output("recorder").endswith("the first\n")

@@ -45,7 +45,7 @@ class Connection:
     port: int
     sent: int = 0
     announced: bool = False
-    reported: bool = False  # as lost
+    reported: bool = False  # reported as lost
     wire: deque[Message] = field(default_factory=deque)
     inbox: deque[Message] = field(default_factory=deque)
     arrived: int = 0
@@ -246,7 +246,7 @@ class World:
         self.connections: list[Connection] = []
         self.busy = 0
         self.haste = self.random.choice([0.0, 0.003, 0.05])  # 0: connections are made only when nothing else can happen
-        self.flying = False  # before that no member dies or joins late, as the start waits for all of them by name
+        self.flying = False  # until then no member dies or joins late, since the start waits for all of them by name
         for member in self.members:
             if member not in self.waiting:
                 member.start()
@@ -258,7 +258,7 @@ class World:
             for publisher in self.members
             for subscriber in (*self.members, self.host)
             if publisher.name in subscriber.subscribes
-            and publisher.joined  # ROS connects a subscriber that has not joined yet as well
+            and publisher.joined  # ROS also connects a subscriber that has not joined yet
             and not publisher.dead
             and not subscriber.dead
             and (publisher.name, subscriber.name) not in made
@@ -350,14 +350,14 @@ def law(connection: Connection) -> None:
     first = got[0][2] if got else len(writer.published)
     assert got == writer.published[first : first + len(got)], "in order, none lost, none twice"
     for tick, message in connection.dispatched:
-        previous = max((turn for turn in reader.turns if turn < tick), default=0)  # in the first: all that came before
-        if isinstance(reader, Host):  # its turn is at the end of a tick, after all others'
+        previous = max((turn for turn in reader.turns if turn < tick), default=0)  # its first turn takes all before
+        if isinstance(reader, Host):  # its turn is at the end of a tick, after all others
             assert previous < message[1] <= tick, f"{message} was heard in tick {tick}, the turn before was {previous}"
             continue
         assert previous <= message[1] < tick, f"{message} was dispatched in tick {tick}, the turn before was {previous}"
     if reader.dead or not reader.turns or (writer.dead and writer.turns[-1:] < reader.turns[:1]):
-        return  # the last: it died before the reader joined, and so never was a participant in the reader's time
-    # All that was published over this connection, or since both took part, in turns that were finished before its last.
+        return  # the publisher died before the reader joined: it was no participant in its time
+    # All messages published over this connection, or since both took part, in turns that ended before its last one.
     last, since = reader.turns[-1], len(writer.published) - connection.sent
     due = [
         message
@@ -378,7 +378,7 @@ def test_message_is_dispatched_in_the_first_turn_after_its_tick(seed: int):
     world = World(seed, count=sizes.randint(3, 6), deaths=deaths, late=sizes.randint(1, 2))
     world.run(ticks=15)
     for publisher, subscriber in world.possible_connections():
-        world.connections.append(Connection(publisher, subscriber, 0, 0))  # never made: the rule holds nevertheless
+        world.connections.append(Connection(publisher, subscriber, 0, 0))  # never connected: the rule still holds
     for connection in world.connections:
         law(connection)
     assert all(member.turns for member in world.members if not member.dead and member not in world.waiting) or deaths

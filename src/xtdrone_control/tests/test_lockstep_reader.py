@@ -82,7 +82,7 @@ def test_messages_are_the_same_for_any_fragmentation(line: Line) -> None:
             line.sender.sendall(data[start : start + size])
             while line.feed.pull():
                 pass
-        if size == 1:  # the rest at once
+        if size == 1:  # the rest in one piece
             line.sender.sendall(data[200:])
             while line.feed.pull():
                 pass

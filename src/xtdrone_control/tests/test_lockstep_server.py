@@ -180,7 +180,7 @@ def test_reader_checks_the_header_before_the_payload_arrives():
 
 
 def test_long_barrier_frames_do_not_leak_memory():
-    """The sender chooses their length, so a cache per length would fill the memory."""
+    """No cache is kept per length of a frame, since the sender chooses the length."""
     whole = [protocol.pack_barrier(Kind.DONE, 1, 0, {i: i for i in range(n)}, {})[5:] for n in (40_000, 40_001, 40_002)]
     protocol.unpack_barrier(whole[0])
     tracemalloc.start()
@@ -270,7 +270,7 @@ def test_due_times_satisfy_their_definition():
             assert wanted <= due < wanted + STEP
             assert due > previous
             previous = due
-            # It is the next due time after any earlier time, and is followed by that of the next index.
+            # The function returns the next due time after any earlier time, followed by that of the next index.
             assert schedule.after_us(due - 1) == due
             assert schedule.after_us(due) == schedule.due_us(index + 1)
 
@@ -426,7 +426,7 @@ def test_garbage_closes_only_its_own_connection(server, log, garbage):
 
 
 class Stranger(FakeParticipant):
-    """A client that sends only what the test tells it to."""
+    """A client that sends only the bytes that the test chooses."""
 
     def __init__(self, server: LockstepServer) -> None:
         host, port = server.uri.removeprefix("tcp://").split(":")
@@ -624,7 +624,7 @@ def test_decreasing_datagram_count_is_rejected(server, log):
 
 
 def test_counts_for_a_late_participant_begin_when_it_joins(server):
-    """Datagrams that the simulator has sent since the last tick may have found no socket."""
+    """Datagrams sent since the last tick may not have found an open socket."""
     sent = {24540: 3}
     server.open_datagram_ports([14580], lambda: sent)
     a = FakeParticipant(server, "/a")
@@ -758,7 +758,7 @@ def test_leave_causes_no_warning(server, log):
 
 
 def test_silent_participant_is_dropped_after_the_hang_limit(log):
-    server = LockstepServer(hang_limit=1.5, log=log)  # enough for /a even on a starved machine
+    server = LockstepServer(hang_limit=1.5, log=log)  # enough time for /a even on a starved machine
     a, b = FakeParticipant(server, "/a"), FakeParticipant(server, "/b")
     joined(server, a, b)
     with Running(server, 0):
@@ -871,7 +871,7 @@ def test_zombie_process_is_dropped(log):
 
 
 def test_process_stopped_by_a_debugger_is_not_dropped(log):
-    """A debugger such as gdb stops all threads, including the one that sends keep-alives."""
+    """A debugger such as gdb stops all threads, including the one that sends keep-alives; the server keeps waiting."""
     server = LockstepServer(hang_limit=0.2, log=log)
     traced = "import ctypes, os, signal; ctypes.CDLL(None).ptrace(0, 0, 0, 0); os.kill(os.getpid(), signal.SIGSTOP)"
     process = subprocess.Popen([sys.executable, "-c", traced])  # 0: PTRACE_TRACEME, this process is the debugger

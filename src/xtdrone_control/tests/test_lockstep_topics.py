@@ -87,7 +87,7 @@ def test_closed_connection_is_replaced(subscriber: BufferingSubscriber) -> None:
 
 
 class Record(SimpleNamespace):
-    """Stands for a subscriber, or for a connection of rospy."""
+    """Stand-in for a subscriber, or for a connection of rospy."""
 
     __hash__ = object.__hash__
 
@@ -112,7 +112,7 @@ def test_a_topic_is_declared_until_its_last_subscriber_is_removed() -> None:
 
 
 def transport_over(sock: socket.socket) -> Record:
-    """Return what a publisher uses of rospy's transport."""
+    """Return the part of rospy's transport that a publisher uses."""
     return Record(
         socket=sock, endpoint_id="/subscriber", remote_endpoint=("127.0.0.1", 5), done=False, stat_num_msg=0,
         stat_bytes=0, close=lambda: None,
@@ -134,7 +134,7 @@ def test_a_subscriber_that_needs_few_messages_gets_ten_a_second(monkeypatch: pyt
 
 
 def published(message_class: type, message: object, monkeypatch: pytest.MonkeyPatch) -> bytes:
-    """Return what a subscriber receives of a message published by its topic's first publisher."""
+    """Return the messages that a subscriber receives for one message of its topic's first publisher."""
     ends = socket.socketpair()
     monkeypatch.setattr(rospy.core, "_client_ready", True)
     publisher = topics.Publisher.__new__(topics.Publisher)

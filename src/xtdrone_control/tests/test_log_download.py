@@ -1,4 +1,4 @@
-"""Logs over MAVLink: the log protocol and FTP, by clients on real UDP sockets that also lose messages."""
+"""Logs over MAVLink by the log protocol and FTP, with clients on real UDP sockets that also lose messages."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _SIZES = (5000, 90 * 700, 1)
 
 
 class Logged(World):
-    """A world whose vehicle has logs, files of random bytes, and a ground station that asks for them."""
+    """A world whose vehicle has logs (files of random bytes), and a ground station that downloads them."""
 
     def __init__(self, folder, loss=0.0):
         super().__init__()
@@ -48,7 +48,7 @@ class Logged(World):
             self.server.receive(1.0)
 
     def hear(self, name, seconds=0.5):
-        """Advance time, and return the messages of that name that were not lost."""
+        """Advance time; return the messages of that name that were not lost."""
         self.send(heartbeat())
         found = named(self.run(seconds), name)
         return [m for m in found if self.lost.random() >= self.loss]
@@ -58,7 +58,7 @@ class Logged(World):
         return [(m.id, m.num_logs, m.last_log_num, m.time_utc, m.size) for m in self.hear("LOG_ENTRY")]
 
     def download(self, number, size):
-        """Return a log as a ground station gets it: all at once, then again what is missing, run by run."""
+        """Return a log as a ground station downloads it: the whole log first, then each missing range."""
         found = {}
         ask = [(0, size)]
         for _ in range(200):
@@ -89,7 +89,7 @@ def test_list(world):
     entries = world.log_list()
     assert entries == [(i, 3, 2, _TIMES[i], _SIZES[i]) for i in range(3)]
     assert world.log_list(1, 1) == [(1, 3, 1, _TIMES[1], _SIZES[1])]
-    assert [entry[0] for entry in world.log_list(7, 9)] == [2]  # PX4 keeps to what there is
+    assert [entry[0] for entry in world.log_list(7, 9)] == [2]  # PX4 limits the range to existing logs
 
 
 def test_no_logs(world):
@@ -168,7 +168,7 @@ class Ftp:
         self.world, self.sequence = world, 0
 
     def ask(self, opcode, data=b"", session=0, offset=0, size=None, seconds=0.0):
-        """Return (kind, data) of the answers."""
+        """Send a request; return (kind, data) of the replies."""
         payload = struct.pack(
             "<HBBBBBBI", self.sequence, session, opcode, len(data) if size is None else size, 0, 0, 0, offset
         )
@@ -292,7 +292,7 @@ def test_no_path_leads_out(client, world, tmp_path, path):
     data = path.encode("latin-1")
     for opcode in (4, 14):
         kind, found = client.one(opcode, data)
-        if path.startswith("/log/2020-01-01/00_00_00.ulg"):  # the file itself: a slash more, or what comes after a zero
+        if path.startswith("/log/2020-01-01/00_00_00.ulg"):  # an additional slash, or characters after a zero
             assert kind == _ACK
             client.one(2)
         else:
@@ -326,7 +326,7 @@ def test_ftp_handles_any_request(client, world):
 
 
 def test_pymavlinks_ftp_client(world, tmp_path):
-    """A foreign client lists and downloads logs while simulated time advances."""
+    """pymavlink's FTP client lists and downloads logs while simulated time advances."""
     done = threading.Event()
 
     def fly():

@@ -1,4 +1,4 @@
-"""The pilot: who is listened to, scaling of a radio's channels, gestures, switches, taking over."""
+"""Manual control: the selected source, scaling of a radio's channels, gestures, switches, taking over."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def channels(*pulses):
     return (*pulses, *[UNUSED] * (18 - len(pulses)))
 
 
-# who is listened to
+# selected source
 
 
 @pytest.mark.parametrize(
@@ -146,11 +146,11 @@ def test_slots_of_the_mode_switch():
     assert [mode_slot(value) for value in (-1.0, 1.0)] == [1, 6]
 
 
-# what the pilot asks for
+# the pilot's setpoints
 
 
 class Piloted:
-    """A fake flight whose pilot holds the sticks."""
+    """A fake flight with a pilot at the sticks."""
 
     def __init__(self, **parameters):
         self.flight = Flight(**parameters)
@@ -257,7 +257,7 @@ def test_tasks_of_the_stick_modes(mode, task, shaped):
     piloted.run(0.1)
     assert s["task"] == task
     assert s["stick_y"] == 1.0
-    assert s["stick_x"] == (0.0 if mode is modes.POSCTL else 0.05)  # a tilt goes straight with the stick
+    assert s["stick_x"] == (0.0 if mode is modes.POSCTL else 0.05)  # the tilt is proportional to the stick
     assert (s["stick_yaw"] == -0.5) is not shaped
 
 
@@ -341,7 +341,7 @@ def test_return_switch_goes_back_to_the_mode_switch():
     piloted.armed_in(modes.POSCTL)
     piloted.flight.place(10.0, 0.0, -5.0)
     piloted.pulses = (1500, 1500, 1500, 1500, 1000, 1000)
-    piloted.run(1.5)  # so that the raised throttle counts no more as taking over
+    piloted.run(1.5)  # so that the raised throttle no longer counts as taking over
     piloted.pulses = (1500, 1500, 1500, 1500, 1000, 2000)
     piloted.run(0.2)
     assert piloted.commander.mode is modes.AUTO_RTL

@@ -37,7 +37,7 @@ def world():
 
 @pytest.fixture
 def clients(world):
-    """Four ground stations on the ground-station port; the first has the port that heartbeats go to."""
+    """Four ground stations on the ground-station port; the first has the port that receives the heartbeats."""
     port = world.fleet[0].gcs_local_port
     made = [Client(GCS_REMOTE_PORT if i == 0 else 0, port, system=250 + i) for i in range(4)]
     for client in made:
@@ -148,13 +148,13 @@ def test_clients_of_all_ports_share_one_room():
                 link.heard(0, 2)
                 taken += 1
     assert taken == CLIENTS + 3 * VEHICLE_CLIENTS
-    ports[0].send_due(6_000_000, {})  # the silent ones of one port are forgotten
+    ports[0].send_due(6_000_000, {})  # the silent clients of one port are dropped
     assert ports[5].link_of(("127.0.0.1", 2000), 6_000_000) is not None
     world.close()
 
 
 def test_all_ports_recover_while_time_is_paused(monkeypatch):
-    """Stations that have left every other port's room full keep a newcomer out for 5 s of wall time at most."""
+    """Stations that fill the room of every other port keep a newcomer out for 5 s of wall time at most."""
     wall = [0.0]
     monkeypatch.setattr("xtdrone_control.mavlink.client_link.time.monotonic", lambda: wall[0])
     world = World(3)
@@ -193,7 +193,7 @@ def test_strangers_that_have_gone_are_not_counted_for_ever(world):
 
 
 def frames_of(kind, system=_SYSTEM):
-    """Return a message of the kind that a flood may be of, or bytes that are none."""
+    """Return a message of a flood, or bytes that are not MAVLink."""
     messages = {
         "command": mavlink.MAVLink_command_long_message(system, 1, 512, 0, 32, 0, 0, 0, 0, 0, 0),
         "refused command": mavlink.MAVLink_command_long_message(system, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0),
@@ -209,7 +209,7 @@ def frames_of(kind, system=_SYSTEM):
 
 
 class Flooder:
-    """Sends the same datagram many times a step from some sockets, and reads what it is sent."""
+    """Sends one datagram many times a step from several sockets, and reads the replies."""
 
     def __init__(self, own, port, count=1):
         self.sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
@@ -235,7 +235,7 @@ class Flooder:
 
 @pytest.fixture
 def acted(monkeypatch):
-    """Senders of the datagrams that were acted on."""
+    """Return the senders of all handled datagrams."""
     senders = []
     handle_datagram = Receiver.handle_datagram
 
@@ -295,7 +295,7 @@ def test_a_modest_client_is_answered_at_once_during_a_flood(world, clients):
 
 
 def test_a_transfer_in_small_steps_loses_nothing_at_full_speed(world):
-    """A ground station that asks for one after the other, while each simulated step takes as long as an answer."""
+    """No piece is lost when each simulated step takes as long as the server's reply to a request."""
     station = Client(0, world.fleet[0].gcs_local_port)
     read = mavlink.MAVLink_param_request_read_message(_SYSTEM, 1, b"MPC_XY_P", -1)
     for _ in range(1000):
@@ -308,7 +308,7 @@ def test_a_transfer_in_small_steps_loses_nothing_at_full_speed(world):
 def test_excess_requests_are_answered_later(world, clients, caplog):
     flooder, stranger = clients[1], Client(0, world.fleet[0].gcs_local_port)
     for client in (flooder, stranger):
-        for _ in range(150):  # a socket's buffer holds no more than some hundred
+        for _ in range(150):  # a socket's buffer holds only some hundred messages
             client.send(_REQUEST_POSITION)
     clients[2].send(_REQUEST_POSITION)
     world.server.receive(1.0)
@@ -433,7 +433,7 @@ class TestVersion1:
     def test_a_client_that_turns_to_version_2_is_answered_in_it(self, world):
         client = self.client(world)
         world.ask(heartbeat(6), client=client)
-        del client.send  # the instance's; the class's speaks version 2
+        del client.send  # the instance attribute; the class's method sends version 2
         world.ask(_REQUEST_POSITION, client=client)
         assert {datagram[0] for datagram in client.datagrams} == {0xFD}
         client.socket.close()

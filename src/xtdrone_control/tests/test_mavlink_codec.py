@@ -51,7 +51,7 @@ def packer():
 
 
 def _example(cls, source):
-    """A message of a class with random values in every field, arrays and texts included."""
+    """Return a message of a class with random values in every field, arrays and texts included."""
     values = []
     for name, kind, length in zip(cls.fieldnames, cls.fieldtypes, _array_lengths(cls), strict=True):
         assert name
@@ -251,7 +251,7 @@ class TestStreams:
 
 
 class TestCommands:
-    """Commands and their acks; the acks come back from inside the send, so no test waits."""
+    """Commands and their acks; the acks arrive inside the send call, so no test waits."""
 
     def setup_method(self):
         self.sent = []
@@ -364,7 +364,7 @@ class TestLink:
     def test_messages_before_the_first_count_belong_to_the_first_turn(self):
         link = Link("iris_0", FcuUrl("127.0.0.1", free_udp_port(), "127.0.0.1", 9))
         link.wanted = frozenset({32})
-        receiver = Receiver([link])  # its thread may be late: it is not started
+        receiver = Receiver([link])  # its thread is not started, as if it were late
         fcu = udp_socket()
         packer = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
 

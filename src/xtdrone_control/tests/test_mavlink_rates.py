@@ -1,4 +1,4 @@
-"""Default streams: the messages and rates of a PX4 v1.14.3, as counted over 20 s while it stood disarmed."""
+"""Default streams: messages and rates of a disarmed PX4 v1.14.3, counted over 20 s."""
 
 from __future__ import annotations
 
@@ -83,11 +83,11 @@ ONBOARD = {
     "VFR_HUD": 200,
     "VIBRATION": 10,
 }
-# Recorded too, and not streams of the autopilot: HEARTBEAT of component 190, the recording ground station's own that
-# PX4 forwards to its other link (there is no forwarding here); CURRENT_EVENT_SEQUENCE, which goes with the events.
+# Recorded too, but not streams of the autopilot: HEARTBEAT of component 190, the recording ground station's own, which
+# PX4 forwards to its other link (there is no forwarding here); CURRENT_EVENT_SEQUENCE, which belongs to the events.
 NO_STREAMS = {"CURRENT_EVENT_SEQUENCE"}
 # Additional: PX4 sends the origin on change; here it is also sent every 10 s, for later clients.
-ONLY_WITH_A_SOURCE = {  # on by default in PX4 too; there was nothing to send
+ONLY_WITH_A_SOURCE = {  # on by default in PX4 too, but without a source there
     "DISTANCE_SENSOR",
     "GIMBAL_DEVICE_ATTITUDE_STATUS",
     "GIMBAL_MANAGER_STATUS",
@@ -115,7 +115,7 @@ def station(world):
 
 
 def frames(client):
-    """Yield (name, frame) of everything that a client was sent, and forget it."""
+    """Yield and clear (name, frame) of everything sent to a client."""
     for datagram in client.datagrams:
         for number, _, _, frame in split(datagram):
             yield message_name(number), frame
@@ -123,7 +123,7 @@ def frames(client):
 
 
 def latest(client):
-    """Return the last of each message, decoded by our own codec, which knows those that pymavlink leaves out."""
+    """Return the last message of each kind, decoded by our own codec, which includes those missing in pymavlink."""
     return {name: decoder(name)(frame) for name, frame in frames(client)}
 
 
@@ -131,7 +131,7 @@ def test_the_default_streams_have_px4s_rates(world, station, monkeypatch):
     now = time.monotonic()
     monkeypatch.setattr(
         "xtdrone_control.mavlink.client_link.time.monotonic", lambda: now
-    )  # heartbeats come by wall time too
+    )  # heartbeats are sent by wall time too
     world.run(1.0)
     for client in (world.client, station):
         world.ask(heartbeat(6), client=client)

@@ -1,4 +1,4 @@
-"""The autopilot's MAVLink, through real UDP sockets with pymavlink on the other side."""
+"""The autopilot's MAVLink over real UDP sockets, with pymavlink at the other end."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from xtdrone_control.mavlink.udp_port_and_clients import LinkError
 from xtdrone_control.mavlink.wire.dialect import MESSAGES
 
 _SYSTEM = FIRST_ID + 1
-MAVROS_READS = 296  # bytes of a datagram; what comes after them is lost to it
+MAVROS_READS = 296  # bytes of a datagram; MAVROS loses the rest
 _ALL_BUT_POSITION = 0b110111111000
 _ALL_BUT_VELOCITY = 0b110111000111
 _ALL_BUT_YAW = 0b101111111111
@@ -46,7 +46,7 @@ class Client:
         self.socket.sendto(message.pack(self.mav), self.remote)
 
     def take_in(self):
-        """Empty the socket, which holds less than a second's telemetry, and read no more of a datagram than MAVROS."""
+        """Empty the socket, which holds less than a second of telemetry; read no more of a datagram than MAVROS."""
         while self.socket.fileno() != -1:
             try:
                 self.datagrams.append(self.socket.recv(MAVROS_READS))
@@ -54,7 +54,7 @@ class Client:
                 return
 
     def receive(self):
-        """Return the messages that have come; every frame must parse."""
+        """Return the messages that have arrived; every frame must parse."""
         self.take_in()
         new, self._parsed = self.datagrams[self._parsed :], len(self.datagrams)
         return [message for datagram in new for message in self.mav.parse_buffer(datagram) or []]
@@ -81,7 +81,7 @@ class World:
         self.commander.update()
 
     def ask(self, *messages, client=None):
-        """Send, let the server act, and return its answers."""
+        """Send messages, run the server, and return its replies."""
         client = client or self.client
         for message in messages:
             client.send(message)
@@ -89,7 +89,7 @@ class World:
         return client.receive()
 
     def command(self, number, *params, client=None):
-        """Return the result of a COMMAND_LONG, and the other answers."""
+        """Send a COMMAND_LONG; return its result and the other replies."""
         values = [*params, *[0.0] * (7 - len(params))]
         message = mavlink.MAVLink_command_long_message(_SYSTEM, 1, number, 0, *values)
         answers = self.ask(message, client=client)
@@ -103,7 +103,7 @@ class World:
         self.server.reserve({self.fleet[0].offboard_remote_port: ["127.0.0.1"]})
 
     def run(self, seconds, step_us=4000):
-        """Advance time and return what the client has received."""
+        """Advance time and return the messages to the client."""
         end = self.autopilot.time_us + round(seconds * 1e6)
         found = []
         while self.autopilot.time_us < end:
@@ -124,7 +124,7 @@ class World:
         return found
 
     def hear(self):
-        """Make the client known, so that telemetry flows."""
+        """Register the client by a message, so that telemetry flows."""
         self.ask(heartbeat())
 
     def fly_offboard(self, x=1.0, y=2.0, z=-5.0, yaw=0.0):
@@ -185,7 +185,7 @@ def test_a_first_client_gets_the_streams_without_a_request_and_without_timeout(w
     messages = world.run(20.0, 20_000)
     kinds = {m.get_type() for m in messages}
     assert len(kinds) >= 27
-    assert abs(len(named(messages, "ATTITUDE")) - 1000) <= 60  # from the first heartbeat on, 50 ticks a second
+    assert abs(len(named(messages, "ATTITUDE")) - 1000) <= 60  # from the first heartbeat, at 50 ticks a second
     assert not [port.remote_port for port in world.server.ports[1:3] if port.default.streams.active]  # no socket there
     beat = named(messages, "HEARTBEAT")[0]
     assert (beat.type, beat.autopilot, beat.base_mode, beat.custom_mode, beat.system_status) == (2, 12, 29, 50593792, 3)
@@ -246,7 +246,7 @@ def test_ground_station_rates(world):
 
 
 def test_one_message_a_datagram_and_counters(world):
-    """Real MAVROS reads 296 bytes of a datagram, and PX4 sends a message in each."""
+    """Each datagram has one message, as from PX4, since real MAVROS reads only 296 bytes of it."""
     world.hear()
     world.run(1.0, step_us=20_000)
     datagrams = world.client.datagrams
@@ -401,7 +401,7 @@ def test_content(world):
     assert (odom.vx, odom.vy, odom.vz) == pytest.approx((1.0, 2.0, -0.5))
     assert odom.pose_covariance[0] == pytest.approx(0.04)
     assert odom.pose_covariance[1] == 0.0
-    assert (odom.frame_id, odom.child_frame_id) == (1, 1)  # PX4 v1.14's: LOCAL_NED both
+    assert (odom.frame_id, odom.child_frame_id) == (1, 1)  # PX4 v1.14 sends LOCAL_NED for both
     gps = got["GPS_RAW_INT"]
     assert (gps.fix_type, gps.vel, gps.cog, gps.h_acc, gps.eph) == (3, 200, 27000, 900, 65535)
     assert got["SCALED_PRESSURE"].press_abs == pytest.approx(955.98)
@@ -740,7 +740,7 @@ def test_time_and_ping(world):
 
 
 def test_origin_is_set_on_the_ground(world):
-    """Where there was none it gives the local position a place; then the place stays and the local position moves."""
+    """The first origin fixes the local position globally; a second keeps the global and moves the local position."""
     estimator = world.autopilot.estimator[0]
     estimator["origin"]["set"] = 0
     estimator["position"] = (3.0, 4.0, -1.0)
@@ -809,13 +809,13 @@ def test_malformed_bytes_are_counted_and_the_link_lives_on(world, caplog):
 
 
 def test_random_payloads_with_a_right_checksum_do_no_harm(world):
-    """Frames that pass the parser with any content: nothing raises, and what can be sent still is."""
+    """Frames with a valid checksum and any payload raise nothing, and all outputs can still be sent."""
     rng = random.Random(1)
     names = world.server.messages
     classes = [c for c in MESSAGES.values() if c.msgname in names]
     assert len(classes) == len(names)
     specials = [struct.pack("<f", v) for v in (math.nan, math.inf, -1.0, 1e30, 400.0, 511.0, 1.0)]
-    likely = {  # values that get past the first checks
+    likely = {  # values that pass the first checks
         "target_system": [_SYSTEM],
         "target": [_SYSTEM],
         "target_component": [1],
@@ -835,7 +835,7 @@ def test_random_payloads_with_a_right_checksum_do_no_harm(world):
         if rng.random() < 0.8:
             values = list(cls.unpacker.unpack(payload))
             for place, field in enumerate(cls.ordered_fieldnames):
-                if field in likely:  # no array but text lies before these, and text is one value
+                if field in likely:  # only text arrays precede these, and text is one value
                     values[sum(cls.lengths[:place])] = rng.choice(likely[field])
             payload = bytearray(cls.unpacker.pack(*values))
         payload = bytes(payload[: rng.randint(1, size)]) if rng.random() < 0.2 else bytes(payload)
@@ -869,7 +869,7 @@ def test_held_setpoints_follow_the_commands_of_the_tick_in_any_order_of_arrival(
     world.ask(steer)
     assert world.command(176, 1, 6)[0] == 0
     world.commander.update()
-    assert world.setpoint["position"][0] == 9.0  # nothing is kept any more
+    assert world.setpoint["position"][0] == 9.0  # no datagram is stored any more
 
 
 def test_a_held_home_position_comes_after_the_commands_of_the_tick(world):
@@ -887,7 +887,7 @@ def test_a_held_home_position_comes_after_the_commands_of_the_tick(world):
 
 
 def test_a_free_clients_setpoint_counts_for_the_offboard_command_that_follows_it(world):
-    """MAVSDK's ``offboard.start()``: one setpoint, then the command."""
+    """MAVSDK's ``offboard.start()`` sends one setpoint, then the command."""
     vehicle = world.fleet[0]
     station = Client(0, vehicle.offboard_local_port)
     world.ask(heartbeat())

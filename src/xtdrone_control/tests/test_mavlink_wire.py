@@ -40,7 +40,7 @@ def _number(letter: str) -> st.SearchStrategy:
 
 @st.composite
 def messages(draw):
-    """A message type of pymavlink with values in wire order, arrays flattened; mostly within their ranges."""
+    """Draw a message type of pymavlink with values in wire order, arrays flattened; mostly within their ranges."""
     kind = mavlink.mavlink_map[codec.MESSAGE_ID[draw(st.sampled_from(NAMES))]]
     values, count = [], ""
     for letter in kind.unpacker.format[1:]:
@@ -121,7 +121,7 @@ def test_only_formats_of_mavlink_are_accepted():
 
 
 def _split(datagram):
-    """Frames of a datagram, and the position after the last one."""
+    """Return the frames of a datagram, and the position after the last one."""
     start, found = 0, []
     while start < len(datagram):
         rest = datagram[start:]
@@ -271,7 +271,7 @@ class _Vehicle:
         ]
 
     def fill(self, generator: np.random.Generator, senseless: float) -> None:
-        """Draw every field of the records; each with the probability ``senseless`` is not finite or huge."""
+        """Draw every field of the records; each is non-finite or huge with probability ``senseless``."""
         scale = 10.0 ** generator.uniform(-3.0, 4.0)
         for record in self.records:
             for name in record.dtype.names:

@@ -1,4 +1,4 @@
-"""MAVROS's ftp and log_transfer against an autopilot's services, and ftp against one that takes files as PX4 does."""
+"""MAVROS's ftp and log_transfer against an autopilot's services, and ftp against a server that stores files."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def pair(tmp_path):
 
 
 class TestOurAutopilot:
-    """ftp/* on what the vehicle has: logs, to read only."""
+    """ftp/* on the vehicle's logs, which are read-only."""
 
     def test_list(self, pair):
         answer = pair.call("ftp/list", FileListRequest("/fs/microsd/log"))
@@ -106,7 +106,7 @@ class TestOurAutopilot:
 
 
 class Px4Files:
-    """An autopilot's FTP server as PX4's: it keeps its last answer, and repeats it to the same number of any client."""
+    """An FTP server after PX4: it keeps its last reply, and repeats it for the same sequence number of any client."""
 
     def __init__(self) -> None:
         self.files: dict[str, bytearray] = {}
@@ -150,7 +150,7 @@ class Px4Files:
 
 
 class Px4:
-    """The plugin before such a server."""
+    """The plugin connected to such a server."""
 
     def __init__(self) -> None:
         self.bench = Bench([FtpPlugin])
@@ -184,7 +184,7 @@ def px4(monkeypatch):
 
 
 class TestPx4:
-    """ftp/* on an autopilot that takes files."""
+    """ftp/* on an autopilot that stores files."""
 
     def test_a_file_is_written_once_though_answers_get_lost(self, px4):
         px4.lost = 1

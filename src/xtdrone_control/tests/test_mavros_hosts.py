@@ -1,4 +1,4 @@
-"""MAVLink ends on more than one machine: what is bound, and what is refused."""
+"""MAVLink endpoints on more than one machine: bound addresses, and rejections."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from xtdrone_control.mavros.mavros_node import connections
 
 @pytest.fixture
 def resolver(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Resolve two hosts, without a name server."""
+    """Resolve two host names without a name server."""
     known = {"localhost": "127.0.0.1", "127.0.0.1": "127.0.0.1", "0.0.0.0": "0.0.0.0", "elsewhere": "255.255.255.255"}
 
     def look_up(name: str) -> str:
@@ -38,7 +38,7 @@ class TestBindHost:
             bind_host_for("nowhere")
 
     def test_an_unreachable_host_is_reported_with_its_address(self):
-        # A plain socket may not broadcast; this address represents every unreachable one.
+        # A plain socket must not broadcast; this address stands for every unreachable one.
         with pytest.raises(
             autopilot_links.LinkError, match=r"fcu_host: 'elsewhere' \(255\.255\.255\.255\) cannot be reached"
         ):
@@ -79,7 +79,7 @@ def test_a_fleet_has_no_ports_beyond_the_highest():
 
 
 class _NoTelemetry:
-    """Stands for a vehicle that has nothing to tell."""
+    """Stand-in for a vehicle without telemetry."""
 
     def __getattr__(self, _name: str):
         return lambda: None

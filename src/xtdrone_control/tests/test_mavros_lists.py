@@ -55,7 +55,7 @@ def test_features_of_the_node_itself_are_not_listed():
 
 
 class TestWatch:
-    """Publishers that nothing here hears."""
+    """Publishers without a subscriber here."""
 
     OWN = "/mavros"
     SUBSCRIBERS = {"/iris_0/mavros/setpoint_raw/local": [OWN], "/iris_1/mavros/setpoint_raw/local": [OWN]}  # noqa: RUF012

@@ -1,4 +1,4 @@
-"""The node against a real master: with a scripted autopilot, in lockstep, and when it cannot run."""
+"""The node on a real master: with a scripted autopilot, in lockstep, and when it cannot run."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from xtdrone_control.mavros.mavros_node import system_state
 
 HERE = Path(__file__).parent
 NODE = HERE.parent / "nodes" / "mavros_node.py"
-LIMIT = 120.0  # s, for anything that another process must do
+LIMIT = 120.0  # s, for any action of another process
 
 HEARTBEAT = mavlink.MAVLink_heartbeat_message(2, 12, 0x1D, 0x03040000, 3, 3)
 
@@ -37,7 +37,7 @@ def free_tcp_port() -> int:
 
 @pytest.fixture
 def master(running_master):
-    """Give the master without what the last node has left on it."""
+    """Return the running master without the parameters of the last node."""
     proxy, _ = running_master
     if proxy.hasParam("/test", "/iris_0")[2]:
         proxy.deleteParam("/test", "/iris_0")
@@ -46,7 +46,7 @@ def master(running_master):
 
 @pytest.fixture(scope="module")
 def running_master():
-    """Start a master; give its proxy, and the environment that names it."""
+    """Start a master; yield its proxy, and the environment that names it."""
     port = free_tcp_port()
     uri = f"http://127.0.0.1:{port}"
     process = subprocess.Popen(
@@ -86,12 +86,12 @@ def end(process) -> tuple[int, str]:
 
 
 class ScriptedFcu(threading.Thread):
-    """An autopilot that sends telemetry at 50 Hz, accepts arming, refuses to disarm, and keeps what it gets.
+    """An autopilot that sends telemetry at 50 Hz, accepts arming, rejects disarming, and keeps received messages.
 
     Attributes:
         setpoints: SET_POSITION_TARGET_LOCAL_NED messages.
         modes: custom modes of SET_MODE.
-        intervals: message id to interval as last asked for.
+        intervals: message id to the last requested interval.
     """
 
     q = frames.quaternion_from_rpy(0.1, -0.2, 0.7)
@@ -212,7 +212,7 @@ def test_topics_and_services_of_one_vehicle(master):
 
 
 def test_lockstep_reads_the_counted_messages_and_counts_its_own(master):
-    """The simulator's half is played here: each tick a datagram goes out before TICK, and DONE says what came back."""
+    """The test plays the simulator: each tick it sends a datagram before TICK, and DONE counts the replies."""
     proxy, environment = master
     server = LockstepServer("127.0.0.1", hang_limit=LIMIT)
     proxy.setParam("/test", "/lockstep/uri", server.uri)
@@ -233,9 +233,9 @@ def test_lockstep_reads_the_counted_messages_and_counts_its_own(master):
                 received += 1
                 beats += message.get_type() == "HEARTBEAT"
         assert now_us == 2_000_000  # 100 turns at 50 Hz
-        assert beats == 2  # one a simulated second, however fast it went
+        assert beats == 2  # one per simulated second, at any speed
         with pytest.raises(BlockingIOError):
-            fcu.recv(65535)  # nothing that was not counted
+            fcu.recv(65535)  # no uncounted datagram
     finally:
         proxy.deleteParam("/test", "/lockstep/uri")
         _, output = end(node)

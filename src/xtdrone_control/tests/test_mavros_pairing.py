@@ -1,4 +1,4 @@
-"""Pairs by stamp, against cases worked out by hand and laws of the ApproximateTime policy."""
+"""Pairs by stamp, against hand-computed cases and laws of the ApproximateTime policy."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from xtdrone_control.mavros.link.pairing import Pairing
 
 
 def fed(*entries, size=10):
-    """Return the pairs of stamps that came after each (side, stamp)."""
+    """Return the pairs of stamps that each (side, stamp) completes."""
     pairing = Pairing(size)
     return [pairing.add(side, stamp, stamp) for side, stamp in entries]
 
@@ -59,7 +59,7 @@ def test_nothing_is_drawn_after_clear():
     st.integers(1, 5),
 )
 def test_each_is_used_once_and_in_order(steps, size):
-    """Stamps that never go back, each topic's own pace."""
+    """In each topic, at its own rate, stamps of pairs increase and no message is used twice."""
     pairing, now = Pairing(size), [0, 0]
     pairs = []
     for count, (side, step) in enumerate(steps):
@@ -74,7 +74,7 @@ def test_each_is_used_once_and_in_order(steps, size):
 @settings(max_examples=50)
 @given(st.integers(1, 100), st.integers(-49, 49))
 def test_two_regular_streams_pair_with_the_nearest(period, percent):
-    """A thrust that comes with each attitude, its stamp less than half a period off, is its partner."""
+    """The thrust within half a period of an attitude's stamp is its partner."""
     pairing = Pairing()
     pairs = []
     for index in range(20):

@@ -26,7 +26,7 @@ def test_get(pair):
 
 
 def test_unknown_names_fail_at_once(pair, monkeypatch):
-    monkeypatch.setattr("xtdrone_control.mavros.plugins.param._TRY_LIMIT", 1e6)  # the answer waits for no time-out
+    monkeypatch.setattr("xtdrone_control.mavros.plugins.param._TRY_LIMIT", 1e6)  # the reply does not wait for a timeout
     assert not pair.call("param/get", ParamGetRequest("NO_SUCH")).success
     assert not pair.call("param/get", ParamGetRequest("")).success
     assert not pair.call("param/get", ParamGetRequest("A_NAME_THAT_IS_TOO_LONG")).success

@@ -1,4 +1,4 @@
-"""Each plugin between fake ROS and a UDP socket that plays the autopilot."""
+"""Each plugin between fake ROS and a UDP socket in the autopilot's place."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ NAN = float("nan")
 ROLL, PITCH, HEADING = 0.1, -0.2, 0.7
 RATES_FRD = (0.3, 0.2, -0.1)
 Q_NED = frames.quaternion_from_rpy(ROLL, PITCH, HEADING)
-# What it must become in ROS: the same roll, opposite pitch, yaw from east.
+# The expected ROS attitude: the same roll, opposite pitch, yaw from east.
 Q_ENU = frames.quaternion_from_rpy(ROLL, -PITCH, math.pi / 2 - HEADING)
 
 GEOID = 47.27  # m over the ellipsoid at 47.397742, 8.545594
@@ -440,7 +440,7 @@ class TestTime:
         bench.ros.time_ns = 1_000_000_000_000
         bench.uas.step(bench.ros.time_ns)
         [request] = [m for m in bench.received() if m.get_type() == "TIMESYNC"]
-        bench.ros.time_ns += 20_000_000  # the answer took 20 ms, so it was given 10 ms after the request
+        bench.ros.time_ns += 20_000_000  # the reply took 20 ms, so its time is 10 ms after the request
         bench.send(mavlink.MAVLink_timesync_message(5_000_000_000, request.ts1))
         bench.send(ATTITUDE, POSITION)
         [pose] = bench.published("local_position/pose")
@@ -600,7 +600,7 @@ class TestCommandServices:
 
     @pytest.fixture
     def answered(self, bench):
-        """Return a function that calls a service while the autopilot answers ``result``, and gives what it received."""
+        """Return a function that calls a service while the autopilot replies ``result``, and returns its messages."""
 
         def call(service, request, result):
             got = []
@@ -721,7 +721,7 @@ class TestExternalPoses:
     """vision_pose, mocap and odometry: ENU in ROS, NED to the autopilot."""
 
     POSE = ((1.0, 2.0, 3.0), Q_ENU)
-    # variances and one covariance, x with y; of the turns yaw's
+    # variances and one covariance, x with y; of the rotation only yaw's
     COVARIANCE = (0.1, 0.01, 0, 0, 0, 0, 0.01, 0.2, 0, 0, 0, 0, 0, 0, 0.3, *[0] * 20, 0.6)
 
     def fill(self, pose):

@@ -1,4 +1,4 @@
-"""mavsys and its kin: files, tables and command lines; tests/test_stack.py runs them on a MAVROS."""
+"""mavsys and related programs: files, tables and command lines; tests/test_stack.py runs them on a MAVROS."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_parameters_are_read_as_they_were_written(values, kind):
         found = parameter_formats.read(text, "a.txt", given_kind)
         assert found == values
         assert {name: type(value) for name, value in found.items()} == {n: type(v) for n, v in values.items()}
-    for line in text.splitlines():  # MAVROS takes a value with a point for a float, any other for an integer
+    for line in text.splitlines():  # MAVROS reads a value with a point as a float, any other as an integer
         if not line.startswith("#"):
             name, value = line.split("\t")[2:4] if kind == QGC else line.replace(",", " ").split()
             assert ("." in value) == isinstance(values[name], float)

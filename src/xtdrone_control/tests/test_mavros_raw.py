@@ -1,4 +1,4 @@
-"""MAVLink frames as topics, both ways, and /diagnostics."""
+"""MAVLink frames as topics in both directions, and /diagnostics."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ class TestDiagnostics:
     def listen(self, bench):
         bench.ros.publishers["/diagnostics"].connections = 1
         bench.uas.refresh()
-        bench.uas.step(0)  # from here on it counts
+        bench.uas.step(0)  # counting begins here
 
     def statuses(self, bench, seconds=1.0):
         bench.ros.time_ns += round(seconds * 1e9)
@@ -186,7 +186,7 @@ class TestDiagnostics:
     def test_lost_frames_are_counted(self, bench):
         self.listen(bench)
         bench.send(HEARTBEAT)
-        bench.frame(HEARTBEAT)  # made, and never sent
+        bench.frame(HEARTBEAT)  # created, but never sent
         bench.send(HEARTBEAT)
         assert self.statuses(bench)["FCU connection"][:2] == (1, "1 packages dropped since last report")
         assert self.statuses(bench)["FCU connection"][0] == 0

@@ -1,4 +1,4 @@
-"""Battery and estimator of ``~get_readiness``: asked of the autopilot while a caller needs them, and no longer."""
+"""Battery and estimator of ``~get_readiness``: requested from the autopilot only while a caller needs them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ IDS = {147, 230}  # BATTERY_STATUS, ESTIMATOR_STATUS
 
 
 class Caller:
-    """A vehicle's plugins with a demand for telemetry, and a clock of the test's."""
+    """A vehicle's plugins with demand-driven telemetry, and a clock set by the test."""
 
     def __init__(self) -> None:
         self.now = 0.0
@@ -35,7 +35,7 @@ class Caller:
             self.bench.uas.refresh()
 
     def intervals(self) -> dict[int, float]:
-        """Return the intervals (us) of battery and estimator asked of the autopilot since the last call."""
+        """Return the intervals (us) of battery and estimator requested from the autopilot since the last call."""
         assert self.bench is not None
         sent = [m for m in self.bench.received() if m.get_type() == "COMMAND_LONG" and m.command == INTERVAL]
         return {int(m.param1): m.param2 for m in sent if int(m.param1) in IDS}
@@ -54,7 +54,7 @@ def test_streams_are_requested_by_a_caller_and_end_some_seconds_after_the_last(c
     assert bench is not None
     bench.send(BATTERY, ESTIMATOR)
     bench.uas.refresh()
-    assert caller.intervals() == dict.fromkeys(IDS, -1.0)  # not needed: the autopilot is asked to stop them
+    assert caller.intervals() == dict.fromkeys(IDS, -1.0)  # no caller needs them: the autopilot is asked to stop them
     caller.demand.ask()
     assert caller.intervals() == dict.fromkeys(IDS, 0.0)
     caller.now = 9.0
@@ -81,5 +81,5 @@ def test_battery_and_estimator_are_those_last_received(caller: Caller) -> None:
     known = readiness(bench.uas, telemetry=True)
     assert known.battery == pytest.approx(0.83)
     assert (known.estimated, known.estimator_flags) == (True, 1 | 2 | 32)
-    assert bench.published("battery") == bench.published("estimator_status") == []  # nothing is decoded for topics
+    assert bench.published("battery") == bench.published("estimator_status") == []  # no subscriber: nothing is decoded
     assert math.isnan(readiness(bench.uas).battery)

@@ -1,4 +1,4 @@
-"""Sensors and information between fake ROS and a UDP socket that plays the autopilot, as rows of tables."""
+"""Sensors and information between fake ROS and a UDP socket in the autopilot's place, as rows of tables."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def shared():
 
 @pytest.fixture
 def bench(shared):
-    """Give one bench for all tests that change no state: nothing is taken, nothing is on its way."""
+    """Yield one bench for all tests that change no state: no subscribers, no pending datagrams."""
     for publisher in shared.ros.publishers.values():
         publisher.connections = 0
         publisher.messages.clear()
@@ -72,7 +72,7 @@ def bench(shared):
 
 
 def made(name, /, **values):
-    """Return a MAVLink message, 0 in the fields that are not named."""
+    """Return a MAVLink message; fields that are not named are 0."""
     kind = MESSAGES[MESSAGE_ID[name]]
     lengths = dict(zip(kind.ordered_fieldnames, kind.lengths, strict=True))
     fields = {
@@ -83,7 +83,7 @@ def made(name, /, **values):
 
 
 def filled(kind, **values):
-    """Return a ROS message with fields by path, dots written ``__``; vectors as tuples (quaternions w first)."""
+    """Return a ROS message with fields by path, ``__`` for a dot; vectors are tuples (quaternions w first)."""
     ros = kind()
     for path, value in values.items():
         names = path.split("__")
@@ -369,7 +369,7 @@ def test_nothing_is_requested_without_a_subscriber(bench):
 
 
 def test_any_bytes_make_a_message_that_can_be_sent(bench, caplog):
-    """ROS's fields are narrower than MAVLink's here and there."""
+    """Any payload yields a ROS message that can be serialised, although its fields are narrower in places."""
     dice = random.Random(1)
     bench.take(*(row[1] for row in OUT), "esc_info", "esc_status", "odometry/in")
     packer = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
@@ -392,7 +392,7 @@ class TestBothWays:
         bench.take(out)
         bench.call(topic, ros)
         datagram = bench.fcu.recv(65535)
-        bench.send_raw(datagram)  # what comes from component 240 is taken from anyone only
+        bench.send_raw(datagram)  # only messages open to any sender are accepted from component 240
         return bench.published(out)
 
     @pytest.mark.parametrize(
@@ -413,7 +413,7 @@ class TestBothWays:
     )  # fmt: skip
     def test_information(self, bench, topic, out, ros):
         [got] = self.back(bench, topic, ros, out)
-        for name in ros.__slots__[1:]:  # all but header, or target_system
+        for name in ros.__slots__[1:]:  # all fields except header, or target_system
             assert plain(getattr(got, name)) == plain(getattr(ros, name))
 
     @given(
@@ -425,7 +425,7 @@ class TestBothWays:
     )
     @settings(max_examples=60, deadline=None)
     def test_odometry(self, shared, position, angles, velocity, parent, child):
-        """Velocities are the body's, in whichever frame the autopilot gives them."""
+        """Velocities are in body axes, in whichever frame the autopilot sends them."""
         q = frames.quaternion_from_rpy(*angles)
         out = filled(Odometry, pose__pose__position=position, pose__pose__orientation=q,
                      twist__twist__linear=velocity, twist__twist__angular=velocity)  # fmt: skip
@@ -463,7 +463,7 @@ class TestBothWays:
 
 
 class TestOdometryFrames:
-    """Hand-computed: heading east, flying north at 2 m/s is flying left."""
+    """Computed by hand: heading east, flying north at 2 m/s is flying left."""
 
     def send(self, bench, frame, child):
         east = [math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]
@@ -486,7 +486,7 @@ class TestOdometryFrames:
 
 
 class TestFromAnyone:
-    """Radio, traffic and programs speak with ids of their own."""
+    """Radio, traffic and programs use system ids of their own."""
 
     def test_radio_status_is_published(self, bench):
         bench.take("radio_status", "gpsstatus/gps1/raw")
@@ -555,7 +555,7 @@ class TestTexts:
 
 
 class TestRtcm:
-    """Corrections, cut up."""
+    """RTCM corrections in fragments."""
 
     @pytest.mark.parametrize("size", [0, 1, 180, 181, 360, 720])
     def test_fragments(self, bench, size):
@@ -635,7 +635,7 @@ class TestDistanceSensors:
 
 
 class TestFakeGps:
-    """Positions in metres to a fix."""
+    """Positions in metres, converted to a fix."""
 
     def fixes(self, params, topic, kind, path, stamps=((5, 0.0), (6, 3.0))):
         bench = Bench(
@@ -757,7 +757,7 @@ class TestTimesync:
 
 
 class TestServices:
-    """Commands and what is known of the vehicle."""
+    """Commands, and information on the vehicle."""
 
     @pytest.fixture
     def call(self):
@@ -835,7 +835,7 @@ class TestServices:
         again = bench.ros.services["/iris_0/mavros/vehicle_info_get"]
         assert again(srv.VehicleInfoGetRequest(get_all=True, sysid=9)).vehicles == [info]
         assert not again(srv.VehicleInfoGetRequest(sysid=9, compid=1)).success
-        assert bench.received() == []  # it is known by now
+        assert bench.received() == []  # the answer is cached by now
 
     def test_nothing_is_known_before_the_first_heartbeat(self, bench):
         info = bench.ros.services["/iris_0/mavros/vehicle_info_get"]

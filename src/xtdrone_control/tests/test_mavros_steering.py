@@ -1,4 +1,4 @@
-"""The plugins that steer, between fake ROS and a UDP socket that plays the autopilot; see ``test_mavros_plugins``."""
+"""The plugins that steer, between fake ROS and a UDP socket in the autopilot's place; see ``test_mavros_plugins``."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def fill(message, values, axes="xyz"):
 
 
 def turned(roll, pitch, yaw):
-    """Return a ROS quaternion."""
+    """Return the ROS quaternion of roll, pitch and yaw, rad."""
     return fill(Quaternion(), frames.quaternion_from_rpy(roll, pitch, yaw), "wxyz")
 
 
@@ -149,7 +149,7 @@ class TestAttitude:
 
     @pytest.mark.parametrize("thrust_lag", [-3, 3])
     def test_each_attitude_goes_with_the_nearest_thrust(self, thrust_lag):
-        """20 ms apart, the thrusts' stamps 3 ms before or after: as many go out as come, but for the last."""
+        """Attitudes are 20 ms apart, stamps of thrusts 3 ms before or after: each pair but the last is sent."""
         with opened(QUATERNION) as bench:
             for index in range(6):
                 bench.call("setpoint_attitude/attitude", self.attitude(100 + 20 * index, 0.0, 0.0, 0.0))
@@ -266,7 +266,7 @@ class TestGlobalPosition:
         assert refused(bench, caplog, topic, geo_pose(latitude=91.0), "latitude 91.0")
 
     def test_a_goal_is_the_vehicles_position_and_the_way_from_it(self, bench):
-        """1e-4 deg of latitude are 11.12 m north there, and of longitude 7.55 m east."""
+        """1e-4 deg of latitude are 11.12 m to the north, and 1e-4 deg of longitude 7.55 m to the east."""
         bench.call("setpoint_position/global_to_local", geo_pose(LATITUDE + 1e-4, LONGITUDE + 1e-4, ALTITUDE + 5.0))
         assert bench.received() == []
         bench.send(self.LOCAL, self.HERE)
@@ -318,7 +318,7 @@ class TestListening:
         bench.ros.subscribers[topic](TFMessage([transform]))
 
     def test_the_position_of_a_frame(self):
-        """map -> base at (10, 0, 0) turned left by a right angle; the target is 1 m forward of it: (10, 1, 3)."""
+        """map -> base is (10, 0, 0) turned left by a right angle; a target 1 m forward of it is at (10, 1, 3)."""
         with opened({"setpoint_position": {"tf": {"listen": True, "rate_limit": 10.0}}}) as bench:
             assert "/iris_0/mavros/setpoint_position/local" not in bench.ros.subscribers
             self.tell(bench, "base", "target_position", 2000, (1.0, 0.0, 3.0), 0.0)
@@ -457,7 +457,7 @@ class TestSetpointTrajectory:
         bench.call("setpoint_trajectory/local", MultiDOFJointTrajectory(points=list(points)))
 
     def until(self, bench, millis, every=20):
-        """Return what goes out in ``millis`` more, but for heartbeats."""
+        """Return the messages sent in the next ``millis`` ms, heartbeats excluded."""
         for _ in range(0, millis, every):
             bench.ros.time_ns += every * MILLISECOND
             bench.uas.step(bench.ros.time_ns)
@@ -703,7 +703,7 @@ class TestActuators:
 
 
 def test_streams_that_px4_does_not_send_by_default_are_requested_at_a_rate(bench):
-    """PX4 has no default rate for these on a companion's link: 0 would leave them off."""
+    """PX4 has no default rate for these on a companion's link: a rate of 0 would leave them off."""
     bench.send(mavlink.MAVLink_heartbeat_message(2, 12, 0x91, 6 << 16, 4, 3))
     bench.received()
     bench.take("manual_control/control", "target_actuator_control", "rc/in")

@@ -1,6 +1,6 @@
-"""Any message that ROS can carry, to every topic and service of the MAVROS layer: sent, or refused in words.
+"""Any message that ROS can carry, to every topic and service of the MAVROS layer: sent, or rejected with a message.
 
-Messages are made from their types, so plugins to come are covered by being there.
+Messages are generated from their types, so the test includes later plugins without a change.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from xtdrone_control.mavros.plugins.ftp import FtpPlugin
 
 ROUNDS = 60
 FTP = struct.Struct("<HBBBBBBI")
-FRAMES = "/iris_0/mavlink/to"  # takes what is a MAVLink frame, which no random message is
+FRAMES = "/iris_0/mavlink/to"  # accepts MAVLink frames only, which no random message is
 NAMED = ("MPC_XY_VEL_MAX", "COM_RC_IN_MODE")  # parameters that the autopilot has: a real number and an integer
 HOSTILE = (math.nan, math.inf, -math.inf, 1e300, -1e300, 1.7e308, -0.0, 5e-324, FLOAT32_MAX, 1.001 * FLOAT32_MAX)
 INTEGER = re.compile(r"(u?)int(8|16|32|64)|byte|char")
 
 
 def number(kind: str, rng: random.Random, wild: float) -> float | int | bool:
-    """Return a number of a ROS type, with a chance of ``wild`` one at the edges of what that type holds."""
+    """Return a number of a ROS type, with probability ``wild`` one at the edges of its range."""
     if kind == "bool":
         return rng.random() < 0.5
     match = INTEGER.fullmatch(kind)
@@ -83,7 +83,7 @@ def message(cls: Any, rng: random.Random, wild: float) -> Any:
 
 
 def over_the_wire(original: Any) -> Any:
-    """Return the message as a subscriber gets it."""
+    """Return the message as a subscriber receives it."""
     buffer = io.BytesIO()
     original.serialize(buffer)
     return type(original)().deserialize(buffer.getvalue())
@@ -165,7 +165,7 @@ def bench() -> Any:
 
 
 def complete(bench: Bench, topic: str) -> Callable[[Any], None]:
-    """Return a function that publishes to a topic, and what its plugin waits for before it sends anything."""
+    """Return a function that publishes to a topic, after the messages that its plugin needs beforehand."""
     name, callback = topic.removeprefix("/iris_0/mavros/"), bench.ros.subscribers[topic]
     pairs = {"setpoint_attitude/cmd_vel": ("thrust", Thrust), "setpoint_attitude/thrust": ("cmd_vel", TwistStamped)}
 
@@ -187,12 +187,12 @@ def complete(bench: Bench, topic: str) -> Callable[[Any], None]:
 
 
 def storm(bench: Bench, call: Callable[[Any], Any], cls: Any, seed: str) -> tuple[int, int]:
-    """Send random messages; return how many led to a datagram and how many did not."""
+    """Send random messages; return how many led to a datagram, and how many did not."""
     rng = random.Random(seed)
     sent = kept = 0
     for _ in range(ROUNDS):
         before = bench.link.sent
-        bench.ros.time_ns += 10**9  # nothing comes too fast
+        bench.ros.time_ns += 10**9  # no message arrives too fast
         call(over_the_wire(message(cls, rng, rng.choice((0.0, 0.05, 0.3, 1.0)))))
         sent, kept = (sent + 1, kept) if bench.link.sent > before else (sent, kept + 1)
     return sent, kept
@@ -208,7 +208,7 @@ def test_every_topic_accepts_any_message(bench: Bench, caplog: pytest.LogCapture
         assert sent or topic == FRAMES, topic
         name = topic.removeprefix("/iris_0/mavros/").removeprefix("/iris_0/")
         warnings = [r for r in caplog.records if name in r.getMessage()]
-        assert len(warnings) >= kept, topic  # nothing is dropped without a word
+        assert len(warnings) >= kept, topic  # each dropped message has a warning
         assert not any(r.exc_info for r in caplog.records), topic
 
 
@@ -282,7 +282,7 @@ def test_a_value_out_of_range_is_reported_once(
 
 
 def test_a_masked_value_out_of_range_is_reported(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
-    """It would be ignored, but MAVLink cannot carry it."""
+    """The autopilot ignores the masked value, but MAVLink cannot encode it."""
     target = raw(-1e300)
     target.type_mask = PositionTarget.IGNORE_VY
     bench.call("setpoint_raw/local", target)

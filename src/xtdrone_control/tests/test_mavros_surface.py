@@ -23,7 +23,7 @@ _DATA = Path(__file__).parent / "data" / "mavros_surface.txt"
 _LISTS = Path(__file__).parents[1] / "mavros" / "launch" / "px4_pluginlists.yaml"
 _PAGE = Path(__file__).parents[3] / "docs" / "mavros.md"
 _TABLE = re.compile(r"(?<=<!-- made by test_mavros_surface.py -->\n).*?(?=<!-- end -->)", re.DOTALL)
-# What a node has without a plugin: rospy's, and the transforms that a parameter switches on.
+# Features of a node without plugins: rospy's, and the transforms that a parameter enables.
 _OTHERS = {
     "published /rosout rosgraph_msgs/Log",
     "published /tf tf2_msgs/TFMessage",
@@ -41,13 +41,13 @@ class Offered(NamedTuple):
 
 
 def mavros() -> set[Offered]:
-    """Return what MAVROS offers."""
+    """Return MAVROS's features."""
     lines = [line.split() for line in _DATA.read_text().splitlines() if not line.startswith("#")]
     return {Offered(direction, _short(name), kind) for direction, name, kind in lines}
 
 
 def ours() -> dict[Offered, str]:
-    """Return what is offered here, to the plugin."""
+    """Return the features offered here, each with its plugin."""
     found = {}
     for plugin in PLUGINS:
         bench = Bench([plugin])
@@ -63,7 +63,7 @@ def ours() -> dict[Offered, str]:
 
 
 def left_out() -> dict[tuple[str, str], tuple[str, str]]:
-    """Return direction and name of what is left out, to the plugin and the reason."""
+    """Return direction and name of each omitted feature, with its plugin and the reason."""
     found = {}
     for plugin, entries in LEFT_OUT.items():
         for entry in entries:

@@ -1,4 +1,4 @@
-"""Messages by radio: range, delay, loss, bursts and bandwidth, and that nothing but the seed decides."""
+"""Messages by radio: range, delay, loss, bursts and bandwidth, all decided by the seed alone."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_receivers_lose_different_messages():
 def test_a_message_takes_its_bits_at_the_senders_share_of_the_bandwidth():
     radio = MessageRadio(3, NetworkOptions(range=16.0, bandwidth=1000.0, queue=2))
     first = radio.send(0.0, 0, 500, LINE[:3])
-    assert first == [(pytest.approx(1.5), 1)]  # vehicle 1 hears three senders, itself included: a third of 1000 bit/s
+    assert first == [(pytest.approx(1.5), 1)]  # vehicle 1 receives from three, itself included: a third of 1000 bit/s
     assert radio.send(0.1, 0, 500, LINE[:3]) == [(pytest.approx(3.0), 1)]
     assert radio.send(0.2, 0, 500, LINE[:3]) == []  # two are waiting or leaving
     assert radio.lost == 1

@@ -24,7 +24,7 @@ from xtdrone_control.mavlink.microservices.files_and_logs.metadata import checks
 from xtdrone_control.mavlink.wire.codec import decoder, split
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
 
-# a module's file, not the package's: in a catkin workspace that is a stand-in in the devel space
+# a module's file, not the package's: in a catkin workspace the package's is a stub in the devel space
 _PACKAGE = Path(events.__file__).parents[2]
 _SOURCES = [path for part in ("autopilot", "mavlink") for path in (_PACKAGE / part).rglob("*.py")]
 _EVENT_NAME = re.compile(
@@ -35,7 +35,7 @@ _TELLING = {"tell", "_tell", "event", "_refuse", "Problem", "Check", "_go", "_an
 
 
 def literals():
-    """Return every text in the sources, with its file, docstrings aside."""
+    """Return every string literal in the sources, docstrings excluded, with its file."""
     found = []
     for path in _SOURCES:
         tree = ast.parse(path.read_text())
@@ -54,7 +54,7 @@ def test_every_event_that_the_code_names_is_in_the_catalogue():
 
 
 def test_calls_name_events_of_the_catalogue():
-    """Whatever its name looks like: the texts in calls that tell something, and no sentence."""
+    """Every string argument of an announcing call that has the form of an event's name is in the catalogue."""
     for path in _SOURCES:
         for node in ast.walk(ast.parse(path.read_text())):
             if not isinstance(node, ast.Call):
@@ -68,7 +68,7 @@ def test_calls_name_events_of_the_catalogue():
 
 
 def test_only_texts_with_an_event_end_with_a_tab():
-    """Only ``Announcements`` puts tabs behind texts, where it adds the event; the others take them away."""
+    """Only ``Announcements`` appends tabs, where it adds the event; all others strip them."""
     assert {path.stem for path, value in literals() if value.endswith("\t")} <= {
         "announcements",
         "ftp",
@@ -77,7 +77,7 @@ def test_only_texts_with_an_event_end_with_a_tab():
     }
 
 
-# texts of a real PX4 v1.14.3, all with a tab, and the events that say the same
+# texts of a real PX4 v1.14.3, all with a tab, and the events of the same meaning
 _FLOWN = {
     "Armed by external command": "commander_armed_by",
     "Using minimum takeoff altitude: 2.50 m": "navigator_takeoff_min_alt",
@@ -122,7 +122,7 @@ def definitions():
 
 
 def test_event_definitions_follow_libevents_schema(definitions):
-    """Facts of libevents' schema and of its check script."""
+    """The definitions satisfy libevents' schema and its check script."""
     assert definitions["version"] in (1, 2)
     ((component, content),) = definitions["components"].items()
     assert component == "1"
@@ -194,7 +194,7 @@ def test_arguments_are_cut_to_their_types():
 
 
 def test_definitions_of_parameters(served):
-    """Facts of mavlink's parameter.schema.json, and what QGroundControl asks for: version 1."""
+    """The definitions satisfy mavlink's parameter.schema.json and have version 1, which QGroundControl requires."""
     content = json.loads(metadata.parameter_definitions(served.parameters))
     assert content["version"] == 1
     entries = {entry["name"]: entry for entry in content["parameters"]}
@@ -236,7 +236,7 @@ def served():
 
 
 def download(served, uri):
-    """Read a file by FTP, as a ground station does it that is given a URI."""
+    """Read a file by FTP, as a ground station does that receives a URI."""
     path = uri.removeprefix("mftp://").encode()
     assert path != uri.encode()
     (size,) = struct.unpack("<I", ftp(served, 4, path)[0])
@@ -260,7 +260,7 @@ def ftp(served, opcode, data=b"", offset=0, size=None):
 
 
 def request(served, name):
-    """Ask for a message; return its fields (pymavlink does not know it)."""
+    """Request a message that pymavlink lacks; return its fields."""
     served.link.frames.clear()
     served.ask(mavlink.MAVLink_command_long_message(SYSTEM, 1, 512, 0, MESSAGE_ID[name], 0, 0, 0, 0, 0, 0))
     (frame, ack) = served.link.frames
@@ -297,6 +297,6 @@ def test_a_changed_parameter_changes_no_file(served):
 
 
 def test_messages_are_those_of_the_xml():
-    """Lengths and checksums of common.xml's messages."""
+    """Lengths and checksums equal those of common.xml."""
     assert (MESSAGES[397].unpacker.size, MESSAGES[397].crc_extra) == (108, 182)
     assert (MESSAGES[395].unpacker.size, MESSAGES[395].crc_extra) == (212, 0)

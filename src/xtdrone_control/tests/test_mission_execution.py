@@ -1,4 +1,4 @@
-"""A mission flown item by item, by a vehicle that is where it should be."""
+"""A mission flown item by item by a vehicle that is always at its setpoint."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def hovering():
 
 
 def fly(flight, *items):
-    """Fly ``items`` from the air."""
+    """Fly ``items``, starting in the air."""
     flight.load(*items)
     assert flight.commander.request(modes.AUTO_MISSION) == 0
     flight.texts()
@@ -103,7 +103,7 @@ def test_a_positive_timeout_does_not_wait_for_the_heading():
 
 @pytest.mark.parametrize(
     ("mode", "bearing"), [(0, 90.0), (1, -90.0), (2, 90.0), (4, 90.0)]
-)  # home is at the origin, the vehicle on its way from 10 m to 30 m east
+)  # home is at the origin; the vehicle flies from 10 m to 30 m east
 def test_heading_modes(mode, bearing):
     flight = MissionFlight(MPC_YAW_MODE=mode)
     flight.hover()

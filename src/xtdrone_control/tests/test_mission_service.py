@@ -1,4 +1,4 @@
-"""The mission protocol: transfers, refusals and timeouts as PX4 has them."""
+"""The mission protocol: transfers, rejections and timeouts as in PX4."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def texts(served):
 
 
 def run(served, seconds):
-    """Advance time; return the messages that the services send, without events."""
+    """Advance time; return the messages that the services send, events excluded."""
     return [entry for entry in served.run(seconds) if entry[1] not in ("EVENT", "CURRENT_EVENT_SEQUENCE")]
 
 
@@ -127,7 +127,7 @@ def test_content_is_not_judged_at_upload(served, wrong):
         ({"command": 9999}, 3),
         ({"command": 115, "frame": 2}, 3),  # CONDITION_YAW
         ({"command": 183, "frame": 2}, 3),  # DO_SET_SERVO
-        ({"command": 20, "frame": 6}, 3),  # a return has no place
+        ({"command": 20, "frame": 6}, 3),  # a return has no position
         ({"command": 16, "frame": 2}, 3),
         ({"command": 201, "frame": 2, "params": (3.0, 0.0, 0.0, 0.0)}, 6),
         ({"command": 5001}, 1),
@@ -137,7 +137,7 @@ def test_content_is_not_judged_at_upload(served, wrong):
 def test_rejected_items(served, wrong, result):
     assert upload(served, [item(0), item(1, **wrong)]) == result
     assert served.commander.navigator.plans.mission == ()
-    assert upload(served, [item(0)]) == 0  # the refusal ended the transfer
+    assert upload(served, [item(0)]) == 0  # the rejection ended the transfer
 
 
 @pytest.mark.parametrize(
@@ -154,7 +154,7 @@ def test_a_second_client_is_rejected_during_an_upload(served):
     served.ask(item(0))
     (answer,) = served.ask(number(1), served.other)
     assert answer.type == 1
-    assert (answer.target_system, answer.target_component) == (0, 0)  # as by PX4, on a link without a partner yet
+    assert (answer.target_system, answer.target_component) == (0, 0)  # as in PX4, on a link without a partner yet
     (answer,) = served.ask(item(1))
     assert answer.type == 0
     assert upload(served, [item(0)], link=served.other) == 0
@@ -378,7 +378,7 @@ def test_landing_targets_need_the_local_frame(served):
 
 
 class LossyClient:
-    """A client as QGroundControl is, on a line that loses messages both ways."""
+    """A client after QGroundControl, on a link that loses messages in both directions."""
 
     def __init__(self, served, loss, seed):
         self.served = served
@@ -394,7 +394,7 @@ class LossyClient:
         self.inbox += [entry for entry in messages if self.rng.random() >= self.loss]
 
     def wait(self, *wanted):
-        """Return the next of the ``wanted`` messages within 1.5 s, None when none comes."""
+        """Return the next of the ``wanted`` messages within 1.5 s, None if there is none."""
         for _ in range(75):
             while self.inbox:
                 name, message = self.inbox.pop(0)

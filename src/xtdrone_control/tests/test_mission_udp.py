@@ -27,7 +27,7 @@ class Field:
             self.ask(station, heartbeat(6))
 
     def ask(self, station, message):
-        """Send, and return the answers without telemetry."""
+        """Send a message; return the replies without telemetry."""
         station.send(message)
         self.server.receive(1.0)
         return self.mission_messages(station)
@@ -60,7 +60,7 @@ def field():
 
 
 def survey():
-    """Return a mission as pymavlink's loader holds one, with integers."""
+    """Return a mission as pymavlink's loader holds it, with integer coordinates."""
     loader = mavwp.MAVWPLoader(target_system=_SYSTEM, target_component=1)
     for command, north in ((22, 0), (16, 2000), (206, 0), (16, 4000)):
         frame = 2 if command == 206 else 6

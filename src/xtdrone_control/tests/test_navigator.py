@@ -83,7 +83,7 @@ def test_loiter_brakes_ahead(flight):
     flight.commander.request(modes.POSCTL)
     flight.autopilot.estimator["velocity"] = (3.0, 4.0, 0.5)
     flight.commander.request(modes.AUTO_LOITER)
-    stop = 25.0 / (2 * 3.0) + 0.6 * 5.0  # and while the deceleration rises
+    stop = 25.0 / (2 * 3.0) + 0.6 * 5.0  # the last term is the distance while the deceleration rises
     assert goal(flight) == pytest.approx([0.6 * stop, 0.8 * stop, -10.0])
 
 
@@ -134,7 +134,7 @@ def test_return_climbs_flies_back_descends_and_lands(flight):
         (11.0, 5.0, 30.0),  # outside the cone
         (8.0, 5.0, 8.0),  # inside: 45 degrees
         (3.0, 2.0, 4.0),  # at least twice the acceptance radius
-        (0.5, 2.0, 2.0),  # over home: as it is
+        (0.5, 2.0, 2.0),  # above home: unchanged
     ],
 )
 def test_return_height(flight, distance, height, expected):
@@ -197,7 +197,7 @@ def test_speed_change_lasts_until_the_next_mode(flight):
 
 
 def test_speed_change_holds_through_a_reposition(flight):
-    """A real PX4 v1.14.3 flew at 2.91 m/s to where it was sent after DO_CHANGE_SPEED to 3 m/s."""
+    """After DO_CHANGE_SPEED to 3 m/s, PX4 v1.14.3 flew to a reposition at 2.91 m/s."""
     flight.commander.change_speed(1, 3.0)
     place = (ORIGIN[0] + 0.001, ORIGIN[1], ORIGIN[2] + 5.0)
     assert flight.commander.reposition(place, math.nan, -1.0) is Result.ACCEPTED

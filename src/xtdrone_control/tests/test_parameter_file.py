@@ -1,4 +1,4 @@
-"""QGroundControl's parameter files: written and read again, and what is refused."""
+"""QGroundControl's parameter files: written and read back, and rejections."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The parameter protocol as PX4 speaks it, and parameter files."""
+"""The parameter protocol after PX4, and parameter files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def request_list(system=SYSTEM):
 
 
 def values(found):
-    """Leave the parameters of what has come."""
+    """Return the PARAM_VALUE entries of the found messages."""
     return [entry for entry in found if entry[-2] == "PARAM_VALUE"]
 
 
@@ -92,7 +92,7 @@ def test_messages_to_all_systems_are_left_alone_as_px4_does(served):
 
 
 def test_all_clients_receive_a_written_value(served):
-    for value in (1.0, 50.0):  # out of range is taken too
+    for value in (1.0, 50.0):  # out of range values are accepted too
         answers = served.ask(write("MPC_XY_P", value))
         assert [(m.param_id, m.param_value) for m in answers] == [("MPC_XY_P", value)]
         assert served.other.sent[-1][1].param_value == value

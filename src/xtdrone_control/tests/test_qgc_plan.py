@@ -1,4 +1,4 @@
-"""QGroundControl's plan files: what it writes is read, what is written is read back, what cannot be used is named."""
+"""QGroundControl's plan files: its files are read, written files are read back, unusable content is named."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ DRAWN = {
 
 
 def drawn(*path, value):
-    """Return the drawn plan's text with ``value`` at ``path``."""
+    """Return the text of the plan drawn in QGroundControl, with ``value`` at ``path``."""
     document = copy.deepcopy(DRAWN)
     target = document
     for key in path[:-1]:
@@ -159,7 +159,7 @@ def test_a_missing_or_binary_file_is_reported(tmp_path):
         qgc_plan.read(tmp_path / "b.plan")
 
 
-# ---- there and back
+# ---- round trip
 
 numbers = st.floats(-1e6, 1e6) | st.just(NAN)
 places = st.tuples(st.floats(-90, 90), st.floats(-180, 180), st.floats(-1000, 9000))

@@ -1,4 +1,4 @@
-"""Reasons that PX4 reports by events alone, as text."""
+"""Texts for reasons that PX4 reports by events alone."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def message(found: Event) -> Message:
 
 
 def report(*checks: tuple[str, int, int]) -> list[Event]:
-    """Return the events of a report; checks are name, level and the modes they concern."""
+    """Return the events of a report; checks are name, level and the affected modes."""
     return [
         event("commander_arming_check_summary", events.PROTOCOL, 0, 0, 0, 0, 0, 0),
         *(event(name, level, 0, concerned, events.SYSTEM) for name, level, concerned in checks),
@@ -50,7 +50,7 @@ def report(*checks: tuple[str, int, int]) -> list[Event]:
 
 
 class Told:
-    """A vehicle's refusals, with what a user reads."""
+    """A vehicle's rejections, and the texts for its user."""
 
     def __init__(self, mode: modes.Mode = modes.OFFBOARD) -> None:
         self.refusals = Refusals()
@@ -72,7 +72,7 @@ def test_a_rejection_is_explained_by_the_modes_failing_checks() -> None:
     assert told.by(*report(STREAM, MISSION, STATION, BATTERY), now_ns=SECOND) == [
         "Arming denied: No offboard signal; Critical battery"
     ]
-    assert told.by(*report(STREAM, BATTERY), now_ns=SECOND) == []  # once
+    assert told.by(*report(STREAM, BATTERY), now_ns=SECOND) == []  # reported once
 
 
 def test_a_rejection_without_a_known_reason_lists_all_failing_checks() -> None:
@@ -170,7 +170,7 @@ def events_frame(found: Sequence[Event]) -> bytes:
 
 
 def refuse(bench: Bench, *, arm: bool) -> None:
-    """Call the arming service, which the autopilot refuses before it tells why."""
+    """Call the arming service; the autopilot rejects the request before it sends the reason."""
     service = bench.ros.services["/iris_0/mavros/cmd/arming"]
     caller = threading.Thread(target=service, args=[CommandBoolRequest(value=arm)])
     bench.fcu.setblocking(True)

@@ -1,4 +1,4 @@
-"""The smoothed path over the estimator's resets."""
+"""The smoothed path across resets of the estimator."""
 
 from __future__ import annotations
 

@@ -146,7 +146,7 @@ def test_a_target_is_approached_and_landed_on():
     flight.follow()
     flight.run(1.3, lambda: see(flight, 2.0, 1.0))
     assert flight.setpoint["task"] == TASK_LAND
-    flight.run(0.2, lambda: see(flight, 2.2, 1.1))  # the nearer, the better it is seen
+    flight.run(0.2, lambda: see(flight, 2.2, 1.1))  # the nearer the vehicle, the better the view
     assert flight.goal() == [2.2, 1.1, 0]
     flight.place(2.2, 1.1, -0.05)
     flight.run(0.1, lambda: see(flight, 9.0, 9.0))

@@ -1,4 +1,4 @@
-"""The compiled codec against genpy's own methods, for every class of messages and services that is installed."""
+"""The compiled codec against genpy's own methods, for every installed class of messages and services."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def _parts(value: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def samples() -> list[tuple[Any, bytes]]:
-    """Messages of all classes, and their bytes according to genpy."""
+    """Return messages of all classes, and their bytes according to genpy."""
     chance = random.Random(1)
     for message_class in CLASSES:
         assert compile_class(message_class) is not None, message_class
@@ -185,7 +185,7 @@ def test_wrong_arguments_of_a_constructor_are_genpys_errors(args: Any, kwds: Any
 
 
 def test_every_truncation_is_an_error(samples: list[tuple[Any, bytes]]) -> None:
-    """genpy itself accepts a string that is cut at the end of the data."""
+    """The codec rejects even a string cut at the end of the data, which genpy accepts."""
     chance = random.Random(2)
     for message, data in samples[::3]:
         codec = compile_class(type(message))
@@ -456,7 +456,7 @@ def test_a_value_may_leave_its_message_while_it_is_encoded() -> None:
 
 
 def test_no_memory_is_lost() -> None:
-    """In 48 000 conversions, good and bad, a leak of 16 bytes would lose 768 kB."""
+    """Over 48 000 conversions, valid and invalid, a leak of 16 bytes each would lose 768 kB."""
     states = ModelStates(name=["a", "ü"], pose=[Pose(), Pose()])
     stray = TFMessage([None])
     codecs = [compile_class(cls) for cls in (ModelStates, PositionTarget, TFMessage, CameraInfo)]
@@ -477,7 +477,7 @@ def test_no_memory_is_lost() -> None:
 
     rounds(500)
     gc.collect()
-    objects = len(gc.get_objects())  # first, as its list of up to 1 MB stays in the process's heap
+    objects = len(gc.get_objects())  # called once beforehand, as its list of up to 1 MB stays in the process's heap
     before = _resident()
     references = sys.getrefcount(Vector3), sys.getrefcount(genpy.Time), sys.getrefcount("frame_id")
     rounds(12_000)

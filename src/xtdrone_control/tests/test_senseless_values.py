@@ -1,4 +1,4 @@
-"""Parameters, items and estimates that make no sense: PX4 takes them, so they must do no harm beyond their vehicle."""
+"""Senseless parameters, items and estimates: PX4 accepts them, so they must do no harm beyond their vehicle."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ def test_a_height_reference_that_does_not_exist(reference):
     assert np.isfinite(autopilot.estimator["position"]).all()
 
 
-# what happens at the wrong moment
+# commands at the wrong moment
 
 
 def test_a_kill_switch_that_is_still_on_counts_from_the_next_arming():

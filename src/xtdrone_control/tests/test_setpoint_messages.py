@@ -1,4 +1,4 @@
-"""Setpoint messages: masks, frames and what is refused, against PX4 v1.14's rules written down a second time."""
+"""Setpoint messages: masks, frames and rejections, against a second implementation of PX4 v1.14's rules."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ angles = st.floats(-math.pi, math.pi)
 
 
 class Recorder:
-    """A commander that keeps what it is given."""
+    """A commander that keeps its setpoints."""
 
     def __init__(self, q=(1.0, 0.0, 0.0, 0.0), home=True):
         autopilot = FakeAutopilot()
@@ -54,7 +54,7 @@ class Recorder:
 
 
 def quaternion(roll, pitch, yaw):
-    """(w, x, y, z) of turns about z, y and x in turn, multiplied out by hand."""
+    """Return (w, x, y, z) of rotations about z, y and x in turn, multiplied out by hand."""
     result = np.array([1.0, 0.0, 0.0, 0.0])
     for axis, angle in ((3, yaw), (2, pitch), (1, roll)):
         turn = np.zeros(4)
@@ -65,7 +65,7 @@ def quaternion(roll, pitch, yaw):
 
 
 def matrix(roll, pitch, yaw):
-    """Body to local, as the product of three plane turns."""
+    """Return the rotation from body to local as the product of three plane rotations."""
     c, s = math.cos, math.sin
     z = [[c(yaw), -s(yaw), 0], [s(yaw), c(yaw), 0], [0, 0, 1]]
     y = [[c(pitch), 0, s(pitch)], [0, 1, 0], [-s(pitch), 0, c(pitch)]]
@@ -118,7 +118,7 @@ def test_body_frame(values, mask, roll, pitch, yaw):
     unset = [_NAN] * 3
     assert same(parts[0], unset)
     for found, wanted in zip(parts[1:], (velocity, acceleration), strict=True):
-        if wanted is None or not np.isnan(wanted).any():  # a NaN part leaves its message open to rounding
+        if wanted is None or not np.isnan(wanted).any():  # a NaN part leaves its message subject to rounding
             assert same(found, unset if wanted is None else wanted)
     assert math.isnan(found_yaw) if mask & 1024 else found_yaw == 0.5, "from north"
 
@@ -185,7 +185,7 @@ def test_altitude_over_home_needs_one():
 
 
 def attitude(mask, q=(1.0, 0.0, 0.0, 0.0), rates=(0.1, 0.2, 0.3), thrust=0.5, body=(0.0, 0.0, 0.0)):
-    """SET_ATTITUDE_TARGET as it is decoded, with the field that pymavlink's class does not have."""
+    """Return a decoded SET_ATTITUDE_TARGET, with the field that pymavlink's class lacks."""
     frame = frame_packing.Format("SET_ATTITUDE_TARGET")
     payload = frame.payload((0, *q, *rates, thrust, SYSTEM, 1, mask, *body))
     return codec.decoder("SET_ATTITUDE_TARGET")(frame.frame(payload, 0, 255, 190))
@@ -217,7 +217,7 @@ def test_attitude_masks(mask, rates, thrust, body):
 
 @pytest.fixture
 def flying():
-    """A vehicle that flies in OFFBOARD, its services."""
+    """A vehicle in OFFBOARD flight, with its services."""
     served = Served()
     served.ask(local((0.0, 0.0, -5.0, *[0.0] * 6), 0b110111111000))
     assert served.command(176, 1, 6)[0] == 0

@@ -1,4 +1,4 @@
-"""The shared origin of PX4s' local frames, against an autopilot that answers as PX4 v1.14 does."""
+"""The shared origin of PX4s' local frames, against an autopilot that replies as PX4 v1.14 does."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ SPAWN = (473977420, 85456338, 488120)  # 3 m east of it
 
 
 class Px4:
-    """Fake PX4: its estimator moves the origin after the answer.
+    """A fake PX4 whose estimator moves the origin after the reply.
 
     Attributes:
         bench: the MAVROS layer.
         origin: 1e-7 deg, 1e-7 deg, mm AMSL; None while there is no position.
         set: how often SET_GPS_GLOBAL_ORIGIN came.
-        in_air: the estimator passes over an origin.
+        in_air: the estimator ignores a new origin.
     """
 
     def __init__(self, bench: Bench) -> None:
@@ -36,7 +36,7 @@ class Px4:
         self.in_air = False
 
     def pass_time(self) -> None:
-        """Run a turn of the MAVROS layer, and answer."""
+        """Run a turn of the MAVROS layer, and send the autopilot's replies."""
         self.bench.ros.time_ns += round(PERIOD * 1e9)
         self.bench.uas.step(self.bench.ros.time_ns)
         for message in self.bench.received():
@@ -67,7 +67,7 @@ def px4():
 
 
 def arm(px4):
-    """Ask for arming; a test's autopilot gives no ack, so only what is held back has an answer at once."""
+    """Request arming. The test's autopilot sends no ack, so only a withheld request is answered at once."""
     return px4.bench.ros.services["/iris_0/mavros/cmd/arming"](CommandBoolRequest(value=True))
 
 
@@ -82,7 +82,7 @@ def test_the_origin_is_set_once_there_is_a_position(px4, caplog):
     assert "47.3977420 deg, 8.5456338 deg, 488.120 m AMSL, and has to be 47.3977420 deg, 8.5455940" in caplog.text
     for _ in range(5):
         px4.pass_time()
-    assert (px4.origin, px4.set) == (SHARED, 2)  # the answer to the first is the old one
+    assert (px4.origin, px4.set) == (SHARED, 2)  # the reply to the first has the old origin
     assert px4.bench.uas.arming_held == ""
     assert "iris_0: the local frame begins at the shared origin" in caplog.text
     px4.origin = (SHARED[0] + 1, SHARED[1] - 1, SHARED[2] + 10)  # rounded
@@ -95,7 +95,7 @@ def test_an_origin_that_another_px4_begins_with_is_moved_too(px4):
     px4.origin = SPAWN
     for _ in range(4):
         px4.pass_time()
-    px4.origin = SPAWN  # restarted, faster than the connection times out
+    px4.origin = SPAWN  # restarted before the connection times out
     px4.bench.send(mavlink.MAVLink_gps_global_origin_message(*SPAWN, 0))
     px4.pass_time()
     assert px4.origin == SHARED

@@ -37,7 +37,7 @@ def world():
 
 @pytest.fixture
 def clock(monkeypatch):
-    """Wall time, moved by the test."""
+    """Wall time, set by the test."""
 
     class Clock:
         now = 1000.0
@@ -65,7 +65,7 @@ def test_heartbeats_continue_at_1_hz_while_time_is_paused(world, station, clock)
         clock.now += 0.1
         world.server.keep_alive()
     assert types(station.receive()) == ["HEARTBEAT"] * 10
-    assert world.client.receive() == []  # what goes over the offboard link is counted, and the same in every run
+    assert world.client.receive() == []  # datagrams on the offboard link are counted, and the same in every run
 
 
 def test_no_heartbeat_by_wall_time_goes_where_a_participant_counts(world, station, clock):
@@ -164,7 +164,7 @@ def test_mavros_begins_anew_when_time_goes_back(bench):
     bench.send(beat(mavlink.MAV_STATE_UNINIT))
     first = fly(bench, 5.0)
     assert len(bench.published("local_position/pose")) == 50
-    # what the last ticks sent lies in the socket still
+    # the messages of the last ticks are still in the socket
     leftover = bench.frame(position(5_100))
     bench.fcu.sendto(leftover + bench.frame(beat(base_mode=0xD1)), ("127.0.0.1", bench.link.port))
     bench.published("state")
@@ -174,7 +174,7 @@ def test_mavros_begins_anew_when_time_goes_back(bench):
     bench.send(beat(mavlink.MAV_STATE_UNINIT))
     assert [(s.connected, s.armed) for s in bench.published("state")] == [(True, False)]
     assert bench.published("local_position/pose") == []
-    assert fly(bench, 5.0) == first  # heartbeats and requests for streams at the same times as the first time
+    assert fly(bench, 5.0) == first  # heartbeats and stream requests at the same times as in the first flight
     poses = bench.published("local_position/pose")
     assert [pose.header.stamp.to_sec() for pose in poses] == pytest.approx([0.1 * k for k in range(1, 51)])
 
@@ -188,7 +188,7 @@ def test_mavros_repeats_its_requests_after_a_reboot(bench):
     bench.send(beat(mavlink.MAV_STATE_UNINIT))  # time goes on
     assert bench.published("state")[-1].connected
     bench.send(position(3_040))
-    assert bench.published("local_position/pose") == []  # the attitude is that of before
+    assert bench.published("local_position/pose") == []  # the attitude is older than the reset
     asked = [m for m in bench.received() if m.get_type() == "COMMAND_LONG"]
     assert mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED in [int(m.param1) for m in asked]
 
@@ -212,12 +212,12 @@ def test_communication_holds_again_after_a_restart():
     core.restart()
     assert core.tick(0.1) == initial
     core.on_pose((1.0, 2.0, 0.0), IDENTITY)
-    assert core.tick(0.2).position == (1.0, 2.0, 0.0)  # it follows the vehicle, as before any input
-    assert core.on_command("OFFBOARD", 0.3) is not None  # not taken for a repetition
+    assert core.tick(0.2).position == (1.0, 2.0, 0.0)  # the setpoint follows the vehicle, as before any input
+    assert core.on_command("OFFBOARD", 0.3) is not None  # not treated as a repetition
     core.on_target_velocity("t", (1.0, 0.0, 0.0), 0.0, 1.0, body=False)
     assert not core.hovering
     core.tick(2.1)
-    assert core.hovering  # the timeout counts by the new time
+    assert core.hovering  # the timeout counts in the new time
 
 
 # ---- lockstep
@@ -267,7 +267,7 @@ def test_messages_in_flight_are_void_after_a_time_reset():
             tick = reader.tick()
             reader.done(tick)
         assert tick.channels == {channel: 3}
-        assert reader.peers[-1]["void"] == [[channel, 2]]  # said once
+        assert reader.peers[-1]["void"] == [[channel, 2]]  # reported once
     finally:
         server.close()
 
@@ -285,7 +285,7 @@ def test_void_messages_are_dropped_but_latched_ones():
 
 
 def test_the_heartbeat_of_a_station_is_noted(world, station):
-    """The ground station's link serves commands while time stands still."""
+    """The link of a ground station serves commands while time is paused."""
     answers = world.ask(
         heartbeat(6), mavlink.MAVLink_param_request_read_message(FIRST_ID + 1, 1, b"MPC_XY_P", -1), client=station
     )

@@ -1,4 +1,4 @@
-"""Fleets that launch files of XTDrone's shape spawn."""
+"""Fleets spawned by launch files in XTDrone's form."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from xtdrone_control.fleet import FleetError, StartPose, spawned_fleet, unused_p
 
 
 def group(number: int, **changes: Any) -> dict[str, Any]:
-    """Return the arguments of vehicle ``number``, as text, as roslaunch sets them."""
+    """Return the arguments of vehicle ``number`` as text, as roslaunch sets them."""
     own = {"vehicle": "iris", "sdf": "iris", "ID": number, "ID_in_group": number}
     own |= {"x": 3 * number, "y": 3, "z": 0, "R": 0, "P": 0, "Y": 0}
     own |= {"mavlink_udp_port": 18570 + number, "mavlink_tcp_port": 4560 + number}

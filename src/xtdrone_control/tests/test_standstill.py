@@ -1,4 +1,4 @@
-"""A paused simulation answers who comes to it: parameter lists, logs and files go on while simulated time stands."""
+"""A paused simulation serves its clients: parameter lists, logs and files continue at a constant simulated time."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def world():
 
 @pytest.fixture
 def clock(monkeypatch):
-    """Wall time, moved by the test."""
+    """Wall time, set by the test."""
 
     class Clock:
         now = 1000.0
@@ -91,7 +91,7 @@ def test_time_that_is_slow_does_not_stand(world, clock, station):
 
 
 def test_counted_nodes_wait_for_simulated_time(world, clock, station):
-    """A lockstep participant receives the same in every run."""
+    """A lockstep participant receives the same messages in every run."""
     port = station.socket.getsockname()[1]
     station.send(mavlink.MAVLink_param_request_list_message(world.fleet[0].system_id, 1))
     assert len(wait(world, clock, station, 1.0, {port})) == 1
@@ -142,7 +142,7 @@ def test_a_log_is_downloaded(world, clock, station, tmp_path):
 
 
 def test_immediate_requests_are_answered_immediately(world, clock, station):
-    """Missions go question by question, and need no time at all."""
+    """A mission transfer is a series of requests and replies, and needs no simulated time."""
     system = world.fleet[0].system_id
     station.send(mavlink.MAVLink_mission_count_message(system, 1, 1, 0))
     (wanted,) = wait(world, clock, station, _PERIOD)
@@ -157,7 +157,7 @@ def test_immediate_requests_are_answered_immediately(world, clock, station):
 
 
 def test_the_first_clients_port_is_no_exception(world, clock):
-    """A ground station at 14550 is the first client, and lives by wall time like the others."""
+    """A ground station at 14550 is the first client, and runs by wall time like the others."""
     station = Client(GCS_REMOTE_PORT, world.fleet[0].gcs_local_port)
     try:
         station.send(mavlink.MAVLink_param_request_list_message(world.fleet[0].system_id, 1))
@@ -168,7 +168,7 @@ def test_the_first_clients_port_is_no_exception(world, clock):
 
 
 def datagrams_of_a_run(paused, clock):
-    """Return what a counted client hears, during whose flight a ground station looks around in a pause or not."""
+    """Return a counted client's datagrams in a flight with or without a ground station's requests in a pause."""
     world = World()
     station = Client(0, world.fleet[0].gcs_local_port)
     try:

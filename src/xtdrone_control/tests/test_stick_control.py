@@ -76,7 +76,7 @@ def test_sticks_tilt_towards_where_they_point(parts, forward, right):
     x, y, z = rotation.rotate(c["sp_q"], 0.0, 0.0, 1.0)
     size = min(math.hypot(forward, right), 1.0)
     assert math.degrees(math.acos(z)) == pytest.approx(size * p["mpc_man_tilt_max"], abs=1e-6)
-    # thrust, against the body's z, leans to where the stick points, seen from the heading
+    # the thrust, opposite to the body's z, leans in the direction of the stick, relative to the heading
     assert math.atan2(-y, -x) == pytest.approx(1.0 + math.atan2(right, forward), abs=1e-6)
 
 
@@ -102,7 +102,7 @@ def test_full_sticks_give_the_largest_rates(parts):
 
 
 def test_half_a_stick_follows_the_rate_curve(parts):
-    """PX4's superexpo: ((1 - e) x + e x^3) (1 - g) / (1 - |x| g)."""
+    """The rate is PX4's superexpo, ((1 - e) x + e x^3) (1 - g) / (1 - |x| g)."""
     c, s, _, p = parts
     s["stick_y"] = 0.5
     stick_control.stick_rates(c, s, p)

@@ -1,4 +1,4 @@
-"""Boards of tags from the format of apriltag_ros."""
+"""Boards of tags in the format of apriltag_ros."""
 
 from __future__ import annotations
 

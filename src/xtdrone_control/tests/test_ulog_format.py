@@ -21,7 +21,7 @@ _POINT = Format.parse("point", "uint64_t timestamp;float x;uint8_t kind;uint8_t[
 
 
 def read(data: bytes, capsys=None) -> ULog:
-    """Read a log; nothing may be wrong with it."""
+    """Read a log; it must be free of errors."""
     log = ULog(io.BytesIO(data))
     assert not log.file_corruption
     if capsys is not None:
@@ -44,7 +44,7 @@ names = st.text(string.ascii_lowercase + "_", min_size=1, max_size=12).filter(la
 
 @st.composite
 def formats(draw, nested: tuple[Format, ...] = ()):
-    """Return any format with a timestamp, its fields in any order, and with padding at the end or without."""
+    """Return a format with a timestamp, its fields in any order, with or without padding at the end."""
     fields = [Field("uint64_t", 0, "timestamp")]
     kinds = _BASIC + [inner.name for inner in nested]
     for name in draw(st.lists(names.filter(lambda n: n != "timestamp"), unique=True, max_size=6)):
@@ -58,7 +58,7 @@ def formats(draw, nested: tuple[Format, ...] = ()):
 
 
 def flat(record, prefix=""):
-    """Return a record's values by the names that pyulog gives them."""
+    """Return a record's values by their names in pyulog."""
     found = {}
     for name in record.dtype.names:
         value = record[name]

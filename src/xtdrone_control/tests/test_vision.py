@@ -1,4 +1,4 @@
-"""External measurements over MAVLink: what reaches the sensor record."""
+"""External measurements over MAVLink, up to the sensor record."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def test_range_finder(world, orientation, signal, quality):
 
 
 def test_samples_wait_for_their_turn(world):
-    """Messages from topics act after the commands of the same tick."""
+    """Messages from topics take effect after the commands of the same tick."""
     world.vehicle.participant = True
     world.vehicle.hold_setpoints()
     world.odometry(1, 12)

@@ -1,4 +1,4 @@
-"""MAVROS's waypoint, geofence and rallypoint against our autopilot's MAVLink, over real UDP sockets."""
+"""MAVROS's waypoint, geofence and rallypoint against this project's MAVLink server, over real UDP sockets."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _PREFIX = "/iris_0/mavros"
 
 
 class Layer:
-    """A vehicle that is where it should be, its MAVLink server in a thread, and a MAVROS hub with the three plugins."""
+    """A vehicle that is always at its setpoint, its MAVLink server in a thread, and a MAVROS hub with three plugins."""
 
     def __init__(self) -> None:
         self.flight = Flight(MAV_SYS_ID=_SYSTEM)
@@ -59,7 +59,7 @@ class Layer:
         return self.ros.services[f"{_PREFIX}/{name}"](request)
 
     def step(self, seconds=0.2):
-        """Advance simulated time; for after ``stop_serving``."""
+        """Advance simulated time, after ``stop_serving``."""
         for _ in range(round(seconds * 10)):
             self.ros.time_ns += 100_000_000
             self.flight.autopilot.time_us += 100_000

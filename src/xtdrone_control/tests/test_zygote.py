@@ -1,4 +1,4 @@
-"""Nodes forked from the zygote of a launch: the same as started by the interpreter, and none left behind."""
+"""Nodes forked from a launch's zygote equal nodes started by the interpreter, and none is left running."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ MODULES = {
 
 
 class Launch:
-    """A running roslaunch, with a master of its own."""
+    """A running roslaunch with its own master."""
 
     def __init__(self, folder: Path, nodes: str, before: list[str]) -> None:
         self.folder = folder
@@ -148,7 +148,7 @@ class Launch:
 
 
 def interpreter() -> str:
-    """Return the Python of the workspace's nodes, as the first line of their scripts has it."""
+    """Return the Python interpreter in the first line of the workspace's node scripts."""
     return (Path(LAUNCHER).parent / "mavros_node.py").read_text().partition("\n")[0].removeprefix("#!")
 
 

@@ -1,4 +1,4 @@
-"""A ROS master of a test's own and the processes that the test starts."""
+"""A ROS master for one test, and the processes that the test starts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ROSMASTER = shutil.which("rosmaster")
 
 
 class Graph:
-    """A master of its own and the processes that a test starts; the test plays the simulator."""
+    """A ROS master for one test and the processes that it starts; the test plays the simulator."""
 
     def __init__(self, folder: Path) -> None:
         with socket.socket() as sock:

@@ -55,9 +55,9 @@ def test_nan_is_rejected() -> None:
 def reduced_costs(here: np.ndarray, there: np.ndarray, slots: np.ndarray) -> np.ndarray:
     """Return the loss of each follower in each slot at the slots' prices, shape (M, M).
 
-    The prices are the shortest ways in the graph in which a follower leaves its slot for another (Bellman and Ford).
+    The prices are shortest paths in the graph in which a follower leaves its slot for another (Bellman and Ford).
     None less than zero proves that no other assignment is better: any other's cost is this one's plus the sum of those
-    that it uses. Prices that never come to rest mean that a ring of followers gains by passing slots on.
+    that it uses. If the prices do not converge, a ring of followers gains by passing slots on.
     """
     distance = np.linalg.norm(here[:, None] - there[None], axis=-1)
     loss = distance - distance[np.arange(len(slots)), slots][:, None]

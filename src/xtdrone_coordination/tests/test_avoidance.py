@@ -1,4 +1,4 @@
-"""Algorithm 1 and what is around it."""
+"""Algorithm 1 (avoidance) and the functions around it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from xtdrone_coordination.laws.formation_avoidance import avoid, contribution, g
 
 
 def vectors() -> list[tuple[float, float, float]]:
-    """Return many vectors within the radius, the awkward ones first."""
+    """Return many vectors within the radius, special cases first."""
     units = [(s * x, s * y, s * z) for s in (1.0, -1.0) for x, y, z in ((1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0))]
     awkward = [*units, (1e-7, 0.0, 0.0), (0.0, 0.0, 1e-9), (0.3, -0.3, 0.0)]
     return awkward + [tuple(v) for v in np.random.default_rng(5).uniform(-0.8, 0.8, (200, 3)).tolist()]
@@ -29,7 +29,7 @@ def test_is_finite_perpendicular_antisymmetric_and_of_the_papers_size(r: tuple[f
 
 
 def test_is_the_papers_cross_product() -> None:
-    r = np.array([0.2, 0.9, -0.4])  # less along x, so n = x
+    r = np.array([0.2, 0.9, -0.4])  # smaller along x, so n = x
     expected = (1 - np.linalg.norm(r) / 1.5) * np.cross(r, [1, 0, 0]) / np.linalg.norm(np.cross(r, [1, 0, 0]))
     assert contribution(tuple(r)) == pytest.approx(expected)
     r = np.array([-1.0, 0.0, 0.0])  # here the paper's signed test divides 0 by 0
@@ -57,7 +57,7 @@ def test_sums_over_those_near_and_ignores_the_unknown() -> None:
 
 def test_giving_way_removes_only_the_closing_component() -> None:
     other = [(0.0, 0.0, 0.0), (1.1, 0.0, 0.0)]
-    # half of the way remains: a quarter in each of the two rounds
+    # half of the correction remains: a quarter in each of the two rounds
     assert give_way(0, other, (1.0, 0.5, 0.0), 1.5, 0.7) == pytest.approx((1.0 / 16.0, 0.5, 0.0))
     assert give_way(0, other, (-1.0, 0.5, 0.0), 1.5, 0.7) == (-1.0, 0.5, 0.0)
     assert give_way(0, [(0.0, 0.0, 0.0), (0.6, 0.0, 0.0)], (1.0, 0.5, 0.0), 1.5, 0.7) == pytest.approx((0, 0.5, 0))
@@ -66,7 +66,7 @@ def test_giving_way_removes_only_the_closing_component() -> None:
 
 
 def test_giving_way_to_one_vehicle_does_not_approach_another() -> None:
-    """Two neighbours side by side: giving way to the first turns the velocity towards the second."""
+    """With two neighbours side by side, giving way to the first must not turn the velocity towards the second."""
     positions = [(0.0, 0.0, 0.0), (0.6, 0.2, 0.0), (0.6, -0.2, 0.0)]
     velocity = give_way(0, positions, (1.0, 0.0, 0.0), 1.5, 0.7)
     for other in positions[1:]:

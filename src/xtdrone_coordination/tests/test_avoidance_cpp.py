@@ -1,6 +1,6 @@
-"""The avoidance in C++ gives what the one in Python gives, to the last bit: the function, and the node in a graph.
+"""The avoidance in C++ equals the one in Python to the last bit: the function, and the node in a graph.
 
-Called as a program this file is a node: it makes a swarm, and notes what avoidance is published for it.
+Run as a program, this file is a node that publishes a swarm and records the avoidance published for it.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def graph(tmp_path: Path) -> Iterator[Graph]:
 
 
 def swarm_maker(topic: str, out: str) -> None:
-    """Publishes a swarm that moves about, parts of it unknown, and notes the avoidance that is published for it."""
+    """Publish a moving swarm, partly unknown, and record the avoidance that is published for it."""
     lockstep.init_node("swarm", rate=50.0)
     rng = np.random.default_rng(3)
     state = rng.uniform(-4.0, 4.0, (COUNT, 6))
@@ -133,7 +133,7 @@ def swarm_maker(topic: str, out: str) -> None:
 
 
 def heard(graph: Graph, program: str, topic: str, ids: str) -> list[str]:
-    """Runs a swarm with an avoidance node, sets time back and goes on, and returns what was published."""
+    """Run a swarm with an avoidance node, set time back, run on, and return the published avoidance."""
     out = graph.folder / f"{program}.transcript"
     graph.master.setParam("/test", "/xtdrone/swarm_topic", topic)
     server = LockstepServer()
@@ -172,7 +172,7 @@ def test_publishes_what_the_python_node_publishes(graph: Graph, topic: str, ids:
 
 @needs_ros
 def test_rejects_wrong_arguments_as_the_python_node(graph: Graph) -> None:
-    """The messages differ: the Python node also checks the type and the fleet, which the example in C++ leaves out."""
+    """Only the messages differ: the Python node also checks the type and the fleet, which the C++ example omits."""
 
     def both(arguments: list[str]) -> None:
         python, cpp = (graph.run(str(PROGRAMS[name]), *arguments) for name in ("avoid.py", "avoid_cpp"))

@@ -1,4 +1,4 @@
-"""A batch of followers gives what its followers would give one by one, to the last bit, and says what they would."""
+"""A batch of followers equals its followers run one by one, to the last bit, and logs the same messages."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class FeedForward(Follower):
 
 
 class Wayward(Follower):
-    """It gives what cannot be used, now and then."""
+    """Returns unusable values now and then."""
 
     def control_law(self, position: Vector, peers: Sequence[Peer]) -> Vector:
         return (math.nan, 0.0, 0.0) if position[0] > 1.0 else (0.1, 0.2, -0.3)
@@ -50,7 +50,7 @@ class HearsTheNearest(Follower):
 
 
 class Smooth(Follower):
-    """It remembers what it wanted."""
+    """Remembers its last command."""
 
     def __init__(self, *args: object, **named: object) -> None:
         super().__init__(*args, **named)  # type: ignore[arg-type]
@@ -66,7 +66,7 @@ class Smooth(Follower):
 
 
 class Adaptive(Follower):
-    """It changes its own options in its law, which count at once for what comes after the law."""
+    """Changes its own options within its law, which takes effect at once."""
 
     def control_law(self, position: Vector, peers: Sequence[Peer]) -> Vector:
         east = position[0] > 0.5
@@ -97,7 +97,7 @@ class Unlimited(Follower):
 
 
 class InArrays(ArrayFollower):
-    """Its law reads all there is."""
+    """Its law reads all available inputs."""
 
     @classmethod
     def control_laws(cls, options: FollowerOptions, own: OwnRows, peers: PeerRows) -> np.ndarray:
@@ -116,7 +116,7 @@ class InBothForms(FeedForward, ArrayFollower):
 
 
 class BackToOne(InArrays):
-    """The last word is the law for one."""
+    """The law for one follower overrides the law for arrays of its base class."""
 
     def control_law(self, position: Vector, peers: Sequence[Peer]) -> Vector:
         return 0.1, 0.2, 0.3
@@ -219,17 +219,17 @@ class Twins:
 
 
 def bits(vectors: object) -> list[str]:
-    """Return numbers so that they can be compared exactly, the sign of a zero too."""
+    """Return numbers in a form that compares exactly, the sign of zero included."""
     return [number.hex() for number in np.asarray(vectors, dtype=float).ravel().tolist()]
 
 
 def fly(twins: Twins, seed: int, turns: int, *, box: float, losses: float, dt: float = 1.0 / RATE) -> None:
-    """Fly from random places in a box (m) while states are lost, topologies and patterns change and all restart."""
+    """Fly from random positions in a box (m) with lost states, changes of topology and pattern, and a restart."""
     rng = np.random.default_rng(seed)
     count = twins.plain.count
     accel = twins.single[0].options.mode == "accel"
     x, v = rng.uniform(-box, box, (count, 3)), rng.normal(size=(count, 3))
-    x[rng.integers(count)] = x[rng.integers(count)]  # at one place, maybe
+    x[rng.integers(count)] = x[rng.integers(count)]  # possibly at one position
     for k in range(turns):
         if k % 50 == 1:
             offsets = Patterns(count).offsets(("cube", "triangle", "pyramid", "origin")[k // 50 % 4])
@@ -287,7 +287,7 @@ def test_short_flights_of_any_kind(
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(data=st.data(), count=st.integers(2, 30), options=options_of_followers)
 def test_places_that_are_hard(data: st.DataObject, count: int, options: FollowerOptions) -> None:
-    """Coincident vehicles, ones exactly at the radius, far ones and unknown ones."""
+    """Both agree on coincident vehicles, and on vehicles exactly at the radius, far away, and at unknown positions."""
     number = st.one_of(
         st.sampled_from([0.0, -0.0, 1.5, -1.5, 1e-7, 0.7, 3.0, 1e9, -1e200, 1.7e308]), st.floats(-5.0, 5.0)
     )
@@ -308,7 +308,7 @@ def test_a_long_flight_of_nine(mode: str) -> None:
 
 @pytest.mark.parametrize("box", [2.0, 12.0])
 def test_a_flight_of_two_hundred_and_fifty(box: float) -> None:
-    """All vehicles near each other, and spread out over the cells."""
+    """Batch and single followers agree with all vehicles close to each other, and spread over the cells."""
     fly(Twins(250, [Follower], [FollowerOptions(pose_timeout=0.1)]), 2, 24, box=box, losses=0.1)
 
 
@@ -343,7 +343,7 @@ def test_a_law_in_arrays_of_the_wrong_shape_stops_the_vehicle_not_the_swarm() ->
     twins.pattern(Patterns(3).offsets("cube"))
     for followers in (twins.single, twins.batched):
         for follower in followers:
-            follower.warn = lambda text: None  # it tells what it was given, here of one and there of all
+            follower.warn = lambda text: None  # it logs the given values, here of one follower and there of all
     twins.hear(9.0 * np.eye(3), np.zeros((3, 3)))
     assert not twins.turn().any()
     assert all("control_laws returned" in text for follower in twins.batched for text in follower.problem_log.current)

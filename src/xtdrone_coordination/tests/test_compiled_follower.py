@@ -1,7 +1,7 @@
-"""A follower's compiled turn does what its Python does, to the last bit: one turn after the other, and as a node.
+"""A follower's compiled turn equals its Python turn to the last bit: turn after turn, and as a node.
 
-Called as a program this file is a node of the second test: the swarm around the follower, or the follower itself, which
-notes how many turns its Python has taken.
+Run as a program, this file is a node of the second test: the swarm around the follower, or the follower itself, which
+records the number of turns taken in Python.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ PERIOD_US = 32_000
 
 
 class Publisher:
-    """Encodes what it is given."""
+    """Serialises published messages."""
 
     def __init__(self, topic: str, kind: Any, **_: Any) -> None:
         self.codec = compile_class(kind)
@@ -68,7 +68,7 @@ class Publisher:
 
 
 class Side:
-    """A follower's node and its vehicle's communication, on topics that are this test's."""
+    """A follower's node and its vehicle's communication node, on topics of this test."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, options: FollowerOptions) -> None:
         self.callbacks: dict[str, Callable[[Any], None]] = {}
@@ -141,7 +141,7 @@ def array(kind: Any, data: Any) -> Any:
 
 
 def random_turns(rng: np.random.Generator, turns: int) -> Iterator[list[list[Any]]]:
-    """Yield the messages of each turn, except velocity commands: mostly the usual ones, now and then others."""
+    """Yield the messages of each turn, except velocity commands: mostly regular, some irregular."""
     offsets = rng.uniform(-4.0, 4.0, (3, COUNT - 1)).astype(np.float32)
     topology = (rng.random((COUNT, COUNT)) < 0.3).astype(int)
     np.fill_diagonal(topology, 0)
@@ -189,7 +189,7 @@ def test_equals_python_turn_by_turn(monkeypatch: pytest.MonkeyPatch, options: Fo
         now_us = (turn + 1) * PERIOD_US
         set_time_us(now_us)
         command = rng.random()
-        if command < 0.9:  # else the commands stop, and may time out
+        if command < 0.9:  # otherwise the commands stop, and may time out
             still = (turn // 40) % 5 == 4 and command < 0.8  # at times within the dead zone
             scale = 0.0005 if still else 0.7
             own.linear.x, own.linear.y, own.linear.z, own.angular.z = scale * rng.uniform(-1.0, 1.0, 4)
@@ -246,7 +246,7 @@ def graph(tmp_path: Path) -> Iterator[Graph]:
 
 
 def swarm_around(out: str) -> None:
-    """Publish what a flight publishes to the follower, with commands of a user in between; note what it publishes."""
+    """Publish a flight's messages to the follower, with a user's commands in between; record what it publishes."""
     lockstep.init_node("swarm", rate=30.0)
     publishers = {topic: lockstep.Publisher(topic, kind) for topic, kind in TOPICS[:-1]}
     user = lockstep.Publisher(f"/xtdrone/{VEHICLE}/cmd", String)
@@ -276,14 +276,14 @@ def swarm_around(out: str) -> None:
                     publishers[topic].publish(message)
             if done % 30 == 20:
                 user.publish(String(data="HOVER"))
-            if done == 45:  # a subscriber of the velocity command that comes in flight
+            if done == 45:  # connects a subscriber of the velocity command in flight
                 late.append(hear(f"/xtdrone/{VEHICLE}/cmd_vel_enu", Twist))
 
         lockstep.spin(step)
 
 
 def counted_follower(out: str, *arguments: str) -> int:
-    """Run the follower's program, and note the turns that Python has taken."""
+    """Run the follower's program; record the number of turns taken in Python."""
     step, python = FollowerNode.step, 0
 
     def counted(node: FollowerNode) -> None:
@@ -299,7 +299,7 @@ def counted_follower(out: str, *arguments: str) -> int:
 
 
 def flown(graph: Graph, *, compiled: bool) -> tuple[list[str], int]:
-    """Return what the follower has published, and the number of turns that its Python has taken."""
+    """Return the follower's messages, and the number of turns taken in Python."""
     said, counted = graph.folder / f"said {compiled}", graph.folder / f"turns {compiled}"
     server = LockstepServer()
     try:

@@ -20,7 +20,7 @@ from xtdrone_coordination.patterns import Patterns, with_leader
 
 @pytest.fixture
 def swarm() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Positions, velocities, offsets, weights of nine vehicles."""
+    """Return positions, velocities, offsets and weights of nine vehicles."""
     rng = np.random.default_rng(3)
     offsets = with_leader(Patterns(9).offsets("pyramid"))
     weights = veteran_topology(offsets) * rng.uniform(0.5, 2.0, (9, 9))

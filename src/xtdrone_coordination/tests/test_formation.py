@@ -228,7 +228,7 @@ def test_avoidance_may_be_external_or_absent() -> None:
 
 
 def test_own_avoidance_replaces_a_silent_one_until_it_returns() -> None:
-    """Counted in ticks, as the age of positions is."""
+    """The timeout counts ticks, like the age of positions."""
     follower, warnings = follower_alone(avoid="topic", clearance=0.0, vel_max=9.0, pose_timeout=0.1)
     own, _ = follower_alone(avoid="own", clearance=0.0, vel_max=9.0)
     news: list[str] = []
@@ -237,7 +237,7 @@ def test_own_avoidance_replaces_a_silent_one_until_it_returns() -> None:
         one.on_pattern(OFFSETS)
 
     def turn(heard: tuple[float, float, float] | None) -> bool:
-        """Return whether the follower uses what it was told."""
+        """Return whether the follower uses the avoidance that it received."""
         for one in (follower, own):
             for j, p in enumerate([(0.0, 0.0, 0.0), (5.0, 0.5, 0.0), (5.0, 0.0, 0.0)]):
                 one.swarm.on_position(j, p)
@@ -252,7 +252,7 @@ def test_own_avoidance_replaces_a_silent_one_until_it_returns() -> None:
     told = (0.0, 0.0, 0.5)
     assert turn(told)
     assert [turn(None) for _ in range(3 + 4)] == [True] * 3 + [False] * 4  # 0.1 s are 3 ticks
-    assert [turn((math.nan, 0.0, 0.0)), turn((0.0, math.inf, 0.0))] == [False, False]  # as if they had not come
+    assert [turn((math.nan, 0.0, 0.0)), turn((0.0, math.inf, 0.0))] == [False, False]  # as if they had not arrived
     assert warnings == ["follower 1: no avoidance on its topic within 0.1 s: using its own until one is received"]
     assert not news
     assert [turn(told), turn(None)] == [True, True]
@@ -359,7 +359,7 @@ def test_leader_accepts_shapes_with_arguments_as_commands() -> None:
 
 def test_vehicles_without_a_path_to_the_leader_are_reported() -> None:
     class Halves(Leader):
-        """The upper half of the numbers goes round in a circle."""
+        """The upper half of the vehicles listens in a circle."""
 
         def topology(self, offsets: np.ndarray) -> np.ndarray:
             half = self.count // 2
@@ -594,7 +594,7 @@ def test_a_restart_brings_back_the_state_after_construction() -> None:
     swarm = Swarm(4, avoid="topic")
     members = [swarm.leader, *swarm.followers]
     for one in members:
-        one._warn = print  # the same text at both times
+        one._warn = print  # both warnings have the same text
     before = [state_of(one) for one in members]
     positions = swarm.state.positions
     swarm.command("cube")
@@ -609,7 +609,7 @@ def test_a_restart_brings_back_the_state_after_construction() -> None:
     for one in members:
         one.restart()
     assert [state_of(one) for one in members] == before
-    assert swarm.state.positions is positions  # who holds the list sees it
+    assert swarm.state.positions is positions  # a holder of the list sees the change
 
 
 def test_a_subclass_resets_its_own_attributes() -> None:

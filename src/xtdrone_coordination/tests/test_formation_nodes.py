@@ -1,4 +1,4 @@
-"""Pattern and topology in leader and follower nodes after a time reset; topics are this test's."""
+"""Pattern and topology in leader and follower nodes after a time reset, on topics of this test."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Graph:
     """Topics without a master.
 
     Attributes:
-        said: messages by topic.
+        said: published messages by topic.
         callbacks: by topic.
         hooks: called when time is set back.
     """
@@ -53,7 +53,7 @@ class Graph:
 
 
 class Recorder:
-    """A publisher that writes down what it is given; nodes use one message again and again."""
+    """A publisher that copies its messages, since nodes reuse one message."""
 
     def __init__(self, messages: list[str]) -> None:
         self._messages = messages
@@ -109,7 +109,7 @@ def test_an_empty_pattern_is_invalid(graph: Graph) -> None:
 
 @pytest.mark.parametrize("count", [3, follower_nodes.MANY + 1])
 def test_an_avoidance_node_that_dies_is_replaced_until_it_speaks_again(graph: Graph, count: int) -> None:
-    """A second of turns, one by one and computed together."""
+    """The timeout is a second of turns, in single followers and in a batch."""
     swarm = follower_nodes.make_swarm(count, count - 1)
     warnings: list[str] = []
     options = FollowerOptions(avoid="topic")
@@ -122,7 +122,7 @@ def test_an_avoidance_node_that_dies_is_replaced_until_it_speaks_again(graph: Gr
     told = (0.0, 0.0, 0.25)
 
     def turn(spoken: bool) -> bool:
-        """Return whether the first follower uses what the avoidance node has told it."""
+        """Return whether the first follower uses the output of the avoidance node."""
         for i, place in enumerate([(0.0, 0.0, 0.0), *map(tuple, places.tolist())]):
             swarm.on_position(i, place)
         for follower in followers:

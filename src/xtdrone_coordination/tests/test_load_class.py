@@ -1,4 +1,4 @@
-"""A user's own classes, by file or module, and the example among them."""
+"""User-defined classes, by file or module, the example included."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The laws of the network: what comes, when, to whom, and that nothing but the seed decides."""
+"""The laws of the network: arrival, delay and receivers of samples, all decided by the seed alone."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ FEW = settings(derandomize=True, max_examples=12, deadline=None)
 
 
 def walk(count: int, turns: int, seed: int = 0, size: float = 10.0, speed: float = 3.0) -> np.ndarray:
-    """Return positions of vehicles that stray about, shape (turns, count, 3)."""
+    """Return positions of vehicles on random walks, shape (turns, count, 3)."""
     rng = np.random.default_rng(seed)
     steps = rng.normal(0.0, speed / RATE, (turns, count, 3)).cumsum(axis=0)
     return rng.uniform(-size, size, (count, 3)) + steps
 
 
 def labels(turn: int, count: int) -> np.ndarray:
-    """Return velocities that say in which turn and by whom a sample was made."""
+    """Return velocities that encode turn and sender of a sample."""
     return np.column_stack([np.full(count, turn), np.arange(count), np.zeros(count)]).astype(float)
 
 
 def fly(network: Network, track: np.ndarray) -> np.ndarray:
-    """Return the turn of the sample that each vehicle knows of each other after each turn, NaN for none: (T, N, N)."""
+    """Return the turn of the sample that each vehicle holds of each other after each turn, NaN for none: (T, N, N)."""
     known = np.empty((len(track), network.count, network.count))
     for turn, positions in enumerate(track):
         network.step(positions, labels(turn, network.count))
@@ -50,13 +50,13 @@ def fly(network: Network, track: np.ndarray) -> np.ndarray:
 
 
 def others(known: np.ndarray) -> np.ndarray:
-    """Return (T, N, N) without what each vehicle knows of itself: (T, N (N - 1))."""
+    """Return (T, N, N) without the diagonal: (T, N (N - 1))."""
     count = known.shape[1]
     return known[:, ~np.eye(count, dtype=bool)]
 
 
 def plainly(network: Network, track: np.ndarray) -> np.ndarray:
-    """Return what :func:`fly` does, by delivering message after message; for infinite bandwidth."""
+    """Return the result of :func:`fly` by delivery of message after message; for infinite bandwidth."""
     options, count, seed = network.options, network.count, network.air.seed
     memory = math.ceil(options.memory * RATE)
     newest: dict[tuple[int, int], tuple[int, int]] = {}
@@ -293,7 +293,7 @@ def test_queries_in_any_order_or_none_give_the_same_result(options: NetworkOptio
 
 
 def test_the_numbering_of_vehicles_does_not_matter() -> None:
-    """Networks without random impairments; draws depend on vehicle numbers."""
+    """The laws hold for any numbering in networks without random impairments; draws depend on the numbers."""
     options = NetworkOptions(range=9.0, delay=0.08)
     track = walk(8, 50)
     order = np.random.default_rng(1).permutation(8)
@@ -334,7 +334,7 @@ def test_known_states_behave_like_a_list() -> None:
         tuple(p) if came >= 0 else None for p, came in zip(samples.positions.tolist(), samples.came, strict=True)
     ]
     assert None in expected
-    assert [known.positions[j] for j in range(30)] == expected  # more than few, one by one
+    assert [known.positions[j] for j in range(30)] == expected  # more than a few
     assert list(known.positions) == known.positions[:] == expected
     assert known.positions[-1] == expected[-1]
     assert known.positions[3:9] == expected[3:9]
@@ -397,14 +397,14 @@ def test_vehicles_out_of_reach_of_the_leader_are_reported() -> None:
     network = Network(6, NetworkOptions(range=5.0))
     places = np.array([[0.0, 0, 0], [4, 0, 0], [8, 0, 0], [20, 0, 0], [22, 0, 0], [1, 0, 0]])
     adjacency = np.zeros((6, 6))
-    adjacency[[1, 2, 3, 4, 5], [0, 1, 2, 3, 4]] = 1.0  # a chain; 5 listens to 4 alone, near the leader as it is
+    adjacency[[1, 2, 3, 4, 5], [0, 1, 2, 3, 4]] = 1.0  # a chain; 5 listens to 4 alone, although it is near the leader
     network.step(places, np.zeros((6, 3)))
     assert network.unreachable(adjacency) == [3, 4, 5]
     assert network.unreachable(np.nonzero(adjacency)) == [3, 4, 5]
     adjacency[5, 0] = 1.0
     assert network.unreachable(adjacency) == [3, 4]
     network.step(np.where(np.arange(6)[:, None] == 1, np.nan, places), np.zeros((6, 3)))
-    assert network.unreachable(adjacency) == [3, 4]  # believed where it was last
+    assert network.unreachable(adjacency) == [3, 4]  # assumed at its last known position
     places[3:5, 0] -= 8.0
     network.step(places, np.zeros((6, 3)))
     assert network.unreachable(adjacency) == []

@@ -1,4 +1,4 @@
-"""Followers computed together over a network, against each by itself: the same to the last bit."""
+"""Followers computed together over a network equal those computed one by one, to the last bit."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NARROW = NetworkOptions(range=12.0, bandwidth=40_000.0, queue=2)
 
 
 class FeedForward(Follower):
-    """A law of its own, which reads velocities and what else its vehicle knows."""
+    """A custom law that reads velocities and all other states that its vehicle holds."""
 
     uses_velocities = True
 
@@ -36,7 +36,7 @@ class FeedForward(Follower):
 
 
 class Nearest(Follower):
-    """It listens to those that it knows of nearest itself."""
+    """Selects the nearest of the vehicles with known positions as neighbours."""
 
     def neighbours(self) -> Mapping[int, float]:
         own = self.swarm.positions[self.id]
@@ -45,7 +45,7 @@ class Nearest(Follower):
 
 
 class Upwards(Follower):
-    """An avoidance of its own."""
+    """A custom avoidance."""
 
     def avoidance(self):
         x, y, z = super().avoidance()
@@ -53,7 +53,7 @@ class Upwards(Follower):
 
 
 class InArrays(ArrayFollower):
-    """A law for many at once."""
+    """A law for many followers at once."""
 
     @classmethod
     def control_laws(cls, options: FollowerOptions, own: OwnRows, peers: PeerRows) -> np.ndarray:
@@ -61,7 +61,7 @@ class InArrays(ArrayFollower):
 
 
 class ByItself(Follower):
-    """It reaches deeper than the batch computes."""
+    """Overrides ``update``, which a batch cannot compute."""
 
     def update(self):
         command = super().update()
@@ -131,7 +131,7 @@ def test_together_is_as_one_by_one(
             single.followers[8].swarm.restart()
         seen = x.copy()
         if 20 <= turn < 65:
-            seen[[4, 11]] = np.nan  # fallen silent, to others and to themselves
+            seen[[4, 11]] = np.nan  # silent, to others and to themselves
         together.network.step(seen, v)
         single.network.step(seen, v)
         commands, given = batch.update()
@@ -165,7 +165,7 @@ def test_a_network_batch_accepts_only_its_own_followers() -> None:
 
 
 def test_a_thousand_are_no_million_pairs() -> None:
-    """The limit bounds a search that is broken, not the machine's speed: it takes a few milliseconds."""
+    """A broken search would exceed this limit by far on any machine; a correct one takes a few milliseconds."""
     count = 1000
     network = Network(count, NetworkOptions(range=20.0, delay=0.1, loss=0.2), seed=1)
     batch = FollowerBatch([Follower(i, count, swarm=network.known(i)) for i in range(1, count)], network=network)

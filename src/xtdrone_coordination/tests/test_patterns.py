@@ -129,7 +129,7 @@ def test_least_separation_is_that_of_all_pairs(count: int, kind: str) -> None:
         offsets = np.round(offsets) + 0.25
     elif kind == "line":
         offsets[:, 1:] = 0.0
-    elif kind == "plane":  # across the line along which points are put in order
+    elif kind == "plane":  # across the line along which points are ordered
         offsets -= np.outer(offsets @ [0.7834, 0.5283, 0.3271], [0.7834, 0.5283, 0.3271])
     elif kind == "twins":
         offsets[-1] = 1e-3

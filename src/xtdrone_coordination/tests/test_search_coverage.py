@@ -1,4 +1,4 @@
-"""Coverage paths: ground seen along them, turns, and the footprint they are planned for."""
+"""Coverage paths: ground seen along them, turns, and the planned footprint."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ def test_a_false_candidate_is_rejected_and_the_search_continues() -> None:
     end = _finished(world)
     assert end["outcome"] == "not found"
     rejected = world.named("rejected")
-    assert 1 <= len(rejected) <= 2  # again by another vehicle, at most
+    assert 1 <= len(rejected) <= 2  # found again by another vehicle, at most
     assert len({event["vehicle"] for event in rejected}) == len(rejected)
     (possible,) = end["possible"]
     assert math.dist(possible["position"], (80.0, 12.0)) < 1.0

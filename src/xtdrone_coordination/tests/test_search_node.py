@@ -149,7 +149,7 @@ class Topics:
         return []
 
     def on_result(self, *_: Any) -> None:
-        """Results have been returned by the services."""
+        """Ignore results: the services have returned them."""
 
 
 def stage() -> None:

@@ -29,7 +29,7 @@ REST = [
 def test_parts_are_the_whole_path_and_even_out_the_loads() -> None:
     loads = {"a": 0.0, "b": 60.0, "c": 500.0}
     parts = share_out(REST, {"a": (0.0, 20.0), "b": (-5.0, 0.0), "c": (50.0, 0.0)}, loads)
-    assert list(parts) == ["b", "a"]  # b ends nearest to the start of the path; c has enough to fly
+    assert list(parts) == ["b", "a"]  # b ends nearest to the start of the path; c has enough work
     assert {name: length(part) + loads[name] for name, part in parts.items()} == pytest.approx({"a": 140.0, "b": 140.0})
     assert parts["b"][0] == REST[0]
     assert parts["a"][-1] == REST[-1]
@@ -100,7 +100,7 @@ def test_the_grid_of_a_coverage_map_has_its_cells() -> None:
     coverage.add_picture(np.array([0.0, 0.0, 5.0]), down)
     seen = coverage.grid().values
     assert seen[0, 0] == seen[2, 2] == SEEN
-    assert seen[7, 0] == UNSEEN  # 3.3 m around the camera are shown with head and foot
+    assert seen[7, 0] == UNSEEN  # within 3.3 m of the camera, a person does not fit with head and foot
     assert np.array_equal(seen == OUTSIDE, values == OUTSIDE)
     assert coverage.fraction == np.mean(seen[seen != OUTSIDE] == SEEN)
 

@@ -75,7 +75,7 @@ def test_pieces_are_equal_connected_and_together_the_region(name: str, count: in
 
 @st.composite
 def polygons(draw: st.DrawFn) -> Polygon:
-    """Return a polygon with corners at random distances around a point, and holes in some of its triangles."""
+    """Return a polygon with corners at random distances from a point, and holes in some of its triangles."""
     corners = draw(st.integers(3, 14))
     radii = draw(st.lists(st.floats(0.05, 1.0), min_size=corners, max_size=corners))
     turn = draw(st.floats(0.0, 1.0))
@@ -99,7 +99,7 @@ def test_any_polygon_falls_into_any_number_of_pieces(region: Polygon, count: int
 @settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 @given(polygons(), st.integers(2, 12))
 def test_arcs_of_the_band_around_the_triangles_are_as_good(region: Polygon, count: int) -> None:
-    """For regions of area 1, as ``divide`` normalises them."""
+    """Regions have area 1, as ``divide`` normalises them."""
     scale = math.sqrt(region.area)
     here = shapely.transform(shapely.orient_polygons(region), lambda xy: (xy - region.bounds[:2]) / scale)
     check(here, regions._arcs(here, count), count)

@@ -27,7 +27,7 @@ COUNTS = [*range(2, 34), 57, 100, 333, 1000, 1001]
 
 
 def bumpy_cloud(count: int) -> np.ndarray:
-    """A torus with noise, shape (count, 3); its unit is no metre."""
+    """Return a torus with noise, shape (count, 3), in units other than metres."""
     rng = np.random.default_rng(3)
     u, v = rng.uniform(0.0, 2.0 * np.pi, (2, count))
     radius = 0.05 + 0.02 * np.cos(v)
@@ -48,7 +48,7 @@ def test_every_shape_fits_any_swarm(count: int, torus: str) -> None:
         "text:.:spacing=3": 3.0, f"cloud:{torus}": 2.0, f"cloud:{torus}:spacing=10": 10.0, "cube:spacing=4": 4.0,
     }  # fmt: skip
     if count == 18:
-        del names["sphere"]  # it has XTDrone's own
+        del names["sphere"]  # "sphere" is XTDrone's own
     patterns, again = Patterns(count), Patterns(count)
     for name, spacing in names.items():
         assert name in patterns
@@ -282,7 +282,7 @@ def test_followers_load_neither_matplotlib_nor_scipy() -> None:
     assert done.stdout.strip() == "set()"
 
 
-# files that others name
+# files named by other files
 
 
 SECRET = b"salt:$6$salt$salt:19000::::::\n"
@@ -345,7 +345,7 @@ def test_files_over_topics_lie_below_a_folder(tmp_path: Path) -> None:
             patterns.offsets(f"cloud:{name}")
     with pytest.raises(PatternError, match="is not allowed, a file below"):
         patterns.offsets("text:A:font=/usr/share/fonts/a.ttf")
-    assert patterns.offsets(f"cloud:{outside}/a.xyz:spacing=3").shape == (3, 3)  # given at the start
+    assert patterns.offsets(f"cloud:{outside}/a.xyz:spacing=3").shape == (3, 3)  # listed at the start
     assert patterns.offsets("text:A").shape == (3, 3)
 
 

@@ -44,7 +44,7 @@ def test_rounding_of_float32_does_not_change_it() -> None:
 
 
 def veterans_one_by_one(offsets: np.ndarray) -> np.ndarray:
-    """The rule as published: the two nearest of those before, of equally near ones the later."""
+    """Apply the published rule: the two nearest of the preceding vehicles; of equally near ones the later."""
     adjacency = np.zeros((len(offsets),) * 2, dtype=int)
     for i in range(1, len(offsets)):
         distance = np.linalg.norm(offsets[:i] - offsets[i], axis=1)

@@ -1,4 +1,4 @@
-"""Made-up bags of known motions, written by rosbags."""
+"""Synthetic bags of known motions, written by rosbags."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _STATE = "std_msgs/Header header\nbool connected\nbool armed\nbool guided\n{more
 
 
 def store(more: str = "bool manual_input\n") -> Any:
-    """Return ROS 1's types, and MAVROS's state, with or without a field that old versions lack."""
+    """Return a type store of ROS 1 and of MAVROS's State, with or without a field that old versions lack."""
     made = get_typestore(Stores.ROS1_NOETIC)
     made.register(get_types_from_msg(_STATE.format(more=more), STATE))
     return made
@@ -85,7 +85,7 @@ class Bag:
 
 
 def helix(time: Any, centre: float = 0.0) -> np.ndarray:
-    """Return where a vehicle is on a circle that climbs, shape (..., 3)."""
+    """Return positions on a climbing circle, shape (..., 3)."""
     angle = TURN * np.asarray(time)
     return np.stack([centre + RADIUS * np.cos(angle), RADIUS * np.sin(angle), CLIMB * np.asarray(time)], axis=-1)
 

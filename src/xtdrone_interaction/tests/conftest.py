@@ -1,4 +1,4 @@
-"""Shared by this package's tests: the made-up flight."""
+"""Fixtures of this package's tests: the synthetic flight."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from synthetic import make_bag
 
 @pytest.fixture(autouse=True)
 def kept_names(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Give instances and folders back that a command run by a test has taken for this process."""
+    """Release the instances and folders that a test's commands have reserved for this process."""
     kept: dict[str, socket.socket] = {}
     monkeypatch.setattr(command_options, "_kept", kept)
     yield

@@ -1,4 +1,4 @@
-"""A roslaunch that tests script, and a look at which of its processes still run."""
+"""A roslaunch scripted by tests, and a query for its processes that still run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Real autopilots' MAVLink doors over UDP while simulated time stands still, and lines that lose datagrams."""
+"""The autopilot's MAVLink servers over UDP while simulated time is paused, and links that lose datagrams."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LAYOUT = RotorLayout(np.array([[0.2, 0.2, 0], [-0.2, -0.2, 0], [0.2, -0.2, 0], [
 
 
 class Field:
-    """Vehicles whose time stands, with their MAVLink doors, served in a thread."""
+    """Vehicles in paused time, with their MAVLink servers in a thread."""
 
     def __init__(self):
         self.vehicles = [Vehicle("typhoon_h480", i, FIRST + i) for i in range(COUNT)]
@@ -59,7 +59,7 @@ class Field:
 
 
 class LossyLine:
-    """A UDP proxy before each port that loses datagrams both ways."""
+    """A UDP proxy before each port that loses datagrams in both directions."""
 
     def __init__(self, ports, loss, seed):
         self._random = random.Random(seed)

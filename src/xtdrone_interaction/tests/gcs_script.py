@@ -19,7 +19,7 @@ def beat(autopilot=PX4, kind=COPTER):
 
 
 def told(message):
-    """Return a message as it comes out of the wire."""
+    """Return a message as decoded from the wire."""
     return decoder(message.msgname)(bytes(message.pack(_MAV)))
 
 
@@ -28,7 +28,7 @@ def ack(number, result=mavlink.MAV_RESULT_ACCEPTED):
 
 
 def talk(exchange, vehicle, limit=10_000):
-    """Run an exchange with ``vehicle``, which returns what it answers to a message; return the exchange's result."""
+    """Run an exchange with ``vehicle``, a function from a message to its replies; return the exchange's result."""
     arriving = deque()
     try:
         outgoing = next(exchange)

@@ -12,7 +12,7 @@ from xtdrone_interaction.topics.field_paths import INTEGERS
 from xtdrone_interaction.topics.message_classes import class_of_field
 
 _LETTERS = "abc xyz äß東"
-_LONGEST = 4  # elements of an array of any length
+_LONGEST = 4  # elements of an array of variable length
 
 
 def random_message(kind: type[Any], random: np.random.Generator) -> Any:

@@ -1,4 +1,4 @@
-"""Flights that take no time, for tests of the sweep's machinery; importable in worker processes."""
+"""Instant flights, for tests of the sweep's machinery; importable in worker processes."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from typing import Any
 
 
 def figures(varied: Mapping[str, Any], seed: int) -> dict[str, Any]:
-    """Return made-up figures that depend on parameters and seed alone."""
+    """Return synthetic figures that depend on parameters and seed alone."""
     value = sum(float(v) for v in varied.values() if isinstance(v, int | float)) + 0.1 * seed
     return {"settled": True, "settling_time": value, "least_distance": 1.0 / (1.0 + value), "collisions": 0}
 
 
 def work(common: Mapping[str, Any], tasks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """As ``fly_batch``; ``common`` may hold ``seconds`` a run, ``folder`` and ``deadly``, a seed."""
+    """Replace ``fly_batch``; ``common`` may hold ``seconds`` per run, ``folder``, and ``deadly``, a seed."""
     rows = []
     for task in tasks:
         if "folder" in common:

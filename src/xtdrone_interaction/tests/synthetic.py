@@ -1,4 +1,4 @@
-"""A made-up formation flight, written as a bag: first-order motion, no ROS, no simulator."""
+"""A synthetic formation flight, written as a bag: first-order motion, no ROS, no simulator."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ geometry_msgs/Twist[] twist
 
 
 def assign(before: NDArray[np.float64], slots: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return ``slots`` in the followers' order at the least total distance."""
+    """Return ``slots`` in the followers' order with the least total distance."""
     return slots[linear_sum_assignment(cdist(before, slots))[1]]
 
 
 class BagMaker:
-    """Writes the topics that a flight record is made of."""
+    """Writes the topics of a flight record."""
 
     def __init__(self, writer: Writer, truth: bool, odometry: bool = False) -> None:
         self.store = get_typestore(Stores.ROS1_NOETIC)
@@ -51,14 +51,14 @@ class BagMaker:
         self.clock = 0.0
 
     def write(self, topic: str, kind: str, message: object, time: float) -> None:
-        """Write one message at ``time`` s, late by ``delay`` as by a recorder's clock that is off."""
+        """Write one message at ``time`` s, recorded ``delay`` s late, as by a wrong clock of the recorder."""
         time = self.clock = max(self.clock, time + self.delay)
         if topic not in self.connections:
             self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
         self.writer.write(self.connections[topic], round(time * 1e9), self.store.serialize_ros1(message, kind))
 
     def event(self, time: float, event: str, **values: object) -> None:
-        """Write one of the director's events; the wall clock runs at half the simulated one."""
+        """Write one of the director's events; the wall clock runs at half the rate of simulated time."""
         values = {"event": event, "time": time, "wall": 1000.0 + time / 2, **values}
         self.events.append(values)
         string = self.store.types["std_msgs/msg/String"]
@@ -76,7 +76,7 @@ class BagMaker:
         self.write("/rosout", kind, message, time)
 
     def positions(self, time: float, places: NDArray[np.float64]) -> None:
-        """Write where the vehicles are, shape (n, 3)."""
+        """Write positions of the vehicles, shape (n, 3)."""
         t = self.store.types
         rest = t["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
         poses = [
@@ -99,7 +99,7 @@ class BagMaker:
                 self.write_odometry(name, header, pose, time)
 
     def write_odometry(self, name: str, header: object, pose: object, time: float) -> None:
-        """Write where a vehicle truly is, with its time."""
+        """Write a vehicle's true odometry with its time."""
         t = self.store.types
         zero = t["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0)
         unknown = np.zeros(36)
@@ -117,7 +117,7 @@ class BagMaker:
     def formation(self, time: float, offsets: NDArray[np.float64]) -> None:
         """Write the assigned offsets, shape (8, 3), and a topology: each vehicle listens to its predecessor.
 
-        Without offsets, shape (0, 3), both are empty: the leader takes them back.
+        Without offsets, shape (0, 3), both are empty: the leader withdraws them.
         """
         t = self.store.types
         layout = t["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
@@ -149,14 +149,14 @@ def make_bag(
     Args:
         path: of the bag.
         patterns: flown in turn.
-        truth: whether /gazebo/model_states is there.
-        odometry: whether the vehicles' ground_truth/odom is there.
+        truth: whether /gazebo/model_states is recorded.
+        odometry: whether the vehicles' ground_truth/odom is recorded.
         noise: standard deviation of all positions, m.
-        offset: so far (m, along x) follower 3 stays from its slot.
-        delay: s; the recorder's clock is so late in a part of each pattern, and so early in another.
-        log: what the simulator says on the way.
-        taken_back: whether the leader takes the last pattern back.
-        shuffle: give the slots out backwards instead of at the least distance.
+        offset: distance of follower 3 from its slot along x, m.
+        delay: error of the recorder's clock, s: late in one part of each pattern, early in another.
+        log: a warning of the simulator during the flight.
+        taken_back: whether the leader withdraws the last pattern.
+        shuffle: assign the slots in reverse order instead of at the least distance.
     """
     rng = np.random.default_rng(0)
     with Writer(path) as writer:

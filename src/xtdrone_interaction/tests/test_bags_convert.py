@@ -1,4 +1,4 @@
-"""Bags in other formats hold what they held."""
+"""Bags converted to other formats keep their contents."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from xtdrone_interaction.recording.flight_from_bag import read_bag
 
 
 def contents(path: Path) -> list[tuple[str, int, Any]]:
-    """Return topic, time and place or mode of all messages."""
+    """Return topic, time, and position or mode of all messages."""
     found = []
     with AnyReader([path]) as reader:
         for connection, time, raw in reader.messages():
@@ -78,11 +78,11 @@ def test_tables_hold_the_same(bag: Path, flight_bag: Path, tmp_path: Path, form:
     assert load(models["name"])[:2] == ["ground_plane", "iris_0"]
     assert len(load(models["pose.position.x"])) == 10
     pattern = read(out / f"xtdrone_formation_pattern.{form}").slice(0, 1).to_pylist()[0]
-    assert len(json.loads(pattern["data"])) == 24  # layout.dim has texts in a list: field by field as JSON
+    assert len(json.loads(pattern["data"])) == 24  # layout.dim has strings in a list: field by field as JSON
 
 
 def test_damaged_messages_are_skipped_and_reported(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """A text whose length is beyond its message, a pattern with half its layout, and one with bytes too many."""
+    """Skipped are a string longer than its message, a pattern with half its layout, and additional bytes."""
     path = tmp_path / "flight.bag"
     kind = "std_msgs/msg/Float32MultiArray"
     with Bag(path) as bag:

@@ -1,4 +1,4 @@
-"""How often a bridge reads the ROS graph, with a clock of the test's."""
+"""How often a bridge reads the ROS graph, with a clock set by the test."""
 
 from __future__ import annotations
 

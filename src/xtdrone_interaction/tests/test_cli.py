@@ -1,4 +1,4 @@
-"""The command line: what is refused and how, and that nothing is left running."""
+"""The command line: rejections and their messages, and no process left running."""
 
 from __future__ import annotations
 
@@ -188,7 +188,7 @@ socket.create_connection(("127.0.0.1", {port})).close()
     ],
 )
 def test_nothing_is_left_running(tmp_path: Path, then: str, number: int | None, status: int) -> None:
-    """Ctrl-C, SIGTERM, and a roslaunch that is killed: all nodes end, even one that ignores signals."""
+    """All nodes end after Ctrl-C, SIGTERM, and the death of roslaunch, even one that ignores signals."""
     mark = f"xtdrone-test-{os.getpid()}-{tmp_path.name}"
     server = socket.create_server(("127.0.0.1", 0))
     server.settimeout(PATIENCE)

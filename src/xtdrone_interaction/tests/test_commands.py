@@ -1,4 +1,4 @@
-"""The table of commands: each has a module, a help of its own, and a place in the launcher and in the completion."""
+"""The table of commands: each has a module, its own help, and an entry in the launcher and in the completion."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The comparison of two flights, on made-up ones whose differences are known."""
+"""The comparison of two flights, on synthetic ones with known differences."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ def flight(
     Args:
         rate: 1/s, of the approach.
         start: time of the first command, s.
-        step: between two recorded positions, s.
-        order: which slot each follower gets, in all but the first pattern.
-        shift: so far the followers stay from their slots, m.
+        step: time between two recorded positions, s.
+        order: slot of each follower, in all but the first pattern.
+        shift: distance of the followers from their slots, m.
         patterns: name and slots, flown in turn.
     """
     events: list[dict[str, object]] = [
@@ -74,7 +74,7 @@ def flight(
 
 
 def test_a_flight_does_not_differ_from_itself_later_and_at_another_rate() -> None:
-    """Flights are laid over each other at the command, whenever it came and however often was recorded."""
+    """Flights are aligned at the command, whatever its time and the rate of the recording."""
     differences = compare(flight(), flight(start=5.004, step=0.02))
     assert [d.pattern for d in differences] == ["origin", "line"]
     for d in differences:
@@ -84,7 +84,7 @@ def test_a_flight_does_not_differ_from_itself_later_and_at_another_rate() -> Non
 
 
 def test_the_rms_of_two_first_order_approaches() -> None:
-    """The integral of (exp(-at) - exp(-bt))^2 over the window, times the mean squared step."""
+    """It is the integral of (exp(-at) - exp(-bt))^2 over the window, times the mean squared step."""
     a, b = 1.0, 0.5
     line = compare(flight(rate=a), flight(rate=b))[1]
     step = np.mean(np.linalg.norm(LINE - GRID, axis=1) ** 2)
@@ -106,7 +106,7 @@ def test_a_constant_difference_is_measured() -> None:
 def test_other_assignments_are_reported_and_compared_by_slot(capsys: pytest.CaptureFixture[str]) -> None:
     differences = compare(flight(rate=50.0), flight(rate=50.0, order=(1, 0, 2)))
     assert [d.reassigned for d in differences] == [0, 2]
-    assert differences[1].greatest < 5.0  # from where they came; later they are in the same slots
+    assert differences[1].greatest < 5.0  # differs on the way from the start; later they are in the same slots
     assert differences[1].rms < 0.5
     print_comparison(differences, Console(width=100))
     assert "Pattern 'line': 2 followers have other slots than in full physics" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""The doctor's findings, their texts and the screen, without ROS."""
+"""The doctor's findings, texts and screen, without ROS."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ REQUIRED = "{line}REQUIRED process [{node}-2] has died!\nprocess has {how}\nlog 
 
 
 def required(node: str, how: str) -> str:
-    """roslaunch's words for the end of a required node."""
+    """Return roslaunch's text for the end of a required node."""
     return REQUIRED.format(line="=" * 80, node=node, how=how)
 
 
@@ -108,7 +108,7 @@ def test_a_required_nodes_normal_end_is_no_failure(log: Path) -> None:
 
 
 def test_a_failed_simulator_is_listed_before_its_participants(log: Path) -> None:
-    """roslaunch may notice a participant's end first."""
+    """The order does not follow roslaunch's log, which may report a participant's end first."""
     ended_nodes = EndedNodes(log)
     add(log, "[follower_1-9] process has died [pid 9, exit code 1, cmd x].\n" + KILLED)
     add(log, required("simulator", "died [pid 7, exit code -9, cmd /x/simulator.py]."))
@@ -116,7 +116,7 @@ def test_a_failed_simulator_is_listed_before_its_participants(log: Path) -> None
     ended_nodes.update(1.0)
     assert [str(ended).partition(" at")[0] for ended in ended_nodes.all()] == [
         "simulator has died (SIGKILL)",
-        "follower_2 has died (SIGKILL)",  # killed: not of the simulator's end
+        "follower_2 has died (SIGKILL)",  # killed, not ended because of the simulator
     ]
     assert ended_nodes.consequences == ["follower_1"]
 

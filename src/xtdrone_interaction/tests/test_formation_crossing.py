@@ -1,4 +1,4 @@
-"""A formation's flight through obstacles: what is sent when, what ends it, and the figures of its record."""
+"""A formation's flight through obstacles: setpoints, end conditions, and the figures of its record."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PERIOD = 0.1  # s
 
 
 class Flight:
-    """A formation of three on perfect vehicles."""
+    """A formation of three vehicles that follow commands exactly."""
 
     def __init__(self) -> None:
         self.mission = FormationCrossing([Member(f"uav_{k}", (9.0, 0.0, 2.0), 100.0) for k in range(3)], 100.0)

@@ -1,4 +1,4 @@
-"""The mission with a fleet of points that follow commands."""
+"""The mission with a fleet of points that follow commands exactly."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def lost(fleet: PointFleet) -> list[tuple[str, str]]:
 
 
 def test_the_flight_continues_without_a_follower_that_leaves_offboard() -> None:
-    """It does what PX4's failsafe does, and nothing waits for it: it is still armed at the end."""
+    """The follower flies PX4's failsafe and the mission does not wait for it: it is still armed at the end."""
     fleet = PointFleet()
     fleet.refuses = lambda index, command: index == 4 and fleet.view.mode[4] == "POSCTL"
     for _ in fleet.mission.fly():
@@ -238,7 +238,7 @@ def test_a_pattern_that_does_not_settle_is_noted() -> None:
 
 def test_a_leader_without_the_pattern_ends_the_flight() -> None:
     fleet = PointFleet()
-    fleet.slots["cube"] = fleet.slots["cube"] + 1.0  # what the mission expects is not what the leader gives
+    fleet.slots["cube"] = fleet.slots["cube"] + 1.0  # the mission expects other slots than the leader publishes
     fleet.leader = lambda command: setattr(fleet.view, "offsets", fleet.slots["origin"])  # type: ignore[method-assign]
     with pytest.raises(MissionError, match="no offsets of pattern 'cube' within 10 s"):
         fleet.fly()
@@ -252,7 +252,7 @@ def test_vehicles_that_never_connect_are_reported() -> None:
 
 
 def test_the_director_ignores_invalid_offsets(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A pattern that any node may publish: another size, or numbers by which all would be in their slots."""
+    """Ignored are patterns of another size, and offsets that would put every vehicle into its slot."""
     pytest.importorskip("rospy")
     from std_msgs.msg import Float32MultiArray
 
@@ -275,7 +275,7 @@ def test_the_director_ignores_invalid_offsets(monkeypatch: pytest.MonkeyPatch) -
         hear(Float32MultiArray(data=data))
     assert director.view.offsets is not None
     assert director.view.offsets.tolist() == slots["cube"].tolist()
-    assert len(warnings) == 4  # of which rospy says one
+    assert len(warnings) == 4  # of which rospy logs one
     assert "7 values that are not 6 finite numbers; ignored" in warnings[0]
-    hear(Float32MultiArray())  # taken back
+    hear(Float32MultiArray())  # pattern withdrawn
     assert director.view.error() is None

@@ -75,7 +75,7 @@ KEYS = {
 def test_the_programs_know_every_key_of_the_panels(view: str) -> None:
     made = layout(view, parse_fleet(FLEETS[view]))
     assert set(made) == {"configById", "layout", "globalVariables", "userNodes", "playbackConfig"}
-    objects = ("configById", "globalVariables", "userNodes", "playbackConfig")  # as Lichtblick's import demands
+    objects = ("configById", "globalVariables", "userNodes", "playbackConfig")  # required by Lichtblick's import
     assert all(isinstance(made[name], dict) for name in objects)
     assert isinstance(made["playbackConfig"]["speed"], (int, float))
     for name, config in made["configById"].items():
@@ -136,7 +136,7 @@ def test_parameters_that_clients_may_set() -> None:
 
 
 class _Channel:
-    """A channel that keeps what it logs."""
+    """A channel that keeps the logged messages."""
 
     def __init__(self, topic: str, **_: Any) -> None:
         self.topic = topic
@@ -160,7 +160,7 @@ class _Listener:
 
 
 class _Raw:
-    """Subscriptions that are counted."""
+    """Counts subscriptions."""
 
     def __init__(self) -> None:
         self.listeners: list[Any] = []

@@ -1,4 +1,4 @@
-"""The ground station with real autopilots' MAVLink doors over UDP, while simulated time stands still."""
+"""The ground station with the autopilot's MAVLink servers over UDP, while simulated time is paused."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_uploaded_plans_can_be_downloaded_from_all_vehicles(field, as_named):
     for name, content in plans.items():
         for kind in plan.KINDS:
             assert plan_exchanges.difference(content.items(kind), back[name].items(kind), kind) == ""
-    assert back[field.names[0]].mission[3].params[3] == pytest.approx(269.9)  # a PX4 tells headings so
+    assert back[field.names[0]].mission[3].params[3] == pytest.approx(269.9)  # PX4's form of headings
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -133,7 +133,7 @@ def test_a_missing_vehicle_is_reported(field):
     found = station.run({peer: plan_exchanges.download_plan(peer.system) for peer in peers}, timeout=0.02, patience=0.3)
     unused.close()
     assert str(found["iris_1"]) == f"iris_1: UDP 127.0.0.1:{port}: no answer from system 2 within 0.3 s"
-    assert "no answer from system 9" in str(found["iris_0"])  # it is another's port
+    assert "no answer from system 9" in str(found["iris_0"])  # the port belongs to another vehicle
     closed = station.run({peers[1]: plan_exchanges.download_plan(2)}, timeout=0.02, patience=0.3)
     assert "no program listens there" in str(closed["iris_1"])
 

@@ -1,4 +1,4 @@
-"""Commands of the ground station in flight: to PX4 and ArduPilot, and to real ports while time stands."""
+"""Flight commands of the ground station: to PX4 and ArduPilot, and to real ports while time is paused."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ KNOWN = {message.id: message for message in (ORIGIN, HOME, HERE)}
 
 
 class Obedient:
-    """A vehicle that accepts everything."""
+    """A vehicle that accepts every command."""
 
     def __init__(self, known=KNOWN):
         self.obeyed = []
@@ -52,7 +52,7 @@ def test_a_px4_gets_a_takeoff_altitude_and_is_then_armed():
     assert vehicle.numbers == [mavlink.MAV_CMD_NAV_TAKEOFF, mavlink.MAV_CMD_COMPONENT_ARM_DISARM]
     assert vehicle.obeyed[0].param7 == 494.0
     assert math.isnan(vehicle.obeyed[0].param5)
-    assert talk(commands_and_refusals.take_off(beat(), 1.0), vehicle) == 2.5  # its least
+    assert talk(commands_and_refusals.take_off(beat(), 1.0), vehicle) == 2.5  # the autopilot's minimum
 
 
 def test_an_ardupilot_is_guided_and_armed_and_takes_off_to_a_height():
@@ -152,25 +152,25 @@ def test_a_vehicle_that_never_finishes_is_abandoned():
         talk(commands_and_refusals.arm(beat()), lambda _: [ack(number, mavlink.MAV_RESULT_IN_PROGRESS)])
 
 
-# ---- real doors, while time stands
+# ---- real MAVLink servers, while time is paused
 
 
 @pytest.fixture(scope="module")
 def field():
     field = Field()
-    field.autopilot.estimator["initialised"] = True  # or nothing can be armed
+    field.autopilot.estimator["initialised"] = True  # otherwise no vehicle can be armed
     yield field
     field.close()
 
 
 def test_one_of_three_rejects(field, capsys):
-    """Arming by force does not ask for checks."""
+    """A rejection fails the command, and the accepted vehicles stay armed; forced arming skips the checks."""
     vehicles = [str(vehicle.id) for vehicle in field.vehicles]
     assert main(["arm", "--force", "--vehicle", *vehicles[:2]]) == 0
     assert [commander.armed for commander in field.commanders] == [True, True, False]
     assert main(["disarm", "--vehicle", vehicles[0]]) == 0
     capsys.readouterr()
-    assert main(["arm", "--vehicle", *vehicles[1:]]) == 1  # what is armed stays so, the other's checks fail
+    assert main(["arm", "--vehicle", *vehicles[1:]]) == 1  # the armed vehicle stays armed, the other's checks fail
     caught = capsys.readouterr()
     assert [line.split(maxsplit=1) for line in caught.out.splitlines()] == [
         [f"vehicle_{FIRST + 1}", "armed"], [f"vehicle_{FIRST + 2}", "failed"]

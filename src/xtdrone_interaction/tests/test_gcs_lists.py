@@ -1,4 +1,4 @@
-"""Fences and rally points alone, by the ground station, while time stands."""
+"""Fences and rally points by the ground station, while time is paused."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_a_plan_for_another_autopilot_is_accepted_with_a_note(field, tmp_path, c
 
 
 class ArduPilot:
-    """An ArduPilot's mission protocol: the first item of its mission is its own home, and few parameters are kept."""
+    """ArduPilot's mission protocol: item 0 of a mission is the home position, and few parameters are stored."""
 
     def __init__(self):
         self.home = mavlink.MAVLink_mission_item_int_message(254, 190, 0, 0, 16, 0, 1, 0, 0, 0, 0, 1, 2, 3.0, 0)
@@ -123,7 +123,7 @@ def test_an_ardupilots_first_item_is_its_home():
     vehicle, content = ArduPilot(), survey(0)
     talk(plan_exchanges.upload_plan(7, content, autopilot=ARDUPILOT), vehicle)
     assert [item.command for item in vehicle.lists[0]] == [16, *(item.command for item in content.mission)]
-    assert vehicle.lists[0][-1].param1 == 2.0  # a jump to what is item 1 of the plan
+    assert vehicle.lists[0][-1].param1 == 2.0  # a jump to the plan's item 1
     found = talk(plan_exchanges.download_plan(7, autopilot=ARDUPILOT), vehicle)
     assert (found.mission[-1].params[0], found.drawn_for) == (1.0, "ArduPilot")
     for kind in plan.KINDS:

@@ -1,4 +1,4 @@
-"""Flight logs by the ground station, from real doors while time stands."""
+"""Flight logs by the ground station, from real MAVLink servers while time is paused."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FILES = ["log_0_2020-01-01_00-00-05.ulg", "log_1_2020-01-01_00-10-00.ulg", "log_
 
 @pytest.fixture(scope="module")
 def field(tmp_path_factory):
-    """Vehicles of which the last has no logs."""
+    """Vehicles, the last of them without logs."""
     field = Field()
     noise = random.Random(1)
     folders = [LogFolder(tmp_path_factory.mktemp(f"logs{i}")) for i in range(3)]

@@ -1,4 +1,4 @@
-"""Parameters by the ground station: encodings, and real doors while time stands."""
+"""Parameters by the ground station: encodings, and real MAVLink servers while time is paused."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ values = st.one_of(floats, whole)
 def test_a_value_is_the_same_on_both_ends(value, bytewise):
     number, kind = value
     if not bytewise and kind != REAL32:
-        number %= 1 << 24  # what a float holds exactly
+        number %= 1 << 24  # integers that a float holds exactly
         number = min(number, LIMITS[kind][1])
     if bytewise and kind != REAL32 and struct.unpack("<I", struct.pack("<q", number)[:4])[0] & 0x7F800000 == 0x7F800000:
-        number = 5  # a NaN's bits may change on the way through a float
+        number = 5  # a float may change the bits of a NaN in transit
     sent = parameters.encode((number, kind), bytewise)
     message = mavlink.MAVLink_param_value_message(b"A", sent, kind, 1, 0)
     assert parameters.decode(told(message), bytewise) == (number, kind)
 
 
-# ---- another kind of autopilot, and how a load is judged
+# ---- another kind of autopilot, and the result of a load
 
 
 def _text(name):
@@ -54,7 +54,7 @@ def _text(name):
 
 
 class Store:
-    """A vehicle with parameters, one that says integers by their numbers, as ArduPilot; some cannot be set."""
+    """A vehicle with parameters, some of them read-only; it encodes integers by value, as ArduPilot does."""
 
     def __init__(self, values, fixed=()):
         self.values = dict(values)
@@ -131,7 +131,7 @@ def test_another_vehicles_file_does_not_make_it_that_vehicle():
     assert vehicle.values["SYSID_THISMAV"] == (7, 4)
 
 
-# ---- real doors
+# ---- real MAVLink servers
 
 
 @pytest.fixture(scope="module")
@@ -175,7 +175,7 @@ def test_parameters_are_saved_compared_and_loaded(field, tmp_path, capsys):
     assert main(["params", "load", str(path), *one]) == 0
     assert f"MPC_Z_VEL_MAX_UP  {old:g}, was 1.25" in capsys.readouterr().out
     assert field.commanders[0].parameters.get("MPC_Z_VEL_MAX_UP") == old
-    assert main(["params", "load", str(path), *vehicles(field, 2)]) == 1  # the second is another
+    assert main(["params", "load", str(path), *vehicles(field, 2)]) == 1  # the second vehicle differs
     assert f"the file is of vehicle {FIRST + 1}, this is system {FIRST + 2}" in capsys.readouterr().err
     assert main(["params", "save", str(path), *vehicles(field, 2)]) == 2
     assert "a folder is needed for 2 vehicles" in capsys.readouterr().err

@@ -145,7 +145,7 @@ def test_a_failing_watcher_is_logged_and_the_station_continues(field, caplog):
 
 
 class Cable:
-    """A serial line, in fact a pseudo-terminal, to a vehicle's UDP port."""
+    """A pseudo-terminal as the serial line to a vehicle's UDP port."""
 
     def __init__(self, port):
         self._vehicle, self._device = pty.openpty()
@@ -210,7 +210,7 @@ def test_a_serial_line_that_is_pulled_in_the_end(field, capsys):
 
 
 def test_several_vehicles_over_one_line(field):
-    """Frames of all vehicles come to one port, as from a router."""
+    """The station separates the frames of all vehicles at one port, as from a router."""
     mav = [mavlink.MAVLink(None, srcSystem=system, srcComponent=1) for system in (3, 7)]
     beat = mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 1 | 128, 5, 4, 3)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -255,7 +255,7 @@ def test_a_tcp_line_that_ends(field):
         open_connection(*peer.address)
 
 
-# ---- what a vehicle tells
+# ---- status of a vehicle
 
 
 def message(text, part=0, number=0):

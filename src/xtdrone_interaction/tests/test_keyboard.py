@@ -1,4 +1,4 @@
-"""The keyboard without ROS and without a terminal: what keys mean, and what is shown."""
+"""The keyboard without ROS and without a terminal: the meaning of keys, and the display."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ KEYS = [*STEERING, *"tyvnrbskg0123456789"]
 LIMITS = (20.0, 20.0, 20.0, 3.0)
 
 
-# ---- what keys mean
+# ---- meaning of keys
 
 
 @settings(deadline=None, derandomize=True)
@@ -58,7 +58,7 @@ def test_speeds_are_within_xtdrones_limits(key: str, presses: int) -> None:
 @settings(deadline=None, derandomize=True)
 @given(st.lists(st.sampled_from([*KEYS, "cycle"]), max_size=200))
 def test_a_vehicle_with_a_commanded_speed_is_stopped_before_it_is_deselected(keys: list[str]) -> None:
-    """Also at the end; a vehicle at rest gets one message."""
+    """It is stopped at the end, too; a vehicle at rest receives one message."""
     pilot = Pilot(digits(Patterns(6).names))
     told = dict.fromkeys(Target, Setpoint(Target.ALL))
     for key in [*keys, "end"]:

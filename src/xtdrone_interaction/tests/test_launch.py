@@ -1,4 +1,4 @@
-"""``./xtdrone launch``, and demos that cannot start: a line on the screen, the status, and nothing left running."""
+"""``./xtdrone launch``, and demos that cannot start: a message, the exit status, and no process left running."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LIMIT = 120.0  # s of wall time; only a broken run takes it
 _MODULES = {
     "launch": ["xtdrone_interaction", "launch"],
     "demo": ["xtdrone_interaction", "demo"],
-}  # as ./xtdrone has it
+}  # as ./xtdrone sets it
 LAUNCH = """\
 <launch>
   <arg name="code" default="0"/>
@@ -33,14 +33,14 @@ LAUNCH = """\
   <node pkg="rosbag" type="record" name="boss" launch-prefix="{folder}/boss $(arg code)" required="true"/>
 </launch>
 """
-PROGRAMS = {  # the boss ends when the file "end" is there, the worker never
+PROGRAMS = {  # the boss ends when the file "end" exists, the worker never
     "worker": "exec sleep 600",
     "boss": "while [ ! -e {folder}/end ]; do sleep 0.1; done; exit $1",
 }
 
 
 class Command:
-    """A command that runs, in a session of its own, and its output."""
+    """A running command in a session of its own, and its output."""
 
     def __init__(self, folder: Path, *arguments: str, limits: Callable[[], None] | None = None) -> None:
         self.mark = f"XTDRONE_TEST_LAUNCH={folder}"
@@ -60,7 +60,7 @@ class Command:
         return self.file.read_text(encoding="utf-8", errors="replace")
 
     def wait_for(self, words: str) -> None:
-        """Wait until the words are on the screen."""
+        """Wait until the words are in the output."""
         end = time.monotonic() + LIMIT
         while words not in self.output:
             assert self.process.poll() is None, self.output
@@ -76,7 +76,7 @@ class Command:
             pytest.fail(f"it does not end: {self.output}")
 
     def running(self) -> dict[int, str]:
-        """Return id and command line of every process that it has started and that lives."""
+        """Return id and command line of every live process that it has started."""
         found = {}
         for entry in Path("/proc").iterdir():
             try:
@@ -87,7 +87,7 @@ class Command:
         return found
 
     def gone(self) -> bool:
-        """Wait until nothing of it runs; return whether that comes to be."""
+        """Wait until none of its processes runs; return whether that happens in time."""
         end = time.monotonic() + LIMIT
         while (left := self.running()) and time.monotonic() < end:
             time.sleep(0.1)
@@ -215,7 +215,7 @@ def test_a_simulation_reports_readiness_listens_locally_and_reports_the_first_de
     command.wait_for("estimators ready")
     sockets = _sockets(command.running())
     assert sum(kind == "udp" for kind, _, _ in sockets) >= 8  # three of each autopilot, and MAVROS's
-    # roscpp's XML-RPC server listens everywhere, whatever ROS_IP is; here that of rosout
+    # roscpp's XML-RPC server listens on all interfaces, whatever ROS_IP is; here it is rosout's
     open_ends = [(kind, line) for kind, address, line in sockets if address != "0100007F"]
     assert [kind for kind, line in open_ends if "rosout/rosout" in line] == ["tcp"]
     assert [end for end in open_ends if "rosout/rosout" not in end[1]] == []
@@ -247,7 +247,7 @@ def test_a_demo_without_means_ends_with_a_line(tmp_path: Path, limits: Callable[
     assert command.running() == {}
 
 
-# stands for roslaunch; what it starts ignores signals, as nodes do that hang
+# stand-in for roslaunch; its children ignore signals, like hanging nodes
 STUBBORN = """\
 #!{python}
 import signal, socket, subprocess, sys, time
@@ -274,7 +274,7 @@ sys.exit(cli.main(sys.argv[1:]))
 
 @pytest.mark.parametrize("then", ["mute master", "kill -9"])
 def test_a_demo_whose_launch_hangs_is_ended(tmp_path: Path, then: str) -> None:
-    """A master that takes connections and says nothing; and a demo that is killed while its nodes ignore signals."""
+    """It ends if the master accepts connections and never replies, and if it is killed while nodes ignore signals."""
     program = STUBBORN.format(python=sys.executable, master=MUTE if then == "mute master" else "")
     path = fake_roslaunch.install(tmp_path, program)
     environment = {**os.environ, "PATH": path, "XTDRONE_TEST_LAUNCH": str(tmp_path)}

@@ -1,4 +1,4 @@
-"""Accuracy of maps: closed forms, points on surfaces, and what could be seen."""
+"""Accuracy of maps: closed forms, points on surfaces, and the observable part."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a bag tells of map merging: the last state of each vehicle, and since when its map is merged."""
+"""Map merging in a bag: the last state of each vehicle, and the time from which its map is merged."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ARRAY, STATUS = "diagnostic_msgs/msg/DiagnosticArray", "diagnostic_msgs/msg/Diag
 
 
 def write_states(path: Path, states: list[tuple[float, str, int, str]]) -> Path:
-    """Write a bag of diagnostics: time, s, vehicle, level and text each."""
+    """Write a bag of diagnostics: time (s), vehicle, level and text of each."""
     with Bag(path) as bag:
         for time, name, level, text in states:
             status = bag.type(STATUS)(level, f"{name}: map merging", text, name, [])

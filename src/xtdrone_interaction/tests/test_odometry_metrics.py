@@ -43,7 +43,7 @@ def test_a_scale_of_one_percent_is_a_drift_of_one_percent() -> None:
     assert found.drift == pytest.approx(1.0)
     assert found.greatest == pytest.approx(0.4)
     assert found.ate == pytest.approx(np.sqrt(np.mean((0.02 * TIME) ** 2)))
-    assert found.rpe_percent == pytest.approx(1.0, rel=0.03)  # over the poses next to 10 m
+    assert found.rpe_percent == pytest.approx(1.0, rel=0.03)  # over the poses nearest to 10 m
     assert found.rpe_turn == pytest.approx(0.0, abs=1e-6)
 
 
@@ -58,7 +58,7 @@ def test_alignment_by_the_first_pose_takes_out_place_and_heading() -> None:
     as_it_is = errors(moved, curved(), "none")
     assert as_it_is is not None
     assert as_it_is.ate > 1.0
-    assert as_it_is.rpe == pytest.approx(0.0, abs=1e-9)  # relative errors know no frame
+    assert as_it_is.rpe == pytest.approx(0.0, abs=1e-9)  # relative errors are independent of the frame
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -1,4 +1,4 @@
-"""The display of a flight's progress: it fits a terminal, and says when the world stands still."""
+"""The display of a flight's progress: it fits a terminal, and reports a world that stands still."""
 
 from __future__ import annotations
 

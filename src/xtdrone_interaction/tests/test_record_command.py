@@ -1,4 +1,4 @@
-"""Recording by profiles: which topics each takes, and what rosbag is called with."""
+"""Recording by profiles: the topics of each, and the arguments of rosbag."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_profiles_select_their_topics(name: str) -> None:
     arguments = rosbag_arguments(profile, "/tmp/out")
     given = arguments[-len(profile.topics) :]
     excluded = arguments[arguments.index("-x") + 1] if "-x" in arguments else "(?!)"
-    for topic in set().union(*TAKEN.values()):  # as rosbag itself decides
+    for topic in set().union(*TAKEN.values()):  # rosbag's own selection
         taken = any(re.fullmatch(entry, topic) for entry in given) and not re.fullmatch(excluded, topic)
         assert taken == profile.includes(topic), topic
 
@@ -55,7 +55,7 @@ def test_rosbag_is_called_with_the_profile(tmp_path: Path, given: list[str], exp
     program.chmod(0o755)
     out = tmp_path / "new" / "flight"
     pid = os.fork()
-    if pid == 0:  # it becomes rosbag
+    if pid == 0:  # the child becomes rosbag
         os.environ["PATH"] = f"{tmp_path}:{os.environ['PATH']}"
         os._exit(cli.main(["record", "light", "--out", str(out), *given, "__name:=recorder"]))
     assert os.waitpid(pid, 0)[1] == 0
@@ -98,7 +98,7 @@ def test_invalid_arguments_are_reported(capfd: pytest.CaptureFixture[str]) -> No
 
 @pytest.fixture
 def masters() -> Iterator[Callable[[bool], str]]:
-    """Return a function that starts a ROS master with or without a simulator on it, and gives its URI."""
+    """Return a function that starts a ROS master, with or without a simulator, and returns its URI."""
     started = []
 
     def start(simulator: bool) -> str:
@@ -121,7 +121,7 @@ def masters() -> Iterator[Callable[[bool], str]]:
 
 @pytest.fixture
 def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a folder of flights in which there is none yet, in place of the workspace's own."""
+    """Replace the workspace's folder of flights by an empty one, and return it."""
     runs = tmp_path / "runs"
     runs.mkdir()
     monkeypatch.setattr(sim_cli, "RUNS", runs)

@@ -1,4 +1,4 @@
-"""Reading bags: everything that is whole, of whatever is left of them."""
+"""Reading bags: every intact message of a damaged file."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_a_bag_cut_off_anywhere_gives_its_beginning(tmp_path: Path, packing: str
         found, notes = read(tmp_path / "cut.bag")
         assert found == expected[: len(found)], cut
         assert notes or len(found) == len(expected), cut
-        assert len(found) >= most, cut  # what is longer gives at least as much
+        assert len(found) >= most, cut  # a longer file yields at least as many messages
         most = len(found)
     assert most == len(expected)
 
@@ -113,7 +113,7 @@ def test_damage_affects_only_the_damaged_part(tmp_path: Path, packing: str) -> N
 
 
 def records(data: bytes) -> Iterator[tuple[bytes, int]]:
-    """Yield each record's header, and where the size of what follows it stands."""
+    """Yield each record's header, and the position of the size of its data."""
     at = len(b"#ROSBAG V2.0\n")
     while at < len(data):
         body = at + 4 + int.from_bytes(data[at : at + 4], "little")
@@ -124,7 +124,7 @@ def records(data: bytes) -> Iterator[tuple[bytes, int]]:
 @pytest.mark.parametrize("packing", ["", "lz4", "bz2"])
 @pytest.mark.parametrize("kind", [b"op=\x05", b"op=\x04"])
 def test_a_wrong_size_does_not_hide_the_following_entries(tmp_path: Path, packing: str, kind: bytes) -> None:
-    """The second chunk's, or that of an index of messages: far beyond the end of the file."""
+    """They are found although the size of a chunk or an index lies far beyond the end of the file."""
     path = tmp_path / "whole.bag"
     expected = small_bag(path, packing)
     data = bytearray(path.read_bytes())
@@ -195,7 +195,7 @@ def test_missing_files_and_folders_are_reported(tmp_path: Path, capfd: pytest.Ca
 
 
 def test_layouts_agree_with_rosbags(tmp_path: Path, flight_bag: Path) -> None:
-    """All numbers and texts of all types in a flight, and a message that is too short."""
+    """Decoded numbers and texts of a flight equal those of rosbags; a message that is too short is left out."""
     bag = BagFile(flight_bag)
     checked = set()
     for batch in large_batches(bag):
@@ -231,7 +231,7 @@ def flight_of(tmp_path: Path, **options: object) -> Recording:
 
 @pytest.mark.parametrize("more", ["bool manual_input\n", ""])
 def test_real_mavros_under_any_namespace(tmp_path: Path, more: str) -> None:
-    """Dates instead of simulated time, other namespaces, an older State."""
+    """Bags with dates instead of simulated time, other namespaces and an older State are read."""
     spaces = ("/uav0", "", "/team/uav10", "/team/uav9")
     flight = flight_of(tmp_path, spaces=spaces, seconds=10.0, start=1.7e9, more=more)
     assert [v.name for v in flight.vehicles] == ["mavros", "team_uav9", "team_uav10", "uav0"]
@@ -296,7 +296,7 @@ def test_a_thousand_topics_and_an_unknown_definition(tmp_path: Path) -> None:
 
 
 def test_a_recording_that_was_split_is_one(tmp_path: Path) -> None:
-    """Its connections have other numbers in each file."""
+    """Its files are joined although connections have other numbers in each."""
     for number, spaces in enumerate((["/iris_0", "/iris_1"], ["/iris_1", "/iris_0"], ["/iris_1"])):
         with Bag(tmp_path / f"flight_{number}.bag") as bag:
             for k in range(100 * number, 100 * number + 100):
@@ -326,7 +326,7 @@ def test_memory_of_long_recordings_is_bounded() -> None:
         columns.add(("a", "pose"), time, np.column_stack([time, 2 * time]))
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert most < 3 * 8 * 40_000  # bytes; what is dropped does not live on in what is kept
+    assert most < 3 * 8 * 40_000  # bytes; dropped data is not kept alive by the stored data
     series = columns.series()["a", "pose"]
     assert 5_000 < len(series) < 14_000
     assert columns.stride > 1
@@ -359,7 +359,7 @@ def test_a_formation_flight_cut_off_is_judged_as_far_as_it_goes(flight_bag: Path
 
 
 def test_report_and_analysis_of_a_recorder_that_was_killed_agree(flight_bag: Path, tmp_path: Path) -> None:
-    """The events' file beside the bag goes on to the flight's end."""
+    """Both use the events' file beside the bag, which continues to the flight's end."""
     path = tmp_path / "flight.bag"
     path.write_bytes(flight_bag.read_bytes()[: flight_bag.stat().st_size * 6 // 10])
     events = [json.dumps(event) for event in read_formation(flight_bag).events]
@@ -387,7 +387,7 @@ def test_damage_in_the_middle_is_no_cut(flight_bag: Path, tmp_path: Path) -> Non
 
 def test_an_archive_of_a_flight_without_ros_is_analysed(flight_bag: Path, tmp_path: Path) -> None:
     record = read_formation(flight_bag)
-    topologies = [replace(record.topologies[0], time=change.time) for change in record.patterns]  # one a pattern
+    topologies = [replace(record.topologies[0], time=change.time) for change in record.patterns]  # one per pattern
     save_formation(replace(record, topologies=topologies), tmp_path / "flight.npz")
     assert cli.main(["analyse", str(tmp_path / "flight.npz")]) == 0
     figures = json.loads((tmp_path / "flight-analysis" / "report.json").read_text())

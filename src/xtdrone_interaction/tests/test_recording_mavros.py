@@ -1,4 +1,4 @@
-"""Bags as MAVROS 1.x leaves them, with its own definitions: several vehicles, latched and unknown topics, no truth."""
+"""Bags recorded from MAVROS 1.x, with its own definitions: several vehicles, latched and unknown topics, no truth."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ VELOCITY_ALONE = 0b100111000111
 
 
 class MavrosBag(Bag):
-    """Writes messages under MAVROS's definitions, with their comments, and their sums."""
+    """Writes messages under MAVROS's definitions with their comments, and with its sums."""
 
     def __init__(self, path: Path, packing: str = "") -> None:
         super().__init__(path, packing, threshold=20_000, start=START)
@@ -48,7 +48,7 @@ class MavrosBag(Bag):
         self.store.register(get_types_from_msg("string name\nfloat64[] values\n", "acme_msgs/msg/Part"))
 
     def write(self, topic: str, kind: str, message: Any, time: float, late: float = 0.0, latching: int = 0) -> None:
-        """Write a message that the recorder got so late, s."""
+        """Write a message that was recorded ``late`` s after its time."""
         if (topic, kind) not in self.connections:
             definition, md5 = self.store.generate_msgdef(kind)
             assert SUMS.get(kind, md5) == md5
@@ -62,7 +62,7 @@ class MavrosBag(Bag):
         self.writer.write(self.connections[topic, kind], round((self.start + time + late) * 1e9), raw)
 
     def zero(self, kind: str, **values: Any) -> Any:
-        """Return a message whose fields are 0 or empty but for those that are given."""
+        """Return a message with the given fields; all others are 0 or empty."""
         fields = {}
         for name, (node, what) in self.store.fielddefs[kind][1]:
             if name in values:
@@ -76,7 +76,7 @@ class MavrosBag(Bag):
         return self.store.types[kind](**fields)
 
     def vehicle(self, space: str, time: float, number: int) -> None:
-        """Write what a vehicle says at one time."""
+        """Write a vehicle's messages of one time."""
         header = self.header(time)
         shake = self.vector(0.0, 0.0, 9.81 + np.sin(2 * np.pi * SHAKING * time))
         turn = self.vector(0.3 * np.sin(2 * np.pi * TURNING * time), 0.0, 0.0)
@@ -125,7 +125,7 @@ def make(path: Path, packing: str) -> None:
 
 
 def as_active(data: bytes) -> bytes:
-    """Return a bag as it is while the recorder writes it: no index, the last chunk without its size, cut off."""
+    """Return a bag as it is during the recording: no index, the last chunk without its size, truncated."""
     made = bytearray(data)
     last = [found.start() for found in re.finditer(rb"op=\x05", data)][-1]
     for mark, start, size in ((b"size=", last, 13), (b"index_pos=", 0, 18), (b"conn_count=", 0, 15)):
@@ -142,7 +142,7 @@ def check(flight: Recording, end: float) -> None:
         place = vehicle.position
         assert place is not None
         assert place.time[-1] > end - 0.5
-        np.testing.assert_allclose(place.value, helix(place.time), atol=1e-6)  # by the stamps, not when it was recorded
+        np.testing.assert_allclose(place.value, helix(place.time), atol=1e-6)  # by the stamps, not the recording times
         assert [mode for _, mode in vehicle.modes] == ["POSCTL", "OFFBOARD"]
         assert [when for when, armed in vehicle.armed if armed] == [pytest.approx(2.0)]
         assert vehicle.texts[0] == (pytest.approx(0.0), 4, "Low")
@@ -188,7 +188,7 @@ def test_unknown_types_become_tables(tmp_path: Path, capfd: pytest.CaptureFixtur
 
 @pytest.mark.parametrize("own_origins", [False, True])
 def test_vehicles_that_gps_alone_places_share_an_origin(tmp_path: Path, own_origins: bool) -> None:
-    """The second is 100 m north and 50 m east of the first; their local positions know it, or begin at each home."""
+    """The second starts 100 m north and 50 m east of the first, whether local positions share an origin or not."""
     with MavrosBag(tmp_path / "made.bag") as bag:
         kind = "sensor_msgs/msg/NavSatFix"
         for time in np.arange(0.0, 10.0, 0.1).tolist():
@@ -212,7 +212,7 @@ def test_vehicles_that_gps_alone_places_share_an_origin(tmp_path: Path, own_orig
 
 
 def poses(path: Path, spans: list[tuple[float, float]], start: float = 0.0) -> None:
-    """Write a vehicle's places, from one time to another, and again."""
+    """Write a vehicle's poses in each span of time, s."""
     with Bag(path, start=start, threshold=3000) as bag:
         for number, (first, last) in enumerate(spans):
             for time in np.arange(first, last, 0.1).tolist():
@@ -260,7 +260,7 @@ def test_a_clock_of_dates_that_is_corrected_does_not_part_a_flight(tmp_path: Pat
 
 
 def test_a_search_is_no_formation_flight(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """Its events name vehicles, too."""
+    """Events of a search name vehicles too, but are not read as a formation's."""
     with Bag(tmp_path / "flight.bag") as bag:
         for time in np.arange(0.0, 10.0, 0.1).tolist():
             bag.pose("/uav0", (time, 0.0, 0.0), time)

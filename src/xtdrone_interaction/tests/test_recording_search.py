@@ -1,4 +1,4 @@
-"""A search read back from its bag, also from one that was cut off."""
+"""A search read from its bag, complete or truncated."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class SearchBag(Bag):
             self.store.register(get_types_from_msg(text, f"{package}/msg/{name}"))
 
     def zero(self, kind: str, **values: Any) -> Any:
-        """Return a message whose fields are 0 or empty but for those that are given."""
+        """Return a message with the given fields; all others are 0 or empty."""
         fields = dict(values)
         for name, (node, what) in self.store.fielddefs[kind][1]:
             if name not in fields and node == 2:
@@ -43,7 +43,7 @@ class SearchBag(Bag):
         return self.store.types[kind](**fields)
 
     def truth(self, name: str, place: tuple[float, float, float], time: float) -> None:
-        """Write where a model truly is."""
+        """Write the true pose of a model."""
         kind = "nav_msgs/msg/Odometry"
         pose = self.zero("geometry_msgs/msg/Pose", position=self.vector(*place, kind="Point"))
         with_covariance = self.zero("geometry_msgs/msg/PoseWithCovariance", pose=pose)

@@ -1,4 +1,4 @@
-"""Reports of flight logs: figures in closed form, and logs that are not whole."""
+"""Reports of flight logs: figures in closed form, and incomplete logs."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ SECONDS, RATE = 20.0, 250.0
 PITCHING, LATE, AMPLITUDE = 3.0, 0.048, 0.4  # Hz, s, rad/s
 SHAKING = 40.0  # Hz
 START_US = 5_000_000
-LOST = 0.5  # s; until then the estimator does not know where it is
+LOST = 0.5  # s; until then the estimator has no position
 
 
 def block(topic: str, number: int, time: np.ndarray, **values: object) -> bytes:
-    """Return all messages of a topic, one behind the other."""
+    """Return all messages of a topic, concatenated."""
     template = data_template(message_format(topic), number)
     rows = np.repeat(template[None], len(time))
     rows["record"]["timestamp"] = START_US + np.round(1e6 * time).astype(np.uint64)
@@ -39,7 +39,7 @@ def block(topic: str, number: int, time: np.ndarray, **values: object) -> bytes:
 
 
 def make_log() -> bytes:
-    """Return a log: armed from 1 s to 19 s, up to 6 m; pitch rates follow late; a vibration along z."""
+    """Return a log: armed from 1 s to 19 s, up to 6 m; pitch rates lag; a vibration along z."""
     time = np.arange(0.0, SECONDS, 1 / RATE)
     slow, status = time[::25], np.array([0.0, 1.0, 2.0, 19.0, SECONDS])
     angle = 2 * np.pi * PITCHING * time
@@ -54,7 +54,7 @@ def make_log() -> bytes:
         "vehicle_status": {"time": status, **states},
         "vehicle_local_position": {"time": slow, **place},
         "vehicle_local_position_setpoint": {"time": slow, "x": 3.0 * slow + 0.25, "z": np.nan, "vx": 3.5, "vz": np.nan},
-        "mission_result": {"time": np.array([5000.0])},  # stored before; its time is of nothing in this log
+        "mission_result": {"time": np.array([5000.0])},  # stored earlier; its time belongs to nothing in this log
         "manual_control_setpoint": {"time": np.array([-4.0, -3.0, 5.0]), "roll": np.array([0.1, 0.2, 0.3])},
         "vehicle_rates_setpoint": {"time": time, "pitch": AMPLITUDE * np.sin(angle)},
         "vehicle_angular_velocity": {"time": time, "xyz": rates},
@@ -106,11 +106,11 @@ def test_figures_are_those_of_the_motion(tmp_path: Path, data: bytes) -> None:
     assert pitch.greatest == pytest.approx(error, rel=0.03)
     assert rows["Position", "north [m]"].rms == pytest.approx(0.25, abs=1e-4)
     assert rows["Velocity", "north [m/s]"].greatest == pytest.approx(0.5)
-    assert ("Position", "up [m]") not in rows  # it was never told a height
+    assert ("Position", "up [m]") not in rows  # the estimator has received no height
 
 
 def test_values_missing_in_the_log_are_not_shown(tmp_path: Path, data: bytes) -> None:
-    """The estimator's place before it has one, a message alone with a time of its own, sticks of before the log."""
+    """Hidden are positions before the first estimate, a message of another time base, sticks from before the log."""
     log = read_log(write(tmp_path / "log.ulg", data))
     assert log.duration == pytest.approx(SECONDS)
     place = log.series("vehicle_local_position", "x", "z", "vx", "vz")
@@ -123,7 +123,7 @@ def test_values_missing_in_the_log_are_not_shown(tmp_path: Path, data: bytes) ->
 
 
 def test_data_appended_after_a_crash_are_read(tmp_path: Path, data: bytes) -> None:
-    """PX4 appends what it saved of a crash: at an offset that the flags tell, behind a message that is not whole."""
+    """PX4 appends the data saved in a crash at an offset stated in the flags, after a truncated message."""
     text = logged_string(4, START_US + 19_000_000, "hard fault")
     bad = bytearray(data[:-5])
     flags = 16 + 3

@@ -1,4 +1,4 @@
-"""Flight records, reports and pictures, from a made-up flight."""
+"""Flight records, reports and pictures, from a synthetic flight."""
 
 from __future__ import annotations
 
@@ -254,7 +254,7 @@ def test_lost_messages_shift_the_rest() -> None:
     sent = np.delete(np.arange(2000), slice(700, 720)) * 0.02
     late = sent + np.where((sent > 5.0) & (sent < 6.0), 0.5, 0.0)
     found = regular_times(late)
-    away = np.abs(sent - 14.0) > 6.0  # near the gap the shift is not known to the step
+    away = np.abs(sent - 14.0) > 6.0  # near the gap the shift is not exact to the step
     np.testing.assert_allclose(found[away], sent[away], atol=1e-6)
     assert np.abs(found - sent).max() <= 20 * 0.02 + 1e-6
 

@@ -1,4 +1,4 @@
-"""Runs on the same axes: differences in closed form, what is in common, wrong runs."""
+"""Runs on the same axes: differences in closed form, common quantities, invalid runs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def table(path: Path, time: np.ndarray, places: np.ndarray, vehicle: str = "") -
 
 
 def test_runs_are_aligned_and_their_difference_is_that_of_the_motions(tmp_path: Path) -> None:
-    """The same helix in a bag with dates, and as a table whose vehicle is turned ahead by an angle."""
+    """The same helix agrees in a bag with dates, and in a table whose vehicle is ahead by an angle."""
     make_flight(tmp_path / "a.bag", ("/uav0", "/uav1"), 20.0, start=1.7e9)
     make_flight(tmp_path / "b.bag", ("/uav0", "/uav1"), 25.0)
     runs = [read_run(tmp_path / f"{name}.bag", name) for name in "ab"]
@@ -45,7 +45,7 @@ def test_runs_are_aligned_and_their_difference_is_that_of_the_motions(tmp_path: 
 
 
 def test_speed_is_known_to_the_last_place(tmp_path: Path) -> None:
-    """Times of which even steps, added up, come out behind the last."""
+    """The last interval counts even where equal steps add up to more than the last time."""
     for count in range(50, 90):
         time = 2.468 + 0.1 * np.arange(count)
         run = read_run(table(tmp_path / "track.csv", time, np.outer(time, [3.0, 4.0, 0.0])), "track")

@@ -88,7 +88,7 @@ def test_an_independent_decoder_reads_what_the_bridge_writes_and_the_way_back_is
         decoded = decoder.deserialize(cdr)
         assert plain(decoded) == plain(message)
         assert made.to_ros1(cdr) == serialised(message)
-        # What cyclonedds writes itself has the same bytes, so that the way back holds for foreign writers.
+        # cyclonedds writes the same bytes itself, so the way back holds for foreign writers.
         own = decoded.serialize()
         assert own[:2] == b"\x00\x01"
         assert own[4:].rstrip(b"\0") == cdr[4:].rstrip(b"\0")
@@ -101,7 +101,7 @@ def test_bytes_of_known_messages() -> None:
     made = converter("std_msgs/String", string._md5sum)
     assert made.to_cdr(serialised(string("hello"))) == b"\x00\x01\x00\x00\x06\x00\x00\x00hello\x00"
     empty = converter("std_msgs/Empty", installed_class("std_msgs/Empty")._md5sum)
-    assert empty.to_cdr(b"") == b"\x00\x01\x00\x00\x00"  # ROS 2 gives an empty structure one byte
+    assert empty.to_cdr(b"") == b"\x00\x01\x00\x00\x00"  # ROS 2 encodes an empty structure as one byte
     arrows = converter("geometry_msgs/Vector3", installed_class("geometry_msgs/Vector3")._md5sum)
     vector = installed_class("geometry_msgs/Vector3")(1.0, 0.0, 0.0)
     assert arrows.to_cdr(serialised(vector)) == b"\x00\x01\x00\x00" + np.array([1.0, 0.0, 0.0]).tobytes()

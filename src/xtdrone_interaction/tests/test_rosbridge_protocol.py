@@ -114,7 +114,7 @@ def test_a_png_holds_the_text_in_its_pixels() -> None:
 
 
 def _python(value: Any) -> Any:
-    """Return what CBOR has decoded with typed arrays as lists."""
+    """Return decoded CBOR, with typed arrays as lists."""
     layouts = {69: "<u2", 70: "<u4", 71: "<u8", 72: "i1", 77: "<i2", 78: "<i4", 79: "<i8", 85: "<f4", 86: "<f8"}
     if isinstance(value, cbor2.CBORTag):
         return np.frombuffer(value.value, layouts[value.tag]).tolist()

@@ -1,4 +1,4 @@
-"""A recorded flight as rviz is fed with it: whole, and as far as it goes when it is cut off."""
+"""A recorded flight as published to rviz: complete, and up to the end of a truncated bag."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ def test_slots_stand_about_the_leader(markers):
 
 def test_an_edge_points_from_sender_to_receiver(markers):
     adjacency = np.zeros((3, 3), int)
-    adjacency[2, 1] = 1  # 2 listens to 1
+    adjacency[2, 1] = 1  # vehicle 2 listens to 1
     markers.on_topology(adjacency)
     assert points(shown(markers)["topology", 0]) == [PLACES[1], PLACES[2]]
 
@@ -158,14 +158,14 @@ def test_a_list_without_points_is_never_shown_and_no_marker_twice(markers):
         for number, marker in enumerate(state.array(0.0).markers):
             assert marker.header.frame_id == "map"
             if marker.action == Marker.DELETEALL:
-                assert number == 0  # rviz wants it first
+                assert number == 0  # rviz needs it first
                 continue
             assert (marker.ns, marker.id) not in seen
             seen.add((marker.ns, marker.id))
             if marker.action == Marker.ADD and marker.type in (Marker.LINE_LIST, Marker.LINE_STRIP, Marker.SPHERE_LIST):
                 assert marker.points
                 assert len(marker.colors) in (0, len(marker.points))
-            assert not marker.text or marker.type == Marker.TEXT_VIEW_FACING  # rviz warns of others
+            assert not marker.text or marker.type == Marker.TEXT_VIEW_FACING  # rviz logs a warning for any other type
 
 
 @pytest.mark.parametrize("trail", [-1.0, math.nan, math.inf])
@@ -228,7 +228,7 @@ def test_the_view_of_a_search_has_the_whole_flight_in_it(east, north):
 
 
 def assert_seen(text, places):
-    """All places, (k, 3), m from the frame that a view looks at, are in its picture."""
+    """Check that all points, (k, 3), m in the frame of a view, are in its picture."""
     view = yaml.safe_load(text)["Visualization Manager"]["Views"]["Current"]
     pitch, yaw = view["Pitch"], view["Yaw"]
     away = np.array([math.cos(yaw) * math.cos(pitch), math.sin(yaw) * math.cos(pitch), math.sin(pitch)])

@@ -1,4 +1,4 @@
-"""Report and map of a search, from a record of known numbers."""
+"""Report and map of a search, from a record with known figures."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ FINISHED: dict[str, Any] = {
 
 
 def confirmed(x: float, y: float, time: float = 30.0, vehicle: str = "typhoon_h480_0") -> dict[str, Any]:
-    """A find at (x, y) m."""
+    """Return a find at (x, y) m."""
     return {"event": "confirmed", "time": time + 0.5, "vehicle": vehicle, "position": [x, y], "found_time": time}
 
 
 def record(*events: dict[str, Any], sights: list[Sight] | None = None, **changes: Any) -> SearchRecord:
-    """Two vehicles; the first flies 100 m east at 1 m/s. A person walks north from (10, -30) at 1 m/s."""
+    """Return a record: the first vehicle flies 100 m east at 1 m/s; a person walks north from (10, -30) at 1 m/s."""
     time = np.linspace(0.0, 100.0, 1001)
     position = np.zeros((1001, 2, 3))
     position[:, 0, 0] = time
@@ -114,7 +114,7 @@ def test_an_aborted_search_is_reported_with_the_known_results() -> None:
     report = make_report(record(confirmed(10.3, 0.4), follow, **changes), {"on_find": "continue"})
     assert report["shortcomings"] == ["the search was cut short"]
     assert report["find"]["error"] == pytest.approx(0.5)
-    assert report["following"][0]["duration"] == pytest.approx(10.0)  # until the record's end
+    assert report["following"][0]["duration"] == pytest.approx(10.0)  # to the end of the record
     with (console := Console(width=100)).capture() as printed:
         print_search(report, console)
     assert "Cut short." in printed.get()
@@ -148,4 +148,4 @@ def test_views_have_a_tile_a_vehicle_with_its_newest_picture() -> None:
     width, height = views.size[0] // 3, (views.size[1] - 22) // 2
     middle_of_tile = picture[height + 22 + 135, width + width // 2, :3]
     assert tuple(middle_of_tile) == (250, 250, 250)
-    assert tuple(picture[22 + 135, width // 2, :3]) == (32, 32, 32)  # nothing seen yet
+    assert tuple(picture[22 + 135, width // 2, :3]) == (32, 32, 32)  # no cell seen yet

@@ -1,4 +1,4 @@
-"""``xtdrone sim`` without a simulation: values that are not allowed, and masters that are none."""
+"""``xtdrone sim`` without a simulation: values that are not allowed, and addresses without a ROS master."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class _WebPage(BaseHTTPRequestHandler):
 
 @pytest.fixture
 def web_server():
-    """Give the address of a server that is no ROS master."""
+    """Yield the address of a server that is not a ROS master."""
     server = HTTPServer(("127.0.0.1", 0), _WebPage)
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
     thread.start()
@@ -68,7 +68,7 @@ def test_a_flight_elsewhere_is_found_until_it_ends(tmp_path):
     master.write_text("http://127.0.0.1:1\n")
     pointer = sim_cli.announce(flight, runs)
     assert list(sim_cli.flights([runs])) == [master]
-    master.unlink()  # killed: the pointer has stayed
+    master.unlink()  # killed: the pointer to it remains
     assert list(sim_cli.flights([runs])) == []
     stale = pointer.rename(pointer.with_name("1"))
     sim_cli.announce(flight, runs)

@@ -1,4 +1,4 @@
-"""The command ``demo simplified``: what is refused and how, and a whole flight in one process."""
+"""The command ``demo simplified``: rejections, and a whole flight in one process."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ALONE = [*DEMO, "--without-ros"]
 
 @pytest.fixture(autouse=True)
 def no_display(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """No window; results go into the test's folder."""
+    """Disable the window, and direct results into the test's folder."""
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.chdir(tmp_path)
@@ -93,7 +93,7 @@ def test_options_unavailable_on_ros_are_reported(
 
 
 def test_ros_gets_the_window_and_the_classes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The launch file gets them, with absolute paths."""
+    """The launch file receives them, with absolute paths."""
     monkeypatch.setattr(command_options, "_taken", lambda number, kind: False)
     monkeypatch.setattr(supervised_launch.shutil, "which", lambda program: program)
     flown: list[DemoSettings] = []
@@ -130,7 +130,7 @@ def test_a_recorded_flight_is_compared_with(
     comparison = json.loads((tmp_path / "out" / "report.json").read_text())["comparison"]
     assert comparison["with"] == str(flight_bag)
     assert [p["pattern"] for p in comparison["patterns"]] == ["origin", "cube", "pyramid", "triangle"]
-    assert 0.05 < comparison["rms"] < 2.0  # the made-up flight's followers are faster
+    assert 0.05 < comparison["rms"] < 2.0  # the followers of the synthetic flight are faster
     assert (tmp_path / "out" / "comparison_1_origin_to_cube.png").is_file()
     assert "RMS difference over all" in capfd.readouterr().out
 
@@ -164,7 +164,7 @@ def test_the_report_of_a_flight_without_ros_is_made_again(tmp_path: Path, capfd:
 
 
 def test_with_a_display_the_flight_is_in_a_window_which_closes_at_its_end(tmp_path: Path) -> None:
-    """In a process of its own: Tk ends the process when a display goes that it has ever had a window on."""
+    """The flight runs in its own process: Tk ends a process when a display closes on which it had a window."""
     arguments = ["--n", "4", "--patterns", "cube", "--no-compare", "--speed", "20", "--out", "out"]
     with virtual_display() as display:
         flight = subprocess.Popen(
@@ -215,7 +215,7 @@ class Mine(Leader):
 
 
 def test_a_flight_with_ones_own_follower(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """Report, pictures, comparison and film of the last state; the class is the user's in both simulators."""
+    """Report, pictures, comparison and film exist; the class is the user's in both simulators."""
     (tmp_path / "brisk.py").write_text(FOLLOWER)
     out = tmp_path / "out"
     arguments = ["--n", "6", "--patterns", "T", "--follower", "brisk.py", "--film", "last.png", "--out", str(out)]
@@ -280,7 +280,7 @@ def test_pacing_makes_up_for_a_picture_but_not_for_a_pause(monkeypatch: pytest.M
     monkeypatch.setattr(simplified_demo.time, "monotonic", lambda: wall)
     pacing = simplified_demo._Pacing(10.0)
     assert pacing.ahead(0.0) == 0.0
-    wall += 0.1  # a picture was drawn: a second of the flight is due
+    wall += 0.1  # a picture was drawn: a second of flight is due
     assert pacing.ahead(0.5) == pytest.approx(-0.05)
     assert pacing.ahead(1.2) == pytest.approx(0.02)
     wall += 60.0  # a pause

@@ -24,7 +24,7 @@ class Logs:
         self.startup = Startup(folder)
 
     def add(self, text: str, name: str = "run/simulator-2-stdout.log") -> bool:
-        """Add to a log and return whether that moves."""
+        """Append to a log; return whether the progress changes."""
         path = self._folder / name
         path.parent.mkdir(exist_ok=True)
         with path.open("a") as file:
@@ -114,7 +114,7 @@ def test_a_stopped_node_behind_its_launcher_is_reported(tmp_path: Path) -> None:
         ) as launcher,
     ):
         assert launcher.stdout is not None
-        launcher.stdout.readline()  # the command line of a program that is being started is empty for a moment
+        launcher.stdout.readline()  # the command line of a starting program is empty for a moment
         node.send_signal(signal.SIGSTOP)
         os.waitid(os.P_PID, node.pid, os.WSTOPPED)
         words = not_joined(_NODES.format(pid=launcher.pid).splitlines(), [], {}, tmp_path)

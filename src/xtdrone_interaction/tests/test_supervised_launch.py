@@ -1,4 +1,4 @@
-"""End of the supervision of a flight, without processes."""
+"""End of a flight's supervision, without processes."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ def test_the_same_flight_twice_is_the_same_to_the_bit(record: FormationRecord) -
 
 
 def test_full_physics_flies_the_same_mission_close_by(record: FormationRecord) -> None:
-    """The same classes on the same assignments; sensors' noise and GPS wander are part of the difference."""
+    """Classes and assignments are the same; sensor noise and GPS wander are part of the difference."""
     vehicles = CoreVehicles(COUNT)
     full = fly(vehicles=vehicles, leader=with_assignments_of(record, type(Swarm(COUNT).leader)))
     vehicles.close()
@@ -90,7 +90,7 @@ def test_followers_that_do_not_fly_are_missed_in_the_report() -> None:
 
 
 class Stubborn(CoreVehicles):
-    """Its vehicle 3 does not arm."""
+    """Vehicle 3 does not arm."""
 
     def command(self, index: int, text: str) -> str:
         return "no" if index == 3 and text == "ARM" else super().command(index, text)
@@ -117,7 +117,7 @@ def test_unknown_patterns_are_rejected() -> None:
 
 
 def test_turn_by_turn(record: FormationRecord) -> None:
-    """A window flies the same flight in pieces."""
+    """A window flies the same flight turn by turn."""
     flight = FormationFlight(Swarm(COUNT, airborne=False, record=False), PATTERNS)
     turns = flight.turns()
     for _ in range(100):

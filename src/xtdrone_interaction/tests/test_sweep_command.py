@@ -1,4 +1,4 @@
-"""``xtdrone sweep`` as a user runs it: to its end, killed and resumed, stopped, changed, with own classes that fail."""
+"""``xtdrone sweep`` as a user runs it: to its end, killed and resumed, stopped, changed, with failing user classes."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def rows(folder: Path) -> list[dict[str, Any]]:
 
 
 def serial(file: Path) -> list[dict[str, Any]]:
-    """Return what the study's runs give one after the other in this process."""
+    """Return the results of the study's runs, one after the other in this process."""
     study = read_study(file)
     common = {
         "engine": study.engine,
@@ -73,7 +73,7 @@ def serial(file: Path) -> list[dict[str, Any]]:
 
 
 def start(file: Path, out: Path) -> subprocess.Popen[str]:
-    """Start the command as a terminal does: in a process group of its own."""
+    """Start the command as a terminal does: in its own process group."""
     command = [sys.executable, "-m", "xtdrone_interaction", "sweep", str(file), "--out", str(out), "--workers", "2"]
     return subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
@@ -93,7 +93,7 @@ def group_is_gone(group: int) -> bool:
 
 
 def processes_of(group: int) -> int:
-    """Return how many processes of a group run."""
+    """Return the number of running processes of a group."""
     found = 0
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
@@ -105,14 +105,14 @@ def processes_of(group: int) -> int:
 
 
 def committed(out: Path) -> int:
-    """Return how many runs are in the file of a sweep that has locked it, or has been killed."""
+    """Return the number of runs in the file of a sweep that holds its lock, or was killed."""
     try:
         database = sqlite3.connect(f"file:{out / 'runs.sqlite'}?mode=ro&immutable=1", uri=True)
-    except sqlite3.Error:  # not there yet
+    except sqlite3.Error:  # the table does not exist yet
         return 0
     try:
         return int(database.execute("SELECT count(*) FROM runs").fetchone()[0])
-    except sqlite3.Error:  # read while it is being written
+    except sqlite3.Error:  # read during a write
         return 0
     finally:
         database.close()
@@ -125,7 +125,7 @@ def test_main_process_killed_and_the_same_command_again(tmp_path: Path) -> None:
     process.kill()
     process.communicate()
     wait_for(lambda: group_is_gone(process.pid))  # its workers end too
-    with contextlib.closing(sqlite3.connect(out / "runs.sqlite")) as database:  # rolls a half-written run back
+    with contextlib.closing(sqlite3.connect(out / "runs.sqlite")) as database:  # rolls back a half-written run
         kept = int(database.execute("SELECT count(*) FROM runs").fetchone()[0])
     assert 0 < kept < 80
     assert not (out / "results.parquet").exists()
@@ -146,16 +146,16 @@ def test_interrupt_stops_soon_and_leaves_nothing_running(tmp_path: Path) -> None
     file, out = write_study(tmp_path, seeds=500, pause=0.1), tmp_path / "out"
     process = start(file, out)
     wait_for(lambda: committed(out))
-    os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C: all of the group get it
+    os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C does: the whole group receives it
     text = process.communicate(timeout=PATIENCE)[0]
     assert process.returncode == 128 + signal.SIGINT
-    wait_for(lambda: group_is_gone(process.pid))  # those that have closed their output are about to end
+    wait_for(lambda: group_is_gone(process.pid))  # processes that have closed their output are about to end
     assert "stopped by SIGINT" in text
     assert "Repeat the command to fly the rest" in text
     assert "Traceback" not in text
     assert 0 < len(rows(out)) < 1000
     assert not (out / "picture.png").exists()
-    assert main([str(file), "--out", str(out), "--draw"]) == 1  # flies nothing
+    assert main([str(file), "--out", str(out), "--draw"]) == 1  # no run is flown
     assert (out / "picture.png").is_file()
     assert len(rows(out)) < 1000
 
@@ -163,7 +163,7 @@ def test_interrupt_stops_soon_and_leaves_nothing_running(tmp_path: Path) -> None
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_signals_to_all_while_workers_start_end_the_sweep_in_order(tmp_path: Path, number: signal.Signals) -> None:
     process = start(write_study(tmp_path, seeds=500, pause=0.1), tmp_path / "out")
-    wait_for(lambda: processes_of(process.pid) >= 3)  # a worker's among them, or the one that starts it
+    wait_for(lambda: processes_of(process.pid) >= 3)  # includes a worker, or the process that starts it
     os.killpg(process.pid, number)
     text = process.communicate(timeout=PATIENCE)[0]
     assert process.returncode == 128 + number

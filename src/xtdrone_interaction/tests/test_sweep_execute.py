@@ -1,4 +1,4 @@
-"""Flying on Dask: two worker processes on loopback, killed ones, a scheduler that goes or was never there."""
+"""Flights on Dask: two worker processes on loopback, killed workers, a scheduler that ends or never existed."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ PATIENCE = 120.0  # s; bounds a broken test
 
 @pytest.fixture(scope="module")
 def client() -> Iterator[Client]:
-    """Two worker processes."""
+    """A client of two worker processes."""
     with local_client(2) as client:
         yield client
 
@@ -46,7 +46,7 @@ def tasks(count: int) -> list[dict[str, Any]]:
 
 
 def without_wall(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Rows by key; fails if one is given twice."""
+    """Return rows by key, without wall time; fail if a key occurs twice."""
     found = {row["key"]: {k: v for k, v in row.items() if k != "wall_time"} for row in rows}
     assert len(found) == len(rows)
     return found
@@ -97,7 +97,7 @@ def test_a_cluster_without_workers_ends_the_sweep(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(dask_execution, "_WORKERS_LIMIT", 2.5)
     with local_client(1) as lonely:
         lonely.cluster.scale(0)
-        while lonely.nthreads():  # until the scheduler has noticed; it announces that to no client
+        while lonely.nthreads():  # until the scheduler has noticed, which it announces to no client
             time.sleep(0.01)
         executor = Executor(lonely, sweep_standin.work, {})
         with pytest.raises(SweepError, match=r"workers: the cluster has had none for 2.5 s"):
@@ -105,7 +105,7 @@ def test_a_cluster_without_workers_ends_the_sweep(monkeypatch: pytest.MonkeyPatc
 
 
 def test_rows_of_a_worker_that_dies_after_it_has_handed_them_over_count(client: Client) -> None:
-    """Dask then has the batch flown again, and says that it is pending."""
+    """Dask then flies the batch again, and reports it as pending."""
     executor = Executor(client, sweep_standin.work, {})
     batch = list(tasks(1))
     future = executor._submit(batch, as_completed(loop=client.loop))
@@ -178,7 +178,7 @@ def test_missing_scheduler(address: str) -> None:
 
 @contextmanager
 def scheduler_of_its_own(port: int) -> Iterator[subprocess.Popen[bytes]]:
-    """A scheduler as a user starts one, and a worker."""
+    """Start a scheduler like a user's, and a worker."""
     address = f"tcp://127.0.0.1:{port}"
     begin = [
         sys.executable,

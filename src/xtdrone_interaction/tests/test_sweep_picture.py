@@ -1,4 +1,4 @@
-"""Pictures of sweeps: what is chosen, the means that are drawn, and what is refused."""
+"""Pictures of sweeps: selection, plotted means, and rejections."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _close() -> Iterator[None]:
 
 
 def results(**parameters: list[Any]) -> Results:
-    """A grid of runs with three seeds: the figure is the sum of the numbers, plus the seed."""
+    """Return a grid of runs with three seeds: the figure is the sum of the numbers, plus the seed."""
     names = list(parameters)
     grid = np.meshgrid(*[np.arange(len(v)) for v in parameters.values()], [0, 1, 2], indexing="ij")
     columns: dict[str, list[Any]] = {

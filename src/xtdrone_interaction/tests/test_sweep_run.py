@@ -1,4 +1,4 @@
-"""One run of a sweep as a function: whatever the user's own Python does, it is a row."""
+"""One run of a sweep as a function: it returns a row, whatever the user's code does."""
 
 from __future__ import annotations
 

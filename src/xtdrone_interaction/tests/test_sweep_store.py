@@ -1,4 +1,4 @@
-"""The store of a sweep's rows: commits, locks, every run once, column types, folders that are refused."""
+"""The store of a sweep's rows: commits, locks, every run once, column types, rejected folders."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def test_a_new_folder_without_runs_is_removed_and_others_remain(tmp_path: Path) 
         store.add([row(0)])
     with opened(tmp_path / "mine") as store:
         store.drop({"k0"})
-    assert (tmp_path / "mine" / "runs.sqlite").is_file()  # it was there before
+    assert (tmp_path / "mine" / "runs.sqlite").is_file()  # it existed before
 
 
 def test_dropped_runs_are_removed_and_others_remain(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Studies: what may stand in them, the runs they make, and what is refused."""
+"""Studies: their allowed contents, the resulting runs, and rejections."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def test_messages_survive_json_bit_by_bit(
     state.header.stamp.secs, state.header.stamp.nsecs = secs, nsecs
     written = json.dumps(to_json(state), allow_nan=False)
     again = from_json(JointState, json.loads(written))
-    # All NaN are one in JSON, so the texts are compared, and the bytes where there is no NaN.
+    # JSON does not distinguish NaNs, so the texts are compared, and the bytes where there is no NaN.
     assert json.dumps(to_json(again)) == written
     if not any(math.isnan(value) for value in (number, *numbers)):
         assert packed(again) == packed(state)

@@ -1,4 +1,4 @@
-"""Operators' actions without ROS master: what is read of a bag, how they are carried out, and ports of instances."""
+"""Operators' actions without a ROS master: reading from a bag, execution, and ports of instances."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def mark(method: str, number: int, station: int = 1) -> str:
     return json.dumps({"station": station, "method": method, "params": {"number": number}})
 
 
-# ---- what a bag has
+# ---- contents of a bag
 
 
 def test_actions_are_read_in_order_once_and_of_each_start_of_the_station() -> None:
@@ -69,11 +69,11 @@ def test_what_cannot_be_repeated_is_refused(texts: list[str], reason: str) -> No
         parse_actions(texts)
 
 
-# ---- how they are carried out
+# ---- execution
 
 
 class Station:
-    """Operators' actions on a simulator that is made up."""
+    """Operators' actions on a fake simulator."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, instant: Instant) -> None:
         self.log: list[Any] = []
@@ -166,7 +166,7 @@ def test_time_goes_on_after_a_failed_and_during_a_long_action(monkeypatch: pytes
         while station.log[-1] != "let go":
             await asyncio.sleep(0.01)
         assert (station.log[-2]["method"], station.log[-2]["params"]) == (LET_GO, {"number": 2})
-        assert await station.do(Method("short", lambda *_: 1, "operate")) == 1  # it does not wait for the long one
+        assert await station.do(Method("short", lambda *_: 1, "operate")) == 1  # it does not wait for the long method
         ready.set()
         assert await long is True
         station.context.close()

@@ -1,4 +1,4 @@
-"""What the station makes of the simulator's messages, and of what pages ask for."""
+"""The station's handling of the simulator's messages and of pages' requests."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def test_the_roster_knows_vehicles_movers_and_what_stands() -> None:
     assert len(movers) == 0
 
 
-# ---- what a page makes the flight do
+# ---- a page's requests to the flight
 
 
 class Topics:
@@ -138,7 +138,7 @@ class Topics:
 
 
 class Page:
-    """A page that keeps what it is told."""
+    """A page that keeps the messages sent to it."""
 
     number = 1
 
@@ -178,13 +178,13 @@ def test_vehicles_of_the_mavros_layer_are_asked_together_and_others_are_heard(mo
         status = VehicleStatus(context, SimpleNamespace(names=["iris_0", "real_0"]))  # type: ignore[arg-type]
         status._on_simulation(SimulationStatus(participants=["/mavros", "/iris_0_communication"]))
         await status._send()
-        assert topics.open == ["/simulator/status"]  # without pages nothing is asked
+        assert topics.open == ["/simulator/status"]  # without pages no request is sent
         assert asked_nodes == []
         of(context, page)
         await status._send()
         own = [f"/real_0/mavros/{name}" for name in ("battery", "estimator_status", "state")]
         assert topics.open == ["/simulator/status", *own]
-        assert asked_nodes == [("/iris_0_communication", "/mavros")]  # participants are known to live
+        assert asked_nodes == [("/iris_0_communication", "/mavros")]  # participants are known to be alive
         vehicle = page.told[0]["data"]["vehicles"]["iris_0"]
         assert (vehicle["mode"], vehicle["battery"]) == ("OFFBOARD", 0.5)
         assert vehicle["estimator"] == ["velocity", "position"]
@@ -192,8 +192,8 @@ def test_vehicles_of_the_mavros_layer_are_asked_together_and_others_are_heard(mo
         status._due = 0.0
         await status._send()
         assert page.told[1]["data"]["trouble"] == "MAVROS does not answer"
-        assert page.told[1]["data"]["vehicles"]["iris_0"]["battery"] == 0.5  # the last answer
-        assert len(asked_nodes) == 1  # the graph is read more rarely
+        assert page.told[1]["data"]["vehicles"]["iris_0"]["battery"] == 0.5  # the last reply
+        assert len(asked_nodes) == 1  # the graph is read less often
         context.sessions.clear()
         await status._send()
         assert topics.open == ["/simulator/status"]
@@ -294,7 +294,7 @@ def test_a_mission_s_way() -> None:
     latitude, longitude = datum.place(30.0, -20.0)
     waypoints = [
         Waypoint(command=22, x_lat=latitude, y_long=longitude, z_alt=10.0),
-        Waypoint(command=178, param2=5.0),  # a speed has no place
+        Waypoint(command=178, param2=5.0),  # a speed has no position
         Waypoint(command=16, x_lat=0.0, y_long=0.0),
         Waypoint(command=20),
     ]

@@ -1,4 +1,4 @@
-"""The station's images, parameters and node graph, without ROS master and browser."""
+"""The station's images, parameters and node graph, without a ROS master and a browser."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The station's rooms of inspection, without ROS master and browser."""
+"""The station's rooms of inspection, without a ROS master and a browser."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Deaf(RawSubscriptions):
 
 
 class Page:
-    """A socket that keeps what is sent."""
+    """A socket that keeps the messages sent to it."""
 
     def __init__(self) -> None:
         self.sent: list[Any] = []
@@ -59,7 +59,7 @@ class Page:
 
 
 class Known(TopicRoom):
-    """A room whose ROS graph is given."""
+    """A room with a given ROS graph."""
 
     async def graph(self) -> TopicGraph:
         return GRAPH
@@ -205,7 +205,7 @@ def test_a_page_has_a_bounded_number_of_subscriptions_which_end_with_it() -> Non
 def test_any_parameters_are_answered_or_refused(params: dict[str, Any]) -> None:
     async def test(station: Station) -> None:
         for method in ("topics.echo", "topics.fields", "plots.open", "topics.close", "plots.close", "topics.measure"):
-            with contextlib.suppress(ValueError):  # all else fails the test
+            with contextlib.suppress(ValueError):  # any other exception fails the test
                 json.dumps(await station.call(method, **params))
 
     tried(test)

@@ -1,4 +1,4 @@
-"""Layers of the 3D view: what is read from messages and refused, what is sent, and frames in the map frame."""
+"""Layers of the 3D view: parsing and rejection of messages, sent frames, and poses in the map frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The station's recordings, keyboard and gamepad, without ROS master and browser."""
+"""The station's recordings, keyboard and gamepad, without a ROS master and a browser."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def test_results_are_those_of_analyse_else_of_the_demo_s_folder(tmp_path: Path) 
 
 
 class Flown:
-    """What a pilot has sent."""
+    """The messages sent by a pilot."""
 
     def __init__(self, *, leader: bool = False) -> None:
         self.sent: list[tuple[str, Message]] = []
@@ -183,7 +183,7 @@ def test_sticks_beyond_the_limits_are_refused(speeds: object) -> None:
 
 
 class _Context:
-    """A station whose room sends nothing by itself."""
+    """A station whose room sends nothing on its own."""
 
     master = ""
 
@@ -194,7 +194,7 @@ class _Context:
 
 
 class _Page:
-    """A page's session that keeps what it is told."""
+    """A page's session that keeps the messages sent to it."""
 
     def __init__(self) -> None:
         self.told: list[tuple[str, Any]] = []

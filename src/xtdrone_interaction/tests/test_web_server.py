@@ -1,4 +1,4 @@
-"""The station's server: what a stranger, a careless page and a slow browser can do."""
+"""The station's server against strangers, careless pages and slow browsers."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def test_files_are_sent_packed_once_and_then_only_if_they_have_changed() -> None
 
 
 def test_all_modules_of_the_page_are_asked_for_at_once() -> None:
-    """Otherwise a browser learns of a module only when it has read the one that imports it."""
+    """Otherwise a browser finds a module only when it has read the one that imports it."""
     modules = {str(path.relative_to(PAGE)) for path in PAGE.rglob("*.js")} - {"app.js", "vendor/three_names.js"}
     text = (PAGE / "index.html").read_text(encoding="utf-8")
     assert set(re.findall(r'<link rel="modulepreload" href="([^"]+)">', text)) == modules
@@ -257,7 +257,7 @@ def test_a_slow_browser_costs_no_memory_and_no_other_page(folder: Path, monkeypa
         ("http://127.0.0.1:8642", "127.0.0.1:8642", "127.0.0.1", True),
         ("http://localhost:8642", "localhost:8642", "127.0.0.1", True),
         (None, "[::1]:8642", "127.0.0.1", True),
-        ("http://127.0.0.1:9000", "127.0.0.1:8642", "127.0.0.1", False),  # another server of this machine
+        ("http://127.0.0.1:9000", "127.0.0.1:8642", "127.0.0.1", False),  # another server on this machine
         ("http://rebound.example:8642", "rebound.example:8642", "127.0.0.1", False),
         ("http://10.0.0.2:8642", "10.0.0.2:8642", "0.0.0.0", True),
         ("http://evil.example", "10.0.0.2:8642", "0.0.0.0", False),

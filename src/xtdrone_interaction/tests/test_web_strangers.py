@@ -1,4 +1,4 @@
-"""What a stranger, and a page that may only watch, can do with each route and method that the station really has."""
+"""Access of strangers, and of pages that may only watch, to each route and method of the real station."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ OPERATING = {
 
 
 class Guarded:
-    """A server with the real rooms, whose methods note that they were called and do nothing."""
+    """A server with the real rooms, whose methods record their calls and do nothing."""
 
     def __init__(self, context: StationContext) -> None:
         self.called: list[str] = []
@@ -88,7 +88,7 @@ def test_each_method_is_refused_to_a_stranger_and_each_command_to_a_watcher() ->
             assert station.names("view") == WATCHING
             assert station.names("operate") == OPERATING
             for name in sorted(WATCHING | OPERATING):
-                for token in ({}, {"token": TOKENS.operate}):  # only hello takes a token
+                for token in ({}, {"token": TOKENS.operate}):  # only hello accepts a token
                     stranger = await station.connect()
                     await stranger.write_message(json.dumps({"id": 1, "method": name, "params": token}))
                     assert await asyncio.wait_for(stranger.read_message(), 10.0) is None, name

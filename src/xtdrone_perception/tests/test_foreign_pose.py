@@ -1,4 +1,4 @@
-"""Poses of programs of others: frames, optical axes, heights, and chains of transforms."""
+"""Poses from external programs: frames, optical axes, heights, and chains of transforms."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def quaternion(rotation: Rotation) -> np.ndarray:
 
 
 def test_a_camera_that_looks_east_is_a_level_vehicle_that_heads_east() -> None:
-    # the optical frame of a camera that looks along x of the world: z is x, x is -y, y is -z
+    # the optical frame of a camera that looks along the world's x axis: z is x, x is -y, y is -z
     camera = Rotation.from_matrix([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     found = ForeignFrame(PlaceSettings(), optical=True).vehicle(np.array([1.0, 2.0, 3.0]), quaternion(camera))
     assert found is not None
@@ -46,7 +46,7 @@ def test_the_turn_of_the_optical_frame_is_that_of_upstreams_program() -> None:
 
 def test_start_heading_and_the_sensors_place_are_regarded() -> None:
     place = PlaceSettings(start=(10.0, 5.0, 1.0), heading=math.pi / 2, sensor_position=(0.2, 0.0, 0.1))
-    # the vehicle is 3 m ahead of its start, turned left by a quarter: the sensor is 0.2 m to the left of it
+    # the vehicle is 3 m ahead of its start and turned left by a quarter: the sensor is 0.2 m to its left
     found = ForeignFrame(place, optical=False).vehicle(
         np.array([3.0, 0.2, 0.1]), quaternion(turned_about_z(math.pi / 2))
     )

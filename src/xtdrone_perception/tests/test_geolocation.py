@@ -1,4 +1,4 @@
-"""Positions on the ground against geometry by hand, and their covariance against random errors."""
+"""Positions on the ground against hand-computed geometry, and their covariance against random errors."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_a_person_of_average_size_is_located_exactly(pitch):
 
 def test_lower_edge_of_the_box_is_not_the_foot_from_steep_above():
     camera = view(pitch=-80.0)
-    foot = np.array([-8.0, 0.0, 0.0])  # behind the vehicle: the head is lower in the picture than the foot
+    foot = np.array([-8.0, 0.0, 0.0])  # behind the vehicle: in the picture the head is lower than the foot
     box = cylinder_box(camera, foot, 1.7, 0.3)
     naive = Geolocator().point(camera, (0.5 * (box[0] + box[2]), box[3]))
     assert math.dist(naive[:2], foot[:2]) > 0.7

@@ -1,4 +1,4 @@
-"""The gimbal node with a real master in lockstep; run as a program, this file is a moving vehicle and recorder."""
+"""The gimbal node with a real master in lockstep; run as a program, this file is a moving vehicle and a recorder."""
 
 from __future__ import annotations
 

@@ -107,7 +107,7 @@ def test_follows_the_named_track_until_the_loss_and_until_the_stop(stack):
     ]
     velocities = [line for line in lines if line[1] == "vel"]
     first = velocities[0]
-    assert 2.0 < first[0] < 2.7  # the first picture after it was named
+    assert 2.0 < first[0] < 2.7  # the first picture after the track was named
     away = math.hypot(*PERSON)
     pull = 0.5 * (away - 10.0)
     assert first[2] == pytest.approx(pull * PERSON[0] / away + 0.5, abs=0.1)

@@ -20,7 +20,7 @@ RAYS = np.stack([np.cos(ANGLES), np.sin(ANGLES), 0.0 * ANGLES], axis=1)
 
 
 def true_pose(k: int) -> np.ndarray:
-    """Return a pose on a round through the room, tilted as in flight."""
+    """Return a pose on a loop through the room, tilted as in flight."""
     t = 0.1 * k
     place = (3.0 * np.sin(0.4 * t), 2.0 - 2.0 * np.cos(0.4 * t), 1.5 + 0.2 * np.sin(t))
     return pose_of(place, Rotation.from_euler("zyx", [0.5 * np.sin(0.5 * t), 0.06 * np.sin(t), 0.05 * np.cos(t)]))

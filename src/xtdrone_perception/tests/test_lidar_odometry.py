@@ -22,13 +22,13 @@ GOOD = ScanFigures(1000, 0.9, 0.5, 0.1, 0.01, 0.01, 0, 100)
 
 
 def true_pose(time: float) -> np.ndarray:
-    """Return a pose on a round through the room, with turns."""
+    """Return a pose on a loop through the room, with turns."""
     place = (4.0 * np.sin(0.5 * time), 3.0 - 3.0 * np.cos(0.5 * time), 2.0 + 0.3 * np.sin(time))
     return pose_of(place, Rotation.from_rotvec([0.0, 0.0, 0.6 * np.sin(0.7 * time)]))
 
 
 def fly(seconds: float, room: object = ROOM, start: float = 0.0) -> tuple[LidarOdometry, list, np.ndarray]:
-    """Return odometry, registrations, and the last true pose of a flight whose motion is known as by an autopilot."""
+    """Return odometry, registrations, and the last true pose of a flight with an autopilot's estimate of the motion."""
     odometry, found = LidarOdometry(OPTIONS, np.eye(4), true_pose(start + PERIOD)), []
     for k in range(round(seconds / PERIOD)):
         begin, end = true_pose(start + k * PERIOD), true_pose(start + (k + 1) * PERIOD)
@@ -52,7 +52,7 @@ def test_poses_and_vectors_are_inverse() -> None:
 
 
 def test_without_skew_points_lie_on_the_walls() -> None:
-    """The closed form: at the true motion every point lies on the room's walls, with skew some are far off."""
+    """In closed form: at the true motion every point lies on the room's walls; with skew some are far off."""
     begin = true_pose(1.0)
     step = pose_of((0.6, -0.2, 0.1), Rotation.from_rotvec([0.0, 0.0, 0.12]))
     end = begin @ step

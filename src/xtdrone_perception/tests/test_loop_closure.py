@@ -16,7 +16,7 @@ FINE = np.diag([1e4] * 3 + [1e5] * 3)
 
 
 def ring(count: int = 20, radius: float = 10.0) -> list[np.ndarray]:
-    """Return poses on a circle, ahead along it; the last one is at the first."""
+    """Return poses on a circle, facing along it; the last equals the first."""
     angles = np.linspace(0.0, 2.0 * np.pi, count + 1)
     return [
         pose_of(
@@ -54,7 +54,7 @@ def test_edges_of_unknown_poses_are_named() -> None:
 
 
 def test_a_lap_with_drift_is_corrected_to_less_than_half() -> None:
-    """Odometry drifts by 2 % of the way, in place and heading; the scans of the start are known again after a lap."""
+    """Odometry drifts by 2 % of the path in position and heading; the scans of the start are recognised after a lap."""
     true = [pose_of((5.0 * np.cos(a) - 3, 4.0 * np.sin(a), 2.0), Rotation.from_rotvec([0.0, 0.0, 0.3 * np.sin(a)]))
             for a in np.linspace(0.0, 2.0 * np.pi, 25)]  # fmt: skip
     drift = pose_of((0.02, 0.012, 0.006), Rotation.from_rotvec([0.0, 0.0, 0.004]))

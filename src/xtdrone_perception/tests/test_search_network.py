@@ -38,7 +38,7 @@ def look(detector: Detector, name: str) -> LabelledPicture:
 
 
 def test_detects_people_and_little_else(detector: Detector):
-    """The first picture of each of eight scenes; over the whole test split AP50 is 0.97 (training/person_detector)."""
+    """The pictures are the first of each of eight scenes; AP50 of the test split is 0.97 (training/person_detector)."""
     matches = match([look(detector, name) for name in PEOPLE])
     assert matches.there == 58
     assert average_precision(matches) > 0.9

@@ -54,7 +54,7 @@ def test_confirmed_after_three_of_five_pictures_and_not_by_fewer():
     confirmed = []
     for k, there in enumerate(shown):
         confirmed.append(len(tracker.update(0.5 * k, [find(0.0, 0.0)] if there else [])))
-    # Begins at 0, ends at 4 (three of five is no longer possible), begins again at 5, has its third hit at 8.
+    # The track begins at 0, ends at 4 (three of five is no longer possible), begins again at 5, has its third hit at 8.
     assert confirmed == [0, 0, 0, 0, 0, 0, 0, 0, 1]
     (track,) = tracker.tracks
     assert (track.id, track.hits, track.probability) == (1, 3, 0.9)

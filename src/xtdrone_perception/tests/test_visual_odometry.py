@@ -1,4 +1,4 @@
-"""Visual odometry without ROS: its derivatives, and flights past textured walls whose pictures are exact."""
+"""Visual odometry without ROS: its derivatives, and flights past textured walls with exact pictures."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def picture(pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def true_pose(k: int) -> np.ndarray:
-    """Return a pose on a way along the wall, with turns."""
+    """Return a pose on a path along the wall, with turns."""
     t = 0.1 * k
     return pose_of(
         (0.3 * np.sin(t), 0.35 * t, 0.2 * np.sin(0.7 * t)), Rotation.from_euler("zyx", [0.1 * np.sin(t), 0.03, 0])
@@ -55,7 +55,7 @@ def true_pose(k: int) -> np.ndarray:
 
 
 def fly(is_stereo: bool, count: int = 30, drift: float = 0.0, noise: NoiseSettings = NOISE) -> tuple:
-    """Return odometry and estimates of a flight whose turns an autopilot knows, and its velocity roughly.
+    """Return odometry and estimates of a flight with an autopilot's attitude and rough velocity.
 
     Args:
         is_stereo: by a pair, not by depths.
@@ -91,7 +91,7 @@ def test_it_finds_its_way_along_a_wall(is_stereo: bool, most: float) -> None:
 
 
 def test_an_autopilot_whose_heading_still_settles_does_not_turn_the_way() -> None:
-    """As an estimator's does for the first seconds: 0.5 degrees a second."""
+    """The estimated path does not turn although the heading drifts by 0.5 degrees a second at first."""
     ends = [
         distance_between(fly(False, 16, 0.009, noise)[0].pose, true_pose(15))
         for noise in (NOISE, NoiseSettings(turn_drift=0.0, turn_noise=0.0003))
@@ -125,7 +125,7 @@ def with_slopes(measured: np.ndarray) -> np.ndarray:
 
 
 def test_a_corner_that_slid_along_a_plane_has_the_planes_depth() -> None:
-    """Ground 0.3 m below the camera, seen at a grazing angle: in a pixel it goes on by metres."""
+    """Ground 0.3 m below the camera, seen at a grazing angle: one pixel covers metres."""
     below, focal, middle = 0.3, FOCAL, CAMERA.centre[1]
     _, rows = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
     inverse_depth = (rows - middle) / (focal * below)

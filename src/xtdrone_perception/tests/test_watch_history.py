@@ -19,7 +19,7 @@ def test_entries_are_interpolated_and_extrapolated():
     history = PoseHistory(reach=0.3)
     assert history.at(0) is None
     history.add(1_000_000_000, np.array([0.0, 0.0, 10.0, *yaw(0.0)]))
-    history.add(2_000_000_000, np.array([4.0, 0.0, 12.0, *(-np.array(yaw(0.4)))]))  # same rotation as its negative
+    history.add(2_000_000_000, np.array([4.0, 0.0, 12.0, *(-np.array(yaw(0.4)))]))  # the negative is the same rotation
     history.add(1_500_000_000, np.array([9.0, 9.0, 9.0, *yaw(2.0)]))  # too late
     middle = history.at(1_500_000_000)
     assert middle[:3] == pytest.approx([2.0, 0.0, 11.0])

@@ -200,7 +200,7 @@ def test_results_are_published_on_time_and_repeat_after_a_reset(stack, network):
     assert [line["stamp"] for line in objects] == [line["stamp"] for line in boxes]
     assert [len(line["objects"]) for line in objects] == [0, 0, 1, 1, 1, 1, 1]
     assert objects[0]["camera"] == pytest.approx([2.0 * 0.45 + 0.041, 1.0, 19.878])
-    # The object moves with the picture; the track is where it is seen, within its uncertainty.
+    # The object moves with the picture; the track is at its observed position, within its uncertainty.
     for line in objects[2:]:
         identity, kind, _, *numbers = line["objects"][0]
         assert (identity, kind) == (1, "human")

@@ -1,4 +1,4 @@
-"""Networks of a few numbers whose outputs are known, written to files: darknet's, and ONNX by hand."""
+"""Tiny networks with known outputs, written to files: darknet's, and ONNX by hand."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def write_darknet(
     """Write a network: five times the greatest of 2 x 2, then a convolution 1 x 1, then boxes; return cfg and weights.
 
     Args:
-        folder: where to.
+        folder: output folder.
         width, height: of the input, px.
         anchors: boxes' sizes, px; A of them.
         classes: C.
         weights: (A * (5 + C), 3): of red, green, blue (0 to 1) of a cell.
         biases: (A * (5 + C)).
-        extra: lines more in the section of the boxes.
+        extra: additional lines in the section of the boxes.
     """
     pairs = ", ".join(f"{w},{h}" for w, h in anchors)
     mask = ",".join(map(str, range(len(anchors))))
@@ -49,7 +49,7 @@ def write_onnx(path: Path, size: tuple[int, int], outputs: Mapping[str, tuple[np
     """Write a network whose outputs are constants plus the picture's mean colour (0 to 1) times factors.
 
     Args:
-        path: where to.
+        path: output file.
         size: (width, height) of the input, px.
         outputs: by name: the constants, and the factors of red, green, blue, with an axis of 3 before theirs.
     """

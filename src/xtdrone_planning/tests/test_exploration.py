@@ -1,4 +1,4 @@
-"""Exploration without ROS: maps of floors and their merging, ways, sharing by messages, and whole flights on floors."""
+"""Exploration without ROS: maps of floors and their merging, routes, sharing by messages, whole flights on floors."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_ways_lead_through_the_gap_with_clearance() -> None:
     route = np.array(ways.route(floor.index(np.array([7.0, 1.0]))))
     assert floor.distance[route[:, 0], route[:, 1]].min() >= 0.5
     around = math.hypot(4.1, 3.3) + math.hypot(1.9, 3.3)  # two straight parts, past the wall's end at (5.1, 4.3)
-    assert around <= float(ways.costs[tuple(route[-1])]) < 1.6 * around  # nearness to walls costs
+    assert around <= float(ways.costs[tuple(route[-1])]) < 1.6 * around  # cells near walls cost more
     assert not np.isfinite(Ways(floor, floor.index(np.array([1.0, 1.0])), 2.3).costs[tuple(route[-1])])
 
 
@@ -66,7 +66,7 @@ def test_a_map_in_another_frame_is_merged_by_the_relative_pose() -> None:
 
 def test_where_a_vehicle_has_flown_is_free_for_all() -> None:
     floor, other = FloorMap(SMALL), FloorMap(SMALL)
-    floor.own[10:20, 10:20] = OCCUPIED  # the other vehicle, as it passed
+    floor.own[10:20, 10:20] = OCCUPIED  # another vehicle that passed by
     other.fly_through(np.array([3.0, 3.0]), 0.4)
     floor.hear("other", np.zeros(2), 0.0, other.own)
     floor.merge()
@@ -104,7 +104,7 @@ def halves(place: tuple[float, float], mine: frozenset[int], theirs: frozenset[i
 
 
 def exchange(loss: float, seconds: float, silent_after: float = math.inf) -> list[Sharing]:
-    """Let three vehicles share eight regions by messages that are lost with a probability."""
+    """Run three vehicles that share eight regions by messages, which are lost with a probability."""
     names = ["a", "b", "c"]
     vehicles = [Sharing(name, names, 8, 5.0) for name in names]
     rng = np.random.default_rng(1)
@@ -162,9 +162,9 @@ def test_floors_are_explored_and_two_vehicles_are_faster() -> None:
 
 @pytest.mark.parametrize("bearing", np.linspace(0.0, 2.0 * math.pi, 8, endpoint=False))
 def test_a_frontier_that_stays_is_given_up_though_the_planner_ends_beside_the_view(bearing: float) -> None:
-    aside = 0.28 * np.array([math.cos(bearing), math.sin(bearing)])  # m; less than what makes a new goal
+    aside = 0.28 * np.array([math.cos(bearing), math.sin(bearing)])  # m; less than the distance that makes a new goal
     explorer = Explorer(SMALL, "uav_0", ["uav_0"])
-    explorer.floor.own[:40] = FREE  # and nothing more is ever seen
+    explorer.floor.own[:40] = FREE  # after that, no new cell is ever seen
     explorer.floor.own[:, 0] = explorer.floor.own[:, -1] = OCCUPIED
     explorer.start(np.array([1.0, 3.0]))
     position, planner, still = np.array([1.0, 3.0]), "waiting", 0

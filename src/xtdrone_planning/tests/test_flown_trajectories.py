@@ -27,7 +27,7 @@ SETTINGS = SafetySettings(distance=DISTANCE, obstacle_distance=0.65, tracking=TR
 
 
 def meeting(aside: float) -> tuple[FlownTrajectories, np.ndarray]:
-    """Return two vehicles that meet 3 s after time 0, so far beside each other, m; and where they are at time 0."""
+    """Return two vehicles that meet after 3 s at a lateral distance, m, and their positions at time 0."""
     places = np.array([[-13.5, 0.0, 2.0], [13.5, aside, 2.0]])
     trajectories = FlownTrajectories(2, DISTANCE, TRACKING)
     for index, velocity in enumerate((EAST, WEST)):
@@ -155,14 +155,14 @@ class GuardedFlight(ToyFlight):
         self.corrected = 0
 
     def step(self) -> None:
-        """Plan; the vehicle stays until ``pass_on``."""
+        """Plan a turn; the vehicle moves in ``pass_on``."""
         position, velocity, count = self.position, self.velocity, len(self.commands)
         super().step()
         self.command = self.commands[-1] if len(self.commands) > count else None
         self.position, self.velocity = position, velocity
 
     def pass_on(self, index: int, trajectories: FlownTrajectories, places: np.ndarray, velocities: np.ndarray) -> None:
-        """Fly on as the filter allows."""
+        """Fly on within the filter's limits."""
         if self.command is None:
             return
         target, speed, acceleration, _ = self.command

@@ -116,7 +116,7 @@ def test_every_motion_that_is_chosen_can_be_stopped_before_an_obstacle(seed):
         chosen += 1
         stopping = motion.speed / LIMITS.acceleration
         for time in np.linspace(0.0, max(LIMITS.horizon, stopping), 80):
-            # a place is up to half a cell's diagonal from the middle of its cell
+            # a position is up to half a cell's diagonal from the centre of its cell
             x, y, _ = moved(*pose.tolist(), motion.speed, motion.rate, float(time))
             assert level.away(np.array([x, y])) >= clearance - CELL
     assert chosen > 20
@@ -227,7 +227,7 @@ def test_a_vehicle_that_turns_slowly_at_its_goal_is_waited_for():
 def test_an_obstacle_that_was_there_once_is_forgotten_by_the_recovery():
     level = a_map((0, SIDE - 1, 80, 80), (0, SIDE - 1, 120, 120))  # a corridor of 3.9 m
     drive = Drive(level, (3.0, 10.0, 0.0))
-    level.evidence[60, 81:120, 0] = 350  # seen across it, by nothing that is there
+    level.evidence[60, 81:120, 0] = 350  # seen across the corridor, although there is no object
     level.update_distance()
     drive.navigator.set_goal(np.array([15.0, 10.0, 0.0]))
     assert drive.run(60.0) == SUCCEEDED
@@ -299,7 +299,7 @@ def test_rays_of_a_tilted_vehicle_end_at_the_slab():
 def test_a_scan_marks_and_clears_but_not_what_the_given_map_has():
     level = a_map((50, 50, 0, SIDE - 1))
     pose = np.tile(np.array([3.0, 10.0, 0.0, 1.0, 0.0, 0.0, 0.0]), (2, 1))
-    for distance in (1.0, 8.0):  # something stands before the wall, and then a ray passes both
+    for distance in (1.0, 8.0):  # an object stands before the wall, and then a ray passes both
         for _ in range(10):
             level.enter(*scan([distance, 1.0, 1.0, 1.0]).placed(pose, 0.1, np.zeros(3), 0.4))
         level.update_distance_around(pose[-1])

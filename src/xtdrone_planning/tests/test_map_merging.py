@@ -106,7 +106,7 @@ def test_a_compass_gives_the_heading_of_vehicles_that_hover() -> None:
 
 
 def fitted(first: Array, second: Array, true: Array, off: Array, how: FitSettings = FIT) -> Fit:
-    """Return the fit from an estimate that is off the truth by a pose, deviation 0.4 m and 0.05 rad."""
+    """Return the fit from an estimate that is off the truth by a pose, standard deviation 0.4 m and 0.05 rad."""
     link = Link(off @ true, second.mean(axis=0), np.diag([0.4**2] * 3 + [0.05**2]), 1.0, 100)
     return fit_of(surfaces_of(first, how), surfaces_of(second, how), link, how)
 
@@ -160,7 +160,7 @@ def test_an_empty_map_is_refused() -> None:
 
 
 def test_maps_are_chained_by_the_best_links() -> None:
-    """The third vehicle's map meets only the second's; the fourth has no link; the fifth has another yard."""
+    """The third vehicle's map overlaps only the second's; the fourth has no link; the fifth is in another yard."""
     frames = [HOME, TURNED, frame(30.0, 2.0, -0.4, -1.2), HOME, NEAR]
     points = yard(2, (60.0, 20.0), 26)
     limits = [(0.0, 24.0), (14.0, 44.0), (34.0, 60.0), (0.0, 20.0)]

@@ -1,4 +1,4 @@
-"""map_merging.py with a real master in lockstep: three vehicles with made maps; the third one's has another yard.
+"""map_merging.py with a real master in lockstep: three vehicles with synthetic maps, the third in another yard.
 
 Run as a program, this file is one of the other nodes: ``fleet`` (the vehicles) or ``recorder``.
 """
@@ -41,7 +41,7 @@ FRAMES = [
     pose_of(place, turned_about_z(heading))
     for place, heading in (((1.0, -2.0, 0.0), 0.0), ((12.0, 7.0, 0.5), 2.4), ((3.0, 1.0, 0.3), 0.1))
 ]
-LIMITS = [(0.0, 25.0), (15.0, 40.0), (0.0, 25.0)]  # m, of what each sees
+LIMITS = [(0.0, 25.0), (15.0, 40.0), (0.0, 25.0)]  # m, seen by each vehicle
 SEEDS = [0, 0, 50]  # of the yards that they are in
 NOISE = 0.15  # m
 
@@ -83,7 +83,7 @@ def fleet() -> None:
 
 
 def recorder(file: str) -> None:
-    """Record what the node publishes, one JSON line each."""
+    """Record the node's messages, one JSON line each."""
     lockstep.init_node("recorder", rate=20.0)
     out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process
 

@@ -1,4 +1,4 @@
-"""A goal that moves, as of a follower's velocity, is followed without stops, and round what stands in its way."""
+"""A moving goal, as of a follower's velocity, is followed without stops, and around obstacles."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from xtdrone_planning.paths.clear_place import nearest_clear
 from xtdrone_planning.replanning.settings import GoalError
 
 SPEED = 1.5  # m/s of the slot
-CARRY = 1.15  # s; without a time of agreement less than in forest.launch
+CARRY = 1.15  # s; without an agreed time, less than in forest.launch
 
 
 def follow(flight: ToyFlight, seconds: float, begin: float, end: float) -> list[float]:

@@ -1,4 +1,4 @@
-"""The global octree: what rays change, its bounded memory, and octomap's formats."""
+"""The global octree: the effect of rays, bounded memory, and octomap's formats."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def map_of(origin, ends, hits, times=1, **options) -> OctreeMap:
 
 
 def values_of(octree: OctreeMap) -> dict[tuple[int, ...], int]:
-    """Return the log-odds of all known voxels by their place from the origin."""
+    """Return the log-odds of all known voxels by their position relative to the origin."""
     places, values = octree.blocks()
     block, voxel = np.nonzero(values != NEVER)
     cells = 16 * places[block] + in_block()[voxel] - HALF

@@ -1,4 +1,4 @@
-"""The planner flies through what it sees, and reports what it cannot do."""
+"""The planner flies through observed space, and reports goals that it cannot reach."""
 
 from __future__ import annotations
 

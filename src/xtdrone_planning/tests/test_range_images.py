@@ -1,4 +1,4 @@
-"""Clouds and depth pictures as rays, at the poses of their times."""
+"""Clouds and depth pictures as rays, each at the pose of its time."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def test_a_cloud_that_ends_within_a_point_is_refused():
 
 
 def test_a_scan_in_flight_is_placed_ray_by_ray():
-    """A vehicle passes a wall at 5 m/s while its lidar turns: the wall is straight in the map, and where it is."""
+    """A vehicle passes a wall at 5 m/s while its lidar turns: the wall is straight in the map, in its true position."""
     local = LocalMap(MapSettings(side=16.0, height=2.0), 0.5)
     for n in range(40):
         local.poses.add(n * 10_000_000, np.array([0.05 * n, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))

@@ -1,4 +1,4 @@
-"""What setpoints mean to the safety filter, and what becomes of corrected ones."""
+"""The safety filter's interpretation of setpoints, and the handling of corrected ones."""
 
 from __future__ import annotations
 

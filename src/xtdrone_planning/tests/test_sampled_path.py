@@ -20,7 +20,7 @@ CLEARANCE, START, GOAL = 0.5, np.array([-7.0, -7.0, 0.3]), np.array([7.0, 7.0, 0
 
 
 def a_grid(seed: int) -> VoxelGrid:
-    """Return a seen map of 16 x 16 m with columns."""
+    """Return an observed map of 16 x 16 m with columns."""
     grid = VoxelGrid(MapSettings(resolution=0.2, side=16.0, height=2.0))
     grid.evidence[:] = -100
     for x, y in np.random.default_rng(seed).integers(10, 70, (25, 2)).tolist():
@@ -82,7 +82,7 @@ class MallocInfo(ctypes.Structure):
 
 
 def used_memory() -> int:
-    """Return the bytes that malloc has given out; skip the test without glibc 2.33 or later."""
+    """Return the bytes allocated by malloc; skip the test without glibc 2.33 or later."""
     library = ctypes.CDLL(None)
     if not hasattr(library, "mallinfo2"):
         pytest.skip("needs glibc's mallinfo2")

@@ -1,4 +1,4 @@
-"""Several planners that agree by radio, without a simulator: separation, precedence, delays and losses."""
+"""Several planners that coordinate by radio, without a simulator: separation, precedence, delays and losses."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def test_a_path_leads_round_the_place_where_another_rests():
 
 
 def blown_off(flight: ToyFlight) -> None:
-    """Fly at speed, and be led 1.5 m off the trajectory."""
+    """Fly at speed, then displace the vehicle by 1.5 m from the trajectory."""
     flight.planner = SwarmPlanner(flight.map.grid, flight.settings, flight.limits, AgreementSettings(check=0.2), rank=1)
     flight.planner.set_goal(np.array([16.0, 0.0, 2.0]))
     flight.run(3.5)
@@ -162,7 +162,7 @@ def test_places_of_others_are_those_on_their_trajectories():
     flight = ToyFlight(np.zeros((0, 3)))
     planner = SwarmPlanner(flight.map.grid, flight.settings, flight.limits, AgreementSettings(), rank=1)
     planner.on_decided(0, 1, coasting(np.zeros(3), np.array([2.0, 0.0, 0.0]), 10.0), RADIUS)
-    for time in (9.8, 10.0, 11.0):  # before its start it is on the one before, of which this one is the continuation
+    for time in (9.8, 10.0, 11.0):  # before its start it is on the previous one, of which this one is the continuation
         places, reach = planner.places_of_others(time)
         assert places == pytest.approx(np.array([[2.0 * (time - 10.0), 0.0, 0.0]]), abs=1e-9)
         assert RADIUS < reach[0] < 2.0 * RADIUS

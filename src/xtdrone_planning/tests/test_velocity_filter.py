@@ -1,4 +1,4 @@
-"""The safety filter without ROS: solver, barriers, and groups of vehicles that exchange places."""
+"""The safety filter without ROS: solver, barriers, and groups of vehicles that exchange positions."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ NO_POINTS = np.empty((0, 3))
 
 
 def fly(places, goals, settings, seconds, obstacles=NO_POINTS):
-    """Fly vehicles to goals; return places (turns, N, 3) in m, until all have arrived or the time is over."""
+    """Fly vehicles to goals; return positions (turns, N, 3) in m, until all have arrived or time is up."""
     places, velocities = places.copy(), np.zeros_like(places)
     filters = [VelocityFilter(settings, 1.0 / RATE) for _ in places]
     waiting = [np.zeros_like(places)] * DELAY
@@ -172,7 +172,7 @@ def test_two_at_the_same_place_part():
 def test_the_nearest_point_of_a_cloud_is_always_among_those_of_the_sectors():
     generator = np.random.default_rng(3)
     points = generator.uniform(-10.0, 10.0, (5000, 3))
-    points = np.vstack([points, [[np.nan, 2.0, 3.0], [np.inf, 2.0, 3.0]]])  # of no sector
+    points = np.vstack([points, [[np.nan, 2.0, 3.0], [np.inf, 2.0, 3.0]]])  # points in no sector
     near = np.empty((SECTORS, 3))
     position = np.array([1.0, 2.0, 3.0])
     count = nearest_by_sector(points, position, 8.0, near)

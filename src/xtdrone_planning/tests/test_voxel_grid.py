@@ -53,7 +53,7 @@ def test_a_ray_passes_the_voxels_that_dense_samples_of_it_pass():
 
 
 def passed_one_by_one(grid, origin, end):
-    """Return the voxels of a ray, by the method of Amanatides and Woo in its plain form."""
+    """Return the voxels of a ray by the plain form of Amanatides and Woo's method."""
     place, length = np.asarray(origin) / 0.2 - grid.corner, (np.asarray(end) - origin) / 0.2
     cell = np.floor(place).astype(int)
     step = np.sign(length).astype(int)
@@ -77,7 +77,7 @@ def test_rays_side_by_side_pass_the_voxels_of_each_followed_alone(count):
     grid = VoxelGrid(SMALL)
     before = rng.integers(-5, 8, grid.evidence.shape).astype(np.int16) * 40
     grid.evidence[:] = before
-    origins = rng.uniform(-1.2, 1.2, (count, 3))  # some outside of the box, as are most ends
+    origins = rng.uniform(-1.2, 1.2, (count, 3))  # some are outside of the box, as are most ends
     ends = origins + rng.choice((0.0, 1.0), (count, 3), p=(0.1, 0.9)) * rng.uniform(-9.0, 9.0, (count, 3))
     hits = rng.uniform(size=count) < 0.6
     grid.insert(origins, ends, hits)
@@ -98,7 +98,7 @@ def test_within_one_measurement_a_hit_outweighs_rays_that_pass():
     grid.insert(origins, ends, np.array([True] + [False] * 20))
     assert grid.evidence[grid.index((1.1, 0.1, 0.1))] == 85
     grid.insert(origins[1:], ends[1:], np.zeros(20, bool))
-    assert grid.evidence[grid.index((1.1, 0.1, 0.1))] == 45  # once for the measurement, however many rays
+    assert grid.evidence[grid.index((1.1, 0.1, 0.1))] == 45  # counted once per measurement, however many rays
 
 
 def test_the_box_moves_in_whole_voxels_and_keeps_what_it_knows():

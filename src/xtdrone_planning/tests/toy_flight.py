@@ -1,4 +1,4 @@
-"""A vehicle that is where its setpoints are, with a lidar that sees trunks: planners fly without a simulator."""
+"""A vehicle that is always at its setpoint, with a lidar that sees trunks: planners fly without a simulator."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from xtdrone_planning.replanning.settings import PlannerSettings
 from xtdrone_planning.replanning.situation import Situation
 from xtdrone_planning.trajectories.local_trajectory import TrajectorySettings
 
-PERIOD = 0.05  # s, a turn; a scan comes in every second one
+PERIOD = 0.05  # s, one turn; a scan arrives in every second turn
 RANGE = 20.0
 LIMITS = TrajectorySettings()
 
@@ -37,10 +37,10 @@ class ToyFlight:
     """A flight.
 
     Attributes:
-        trunks: (n, 3) x, y and radius of vertical cylinders without end, m.
+        trunks: (n, 3) x, y and radius of infinite vertical cylinders, m.
         position: (3,) m.
-        silent: whether the lidar is.
-        fault: of the sensor, passed on.
+        silent: whether the lidar publishes nothing.
+        fault: of the sensor, passed to the planner.
     """
 
     trunks: np.ndarray
@@ -64,7 +64,7 @@ class ToyFlight:
         self.states: list[str] = []
 
     def scan(self) -> None:
-        """Enter what the lidar sees."""
+        """Pass the lidar's scan to the planner."""
         level = np.hypot(DIRECTIONS[..., 0], DIRECTIONS[..., 1])
         ranges = np.full(level.shape, np.nan)
         down = DIRECTIONS[..., 2] < -1e-6
@@ -107,7 +107,7 @@ class ToyFlight:
                 return
 
     def clearance(self) -> float:
-        """Return the least distance so far between the vehicle's middle and a trunk, m."""
+        """Return the least distance so far between the vehicle's centre and a trunk, m."""
         track = np.array(self.track)
         if not len(self.trunks):
             return math.inf
@@ -116,7 +116,7 @@ class ToyFlight:
 
 
 def forest(seed: int, count: int = 60, apart: float = 2.4) -> np.ndarray:
-    """Return trunks at random places, on x from 4 to 24 m, at least ``apart`` m from each other."""
+    """Return trunks at random positions, x from 4 to 24 m, at least ``apart`` m from each other."""
     rng = np.random.default_rng(seed)
     found: list[tuple[float, float, float]] = []
     for x, y in rng.uniform((4.0, -9.0), (24.0, 9.0), (20 * count, 2)):
@@ -126,5 +126,5 @@ def forest(seed: int, count: int = 60, apart: float = 2.4) -> np.ndarray:
 
 
 def wall(x: float, y0: float, y1: float) -> np.ndarray:
-    """Return trunks so near to each other that they are a wall."""
+    """Return trunks so close to each other that they form a wall."""
     return np.array([(x, y, 0.3) for y in np.arange(y0, y1 + 0.01, 0.4)])

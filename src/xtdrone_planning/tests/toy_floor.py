@@ -1,4 +1,4 @@
-"""Floors of rooms without ROS: a map of the truth, vehicles that fly along their routes, and a lidar in the plane."""
+"""Floors of rooms without ROS: a true map, vehicles that fly along their routes, and a planar lidar."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ class ToyFloor:
     Attributes:
         walls: see ``rooms``.
         starts: x, y of each vehicle.
-        loss: share of the messages that are lost.
-        dies: time, s, at which the last vehicle stops and falls silent.
+        loss: share of lost messages.
+        dies: time, s, at which the last vehicle stops and sends no more messages.
     """
 
     walls: list[tuple[float, ...]]
@@ -80,7 +80,7 @@ class ToyFloor:
         self.visible = self._visible(floor)
 
     def _visible(self, floor: FloorMap) -> np.ndarray:
-        """Return what can be seen from the places that a vehicle can reach, of the cells to explore."""
+        """Return the cells to explore that are visible from positions that a vehicle can reach."""
         floor.own = self.truth
         floor.merge()
         costs = Ways(floor, floor.index(self.starts[0]), self.settings.clearance).costs
@@ -90,7 +90,7 @@ class ToyFloor:
         return (floor.own != UNKNOWN) & floor.inside
 
     def scan(self, floor: FloorMap, position: np.ndarray) -> None:
-        """Enter what the lidar sees at a position."""
+        """Pass the lidar's scan at a position to the map."""
         x = position[0] + np.outer(np.cos(_BEARINGS), _STEPS)
         y = position[1] + np.outer(np.sin(_BEARINGS), _STEPS)
         i = np.clip(np.floor(x / floor.cell).astype(int) - floor.first[0], 0, self.truth.shape[0] - 1)
@@ -103,12 +103,12 @@ class ToyFloor:
         floor.enter(floor.first * floor.cell, values)
 
     def coverage(self) -> float:
-        """Return the share of what can be seen that some vehicle has seen."""
+        """Return the share of the visible cells that the vehicles have seen."""
         known = np.any([explorer.floor.own != UNKNOWN for explorer in self.explorers], axis=0)
         return float(known[self.visible].mean())
 
     def fly(self, limit: float = 600.0) -> None:
-        """Explore, until all are home or the time is over."""
+        """Explore until all vehicles are home or time is up."""
         for explorer, start in zip(self.explorers, self.starts, strict=True):
             explorer.start(np.array(start))
         alive = list(range(len(self.names)))

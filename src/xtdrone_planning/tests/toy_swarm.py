@@ -1,4 +1,4 @@
-"""Vehicles in pairs that agree by radio, each of which wants to be where the other is; without a simulator."""
+"""Pairs of vehicles that coordinate by radio and exchange their positions; without a simulator."""
 
 from __future__ import annotations
 
@@ -63,17 +63,17 @@ class Group:
         return math.inf
 
     def after_turn(self, now: float) -> None:
-        """Do what follows the setpoints of a turn."""
+        """Act on the setpoints of a turn."""
 
 
 def said(rank, planner):
-    """Return what a planner tells the others."""
+    """Return a planner's messages to the others."""
     decided = [] if planner.trajectory is None else [(rank, planner.number, planner.trajectory)]
     return decided + ([] if planner.proposal is None else [planner.proposal])
 
 
 def hear(planner, message):
-    """Tell a planner what another has said."""
+    """Pass another planner's messages to a planner."""
     if isinstance(message, Proposal):
         planner.on_proposal(message, RADIUS)
     else:

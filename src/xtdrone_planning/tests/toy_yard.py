@@ -39,7 +39,7 @@ def _sides(length: float, width: float, height: float) -> Array:
 
 
 def seen(points: Array, limits: tuple[float, float], frame: Array, seed: int) -> Array:
-    """Return the middles (n, 3) m of the voxels that a vehicle has seen, in its map.
+    """Return the centres (n, 3) m of the voxels that a vehicle has seen, in its map.
 
     Args:
         points: of the yard.
@@ -54,7 +54,7 @@ def seen(points: Array, limits: tuple[float, float], frame: Array, seed: int) ->
 
 
 def way(number: int, times: Array) -> Array:
-    """Return where vehicle ``number`` is, (n, 3) m in the yard."""
+    """Return the positions of vehicle ``number``, (n, 3) m in the yard."""
     phase = 0.1 * times + 1.3 * number
     return np.stack([12.0 + 8.0 * number + 6.0 * np.cos(phase), 10.0 + 5.0 * np.sin(phase), 2.0 + 0.0 * times], axis=1)
 

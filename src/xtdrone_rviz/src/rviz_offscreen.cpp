@@ -16,7 +16,7 @@
 ///   ~camera_info (sensor_msgs/CameraInfo), ~camera_pose (geometry_msgs/PoseStamped): the view's camera, and the
 ///   pose of its optical frame in the fixed frame. All three only while ~image has subscribers.
 ///
-/// The first frame is drawn when TF knows the configuration's fixed frame. Exit status: 0, 1 after a failure,
+/// The first frame is drawn once TF has the configuration's fixed frame. Exit status: 0, 1 after a failure,
 /// 2 for a parameter or a configuration that is not allowed.
 
 #include <X11/Xlib.h>

@@ -54,14 +54,14 @@ class Scene {
   /// Creates the displays, which subscribe.
   ///
   /// @return One line for each omitted display: unknown to this rviz, or with a separate panel.
-  /// @throws ConfigError  This rviz does not know the view.
+  /// @throws ConfigError  This rviz has no such view.
   std::vector<std::string> load();
   /// Passes a message on to the displays of its topic; draw() shows it.
   void show(const std::string& topic, const topic_tools::ShapeShifter& message);
   /// Adds transforms.
   void place(const tf2_msgs::TFMessage& message, bool fixed);
   const std::string& fixedFrame() const;
-  /// Returns whether TF knows the fixed frame; without it nothing can be drawn.
+  /// Returns whether TF has the fixed frame; without it nothing can be drawn.
   bool ready() const;
   /// Clears the displays after a reset of time.
   void reset();

@@ -1,4 +1,4 @@
-"""A master of its own and the processes that a test of a node in lockstep starts."""
+"""A ROS master for one test, and the processes that a test of a lockstep node starts."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ except ImportError:
     xtdrone_msgs = None
 
 ROSMASTER = shutil.which("rosmaster")
-PATIENCE = 120.0  # s of wall time, for what should take a few
+PATIENCE = 120.0  # s of wall time for actions that take a few
 
 needs_ros = pytest.mark.skipif(ROSMASTER is None or xtdrone_msgs is None, reason="needs ROS 1 and the built workspace")
 
 
 class Graph:
-    """A master of its own and the processes that a test starts."""
+    """A ROS master for one test, and the processes that the test starts."""
 
     def __init__(self, folder: Path) -> None:
         with socket.socket() as sock:
@@ -94,7 +94,7 @@ def running_graph(tmp_path: Path) -> Iterator[Graph]:
 
 
 def running_server(graph: Graph) -> Iterator[LockstepServer]:
-    """Yield a lockstep server, which nodes of the graph find."""
+    """Yield a lockstep server for the nodes of the graph."""
     server = LockstepServer(hang_limit=PATIENCE)
     graph.set_param("/lockstep/uri", server.uri)
     graph.set_param("/xtdrone/world", "empty")

@@ -1,8 +1,8 @@
 """A stand-in for PX4 on its simulator link, written from PX4's side: simulator_mavlink of v1.14.
 
-It connects to the simulator, sends a heartbeat and asks for HIL_STATE_QUATERNION, takes its time from HIL_SENSOR (it
-starts at 0 with the first one), knows of the world only what HIL_SENSOR and HIL_GPS say, and answers every HIL_SENSOR
-with HIL_ACTUATOR_CONTROLS. pymavlink's own parser and packer do the talking. The firmware is our autopilot's.
+It connects to the simulator, sends a heartbeat and requests HIL_STATE_QUATERNION, takes its time from HIL_SENSOR (it
+starts at 0 with the first one), receives nothing of the world but HIL_SENSOR and HIL_GPS, and answers every HIL_SENSOR
+with HIL_ACTUATOR_CONTROLS. pymavlink's own parser and packer are used. The firmware is our autopilot's.
 
 As a program, ``px4_stand_in.py TYPE INSTANCE``, it is PX4 as ``px4 -i INSTANCE`` starts it: with MAVLink on PX4's stock
 ports, until the simulator ends.
@@ -82,12 +82,12 @@ class StockVehicle(Vehicle):
 
 
 class StandIn:
-    """PX4 in a thread of its own.
+    """PX4 in its own thread.
 
     Attributes:
         received: every message with its fields, in order, for the first ``keep`` steps.
         sent: (time of HIL_SENSOR, outputs) of every answer.
-        error: what ended the thread, if something did.
+        error: the exception that ended the thread, if any.
     """
 
     def __init__(
@@ -102,10 +102,10 @@ class StandIn:
         """Connect and run.
 
         Args:
-            vehicle: whose PX4 it is.
-            script: what is done at which of PX4's times, microseconds.
-            keep: steps of which all messages are kept.
-            lockstep: built with the lockstep scheduler.
+            vehicle: the vehicle that this PX4 flies.
+            script: actions by PX4's time, microseconds.
+            keep: number of steps whose messages are kept.
+            lockstep: whether PX4 is built with the lockstep scheduler.
             mavlink_ports: serve MAVLink at the vehicle's ports.
         """
         self.firmware = Firmware(vehicle)
@@ -133,18 +133,18 @@ class StandIn:
         return self.firmware.commander
 
     def take_off(self) -> None:
-        """Arm and take off, as by a ground station."""
+        """Arm and take off, as on a ground station's command."""
         assert self.commander.request(modes.AUTO_TAKEOFF) == 0
         assert self.commander.arm_disarm(True) == 0
 
     def kill(self) -> None:
-        """End at once, as by kill -9."""
+        """End at once, as after kill -9."""
         self._socket.shutdown(socket.SHUT_RDWR)
         self._thread.join(WALL_LIMIT)
         self._socket.close()
 
     def check(self) -> None:
-        """Raise what has ended the thread."""
+        """Raise the exception that ended the thread."""
         if self.error is not None:
             raise self.error
 

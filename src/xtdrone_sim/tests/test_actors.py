@@ -49,7 +49,7 @@ def test_script_is_walked_in_its_times():
     state = actors.states(4_000_000)[0]
     assert state.position == pytest.approx((5.0, 2.0, 0.0))
     assert state.phase == pytest.approx(5.0 / STRIDE)
-    again = actors.states(6_500_000)[0]  # the second round; the walk goes on where it was
+    again = actors.states(6_500_000)[0]  # the second lap; the walk continues from its position
     assert again.position == pytest.approx((2.0, 1.0, 0.0))
     assert again.phase == pytest.approx(8.0 / STRIDE)
 
@@ -106,5 +106,5 @@ def test_own_speed_stop_and_rejected_commands():
     actors.send(0, 7.0, 0.0, 0.0, 1_000_000)
     assert actors.states(5_000_000)[0].position == pytest.approx((0.7, 0.0, 0.0))
     assert actors.states(5_000_000)[0].phase == STANDING
-    actors.send(1, 2.0, 1.0, 1.0, 500_000)  # is there already: its script is over
+    actors.send(1, 2.0, 1.0, 1.0, 500_000)  # is there already, with its script finished
     assert actors.states(5_000_000)[1].position == (2.0, 1.0, 0.0)

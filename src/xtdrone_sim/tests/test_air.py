@@ -60,7 +60,7 @@ def test_a_further_wind_is_the_plant_s_own() -> None:
 
 
 def test_intensities_and_scales_of_the_specification() -> None:
-    """At 20 ft: 0.177 + 0.000823 h is 0.19346."""
+    """The denominator 0.177 + 0.000823 h is 0.19346 at 20 ft."""
     sigma_u, sigma_w, length_u, length_w = intensities(20 * 0.3048, 15.4)
     assert (sigma_w, length_w) == pytest.approx((1.54, 6.096))
     assert sigma_u == pytest.approx(1.54 / 0.19346**0.4)
@@ -70,7 +70,7 @@ def test_intensities_and_scales_of_the_specification() -> None:
 
 
 def gusts(seconds: float, step: float, count: int = 200, **values: Any) -> NDArray[np.float64]:
-    """Return the turbulence at hovering vehicles, shape (times, count, 3)."""
+    """Return the turbulence on hovering vehicles, shape (times, count, 3)."""
     plant, models = fleet(count)
     effect = Dryden(**values)
     effect.reset(models, step, np.random.default_rng(0))
@@ -161,7 +161,7 @@ def test_a_vehicle_without_thrust_falls_at_its_terminal_velocity() -> None:
 
 
 def fallen(seconds: float, coefficient: float, *winds: Any) -> tuple[NDArray[np.float64], Simulation]:
-    """Return the velocity of a vehicle without thrust that has fallen from rest, and its simulation."""
+    """Return the velocity of a vehicle without thrust after a fall from rest, and its simulation."""
     effects = [*winds, BodyDrag(coefficient=coefficient)]
     simulation = Simulation(parse_fleet("iris:1"), places=[(0.0, 0.0, 900.0)], effects=effects)
     simulation.world.models["linear_drag"] = 0.15
@@ -172,9 +172,9 @@ def fallen(seconds: float, coefficient: float, *winds: Any) -> tuple[NDArray[np.
 
 
 def test_a_simulated_fall_in_wind_is_that_of_its_equation() -> None:
-    """In level attitude each axis has dv/dt = a - b v - c v |v|, of the speed v of the vehicle in the air.
+    """In level attitude each axis obeys dv/dt = a - b v - c v |v|, with the velocity v relative to the air.
 
-    Downwards, a = g, the speed is terminal at the root of a = b v + c v^2; along the wind, a = 0, Bernoulli's equation
+    Downwards, a = g and the terminal speed is the root of a = b v + c v^2; along the wind, a = 0, Bernoulli's equation
     gives v = b / ((b / w + c) exp(b t) - c) from the wind's speed w.
     """
     coefficient, wind, seconds = 1.2, 6.0, 12.0

@@ -52,7 +52,7 @@ CELLS = BatteryModel(cells=True)
 
 
 def test_on_the_ground_it_remains_as_in_the_reference():
-    """A real PX4's SITL: 4 cells, 16.2 V, -1 A, 100 %."""
+    """The state stays that of PX4's SITL: 4 cells, 16.2 V, -1 A, 100 %."""
     sensors = Bench(DRAIN, BAT1_N_CELLS=4).run(60.0)
     assert sensors["battery_voltage"] == pytest.approx(16.2)
     assert sensors["battery_current"] == -1.0
@@ -124,7 +124,7 @@ def test_vehicles_have_their_own():
 
 
 def test_an_idling_motor_draws_more_than_the_failure_detectors_limit():
-    """FD_ACT_MOT_C2T 2 A at full throttle, over FD_ACT_MOT_THR 0.2: no false alarm at any command."""
+    """FD_ACT_MOT_C2T is 2 A at full throttle, above FD_ACT_MOT_THR 0.2: no false alarm at any command."""
     iris = load_vehicle("iris").record
     for command in np.linspace(0.2, 1.0, 17):
         bench = Bench(DRAIN)

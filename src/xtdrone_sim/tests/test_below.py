@@ -1,4 +1,4 @@
-"""Range finder and flow camera of the autopilot over what stands in the world."""
+"""The autopilot's range finder and flow camera above objects of the world."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_the_range_is_that_to_the_model_below(tmp_path):
     assert distance(simulation, (0.0, 0.0, 5.0)) == pytest.approx(5.0)
     assert distance(simulation, (10.9, 0.9, 5.0)) == pytest.approx(3.9, abs=1e-6)
     assert distance(simulation, (11.1, 0.0, 5.0)) == pytest.approx(5.0)
-    assert distance(simulation, (10.0, 0.0, 0.5)) == pytest.approx(0.5)  # beneath the table
+    assert distance(simulation, (10.0, 0.0, 0.5)) == pytest.approx(0.5)  # under the table
     tilted = from_euler(0.0, -0.3, 0.0)  # at right angles to the ramp, whose surface is 1 m from its middle
     normal = np.array([-np.sin(0.3), 0.0, np.cos(0.3)])
     assert distance(simulation, (20.0, 0.0, 0.0) + 6.0 * normal, tilted) == pytest.approx(5.0, abs=1e-6)
@@ -98,7 +98,7 @@ def nearest_triangle(corners, origin, direction) -> float:
 
 
 def test_another_vehicle_below_is_seen_and_one_s_own_body_is_not():
-    """A vehicle without URDF is a box of the size of its collision box."""
+    """A vehicle without URDF counts as a box of the size of its collision box."""
     simulation = quiet("iris_rangefinder:1,px4_reference:1", "empty")
     assert simulation.models[1].urdf.text == ""
     plant, height = simulation.world.plant, simulation.world.models["box"][1][2]
@@ -165,7 +165,7 @@ def test_a_walking_person_below_is_seen(tmp_path):
 
 
 def test_many_steps_at_once_are_those_one_by_one():
-    """A vehicle falls past one that looks down, which flies in compiled steps or not."""
+    """A vehicle falls past one with a downward sensor, which flies in compiled steps or not."""
 
     def flown(steps: int) -> tuple[bytes, list[float]]:
         simulation = Simulation(parse_fleet("iris_rangefinder:2"), seed=3)
@@ -187,7 +187,7 @@ def test_many_steps_at_once_are_those_one_by_one():
     (one, seen), (other, again) = flown(1), flown(50)
     assert one == other
     assert seen[49::50] == again
-    assert min(seen) < 15.0 < max(seen)  # it has seen the other, and not only the ground
+    assert min(seen) < 15.0 < max(seen)  # it measured the other vehicle, and not only the ground
 
 
 def test_the_autopilot_knows_the_table_below_it_and_lands_on_it(tmp_path):

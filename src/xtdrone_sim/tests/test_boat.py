@@ -27,7 +27,7 @@ FREE = BoatLimits(
 
 
 def sail(boat: Boat, seconds: float) -> np.ndarray:
-    """Return the places (n, 3), m, of a boat after each step."""
+    """Return the positions (n, 3), m, of a boat after each step."""
     places = []
     for _ in range(round(seconds / DT)):
         boat.propose(DT)
@@ -84,7 +84,7 @@ def test_a_boat_floats_at_the_draught_of_its_weight(mass: float) -> None:
 
 @pytest.mark.parametrize("added", [0.0, 1.0])
 def test_heave_in_still_water_has_the_period_of_a_box(added: float) -> None:
-    """T = 2 pi sqrt((1 + c) draught / g): the stiffness is density g times the area."""
+    """T = 2 pi sqrt((1 + c) draught / g): the stiffness is density times g times the area."""
     hull = HullSettings()
     limits = BoatLimits(**{**FREE.__dict__, "added_mass": (0.0, 0.0, added)})
     boat = Boat(hull, limits, WaveSettings())
@@ -97,7 +97,7 @@ def test_heave_in_still_water_has_the_period_of_a_box(added: float) -> None:
 
 
 def test_roll_has_the_period_of_its_metacentric_height() -> None:
-    """I phi'' = -m g GM phi, with GM = draught / 2 + width^2 / (12 draught) - draught, as columns of finite number."""
+    """I phi'' = -m g GM phi, GM = draught / 2 + width^2 / (12 draught) - draught, for a finite number of columns."""
     hull = HullSettings()
     boat = Boat(hull, FREE, WaveSettings())
     boat._record["q"][0] = from_euler(0.02, 0.0, 0.0)
@@ -116,7 +116,7 @@ def test_roll_has_the_period_of_its_metacentric_height() -> None:
 
 @pytest.mark.parametrize("direction", [0.0, 2.0])
 def test_a_small_body_follows_the_orbit_of_the_water(direction: float) -> None:
-    """A circle of the wave's amplitude, in the wave's plane, once a period; the drift of second order apart."""
+    """Once a period, it moves on a circle of the wave's amplitude in the wave's plane, but for second-order drift."""
     amplitude, period = 0.2, 4.0
     hull = HullSettings(length=0.3, width=0.3, depth=0.1, mass=4.5)
     limits = BoatLimits(
@@ -141,7 +141,7 @@ def test_a_small_body_follows_the_orbit_of_the_water(direction: float) -> None:
 
 
 def test_terminal_speed_is_that_of_thrust_and_drag() -> None:
-    """Both thrusters at their limit: 2 F = a v + b v^2."""
+    """With both thrusters at their limit, 2 F = a v + b v^2."""
     limits = BoatLimits(
         thrust=100.0, speed=50.0, linear_drag=(40, 400, 2000), quadratic_drag=(30, 600, 1000), timeout=0
     )
@@ -181,7 +181,7 @@ def test_a_vehicle_stays_on_deck_in_waves() -> None:
     world = World(load_world("empty"), [load_vehicle("iris")], [start], DT)
     boat, alone = model.drive(Pose()), model.drive(Pose())
     world.add_model(0, model.model("boat_0", Pose()), Pose(), boat)
-    assert world.overlaps(0) == []  # the hull reaches below the plane z = 0
+    assert world.overlaps(0) == []  # the hull extends below the plane z = 0
     for _ in range(round(8.0 / DT)):
         boat.command(1.0, 0.1)
         alone.command(1.0, 0.1)

@@ -1,4 +1,4 @@
-"""Models that fall, lie, are pushed and sleep; vehicles put somewhere; wrenches: against closed forms."""
+"""Models that fall, rest, are pushed and sleep; placed vehicles; wrenches: against closed forms."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ G = 9.8
 
 
 def crate(position: tuple[float, float, float], mass: float = 2.0) -> SdfModel:
-    """A cube of 1 m."""
+    """Return a cube of 1 m."""
     inertial = Inertial(mass, Pose(), (mass / 6.0, mass / 6.0, mass / 6.0, 0.0, 0.0, 0.0))
     link = SdfLink("l", collisions=(Collision(Box((1.0, 1.0, 1.0))),), inertial=inertial)
     return SdfModel("crate", Pose(position), False, (link,))
@@ -130,7 +130,7 @@ def test_a_held_vehicle_flies_when_it_is_armed() -> None:
 
 @pytest.mark.parametrize("duration", [0.25, 0.1234])
 def test_a_wrench_gives_its_impulse_exactly(duration: float) -> None:
-    """On a vehicle in free fall: velocity by force and time, rates by torque and time."""
+    """In free fall the velocity follows from force and time, the rates from torque and time."""
     world = make((crate((60.0, 0.0, 60.0)),), [(0.0, 0.0, 50.0)])
     run(world, 10)
     assert world.plant["contact"][0] == FREE
@@ -167,7 +167,7 @@ def test_a_wrench_wakes_what_sleeps() -> None:
 
 
 def test_links_are_one_body_with_their_common_mass() -> None:
-    """A dumbbell of two discs, turned in its model: mass, centre and principal moments by hand."""
+    """A dumbbell of two discs, rotated in its model, has the mass, centre and principal moments computed by hand."""
     part = Inertial(1.5, Pose(), (0.02, 0.02, 0.01, 0.0, 0.0, 0.0))
     turn = from_euler(0.0, 0.0, 0.6)
     links = tuple(
@@ -209,7 +209,7 @@ def test_a_teleported_vehicle_keeps_to_the_state_that_it_was_given() -> None:
 
 @pytest.mark.parametrize("models", [(), (crate((1.0, 40.0, 0.5)),)])
 def test_free_flight_gives_the_bits_of_single_steps(models: tuple[SdfModel, ...]) -> None:
-    """With a model that lies and later is pushed, a wrench and a teleport."""
+    """This holds with a model that rests and is pushed later, a wrench, and a teleport."""
 
     def fly(whole: bool) -> bytes:
         simulation = Simulation(parse_fleet("iris:2"), seed=3)

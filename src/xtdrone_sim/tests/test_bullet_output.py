@@ -1,4 +1,4 @@
-"""Only pybullet's output is kept from the terminal."""
+"""Of all output, only pybullet's is kept from the terminal."""
 
 from __future__ import annotations
 

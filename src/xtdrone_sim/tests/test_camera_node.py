@@ -1,7 +1,7 @@
 """The cameras' node with a real master in lockstep; this file plays the simulator.
 
-Called as a program this file is one of the other nodes: ``teller`` (of the scene), ``taker`` (of one camera's pictures)
-or ``slow`` (the cameras' node with a drawer that waits for lines on standard input).
+Run as a program, this file is one of the other nodes: ``teller`` publishes the scene, ``taker`` receives one camera's
+pictures, and ``slow`` is the cameras' node with a renderer that waits for lines on standard input.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ cameras:
 
 
 def teller() -> None:
-    """Publisher of the cameras' poses; they turn downwards, so the horizon moves up in the picture."""
+    """Publish the cameras' poses; the cameras turn downwards, so the horizon moves up in the picture."""
     lockstep.init_node("teller", rate=50.0)
     publisher = lockstep.Publisher("/xtdrone/scene", SceneState)
     links = [f"{vehicle.name}::cgo3_camera_link" for vehicle in parse_fleet(FLEET)]
@@ -78,7 +78,7 @@ def teller() -> None:
 
 
 def taker(file: str, freeze: str, thaw: str) -> None:
-    """Writes down what comes of the first camera, a JSON line a message; freezes and thaws it at these times, s."""
+    """Record the first camera's messages, a JSON line each; freeze and restore it at these times, s."""
     lockstep.init_node("taker", rate=50.0)
     out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process
 
@@ -110,7 +110,7 @@ def taker(file: str, freeze: str, thaw: str) -> None:
 
 
 def slow(file: str) -> None:
-    """The cameras' node; each picture, of no content, takes a line of standard input."""
+    """Run the cameras' node; each picture, of no content, waits for a line of standard input."""
     from xtdrone_sim.cameras.camera_node import CameraNode, CameraSettings
     from xtdrone_sim.cameras.cameras_of_fleet import cameras_of
 
@@ -159,8 +159,8 @@ def test_pictures_have_exact_times_and_repeat_after_a_reset(graph: Graph, server
     back = [note["what"] for note in notes].index("back")
     flights = [[note for note in part if note["what"] == "image"] for part in (notes[:back], notes[back:])]
     infos = [note for note in notes[:back] if note["what"] == "info"]
-    # Exposed at 0.1, 0.3, ... s, from the scene of 20 ms before; published 0.1 s later, taken in the next turn. It is
-    # frozen after the exposure at 0.5 s, between turns of the node, and that picture does not come either.
+    # Exposed at 0.1, 0.3, ... s, from the scene of 20 ms before; published 0.1 s later, received one turn on. It is
+    # frozen after the exposure at 0.5 s, between turns of the node, and that picture is not published either.
     for images in flights:
         assert [image["stamp"] for image in images] == [80_000, 280_000, 880_000, 1_080_000]
         assert [image["now"] - image["stamp"] for image in images] == [140_000] * 4
@@ -208,7 +208,7 @@ def test_flight_continues_while_a_picture_is_drawn_and_only_for_subscribers(
     wait_for_nodes(graph, server, NAMES)
     run_ticks(
         graph, server, 0, 400_000, len(NAMES)
-    )  # ends though the picture exposed at 0.1 s, due at 0.4 s, is not drawn
+    )  # it ends although the picture exposed at 0.1 s, due at 0.4 s, is not drawn
     wait_until(lambda: len(drawn.read_text().splitlines()) == 1, "the first picture is begun")
     turns = [note["now"] for note in read_notes(file) if note["what"] == "turn"]
     assert turns[-1] == 380_000
@@ -218,7 +218,7 @@ def test_flight_continues_while_a_picture_is_drawn_and_only_for_subscribers(
     notes = read_notes(file)
     images = [(note["now"], note["stamp"]) for note in notes if note["what"] == "image"]
     assert images == [(420_000, 80_000), (620_000, 280_000), (820_000, 480_000)]
-    assert set(drawn.read_text().splitlines()) == {"typhoon_h480_0::cgo3_camera_link"}  # the other is not heard
+    assert set(drawn.read_text().splitlines()) == {"typhoon_h480_0::cgo3_camera_link"}  # the other has no subscriber
 
 
 def test_a_fleet_without_cameras_is_reported(graph: Graph) -> None:

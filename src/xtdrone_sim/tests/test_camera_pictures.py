@@ -1,4 +1,4 @@
-"""Colour pictures of cameras: lens distortion against OpenCV, noise, compressed pictures, and what is refused."""
+"""Colour pictures of cameras: lens distortion against OpenCV, noise, compressed pictures, and rejections."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def matrix(pinhole: Pinhole) -> NDArray[np.float64]:
 
 
 def balls_seen(mount: CameraMount, place: tuple[float, float, float]) -> tuple[float, float]:
-    """Return where a camera at the origin shows a small ball, as OpenCV counts pixels."""
+    """Return the pixel at which a camera at the origin shows a small ball, in OpenCV's convention."""
     assert mount.lens is not None
     camera = Camera("iris_0", mount)
     with Renderer("tiny") as renderer:
@@ -202,7 +202,7 @@ def test_noise_of_pictures_has_its_deviation_and_repeats_for_its_time() -> None:
     made = pictures_of(mount, eyes=2)
     left, right = (np.frombuffer(made[f"{side}/image_raw"].data, np.uint8).astype(float) for side in ("left", "right"))
     assert left.mean() == pytest.approx(128.0, abs=0.1)
-    assert left.std() == pytest.approx(np.hypot(0.02 * 255.0, 12**-0.5), rel=0.01)  # with that of rounding
+    assert left.std() == pytest.approx(np.hypot(0.02 * 255.0, 12**-0.5), rel=0.01)  # including the noise of rounding
     assert abs(np.corrcoef(left, right)[0, 1]) < 0.02
     assert pictures_of(mount, eyes=2)["left/image_raw"].data == made["left/image_raw"].data
     assert pictures_of(mount, rospy.Time(4), eyes=2)["left/image_raw"].data != made["left/image_raw"].data

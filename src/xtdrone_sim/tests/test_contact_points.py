@@ -1,4 +1,4 @@
-"""Contact points of vehicles: forces against the weight, what is touched, and none in flight."""
+"""Contact points of vehicles: forces against the weight, touched objects, and none in flight."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_a_vehicle_in_flight_touches_nothing_and_a_wall_when_it_meets_one() -> N
 
 
 def test_start_poses_are_kept_apart_from_contacts() -> None:
-    """Two vehicles 1 m apart touch the ground alone."""
+    """Two vehicles that start 1 m apart touch the ground only."""
     fleet = parse_fleet("iris:2")
     fleet = tuple(replace(one, pose=StartPose(float(k), 0.0)) for k, one in enumerate(fleet))
     simulation = Simulation(fleet)

@@ -40,7 +40,7 @@ class Server:
 
 @dataclass
 class Mavlink:
-    """Receives what is in its socket; what is on its way comes one at a time."""
+    """Receives the datagrams in its socket; those on the way arrive one at a time."""
 
     received: dict[int, int] = field(default_factory=lambda: {PORT: 0})
     in_socket: int = 0
@@ -93,7 +93,7 @@ class Rig:
         Args:
             sent: how many.
             lost: how many of them get lost on the way.
-            early: whether they come while the simulator still waits for the participant's turn to end.
+            early: whether they arrive while the simulator still waits for the participant's turn to end.
         """
         self.server.datagrams_expected[PORT] = self.server.datagrams_expected.get(PORT, 0) + sent
         self.mavlink.under_way += sent - lost
@@ -145,7 +145,7 @@ def test_reports_are_throttled_and_complete(monkeypatch):
 def test_late_replies_are_not_matched_to_later_requests(monkeypatch):
     rig = Rig(monkeypatch, away=True)
     rig.turn(sent=5, lost=2)
-    rig.mavlink.received[PORT] += 1  # one of the two was only late
+    rig.mavlink.received[PORT] += 1  # one of the two was only delayed
     rig.turn(sent=1)
     assert rig.mavlink.under_way == 1  # the late one is counted as this one
     for _ in range(100):
@@ -160,7 +160,7 @@ def test_uncounted_messages_are_not_late(monkeypatch):
     rig = Rig(monkeypatch, away=True)
     rig.turn(sent=5, lost=1)
     for _ in range(200):
-        rig.mavlink.received[PORT] += 1  # a thread of the participant's has sent it after the count
+        rig.mavlink.received[PORT] += 1  # a thread of the participant has sent it after the count
         rig.turn(sent=0)
         rig.mavlink.under_way -= 1
         rig.turn(sent=1)
@@ -169,7 +169,7 @@ def test_uncounted_messages_are_not_late(monkeypatch):
 
 def test_the_sockets_are_read_empty_for_every_count(monkeypatch):
     rig = Rig(monkeypatch, away=False)
-    rig.mavlink.received[PORT] = 7  # a stranger's
+    rig.mavlink.received[PORT] = 7  # a stranger's datagram
     rig.mavlink.in_socket = 1
     assert rig.turn(sent=0) < 0.1
     assert rig.mavlink.received[PORT] == 8
@@ -180,7 +180,7 @@ def test_a_strangers_datagrams_upset_the_counts_for_a_while_only(monkeypatch):
     rig.turn(sent=1)
     rig.mavlink.received[PORT] += 3
     rig.turn(sent=1)
-    assert rig.mavlink.under_way == 1  # taken for one of the three
+    assert rig.mavlink.under_way == 1  # mistaken for one of the three
     for _ in range(120):
         rig.turn(sent=1, early=True)
     rig.turn(sent=1)

@@ -1,4 +1,4 @@
-"""Depth cameras and stereo pairs: depth against rays and closed form, disparity, messages, and what is refused."""
+"""Depth cameras and stereo pairs: depth against rays and closed form, disparity, messages, and rejections."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_disparity_of_known_points(renderer: Renderer) -> None:
     assert right is not None
     for ball, (x, _, _) in zip(balls, places, strict=True):
         (row_a, column_a), (row_b, column_b) = (np.argwhere(one == ball).mean(axis=0) for one in (left, right))
-        outline = x / (x * x - 0.15**2)  # the middle of a sphere's outline is that of a point nearer than its centre
+        outline = x / (x * x - 0.15**2)  # the centre of a sphere's outline is that of a point nearer than its centre
         assert column_a - column_b == pytest.approx(mount.pinhole.fx * 0.12 * outline, abs=0.1)
         assert row_a == pytest.approx(row_b, abs=0.1)
 

@@ -1,4 +1,4 @@
-"""The process that draws pictures shows models that were added after the start, from its first picture on."""
+"""The rendering process shows models that were added after the start, from its first picture on."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def picture(process: DrawingProcess, scene: SceneAt) -> np.ndarray:
 
 
 def blue(image: np.ndarray) -> int:
-    """Return how many pixels have the colour of the car's body."""
+    """Return the number of pixels in the colour of the car's body."""
     return int(((image[:, :, 2] > image[:, :, 0] + 40) & (image[:, :, 2] < 200)).sum())
 
 

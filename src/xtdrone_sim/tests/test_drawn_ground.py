@@ -1,4 +1,4 @@
-"""The ground that cameras see under the models of a world."""
+"""The ground below a world's models, as cameras see it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Effects: forces and torques of a user's own on the vehicles, against closed forms, and what is rejected."""
+"""User-defined effects: forces and torques on the vehicles, against closed forms, and rejections."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def nothing(time, vehicles, models, force, torque):
 
 
 class Counter:
-    """Pushes harder with each step, by an amount that is drawn at the reset."""
+    """Pushes harder with each step, by an amount drawn at the reset."""
 
     def reset(self, models, time_step, random):
         self.push, self.steps = random.standard_normal(), 0

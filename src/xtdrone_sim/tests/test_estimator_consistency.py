@@ -1,9 +1,9 @@
-"""Consistency of the estimator: its covariance is what its errors are (Y. Bar-Shalom, X. R. Li, T. Kirubarajan,
+"""Consistency of the estimator: its covariance matches its errors (Y. Bar-Shalom, X. R. Li, T. Kirubarajan,
 "Estimation with Applications to Tracking and Navigation", 2001, section 5.4.2).
 
 Fifty flights of the whole core at once: the vehicles of one simulation have noise streams of their own and do not
 touch. Over N flights N times the average normalised estimation error squared (NEES) of an n-dimensional error is
-chi-square distributed with N n degrees of freedom. Judged are position, velocity and attitude, against the truth, each
+chi-square distributed with N n degrees of freedom. Position, velocity and attitude are judged against the truth, each
 alone and all nine together. The GPS receiver's slow wander, for which PX4's filter and this one have no state, is
 covered by a larger EKF2_GPS_P_NOISE (iris.yaml); biases of gyroscope, accelerometer and magnetometer are states.
 """
@@ -33,7 +33,7 @@ PERIOD = 0.5  # s between looks
 
 
 def errors(simulation: Simulation) -> np.ndarray:
-    """Return (n, 9) errors true less estimated: attitude (rad, body), velocity (m/s) and position (m), NED."""
+    """Return (n, 9) true minus estimated: attitude (rad, body), velocity (m/s) and position (m), NED."""
     plant, estimator = simulation.world.plant, simulation.autopilot.estimator
     rows = []
     for v, e in zip(plant, estimator, strict=True):
@@ -57,7 +57,7 @@ def _product(a, b):
 
 
 def nees(simulation: Simulation) -> dict[str, float]:
-    """Return the average NEES of every block over the flights, now."""
+    """Return the present average NEES of every block over the flights."""
     error, covariance = errors(simulation), simulation.autopilot.estimator["P"]
     averages = {}
     for name, part in BLOCKS.items():
@@ -68,7 +68,7 @@ def nees(simulation: Simulation) -> dict[str, float]:
 
 @functools.cache
 def fly(**parameters: float) -> dict[str, np.ndarray]:
-    """Fly 50 vehicles, each its own way, and return the average NEES of every block, look by look."""
+    """Fly 50 vehicles on different paths; return the average NEES of every block at each sample."""
     places = [(60.0 * (i % 10), 60.0 * (i // 10), 0.0) for i in range(FLIGHTS)]
     simulation = Simulation(parse_fleet(f"iris:{FLIGHTS}"), seed=0, places=places)
     for commander in simulation.commanders:
@@ -114,7 +114,7 @@ def within(values: np.ndarray, dimension: int) -> np.ndarray:
 
 @pytest.mark.parametrize("block", list(BLOCKS))
 def test_average_nees_lies_in_its_bounds(block):
-    """On the average of all looks, and at three looks of four: what is seen at two looks is not independent."""
+    """They hold on the average of all samples, and at three samples of four, as neighbouring samples are dependent."""
     dimension = BLOCKS[block].stop - BLOCKS[block].start
     seen = fly()[block]
     assert within(seen.mean(keepdims=True), dimension).all(), seen.mean()

@@ -1,4 +1,4 @@
-"""The estimator in flight: GPS lost and found, vision, optical flow, frames, and what fails."""
+"""The estimator in flight: lost and regained GPS, vision, optical flow, frames, and failures."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ STEP_US = 20_000
 
 
 class Flight:
-    """One vehicle, steered by its commander, with vision if ``vision`` is given."""
+    """One vehicle flown by its commander, with vision if ``vision`` is given."""
 
     def __init__(self, kind: str = "iris", parameters: dict[str, float] | None = None, **options) -> None:
         self.simulation = Simulation(parse_fleet(f"{kind}:1"), **options)
@@ -71,7 +71,7 @@ class Flight:
             self.simulation.run_until(min(self.simulation.time_us + STEP_US, end))
 
     def until(self, field: str, value: int, limit: float) -> float:
-        """Run until a field of the estimate has ``value``; return how long that took, s."""
+        """Run until a field of the estimate has ``value``; return the elapsed time, s."""
         start = self.simulation.time_us
         while self.e[field] != value:
             assert self.simulation.time_us - start < limit * 1e6, f"{field} is still {self.e[field]}"
@@ -246,7 +246,7 @@ def test_vision_alone_provides_position_in_its_frame():
 
 
 def test_with_vision_alone_there_is_no_home_until_there_is_an_origin():
-    """It flies by local position; global functions wait for an origin, as with PX4."""
+    """The vehicle flies by local position; global functions wait for an origin, as with PX4."""
     flight = Flight(parameters=VISION_ONLY, shared_datum=False)
     commander = flight.commander
     flight.vision = camera()
@@ -364,7 +364,7 @@ def test_range_finder_holds_the_height_where_it_counts():
     assert flight.e["position"][2] == pytest.approx(flight.position[2], abs=0.1)
 
 
-# what fails
+# failures
 
 
 def test_without_gyroscope_nothing_is_valid_until_it_is_back():
@@ -404,7 +404,7 @@ def test_a_hover_outlasts_a_bad_barometer_and_a_bad_magnetometer(kind):
     ],
 )
 def test_failures_change_the_samples_and_end(unit, field, kind):
-    """Against a twin that does not fail: other samples while it lasts, the same noise after it."""
+    """Compared with a twin without failure, samples differ during the failure, and the noise is the same after it."""
     flights = [Flight("iris_opt_flow"), Flight("iris_opt_flow")]
     for flight in flights:
         flight.run(1.0)
@@ -465,7 +465,7 @@ def test_the_same_failure_repeats_the_flight():
 
 
 def test_a_loiter_continues_smoothly_over_a_reset():
-    """The goal is a place: the vehicle flies there from where it now knows that it is, without a jerk."""
+    """The goal is fixed in the world: the vehicle flies there from its corrected position without a jerk."""
     resets = [0]
     offset = np.zeros(3)
     flight = Flight(parameters=VISION_ONLY)

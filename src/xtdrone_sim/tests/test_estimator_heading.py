@@ -1,6 +1,6 @@
-"""The heading over minutes at rest and over turns, and a magnetometer that is refused.
+"""The heading over minutes at rest and over turns, and a rejected magnetometer.
 
-At a constant heading a yaw error and a magnetometer bias look the same: nothing may drive them along together there.
+At a constant heading a yaw error and a magnetometer bias look the same: no correction may move both together there.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ VEHICLES = 24
 # heading (deg) and how long it is held, s
 LEGS = ((90.0, 60.0), (0.0, 30.0), (-90.0, 15.0), (-180.0, 15.0), (90.0, 10.0))
 GROUND = 40.0  # s
-REFUSED = 7.0  # s until the magnetometer is believed after all
+REFUSED = 7.0  # s until the magnetometer is accepted after all
 
 
 class Fleet:
-    """Vehicles that are turned on the spot."""
+    """Vehicles that turn on the spot."""
 
     def __init__(self, count: int, seed: int, **parameters: float) -> None:
         places = [(10.0 * (i % 6), 10.0 * (i // 6), 0.0) for i in range(count)]
@@ -47,7 +47,7 @@ class Fleet:
         self.run(6.0)
 
     def hold(self, heading: float) -> None:
-        """Hold the place for a fifth of a second with a heading, rad."""
+        """Hold the position and a heading (rad) for 0.2 s."""
         for commander in self.simulation.commanders:
             commander.offboard_trajectory(UNSET, STILL, UNSET, heading, math.nan)
             if commander.mode is not modes.OFFBOARD:
@@ -55,13 +55,13 @@ class Fleet:
         self.run(0.2)
 
     def heading_errors(self) -> np.ndarray:
-        """Return true less estimated heading, rad, (n,)."""
+        """Return true minus estimated heading, rad, (n,)."""
         true = [frames.yaw_from_quaternion(frames.attitude_enu_to_ned(*v["q"])) for v in self.simulation.world.plant]
         seen = [frames.yaw_from_quaternion(tuple(e["q"])) for e in self.estimator]
         return np.array([math.remainder(a - b, math.tau) for a, b in zip(true, seen, strict=True)])
 
     def refused_for(self) -> np.ndarray:
-        """Return for how long no magnetometer sample has been taken, s, (n,)."""
+        """Return the time since the last accepted magnetometer sample, s, (n,)."""
         return (self.simulation.time_us - self.estimator["time_heading_fuse_us"]) * 1e-6
 
 
@@ -91,14 +91,14 @@ def minutes() -> dict[str, np.ndarray]:
 
 
 def test_the_heading_is_accurate_for_minutes():
-    """A bias of 0.005 gauss (1 sigma) in a field of 0.21 gauss is 1.4 degrees; turns make it smaller."""
+    """A bias of 0.005 gauss (1 sigma) in a field of 0.21 gauss is 1.4 degrees; turns reduce it."""
     error = np.degrees(np.abs(minutes()["error"]))
     assert error.max() < 5.0  # 24 vehicles: 3 sigma
     assert error[-10:].max() < 0.5, "after the turns"
 
 
 def test_the_heading_error_agrees_with_its_variance():
-    """No look may differ much from its standard deviation; on the average of 24 vehicles chi-square holds."""
+    """No sample exceeds its standard deviation by much, and the average of 24 vehicles is within chi-square bounds."""
     seen = minutes()
     squares = (seen["error"] / seen["deviation"]) ** 2
     low, high = 12.401 / VEHICLES, 39.364 / VEHICLES  # 95 % of chi-square with 24 degrees of freedom
@@ -108,7 +108,7 @@ def test_the_heading_error_agrees_with_its_variance():
 
 
 def test_the_heading_does_not_wander_at_rest():
-    """While 24 vehicles hover, their errors move no more than by what the filter's own correction makes of them."""
+    """While 24 vehicles hover, their errors change by no more than the filter's own corrections."""
     error = minutes()["error"]
     start, end = round(GROUND) + 15, round(GROUND) + 60  # the first leg, once the turn is over
     change = np.degrees(error[end - 5 : end].mean(axis=0) - error[start : start + 5].mean(axis=0))
@@ -121,7 +121,7 @@ def test_no_magnetometer_is_rejected_for_long():
 
 
 def test_a_rejected_magnetometer_sets_the_heading_once_and_is_faulty_then():
-    """The declination is changed in flight, so that the magnetometer seems to be wrong by 25 degrees."""
+    """A declination changed in flight makes the magnetometer appear 25 degrees off."""
     fleet = Fleet(1, seed=3, EKF2_MAG_DECL=3.0)
     e, commander = fleet.estimator[0], fleet.simulation.commanders[0]
     fleet.run(3.0)
@@ -154,7 +154,7 @@ def test_a_rejected_magnetometer_sets_the_heading_once_and_is_faulty_then():
 
 
 def _until_reset(fleet: Fleet, heading: float, declination: float) -> float:
-    """Change the declination (deg) and wait for the heading's reset; return how long that took, s."""
+    """Change the declination (deg) and wait for the heading's reset; return the elapsed time, s."""
     fleet.simulation.commanders[0].parameters.set("EKF2_MAG_DECL", declination)
     start, counter = fleet.simulation.time_us, int(fleet.estimator["resets"]["heading"][0])
     while fleet.estimator["resets"]["heading"][0] == counter:

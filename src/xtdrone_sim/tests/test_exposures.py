@@ -1,4 +1,4 @@
-"""Which camera exposes when; what becomes of the process that draws."""
+"""The exposure times of each camera, and failures of the rendering process."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_cameras_expose_evenly_at_their_rate_and_spread(rate: float, count: int)
     times = [-(-k * 1_000_000 // round(turns * 1000) * 1000 // 4000) * 4000 for k in range(round(turns * length))]
     due = [exposures.due(time) for time in times]
     most = max(map(len, due))
-    assert most == math.ceil(count * rate / turns - 1e-9)  # no turn has more than its share
+    assert most == math.ceil(count * rate / turns - 1e-9)  # the load is spread evenly over the turns
     for camera in range(count):
         at = [turn for turn, cameras in enumerate(due) if camera in cameras]
         assert len(at) == round(rate * length)

@@ -1,4 +1,4 @@
-"""Failsafes flown on the whole core, with their timing, by simulated time, to 0.2 s."""
+"""Failsafes flown on the whole core; simulated times are held to 0.2 s."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TOLERANCE = 0.2  # s
 
 
 class Sortie:
-    """One vehicle that hovers at 4 m in AUTO.LOITER; everything by its commander."""
+    """One vehicle that hovers at 4 m in AUTO.LOITER, flown by its commander alone."""
 
     def __init__(self, **parameters: float) -> None:
         self.simulation = Simulation(parse_fleet("iris:1"))
@@ -67,7 +67,7 @@ class Sortie:
                 self.named.append(self.commander.events.popleft().name)
 
     def until(self, done, limit: float) -> float:
-        """Fly on until ``done()``; return the seconds that took."""
+        """Fly on until ``done()``; return the elapsed time, s."""
         start = self.now
         while not done():
             assert self.now - start < limit, f"not within {limit} s; {self.commander.mode.label}; {self.said}"
@@ -172,7 +172,7 @@ def test_loss_of_the_ground_station_is_only_announced_by_default(sortie):
 
 
 def test_a_draining_battery_warns_and_then_lands_the_vehicle(sortie):
-    """As PX4's simulator drains it: full to empty in SIM_BAT_DRAIN; BAT_CRIT_THR 7 %, COM_LOW_BAT_ACT 2."""
+    """The battery drains as in PX4's simulator, in SIM_BAT_DRAIN; BAT_CRIT_THR 7 %, COM_LOW_BAT_ACT 2."""
     flight = sortie(SIM_BAT_DRAIN=25.0, SIM_BAT_MIN_PCT=0.0, BAT1_V_LOAD_DROP=0.0, COM_FAIL_ACT_T=1.0)
     flight.until(lambda: "commander_failsafe_enter_low_bat" in flight.named, 25.0)
     assert flight.now - flight.armed == pytest.approx(25.0 * 0.85, abs=TOLERANCE)
@@ -223,13 +223,13 @@ def test_a_mission_into_a_fence_is_stopped(sortie):
     flight.commander.navigator.set_plan(plan.MISSION, [item], 0)
     assert flight.commander.request(modes.AUTO_MISSION) == 0
     flight.run(0.5)
-    flight.commander.parameters.set("GF_MAX_HOR_DIST", 10.0)  # only now: PX4 would have refused the mission
+    flight.commander.parameters.set("GF_MAX_HOR_DIST", 10.0)  # only now: otherwise PX4 would have rejected the mission
     flight.until(lambda: flight.commander.health.breach, 12.0)
     assert flight.until_mode(modes.AUTO_LOITER) < TOLERANCE
 
 
 def _goto(flight, north):
-    """Send the vehicle ``north`` metres away from where it is, by DO_REPOSITION."""
+    """Send the vehicle ``north`` metres from its position, by DO_REPOSITION."""
     x, y, z = flight.commander.view.position
     place = flight.commander.view.to_global((x + north, y, z))
     return flight.commander.reposition(place, math.nan, math.nan)
@@ -240,7 +240,7 @@ def test_a_flight_to_a_place_beyond_the_fence_is_stopped_at_the_fence(sortie, de
     flight = sortie(GF_ACTION=2, COM_FAIL_ACT_T=delay)
     start = flight.commander.view.position[0]
     assert _goto(flight, 30.0) == 0
-    flight.commander.parameters.set("GF_MAX_HOR_DIST", 15.0)  # only now: the place would have been refused
+    flight.commander.parameters.set("GF_MAX_HOR_DIST", 15.0)  # only now: before, the position would be rejected
     flight.until(lambda: flight.commander.health.breach, 12.0)
     flight.run(8.0)
     assert flight.commander.mode is modes.AUTO_LOITER
@@ -251,7 +251,7 @@ def test_a_flight_to_a_place_beyond_the_fence_is_stopped_at_the_fence(sortie, de
 def test_a_place_beyond_the_fence_is_rejected(sortie):
     flight = sortie(GF_ACTION=2, GF_MAX_HOR_DIST=15.0)
     start = flight.commander.view.position[0]
-    assert _goto(flight, 30.0) == 0  # PX4's commander accepts what its navigator then refuses
+    assert _goto(flight, 30.0) == 0  # PX4's commander accepts what its navigator then rejects
     flight.run(5.0)
     assert "Reposition is outside geofence" in flight.said
     assert "navigator_reposition_outside_geofence" in flight.named
@@ -283,7 +283,7 @@ def test_a_motor_that_stops_is_found_by_its_current(sortie):
 
 @pytest.mark.parametrize(("breaker", "action"), [(121212, "warn"), (0, "terminate")])
 def test_the_attitude_limit(sortie, breaker, action):
-    """Told to bank beyond FD_FAIL_R by attitude setpoints."""
+    """Attitude setpoints command a bank beyond FD_FAIL_R."""
     flight = sortie(CBRK_FLIGHTTERM=breaker, FD_FAIL_R=20, COM_LKDOWN_TKO=0.0)
     flight.hover_offboard()
     half = math.radians(30.0) / 2
@@ -315,7 +315,7 @@ def test_the_attitude_limit_at_takeoff_disarms(sortie):
 
 
 def test_flight_termination_by_command(sortie):
-    flight = sortie(COM_DISARM_LAND=-1.0)  # it falls, and would be disarmed by landing
+    flight = sortie(COM_DISARM_LAND=-1.0)  # it falls, and landing detection would disarm it
     assert flight.commander.flight_termination(2.0) == 0
     flight.run(0.1)
     assert flight.simulation.autopilot.setpoint[0]["armed"] == 0

@@ -1,4 +1,4 @@
-"""Closed-loop flights of the whole core, compared with what a real PX4 v1.14.3 did on an iris-like plant.
+"""Closed-loop flights of the whole core, compared with a real PX4 v1.14.3 on an iris-like plant.
 
 Reference figures (a recorded flight of PX4's own SITL build): position step 5 m: 90 % after 1.94 s, overshoot 7.8 %,
 at most 38 deg of tilt; velocity step 3 m/s: 90 % after 1.14 s, overshoot 6.7 %; yaw step 90 deg: 90 % after 0.76 s;
@@ -22,7 +22,7 @@ SAMPLE_US = 20_000
 
 
 class Pilot:
-    """Flies vehicle 0 of a simulation by its commander and records the truth in NED at 50 Hz."""
+    """Flies vehicle 0 of a simulation by its commander, and records the truth in NED at 50 Hz."""
 
     def __init__(self, fleet: str = "iris:1", **options) -> None:
         self.simulation = Simulation(parse_fleet(fleet), **options)
@@ -172,7 +172,7 @@ def test_returns_home():
 
 @pytest.mark.parametrize(("radius", "speed", "behaviour"), [(10.0, 3.0, 0), (-6.0, 2.0, 3), (5.0, 9.0, 1)])
 def test_orbit(flying, radius, speed, behaviour):
-    """A circle in closed form: distance, angular rate and heading; the speed is cut to 2 m/s^2 towards the centre."""
+    """Distance, angular rate and heading are those of a circle; 2 m/s^2 towards the centre limit the speed."""
     flying.setpoint = None
     start = flying.estimate()
     heading = flying.view.yaw
@@ -191,7 +191,7 @@ def test_orbit(flying, radius, speed, behaviour):
     assert path[:, 2] == pytest.approx(start[2] - 3.0, abs=0.4)
     expected = math.copysign(min(speed, math.sqrt(2.0 * abs(radius))), radius) / abs(radius)
     angles = np.unwrap(np.arctan2(*np.vstack([first, arm]).T[::-1]))
-    # drag holds it back: the velocity integrators, fixed to the ground, do not follow a turning velocity
+    # drag slows it down: the velocity integrators, fixed to the ground, do not follow a rotating velocity
     assert 0.8 < (angles[-1] - angles[0]) / span / expected < 1.02
     north, east = arm[-1] / distance[-1]
     sign = math.copysign(1.0, radius)
@@ -204,9 +204,9 @@ def test_orbit(flying, radius, speed, behaviour):
 
 
 def test_follows_a_target(flying):
-    """8 m behind a target that goes east at 2 m/s, 8 m over home, facing it; beside where it was lost, when it is.
+    """It stays 8 m behind a target that moves east at 2 m/s, 8 m above home, facing it, and near the place of its loss.
 
-    The setpoint has no error behind a constant velocity, so what is left is the estimate's, 0.15 m as below.
+    The setpoint has no error at constant velocity, so the remaining error is the estimate's, 0.15 m as below.
     """
     flying.setpoint = None
     start = flying.estimate()
@@ -241,7 +241,7 @@ def test_estimate_follows_the_truth(flying):
 
 
 def test_a_vehicle_flies_the_same_alone_and_in_company():
-    """Same seed, same vehicle: bit-equal whether it flies alone or with eight others."""
+    """With the same seed, a vehicle's flight is bit-equal alone and with eight others."""
     finals = []
     for fleet in ("iris:1", "iris:9"):
         simulation = Simulation(parse_fleet(fleet), seed=7)

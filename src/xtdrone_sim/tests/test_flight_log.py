@@ -1,4 +1,4 @@
-"""A flight's log: what pyulog and its tools read in it, against what the simulation had."""
+"""A flight log as pyulog and its tools read it, against the simulation's values."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from xtdrone_sim.simulation import Simulation
 ARMED_US, LANDING_US = 2_000_000, 12_000_000
 CHANGED_US = 8_504_000
 
-# what Flight Review's first plots are made of (its configured_plots.py), and PlotJuggler shows
+# the data of Flight Review's first plots (its configured_plots.py), also shown by PlotJuggler
 SHOWN = {
     "vehicle_local_position": ["x", "y", "z", "vx", "vy", "vz"],
     "vehicle_local_position_setpoint": ["x", "y", "z", "vx", "vy", "vz"],
@@ -219,13 +219,13 @@ def test_parameters(flight, log):
     second = ULog(str(flight.log("iris_1")))
     assert second.initial_parameters["MAV_SYS_ID"] == 2
     assert second.get_default_parameters(0)["MAV_SYS_ID"] == 1
-    assert "MAV_SYS_ID" not in second.get_default_parameters(1)  # the fleet's own is as it is
+    assert "MAV_SYS_ID" not in second.get_default_parameters(1)  # the fleet's own value is unchanged
 
 
 def test_commands_and_sticks(log):
     commands = log.get_dataset("vehicle_command").data
     assert commands["command"].tolist() == [511, 203]
-    assert commands["timestamp"].tolist() == [CHANGED_US, CHANGED_US + 1]  # a topic's times rise
+    assert commands["timestamp"].tolist() == [CHANGED_US, CHANGED_US + 1]  # the times of a topic increase
     assert (commands["param1"][0], commands["param5"][0]) == (30.0, 47.123456789)
     assert math.isnan(commands["param3"][0])
     acks = log.get_dataset("vehicle_command_ack").data
@@ -245,7 +245,7 @@ def test_texts(flight, log):
 
 
 def tool(name: str, *arguments: object, folder: Path) -> str:
-    """Run one of pyulog's programs; it must say nothing of trouble."""
+    """Run one of pyulog's programs; it must report no error."""
     program = Path(sys.executable).with_name(name)
     done = subprocess.run(
         [str(program), *map(str, arguments)], capture_output=True, text=True, cwd=folder, timeout=100, check=False
@@ -287,7 +287,7 @@ def test_logging_changes_nothing(flight):
 
 
 def test_tail_cut_anywhere(flight, tmp_path, capsys):
-    """A log without its last bytes is read silently."""
+    """A log without its last bytes is read without a warning."""
     whole = flight.log().read_bytes()
     cut = tmp_path / "cut.ulg"
     for missing in range(0, 400):
@@ -316,7 +316,7 @@ def test_data_written_before_a_crash_is_readable(tmp_path):
     (path,) = tmp_path.rglob("*.ulg")
     log = ULog(str(path))
     assert not log.file_corruption
-    assert log.last_timestamp >= 2_900_000  # a second at most is lost
+    assert log.last_timestamp >= 2_900_000  # at most a second is lost
 
 
 @pytest.mark.parametrize(
@@ -324,7 +324,7 @@ def test_data_written_before_a_crash_is_readable(tmp_path):
     [(-1, []), (0, [1]), (1, [0]), (2, [0]), (4, [1])],
 )
 def test_modes_of_logging(tmp_path, mode, starts):
-    """SDLOG_MODE says when a log is begun: at boot, or at the first arming after 1 s."""
+    """SDLOG_MODE selects when a log begins: at boot, or at the first arming after 1 s."""
     flight = Flight(tmp_path, SDLOG_MODE=mode) if mode == 1 else _booted_with(tmp_path, mode)
     flight.run_until(1_000_000)
     flight.commander.arm_disarm(True)

@@ -19,7 +19,7 @@ _PLACES = [(5.0 * i, 0.0, 60.0 + i) for i in range(5)]
 
 @pytest.fixture
 def simulate():
-    """Return a function that creates five vehicles in the air, with as many threads as asked for.
+    """Return a function that creates five vehicles in the air, with a given number of threads.
 
     With ``aligned`` their estimators run; otherwise they never do, as the vehicles have never been at rest.
     """
@@ -119,7 +119,7 @@ def test_vehicles_near_each_other_or_spinning_are_checked(simulate):
 
 
 def test_kernels_without_reference_counts_return_no_arrays(simulate):
-    """Their caller would count down a reference that they have not counted up."""
+    """Their caller would release a reference that it does not hold."""
     simulation = simulate(aligned=True)
     _power(simulation)
     simulation.run_until(simulation.time_us + 400_000)

@@ -1,6 +1,6 @@
-"""Clients send any legal request at any time: nothing raises, and the other vehicles are not affected.
+"""Clients send any legal request at any time: no exception, and no effect on the other vehicles.
 
-Everything comes as MAVLink messages without sockets, so that many simulated minutes fit into a test.
+Requests are MAVLink messages without sockets, so that many simulated minutes fit into a test.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from xtdrone_control.mavlink.streams.stream_schedule import GCS_RATES, Streams
 from xtdrone_sim.simulation import Simulation
 
 CALM, TROUBLED = 0, (1, 2)
-HEIGHT = 5.0  # m, at which the calm vehicle holds
+HEIGHT = 5.0  # m, height of the undisturbed vehicle
 FAR = 5000.0  # m between vehicles
 STRANGE = (0.0, 1.0, -1.0, 2.0, 0.5, 10.0, 1e-30, 1e9, 3e38, -3e38, math.nan, math.inf, -math.inf)
 COMMANDS = (16, 20, 21, 22, 23, 84, 176, 177, 178, 179, 183, 185, 186, 187, 189, 192, 195, 196, 197, 201, 223, 224,
@@ -48,7 +48,7 @@ FENCE_COMMANDS = (plan.FENCE_INCLUSION, plan.FENCE_EXCLUSION, plan.FENCE_CIRCLE_
 
 
 class Pipe:
-    """A client's link that counts what it is given, and its own port."""
+    """A client's link that counts sent messages, and its own port."""
 
     def __init__(self, telemetry: VehicleTelemetry, system_id: int) -> None:
         self.telemetry = telemetry
@@ -82,7 +82,7 @@ class Pipe:
         self.told += 1
 
     def stream(self, now_us: int) -> None:
-        """Make everything that is due."""
+        """Build and count the telemetry that is due."""
         self.telemetry.refresh(now_us)
         outbox = Outbox("127.0.0.1", 9, 1, 1)
         self.streams.send_due(now_us, {}, outbox, None, lambda _text: None)
@@ -90,7 +90,7 @@ class Pipe:
 
 
 class Client:
-    """Two clients of one vehicle, of which one asks for everything at random."""
+    """Two clients of one vehicle, one of which sends random requests."""
 
     def __init__(self, simulation: Simulation, index: int, seed: int) -> None:
         self.rng = random.Random(f"{seed} {index}")
@@ -103,7 +103,7 @@ class Client:
         return sum(link.told for link in self.links)
 
     def reboot(self, simulation: Simulation) -> None:
-        """Speak to the autopilots that have booted."""
+        """Connect to the autopilots that have booted."""
         self.simulation = simulation
         self.commander = simulation.commanders[self.index]
         self.system = self.commander.vehicle.system_id
@@ -136,7 +136,7 @@ class Client:
             (6, 8, 3, 3, 3, 4, 3, 3, 3, 1),
         )[0]()  # fmt: skip
 
-    # what it asks for
+    # requests
 
     def number(self) -> float:
         return self.rng.choice(STRANGE) if self.rng.random() < 0.5 else float(self.rng.randint(-5, 20))
@@ -145,7 +145,7 @@ class Client:
         return [self.number() for _ in range(count)]
 
     def place(self) -> tuple[float, float]:
-        """Return a latitude and a longitude, degrees, mostly near."""
+        """Return a latitude and a longitude, degrees, mostly nearby."""
         if self.rng.random() < 0.03:
             return self.number(), self.number()
         position = self.commander.view.position
@@ -193,7 +193,7 @@ class Client:
         self.run(400, self.rng.choice((1, 1, 1, 0)), self.rng.choice((0, 0, 21196)))
 
     def fly(self) -> None:
-        """Mend what is broken, and take off."""
+        """Clear failures, restore parameters, and take off."""
         self.run(420, *(self.rng.choice((0, 1, 3, 4, 101)), 0, 0))
         self.run(185, 0)
         for name in NAMES:
@@ -293,7 +293,7 @@ class Client:
 
 
 class Flight:
-    """Three vehicles far from each other, two of which random clients trouble."""
+    """Three vehicles far from each other, two of them disturbed by random clients."""
 
     def __init__(self, seed: int) -> None:
         places = [(FAR * i, 0.0, 0.0) for i in range(3)]
@@ -302,7 +302,7 @@ class Flight:
         self.rng = random.Random(seed)
 
     def start(self) -> None:
-        """Take off with the undisturbed vehicle and hold."""
+        """Take off with the undisturbed vehicle and hold its position."""
         self.run(2.0)
         commander = self.simulation.commanders[CALM]
         commander.parameters.set("MIS_TAKEOFF_ALT", HEIGHT)
@@ -327,7 +327,7 @@ class Flight:
                     client.update()
 
     def check(self) -> None:
-        """See that the calm vehicle holds its place."""
+        """Check that the undisturbed vehicle holds its position."""
         control, plant = self.simulation.autopilot.control[CALM], self.simulation.world.plant[CALM]
         assert self.simulation.commanders[CALM].mode is modes.AUTO_LOITER
         assert np.isfinite(control["actuators"]).all()
@@ -353,6 +353,6 @@ def rage(seed: int, minutes: int) -> Flight:
 
 @pytest.mark.parametrize("seed", range(30, 32))
 def test_random_commands_raise_nothing_and_leave_the_others_alone(seed, caplog):
-    caplog.set_level(logging.CRITICAL)  # values out of range are warned of by the thousand
+    caplog.set_level(logging.CRITICAL)  # values out of range cause thousands of warnings
     flight = rage(seed, minutes=4)
     assert all(client.told > 1000 for client in flight.clients)

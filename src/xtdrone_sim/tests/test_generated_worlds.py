@@ -1,4 +1,4 @@
-"""Generated worlds: the laws of each kind, names and options, and what is refused."""
+"""Generated worlds: the laws of each kind, names and options, and rejections."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SEEDS = st.integers(0, 2**31 - 1)
 
 
 def reached(count: int, links: set[tuple[int, int]]) -> set[int]:
-    """Return the numbers below ``count`` that can be reached from 0."""
+    """Return the numbers below ``count`` that are reachable from 0."""
     seen, active = {0}, [0]
     while active:
         at = active.pop()
@@ -63,7 +63,7 @@ def test_fifteen_vehicles_start_free(name: str) -> None:
 @settings(deadline=None, max_examples=25)
 @given(SEEDS, st.floats(0.5, 8.0))
 def test_trees_keep_apart_and_leave_no_gap(seed: int, apart: float) -> None:
-    """Maximal Poisson discs: no pair nearer than ``apart``, and hardly a place farther than that from all trees."""
+    """The trees are maximal Poisson discs: no pair nearer than ``apart``, hardly a point farther from all trees."""
     points = places(np.random.default_rng(seed), 0.0, 0.0, 20.0, 15.0, apart)
     distances = [math.dist(a, b) for a, b in itertools.combinations(points.tolist(), 2)]
     assert min(distances, default=apart) >= apart - 2e-3  # coordinates are rounded to 1 mm
@@ -86,7 +86,7 @@ def test_mazes_are_connected_and_perfect_without_loops(seed: int, columns: int, 
     links |= {(i * rows + j, i * rows + j + 1) for i, j in np.argwhere(north).tolist()}
     assert len(reached(columns * rows, links)) == columns * rows
     if loops == 0.0:
-        assert len(links) == columns * rows - 1  # a tree: one way between any two cells
+        assert len(links) == columns * rows - 1  # a tree: exactly one path between any two cells
 
 
 @settings(deadline=None, max_examples=40)

@@ -1,4 +1,4 @@
-"""Gimbals against the law that they keep, links against the poses that their URDF gives, landing gears in flight."""
+"""Gimbals against their law, links against the poses in their URDF, landing gears in flight."""
 
 from __future__ import annotations
 
@@ -54,12 +54,12 @@ class Rig:
         return Pose(tuple(state["position"].tolist()), (w, x, y, z))
 
     def looks(self) -> np.ndarray:
-        """Return the camera's x (ahead), y (left) and z (up) in the world, as columns."""
+        """Return the camera's axes x (forward), y (left) and z (up) in the world, as columns."""
         return np.column_stack([rotate(self.camera().orientation, axis) for axis in np.eye(3).tolist()])
 
 
 def turn_of(heading: float, roll: float, pitch: float, yaw: float) -> np.ndarray:
-    """Return the camera's axes by the definition of roll, pitch (up), yaw (to the right)."""
+    """Return the camera's axes by the definition of roll, pitch (up) and yaw (to the right)."""
     return np.column_stack([rotate(from_euler(roll, -pitch, heading - yaw), axis) for axis in np.eye(3).tolist()])
 
 
@@ -111,10 +111,10 @@ def test_it_turns_at_its_rate():
 
 def test_joint_limits_hold():
     rig = Rig()
-    rig.payload.gimbal = (0.0, 1.5, 0.0)  # the pitch joint ends at 1.05 upwards
+    rig.payload.gimbal = (0.0, 1.5, 0.0)  # the pitch joint's limit is 1.05 upwards
     rig.run(2.0)
     assert rig.payload.gimbal_attitude[1] == pytest.approx(1.05, abs=1e-6)
-    rig.turn(1.2, 0.0, 0.0)  # more than the roll joint can take back
+    rig.turn(1.2, 0.0, 0.0)  # more than the roll joint can compensate
     rig.payload.gimbal = (0.0, 0.0, 0.0)
     rig.run(2.0)
     assert rig.payload.gimbal_attitude[0] == pytest.approx(1.2 - 0.785398, abs=1e-3)
@@ -230,7 +230,7 @@ def _raised(simulation: Simulation) -> float:
 
 
 def test_the_landing_gear_is_up_in_flight_and_down_to_land():
-    """As PX4 has it: up in AUTO modes from 2 m above home on, down as soon as it lands, else left alone."""
+    """As in PX4, it is up in AUTO modes from 2 m above home, down when the vehicle lands, otherwise unchanged."""
     simulation = Simulation(parse_fleet("typhoon_h480:1"), seed=2)
     commander = simulation.commanders[0]
     commander.parameters.set("MIS_TAKEOFF_ALT", 6.0)

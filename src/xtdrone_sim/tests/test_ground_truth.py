@@ -1,4 +1,4 @@
-"""The twist of a ground truth with time: in the axes of the body."""
+"""The time-stamped twist of a ground truth is in the axes of the body."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""PX4s in our autopilot's place: the simulator link against a stand-in that follows PX4's side of it."""
+"""PX4s in our autopilot's place: the simulator link against a stand-in written from PX4's side."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ STEP = 4000
 
 
 class World:
-    """A simulation whose vehicles PX4s fly, and what its links have said."""
+    """A simulation whose vehicles are flown by PX4s, and the messages of its links."""
 
     def __init__(self, count: int = 1, **options: object) -> None:
         self.log: list[tuple[int, str]] = []
@@ -42,7 +42,7 @@ class World:
         self.px4s: list[StandIn] = []
 
     def start(self, index: int = 0, script=None, **options) -> StandIn:
-        """Start a PX4 and wait until its link is there."""
+        """Start a PX4 and wait for its link."""
         px4 = StandIn(FLEET[index], script, **options)
         self.px4s.append(px4)
         end = time.monotonic() + WALL_LIMIT
@@ -59,7 +59,7 @@ class World:
                 px4.check()
 
     def said(self, text: str) -> int:
-        """Return the level of the first word with ``text``."""
+        """Return the level of the first message with ``text``."""
         found = [level for level, said in self.log if text in said]
         assert found, (text, self.log)
         return found[0]
@@ -83,7 +83,7 @@ def take_off(px4: StandIn) -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def patience():
-    """A stand-in that a busy machine holds up is not one that is silent."""
+    """Extend the limit of silence, so that a stand-in delayed by a busy machine does not count as silent."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(hil_module, "DISARMED_LIMIT", WALL_LIMIT)
         yield
@@ -133,7 +133,7 @@ def test_messages_have_px4s_rates(flight):
     assert counts["HIL_SENSOR"] == pytest.approx(2000, abs=1)  # 8 s
     assert fields == {"imu": counts["HIL_SENSOR"], "mag": 400, "baro": 200}
     assert counts["HIL_GPS"] == 79
-    assert counts["HIL_STATE_QUATERNION"] == pytest.approx(1600, abs=10)  # PX4 asks for 5 ms
+    assert counts["HIL_STATE_QUATERNION"] == pytest.approx(1600, abs=10)  # PX4 requests 5 ms
     assert counts["HEARTBEAT"] == 8
 
 
@@ -145,7 +145,7 @@ def test_messages_are_in_order_and_in_px4s_time(flight):
     assert [message.time_usec for message in sensors] == [STEP * (k + 1) for k in range(len(sensors))]
     assert px4.received[0].get_type() == "HIL_SENSOR"  # PX4's clock has no time before it
     now = 0
-    for message in reversed(px4.received):  # what belongs to a step comes before its HIL_SENSOR
+    for message in reversed(px4.received):  # the messages of a step precede its HIL_SENSOR
         if message.get_type() == "HIL_SENSOR":
             now = message.time_usec
         elif message.get_type() == "HIL_GPS":
@@ -166,7 +166,7 @@ def test_samples_are_px4s_units_and_frames(flight):
     assert baro.pressure_alt == pytest.approx(488.0, abs=3.0)
     assert baro.temperature == pytest.approx(11.8, abs=0.5)
     mag = np.mean([(m.xmag, m.ymag, m.zmag) for m in sensors if m.fields_updated & MAG], axis=0)
-    heading = math.atan2(-mag[1], mag[0]) + math.radians(3.0)  # spawned looking east: magnetic north is on the left
+    heading = math.atan2(-mag[1], mag[0]) + math.radians(3.0)  # spawned facing east: magnetic north is on the left
     assert heading == pytest.approx(math.pi / 2, abs=0.1)
     gps = next(m for m in on_ground if m.get_type() == "HIL_GPS")
     datum = made.simulation.world.model.datum
@@ -194,7 +194,7 @@ def test_ground_truth_is_the_worlds(flight):
         assert message.yawspeed == pytest.approx(-state["rates"][2], abs=1e-5)
         w, qx, qy, qz = message.attitude_quaternion
         heading = math.atan2(2.0 * (w * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
-        assert heading == pytest.approx(math.pi / 2, abs=0.2)  # looks east
+        assert heading == pytest.approx(math.pi / 2, abs=0.2)  # faces east
         assert 1.0 - 2.0 * (qx * qx + qy * qy) > 0.98  # upright
 
 
@@ -221,7 +221,7 @@ def test_one_that_dies_stops_its_motors_and_the_other_flies_on():
         assert not made.simulation.autopilot.setpoint["armed"][0]
         assert made.height(0) < 0.5
         assert made.height(1) > 1.5
-        # a new one takes the vehicle over, in its own time
+        # a new PX4 takes the vehicle over, in its own time
         again = made.start(0, {TAKE_OFF_US: take_off})
         made.run(7.0)
         assert again.sent[0][0] > 8_000_000
@@ -230,7 +230,7 @@ def test_one_that_dies_stops_its_motors_and_the_other_flies_on():
 
 
 def test_a_disarmed_ones_silence_does_not_stop_the_world(monkeypatch):
-    """PX4 sends no controls while it is disarmed in OFFBOARD without setpoints."""
+    """The world advances although PX4 sends no controls while disarmed in OFFBOARD without setpoints."""
     monkeypatch.setattr(hil_module, "DISARMED_LIMIT", 0.2)
 
     def be_silent(px4: StandIn) -> None:
@@ -244,7 +244,7 @@ def test_a_disarmed_ones_silence_does_not_stop_the_world(monkeypatch):
         made.run(1.1)
         assert made.said("disarmed and silent") == logging.INFO
         assert not made.hil.links[0].locked
-        while not made.hil.links[0].locked:  # its answers lag behind the world, which does not wait for them
+        while not made.hil.links[0].locked:  # its replies lag behind the world, which does not wait for them
             assert made.simulation.time_us < TAKE_OFF_US
             made.run(STEP * 1e-6)
         assert made.simulation.time_us >= 1_200_000 + RELOCK_STEPS * STEP
@@ -302,7 +302,7 @@ def test_its_time_never_goes_back():
 
 
 def test_strange_bytes_are_passed_over_or_end_the_link(monkeypatch):
-    monkeypatch.setattr(hil_module, "DISARMED_LIMIT", 0.5)  # an answer is lost in the strange bytes
+    monkeypatch.setattr(hil_module, "DISARMED_LIMIT", 0.5)  # a reply is lost among the invalid bytes
     with world() as made:
         with socket.create_connection(("127.0.0.1", FLEET[0].simulator_tcp_port)) as stranger:
             stranger.sendall(b"GET / HTTP/1.1\r\n\r\n" * 300)

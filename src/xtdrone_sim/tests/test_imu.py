@@ -1,4 +1,4 @@
-"""Further IMUs: lever arm and frame in closed form, noise, agreement with the plant, refusals."""
+"""Further IMUs: lever arm and frame in closed form, noise, agreement with the plant, rejections."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ UP = np.array([0.0, 0.0, 9.80665])
 
 
 def test_lever_arm_and_frame() -> None:
-    """A turn about z at 2 rad/s that grows by 3 rad/s^2, seen 0.5 m ahead: centripetal -2, tangential 1.5 m/s^2."""
+    """At 2 rad/s about z, growing by 3 rad/s^2, a sensor 0.5 m ahead measures -2 (centripetal) and 1.5 m/s^2."""
     rates, change = np.array([0.0, 0.0, 2.0]), np.array([0.0, 0.0, 3.0])
     gyro, accel = Imu("iris_0", ImuMount(position=(0.5, 0.0, 0.0))).measure(0, rates, change, UP)
     assert gyro == pytest.approx([0.0, 0.0, 2.0])
@@ -59,7 +59,7 @@ def test_bias_walks_with_the_square_root_of_time() -> None:
 
 
 def test_a_perfect_imu_integrates_to_the_flight() -> None:
-    """Velocity from specific force and attitude, over a takeoff, is that of the plant."""
+    """Specific force and attitude over a takeoff integrate to the plant's velocity."""
     simulation = Simulation(parse_fleet("iris:1"))
     simulation.run_until(2_000_000)
     commander = simulation.commanders[0]

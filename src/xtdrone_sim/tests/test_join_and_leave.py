@@ -35,7 +35,7 @@ def state(simulation: Simulation, rows: range) -> bytes:
 
 
 def fly(script: Script, *, reserve: int = 1, effects: Sequence[str] = ()) -> list[bytes]:
-    """Let two vehicles fly and land, and a third stand; return their states at each second."""
+    """Fly and land two vehicles while a third stands; return their states at each second."""
     simulation = Simulation(parse_fleet("iris:3"), seed=5, reserve=reserve, effects=load_effects(list(effects)))
     frames = []
     for second in range(1, 19):
@@ -199,7 +199,7 @@ def test_each_vehicle_has_a_complete_log_of_its_own(tmp_path: Path) -> None:
 
 
 def test_a_vehicle_that_joins_costs_the_others_no_step_at_once() -> None:
-    """The fleet keeps its compiled steps while no vehicle has a gimbal, with places free."""
+    """A fleet with free slots keeps its compiled steps while no vehicle has a gimbal."""
     simulation = Simulation(parse_fleet("iris:2"), seed=1, reserve=3)
     simulation.run_until(2_000_000)
     take_off(simulation, 0)

@@ -1,4 +1,4 @@
-"""Joints between models: reading, and motion against the equations of a pendulum, an incline and limits."""
+"""Joints between models: parsing, and motion against the equations of a pendulum, an incline and limits."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def run(world: World, seconds: float) -> None:
 
 def test_a_hinge_swings_with_the_period_of_a_physical_pendulum() -> None:
     """T = 2 pi sqrt(I / (m g l)) for small angles about the hanging position."""
-    world = simulation(model(joint("revolute"), "0 0 5 0 1.5 0"))  # 0.07 rad beside hanging
+    world = simulation(model(joint("revolute"), "0 0 5 0 1.5 0"))  # 0.07 rad from the hanging position
     hinge = world.joints["m::j"]
     middle, crossings = math.pi / 2 - 1.5, []
     last = hinge.position - middle
@@ -65,7 +65,7 @@ def test_a_hinge_swings_with_the_period_of_a_physical_pendulum() -> None:
     assert np.diff(crossings).mean() * DT == pytest.approx(period, rel=3e-3)
     assert np.ptp(np.diff(crossings)) * DT < 3e-3
     tip = world.bodies.by_number[0].pose.position
-    assert np.linalg.norm(np.subtract(tip, (0.0, 0.0, 5.0))) < 2e-3  # the axis stays where it is
+    assert np.linalg.norm(np.subtract(tip, (0.0, 0.0, 5.0))) < 2e-3  # the axis stays in place
 
 
 def test_a_slide_falls_along_its_axis() -> None:
@@ -92,7 +92,7 @@ def test_limits_stop_without_a_rebound_and_hold_the_weight(kind: str, axis: str,
 
 
 def test_damping_brings_a_falling_slide_to_its_final_speed_and_friction_holds_it() -> None:
-    """m g = d v; friction above m g holds."""
+    """The final speed is that of m g = d v; friction above m g holds the slide."""
     loose = "<axis><xyz>0 0 -1</xyz><dynamics><damping>40</damping></dynamics></axis>"
     world = simulation(model(joint("prismatic", loose)))
     run(world, 0.6)
@@ -105,7 +105,7 @@ def test_damping_brings_a_falling_slide_to_its_final_speed_and_friction_holds_it
 
 @pytest.mark.parametrize("kind", ["revolute", "ball", "prismatic"])
 def test_free_bodies_keep_momentum_and_energy_falls(kind: str) -> None:
-    """Without gravity on them, two joined bodies that are struck keep the sum of their momenta."""
+    """Without gravity, two joined bodies keep the sum of their momenta after a blow."""
     first = ROD.format(name="a", pose="0 0 0 0 0 0").replace("</link>", "<gravity>0</gravity></link>")
     second = ROD.format(name="b", pose="0.7 0 0 0 0 0").replace("</link>", "<gravity>0</gravity></link>")
     axis = "<axis><xyz>0 1 0</xyz><limit><lower>-0.2</lower><upper>0.2</upper></limit></axis>"
@@ -120,7 +120,7 @@ def test_free_bodies_keep_momentum_and_energy_falls(kind: str) -> None:
         speeds = [np.array(body.velocity) for body in bodies]  # mass centres are the origins
         np.testing.assert_allclose(sum(speeds), (0.0, 0.4, 0.6), atol=2e-3)
         energies.append(sum(float(v @ v) for v in speeds))
-    assert max(energies) < 2.0  # of m v^2 / 2 at the start 0.52 and 0.03 of the spin, in the same unit
+    assert max(energies) < 2.0  # at the start m v^2 / 2 is 0.52 and the spin has 0.03, in the same unit
     if kind != "prismatic":
         ends = [np.array(bodies[0].pose.position), np.array(bodies[1].pose.position)]
         assert 0.3 < np.linalg.norm(ends[1] - ends[0]) < 0.71

@@ -1,4 +1,4 @@
-"""What the simulator reads from the parameters of a launch in XTDrone's shape."""
+"""The simulator's reading of the parameters of a launch in XTDrone's form."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def mavros(number: int, **changes: Any) -> dict[str, Any]:
 
 
 def parameters(first: dict[str, Any], second: dict[str, Any], sdf: str = "iris") -> dict[str, Any]:
-    """Return a parameter tree with two vehicles, their MAVROS nodes, and one that an earlier launch has left."""
+    """Return a parameter tree with two vehicles, their MAVROS nodes, and a vehicle left by an earlier launch."""
     return {
         "xtdrone": {
             "spawned": {"a": group(1), "b": group(0, sdf)},

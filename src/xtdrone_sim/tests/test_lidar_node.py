@@ -1,7 +1,7 @@
 """The lidars' node with a real master in lockstep; this file plays the simulator.
 
-Called as a program this file is one of the other nodes: ``teller`` (of the scene), ``taker`` (of scans), ``inviter``
-(of a vehicle that joins and leaves) or ``watcher`` (of everyone's scans).
+Run as a program, this file is one of the other nodes: ``teller`` publishes the scene, ``taker`` receives scans,
+``inviter`` has a vehicle join and leave, and ``watcher`` receives every vehicle's scans.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ GUEST = (4.0, 3.0, 2.03)  # m
 
 
 def teller() -> None:
-    """Publisher of the vehicles' places: the first flies to the second, which stands."""
+    """Publish the vehicles' poses: the first flies to the second, which stands."""
     lockstep.init_node("teller", rate=50.0)
     publisher = lockstep.Publisher("/xtdrone/scene", SceneState)
 
@@ -58,7 +58,7 @@ def teller() -> None:
 
 
 def taker(file: str) -> None:
-    """Writes down the scans of the first vehicle, a JSON line each; lets its lidar fail from 0.5 s on."""
+    """Record the scans of the first vehicle, a JSON line each; let its lidar fail from 0.5 s on."""
     lockstep.init_node("taker", rate=50.0)
     out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process
 
@@ -88,7 +88,7 @@ def taker(file: str) -> None:
 
 
 def inviter(unusable: str) -> None:
-    """Publisher of the vehicles' places; in its second flight two vehicles join at 0.32 s and leave at 0.92 s.
+    """Publish the vehicles' poses; in the second flight two vehicles join at 0.32 s and leave at 0.92 s.
 
     Args:
         unusable: description file of the second vehicle, which cannot be loaded, so that no lidar detects the vehicle.
@@ -120,9 +120,9 @@ def inviter(unusable: str) -> None:
 
 
 def watcher(file: str) -> None:
-    """Writes down the scans of three vehicles, a JSON line each, and when it is connected to the third.
+    """Record the scans of three vehicles, a JSON line each, and the time of the connection to the third.
 
-    In its second flight it makes calls that are refused.
+    In the second flight, send requests that are rejected.
     """
     lockstep.init_node("watcher", rate=50.0)
     out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process
@@ -178,8 +178,8 @@ def test_scans_have_exact_times_fail_on_request_and_repeat_after_a_reset(graph: 
     back = [note["what"] for note in notes].index("back")
     parts = notes[:back], notes[back:]
     flights = [[note for note in part if note["what"] == "scan"] for part in parts]
-    # A scan lasts 0.1 s, and is published 0.04 s after the scene of its end, which is known in the next turn; those due
-    # from 0.5 to 0.7 s do not come, those until 0.94 s have the ranges of the last one.
+    # A scan lasts 0.1 s, and is published 0.04 s after the scene of its end, received in the next turn; those due
+    # from 0.5 to 0.7 s are not published, those until 0.94 s have the ranges of the last one.
     stamps = [note["stamp"] for note in flights[0]]
     assert stamps == [0, 100_000, 200_000, 300_000, 600_000, 700_000, 800_000, 900_000, 1_000_000, 1_100_000]
     assert len({note["now"] - note["stamp"] for note in flights[0]}) == 1
@@ -188,8 +188,8 @@ def test_scans_have_exact_times_fail_on_request_and_repeat_after_a_reset(graph: 
     frozen = {note["digest"] for note in flights[0] if note["stamp"] in (600_000, 700_000)}
     assert frozen == {flights[0][3]["digest"]}
     for note in flights[0][:4] + flights[0][-2:]:
-        # The ray ahead is the middle one, at half of the scan, and looks a little to the left. The other's body begins
-        # 0.13 m before its middle.
+        # The forward ray is the middle one, at half of the scan, and points a little left. The other's body begins
+        # 0.13 m before its centre.
         expected = APART - 0.13 - SPEED * (note["stamp"] * 1e-6 + 0.05)
         assert note["ahead"] == pytest.approx(expected, abs=0.05)  # noise of 0.01 m
     (refused, _) = [note["words"] for note in notes if note["what"] == "refused"]
@@ -215,7 +215,7 @@ def test_a_vehicle_that_joins_scans_and_is_seen_until_it_leaves(graph: Graph, se
     run_ticks(graph, server, 0, 40_000, len(names))
     notes = read_notes(file)
     assert [note["connected"] for note in notes if "connected" in note] == [0, 1]
-    assert [note["back"] for note in notes if "back" in note] == [0, 0]  # the topic has ended
+    assert [note["back"] for note in notes if "back" in note] == [0, 0]  # the publisher is gone
     back = next(k for k, note in enumerate(notes) if "back" in note)
     alone, joined = (
         {(note["vehicle"], note["stamp"]): note for note in part if "vehicle" in note}
@@ -230,9 +230,9 @@ def test_a_vehicle_that_joins_scans_and_is_seen_until_it_leaves(graph: Graph, se
     for key, note in alone.items():
         before, after = np.array(note["ranges"]), np.array(joined[key]["ranges"])
         nearer = after != before
-        assert np.all(after[nearer] < before[nearer])  # the guest, and no other bit
-        # Neither the vehicle that cannot be served nor refused calls change anything.
-        assert nearer.any() == (key[0] == 0 and 300_000 <= key[1] <= 800_000), key  # the second looks over it
+        assert np.all(after[nearer] < before[nearer])  # only the guest's rays change
+        # Neither a vehicle that cannot be loaded nor rejected requests change anything.
+        assert nearer.any() == (key[0] == 0 and 300_000 <= key[1] <= 800_000), key  # the second lidar looks over it
     said = graph.output()
     assert "iris_9 is not served by /lidars" in said
     assert "pattern.csv: line 3: '0.1,nan,90' is not allowed, three numbers" in said

@@ -1,4 +1,4 @@
-"""Lidars: what their descriptions allow, their rays, skew against the formula, noise, failures and messages."""
+"""Lidars: valid descriptions, rays, skew against the formula, noise, failures and messages."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ WALL = SdfModel(
 
 
 def history(pose_at, times, longest_us: int = 1_000_000) -> SceneHistory:
-    """Return scenes in which the iris is at ``pose_at(time in s)``, at times in s."""
+    """Return scenes with the iris at ``pose_at(time in s)``, at times in s."""
     scenes = SceneHistory(longest_us)
     for time in times:
         scenes.add(round(time * 1e6), SceneAt({LINK: pose_at(time)}, {}))
@@ -40,7 +40,7 @@ def history(pose_at, times, longest_us: int = 1_000_000) -> SceneHistory:
 
 
 def scan_of(mount: LidarMount, pose_at, number: int = 0):
-    """Return the rays and hits of a scan of the iris before the wall; scenes come every 20 ms."""
+    """Return the rays and hits of a scan of the iris before the wall, with a scene every 20 ms."""
     begin, end = begin_us(mount, number), end_us(mount, number)
     scenes = history(pose_at, np.arange(0, end + 20_000, 20_000) * 1e-6)
     scene = RayScene([WALL], parse_fleet("iris:1"))
@@ -187,7 +187,7 @@ def test_a_history_without_the_link_has_no_motion_and_old_scenes_are_forgotten()
     assert scenes.first_us is not None
     assert 4_700_000 <= scenes.first_us <= 4_880_000
     assert scenes.motion(RayScene([]), "iris_1::base_link", 4_900_000, 4_980_000) is None
-    scenes.add(4_980_000, SceneAt({}, {}))  # not later: ignored
+    scenes.add(4_980_000, SceneAt({}, {}))  # not later than the last: ignored
     assert scenes.motion(RayScene([]), LINK, 4_900_000, 4_980_000) is not None
     scenes.clear()
     assert scenes.last_us is None

@@ -1,4 +1,4 @@
-"""States by the wall clock: how often they are published, with a clock of the test's."""
+"""States by wall time: the rate of publishing, with a clock set by the test."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from xtdrone_sim.topics.live_states import PERIOD, STANDING_PERIOD, LiveStates
 
 
 class Topic:
-    """The topic's publisher, with subscribers that are made up."""
+    """The topic's publisher, with fake subscribers."""
 
     def __init__(self, *_: Any, **__: Any) -> None:
         self.subscribers = 1
@@ -29,7 +29,7 @@ class Topic:
 
 
 class Bench:
-    """Live states, whose clock the test sets."""
+    """Live states with a clock set by the test."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 0.0
@@ -56,7 +56,7 @@ def test_fast_ticks_are_shown_at_the_rate_of_the_wall_clock(monkeypatch: pytest.
     for _ in range(1000):
         bench.tick(0.001)
     assert 1.0 / PERIOD - 2 <= len(bench.topic.messages) <= 1.0 / PERIOD + 1
-    assert bench.made == len(bench.topic.messages)  # none is made in vain
+    assert bench.made == len(bench.topic.messages)  # no message is built in vain
 
 
 def test_slow_ticks_are_all_shown_and_none_without_subscribers(monkeypatch: pytest.MonkeyPatch) -> None:

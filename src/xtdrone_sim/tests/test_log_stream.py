@@ -1,4 +1,4 @@
-"""Log streaming over MAVLink, by pymavlink clients on real UDP sockets, of which some lose messages."""
+"""Log streaming over MAVLink to pymavlink clients on real UDP sockets, some of which lose messages."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TICK_US = 20_000
 
 
 class Client:
-    """A ground station that writes down the log that it is sent, as a real one does.
+    """A ground station that stores the streamed log, as a real one does.
 
     Args:
         port: of the autopilot.
@@ -64,7 +64,7 @@ class Client:
             self.send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3))
 
     def hear(self) -> bool:
-        """Read what has arrived; return whether it was answered."""
+        """Read the datagrams that have arrived; return whether any was acknowledged."""
         answered = False
         while True:
             try:
@@ -94,7 +94,7 @@ class Client:
         return True
 
     def _write(self, m) -> None:
-        """Append a piece; after lost ones go on with the next message that begins, and drop the one that was cut."""
+        """Append a piece; after a loss, drop the truncated message and continue with the next that begins."""
         expected = len(self.pieces) + self.lost
         if m.sequence < expected:
             return  # repeated
@@ -110,7 +110,7 @@ class Client:
         self.log += data
 
     def whole(self) -> int:
-        """Return the size of the whole messages in the log."""
+        """Return the size of the complete messages in the log."""
         at = 16
         while at + 3 <= len(self.log) and at + 3 + int.from_bytes(self.log[at : at + 2], "little") <= len(self.log):
             at += 3 + int.from_bytes(self.log[at : at + 2], "little")

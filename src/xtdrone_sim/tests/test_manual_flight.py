@@ -1,4 +1,4 @@
-"""Flight by stick through the whole core, as PX4's manual modes fly: ALTCTL, POSCTL, STABILIZED, ACRO; a lost rotor."""
+"""Flight by stick through the whole core in PX4's manual modes: ALTCTL, POSCTL, STABILIZED, ACRO; a lost rotor."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Pilot:
         self.sticks = (0.0, 0.0, 0.0, 0.0)
 
     def run(self, seconds: float, throttle=None) -> np.ndarray:
-        """Return (n, 3) estimated positions, NED, at 50 Hz; ``throttle()`` moves that stick if it is given."""
+        """Return (n, 3) estimated positions, NED, at 50 Hz; ``throttle()``, if given, moves the throttle stick."""
         rows = []
         for _ in range(round(seconds * 1e6 / SAMPLE_US)):
             forward, right, up, yaw = self.sticks
@@ -45,7 +45,7 @@ class Pilot:
         assert self.view.landed
 
     def hover(self) -> float:
-        """Return a throttle stick that holds 5 m: a pilot's eye."""
+        """Return a throttle stick that holds 5 m, as a pilot does by eye."""
         error = -5.0 - self.view.position[2]
         return min(max(-0.3 * error + 0.3 * self.view.velocity[2], -0.6), 0.6)
 
@@ -71,7 +71,7 @@ def test_altitude_mode_climbs_holds_tilts_and_lands():
     # PX4: the stick is a share of the largest horizontal acceleration
     assert pilot.tilt == pytest.approx(math.degrees(math.atan(0.5 * math.tan(math.radians(35.0)))), abs=2.0)
     assert abs(path[-1, 2] - held[-1]) < 0.4
-    assert path[-1, 1] - path[0, 1] > 5.0  # it was placed looking east
+    assert path[-1, 1] - path[0, 1] > 5.0  # spawned facing east
     pilot.sticks = (0.0, 0.0, -1.0, 0.0)
     for _ in range(60):
         pilot.run(1.0)

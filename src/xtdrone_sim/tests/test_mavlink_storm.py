@@ -1,6 +1,6 @@
-"""MAVLink input of any content and amount: nothing raises, memory stays flat, the flight continues on.
+"""MAVLink input of any content and amount: no exception, constant memory, and the flight continues.
 
-The form with a million frames is marked ``long`` and runs only when asked for: ``pytest -m long``.
+The form with a million frames is marked ``long`` and runs only on request: ``pytest -m long``.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def version_1(cls: Any, payload: bytes, sequence: int) -> bytes:
 
 
 class Storm:
-    """Seeded frames of every kind that is to be expected of a broken, old, new or hostile client."""
+    """Seeded frames of every kind expected from a broken, old, new or hostile client."""
 
     def __init__(self, seed: int, names: tuple[str, ...]) -> None:
         self.rng = random.Random(seed)
@@ -65,7 +65,7 @@ class Storm:
         self.sequence = 0
 
     def payload(self, cls: Any) -> bytes:
-        """Return random content for a message, with likely values where they lead further in."""
+        """Return random content for a message, with values that are likely to pass the first checks."""
         rng, size = self.rng, cls.unpacker.size
         data = bytearray(rng.randbytes(size))
         for at in range(0, size - 4, 4):
@@ -87,7 +87,7 @@ class Storm:
             values[at] = value if isinstance(value, bytes) else min(value, limit, 255 if values[at] < 256 else 65535)
 
     def valid(self) -> bytes:
-        """Return a frame with a right checksum and any content."""
+        """Return a frame with a valid checksum and any content."""
         rng = self.rng
         self.sequence += 1
         cls = rng.choice(self.classes)
@@ -101,7 +101,7 @@ class Storm:
         return version_2(cls, payload, self.sequence, 1 if rng.random() < 0.1 else 0)
 
     def broken(self) -> bytes:
-        """Return something that is no valid frame but for an accident."""
+        """Return bytes that form a valid frame only by accident."""
         rng = self.rng
         frame = bytearray(self.valid())
         kind = rng.randrange(7)
@@ -135,7 +135,7 @@ class Elsewhere(Vehicle):
 
 
 class World:
-    """A simulated vehicle behind its MAVLink door; ``clock`` steps both."""
+    """A simulated vehicle behind its MAVLink server; ``clock`` steps both."""
 
     def __init__(self) -> None:
         self.vehicle = Elsewhere("iris", 0, 0)
@@ -156,7 +156,7 @@ class World:
 
 
 class Speaker:
-    """A socket that speaks to one of the vehicle's ports."""
+    """A socket that sends to one of the vehicle's ports."""
 
     def __init__(self, own: int, port: int) -> None:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -185,7 +185,7 @@ class Speaker:
 
 
 def resident() -> int:
-    """Return the memory of this process that is in use, bytes."""
+    """Return the resident memory of this process, bytes."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
 
 
@@ -197,7 +197,7 @@ def world():
 
 
 def rage(world: World, count: int, seed: int) -> None:
-    """Send ``count`` frames to both ports, let the vehicle go on meanwhile, and look at what is left of it."""
+    """Send ``count`` frames to both ports while the vehicle flies on, and check its state and the memory."""
     storm = Storm(seed, world.server.messages)
     speakers = [
         world.client,
@@ -209,7 +209,7 @@ def rage(world: World, count: int, seed: int) -> None:
             frame = storm.valid() if storm.rng.random() < 0.5 else storm.broken()
             speakers[(sent + i) % len(speakers)].send_bytes(frame)
         world.step()
-        while world.server.backlog:  # time stands, so all is acted on
+        while world.server.backlog:  # time is paused, so all messages are handled
             world.server.receive()
         for speaker in speakers:
             speaker.receive()
@@ -238,11 +238,11 @@ def test_a_storm_of_a_million_frames_does_no_harm(world):
     rage(world, 1_000_000, seed=2)
 
 
-# floods while it flies
+# floods in flight
 
 
 def target(world: World, t: float) -> Any:
-    """A circle, as an OFFBOARD stream of velocities."""
+    """Return the velocity setpoint of a circle flown in OFFBOARD."""
     return mavlink.MAVLink_set_position_target_local_ned_message(
         0, SYSTEM, 1, 1, 0b110111000111, 0, 0, 0, 2.0 * math.cos(t), 2.0 * math.sin(t), -0.5 if t < 6.0 else 0.0,
         0, 0, 0, 0, 0,
@@ -255,7 +255,7 @@ def command(number: int, *params: float) -> Any:
 
 
 def harmless(rng: random.Random) -> Any:
-    """A message that asks for much and changes nothing."""
+    """Return a message that requests much and changes nothing."""
     return rng.choice(
         [
             mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3),
@@ -274,7 +274,7 @@ def fly(flood: int, ports: tuple[str, ...] = ()) -> tuple[bytes, list[bytes], Wo
     """Fly a circle by OFFBOARD for 10 s while strangers send ``flood`` frames a step to each of ``ports``.
 
     Returns:
-        The truth at every step, what the client was sent, and the closed world for its counters.
+        The truth at every step, the messages sent to the client, and the closed world with its counters.
     """
     world, rng = World(), random.Random(5)
     strangers = [Speaker(0, getattr(world.vehicle, port)) for port in ports for _ in range(MAX_CLIENTS + 10)]
@@ -292,7 +292,7 @@ def fly(flood: int, ports: tuple[str, ...] = ()) -> tuple[bytes, list[bytes], Wo
             frame = harmless(rng).pack(mav)
             if rng.random() < 0.3:
                 frame = frame[:-1] + bytes([frame[-1] ^ 1])
-            # one stranger is busy, the others come by
+            # one stranger sends much, the others a little
             strangers[0 if i % 4 else rng.randrange(len(strangers))].send_bytes(frame)
         world.step()
         truth.append(world.simulation.world.plant.tobytes())

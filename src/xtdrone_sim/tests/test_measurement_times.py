@@ -1,4 +1,4 @@
-"""Which measurements of a sensor are due: each once, in order, none before the first time, whatever the turns are."""
+"""Due measurements of a sensor: each once, in order, none before the first time, for turns of any length."""
 
 from __future__ import annotations
 

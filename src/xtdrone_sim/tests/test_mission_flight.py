@@ -1,4 +1,4 @@
-"""The square that a real PX4 v1.14.3 flew: same order of texts, modes and items, and about its time."""
+"""The square flown by a real PX4 v1.14.3: same order of texts, modes and items, and similar times."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from xtdrone_sim.simulation import Simulation
 
 REFERENCE_TIME = 39.3  # s from the mode command to the end
 ARMED_AFTER = 1.3  # s, as in the reference
-# times since the mode command, s, of what PX4 said
+# times since the mode command, s, of PX4's texts
 REFERENCE = (
     ("Armed by external command", 1.32),
     ("Takeoff to 10.0 meters above home", 1.37),
@@ -35,7 +35,7 @@ SIDE = ((0, 0), (20, 0), (20, 20), (0, 20), (0, 0))
 
 
 class Recorder:
-    """A simulation, and what its vehicle says, with the times in s since ``start``."""
+    """A simulation, and its vehicle's messages with their times in s since ``start``."""
 
     def __init__(self) -> None:
         self.simulation = Simulation(parse_fleet("iris:1"), seed=5)
@@ -61,7 +61,7 @@ class Recorder:
         self._last = (reached, current, mode)
 
     def run(self, seconds: float) -> None:
-        """Fly on, but not past the mission's end."""
+        """Fly on, at most to the mission's end."""
         end = self.simulation.time_us + round(seconds * 1e6)
         while self.simulation.time_us < end and self.commander.mode is modes.AUTO_MISSION:
             self.simulation.step()

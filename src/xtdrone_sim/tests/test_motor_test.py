@@ -1,4 +1,4 @@
-"""MAV_CMD_ACTUATOR_TEST: motors of a disarmed vehicle turn, as PX4 v1.14 lets them."""
+"""MAV_CMD_ACTUATOR_TEST: motors of a disarmed vehicle turn, within the rules of PX4 v1.14."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Bench:
         self.simulation.run_until(self.simulation.time_us + round(seconds * 1e6))
 
     def turning(self, vehicle=0):
-        """Return the numbers, from 1, of the motors that turn by their ESCs' telemetry."""
+        """Return the numbers, from 1, of the motors that turn according to ESC telemetry."""
         reports = VehicleTelemetry(self.simulation.commanders[vehicle], self.simulation.autopilot, vehicle)
         ((_, *speeds, _, _, _, _, _, _, _, _, _),) = reports.esc_status()
         return [i for i, speed in enumerate(speeds[:4], 1) if speed > 100]

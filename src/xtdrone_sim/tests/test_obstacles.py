@@ -1,4 +1,4 @@
-"""Vehicles and what stands in the world: near enough for Bullet, landed on, flown against."""
+"""Vehicles and obstacles: near enough for Bullet, landed on, and collided with."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_a_vehicle_stops_at_a_wall_and_falls_down():
 
 @pytest.mark.parametrize("speed", [0.0, 5.0])
 def test_only_vehicles_that_come_near_are_near(speed):
-    """Against the distances to all boxes, for random boxes and places."""
+    """The list equals that by the distance to all boxes, for random boxes and positions."""
     rng = np.random.default_rng(4)
     sizes = rng.uniform(0.2, 12.0, (60, 3))
     middles = rng.uniform(-60.0, 60.0, (60, 3))

@@ -1,4 +1,4 @@
-"""Pacing by a clock that the test moves."""
+"""Pacing with a clock moved by the test."""
 
 from __future__ import annotations
 

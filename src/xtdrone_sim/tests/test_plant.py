@@ -80,7 +80,7 @@ def test_torque_free_spin_keeps_angular_momentum_and_energy(iris):
 
 def test_yaw_torque_follows_rotor_directions(iris):
     state = body()
-    state["rotor_speed"][0, :2] = 700.0  # counter-clockwise pair faster: the body turns clockwise
+    state["rotor_speed"][0, :2] = 700.0  # the counter-clockwise pair is faster: the body turns clockwise
     state["rotor_speed"][0, 2:4] = 600.0
     vehicle_dynamics.rotor_wrench(state[0], iris[0])
     m = iris[0]
@@ -100,7 +100,7 @@ def test_rotor_drag_brakes_and_leans_against_the_wind(iris):
 
 
 def test_linear_drag_slows_a_body_exponentially():
-    """m v' = -c v, against the air: v - w = (v0 - w) exp(-c t / m)."""
+    """m v' = -c v relative to the air: v - w = (v0 - w) exp(-c t / m)."""
     models = np.array([load_vehicle("px4_reference").record])
     state = body(position=(0.0, 0.0, 100.0), velocity=(5.0, 0.0, 0.0), wind=(1.0, 0.0, 0.0))
     fly(state, models, 500)

@@ -1,4 +1,4 @@
-"""AUTO.PRECLAND on a robot that stands or drives, with observations as a camera's: late, noisy, lost near the tag."""
+"""AUTO.PRECLAND on a standing or driving robot, with observations like a camera's: late, noisy, lost near the tag."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from xtdrone_sim.simulation import Simulation
 STEP_US = 20_000
 OBSERVED_US = 100_000  # period of the camera
 LATENCY_US = 140_000  # from exposure to the autopilot
-BLIND = 0.25  # m above the platform, below which no tag fits into the picture
-REACH = 6.0  # m, at which a tag is seen
+BLIND = 0.25  # m above the platform; nearer, no tag fits into the picture
+REACH = 6.0  # m, within which a tag is seen
 
 
 class Landing:
-    """An iris above a robot on which it is to land."""
+    """An iris above a robot on which it lands."""
 
     def __init__(self, seed: int, speed: float, turn: float = 0.0) -> None:
         self.simulation = Simulation(parse_fleet("iris:1"), seed=seed)
@@ -38,7 +38,7 @@ class Landing:
 
     @property
     def offset(self) -> np.ndarray:
-        """From the platform's middle to the vehicle, m, ENU."""
+        """Return the vehicle's offset from the platform's centre, m, ENU."""
         state = self.robot.state
         return self.simulation.world.plant["position"][0] - (state.x, state.y, self.height)
 
@@ -50,7 +50,7 @@ class Landing:
             self.simulation.run_until(self.simulation.time_us + STEP_US)
 
     def observe(self) -> None:
-        """Tell the autopilot where the platform was, relative to its own estimate of that time."""
+        """Report the platform's position relative to the autopilot's own estimate of that time."""
         now = self.simulation.time_us
         east, north, up = self.offset.tolist()
         if now % OBSERVED_US == 0 and BLIND < up < REACH and math.hypot(east, north) < 0.7 * up:
@@ -62,7 +62,7 @@ class Landing:
             self.commander.navigator.set_landing_target(place, made)
 
     def fly(self) -> None:
-        """Take off above the robot, let it drive, and land on it."""
+        """Take off above the driving robot, and land on it."""
         self.run(2.0, drive=False)
         self.commander.parameters.set("MIS_TAKEOFF_ALT", 4.0)
         assert self.commander.request(modes.AUTO_TAKEOFF) == 0

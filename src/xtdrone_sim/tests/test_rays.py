@@ -182,7 +182,7 @@ def test_models_that_move_come_and_go():
     assert seen() == pytest.approx(4.5)
     pushed = SceneAt({"crate::link": Pose((7.0, 0.0, 0.5))}, {})
     assert seen(pushed) == pytest.approx(6.5)
-    assert seen() == pytest.approx(4.5)  # after a restart the scene no longer names it
+    assert seen() == pytest.approx(4.5)  # after a restart the scene no longer contains it
     scene.change([model("ball", Sphere(0.5), Pose((3.0, 0.0, 0.5)))], ["crate"])
     assert seen(SceneAt({"ball::link": Pose((3.0, 0.0, 0.5))}, {})) == pytest.approx(2.5)
     assert seen() == math.inf

@@ -42,7 +42,7 @@ class Fleet:
         return self.simulation.commanders
 
     def run(self, seconds: float, send: Any = None) -> list[Any]:
-        """Send ``send`` to the first vehicle and advance time; return the ground station's messages."""
+        """Send ``send`` to the first vehicle and advance time; return the messages to the ground station."""
         heard: list[Any] = []
         for _ in range(round(seconds / 0.02)):
             for message in (mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3), send):
@@ -90,7 +90,7 @@ def made(tmp_path):
 
 
 def other_flies(reboot: bool, logs: Path) -> np.ndarray:
-    """Return the truth of the second vehicle's flight, during which the first one is rebooted or not."""
+    """Return the true motion of the second vehicle in a flight with or without a reboot of the first one."""
     fleet = Fleet(logs)
     try:
         fleet.run(2.0)
@@ -149,14 +149,14 @@ def test_not_while_armed_and_no_shutdown(made):
     made.run(0.2)
     assert made.command(REBOOT, 1) == 2
     assert made.commanders[0] is before
-    before.rebooting = True  # asked for just before it was armed
+    before.rebooting = True  # requested just before it was armed
     made.run(0.4)
     assert made.commanders[0] is before
     assert not before.rebooting
 
 
 def test_the_place_is_found_again_where_the_vehicle_is(made):
-    """Estimates restart at the same origin, as all vehicles share one."""
+    """After the reboot, estimates restart at the same origin, which all vehicles share."""
     made.run(2.0)
     before = made.commanders[0].view.position
     assert made.command(REBOOT, 1) == 0

@@ -88,7 +88,7 @@ def test_spheres_are_seen_where_the_closed_form_has_them(renderer: Renderer, pin
 
 
 def test_shapes_cover_the_expected_pixels(renderer: Renderer) -> None:
-    """Box and cylinder from above, a mesh from its outer side only, in one body and in several colours."""
+    """Box and cylinder show from above, a mesh from its outer side only, in one body and in several colours."""
     camera = Pose((0.0, 0.0, 10.0), _turn((1.0, 0.0, 0.0), math.pi))  # looks down; y of the world is up in the picture
     pinhole = Pinhole(640, 480, 400.0, 400.0, 320.0, 240.0)
     green, blue = (0.0, 1.0, 0.0, 1.0), (0.0, 0.0, 1.0, 1.0)
@@ -110,7 +110,7 @@ def test_shapes_cover_the_expected_pixels(renderer: Renderer) -> None:
         return mask.sum() / scale**2
 
     assert picture.rgb[0, 0].tolist() == SKY_RGB
-    # Upper faces, and of the sides what perspective shows of them.
+    # Upper faces, and the part of the sides that is visible in perspective.
     assert area(of(0)) == pytest.approx(2.0 * 1.0 + _sides(2.0, 1.0, 2.0, 2.0), rel=0.03)
     assert area(of(2)) == pytest.approx(2.0 * 1.0 + _sides(2.0, 1.0, 2.0, 2.0, 1.0), rel=0.03)
     assert picture.labels is not None
@@ -163,7 +163,7 @@ def test_textures_are_seen_the_right_way_round(renderer: Renderer, tmp_path: Pat
     night = Light((0.0, 0.0, -1.0), (0.2, 0.1, 0.1), (0.3, 0.2, 0.1), (0.0, 0.0, 0.0))
     rgb = renderer.draw(pinhole, camera, light=night).rgb
     assert rgb[120, 160].tolist() == pytest.approx([64, 38, 26], abs=3)
-    renderer.place(dimmed, Pose((0.0, 0.0, 0.0), _turn((1.0, 0.0, 0.0), math.pi)))  # shows its back, which is none
+    renderer.place(dimmed, Pose((0.0, 0.0, 0.0), _turn((1.0, 0.0, 0.0), math.pi)))  # its back side is not drawn
     renderer.hide(shapes[1])
     assert not renderer.draw(pinhole, camera, light=night).rgb.any()
 
@@ -204,7 +204,7 @@ def test_hidden_bodies_reappear(renderer: Renderer) -> None:
 
 
 def test_close_and_far_objects_are_resolved_together(renderer: Renderer) -> None:
-    """Whatever the depth buffer: two sheets 4 cm apart 60 m away, behind a thing at 0.3 m."""
+    """The depth buffer resolves two sheets 4 cm apart at 60 m, behind an object at 0.3 m."""
     green, blue = (0.0, 1.0, 0.0, 1.0), (0.0, 0.0, 1.0, 1.0)
     sheets = [renderer.add([Visual(Box((80.0, 80.0, 0.001)), colour=colour)]) for colour in (green, blue)]
     renderer.place(sheets[0], Pose((0.0, 0.0, 60.0)))

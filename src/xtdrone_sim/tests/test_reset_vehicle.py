@@ -1,4 +1,4 @@
-"""One vehicle of a flight is put back while the others fly on, the same to the last bit."""
+"""One vehicle of a flight is reset while the others fly on, the same to the last bit."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ OTHERS = [0, 2, 3]
 
 
 def flight() -> Simulation:
-    """Return a simulation in which three of four vehicles are climbing and the last one stands."""
+    """Return a simulation of four vehicles: three climb and the last one stands."""
     simulation = Simulation(parse_fleet("iris:4"), seed=5)
     simulation.run_until(2_000_000)
     for commander in simulation.commanders[:3]:

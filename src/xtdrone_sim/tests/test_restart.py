@@ -1,4 +1,4 @@
-"""A simulation that is set back flies as one that has just been started, to the last bit."""
+"""A reset simulation flies like a newly started one, to the last bit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A UAV flown by its autopilot lands on the platform of a robot that drives, and rides along."""
+"""A UAV flown by its autopilot lands on the platform of a driving robot, and rides along."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SPEED = 0.5  # m/s, of the robot during the landing
 
 
 class Scene:
-    """An iris and a robot beside it, which drives eastwards at the wanted speed."""
+    """An iris beside a robot that drives east at a given speed."""
 
     def __init__(self) -> None:
         self.simulation = Simulation(parse_fleet("iris:1"), seed=3)
@@ -33,12 +33,12 @@ class Scene:
 
     @property
     def offset(self) -> np.ndarray:
-        """From the platform's middle on the ground to the vehicle, m, ENU."""
+        """Return the vehicle's offset from the platform's centre on the ground, m, ENU."""
         state = self.robot.state
         return self.simulation.world.plant["position"][0] - (state.x, state.y, 0.0)
 
     def run(self, seconds: float, *, rise: float | None = None) -> None:
-        """Drive on; with ``rise``, m/s, the vehicle follows the robot by setpoints that rise or sink."""
+        """Drive on; with ``rise``, m/s, the vehicle follows the robot by climbing or descending setpoints."""
         for _ in range(round(seconds * 1e6 / STEP_US)):
             self.robot.command(self.speed, 0.0)
             self.simulation.world.bodies.wake(0)

@@ -70,7 +70,7 @@ def test_a_slope_beyond_the_limit_stops_it_and_it_drives_back() -> None:
     robot = load_robot("ugv").drive(Pose(), slope(0.5))
     drive(robot, 8.0, 1.0, 0.0)
     assert robot.state.speed == 0.0
-    # its castors are 0.48 m ahead and behind: the front ones are up the slope as far as the tilt allows
+    # its castors are 0.48 m ahead and behind: the front ones are as far up the slope as the tilt allows
     assert robot.state.x == pytest.approx(3.0 - 0.48 + 0.96 * math.tan(robot.limits.slope) / math.tan(0.5), abs=0.005)
     assert math.acos(axis(robot)[2]) <= robot.limits.slope
     drive(robot, 3.0, -1.0, 0.0)
@@ -162,7 +162,7 @@ def test_the_urdf_has_the_joints_of_the_joint_states(kind: str, tmp_path: Path) 
     angle = next(state.angle for state in states if state.name == name)
     ((parent, _, place),) = [frame for frame in wheel_frames(model, states) if frame[1] == child]
     assert (parent, place.position) == ("base_link", (0.0, 0.5 * model.limits.track, model.limits.wheel_radius))
-    forward = rotate(place.orientation, 0.0, 0.0, 1.0)  # its top has turned ahead
+    forward = rotate(place.orientation, 0.0, 0.0, 1.0)  # it points forward as the top has turned
     assert forward == pytest.approx((math.sin(angle), 0.0, math.cos(angle)))
 
 

@@ -1,4 +1,4 @@
-"""Ground robots: motion against closed form, what stops and what they carry, descriptions and listings."""
+"""Ground robots: motion against closed form, obstacles and carried vehicles, descriptions and listings."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_a_differential_drive_moves_on_the_arc_of_its_command(speed: float, rate
 
 
 def test_speed_follows_within_the_acceleration() -> None:
-    """After t at most a t; the way of a stop from v is v^2 / (2 a), but for the length of a step."""
+    """After t the speed is at most a t; a stop from v takes v^2 / (2 a), to within one step."""
     robot = differential(acceleration=2.0, speed=3.0)
     drive(robot, 0.5, 99.0, 0.0)
     assert robot.state.speed == pytest.approx(1.0)
@@ -182,11 +182,11 @@ def test_in_the_world_a_robot_moves_as_alone_to_the_last_bit() -> None:
     assert body.pose == alone.state.pose
     assert math.hypot(*body.velocity) == pytest.approx(1.5, rel=1e-4)
     scene.run(5.0)
-    assert not scene.world.is_busy  # it stands, and costs nothing
+    assert not scene.world.is_busy  # it stands still, and needs no steps
 
 
 def test_a_vehicle_on_the_platform_rides_along() -> None:
-    """Straight on, through a curve, and to a stop; it stays where it stands on the platform."""
+    """Straight on, through a curve, and to a stop, it stays at its place on the platform."""
     deck = load_robot("ugv").platform
     assert deck is not None
     scene = Scene({"ugv": Pose()}, StartPose(0.1, -0.1, deck.height + 0.01))
@@ -353,11 +353,11 @@ def test_a_wrong_listing_is_named(text: str, words: str) -> None:
 
 
 def test_a_start_inside_something_is_found() -> None:
-    """Of a vehicle, a wall and another robot; not of a vehicle on the platform."""
+    """Overlaps with a vehicle, a wall and another robot are found; a vehicle on the platform is none."""
     scene = Scene({"ugv": Pose((0.5, 0.0, 0.0)), "ugv2": Pose((1.0, 0.0, 0.0))}, StartPose(0.0, 0.0), (wall(1.2),))
     found = dict(scene.world.overlaps(1))
     assert found.keys() == {0, 1, 3}  # the vehicle, the wall, the other robot
     assert found[0] > 0.03
-    assert found[3] > 0.2  # the least way apart, upwards
+    assert found[3] > 0.2  # the shortest way out, upwards
     alone = Scene({"ugv": Pose((0.0, 0.0, 0.0))}, StartPose(0.0, 0.0, 0.505))
     assert alone.world.overlaps(0) == []

@@ -1,4 +1,4 @@
-"""Scenery from a seed: the same again, nothing inside another, people on free ground, nothing shared by the splits."""
+"""Scenery from a seed: repeatable, without overlaps, people on free ground, nothing shared by the splits."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_the_same_seed_repeats_the_world(scene: SdfWorld) -> None:
 
 
 def test_the_shipped_world_is_that_of_seed_0() -> None:
-    """Around the region that launch/search.launch has searched."""
+    """It surrounds the region that launch/search.launch searches."""
     shipped, made = load_world_file("outdoor"), outdoor(0, region=(10.0, -35.0, 120.0, 35.0), walking=True)
     assert shipped.models == made.models
     assert shipped.actors[0].pose == made.actors[0].pose
@@ -122,7 +122,7 @@ def test_train_and_test_scenes_share_neither_textures_nor_forms() -> None:
     for split in ("train", "test"):
         both = [colours_and_files(outdoor(seed, split=split, objects=2.0)) for seed in range(2)]
         found[split] = (set.union(*(a for a, _ in both)), set.union(*(b for _, b in both)))
-    # where there is only one of a kind, both have it
+    # a model used in both splits must be the only one of its kind
     only_one = {"wall", "ground", "road", "gable", "hip", "cone", "triangle"}
     for train, test in zip(found["train"], found["test"], strict=True):
         shared = {path.stem.rpartition("_")[0] for path in train & test}

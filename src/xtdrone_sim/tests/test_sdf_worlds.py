@@ -1,4 +1,4 @@
-"""SDF worlds: read, written, refused with the place of what is wrong, warned of once."""
+"""SDF worlds: read, written, rejected with the place of the error, warned of once."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def visual(inside: str) -> str:
     return model(f"<visual name='v'>{inside}</visual>")
 
 
-# any world that the types allow
+# any world allowed by the types
 
 
 def numbers(low: float, high: float) -> st.SearchStrategy[float]:
@@ -110,7 +110,7 @@ LIGHTS = st.builds(
 
 @st.composite
 def models_called(draw: st.DrawFn, name: str) -> SdfModel:
-    """Static ones of up to two links, and movable ones of one that collides."""
+    """Draw static models with up to two links, and movable ones with one link that collides."""
     links = tuple(draw(st.lists(LINKS, max_size=2)))
     movable = len(links) == 1 and bool(links[0].collisions) and draw(st.booleans())
     return SdfModel(name, draw(POSES), not movable, links)
@@ -145,7 +145,7 @@ def test_written_files_can_be_read(made: SdfWorld) -> None:
     assert read_world(write_world(made), FILE) == made
 
 
-# what Gazebo's files have
+# contents of Gazebo's files
 
 GAZEBO = world(
     """
@@ -255,7 +255,7 @@ def test_invalid_lights_are_reported(content: str, words: str) -> None:
     assert str(caught.value).startswith(f"{FILE}: line ")
 
 
-# what Gazebo takes without an error
+# input that Gazebo accepts without an error
 
 BOX = "<collision name='c'><geometry><box><size>1 1 1</size></box></geometry></collision>"
 JOINT = "<joint name='j' type='{}'><parent>l</parent><child>k</child></joint>"
@@ -381,7 +381,7 @@ def test_a_request_names_no_files_but_those_of_models(uri: str) -> None:
     assert read_model(f"<sdf version='1.6'>{model(BOX)}</sdf>", "request").name == "m"
 
 
-# what is wrong
+# errors
 
 
 @pytest.mark.parametrize(

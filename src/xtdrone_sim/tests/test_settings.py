@@ -1,4 +1,4 @@
-"""The simulator node's parameters, what Gazebo's properties mean, and an orderly end."""
+"""The simulator node's parameters, the meaning of Gazebo's properties, and an orderly end."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ STEP = 0.004  # s
 
 @pytest.fixture
 def settings(monkeypatch):
-    """Give a function that reads the settings with some parameters set."""
+    """Return a function that reads the settings with some parameters set."""
     values: dict[str, object] = {}
     monkeypatch.setattr(full_simulation.rospy, "get_param", lambda name, default: values.get(name, default))
     monkeypatch.setattr(full_simulation.rospy, "resolve_name", lambda name: name.replace("~", "/simulator/"))

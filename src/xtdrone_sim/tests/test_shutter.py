@@ -39,7 +39,7 @@ def mount_of(**changes: Any) -> CameraMount:
 
 
 def turning(time_us: int, rate: float = RATE) -> SceneState:
-    """Return the scene of a vehicle at the origin that turns to the left, ahead at 0.5 s."""
+    """Return the scene of a vehicle at the origin that turns left and faces ahead at 0.5 s."""
     turn = Quaternion(*to_xyzw(from_euler(0.0, 0.0, rate * (1e-6 * time_us - 0.5))))
     scene = SceneState(links=[LINK], poses=[PoseMessage(Point(0.0, 0.0, 1.0), turn)])
     scene.header.stamp = rospy.Time(0, 1000 * time_us)
@@ -83,7 +83,7 @@ def test_poses_between_scenes() -> None:
         yaw = yaw_of(recent.at(time_us).links[LINK].orientation)
         assert yaw == pytest.approx(RATE * (1e-6 * time_us - 0.5), abs=1e-6)
     assert recent.at(9e9) == scene_of(turning(540_000))
-    kept = recent.at(0.0).links[LINK].orientation  # what is older is forgotten
+    kept = recent.at(0.0).links[LINK].orientation  # older scenes are dropped
     assert RATE * -0.5 < yaw_of(kept) < RATE * -0.07
     recent.clear()
     with pytest.raises(ValueError, match="scenes: none has been received yet"):

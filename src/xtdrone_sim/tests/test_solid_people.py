@@ -1,4 +1,4 @@
-"""People as bodies: where they are, what they push and stop, and that nothing changes without them."""
+"""People as bodies: positions, contacts with other bodies, and no effect where there are none."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_a_walker_pushes_a_vehicle_that_stands_in_its_way_and_is_where_its_scrip
     assert plant["position"][0][0] > 4.0  # it has been pushed along, or aside
     assert simulation.world.collisions == {(0, 2 + WALKER)}
     assert plant["position"][1][:2] == pytest.approx([0.0, -5.0], abs=1e-3)
-    assert not simulation.world.is_busy  # who stands costs nothing
+    assert not simulation.world.is_busy  # a standing person costs no steps
     simulation.close()
 
 
@@ -83,7 +83,7 @@ def test_a_robot_stops_before_a_person(world):
         drive.command(1.0, 0.0)
         simulation.world.bodies.wake(9)
         simulation.step()
-    assert drive.state.x == pytest.approx(-0.7 - RADIUS, abs=0.02)  # its platform reaches 0.7 m ahead
+    assert drive.state.x == pytest.approx(-0.7 - RADIUS, abs=0.02)  # the platform reaches 0.7 m ahead
     assert simulation.world.bodies.by_number[STANDER].pose.position == (0.0, 9.0, 0.0)
     simulation.close()
 

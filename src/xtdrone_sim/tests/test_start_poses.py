@@ -1,4 +1,4 @@
-"""Vehicles start where the fleet says, on free ground, and their autopilots know it."""
+"""Vehicles start at the fleet's poses, on free ground, and so do their autopilots' estimates."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_a_start_beside_and_on_a_model_is_free(world: str) -> None:
 
 @pytest.mark.parametrize("shared", [True, False])
 def test_home_and_local_origin_fit_the_start(shared: bool) -> None:
-    """One hovers over its place, with a turned start; home and the local position are where it stood."""
+    """A vehicle hovers above its rotated start pose; home and the local origin are where it stood."""
     poses = ((-40.0, 25.0, 0.0, 0.0, 0.0, 2.0), (30.0, -60.0, 0.3, 0.0, 0.0, -1.0))
     simulation = start(str([list(pose) for pose in poses]), shared_datum=shared)
     simulation.run_until(10_000_000)

@@ -1,4 +1,4 @@
-"""Pause, step, speed and reset with a clock and a barrier that the test moves: no ROS, no waiting."""
+"""Pause, step, speed and reset with a clock and a barrier moved by the test: no ROS, no waiting."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class FakeBarrier:
 
 
 class Loop:
-    """The simulator's loop as the node has it, by a wall clock of the test's own."""
+    """The simulator's loop as in the node, with a wall clock set by the test."""
 
     def __init__(self, speed: float = 1.0, *, paused: bool = False, cost: float = 0.0, started: bool = True) -> None:
         self.wall = 100.0
@@ -233,7 +233,7 @@ def test_a_participant_in_its_turn_cannot_step_but_pause_and_reset():
     assert not refused.success
     assert "/follower" in refused.message
     done = loop.reset(Reset.SIMULATION, "/follower")
-    assert done.done()  # at once: it cannot wait for the end of its own tick
+    assert done.done()  # at once: a client inside a tick cannot wait for the end of that tick
     assert loop.resets == []  # but nothing has changed yet
     loop.barrier.participants["/follower"].waiting = False
     loop.run(0.001)
@@ -261,7 +261,7 @@ def test_runs_that_cannot_start_fail_with_the_reason():
         reset.result(timeout=0)
     loop.barrier.participants["/follower"].waiting = False
     loop.run(1.0)
-    assert loop.resets == []  # it was told that it has not been made
+    assert loop.resets == []  # the client has been told that no reset was made
 
 
 def test_the_log_names_the_participant_that_time_waits_for():

@@ -1,4 +1,4 @@
-"""Shadows of the sun in pictures: where closed form has them, how dark they are, and that options keep them away."""
+"""Shadows of the sun in pictures: position in closed form, darkness, and options that disable them."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_a_shadow_lies_where_the_sun_does_not_reach(renderer: Renderer) -> None:
     rows, columns = np.indices((240, 240))
     x = (120.0 - rows - 0.5) * 30.0 / VIEW.pinhole.fx  # the picture's top is east
     y = (120.0 - columns - 0.5) * 30.0 / VIEW.pinhole.fx
-    # Light at 45 degrees carries the box's edges at x = -4, z = 3 and x = -2, z = 4 to x = -1 and x = 2.
+    # Light at 45 degrees projects the box's edges at x = -4, z = 3 and x = -2, z = 4 to x = -1 and x = 2.
     shadow = (np.abs(y) < 1.0) & (x > -1.0) & (x < 2.0)
     unclear = (np.abs(np.abs(y) - 1.0) < 0.3) | (np.abs(x + 1.0) < 0.3) | (np.abs(x - 2.0) < 0.3)
     on_ground = plain[..., 0] < 2 * plain[..., 1].astype(int)

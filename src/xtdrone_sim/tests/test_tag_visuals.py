@@ -1,4 +1,4 @@
-"""Plates with AprilTags: the family's patterns, drawn without gaps and overlaps, and found again in pictures."""
+"""Plates with AprilTags: the family's patterns, drawn without gaps and overlaps, and detected in pictures."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def model_text(name: str) -> str:
 
 @pytest.mark.parametrize("name", MODELS)
 def test_the_shipped_models_are_these_boards(name: str) -> None:
-    """As a program, this file writes them."""
+    """Run as a program, this file writes the models."""
     assert (PACKAGE_MODELS / name / "model.sdf").read_text(encoding="utf-8") == model_text(name)
     world = f"<sdf version='1.6'><world name='w'><include><uri>model://{name}</uri></include></world></sdf>"
     [there] = read_world(world, PACKAGE_MODELS / "w.world").models

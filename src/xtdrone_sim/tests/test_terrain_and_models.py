@@ -1,4 +1,4 @@
-"""Heightmaps, glTF meshes and models in YAML: where they are, what meets them, and bad input."""
+"""Heightmaps, glTF meshes and models in YAML: their positions, collisions, and bad input."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def yaml_world(folder: Path, models: str) -> Path:
 
 
 def heights(world: SdfWorld, places: np.ndarray) -> np.ndarray:
-    """Return what rays find below places (n, 2)."""
+    """Return the heights at which rays from above hit at positions (n, 2)."""
     origins = np.column_stack([places, np.full(len(places), 50.0)])
     hits = RayScene(world.models).cast(origins, np.tile((0.0, 0.0, -1.0), (len(places), 1)), 100.0)
     return 50.0 - hits.ranges
@@ -132,7 +132,7 @@ def test_a_vehicle_lands_on_terrain_and_a_ball_rolls_down(tmp_path: Path) -> Non
 
 
 def gltf(path: Path, *, colour: list[int] | None = None, picture: Image.Image | None = None) -> Path:
-    """Write a box of 1 x 2 x 3 m (glTF: width, height, depth) that is moved upwards by 5 m."""
+    """Write a box of 1 x 2 x 3 m (glTF: width, height, depth), raised by 5 m."""
     mesh = trimesh.creation.box((1.0, 2.0, 3.0))
     material = trimesh.visual.material.PBRMaterial(baseColorFactor=colour, baseColorTexture=picture)
     uv = np.zeros((len(mesh.vertices), 2)) if picture is not None else None
@@ -145,7 +145,7 @@ def gltf(path: Path, *, colour: list[int] | None = None, picture: Image.Image | 
 
 @pytest.mark.parametrize("ending", ["glb", "gltf"])
 def test_gltf_stands_upright(ending: str, tmp_path: Path) -> None:
-    """Of glTF y is up and z points to the front; of ours z is up."""
+    """In glTF y is up and z points to the front; here z is up."""
     (tmp_path / ending).mkdir()
     path = gltf(tmp_path / ending / f"box.{ending}", colour=[255, 0, 0, 255])
     (part,) = read_mesh(path)

@@ -1,4 +1,4 @@
-"""UWB sensors: what descriptions refuse, truth in closed form, statistics of the errors, line of sight."""
+"""UWB sensors: rejected descriptions, truth in closed form, statistics of the errors, line of sight."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ N = 20_000
 
 
 def truth(n: int = N, distance: float = 12.0, blocked: bool = False) -> Neighbours:
-    """Return n neighbours at the same place."""
+    """Return n neighbours at the same position."""
     full = np.full(n, distance)
     return Neighbours(full, np.full(n, 3.1), np.full(n, 0.2), np.full(n, blocked), np.ones(n, bool))
 
@@ -73,7 +73,7 @@ def test_variants_fly_as_the_iris_and_their_frames_are_on_tf():
 def test_each_sensor_measures_one_of_each_other_vehicle():
     names = [("a", "front"), ("a", "rear"), ("b", "uwb"), ("b", "rear"), ("c", "uwb")]
     antennas = [Antenna(vehicle, "base_link", UwbMount(name=name)) for vehicle, name in names]
-    assert neighbours_of(0, antennas) == (2, 4)  # there is no other front
+    assert neighbours_of(0, antennas) == (2, 4)  # there is no other front antenna
     assert neighbours_of(1, antennas) == (3, 4)
     assert neighbours_of(4, antennas) == (0, 2)
     assert [a.frame_id for a in antennas_of(parse_fleet("iris:1,iris_uwb:2"))] == [
@@ -164,7 +164,7 @@ def test_a_blocked_range_is_lost_longer_or_the_same():
 
 
 def test_walls_and_other_vehicles_block_the_sight_but_the_two_vehicles_do_not():
-    """Four vehicles in a row, the second and third in each other's sight; beyond the fourth a low wall."""
+    """Of four vehicles in a row, the second and third see each other; beyond the fourth there is a low wall."""
     wall = SdfModel("wall", Pose((8.0, 0.0, 1.0)), links=(SdfLink("link", visuals=(Visual(Box((0.2, 6.0, 2.0))),)),))
     names = [f"iris_{k}" for k in range(4)]
     rays = RayScene([wall], parse_fleet("iris:4"))

@@ -1,7 +1,7 @@
 """The UWB sensors' node with a real master in lockstep; this file plays the simulator.
 
-Called as a program this file is one of the other nodes: ``teller`` (of the scene), ``taker`` (of ranges), ``inviter``
-(of a vehicle that joins and leaves) or ``watcher`` (of everyone's ranges).
+Run as a program, this file is one of the other nodes: ``teller`` publishes the scene, ``taker`` receives ranges,
+``inviter`` has a vehicle join and leave, and ``watcher`` receives every vehicle's ranges.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ RATE = 8.0  # Hz: most measurements are between two scenes
 
 
 def places(time: float) -> list[tuple[float, float, float]]:
-    """Return where the vehicles are, m: the third is too far away."""
+    """Return the positions of the vehicles, m; the third is out of range."""
     return [(SPEED * time, 0.0, 2.0), (10.0, 10.0, 2.0), (100.0, 0.0, 2.0)]
 
 
 def teller() -> None:
-    """Publisher of the vehicles' places."""
+    """Publish the vehicles' poses."""
     lockstep.init_node("teller", rate=50.0)
     publisher = lockstep.Publisher("/xtdrone/scene", SceneState)
 
@@ -57,7 +57,7 @@ def teller() -> None:
 
 
 def taker(file: str) -> None:
-    """Writes down the ranges of the first vehicle, a JSON line each; lets sensors fail between measurements."""
+    """Record the ranges of the first vehicle, a JSON line each; let sensors fail between measurements."""
     lockstep.init_node("taker", rate=50.0)
     out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process
 
@@ -91,7 +91,7 @@ def taker(file: str) -> None:
 
 
 def inviter() -> None:
-    """Publisher of the vehicles' places; in its second flight the third joins at 0.32 s and leaves at 0.92 s."""
+    """Publish the vehicles' poses; in the second flight the third joins at 0.32 s and leaves at 0.92 s."""
     lockstep.init_node("inviter", rate=50.0)
     publisher = lockstep.Publisher("/xtdrone/scene", SceneState)
     vehicles = lockstep.Publisher("/xtdrone/vehicles", String, latch=True)
@@ -115,7 +115,7 @@ def inviter() -> None:
 
 
 def watcher(file: str) -> None:
-    """Writes down the ranges of all vehicles, a JSON line each."""
+    """Record the ranges of all vehicles, a JSON line each."""
     lockstep.init_node("watcher", rate=50.0)
     out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process
 
@@ -157,15 +157,15 @@ def test_ranges_have_exact_times_fail_on_request_and_repeat_after_a_reset(graph:
     flights = [[note for note in part if note["what"] == "ranges"] for part in (notes[:back], notes[back:])]
     assert flights[0] == flights[1]
     stamps = [note["stamp"] for note in flights[0]]
-    assert stamps == [*range(0, 1_200_000, 125_000), 1_500_000, 1_625_000]  # 1.25 and 1.375 s: off
+    assert stamps == [*range(0, 1_200_000, 125_000), 1_500_000, 1_625_000]  # 1.25 and 1.375 s: switched off
     assert {note["frame"] for note in flights[0]} == {f"{NAMES[0]}/uwb_frame"}
     by_time = {note["stamp"]: note["ranges"] for note in flights[0]}
     assert by_time[625_000] == by_time[750_000] == by_time[500_000]  # frozen
-    assert by_time[1_125_000] == []  # its neighbour is off, and does not answer
+    assert by_time[1_125_000] == []  # its neighbour is switched off, and does not answer
     for stamp, ranges in by_time.items():
         if stamp in (625_000, 750_000, 1_125_000):
             continue
-        ((vehicle, frame, distance, azimuth, elevation),) = ranges  # the third vehicle is too far away
+        ((vehicle, frame, distance, azimuth, elevation),) = ranges  # the third vehicle is out of range
         assert (vehicle, frame) == (NAMES[1], f"{NAMES[1]}/uwb_frame")
         x, y = 10.0 - SPEED * stamp * 1e-6, 10.0
         bias = 5.0 if stamp in (875_000, 1_000_000) else 0.0
@@ -191,7 +191,7 @@ def test_a_vehicle_that_joins_measures_and_is_measured_until_it_leaves(graph: Gr
         server.reset_time(0)
     run_ticks(graph, server, 0, 40_000, len(names))
     notes = read_notes(file)
-    assert [note["back"] for note in notes if "back" in note] == [0, 0]  # the topic has ended
+    assert [note["back"] for note in notes if "back" in note] == [0, 0]  # the publisher is gone
     back = next(k for k, note in enumerate(notes) if "back" in note)
     alone, joined = (
         {(note["vehicle"], note["stamp"]): note["ranges"] for note in part if "vehicle" in note}

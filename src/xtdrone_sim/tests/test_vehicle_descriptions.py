@@ -1,4 +1,4 @@
-"""Vehicles from URDF and YAML: what is read, what is refused, vehicles of a user's own, the hexacopter in flight."""
+"""Vehicles from URDF and YAML: parsing, rejections, user-defined vehicles, the hexacopter in flight."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def test_typhoon_is_fitted_as_upstream():
     names = [link.name for link in model.urdf.moving]
     legs, gimbal = ["left_leg", "right_leg"], ["vertical_arm", "horizontal_arm", "camera"]
     assert names == ["base_link", *legs, *(f"cgo3_{part}_link" for part in gimbal)]
-    for i, place in enumerate(model.record["rotor_position"][:6]):  # what is seen of a rotor is where it pulls
+    for i, place in enumerate(model.record["rotor_position"][:6]):  # a rotor's visual is where its thrust acts
         np.testing.assert_allclose(model.urdf.joint(f"rotor_{i}_joint").pose.position, place)
 
 
@@ -149,7 +149,7 @@ def test_every_link_has_a_pose_before_the_first_joint_state(name):
         assert frame.pose.orientation == pytest.approx(joint.pose.orientation)
 
 
-# vehicles of a user's own
+# user-defined vehicles
 
 
 @pytest.fixture
@@ -284,7 +284,7 @@ def test_hexacopter_flies_a_square_and_holds_in_wind(hovering):
     start = np.array(commander.view.estimator["position"])
 
     def fly(goal: np.ndarray, seconds: float) -> float:
-        """Return how far from ``goal`` (NED, m) the truth is in the last second at most."""
+        """Return the greatest distance of the truth from ``goal`` (NED, m) in the last second."""
         worst = 0.0
         for tick in range(round(seconds * 50)):
             commander.offboard_trajectory(tuple(goal), unset, unset, 0.0, math.nan)
@@ -305,7 +305,7 @@ def test_hexacopter_flies_a_square_and_holds_in_wind(hovering):
 
 
 def test_hexacopter_remains_upright_without_a_motor(hovering):
-    """Yaw is given up: it turns on the spot, and holds its place and height."""
+    """Yaw control is given up: the vehicle turns on the spot, and holds its position and height."""
     (commander,) = hovering.commanders
     commander.request(modes.AUTO_LOITER)
     hovering.run_until(hovering.time_us + 2_000_000)

@@ -1,4 +1,4 @@
-"""Videos for ground stations: a decoder of others shows the pictures, and a client finds them by MAVLink."""
+"""Videos for ground stations: an independent decoder shows the pictures, and a client finds them by MAVLink."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def picture(number: int = 0) -> NDArray[np.uint8]:
 
 
 def teller() -> None:
-    """Publisher of the first camera's pictures, which runs freely."""
+    """Publish the first camera's pictures, free-running."""
     rospy.init_node("teller")
     publisher = rospy.Publisher(f"{CAMERA}/image_raw", Image, queue_size=1)
     number = 0
@@ -64,7 +64,7 @@ def teller() -> None:
 
 
 def decoded(sdp: Path) -> NDArray[np.uint8]:
-    """Return a picture that ffmpeg receives and decodes, RGB."""
+    """Return a picture received and decoded by ffmpeg, RGB."""
     options = ("-loglevel", "error", "-protocol_whitelist", "file,udp,rtp", "-i", str(sdp), "-frames:v", "3")
     command = ["ffmpeg", "-nostdin", *options, "-f", "rawvideo", "-pix_fmt", "rgb24", "pipe:1"]
     done = subprocess.run(command, capture_output=True, timeout=30.0, check=True)
@@ -73,7 +73,7 @@ def decoded(sdp: Path) -> NDArray[np.uint8]:
 
 @contextlib.contextmanager
 def sending(stream: Any) -> Iterator[None]:
-    """Send a moving picture meanwhile."""
+    """Send a moving picture in the background."""
     encoder = Encoder(stream)
     stop = threading.Event()
 
@@ -98,7 +98,7 @@ def assert_resembles(image: NDArray[np.uint8]) -> None:
     assert image.shape == (*SIZE, 3)
     yellow = (image[150:210].astype(int) - (250, 240, 20)).__abs__().max(axis=2) < 60
     columns = np.flatnonzero(yellow.mean(axis=0) > 0.8)
-    assert 50 <= len(columns) <= 64  # the square, whole
+    assert 50 <= len(columns) <= 64  # the whole square
     difference = np.abs(image.astype(int) - picture((columns[0] - 40) // 8))
     assert difference.mean() < 6.0
 
@@ -134,7 +134,7 @@ def test_packets_are_those_of_rfc_6184_and_a_receiver_may_join_at_any_time() -> 
     numbers = [int.from_bytes(packet[2:4], "big") for packet in packets]
     assert {(b - a) % 65536 for a, b in pairwise(numbers)} == {1}
     times = sorted({int.from_bytes(packet[4:8], "big") for packet in packets})
-    assert np.diff(times).mean() / 90_000 == pytest.approx(0.05, rel=0.5)  # as they were sent
+    assert np.diff(times).mean() / 90_000 == pytest.approx(0.05, rel=0.5)  # with the intervals of sending
     units = [unit for packet in packets for unit in units_begun(packet[12:])]
     keys = [k for k, unit in enumerate(units) if unit == 5]
     assert len(keys) >= 2
@@ -185,7 +185,7 @@ def test_an_encoder_that_ends_is_reported(monkeypatch: pytest.MonkeyPatch, tmp_p
 
 
 def asked(component: CameraComponent, command: int, *params: float, target: int = 100) -> list[Any]:
-    """Return what a component answers a ground station."""
+    """Return a component's reply to a ground station."""
     station = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
     values = [*params, *[0.0] * (7 - len(params))]
     packed = mavlink.MAVLink_command_long_message(1, target, command, 0, *values).pack(station)
@@ -232,7 +232,7 @@ def test_what_it_cannot_do_is_refused(component: CameraComponent) -> None:
     assert asked(component, mavlink.MAV_CMD_IMAGE_START_CAPTURE)[0].result == mavlink.MAV_RESULT_UNSUPPORTED
     for number in (mavlink.MAVLINK_MSG_ID_STORAGE_INFORMATION, float("nan"), 1e9):
         assert asked(component, mavlink.MAV_CMD_REQUEST_MESSAGE, number)[0].result == mavlink.MAV_RESULT_DENIED
-    assert asked(component, mavlink.MAV_CMD_REQUEST_MESSAGE, 259.0, target=1) == []  # the autopilot's
+    assert asked(component, mavlink.MAV_CMD_REQUEST_MESSAGE, 259.0, target=1) == []  # the id is the autopilot's
     assert asked(component, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, target=0) == []
 
 

@@ -1,4 +1,4 @@
-"""Rejections of all kinds of vehicles, with the same texts."""
+"""Rejections of all kinds of vehicles have the same texts."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ def test_falls_through_the_air_and_stops_on_the_ground():
 
 
 def test_bullet_and_kernel_agree_on_the_same_wrench():
-    """The same spinning, falling, thrusting body for 0.2 s in either integrator."""
+    """Both integrators move the same spinning, falling, thrusting body alike for 0.2 s."""
     states = []
     for contact in (FREE, TOUCHING):
         world = make([(0.0, 0.0, 50.0)])

@@ -1,4 +1,4 @@
-"""Full physics behind the simplified simulator's cut: flights, refusals, restart."""
+"""Full physics behind the interface of the simplified simulator: flights, rejections, restart."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_a_flight_from_takeoff_to_landing(vehicles: CoreVehicles) -> None:
     vehicles.steer(VELOCITY, wanted, np.array([False, True]))
     run(vehicles, 4.0)
     moved = vehicles.true_position - before
-    assert np.linalg.norm(moved[0]) < 0.15  # not given: it holds
+    assert np.linalg.norm(moved[0]) < 0.15  # no position in the command: it holds
     np.testing.assert_allclose(vehicles.velocity[1], wanted[1], atol=0.1)
     assert 3.0 < moved[1, 0] < 4.1
     np.testing.assert_allclose(vehicles.yaw, heading, atol=0.05)

@@ -1,4 +1,4 @@
-"""Random use of Swarm: batch against one by one, restart, nothing but the exceptions that it names, no NaN."""
+"""Random use of Swarm: batch against one by one, restart, documented exceptions only, no NaN."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Rng = np.random.Generator
 
 
 class Smooth(Follower):
-    """It remembers, and forgets with restart."""
+    """Keeps a state, which a restart clears."""
 
     def __init__(self, *args: Any, **named: Any) -> None:
         super().__init__(*args, **named)
@@ -41,7 +41,7 @@ class Smooth(Follower):
 
 
 class Nearest(Follower):
-    """It listens to other vehicles in every turn."""
+    """Selects its neighbours anew in every turn."""
 
     def neighbours(self) -> Mapping[int, float]:
         own = self.swarm.positions[self.id]
@@ -50,7 +50,7 @@ class Nearest(Follower):
 
 
 class Hasty(Follower):
-    """It changes its options, and gives what cannot be used now and then."""
+    """Changes its options, and returns unusable values now and then."""
 
     def __init__(self, *args: Any, **named: Any) -> None:
         super().__init__(*args, **named)
@@ -139,13 +139,13 @@ def settings_of(rng: Rng) -> dict[str, Any]:
 
 
 def one_by_one(swarm: Swarm) -> None:
-    """Compute each follower separately, as those with an own update."""
+    """Compute each follower separately, as those that override ``update``."""
     for follower in swarm.followers:
         follower.update = follower.update  # type: ignore[method-assign]
 
 
 def fly(swarm: Swarm, seed: int, turns: int) -> list[bytes]:
-    """Use a swarm at random; return what was to be seen in each turn."""
+    """Use a swarm at random; return the observations of each turn."""
     rng = np.random.default_rng(seed)
     seen = []
     for turn in range(turns):
@@ -172,7 +172,7 @@ def fly(swarm: Swarm, seed: int, turns: int) -> list[bytes]:
 
 
 def refused(what: Any, text: str) -> None:
-    """Give a command that may be refused, in the ways that are named."""
+    """Pass a command that may be rejected, by the documented exceptions only."""
     with suppress(PatternError, CommandError):
         what(text)
 

@@ -142,7 +142,7 @@ def test_hover_and_dead_zone_are_those_of_the_communication_node():
     rng = np.random.default_rng(5)
     vehicles = SimplifiedVehicles(1, places=HIGH, airborne=True, hover_speed=0.02)
     core = MultirotorCore("iris_0", Silent(), hover_speed=0.02)
-    core.on_pose(tuple(HIGH[0]), (0.0, 0.0, 0.0, 1.0))  # before OFFBOARD: there it holds
+    core.on_pose(tuple(HIGH[0]), (0.0, 0.0, 0.0, 1.0))  # before OFFBOARD, in which it holds
     inner = vehicles._each[0]
     captured = 0
     for _ in range(1500):

@@ -1,4 +1,4 @@
-"""The picture of a swarm: what is drawn where, films, bad input."""
+"""The picture of a swarm: positions of drawn objects, films, bad input."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def formation(count: int, pattern: str = "cube", time: float = 0.0, title: str =
 
 
 def flight(count: int = 9, number: int = 20, fps: float = 10.0) -> Iterator[Frame]:
-    """Vehicles on their way from the spawn grid into the cube."""
+    """Return frames of vehicles on their way from the spawn grid into the cube."""
     slots = with_leader(Patterns(count).offsets("cube")) + UP
     start = with_leader(Patterns(count).offsets("origin")) + UP
     edges = np.argwhere(veteran_topology(slots) > 0)
@@ -66,12 +66,12 @@ def at(picture: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 def nearest_vehicle(colour: np.ndarray, colours: np.ndarray) -> int:
-    """Return whose colour this is; the far ones are paler by up to 0.4."""
+    """Return the vehicle of this colour; far vehicles are paler by up to 0.4."""
     pale = np.linspace(0.0, 0.42, 15)[:, None, None]
     return int(np.abs(colours + pale * (1.0 - colours) - colour).max(axis=2).min(axis=0).argmin())
 
 
-# ---- what is drawn where ----
+# ---- positions in the picture ----
 
 
 @pytest.mark.parametrize(("azimuth", "elevation", "zoom"), [(0, 0, 1), (70, 35, 1), (0, -60, 1), (-130, 5, 0.7)])
@@ -122,7 +122,7 @@ def test_nearer_vehicles_hide_farther_ones_but_never_the_leader():
     away = view.camera.basis[2]  # towards the eye
     places = UP + np.outer([-3.0, 0.0, 2.0], away)
     view.update(Frame(0.0, places))
-    # One line of sight goes through all three only where perspective does not part them: the picture's middle.
+    # One line of sight passes through all three only without parallax: in the middle of the picture.
     spots = view.projection.pixels(places)
     assert np.ptp(spots, axis=0).max() < 15.0
     assert nearest_vehicle(at(view.draw(), spots[0]), view.colours) == 0
@@ -184,7 +184,7 @@ def test_a_long_trail_of_a_fast_film_has_few_points():
 
 
 def test_cached_parts_of_a_picture_equal_a_new_drawing():
-    """The room is drawn once while the camera rests; figure.savefig draws everything: the same pixels."""
+    """With the room cached while the camera rests, the pixels equal those of a complete drawing by savefig."""
     view = make_view(30)
     for frame in flight(30, 8):
         view.update(frame)
@@ -216,7 +216,7 @@ def test_a_thousand_vehicles_are_all_in_the_picture():
     assert (places < [800.0, HEIGHT]).all()
     picture = view.draw()
     coloured = sum(np.ptp(at(picture, p)) > 0.15 for p in places[1:])
-    assert coloured > 900  # the rest have a neighbour's white rim before them
+    assert coloured > 900  # the others are behind a neighbour's white rim
     assert len(np.unique(palette(1000), axis=0)) == 25
 
 
@@ -364,7 +364,7 @@ def test_progress_is_shown(tmp_path):
 
 
 def fly_cube(swarm: Swarm) -> None:
-    """Choose the cube at 0.5 s."""
+    """Select the cube at 0.5 s."""
     if not swarm.leader.pattern and swarm.time > 0.5:
         swarm.choose("cube")
 
@@ -461,7 +461,7 @@ def play(window: Window, *actions) -> None:
 
 
 def event(window: Window, name: str, **options):
-    """Return an action: an event of mouse or keyboard."""
+    """Return an action: a mouse or keyboard event."""
 
     def generate() -> None:
         widget = window._canvas.get_tk_widget()
@@ -548,7 +548,7 @@ def test_the_window_shows_the_picture_and_follows_its_size(window):
 def test_a_picture_is_drawn_only_when_something_has_changed(window):
     frames = list(flight(number=5))
     play(window, *[lambda f=f: f for f in frames], *[lambda: None] * 10)
-    assert 5 <= window.pictures <= 7  # one more for the size that the window gets
+    assert 5 <= window.pictures <= 7  # one more picture for the window's actual size
 
 
 def test_nothing_of_tk_outlives_the_window(window):
@@ -579,7 +579,7 @@ def test_a_swarm_is_shown_at_the_requested_speed(display, monkeypatch):
 
     with pytest.raises(InterruptedError):
         swarm.watch(speed=float("inf"), each_turn=each_turn, size=(320, 240))
-    assert np.diff(turns) == pytest.approx(1.0 / 30.0, abs=0.005)  # no turn is left out
+    assert np.diff(turns) == pytest.approx(1.0 / 30.0, abs=0.005)  # no turn is skipped
 
 
 def test_a_paused_swarm_does_not_move(window, monkeypatch):

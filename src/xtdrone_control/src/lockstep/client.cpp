@@ -351,7 +351,7 @@ void Client::keepAlive() {
   std::unique_lock<std::mutex> lock(send_mutex_);
   while (!ended_.wait_for(lock, ALIVE_PERIOD, [this] { return has_ended_; })) {
     lock.unlock();
-    // The main thread notices when the simulator is gone.
+    // The main thread detects that the simulator is gone.
     send(frame);
     lock.lock();
   }
@@ -524,7 +524,7 @@ void Client::announce() {
     }
   }
   if (!made.empty() || !lost.empty()) {
-    // The wait for the next tick notices when the simulator is gone.
+    // The wait for the next tick detects that the simulator is gone.
     send(packObject(Kind::PEER, {{"made", made}, {"lost", lost}}));
   }
 }

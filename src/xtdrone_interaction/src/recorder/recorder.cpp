@@ -1,13 +1,14 @@
-// Records topics of a flight into a bag, packed by LZ4: recorder FILE TOPIC...
+// Records topics of a flight into an LZ4-compressed bag: recorder FILE TOPIC...
 //
-// Writes what "rosbag record --lz4 -O FILE TOPIC..." does, for half of its CPU time. rosbag hands each message from
-// roscpp's network thread to one of ten threads and from there to another one; thousands of times a second, that costs
-// more than all else that it does. Here the network is read every few milliseconds and one thread writes what has come.
+// The bag equals that of "rosbag record --lz4 -O FILE TOPIC..." and costs half of its CPU time. rosbag passes each
+// message from roscpp's network thread to one of ten threads and from there to another one, which at thousands of
+// messages a second costs more than all its other work. Here the network is read every few milliseconds, and one thread
+// writes the received messages.
 //
-// Parameter ~buffer (MB, default 256, as rosbag's): what waits for the disk at most; messages beyond it are dropped and
-// counted. The recorder is no participant of the lockstep: no flight waits for a disk.
+// Parameter ~buffer (MB, default 256, as in rosbag): size of the backlog of unwritten messages; messages beyond it are
+// dropped and counted. The recorder is no participant of the lockstep, so that no flight waits for a disk.
 //
-// SIGINT and SIGTERM end it. Exit status: 0, 1 if the bag could not be written, 2 for bad arguments.
+// SIGINT and SIGTERM end it. Exit status: 0; 1 if the bag cannot be written; 2 for invalid arguments.
 
 #include <ros/callback_queue_interface.h>
 #include <ros/poll_manager.h>
@@ -40,14 +41,14 @@ using Message = topic_tools::ShapeShifter;
 using Event = ros::MessageEvent<Message const>;
 using Clock = std::chrono::steady_clock;
 
-constexpr auto kPeriod = std::chrono::milliseconds(2);  // between two looks at the network: delay of the time stamps
-constexpr time_t kShutdownPeriod = 1;                   // s between two looks whether another node has ended this one
+constexpr auto kPeriod = std::chrono::milliseconds(2);  // between reads of the network; the stamps' delay
+constexpr time_t kShutdownPeriod = 1;                   // s between checks for a shutdown by another node
 constexpr int kBuffer = 256;                            // MB
 constexpr auto kDiskPeriod = std::chrono::seconds(10);
-constexpr std::uintmax_t kMinSpace = 1 << 30;  // bytes, as rosbag's; below, nothing is written any more
+constexpr std::uintmax_t kMinSpace = 1 << 30;  // bytes of free disk space, as in rosbag; recording stops below
 
 std::atomic<bool> stop_requested{false};
-sem_t wake_up;  // posted when messages wait to be written, and when the recorder is to end
+sem_t wake_up;  // posted when messages wait to be written, and when the recorder must end
 
 void request_stop(int) {
   stop_requested = true;
@@ -116,11 +117,11 @@ class Backlog {
   const std::uint64_t limit_;
   mutable std::mutex mutex_;
   std::vector<Received> messages_;
-  std::uint64_t bytes_ = 0;  // of messages_ and of those that were taken and not released
+  std::uint64_t bytes_ = 0;  // of messages_ and of those taken and not yet released
   unsigned long dropped_ = 0;
 };
 
-// A bag that is called FILE.active until it is complete.
+// A bag that is named FILE.active until it is complete.
 class Recorder {
  public:
   // Creates the folder of the file if there is none. Throws rosbag::BagException or std::filesystem::filesystem_error
@@ -134,7 +135,7 @@ class Recorder {
 
   void write(const std::string& topic, const Event& event) {
     if (error_ || !has_space()) return;
-    // Before the first /clock message the time is 0, which a bag does not take.
+    // Before the first /clock message the time is 0, which a bag rejects.
     const ros::Time time = std::max(event.getReceiptTime(), ros::TIME_MIN);
     try {
       bag_->write(topic, time, *event.getConstMessage(), event.getConnectionHeaderPtr());
@@ -144,8 +145,8 @@ class Recorder {
     }
   }
 
-  // Writes the index and gives the file its name. Throws the error of an earlier message, as the constructor does, and
-  // std::filesystem::filesystem_error; FILE.active then has the messages before it, and "rosbag reindex" restores it.
+  // Writes the index and renames the file. Throws the error of an earlier message, as the constructor does, and
+  // std::filesystem::filesystem_error; FILE.active then holds the messages before it, and "rosbag reindex" restores it.
   void close() {
     try {
       if (error_) std::rethrow_exception(error_);
@@ -207,7 +208,7 @@ void record(const std::string& file, const std::vector<std::string>& topics) {
   Recorder recorder(file);
   ros::NodeHandle node;
   node.setCallbackQueue(&queue);
-  // Messages that arrive meanwhile wait in their sockets, and are read without a change of threads for each.
+  // Messages that arrive meanwhile wait in their sockets; they are then read without a thread switch for each.
   ros::PollManager::instance()->addPollThreadListener([&backlog] {
     if (!backlog.empty()) sem_post(&wake_up);
     std::this_thread::sleep_for(kPeriod);
@@ -218,7 +219,7 @@ void record(const std::string& file, const std::vector<std::string>& topics) {
     wait_for_wake_up();
     write_all(recorder, backlog);
   }
-  std::this_thread::sleep_for(2 * kPeriod);  // for what had been sent before
+  std::this_thread::sleep_for(2 * kPeriod);  // for messages already sent
   subscribers.clear();
   write_all(recorder, backlog);
   if (backlog.dropped() > 0) std::fprintf(stderr, "[ERROR] recorder: %lu messages were dropped\n", backlog.dropped());
@@ -239,7 +240,7 @@ int main(int argc, char** argv) {
   try {
     record(argv[1], {argv + 2, argv + argc});
   } catch (const std::exception& error) {
-    // Not ROS_FATAL: roscpp logs nothing any more.
+    // Not ROS_FATAL, since roscpp no longer logs.
     std::fprintf(stderr, "[FATAL] recorder: %s cannot be recorded: %s\n", argv[1], error.what());
     return 1;
   }

@@ -69,7 +69,7 @@ double unit(double value) {
   return least > -1.0 ? least : -1.0;
 }
 
-/// Angle in 0..360 degrees, as Python's `%` gives it.
+/// Angle in 0..360 degrees, as Python's `%` returns it.
 double full_turn(double angle) {
   const double rest = std::fmod(angle, 360.0);
   if (rest == 0.0) return 0.0;
@@ -335,7 +335,7 @@ class Telemetry {
     return value;
   }
 
-  /// Replace the origin (degrees) by the place of the vehicle, as geo.reproject does.
+  /// Replace the origin (degrees) by the vehicle's position, as geo.reproject does.
   void reproject(double& latitude, double& longitude) const {
     const double x = position_[0] / earth_radius_, y = position_[1] / earth_radius_;
     const double angle = python_hypot(x, y);

@@ -129,7 +129,7 @@ bool write_bytes(Writer& out, const Field& field, const char* data, Py_ssize_t s
   return true;
 }
 
-/// Tell genpy's handler of characters that are not UTF-8 the type of the message, which it names in its warning.
+/// Pass the message's type to genpy's handler of invalid UTF-8, which names it in its warning.
 bool announce(const char* type) {
   const Held handler(PyCodec_LookupError("rosmsg"));
   if (handler.get() == nullptr) {
@@ -170,7 +170,7 @@ PyObject* read_time(Reader& in, const Field& field) {
 
 template <class T>
 PyObject* read_numbers(Reader& in, Py_ssize_t count) {
-  // As genpy gives them: a list of bools, and a tuple of any other numbers.
+  // As genpy returns them: a list of bools, and a tuple of any other numbers.
   constexpr bool in_list = std::is_same_v<T, Flag>;
   Held array(in_list ? PyList_New(count) : PyTuple_New(count));
   if (array.get() == nullptr) {

@@ -8,7 +8,7 @@
 
 namespace xtdrone::ros_codec {
 
-/// A reference that is given up at the end of a block.
+/// A reference that is released at the end of a block.
 class Held {
  public:
   explicit Held(PyObject* owned) : object_(owned) {}

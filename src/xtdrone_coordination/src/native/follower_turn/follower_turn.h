@@ -26,7 +26,7 @@ struct Settings {
   double clearance;       // m
 };
 
-/// What mavros/state says.
+/// Content of mavros/state.
 struct State {
   std::string mode;
   bool armed;
@@ -53,7 +53,7 @@ class FollowerTurn : public xtdrone_control::TurnProgram {
   bool turn(std::int64_t time_us, const std::vector<xtdrone_control::Messages>& received,
             std::vector<xtdrone_control::Publication>& published) override;
 
-  /// Turns taken.
+  /// Number of turns run.
   std::uint64_t turns = 0;
   /// x, y, z, vx, vy, vz of each vehicle in the last turn, m and m/s ENU.
   std::vector<double> states;

@@ -41,7 +41,7 @@ void carryOut(FollowerTurn& turn, double hover_speed, double timeout, bool hover
   turn.carryOut(commands, std::move(state));
 }
 
-/// Take a turn with the messages of each topic; return the packet of each topic to be published, None if it is refused.
+/// Run a turn with the messages of each topic; return the packet of each published topic, None if Python has to run it.
 nb::object take(FollowerTurn& turn, std::int64_t time_us, const std::vector<std::vector<nb::bytes>>& received,
                 const std::vector<std::uint32_t>& sequences) {
   std::vector<xtdrone_control::Messages> messages(received.size());

@@ -40,7 +40,7 @@ class Fields {
     take(12);
     takeText();
   }
-  /// Return whether all fields were there and none is left.
+  /// Return whether all fields were present and no byte is left.
   bool complete() const { return valid_ && left_.empty(); }
   bool valid() const { return valid_; }
 
