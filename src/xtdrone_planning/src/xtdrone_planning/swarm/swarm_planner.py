@@ -76,11 +76,11 @@ class SwarmPlanner(Planner):
 
     def on_decided(self, rank: int, number: int, spline: UniformSpline, radius: float) -> None:
         """Receive the committed trajectory of another vehicle."""
-        self._of(rank, radius).on_decided(number, spline)
+        self._of(rank).on_decided(number, spline, radius)
 
     def on_proposal(self, proposal: Proposal, radius: float) -> None:
         """Receive the proposed trajectory of another vehicle."""
-        self._of(proposal.rank, radius).on_proposal(proposal)
+        self._of(proposal.rank).on_proposal(proposal, radius)
 
     def step(self, now: Situation) -> Command | None:
         """Decide on the proposal if it is due, then run one cycle."""
@@ -188,8 +188,8 @@ class SwarmPlanner(Planner):
             distances += [self.limits.radius + known.radius + self.swarm.separation] * len(found)
         return MovingVehicles(splines, distances)
 
-    def _of(self, rank: int, radius: float) -> Known:
-        return self._known.setdefault(rank, Known(radius))
+    def _of(self, rank: int) -> Known:
+        return self._known.setdefault(rank, Known())
 
     def _abandon(self) -> None:
         self.proposal = None
