@@ -105,7 +105,8 @@ def late_by_a_new_trajectory(aside: float) -> FlownTrajectories:
     trajectories.on_trajectory(1, 1, resting(there, 0.0), RADIUS)
     trajectories.update(np.stack([first.at(0.0)[0], there]), 0.0)
     turn = first.at(2.0)[0]
-    points = np.array([turn + (x, y, 0.0) for x, y in ((-0.9, 0.0), (0.0, 0.0), (0.9, 0.0), *[(0.9, -6.0)] * 4)])
+    ahead = (-0.9, 0.0), (0.0, 0.0), (0.9, 0.0), *[(0.9, -6.0)] * 4
+    points = turn + np.array([(x, y, 0.0) for x, y in ahead])
     trajectories.on_trajectory(0, 2, UniformSpline(2.0, 0.2, points), RADIUS)
     trajectories.update(np.stack([first.at(1.75)[0], there]), 2.05)
     return trajectories
@@ -206,7 +207,7 @@ class GuardedFlight(ToyFlight):
         target, speed, acceleration, _ = self.command
         wanted = speed + 0.95 * (target - self.position)
         if self.turn % 10 == 0:
-            self.points = self.map.grid.occupied()
+            self.points = np.ascontiguousarray(self.map.grid.occupied())  # as of a cloud
         points, rest = self.points, np.arange(len(places)) != index
         follows = trajectories.commands(index, target)
         agreed = np.array([follows and trajectories.agreed(index, k) for k in np.flatnonzero(rest)])
