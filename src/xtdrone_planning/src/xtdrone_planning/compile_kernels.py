@@ -207,8 +207,8 @@ def _navigation() -> None:
             now = Turn(turn * _PERIOD, _PERIOD, pose)
             navigator.step(now)
             navigator.local_plan(now)
-    start, goal = pose[:2], np.array([5.0, 5.0])  # within the wall
-    GlobalSearch().find_near(level, start, goal, navigator.clearance, 3.0)
+    within_the_wall = np.array([5.0, 5.0])
+    GlobalSearch().find_near(level, pose[:2], within_the_wall, navigator.clearance, 3.0)
 
 
 _PARTS: tuple[tuple[str, Callable[[], None]], ...] = (
