@@ -35,6 +35,27 @@ def test_without_hearing_each_other_they_would_meet():
     assert group.least < 2.0 * RADIUS
 
 
+class RestlessGroup(Group):
+    """Vehicles whose goals change like those of explorers, often while a proposal is undecided."""
+
+    def after_turn(self, now: float) -> None:
+        """Change a goal now and then."""
+        rng = np.random.default_rng(round(now / PERIOD))
+        for flight in self.flights:
+            if now > 1.0 and rng.random() < 0.04:
+                flight.planner.set_goal(np.array([*rng.uniform((0.0, -3.0), (8.0, 3.0)), 2.0]))
+
+
+def test_vehicles_whose_goals_change_fly_on_from_where_they_are():
+    group = RestlessGroup(3, NetworkOptions(), AgreementSettings(check=0.2), seed=1)
+    group.run(25.0)
+    for flight in group.flights:
+        assert np.linalg.norm(np.diff(flight.track, axis=0), axis=1).max() < LIMITS.speed * PERIOD * 1.01
+        changes = list(itertools.pairwise(flight.states))
+        assert changes.count(("following", "planning")) < 60  # not in every turn of a pause
+    assert group.least > 2.0 * RADIUS
+
+
 def line(start, end, begin, duration=4.0):
     points = np.linspace(start, end, 11)
     return UniformSpline(begin, duration / 10.0, np.vstack([points[:1], points[:1], points, points[-1:], points[-1:]]))

@@ -102,15 +102,26 @@ class SwarmPlanner(Planner):
         if trajectory is None or np.linalg.norm(trajectory.at(now.time)[0] - start.position) > _SAME_PLACE:
             self._abandon()
             return super().plan(now, start)
+        if self.proposal is None and now.time < self._pause_until and now.time >= trajectory.end:
+            return False  # at rest
         if self.proposal is not None or now.time < self._pause_until:
             return self.conflict(now) > now.time + self.swarm.check + _BRAKING
         begin = now.time + self.swarm.check
         return super().plan(replace(now, time=begin), State(*trajectory.at(begin)))
 
+    @property
+    def is_undecided(self) -> bool:
+        """Whether a proposal is open to objections."""
+        return self.proposal is not None
+
     def hold(self, position: Array, time: float) -> None:
         """Hover at a position immediately, and inform the others."""
         self._abandon()
         super().hold(position, time)
+
+    def can_brake(self, time: float) -> bool:
+        """Return whether braking is clear of all others, who know only the trajectory that it shortens."""
+        return math.isinf(self._others(None).conflict_time(self._braking(time), time))
 
     def brake(self, time: float) -> None:
         """Brake along the current path immediately, and inform the others."""
