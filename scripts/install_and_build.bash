@@ -250,7 +250,10 @@ prepare_kernels() {
   say "kernels: compiling those that changed"
   "$venv/bin/python" -m compileall -q "$root/src" "$root/devel/lib/python3" || true  # a module with an error says so itself
   # shellcheck disable=SC2016
-  if logged kernels bash -c 'source "$1/scripts/env.bash" && exec python -m xtdrone_swarm.compile_kernels' _ "$root"; then
+  if logged kernels bash -c 'source "$1/scripts/env.bash" || exit
+    python -m xtdrone_planning.compile_kernels & planning=$!
+    trap "kill $planning 2>/dev/null" EXIT
+    python -m xtdrone_swarm.compile_kernels && wait "$planning"' _ "$root"; then
     write_stamp "$state_dir/prepared" "$(digest '*.py')"
     hand_over "$root/src"
   else

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from xtdrone_interaction import cli
+from xtdrone_interaction.demos.explore_demo import unsaved_maps
 
 pytest.importorskip("rospy")
 
@@ -29,3 +32,9 @@ def test_values_that_are_not_allowed_are_named(
         status = int(str(ended.code))
     assert status == 2
     assert words in capsys.readouterr().err
+
+
+def test_maps_that_were_not_saved_are_named(tmp_path: Path) -> None:
+    assert unsaved_maps(tmp_path, ["iris_0"]) == ["map.bt"]
+    (tmp_path / "map.iris_0.bt").touch()
+    assert unsaved_maps(tmp_path, ["iris_0", "iris_1"]) == ["map.iris_1.bt"]

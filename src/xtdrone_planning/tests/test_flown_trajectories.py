@@ -18,6 +18,7 @@ from xtdrone_planning.safety.trajectory_clearance import FARTHEST, TrajectoryCle
 from xtdrone_planning.safety.velocity_filter import VelocityFilter
 from xtdrone_planning.swarm.flown_trajectories import FlownTrajectories
 from xtdrone_planning.swarm.settings import AgreementSettings
+from xtdrone_planning.trajectories.moving_vehicles import MovingVehicles
 from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, coasting, resting
 from xtdrone_planning.trajectories.trajectory_messages import TrajectoryError, spline_message, spline_of
 
@@ -95,6 +96,44 @@ def test_a_trajectory_counts_from_its_start_on_and_setpoints_may_be_of_the_next(
     assert trajectories.commands(0, turned.at(1.4)[0])
 
 
+def late_by_a_new_trajectory(aside: float) -> FlownTrajectories:
+    """Return two vehicles of which the first, 0.3 s late, still has to pass the other, so far beside it, before its new
+    trajectory leads away; the other hovers."""
+    trajectories, there = FlownTrajectories(2, DISTANCE, TRACKING), np.array([-0.5, aside, 2.0])
+    first = coasting(np.array([-9.0, 0.0, 2.0]), EAST, 0.0)
+    trajectories.on_trajectory(0, 1, first, RADIUS)
+    trajectories.on_trajectory(1, 1, resting(there, 0.0), RADIUS)
+    trajectories.update(np.stack([first.at(0.0)[0], there]), 0.0)
+    turn = first.at(2.0)[0]
+    ahead = (-0.9, 0.0), (0.0, 0.0), (0.9, 0.0), *[(0.9, -6.0)] * 4
+    points = turn + np.array([(x, y, 0.0) for x, y in ahead])
+    trajectories.on_trajectory(0, 2, UniformSpline(2.0, 0.2, points), RADIUS)
+    trajectories.update(np.stack([first.at(1.75)[0], there]), 2.05)
+    return trajectories
+
+
+def test_what_a_late_vehicle_still_flies_before_its_new_trajectory_is_checked_too():
+    trajectories = late_by_a_new_trajectory(3.0)
+    flown = trajectories.flown(0)
+    assert flown.spline.start == pytest.approx(2.3)
+    assert flown.at(2.2) is flown.before
+    assert flown.at(2.4) is flown.spline
+    assert trajectories.agreed(0, 1)
+    near = late_by_a_new_trajectory(0.88)
+    flown, other = near.flown(0).spline, MovingVehicles([near.flown(1).spline], [DISTANCE])
+    assert other.conflict_time(flown, flown.start) == math.inf
+    assert not near.agreed(0, 1)
+
+
+def test_a_planner_that_was_restarted_counts_from_1_and_its_trajectory_is_flown():
+    trajectories, places = meeting(3.0)
+    trajectories.update(places, 0.0)
+    again = coasting(places[0] + 2.0 * EAST, NORTH, 2.0)
+    trajectories.on_trajectory(0, 1, again, RADIUS)
+    trajectories.update(np.stack([again.at(2.5)[0], places[1] + 2.5 * WEST]), 2.5)
+    assert trajectories.flown(0).spline.points is again.points
+
+
 def test_the_distance_to_obstacles_is_that_of_a_fine_search():
     generator = np.random.default_rng(4)
     points = generator.uniform((-2.0, -3.0, 0.0), (12.0, 3.0, 4.0), (60, 3))
@@ -168,7 +207,7 @@ class GuardedFlight(ToyFlight):
         target, speed, acceleration, _ = self.command
         wanted = speed + 0.95 * (target - self.position)
         if self.turn % 10 == 0:
-            self.points = self.map.grid.occupied()
+            self.points = np.ascontiguousarray(self.map.grid.occupied())  # as of a cloud
         points, rest = self.points, np.arange(len(places)) != index
         follows = trajectories.commands(index, target)
         agreed = np.array([follows and trajectories.agreed(index, k) for k in np.flatnonzero(rest)])

@@ -177,6 +177,24 @@ def test_paths_end_at_the_nearest_place_with_a_way_within_the_tolerance():
     )
 
 
+def test_on_a_map_in_many_parts_the_nearest_reachable_place_is_found_by_one_more_search(monkeypatch):
+    rng = np.random.default_rng(1)
+    level = a_map(*((x, x, y, y) for x, y in np.argwhere(rng.random((SIDE, SIDE)) < 0.03).tolist()))
+    start, goal, clearance = np.array([3.0, 3.0]), np.array([8.0, 18.0]), 0.4
+    search, calls = GlobalSearch(), []
+    find = search.find
+    monkeypatch.setattr(search, "find", lambda level, *args: calls.append(args) or find(level, *args))
+    place = search.find_near(level, start, goal, clearance, 20.0)[-1]
+    assert len(calls) <= 2
+    cells = np.argwhere(level.distance[:, :, 0] >= clearance)
+    places = level.middle(cells)
+    nearer = places[np.hypot(*(places - goal).T) < math.dist(place, goal) - 1e-9]
+    assert len(nearer) > 1000
+    for other in nearer[:: len(nearer) // 40]:
+        with pytest.raises(PathError, match="no path"):
+            find(level, start, other, clearance)
+
+
 def test_what_was_seen_is_forgotten_and_the_given_map_is_not():
     level = a_map((50, 50, 0, SIDE - 1))
     given, distance = level.evidence.copy(), level.distance.copy()

@@ -35,6 +35,27 @@ def test_without_hearing_each_other_they_would_meet():
     assert group.least < 2.0 * RADIUS
 
 
+class RestlessGroup(Group):
+    """Vehicles whose goals change like those of explorers, often while a proposal is undecided."""
+
+    def after_turn(self, now: float) -> None:
+        """Change a goal now and then."""
+        rng = np.random.default_rng(round(now / PERIOD))
+        for flight in self.flights:
+            if now > 1.0 and rng.random() < 0.04:
+                flight.planner.set_goal(np.array([*rng.uniform((0.0, -3.0), (8.0, 3.0)), 2.0]))
+
+
+def test_vehicles_whose_goals_change_fly_on_from_where_they_are():
+    group = RestlessGroup(3, NetworkOptions(), AgreementSettings(check=0.2), seed=1)
+    group.run(25.0)
+    for flight in group.flights:
+        assert np.linalg.norm(np.diff(flight.track, axis=0), axis=1).max() < LIMITS.speed * PERIOD * 1.01
+        changes = list(itertools.pairwise(flight.states))
+        assert changes.count(("following", "planning")) < 60  # not in every turn of a pause
+    assert group.least > 2.0 * RADIUS
+
+
 def line(start, end, begin, duration=4.0):
     points = np.linspace(start, end, 11)
     return UniformSpline(begin, duration / 10.0, np.vstack([points[:1], points[:1], points, points[-1:], points[-1:]]))
@@ -68,18 +89,53 @@ def test_the_earlier_proposal_counts_then_the_lower_rank():
 
 
 def test_what_was_overtaken_on_its_way_is_ignored():
-    known = Known(RADIUS)
-    for number in (3, 4, 5):
-        known.on_proposal(proposal(number, 1.0, 0))
-    known.on_decided(4, resting(np.ones(3), 0.0))
-    known.on_decided(2, resting(np.zeros(3), 0.0))
-    known.on_proposal(proposal(3, 1.0, 0))
+    known = Known()
+    for number, made in ((3, 8.0), (4, 8.5), (5, 9.0)):
+        known.on_proposal(proposal(number, made, 0), RADIUS)
+    known.on_decided(4, resting(np.ones(3), 8.9), RADIUS)
+    known.on_decided(2, resting(np.zeros(3), 7.9), RADIUS)
+    known.on_proposal(proposal(3, 8.0, 0), RADIUS)
     assert known.number == 4
     assert list(known.proposals) == [5]
     assert len(known.trajectories()) == 2
     known.forget(10.0 + FORGET + 0.01)
     assert known.trajectories()[0].points[0, 0] == 1.0
     assert len(known.trajectories()) == 1
+
+
+def test_a_planner_that_was_restarted_counts_from_1_and_is_heard():
+    known = Known()
+    known.on_proposal(proposal(38, 20.5, 0, start=20.9), RADIUS)
+    known.on_decided(37, resting(np.zeros(3), 20.0), RADIUS)
+    known.on_decided(1, resting(np.ones(3), 24.0), RADIUS)
+    assert (known.number, known.decided.points[0, 0], known.proposals) == (1, 1.0, {})
+    known.on_proposal(proposal(2, 24.3, 0, start=24.7), RADIUS)
+    known.on_decided(37, resting(np.zeros(3), 20.0), RADIUS)  # delayed
+    assert known.number == 1
+    known.on_decided(2, resting(np.full(3, 2.0), 24.7), RADIUS)
+    assert (known.number, known.proposals) == (2, {})
+
+
+def test_a_proposal_of_a_restarted_planner_counts_though_its_trajectory_was_lost():
+    known = Known()
+    known.on_decided(37, resting(np.zeros(3), 20.0), RADIUS)
+    known.on_proposal(proposal(2, 24.3, 0, start=24.7), RADIUS)
+    assert list(known.proposals) == [2]
+    known.on_decided(1, resting(np.ones(3), 24.0), RADIUS)  # a repetition arrives
+    assert list(known.proposals) == [2]
+
+
+def test_the_radius_of_a_vehicle_is_that_of_its_last_message():
+    flight = ToyFlight(np.zeros((0, 3)))
+    planner = SwarmPlanner(flight.map.grid, flight.settings, flight.limits, AgreementSettings(), rank=1)
+    reaches = []
+    for number, radius in ((1, RADIUS), (2, 2.0 * RADIUS)):
+        planner.on_decided(0, number, resting(np.zeros(3), float(number)), radius)
+        reaches.append(planner.places_of_others(3.0)[1][0])
+    planner.on_decided(0, 1, resting(np.zeros(3), 1.0), RADIUS)  # delayed
+    reaches.append(planner.places_of_others(3.0)[1][0])
+    assert reaches[1] - reaches[0] == pytest.approx(RADIUS)
+    assert reaches[2] == reaches[1]
 
 
 def test_a_vehicle_finds_its_way_round_one_that_waits_among_trunks():

@@ -33,6 +33,7 @@ _HEIGHT = 1.5  # m
 _START = (17.0, 5.0)  # before the entrance of generated buildings and mazes
 _APART = 2.0  # m between two vehicles at the start
 _SETTINGS = "explore.json"  # in the results folder, to regenerate the report
+_OCTREE = "map.bt"  # of several vehicles: map.VEHICLE.bt
 _RESULTS = ("flight.bag", "report.json", "floor.png", "merged_map.png")
 
 
@@ -132,7 +133,7 @@ def flight(settings: ExploreDemoSettings) -> Flight:
         **({"merging": "true"} if settings.merge else {}),
         "speed_limit": settings.speed_limit,
         "time_limit": settings.time_limit,
-        "octomap": settings.out / "map.bt",
+        "octomap": settings.out / _OCTREE,
     }
     return directed_flight(settings, "explore.launch", arguments, show_landing)
 
@@ -149,6 +150,12 @@ def report_again(bag: Path, console: Console) -> int:
         DemoError: it cannot be read.
     """
     return _report(bag.parent, stored_settings(bag.parent / _SETTINGS), console)
+
+
+def unsaved_maps(folder: Path, names: Sequence[str]) -> list[str]:
+    """Return the octrees that should be in the results folder of some vehicles and are not."""
+    expected = [_OCTREE] if len(names) == 1 else [_OCTREE.replace(".", f".{name}.") for name in names]
+    return [name for name in expected if not (folder / name).is_file()]
 
 
 def _add_merging(report: dict[str, Any], folder: Path, names: Sequence[str], solids: Sequence[Solid]) -> None:
@@ -203,6 +210,7 @@ def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
         raise DemoError(str(error)) from error
     report = make_report(record, solids, visible, settings, planning_times(folder))
     report["maps"] = maps
+    report["shortcomings"] += [f"{name} was not saved" for name in unsaved_maps(folder, names)]
     if settings.get("merge"):
         _add_merging(report, folder, names, solids)
     write_report(report, folder / "report.json")

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import label
 
 from xtdrone_planning.navigation.level_map import LevelMap
-from xtdrone_planning.paths.grid_search import REACHED, search
+from xtdrone_planning.paths.grid_search import REACHED, mark_reachable, search
 
 Array = NDArray[np.float64]
 
@@ -18,16 +17,18 @@ class PathError(ValueError):
     """There is no path; the message gives the reason."""
 
 
-def _places_near(level: LevelMap, goal: Array, clearance: float, tolerance: float) -> Array:
-    """Return the place (n, 2), m in map, nearest to a goal in each connected part of the map, the nearest one first."""
-    parts, _ = label(level.distance[:, :, 0] >= clearance)
-    cells = np.argwhere(parts)
+def _nearest_reachable(level: LevelMap, start: Array, goal: Array, clearance: float, tolerance: float) -> Array | None:
+    """Return the place (2,), m in map, nearest to a goal to which there is a path; None: there is none within
+    ``tolerance``, m."""
+    reached = np.zeros(level.distance.shape, np.bool_)
+    first = np.array([*level.index(start), 0], np.int64)
+    mark_reachable(level.distance, clearance, first, reached, np.empty(reached.size, np.int32))
+    cells = np.argwhere((reached & (level.distance >= clearance))[:, :, 0])
     places = level.middle(cells)
     away = np.hypot(*(places - goal[:2]).T)
-    order = np.argsort(away, kind="stable")
-    order = order[away[order] <= tolerance]
-    _, first = np.unique(parts[tuple(cells[order].T)], return_index=True)
-    return places[order[np.sort(first)]]
+    if not len(away) or away.min() > tolerance:
+        return None
+    return places[int(away.argmin())]
 
 
 class GlobalSearch:
@@ -82,12 +83,10 @@ class GlobalSearch:
             return self.find(level, start, goal, clearance)
         except PathError as error:
             reason = error
-        for place in _places_near(level, goal, clearance, tolerance):
-            try:
-                return self.find(level, start, place, clearance)
-            except PathError:
-                continue
-        raise reason
+        place = _nearest_reachable(level, start, goal, clearance, tolerance) if level.is_inside(start) else None
+        if place is None:
+            raise reason
+        return self.find(level, start, place, clearance)
 
     def _prepare(self, size: int) -> None:
         if self._size != size:

@@ -82,7 +82,7 @@ def search(
                     ):
                         continue
                     there = distance[a, b, c]
-                    if there < clearance and not (here < clearance and there >= here and there > 0.0):
+                    if not _passable(here, there, clearance):
                         continue
                     other = (a * ny + b) * nz + c
                     near = max(0.0, 1.0 - max(0.0, there - clearance) / _NEAR)
@@ -94,6 +94,40 @@ def search(
                     rise(heap, keys, size, other, cost + _WEIGHT * _way(a - goal[0], b - goal[1], c - goal[2]))
                     size += 1
     return outcome, _voxels(parents, nearest, ny, nz)
+
+
+@kernel
+def mark_reachable(distance, clearance, start, reached, queue):
+    """Mark the voxels to which ``search`` finds a path if all layers may be used.
+
+    Args:
+        distance, clearance, start: see ``search``.
+        reached: (nx, ny, nz) of bool, all False; the result.
+        queue: (nx * ny * nz) int32, scratch array.
+    """
+    nx, ny, nz = distance.shape
+    reached[start[0], start[1], start[2]] = True
+    queue[0] = (start[0] * ny + start[1]) * nz + start[2]
+    head, tail = 0, 1
+    while head < tail:
+        node = queue[head]
+        head += 1
+        i, j, k = node // (ny * nz), node // nz % ny, node % nz
+        here = distance[i, j, k]
+        for a in range(max(0, i - 1), min(nx, i + 2)):
+            for b in range(max(0, j - 1), min(ny, j + 2)):
+                for c in range(max(0, k - 1), min(nz, k + 2)):
+                    if not reached[a, b, c] and _passable(here, distance[a, b, c], clearance):
+                        reached[a, b, c] = True
+                        queue[tail] = (a * ny + b) * nz + c
+                        tail += 1
+
+
+@kernel
+def _passable(here, there, clearance):
+    """Return whether a path may lead to a neighbour, from the distances of both to obstacles: away from one that is
+    too near, or where none is."""
+    return there >= clearance or (here < clearance and there >= here and there > 0.0)
 
 
 @kernel

@@ -36,8 +36,11 @@ class _Planner(Protocol):
     searched: str
     settings: PlannerSettings
 
+    @property
+    def is_undecided(self) -> bool: ...
     def hold(self, position: np.ndarray, time: float) -> None: ...
     def plan(self, now: Situation, start: State) -> bool: ...
+    def can_brake(self, time: float) -> bool: ...
     def brake(self, time: float) -> None: ...
     def stop_from(self, state: State, time: float) -> None: ...
     def conflict(self, now: Situation) -> float: ...
@@ -157,7 +160,7 @@ class Following(FlightState):
         if now.fault:
             planner.brake(now.time)
             return Braking(now.fault)
-        if now.time >= trajectory.end:
+        if now.time >= trajectory.end and not planner.is_undecided:
             if planner.is_at_goal(trajectory.points[-1]):
                 return HoveringAtGoal(planner.goal_number)
             return Planning(now.time, planner.goal_number)
@@ -187,7 +190,7 @@ class Following(FlightState):
         elif blocked:
             planner.brake(now.time)
             return Braking("an obstacle on the trajectory, and no alternative found")
-        elif is_new:
+        elif is_new and planner.can_brake(now.time):
             planner.brake(now.time)
             return Braking("no trajectory to the new goal")
         return self

@@ -134,6 +134,11 @@ class Planner:
 
     # for the states
 
+    @property
+    def is_undecided(self) -> bool:
+        """Whether a trajectory has been planned that may be flown later; the vehicle then stays on the present one."""
+        return False
+
     def hold(self, position: Array, time: float) -> None:
         """Hover at a position, (3,) m in map, from now on."""
         self._fly(resting(position, time))
@@ -182,10 +187,17 @@ class Planner:
     def _trajectory_along(self, corners: Array, start: State, time: float) -> UniformSpline | None:
         return plan_along(self.grid, corners, start, time, self.limits, heights=self.settings.heights)
 
+    def can_brake(self, time: float) -> bool:
+        """Return whether braking is as safe as flying on to the trajectory's end."""
+        return True
+
     def brake(self, time: float) -> None:
         """Brake along the current path."""
+        self._fly(self._braking(time))
+
+    def _braking(self, time: float) -> UniformSpline:
         assert self.trajectory is not None
-        self._fly(stopping(self.trajectory, time, 0.8 * self.limits.acceleration))
+        return stopping(self.trajectory, time, 0.8 * self.limits.acceleration)
 
     def stop_from(self, state: State, time: float) -> None:
         """Stop from a state that is not on the trajectory, in its direction."""

@@ -8,6 +8,7 @@ trajectory. So two vehicles stay apart as long as neither deviation grows; if on
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -32,13 +33,19 @@ class Flown(NamedTuple):
 
     Attributes:
         spline: as published, but as early or late as the vehicle is.
-        off: distance of the vehicle from it, m.
+        before: the one that a late vehicle still flies until the start of ``spline``, likewise; None: it waits there.
+        off: distance of the vehicle from its trajectory, m.
         radius: of the vehicle, m.
     """
 
     spline: UniformSpline
+    before: UniformSpline | None
     off: float
     radius: float
+
+    def at(self, time: float) -> UniformSpline:
+        """Return which of both the vehicle flies at a ROS time, s."""
+        return self.before if self.before is not None and time < self.spline.start else self.spline
 
 
 class _Published:
@@ -46,16 +53,16 @@ class _Published:
 
     def __init__(self) -> None:
         self.radius = 0.0
-        self.number = -1
+        self.latest: tuple[int, float] | None = None  # number and start, s; numbers begin again after a restart
         self.before: UniformSpline | None = None
         self.present: UniformSpline | None = None
         self.coming: list[UniformSpline] = []
 
     def add(self, number: int, spline: UniformSpline, radius: float) -> None:
         """Add a trajectory, which replaces those from its start on; a repetition changes nothing."""
-        if number == self.number:
+        if (number, spline.start) == self.latest:
             return
-        self.number, self.radius = number, radius
+        self.latest, self.radius = (number, spline.start), radius
         self.coming = [entry for entry in self.coming if entry.start < spline.start]
         self.coming.append(spline)
 
@@ -101,7 +108,7 @@ class FlownTrajectories:
 
         Args:
             index: of the vehicle.
-            number: of the trajectory; the same one again is a repetition.
+            number: of the trajectory; the same one with the same start again is a repetition.
             spline: the trajectory.
             radius: of the vehicle, m.
         """
@@ -152,17 +159,30 @@ class FlownTrajectories:
         off = math.sqrt(float(squares[best]))
         if off > self._tracking:
             return None
-        present = published.present
-        start = present.start - float(_SHIFTS[best])
-        return Flown(UniformSpline(start, present.interval, present.points), off, published.radius)
+        shift, before = float(_SHIFTS[best]), published.before
+        return Flown(
+            _earlier(published.present, shift),
+            None if before is None else _earlier(before, shift),
+            off,
+            published.radius,
+        )
 
     def _stay_apart(self, one: int, other: int) -> bool:
         first, second = self._flown[one], self._flown[other]
         if first is None or second is None:
             return False
-        begin = max(self._now, first.spline.start, second.spline.start)
-        vehicle = MovingVehicles([second.spline], [self._distance + first.off + second.off])
-        return math.isinf(vehicle.conflict_time(first.spline, begin))
+        distance = self._distance + first.off + second.off
+        begins = sorted({self._now, *(max(self._now, flown.spline.start) for flown in (first, second))})
+        for begin, end in itertools.pairwise([*begins, math.inf]):  # between them, both stay on one trajectory
+            vehicle = MovingVehicles([second.at(begin)], [distance])
+            if math.isfinite(vehicle.conflict_time(first.at(begin), begin, end)):
+                return False
+        return True
+
+
+def _earlier(spline: UniformSpline, shift: float) -> UniformSpline:
+    """Return a trajectory ``shift`` s earlier."""
+    return UniformSpline(spline.start - shift, spline.interval, spline.points)
 
 
 def _places(spline: UniformSpline, times: Array) -> Array:

@@ -34,6 +34,8 @@ class Proposal:
 class Known:
     """Data received from one vehicle.
 
+    The order of its messages is that of their times: its numbers begin again when its planner is restarted.
+
     Attributes:
         radius: of the vehicle, m.
         number: of its committed trajectory, -1: none received.
@@ -41,21 +43,27 @@ class Known:
         proposals: undecided ones, by number.
     """
 
-    radius: float
+    radius: float = 0.0
     number: int = -1
     decided: UniformSpline | None = None
     proposals: dict[int, Proposal] = field(default_factory=dict)
 
-    def on_decided(self, number: int, spline: UniformSpline) -> None:
+    def on_decided(self, number: int, spline: UniformSpline, radius: float) -> None:
         """Store the trajectory that the vehicle flies; an older one that arrives late is ignored."""
-        if number >= self.number:
-            self.number, self.decided = number, spline
-            self.proposals = {n: entry for n, entry in self.proposals.items() if n > number}
+        if self.decided is not None and spline.start < self.decided.start:
+            return
+        self.number, self.decided, self.radius = number, spline, radius
+        self.proposals = {n: entry for n, entry in self.proposals.items() if self._is_open(entry)}
 
-    def on_proposal(self, proposal: Proposal) -> None:
+    def on_proposal(self, proposal: Proposal, radius: float) -> None:
         """Store a proposal, unless it is already decided."""
-        if proposal.number > self.number:
-            self.proposals[proposal.number] = proposal
+        if self._is_open(proposal):
+            self.proposals[proposal.number], self.radius = proposal, radius
+
+    def _is_open(self, proposal: Proposal) -> bool:
+        """Return whether a proposal is later than the committed trajectory: a vehicle proposes one at a time."""
+        decided = self.decided
+        return decided is None or (proposal.made >= decided.start and proposal.number != self.number)
 
     def forget(self, now: float) -> None:
         """Discard dropped proposals."""

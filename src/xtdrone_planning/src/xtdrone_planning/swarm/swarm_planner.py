@@ -76,11 +76,11 @@ class SwarmPlanner(Planner):
 
     def on_decided(self, rank: int, number: int, spline: UniformSpline, radius: float) -> None:
         """Receive the committed trajectory of another vehicle."""
-        self._of(rank, radius).on_decided(number, spline)
+        self._of(rank).on_decided(number, spline, radius)
 
     def on_proposal(self, proposal: Proposal, radius: float) -> None:
         """Receive the proposed trajectory of another vehicle."""
-        self._of(proposal.rank, radius).on_proposal(proposal)
+        self._of(proposal.rank).on_proposal(proposal, radius)
 
     def step(self, now: Situation) -> Command | None:
         """Decide on the proposal if it is due, then run one cycle."""
@@ -102,15 +102,26 @@ class SwarmPlanner(Planner):
         if trajectory is None or np.linalg.norm(trajectory.at(now.time)[0] - start.position) > _SAME_PLACE:
             self._abandon()
             return super().plan(now, start)
+        if self.proposal is None and now.time < self._pause_until and now.time >= trajectory.end:
+            return False  # at rest
         if self.proposal is not None or now.time < self._pause_until:
             return self.conflict(now) > now.time + self.swarm.check + _BRAKING
         begin = now.time + self.swarm.check
         return super().plan(replace(now, time=begin), State(*trajectory.at(begin)))
 
+    @property
+    def is_undecided(self) -> bool:
+        """Whether a proposal is open to objections."""
+        return self.proposal is not None
+
     def hold(self, position: Array, time: float) -> None:
         """Hover at a position immediately, and inform the others."""
         self._abandon()
         super().hold(position, time)
+
+    def can_brake(self, time: float) -> bool:
+        """Return whether braking is clear of all others, who know only the trajectory that it shortens."""
+        return math.isinf(self._others(None).conflict_time(self._braking(time), time))
 
     def brake(self, time: float) -> None:
         """Brake along the current path immediately, and inform the others."""
@@ -188,8 +199,8 @@ class SwarmPlanner(Planner):
             distances += [self.limits.radius + known.radius + self.swarm.separation] * len(found)
         return MovingVehicles(splines, distances)
 
-    def _of(self, rank: int, radius: float) -> Known:
-        return self._known.setdefault(rank, Known(radius))
+    def _of(self, rank: int) -> Known:
+        return self._known.setdefault(rank, Known())
 
     def _abandon(self) -> None:
         self.proposal = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -58,9 +59,10 @@ class MovingVehicles:
         """Return the number of trajectories."""
         return len(self._trajectories)
 
-    def conflict_time(self, spline: UniformSpline, begin: float) -> float:
-        """Return the ROS time, s, from ``begin`` on, at which a trajectory is too close to another; inf: never."""
-        end = max((other.end for other in (spline, *self._trajectories)), default=begin)
+    def conflict_time(self, spline: UniformSpline, begin: float, until: float = math.inf) -> float:
+        """Return the ROS time, s, from ``begin`` to ``until``, at which a trajectory is too close to another; inf:
+        never."""
+        end = min(until, max((other.end for other in (spline, *self._trajectories)), default=begin))
         return float(
             first_approach(
                 spline.points,

@@ -27,7 +27,7 @@ def first_approach(points, interval, start, others, intervals, starts, counts, d
         intervals, starts: (m,) of the others, s.
         counts: (m,) numbers of their control points.
         distance: (m,) m.
-        begin, end: of the check, s; at ``end`` all must be at rest.
+        begin, end: of the check, s.
     """
     found = math.inf
     for j in range(len(others)):
