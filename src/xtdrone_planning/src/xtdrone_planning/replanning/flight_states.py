@@ -36,6 +36,8 @@ class _Planner(Protocol):
     searched: str
     settings: PlannerSettings
 
+    @property
+    def is_undecided(self) -> bool: ...
     def hold(self, position: np.ndarray, time: float) -> None: ...
     def plan(self, now: Situation, start: State) -> bool: ...
     def brake(self, time: float) -> None: ...
@@ -53,10 +55,12 @@ class FlightState:
     Attributes:
         name: for reports.
         looks: whether the vehicle yaws towards the path ahead.
+        uses_map: whether each measurement is used.
     """
 
     name = ""
     looks = False
+    uses_map = True
 
     def step(self, planner: _Planner, now: Situation) -> FlightState:
         """Return the state for the next cycle."""
@@ -71,6 +75,7 @@ class Waiting(FlightState):
     """No goal; no setpoints."""
 
     name = "waiting"
+    uses_map = False
 
     def step(self, planner: _Planner, now: Situation) -> FlightState:
         """Start planning to a goal in flight; on the ground the goal is dropped."""
@@ -160,7 +165,7 @@ class Following(FlightState):
         if now.time >= trajectory.end:
             if planner.is_at_goal(trajectory.points[-1]):
                 return HoveringAtGoal(planner.goal_number)
-            return Planning(now.time, planner.goal_number)
+            return self if planner.is_undecided else Planning(now.time, planner.goal_number)
         if now.map_count != self._map_count:
             self._map_count = now.map_count
             return self._with_new_map(planner, now, State(*trajectory.at(now.time)))
@@ -222,6 +227,7 @@ class Hovering(FlightState):
     """Hovers without a goal."""
 
     name = "hovering"
+    uses_map = False
 
     def step(self, planner: _Planner, now: Situation) -> FlightState:
         """Begin with a goal."""
@@ -232,6 +238,7 @@ class HoveringAtGoal(FlightState):
     """Hovers at the goal."""
 
     name = "hovering at the goal"
+    uses_map = False
 
     def __init__(self, goal_number: int) -> None:
         """Begin at a goal of this number."""

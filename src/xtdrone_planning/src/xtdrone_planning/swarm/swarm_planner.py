@@ -92,6 +92,11 @@ class SwarmPlanner(Planner):
             self.proposal = None
         return command
 
+    @property
+    def is_undecided(self) -> bool:
+        """Whether a proposal is open to objections."""
+        return self.proposal is not None
+
     def plan(self, now: Situation, start: State) -> bool:
         """Propose a trajectory, unless one is pending; return whether one is pending.
 
