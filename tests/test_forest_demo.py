@@ -44,6 +44,9 @@ def test_a_uav_flies_through_trees_and_the_report_says_how(tmp_path: Path) -> No
     assert (tmp_path / "run" / "flight.mp4").stat().st_size > 10_000
     assert "arrived" in output
     assert "flight.mp4" in output
+    warned = (tmp_path / "run" / "logs" / "roslaunch.log").read_text()
+    assert "Arming denied" in warned  # of PX4, so that warnings are there
+    assert ": planner: " not in warned
 
 
 def test_a_formation_passes_trees_and_forms_again(tmp_path: Path) -> None:

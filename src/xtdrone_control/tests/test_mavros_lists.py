@@ -106,6 +106,13 @@ class TestWatch:
         self.watch(here, others).check()
         assert caplog.text == ""
 
+    def test_commands_that_a_leader_relays_are_lost_only_if_it_receives_some(self, caplog):
+        relayed, received = {"/xtdrone/iris_0/cmd": ["/leader"]}, {"/xtdrone/leader/cmd": ["/leader"]}
+        self.watch(relayed, received).check()
+        assert caplog.text == ""
+        self.watch({**relayed, "/xtdrone/leader/cmd": ["/keys"]}, received).check()
+        assert "/xtdrone/iris_0/cmd, on which /leader publishes, has no subscriber" in caplog.text
+
 
 def test_a_node_serves_one_vehicle_of_the_fleet():
     (only,) = connections({"vehicle": "typhoon_h480_0"}, "iris:2,typhoon_h480:1", "/typhoon_h480_0/mavros")

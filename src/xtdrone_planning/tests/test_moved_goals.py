@@ -56,7 +56,7 @@ def test_a_moved_goal_does_not_begin_a_flight_and_is_checked():
         flight.planner.move_goal(np.array([5.0, 0.0, 0.1]))
     flight.offboard = False  # the pilot takes over
     flight.run(0.2)
-    flight.planner.move_goal(np.array([9.0, 0.0, 2.0]))
+    flight.planner.move_goal(np.array([9.0, 0.0, 0.1]))  # as of a leader that lands: ignored, not refused
     flight.run(1.0)
     assert flight.planner.goal is None
     assert flight.planner.state.name == "waiting"

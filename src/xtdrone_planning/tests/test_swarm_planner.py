@@ -27,6 +27,9 @@ def test_vehicles_exchange_sides_and_keep_their_distance(delay, loss, check):
     group = Group(4, NetworkOptions(delay=delay, loss=loss), AgreementSettings(check=check), seed=2)
     assert group.run(40.0) < 40.0
     assert group.least > 2.0 * RADIUS + AgreementSettings().separation - 0.1
+    for states in group.states:
+        assert states[-2:] == ["following", "hovering at the goal"]
+        assert len(states) < 12  # no change with each turn while a proposal is open
 
 
 def test_without_hearing_each_other_they_would_meet():

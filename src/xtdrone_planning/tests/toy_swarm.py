@@ -37,6 +37,8 @@ class Group:
             self.flights.append(flight)
         self.goals = [np.array([length - flight.position[0], *flight.position[1:]]) for flight in self.flights]
         self.least = math.inf
+        self.states: list[list[str]] = [[] for _ in self.flights]
+        """The states of each vehicle, one after the other."""
 
     def run(self, seconds: float) -> float:
         """Fly until all have arrived; return the time, s."""
@@ -52,6 +54,8 @@ class Group:
                 hear(self.flights[receiver].planner, message)
             for rank, flight in enumerate(self.flights):
                 flight.step()
+                if self.states[rank][-1:] != [flight.planner.state.name]:
+                    self.states[rank].append(flight.planner.state.name)
                 for message in said(rank, flight.planner) if turn % 2 == 0 else ():
                     for time, receiver in self.radio.send(now, rank, 8000, np.zeros((len(self.flights), 3))):
                         heapq.heappush(arrivals, (time + 1e-3, next(order), receiver, message))

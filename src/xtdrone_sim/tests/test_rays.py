@@ -9,6 +9,7 @@ import pytest
 
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.rotation import from_euler
+from xtdrone_sim.rays.ray_bundles import MOST, ROWS, gather
 from xtdrone_sim.rays.scene import RayScene, SceneError, cast
 from xtdrone_sim.rays.surfaces import of_triangles, surfaces_of
 from xtdrone_sim.rays.tree import build
@@ -235,3 +236,46 @@ def test_a_tree_of_equal_surfaces_is_built_and_searched():
         9.0,
     )
     assert hits.ranges[0] == 4.5
+
+
+def fans(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return origins and directions (32 count, 3) of columns of a lidar, one in four with an axis-aligned ray."""
+    eyes = np.repeat(rng.uniform([-8.0, -8.0, 0.5], [8.0, 8.0, 4.0], (count, 3)), 32, axis=0)
+    azimuth, elevation = np.repeat(rng.uniform(-4.0, 4.0, count), 32), np.tile(np.linspace(-0.6, 0.6, 32), count)
+    level = np.cos(elevation)
+    directions = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
+    directions[5::128] = np.eye(3)[rng.integers(0, 3, len(directions[5::128]))]
+    return eyes, directions * rng.uniform(0.5, 2.0, (len(eyes), 1))
+
+
+def test_neighbouring_rays_meet_together_what_each_meets_alone():
+    rng = np.random.default_rng(4)
+    trees = [
+        model(f"tree_{k}", Cylinder(0.3, 6.0), Pose((x, y, 3.0), from_euler(*rng.normal(0.0, 0.1, 2), 0.0)))
+        for k, (x, y) in enumerate(rng.uniform(-9.0, 9.0, (60, 2)))
+    ]
+    others = [
+        model(f"box_{k}", shape, Pose((*rng.uniform(-9.0, 9.0, 2), 1.0), from_euler(*rng.normal(0.0, 1.0, 3))))
+        for k, shape in enumerate([Box((2.0, 0.5, 1.0)), Sphere(0.7)] * 10)
+    ]
+    scene = RayScene([*trees, *others], parse_fleet("iris:2"), [SdfActor("ann"), SdfActor("bob")])
+    people = {name: ActorState(Pose((x, -2.0, 0.0)), 0.3) for name, x in (("ann", 1.0), ("bob", 3.0))}
+
+    def places_at(time: float) -> np.ndarray:
+        poses = [Pose((4.0 * k + time, 1.0, 2.0), from_euler(0.1, 0.2 * time, 1.0)) for k in range(2)]
+        return scene.places(SceneAt({f"iris_{k}::base_link": pose for k, pose in enumerate(poses)}, people))
+
+    places = np.stack([places_at(0.0), places_at(1.0)])
+    origins, directions = fans(rng, 250)
+    n = len(origins)
+    segments, shares = np.zeros(n, int), np.repeat(rng.uniform(0.0, 1.0, n // 32), 32)
+
+    def hits(rays: slice):
+        return cast(scene.layout, places, segments[rays], shares[rays], origins[rays], directions[rays], 15.0, 0)
+
+    together, alone = hits(slice(None)), [hits(slice(k, k + 1)) for k in range(n)]
+    bundle = np.empty((ROWS, MOST))
+    assert gather(32, segments, shares, origins, directions, bundle) > 8  # they are cast together
+    assert len(set(together.owners)) > 40
+    for part, parts in zip(together, zip(*alone, strict=True), strict=True):
+        np.testing.assert_array_equal(part, np.concatenate(parts))

@@ -83,12 +83,17 @@ class Watch:
     def findings(self, publishers: Registrations, subscribers: Registrations) -> Iterator[Finding]:
         """Yield the topics without a subscriber in a state of the graph."""
         for topic, nodes in sorted(publishers.items()):
-            others = sorted(set(nodes) - {self._own_name})
+            others = sorted(set(nodes) - {self._own_name, *self._idle_relays(topic, publishers, subscribers)})
             if not others or self._own_name in nodes or self._own_name in subscribers.get(topic, ()):
                 continue
             text = self._words(topic, subscribers)
             if text:
                 yield Finding(topic, others[0], text)
+
+    def _idle_relays(self, topic: str, publishers: Registrations, subscribers: Registrations) -> Collection[str]:
+        """Return the nodes that publish a command only if it is sent to the leader, while no node sends it."""
+        source = f"/xtdrone/leader/{topic.rpartition('/')[2]}"
+        return subscribers.get(source, ()) if topic in self._commands and not publishers.get(source) else ()
 
     def _words(self, topic: str, subscribers: Registrations) -> str:
         if topic in self._commands:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from xtdrone_perception.tracking.pose_history import PoseHistory
 from xtdrone_planning.mapping.range_images import RangeImage
-from xtdrone_planning.mapping.ray_places import missing_places, rays_in_map
+from xtdrone_planning.mapping.ray_places import leave_out_places, rays_in_map
 from xtdrone_planning.mapping.voxel_grid import MapSettings, VoxelGrid
 
 Array = NDArray[np.float64]
@@ -29,6 +29,8 @@ class LocalMap:
         poses: history of base_link poses: x, y, z, m in map, and quaternion w, x, y, z; ``poses.add`` appends one.
         others: returns positions of other vehicles at a time, s: (m, 3), and radii (m,), m, within which rays may end
             at the vehicle. Such rays are not inserted: a moving vehicle would leave a trail of obstacles.
+        is_used: returns whether the distances are needed after each measurement; otherwise they are computed only when
+            they are read.
     """
 
     def __init__(self, settings: MapSettings, radius: float) -> None:
@@ -41,6 +43,7 @@ class LocalMap:
         self.grid = VoxelGrid(settings)
         self.poses = PoseHistory(seconds=2.0, reach=0.1)
         self.others: Callable[[float], tuple[Array, Array]] = no_others
+        self.is_used: Callable[[], bool] = lambda: True
         self._radius = radius
 
     def restart(self) -> None:
@@ -64,8 +67,10 @@ class LocalMap:
             return False
         self.grid.recentre(rays.position)
         middle = 1e-9 * stamp_ns + 0.5 * float(image.times.max(initial=0.0))
-        kept = missing_places(rays.ends, rays.hits, *self.others(middle))
-        self.grid.insert(rays.origins[kept], rays.ends[kept], rays.hits[kept])
+        count = leave_out_places(rays.origins, rays.ends, rays.hits, *self.others(middle))
+        self.grid.insert(rays.origins[:count], rays.ends[:count], rays.hits[:count])
         self.grid.free_around(rays.position, self._radius)
         self.grid.update_distance()
+        if self.is_used():
+            _ = self.grid.distance
         return True

@@ -99,22 +99,37 @@ def place_rays(poses, spacing, mount, ranges, directions, times, origins, ends):
 
 
 @kernel
-def missing_places(ends, hits, places, reach):
-    """Return which rays do not end near one of some places, (n,).
+def leave_out_places(origins, ends, hits, places, reach):
+    """Move the rays that do not end near one of some places to the front, in their order; return their number.
 
     Args:
+        origins: (n, 3) where they begin, m in map; changed, as are ``ends`` and ``hits``.
         ends: (n, 3) where they end, m in map.
         hits: (n,) whether something was met there; rays that met nothing are never near.
         places: (m, 3) m in map.
         reach: (m,) m.
     """
-    missing = np.ones(len(ends), np.bool_)
+    count = 0
     for k in range(len(ends)):
-        for n in range(len(places)):
-            x, y, z = ends[k, 0] - places[n, 0], ends[k, 1] - places[n, 1], ends[k, 2] - places[n, 2]
-            if hits[k] and x * x + y * y + z * z < reach[n] * reach[n]:
-                missing[k] = False
-    return missing
+        x, y, z = ends[k, 0], ends[k, 1], ends[k, 2]
+        if hits[k] and _is_near(x, y, z, places, reach):
+            continue
+        if count < k:
+            for c in range(3):
+                origins[count, c] = origins[k, c]
+            ends[count, 0], ends[count, 1], ends[count, 2] = x, y, z
+            hits[count] = hits[k]
+        count += 1
+    return count
+
+
+@kernel
+def _is_near(x, y, z, places, reach):
+    for n in range(len(places)):
+        u, v, w = x - places[n, 0], y - places[n, 1], z - places[n, 2]
+        if u * u + v * v + w * w < reach[n] * reach[n]:
+            return True
+    return False
 
 
 @kernel

@@ -49,8 +49,6 @@ class VoxelGrid:
     Attributes:
         resolution: side of a voxel, m.
         evidence: (nx, ny, nz) int16, log-odds of occupation in hundredths.
-        distance: (nx, ny, nz) float32, m from a voxel's centre to that of the nearest occupied one; see
-            ``update_distance``.
         corner: (3,) index of the lowest voxel; voxel 0 begins at the origin of ``map``.
     """
 
@@ -59,7 +57,8 @@ class VoxelGrid:
         self.settings = settings
         self.resolution = settings.resolution
         self.evidence = np.zeros(settings.shape, np.int16)
-        self.distance = np.full(settings.shape, settings.farthest, np.float32)
+        self._distance = np.full(settings.shape, settings.farthest, np.float32)
+        self._is_distance_old = False
         self.corner = -np.array(settings.shape, np.int64) // 2
         self._touched = np.zeros(self.evidence.size + 1, np.uint8)
 
@@ -76,7 +75,8 @@ class VoxelGrid:
     def clear(self) -> None:
         """Forget everything."""
         self.evidence[:] = 0
-        self.distance[:] = self.settings.farthest
+        self._distance[:] = self.settings.farthest
+        self._is_distance_old = False
 
     def recentre(self, position: Array) -> None:
         """Move the box, in whole voxels, so that ``position``, (3,) m in map, is near its middle.
@@ -106,8 +106,19 @@ class VoxelGrid:
         free_sphere(self.evidence, self.corner, self.resolution, np.asarray(position, float), radius)
 
     def update_distance(self) -> None:
-        """Compute the distances from the current evidence."""
-        distance_field(self.evidence, OCCUPIED_FROM, self.resolution, self.settings.farthest, self.distance)
+        """Let the distances be those of the current evidence; they are computed when they are read."""
+        self._is_distance_old = True
+
+    @property
+    def distance(self) -> NDArray[np.float32]:
+        """Distances (nx, ny, nz), m from a voxel's centre to that of the nearest occupied one.
+
+        Read them between ``update_distance`` and the next change of the evidence.
+        """
+        if self._is_distance_old:
+            distance_field(self.evidence, OCCUPIED_FROM, self.resolution, self.settings.farthest, self._distance)
+            self._is_distance_old = False
+        return self._distance
 
     def is_inside(self, point: Array) -> bool:
         """Return whether a point, (3,) m in map, is within the box."""

@@ -56,10 +56,12 @@ class FlightState:
     Attributes:
         name: for reports.
         looks: whether the vehicle yaws towards the path ahead.
+        uses_map: whether each measurement is used.
     """
 
     name = ""
     looks = False
+    uses_map = True
 
     def step(self, planner: _Planner, now: Situation) -> FlightState:
         """Return the state for the next cycle."""
@@ -74,6 +76,7 @@ class Waiting(FlightState):
     """No goal; no setpoints."""
 
     name = "waiting"
+    uses_map = False
 
     def step(self, planner: _Planner, now: Situation) -> FlightState:
         """Start planning to a goal in flight; on the ground the goal is dropped."""
@@ -225,6 +228,7 @@ class Hovering(FlightState):
     """Hovers without a goal."""
 
     name = "hovering"
+    uses_map = False
 
     def step(self, planner: _Planner, now: Situation) -> FlightState:
         """Begin with a goal."""
@@ -235,6 +239,7 @@ class HoveringAtGoal(FlightState):
     """Hovers at the goal."""
 
     name = "hovering at the goal"
+    uses_map = False
 
     def __init__(self, goal_number: int) -> None:
         """Begin at a goal of this number."""

@@ -101,10 +101,11 @@ class Planner:
         Raises:
             GoalError: see ``PlannerSettings.check_goal``; the current goal is kept.
         """
+        if self.goal is None:
+            return
         self.settings.check_goal(goal)
-        if self.goal is not None:
-            self.goal = nearest_clear(self.grid, goal, self.limits.clearance(self.grid.resolution))
-            self._goal_moves = True
+        self.goal = nearest_clear(self.grid, goal, self.limits.clearance(self.grid.resolution))
+        self._goal_moves = True
 
     def cancel(self) -> None:
         """Drop the goal; in flight the vehicle brakes along its path and hovers."""
@@ -136,7 +137,7 @@ class Planner:
 
     @property
     def is_undecided(self) -> bool:
-        """Whether a trajectory has been planned that may be flown later; the vehicle then stays on the present one."""
+        """Whether a planned trajectory waits for the consent of other vehicles."""
         return False
 
     def hold(self, position: Array, time: float) -> None:

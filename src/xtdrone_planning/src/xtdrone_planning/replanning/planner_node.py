@@ -68,6 +68,7 @@ RATE = 50.0  # Hz, as in the MAVROS layer
 _STREAM_LEAD = 0.5  # s of setpoints before OFFBOARD is requested; PX4 rejects it without a stream
 _REQUEST_SPACING = 2.0  # s between requests
 _STALE_POSE = 0.5  # s
+_START_UP = 5.0  # s within which the first position and measurement are expected
 _MAP_PERIOD = 0.5  # s between two publications of the map
 _WARNINGS = 5.0  # s between two warnings
 _REPORT_PERIOD = 1.0  # s
@@ -155,6 +156,7 @@ class VehiclePlanner:
             )
             self._swarm = SwarmTopics(name, fleet, planner, FRAME)
             self._map.others = planner.places_of_others
+        self._map.is_used = lambda: self.planner.state.uses_map
         base = f"/{name}/mavros"
         self._feed = MapFeed(
             name, self._map, self._watch, settings.sensor.sensor, settings.lidar, settings.depth, lambda: timed("map")
@@ -198,6 +200,9 @@ class VehiclePlanner:
         self._requested = self._mapped = self._reported = -math.inf
         self._published_number = 0
         self._report: tuple[int, str] = (-1, "")
+        self._began: float | None = None
+        self._has_been_well = False
+        self._logged = 0  # level of the state that was logged last
         self._published_state = ""
 
     # messages
@@ -337,10 +342,9 @@ class VehiclePlanner:
             self._published_state = state
             self._state.publish(String(state))
         now = stamp.to_sec()
+        self._log(now, report)
         if report[0] == self._report[0] and now - self._reported < _REPORT_PERIOD:
             return
-        if report[0] > max(self._report[0], 0):
-            rospy.logwarn(f"{self.name}: planner: {report[1]}")
         self._report, self._reported = report, now
         level, text = report
         status = DiagnosticStatus(level=level, name=f"{self.name}: planner", message=text, hardware_id=self.name)
@@ -352,6 +356,17 @@ class VehiclePlanner:
         message = DiagnosticArray(status=[status])
         message.header.stamp = stamp
         self._diagnostics.publish(message)
+
+    def _log(self, now: float, report: tuple[int, str]) -> None:
+        """Log a state that is worse than the last one, but not what is missing while all nodes start."""
+        level, text = report
+        self._began = now if self._began is None else self._began
+        self._has_been_well = self._has_been_well or level == 0
+        if not self._has_been_well and now - self._began <= _START_UP:
+            return
+        if level > self._logged:
+            rospy.logwarn(f"{self.name}: planner: {text}")
+        self._logged = level
 
     def close(self) -> None:
         """Cancel pending service calls."""

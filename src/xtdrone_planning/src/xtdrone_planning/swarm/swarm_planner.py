@@ -92,6 +92,11 @@ class SwarmPlanner(Planner):
             self.proposal = None
         return command
 
+    @property
+    def is_undecided(self) -> bool:
+        """Whether a proposal is open to objections."""
+        return self.proposal is not None
+
     def plan(self, now: Situation, start: State) -> bool:
         """Propose a trajectory, unless one is pending; return whether one is pending.
 
@@ -108,11 +113,6 @@ class SwarmPlanner(Planner):
             return self.conflict(now) > now.time + self.swarm.check + _BRAKING
         begin = now.time + self.swarm.check
         return super().plan(replace(now, time=begin), State(*trajectory.at(begin)))
-
-    @property
-    def is_undecided(self) -> bool:
-        """Whether a proposal is open to objections."""
-        return self.proposal is not None
 
     def hold(self, position: Array, time: float) -> None:
         """Hover at a position immediately, and inform the others."""

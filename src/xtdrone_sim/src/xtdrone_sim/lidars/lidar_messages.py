@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from rospy import Time
 from sensor_msgs.msg import LaserScan, PointCloud2, PointField
 
+from xtdrone_sim.kernel import kernel_for_threads
 from xtdrone_sim.lidars.lidars_of_fleet import Lidar
 from xtdrone_sim.lidars.scan_measurement import Scan, begin_us
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount
@@ -18,6 +21,24 @@ FIELDS = [
     PointField(name, int(POINT.fields[name][1]), _TYPES[POINT.fields[name][0].str], 1)  # type: ignore[index]
     for name in POINT.names or ()
 ]
+
+
+@kernel_for_threads
+def _fill(directions, times, rings, ranges, intensities, points):
+    """Fill ``points`` (n,) ``POINT`` with those of the n rays that have a return; return their number."""
+    count = 0
+    for i in range(len(ranges)):
+        distance = ranges[i]
+        if math.isfinite(distance):
+            point = points[count]
+            point.x, point.y, point.z = (
+                distance * directions[i, 0],
+                distance * directions[i, 1],
+                distance * directions[i, 2],
+            )
+            point.intensity, point.ring, point.time = intensities[i], rings[i], times[i]
+            count += 1
+    return count
 
 
 def laser_scan(mount: LidarMount, frame: str, stamp: Time, scan: Scan) -> LaserScan:
@@ -41,11 +62,9 @@ def point_cloud(frame: str, stamp: Time, scan: Scan) -> PointCloud2:
         stamp: of the first ray; a point's ``time`` is s after it.
         scan: with any number of planes; rays without a return have no point.
     """
-    seen = np.isfinite(scan.ranges)
-    points = np.empty(int(seen.sum()), POINT)
-    points["x"], points["y"], points["z"] = (scan.rays.directions[seen] * scan.ranges[seen, None]).T
-    points["intensity"], points["ring"] = scan.intensities[seen], scan.rays.rings[seen]
-    points["time"] = scan.rays.times[seen]
+    points = np.empty(len(scan.ranges), POINT)
+    rays = scan.rays
+    points = points[: _fill(rays.directions, rays.times, rays.rings, scan.ranges, scan.intensities, points)]
     message = PointCloud2(height=1, width=len(points), fields=FIELDS, point_step=POINT.itemsize, is_dense=True)
     message.header.stamp, message.header.frame_id = stamp, frame
     message.row_step, message.data = points.nbytes, points.tobytes()

@@ -8,7 +8,10 @@ import numpy as np
 
 from xtdrone_control.rotation_kernels import rotate, rotate_inverse
 from xtdrone_sim.kernel import kernel, kernel_for_threads, kernel_that_allocates, kernel_that_allocates_for_threads
+from xtdrone_sim.rays.ray_bundles import COSINE, MOST, RANGE, ROWS, X, Y, Z, approach, gather, nearest_of_bundle
 from xtdrone_sim.rays.tree import DEPTH, NOTHING, nearest, normal_at
+
+_FEWEST = 4  # rays that are cast as a bundle
 
 THING = np.dtype(
     [
@@ -86,6 +89,52 @@ def _cast(nodes, surfaces, has_ground, things, before, after, share, skip, o, d,
     return best, owner, cosine
 
 
+@kernel
+def _cast_bundle(
+    nodes, surfaces, has_ground, things, before, after, share, skip, o, most, rays, count, owners, found, inside,
+    stack,
+):  # fmt: skip
+    """Cast the rays of a bundle, each as ``_cast`` would; see ``ray_bundles``.
+
+    Args:
+        rays: directions; ranges and cosines are filled.
+        owners: (count,) filled.
+        found, inside, stack: overwritten.
+    """
+    for lane in range(count):
+        z = rays[Z, lane]
+        rays[RANGE, lane], owners[lane], rays[COSINE, lane] = most, NOTHING, 0.0
+        if has_ground and z < 0.0 and o[2] >= 0.0 and -o[2] / z <= most:
+            rays[RANGE, lane], owners[lane], rays[COSINE, lane] = -o[2] / z, 0, -z
+    if nodes.shape[0] and before.shape[0] and before[0].root != NOTHING:
+        nearest_of_bundle(nodes, surfaces, before[0].root, o[0], o[1], o[2], rays, count, found, inside, stack)
+        for lane in range(count):
+            if found[lane] != NOTHING:
+                s, t = surfaces[found[lane]], rays[RANGE, lane]
+                dx, dy, dz = rays[X, lane], rays[Y, lane], rays[Z, lane]
+                owners[lane] = s.owner
+                rays[COSINE, lane] = _incidence(s, o[0] + t * dx, o[1] + t * dy, o[2] + t * dz, dx, dy, dz)
+    for k in range(1, things.shape[0]):
+        if before[k].root == NOTHING or things[k].owner == skip:
+            continue
+        end = after[k] if after[k].root != NOTHING else before[k]
+        cx = before[k].position[0] + share * (end.position[0] - before[k].position[0]) - o[0]
+        cy = before[k].position[1] + share * (end.position[1] - before[k].position[1]) - o[1]
+        cz = before[k].position[2] + share * (end.position[2] - before[k].position[2]) - o[2]
+        if not approach(cx, cy, cz, things[k].radius, rays, count, inside):
+            continue
+        _, q = between(before[k], end, share)
+        x, y, z = rotate_inverse(q, -cx, -cy, -cz)
+        for lane in range(count):
+            if not inside[lane]:
+                continue
+            u, v, w = rotate_inverse(q, rays[X, lane], rays[Y, lane], rays[Z, lane])
+            best, hit = nearest(nodes, surfaces, before[k].root, x, y, z, u, v, w, rays[RANGE, lane], stack)
+            if hit != NOTHING:
+                rays[RANGE, lane], owners[lane] = best, things[k].owner
+                rays[COSINE, lane] = _incidence(surfaces[hit], x + best * u, y + best * v, z + best * w, u, v, w)
+
+
 @kernel_that_allocates_for_threads
 def cast_rays(
     nodes, surfaces, has_ground, things, places, segments, shares, skip, origins, directions, most, ranges, owners,
@@ -109,23 +158,33 @@ def cast_rays(
         owners: (n,) filled: owner of the surface that is hit, or NOTHING.
         cosines: (n,) filled: cosine of the angle between the ray and the surface's normal, 0..1.
     """
-    stack = np.empty(DEPTH, np.int64)
-    d = np.empty(3)
-    for i in range(origins.shape[0]):
-        o = origins[i]
-        length = math.sqrt(directions[i, 0] ** 2 + directions[i, 1] ** 2 + directions[i, 2] ** 2)
-        ranges[i], owners[i], cosines[i] = math.nan, NOTHING, 0.0
-        if not (0.0 < length < math.inf and math.isfinite(o[0] + o[1] + o[2])):
+    stack, d, rays = np.empty(DEPTH, np.int64), np.empty(3), np.empty((ROWS, MOST))
+    found, inside = np.empty(MOST, np.int64), np.empty(MOST, np.bool_)
+    i = 0
+    while i < origins.shape[0]:
+        count = gather(i, segments, shares, origins, directions, rays)
+        if count == 0:
+            ranges[i], owners[i], cosines[i] = math.nan, NOTHING, 0.0
+            i += 1
             continue
-        for k in range(3):
-            d[k] = directions[i, k] / length
-        first = segments[i]
-        last = min(first + 1, places.shape[0] - 1)
-        distance, owner, cosine = _cast(
-            nodes, surfaces, has_ground, things, places[first], places[last], shares[i], skip, o, d, most, stack
-        )
-        owners[i], cosines[i] = owner, cosine
-        ranges[i] = distance if owner != NOTHING else math.inf
+        o, first = origins[i], segments[i]
+        before, after = places[first], places[min(first + 1, places.shape[0] - 1)]
+        if count < _FEWEST:
+            for lane in range(count):
+                for k in range(3):
+                    d[k] = rays[k, lane]
+                rays[RANGE, lane], owners[i + lane], rays[COSINE, lane] = _cast(
+                    nodes, surfaces, has_ground, things, before, after, shares[i], skip, o, d, most, stack
+                )
+        else:
+            _cast_bundle(
+                nodes, surfaces, has_ground, things, before, after, shares[i], skip, o, most, rays, count,
+                owners[i : i + count], found, inside, stack,
+            )  # fmt: skip
+        for lane in range(count):
+            cosines[i + lane] = rays[COSINE, lane]
+            ranges[i + lane] = rays[RANGE, lane] if owners[i + lane] != NOTHING else math.inf
+        i += count
 
 
 @kernel_for_threads
@@ -140,11 +199,14 @@ def place_rays(places, segments, shares, mount, turn, local, origins, directions
         local: (n, 3) directions in the sensor's frame.
         origins, directions: (n, 3) filled.
     """
+    first, share = -1, math.nan
+    (x, y, z), q, arm = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for i in range(local.shape[0]):
-        first = segments[i]
-        last = min(first + 1, places.shape[0] - 1)
-        (x, y, z), q = between(places[first], places[last], shares[i])
-        arm = rotate(q, mount[0], mount[1], mount[2])
+        if segments[i] != first or shares[i] != share:  # a column's rays share their pose
+            first, share = segments[i], shares[i]
+            last = min(first + 1, places.shape[0] - 1)
+            (x, y, z), q = between(places[first], places[last], share)
+            arm = rotate(q, mount[0], mount[1], mount[2])
         lx, ly, lz = rotate(turn, local[i, 0], local[i, 1], local[i, 2])
         u, v, w = rotate(q, lx, ly, lz)
         origins[i, 0], origins[i, 1], origins[i, 2] = x + arm[0], y + arm[1], z + arm[2]

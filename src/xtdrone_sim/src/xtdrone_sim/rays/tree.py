@@ -53,8 +53,8 @@ _LEAF = 4  # most surfaces of a leaf, unless they coincide
 _BINS = 16
 _WALK = 1.0  # cost of a node relative to that of a surface
 _EDGE = 1e-9  # share by which triangles are enlarged, so that no ray passes between two
-_LEAST = 1e-300  # replaces 0 in a direction, whose inverse is needed
-_ROUNDING = 1.0 + 1e-12  # margin of boxes, so that a flat one is not missed
+LEAST = 1e-300  # replaces 0 in a direction, whose inverse is needed
+ROUNDING = 1.0 + 1e-12  # margin of boxes, so that a flat one is not missed
 _MOST_SPLITS = 60  # depth below which nodes are split into halves of equal number
 
 Array = NDArray[np.float64]
@@ -311,6 +311,12 @@ def _solid(s, ox, oy, oz, dx, dy, dz):
 
 
 @kernel
+def distance_to(s, ox, oy, oz, dx, dy, dz):
+    """Return the distance at which a ray hits a surface, m; infinite if it does not."""
+    return _triangle(s, ox, oy, oz, dx, dy, dz) if s.kind == TRIANGLE else _solid(s, ox, oy, oz, dx, dy, dz)
+
+
+@kernel
 def normal_at(s, x, y, z):
     """Return the unit normal of a surface at one of its points, in the tree's frame; that of a triangle, either one."""
     if s.kind == TRIANGLE:
@@ -358,9 +364,9 @@ def nearest(nodes, surfaces, root, ox, oy, oz, dx, dy, dz, best, stack):
         Distance, m, and index; ``best`` and NOTHING if the ray hits none.
     """
     found = NOTHING
-    ix = 1.0 / (dx if abs(dx) > _LEAST else _LEAST)
-    iy = 1.0 / (dy if abs(dy) > _LEAST else _LEAST)
-    iz = 1.0 / (dz if abs(dz) > _LEAST else _LEAST)
+    ix = 1.0 / (dx if abs(dx) > LEAST else LEAST)
+    iy = 1.0 / (dy if abs(dy) > LEAST else LEAST)
+    iz = 1.0 / (dz if abs(dz) > LEAST else LEAST)
     stack[0] = root
     waiting = 1
     while waiting:
@@ -372,12 +378,11 @@ def nearest(nodes, surfaces, root, ox, oy, oz, dx, dy, dz, best, stack):
         az, bz = (node.low[2] - oz) * iz, (node.high[2] - oz) * iz
         near = max(max(min(ax, bx), min(ay, by)), min(az, bz))
         far = min(min(max(ax, bx), max(ay, by)), max(az, bz))
-        if near > far * _ROUNDING or far < 0.0 or near > best:
+        if near > far * ROUNDING or far < 0.0 or near > best:
             continue
         if node.count:
             for k in range(node.second, node.second + node.count):
-                s = surfaces[k]
-                t = _triangle(s, ox, oy, oz, dx, dy, dz) if s.kind == TRIANGLE else _solid(s, ox, oy, oz, dx, dy, dz)
+                t = distance_to(surfaces[k], ox, oy, oz, dx, dy, dz)
                 if t < best:
                     best, found = t, k
             continue
