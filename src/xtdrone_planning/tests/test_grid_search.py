@@ -8,7 +8,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from xtdrone_planning.mapping.voxel_grid import MapSettings, VoxelGrid
-from xtdrone_planning.paths.local_path import BLOCKED, REACHED, UNDECIDED, PathQuery, PathSearch
+from xtdrone_planning.paths.local_path import BLOCKED, REACHED, STOPPING_ROOM, UNDECIDED, PathQuery, PathSearch
 
 HEIGHTS = (-10.0, 10.0)
 
@@ -92,3 +92,15 @@ def test_from_too_near_an_obstacle_it_only_leads_away():
     assert path.outcome == REACHED
     blocked = find(grid, grid.middle(np.array([5, 5, 2])), grid.middle(np.array([10, 11, 2])), clearance=0.8)
     assert blocked.outcome == BLOCKED
+
+
+def test_a_path_that_is_cut_short_ends_where_there_is_room_to_stop():
+    grid = a_grid()
+    grid.evidence[14, 10] = 100  # a post at x = 2.25 m, beside the path along y = 0
+    grid.update_distance()
+    options = {"clearance": 0.3, "farthest": 6.0}  # the seen part would end beside the post
+    cut = find(grid, (-4.0, -0.25, 0.0), (4.5, -0.25, 0.0), **options)
+    assert not cut.is_whole
+    assert grid.distance[grid.index(cut.points[-1])] >= 0.3 + STOPPING_ROOM
+    assert 4.0 < cut.points[-1, 0] + 4.0 <= 6.0  # as far as there is room
+    assert find(grid, (-4.0, -0.25, 0.0), (2.25, -0.25, 0.0), clearance=0.3).is_whole  # a goal may be closer

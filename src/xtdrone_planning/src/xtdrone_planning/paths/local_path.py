@@ -14,6 +14,10 @@ from xtdrone_planning.paths.lines_of_sight import seen_count, without_corners
 
 Array = NDArray[np.float64]
 
+STOPPING_ROOM = 0.4
+"""Clearance at the end of a path beyond that along it, m: an iris that stops from 4 m/s comes to rest so far beyond."""
+
+_AT_GOAL = 1.0  # m; a path may end this close to its goal, as the next one reaches it
 _ENTRIES = 400_000  # of the search's heap
 
 
@@ -119,6 +123,9 @@ def seen_path(
 ) -> LocalPath:
     """Return the seen part of a path, without unnecessary corners.
 
+    A path that does not end at its goal ends where there is room to stop, if there is such a place: a vehicle that
+    finds no further trajectory in time comes to rest there.
+
     Args:
         grid: the map.
         distance: distances to obstacles, m.
@@ -130,8 +137,17 @@ def seen_path(
     seen = max(1, seen_count(grid.evidence, corner, resolution, points, radius, 2.0 * radius, query.farthest))
     ahead = points[min(len(points) - 1, round(3.0 / resolution))]
     is_whole = outcome == REACHED and seen == len(points) and bool(np.allclose(points[-1], query.goal))
+    if not is_whole and np.linalg.norm(points[seen - 1] - query.goal) > _AT_GOAL:
+        seen = _with_room_to_stop(grid, distance, points[:seen], query.clearance + STOPPING_ROOM)
     kept = without_corners(distance, grid.evidence, corner, resolution, points[:seen], query.clearance, radius)
     return LocalPath(outcome, kept, ahead, is_whole)
+
+
+def _with_room_to_stop(grid: VoxelGrid, distance: NDArray[np.float32], points: Array, least: float) -> int:
+    """Return the number of points up to the last one that is this far from obstacles, m; all of them if none is."""
+    cells = np.floor(points / grid.resolution).astype(np.int64) - grid.corner
+    clear = np.flatnonzero(distance[tuple(cells.T)] >= least)
+    return int(clear[-1]) + 1 if len(clear) and clear[-1] > 0 else len(points)
 
 
 __all__ = ["BLOCKED", "REACHED", "UNDECIDED", "LocalPath", "PathQuery", "PathSearch", "Search", "seen_path"]

@@ -38,6 +38,8 @@ class _Planner(Protocol):
 
     @property
     def is_undecided(self) -> bool: ...
+    @property
+    def is_complete(self) -> bool: ...
     def hold(self, position: np.ndarray, time: float) -> None: ...
     def plan(self, now: Situation, start: State) -> bool: ...
     def can_brake(self, time: float) -> bool: ...
@@ -184,10 +186,7 @@ class Following(FlightState):
     def _with_new_map(self, planner: _Planner, now: Situation, state: State) -> FlightState:
         blocked = math.isfinite(planner.conflict(now))
         is_new = self._goal_number != planner.goal_number
-        assert planner.trajectory is not None
-        due = now.time - self._planned >= planner.settings.period and not planner.is_at_goal(
-            planner.trajectory.points[-1]
-        )
+        due = now.time - self._planned >= planner.settings.period and not planner.is_complete
         if (blocked or is_new or due) and planner.plan(now, state):
             self._planned, self._goal_number = now.time, planner.goal_number
         elif blocked:

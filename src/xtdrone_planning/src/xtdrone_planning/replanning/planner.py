@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 
 _LOOK_AHEAD = 0.6  # s: the vehicle faces its position at this time ahead
 _SLOW = 0.3  # m in that time: when slower, the yaw is kept
+_EXACT = 1e-3  # m
 _AT_MOVED_GOAL = 0.05  # m; a voxel would be too coarse for a formation
 LEAST_WAY = 0.6
 """Minimum length of a seen path worth flying, unless it ends at the goal, m."""
@@ -210,6 +211,14 @@ class Planner:
         if self.trajectory is None:
             return math.inf
         return conflict_time(self.grid, self.trajectory, now.time, self.limits, unknown=False)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the trajectory ends at the goal itself, not a voxel beside it; a moving goal is met roughly."""
+        if self.goal is None or self.trajectory is None:
+            return False
+        away = float(np.linalg.norm(self.trajectory.points[-1] - self.goal))
+        return away < (_AT_MOVED_GOAL if self._goal_moves else _EXACT)
 
     def is_at_goal(self, position: Array) -> bool:
         """Return whether a position is at the goal."""

@@ -41,7 +41,7 @@ def save_crossing_map(record: CrossingRecord, solids: Sequence[Solid], file: Pat
     axes.set_aspect("equal")
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x, east (m)", ylabel="y, north (m)")
     axes.set_title("Paths over the ground (square: start, star: goal), and obstacles at their height")
-    axes.legend(loc="upper left", fontsize=8)
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
     figure.savefig(file, dpi=_DPI)
     plt.close(figure)
     return file
