@@ -67,7 +67,7 @@ class _Flyer:
         self._run("brake", lambda _, v: v.brake())
 
     def watch(self, *components: str, patience: float = 0.0) -> None:
-        """Let verbs that fly raise ``FaultError`` when a component reports an error on /diagnostics.
+        """Raise ``FaultError`` from verbs that fly when a component reports an error on /diagnostics.
 
         ``arm`` waits until there is no error. ``brake`` and ``land`` are not affected.
 

@@ -106,7 +106,7 @@ class VoxelGrid:
         free_sphere(self.evidence, self.corner, self.resolution, np.asarray(position, float), radius)
 
     def update_distance(self) -> None:
-        """Let the distances be those of the current evidence; they are computed when they are read."""
+        """Mark the distances as old: they are computed from the current evidence when they are read."""
         self._is_distance_old = True
 
     @property

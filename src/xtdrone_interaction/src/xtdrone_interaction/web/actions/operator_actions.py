@@ -16,9 +16,9 @@ import rospy
 from std_msgs.msg import String
 
 from xtdrone_control import lockstep
+from xtdrone_interaction.web.actions.action_notices import in_words
 from xtdrone_interaction.web.actions.held_time import Instant, hold, let_go
 from xtdrone_interaction.web.actions.recorded_actions import LET_GO, REFUSED, TOPIC
-from xtdrone_interaction.web.actions.told_to_others import in_words
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.server.methods import Method, Params, invoke
 from xtdrone_interaction.web.server.session import Session

@@ -1,4 +1,4 @@
-"""An operator's action in words, told to the other pages: two people who command one vehicle know of each other."""
+"""Notices of an operator's action for the other pages, so that operators of one vehicle learn of each other."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _LONGEST = 120  # characters
 
 
 def in_words(method: str, params: Mapping[str, Any]) -> str:
-    """Return an action as ``takeoff: iris_0, iris_1``; empty for one that the other pages are not told.
+    """Return the notice of an action, as ``takeoff: iris_0, iris_1``; empty for one of which the other pages get none.
 
     Args:
         method: name, as ``vehicles.command``.
