@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -232,7 +233,8 @@ def test_what_a_killed_station_left_flying_is_stopped_unless_another_page_flies_
 ) -> None:
     room = SteeringRoom(_Context())  # type: ignore[arg-type]
     monkeypatch.setattr(room, "_send_waiting", lambda: None)
-    monkeypatch.setattr(room, "_unconnected", lambda *_: [])
+    counts = itertools.chain([0], itertools.repeat(1))  # a new station is not connected at once
+    monkeypatch.setattr(room._topics, "connect", lambda topics: dict.fromkeys(topics, next(counts)))
     monkeypatch.setattr(steering_room, "_fleet", lambda: ["iris_0", "iris_1", "iris_2"])
     room._pilots[_Page()] = PagePilot(["iris_1"], False, {}, lambda *_: None)  # type: ignore[index]
     page: Any = _Page()
