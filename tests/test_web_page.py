@@ -264,10 +264,10 @@ def test_a_gamepad_that_is_unplugged_stops_the_vehicle(station: StationPage, sta
     page.keyboard.press("b")
     stack.wait_state(0, mode="OFFBOARD")
     page.evaluate("window.pad.axes[0] = -0.8")
-    stack.wait(lambda: turning(stack) > 0.3, "the stick turns it")
+    stack.wait(lambda: turning(stack) > 0.3, "the stick turns it", sim=120.0)
     page.evaluate("window.pad = null")
     station.told("The gamepad has disappeared: the vehicles stop.")
-    stack.wait(lambda: turning(stack) < 0.05, "it stops")
+    stack.wait(lambda: turning(stack) < 0.05, "it stops", sim=120.0)
 
 
 def turning(stack: Stack) -> float:
@@ -297,7 +297,7 @@ def test_the_page_comes_back_after_the_server_died(station: StationPage, stack: 
     page.wait_for_selector("[data-role=end]")
     for _ in range(30):
         page.keyboard.press("j")
-    stack.wait(lambda: turning(stack) > 0.2, "the keys turn it")
+    stack.wait(lambda: turning(stack) > 0.2, "the keys turn it", sim=120.0)
     poll(lambda: list(recordings.glob("*.active")), "the recording has begun")
     stack.programs["web_station"].kill()
     station.until("!station.connected")
@@ -306,7 +306,7 @@ def test_the_page_comes_back_after_the_server_died(station: StationPage, stack: 
     station.start_station()
     station.until("station.connected && station.fleet.number < 1000 && station.roster.vehicles.length === 3")
     station.told("The station was started again; stopped: iris_0.")
-    stack.wait(lambda: turning(stack) < 0.05, "it stops")
+    stack.wait(lambda: turning(stack) < 0.05, "it stops", sim=120.0)
     poll(lambda: not list(recordings.glob("*.active")) and list(recordings.glob("*.bag")), "the recording is whole")
     page.click("#dock-tabs [data-panel=vehicles]")
     page.evaluate("station.selection.set(station.roster.vehicles.map(v => v.name))")
