@@ -307,5 +307,5 @@ def test_one_vehicle_and_all_are_reset(
     page.click("#question .sure")
     stack.wait(lambda: stack.time < before, "time is set back")
     sync_api.expect(page.locator(".toast", has_text="simulated time is 0")).to_be_visible(timeout=_MS)
-    poll(lambda: (times := plotted(page)[1]) and max(times) < before, "the plot begins anew")
+    poll(lambda: (times := plotted(page)[1]) and max(times) < before, "the plot starts over")
     assert not page.locator(".toast.bad").count()

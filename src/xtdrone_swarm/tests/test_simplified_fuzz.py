@@ -41,7 +41,7 @@ class Smooth(Follower):
 
 
 class Nearest(Follower):
-    """Selects its neighbours anew in every turn."""
+    """Selects its neighbours again in every turn."""
 
     def neighbours(self) -> Mapping[int, float]:
         own = self.swarm.positions[self.id]
