@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import itertools
 from pathlib import Path
 from typing import Any
 
@@ -233,8 +232,8 @@ def test_what_a_killed_station_left_flying_is_stopped_unless_another_page_flies_
 ) -> None:
     room = SteeringRoom(_Context())  # type: ignore[arg-type]
     monkeypatch.setattr(room, "_send_waiting", lambda: None)
-    counts = itertools.chain([0], itertools.repeat(1))  # a new station is not connected at once
-    monkeypatch.setattr(room._topics, "connect", lambda topics: dict.fromkeys(topics, next(counts)))
+    deaf = "/xtdrone/iris_0/cmd_vel_flu"
+    monkeypatch.setattr(room._topics, "connect", lambda topics, _: {topic: int(topic != deaf) for topic in topics})
     monkeypatch.setattr(steering_room, "_fleet", lambda: ["iris_0", "iris_1", "iris_2"])
     room._pilots[_Page()] = PagePilot(["iris_1"], False, {}, lambda *_: None)  # type: ignore[index]
     page: Any = _Page()
@@ -247,5 +246,6 @@ def test_what_a_killed_station_left_flying_is_stopped_unless_another_page_flies_
     assert room._waiting[page] == [
         {"to": name, "mode": "accel", "speeds": [0.0, 0.0, 0.0, 0.0]} for name in ("iris_0", "leader")
     ]
+    assert stop(vehicles=["iris_0"], mode="vel") == {"stopped": []}  # no node receives it
     with pytest.raises(CallError, match="vehicles: 'iris_3' is not allowed, one of iris_0, iris_1, iris_2"):
         stop(vehicles=["iris_3"])

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import genpy
@@ -35,6 +36,7 @@ class ConnectedPublishers:
         self._most = most
         self._publishers: dict[str, Any] = {}
         self._lock = threading.Lock()
+        self._waited: set[str] = set()  # topics whose first message need not wait any more
 
     def publish(self, topic: str, message: genpy.Message) -> int:
         """Publish a message; the first one on a topic once the subscribers that the master names are connected.
@@ -47,14 +49,16 @@ class ConnectedPublishers:
         Raises:
             TooManyTopicsError: the topic is one too many.
         """
-        publisher = self._connected({topic: type(message)})[topic]
+        publisher = self._publishers_of({topic: type(message)})[topic]
+        if topic not in self._waited:
+            self._wait_for_subscribers([topic], _CONNECT_LIMIT)
         publisher.publish(message)
         return int(publisher.get_num_connections())
 
-    def connect(self, topics: Mapping[str, type[genpy.Message]]) -> dict[str, int]:
+    def connect(self, topics: Mapping[str, type[genpy.Message]], limit: float = _CONNECT_LIMIT) -> dict[str, int]:
         """Connect to the subscribers of topics, given with their types, without publishing.
 
-        Blocks for at most 2 s, however many topics there are.
+        Blocks for at most ``limit`` s of wall time, however many topics there are.
 
         Returns:
             The number of subscribers by topic.
@@ -62,14 +66,13 @@ class ConnectedPublishers:
         Raises:
             TooManyTopicsError: a topic is one too many.
         """
-        return {topic: int(made.get_num_connections()) for topic, made in self._connected(topics).items()}
+        publishers = self._publishers_of(topics)
+        self._wait_for_subscribers(topics, limit)
+        return {topic: int(publisher.get_num_connections()) for topic, publisher in publishers.items()}
 
-    def _connected(self, topics: Mapping[str, type[genpy.Message]]) -> dict[str, Any]:
+    def _publishers_of(self, topics: Mapping[str, type[genpy.Message]]) -> dict[str, Any]:
         with self._lock:
-            new = [topic for topic in topics if topic not in self._publishers]
-            if new:
-                self._advertise({topic: topics[topic] for topic in new})
-                self._wait_for_subscribers(new)
+            self._advertise({topic: kind for topic, kind in topics.items() if topic not in self._publishers})
             return {topic: self._publishers[topic] for topic in topics}
 
     def _advertise(self, topics: Mapping[str, type[genpy.Message]]) -> None:
@@ -80,23 +83,27 @@ class ConnectedPublishers:
         for topic, kind in topics.items():
             self._publishers[topic] = lockstep.UncountedPublisher(topic, kind, queue_size=_KEPT)
 
-    def _wait_for_subscribers(self, topics: Iterable[str]) -> None:
+    def _wait_for_subscribers(self, topics: Collection[str], limit: float) -> None:
         arrival = threading.Event()
         listener = rospy.SubscribeListener()
         listener.peer_subscribe = lambda *_: arrival.set()
         publishers = {topic: self._publishers[topic].impl for topic in topics}
         for publisher in publishers.values():
             publisher.add_subscriber_listener(listener)
-        end = time.monotonic() + _CONNECT_LIMIT
+        end = time.monotonic() + limit
         missing = self._subscribers(topics)
         while True:
             missing = {topic: nodes - _nodes_connected_to(publishers[topic]) for topic, nodes in missing.items()}
             missing = {topic: nodes for topic, nodes in missing.items() if nodes}
             if not missing or not arrival.wait(max(0.0, end - time.monotonic())):
-                return
+                break
             arrival.clear()
+        for publisher in publishers.values():
+            with contextlib.suppress(ValueError, AttributeError):  # it has been closed, as the node ends
+                publisher.subscriber_listeners.remove(listener)
+        self._waited.update(topics)
 
-    def _subscribers(self, topics: Iterable[str]) -> dict[str, set[str]]:
+    def _subscribers(self, topics: Collection[str]) -> dict[str, set[str]]:
         """Return the other nodes that subscribe to each topic; none of a master that does not answer."""
         try:
             graph = read_topics(self._master).topics

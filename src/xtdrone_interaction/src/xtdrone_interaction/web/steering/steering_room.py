@@ -27,7 +27,7 @@ _NAME = re.compile(r"^[A-Za-z]\w*$", re.ASCII)
 _TEXT = re.compile(r"^[ -~]{1,200}$", re.ASCII)
 _LIMITS = (MAX_SPEED, MAX_SPEED, MAX_SPEED, MAX_TURN)
 _MOST_VEHICLES = 250
-_CONNECT_LIMIT = 30.0  # s of wall time for a new station's connections to the vehicles' nodes
+_CONNECT_LIMITS = 2.0, 30.0  # s of wall time in which a new station connects to most vehicles' nodes, and to the rest
 _MOST_TOPICS = (1 + len(MODES)) * (1 + _MOST_VEHICLES)  # commands and setpoints of the leader and the vehicles
 
 
@@ -102,26 +102,25 @@ class SteeringRoom:
         """Stop what a page flew by a station that was killed, except what other pages fly by now.
 
         Returns:
-            The vehicles that receive it, and the leader.
+            Names of those whose node receives it, vehicles or the leader.
         """
         vehicles, mode = _steered(params, await self._context.blocking(_fleet))
         flown = frozenset[str]().union(*(pilot.targets for pilot in self._pilots.values()))
-        stopped = [name for name in (("leader",) if params.get("leader") is True else vehicles) if name not in flown]
-        stopped = await self._connected(stopped, mode)
+        waiting = [name for name in (("leader",) if params.get("leader") is True else vehicles) if name not in flown]
         still = {"mode": mode, "speeds": [0.0] * len(_LIMITS)}
-        self._waiting.setdefault(session, []).extend({"to": name, **still} for name in stopped)
-        self._send_waiting()
+        stopped: list[str] = []
+        for limit in _CONNECT_LIMITS:
+            topics = {_setpoint_topic(name, mode): Twist for name in waiting}
+            found = await self._context.blocking(self._topics.connect, topics, limit)
+            connected = [name for name in waiting if found[_setpoint_topic(name, mode)]]
+            waiting = [name for name in waiting if name not in connected]
+            if connected:
+                self._waiting.setdefault(session, []).extend({"to": name, **still} for name in connected)
+                self._send_waiting()
+                stopped += connected
+            if not waiting:
+                break
         return {"stopped": stopped}
-
-    async def _connected(self, names: Sequence[str], mode: str) -> list[str]:
-        """Return those whose setpoints have a subscriber, once all have one or after ``_CONNECT_LIMIT``."""
-        topics = {_setpoint_topic(name, mode): Twist for name in names}
-        end = time.monotonic() + _CONNECT_LIMIT
-        while True:
-            found = await self._context.blocking(self._topics.connect, topics)
-            if all(found.values()) or time.monotonic() > end:
-                return [name for name in names if found[_setpoint_topic(name, mode)]]
-            await asyncio.sleep(PERIOD)
 
     def _pilot(self, session: Session) -> PagePilot:
         pilot = self._pilots.get(session)
