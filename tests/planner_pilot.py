@@ -30,6 +30,7 @@ VEHICLE = "iris_3d_lidar_0"
 GOAL = (40.0, 5.0, 2.0)
 LAST_GOAL = (36.0, 3.0, 2.5)  # by the ground station
 EGO_WAY, EGO_TIME = 3.0, 4.0  # m to the north, s: as EGO-Planner sends it, from rest to rest
+ARRIVED = "hovering at the goal"
 LIMIT = 60.0  # s for each wait
 
 
@@ -42,6 +43,7 @@ class Pilot:
         self._mavros = State()
         self._pose = self._camera = PoseStamped()
         self._planner = ""
+        self._arrivals = 0
         self._report = (-1, "")
         lockstep.Subscriber(f"/{VEHICLE}/mavros/state", State, self._on_state)
         lockstep.Subscriber(f"/{VEHICLE}/mavros/local_position/pose", PoseStamped, self._on_pose)
@@ -64,6 +66,7 @@ class Pilot:
 
     def _on_planner(self, message: String) -> None:
         self._planner = message.data
+        self._arrivals += message.data == ARRIVED
         self._note("state", text=message.data)
 
     def _on_trajectory(self, message: SplineTrajectory) -> None:
@@ -92,6 +95,14 @@ class Pilot:
         while self._planner not in states:
             if rospy.get_time() > end:
                 raise TimeoutError(f"{self._planner}, not {states}")
+            yield
+
+    def _until_arrival(self, number: int) -> Iterator[None]:
+        """Wait for the ``number``-th arrival at a goal, which may already have taken place."""
+        end = rospy.get_time() + LIMIT
+        while self._arrivals < number:
+            if rospy.get_time() > end:
+                raise TimeoutError(f"{self._planner}, {self._arrivals} arrivals, not {number}")
             yield
 
     def _wait(self, seconds: float) -> Iterator[None]:
@@ -169,10 +180,9 @@ class Pilot:
             self._fail("ok")
             yield from self._until("following")
             yield from self._wait(1.0)
-        yield from self._until("hovering at the goal")
-        yield from self._by_ground_station()
-        yield from self._until("following")
-        yield from self._until("hovering at the goal")
+        yield from self._until_arrival(1)
+        yield from self._by_ground_station()  # ends while the vehicle is under way, or after it has arrived
+        yield from self._until_arrival(2)
         self._note("end")
 
 

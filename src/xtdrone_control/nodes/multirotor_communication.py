@@ -3,7 +3,7 @@
 
 One process serves one vehicle (``0``) or several (``0-8``, ``1,3,5``, ``all``: all of that type in /xtdrone/fleet).
 Topics are listed in ``xtdrone_control.communication.multirotor``; all names are absolute, so the node may be started
-in any namespace.
+in any namespace. ``multirotor_communication.py iris 9 --wait`` waits until iris_9 has joined the simulation.
 
 Parameters:
     ~hover_speed, ~cmd_timeout: see ``xtdrone_control.communication.commands.CommandSettings`` and docs/settings.md.
@@ -23,14 +23,31 @@ import rospy
 from xtdrone_control import lockstep
 from xtdrone_control.communication.commands import CommandSettings
 from xtdrone_control.communication.multirotor import RATE, MultirotorCommunication
-from xtdrone_control.programs.node_command_line import run_program, served_vehicles
+from xtdrone_control.programs.fleet_parameter import FLEET_PARAMETER, wait_for_fleet
+from xtdrone_control.programs.node_command_line import Served, parse_ids, run_program, served_vehicles
 
-USAGE = "multirotor_communication.py TYPE ID   (ID: 0, 0-8, 1,3,5 or all)"
+WAIT = "--wait"
+USAGE = """multirotor_communication.py TYPE ID [--wait]
+  ID: 0, 0-8, 1,3,5 or all
+  --wait: until the vehicles have joined the simulation"""
+
+
+def vehicles_of(arguments: Sequence[str]) -> Served:
+    """Return the vehicles that the arguments name; with ``--wait``, once they have joined the simulation.
+
+    Raises:
+        ArgumentError: see ``served_vehicles``; ``all`` does not tell which vehicles to wait for.
+    """
+    named = [argument for argument in arguments if argument != WAIT]
+    if len(named) == 2 and WAIT in arguments:
+        for index in parse_ids(named[1], 0, None):
+            wait_for_fleet(f"{named[0]}_{index}")
+    return served_vehicles(named, rospy.get_param(FLEET_PARAMETER, None))
 
 
 def main(arguments: Sequence[str]) -> None:
     """Serve the vehicles that the arguments name until shutdown."""
-    kind, ids, name = served_vehicles(arguments, rospy.get_param("/xtdrone/fleet", None))
+    kind, ids, name = vehicles_of(arguments)
     lockstep.init_node(f"{name}_communication", rate=RATE)
     settings = CommandSettings.from_parameters(rospy.get_param)
     with lockstep.registering_together():

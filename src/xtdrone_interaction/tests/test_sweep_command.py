@@ -104,6 +104,14 @@ def processes_of(group: int) -> int:
     return found
 
 
+def transaction_is_open(out: Path) -> bool:
+    """Return whether rows may be rolled back: the journal of a sweep that holds its lock has a header."""
+    try:
+        return any((out / "runs.sqlite-journal").read_bytes()[:8])
+    except FileNotFoundError:
+        return False
+
+
 def committed(out: Path) -> int:
     """Return the number of runs in the file of a sweep that holds its lock, or was killed."""
     try:
@@ -111,7 +119,8 @@ def committed(out: Path) -> int:
     except sqlite3.Error:  # the table does not exist yet
         return 0
     try:
-        return int(database.execute("SELECT count(*) FROM runs").fetchone()[0])
+        found = int(database.execute("SELECT count(*) FROM runs").fetchone()[0])
+        return 0 if transaction_is_open(out) else found
     except sqlite3.Error:  # read during a write
         return 0
     finally:

@@ -27,7 +27,6 @@ import itertools
 import resource
 import sys
 import threading
-import time
 import xmlrpc.client
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from http.client import HTTPException
@@ -49,11 +48,11 @@ from xtdrone_control.mavros.readiness import TelemetryDemand, TelemetryOf, readi
 from xtdrone_control.mavros.swarm_state_topic import Swarm
 from xtdrone_control.mavros.uas import PluginKind, Uas
 from xtdrone_control.mavros.unsubscribed_topics import Registrations, Watch
+from xtdrone_control.programs.fleet_parameter import wait_for_fleet
 from xtdrone_control.programs.under_roslaunch import announce
 
 RATE = 50.0  # Hz of simulated time: PX4's fastest telemetry on the offboard link that MAVROS publishes
 _FAILED = 1
-_POLL_PERIOD = 0.2  # s between polls of the parameter server
 
 
 class Connection(NamedTuple):
@@ -375,16 +374,7 @@ def _fleet(settings: Mapping[str, Any]) -> str:
     if not wanted and (fleet or not lockstep.is_active() or settings.get("fleet") or settings.get("fcu_url")):
         return fleet
     rospy.loginfo("mavros: waiting for %s", wanted or "/xtdrone/fleet, which the simulator's launch file sets")
-    while not _lists(fleet := str(rospy.get_param("/xtdrone/fleet", "")), wanted):
-        if rospy.is_shutdown():
-            raise rospy.ROSInterruptException("shutdown")
-        time.sleep(_POLL_PERIOD)  # wall time: the parameter server sends no notification for this
-    return fleet
-
-
-def _lists(fleet: str, wanted: str) -> bool:
-    """Return whether a fleet is given, and has the vehicle ``wanted`` unless that is ""."""
-    return bool(fleet) and (not wanted or any(vehicle.name == wanted for vehicle in parse_fleet(fleet)))
+    return wait_for_fleet(wanted)
 
 
 def _open(vehicles: list[Connection], source: tuple[int, int]) -> list[Link]:

@@ -1,9 +1,7 @@
 """``/xtdrone/vehicles``: the vehicles in the simulation, published whenever one joins or leaves.
 
-==================  ======================  ==========================================================================
-/xtdrone/vehicles   std_msgs/String         latched; the text of ``/xtdrone/fleet``. Unlike a parameter, a topic reaches
-the nodes of the lockstep in the same turn in each repetition of a flight. ==================  ======================
-==========================================================================
+/xtdrone/vehicles (std_msgs/String, latched): the text of ``/xtdrone/fleet``. Unlike a parameter, a topic reaches the
+nodes of the lockstep in the same turn in each repetition of a flight.
 """
 
 from __future__ import annotations
