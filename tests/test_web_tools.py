@@ -172,6 +172,7 @@ def test_keys_fly_the_vehicle_and_the_flight_is_recorded_and_played(
     steering = panel("steering")
     steering.locator("[data-role=begin]").click()
     page.wait_for_selector("[data-role=end]")
+    sync_api.expect(steering.locator("[data-role=deaf]")).to_contain_text("until OFFBOARD: key b")
     page.keyboard.press("t")
     stack.wait_state(0, armed=True)
     for _ in range(80):
@@ -179,6 +180,7 @@ def test_keys_fly_the_vehicle_and_the_flight_is_recorded_and_played(
     sync_api.expect(steering.locator("[data-axis=up]")).to_have_text("0.80 m/s")
     page.keyboard.press("b")
     stack.wait(lambda: stack.height(0) > 2.0, "the vehicle climbs")
+    sync_api.expect(steering.locator("[data-role=deaf]")).to_have_count(0)
     steering.locator("[data-role=end]").click()
     stack.pass_time(3.0)
     before = stack.height(0)

@@ -62,7 +62,7 @@ def test_the_simulators_start_messages_are_parsed(logs: Logs) -> None:
     logs.add("process[rosout-1]: started with pid [5]\nprocess[simulator-2]: started with pid [7]\n", "roslaunch.log")
     assert (logs.startup.started, logs.startup.runs, logs.startup.joined) == (1, False, None)
     logs.add("[INFO] [1.5, 0.0]: simulator: 5 participants have joined, time starts\n")
-    logs.add("[INFO] [1.5, 0.0]: simulator: iris_0 to iris_1 stand ready, time runs; Ctrl-C ends it\n")
+    logs.add("[INFO] [1.5, 0.0]: simulator: iris_0 to iris_1 are ready, time runs; Ctrl-C ends it\n")
     assert (logs.startup.runs, logs.startup.joined) == (True, 5)
 
 

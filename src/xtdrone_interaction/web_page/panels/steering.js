@@ -104,11 +104,22 @@ function mount(element, station) {
     <td style="width:50%"><meter min=${i === 3 ? -3 : -20} max=${i === 3 ? 3 : 20} value=${speeds[i]} style="width:100%"></meter></td>
     <td class="num mono" data-axis=${axis}>${speeds[i].toFixed(2)} ${UNITS[i]}</td></tr>`)}</tbody></table>`;
 
+  /** Says which steered vehicles ignore the speeds, and the key that changes it. */
+  const deaf = () => {
+    if (state.pilot.leader) return ''; // vehicles that follow it are in OFFBOARD by their own nodes
+    const modes = state.vehicles.map((name) => [name, station.status.vehicles[name]?.mode]);
+    const others = modes.filter(([, mode]) => mode && mode !== 'OFFBOARD');
+    if (!others.length) return '';
+    const [name, mode] = others[0];
+    const whose = others.length === 1 ? `${name} is in ${mode} and ignores` : `${name} (${mode}) and ${others.length - 1} more ignore`;
+    return html`<p class="warn" data-role="deaf">${whose} speeds until OFFBOARD: key b.</p>`;
+  };
+
   const flying = () => html`<div class="card"><div class="row"><b>${state.pilot.leader ? 'the leader' : state.vehicles.join(', ')}</b><span class="grow"></span>
       <button data-role="target" onclick=${() => press('g')}>g: ${state.pilot.leader ? 'vehicles' : 'leader'}</button>
       <button class="danger" data-role="end" onclick=${end}>End (Esc)</button></div>
     <p class=${state.pilot.note ? '' : 'soft'} data-role="note">${state.pilot.note || 'Keys work while this panel is open. Each press is 0.01 m/s; hold it.'}</p>
-    ${bars(state.pilot)}
+    ${deaf()}${bars(state.pilot)}
     <div class="keys">${PAD.map(([key, text]) => html`<button data-key=${key} ...${held(key)}><b class="mono">${key}</b> ${text}</button>`)}</div>
     <div class="row">${COMMANDS.map(([key, text]) => html`<button data-key=${key} onclick=${() => press(key)}><b class="mono">${key}</b> ${text}</button>`)}</div>
     ${state.pilot.leader ? html`<div class="row">${Object.entries(state.pilot.patterns).map(([digit, name]) => html`<button onclick=${() => press(digit)}>
@@ -146,6 +157,7 @@ function mount(element, station) {
   const offs = [
     station.selection.onChange(() => { if (!state.open) draw(); }),
     station.onConnect(stopLost),
+    station.on('fleet.status', () => { if (state.open) draw(); }),
     station.on('steering.ended', ({ text }) => { state.open = false; state.pilot = null; toast(text, 'bad'); draw(); }),
     station.on('station.state', ({ connected }) => {
       if (!connected && state.open) {

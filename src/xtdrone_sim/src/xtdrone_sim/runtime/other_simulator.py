@@ -51,7 +51,7 @@ def ready_words(names: Sequence[str], speed: float) -> str:
         names: of the vehicles, in order.
         speed: target real-time factor; 0 for unlimited.
     """
-    vehicles = names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
+    vehicles, verb = (names[0], "is") if len(names) == 1 else (f"{names[0]} to {names[-1]}", "are")
     world = str(rospy.get_param("/xtdrone/world", ""))  # the simplified simulator has none
     parts = [
         *([f"world {Path(world).stem}"] if world else []),
@@ -61,7 +61,7 @@ def ready_words(names: Sequence[str], speed: float) -> str:
     instance = rospy.get_param("/xtdrone/instance", 0)
     if instance:
         parts.append(f"instance {instance}")
-    return f"{vehicles} stand ready, time runs: {', '.join(parts)}"
+    return f"{vehicles} {verb} ready, time runs: {', '.join(parts)}"
 
 
 def stale_uri(name: str) -> str:

@@ -21,6 +21,7 @@ _DEPTH = 10  # samples of a topic that a writer keeps for slow readers
 _LATCHED = 100  # samples kept for later readers of a topic with many latched messages
 _MANY_LATCHED = ("/tf_static",)
 _PARTICIPANTS = 60  # participants searched for on this machine
+AUTO = "auto"  # in place of an interface: roslaunch drops arguments with an empty value
 _INTERFACE = re.compile(r"[A-Za-z0-9_.:-]{1,40}")
 _AT_ONCE = 100  # samples taken at a time
 _READABLE = SampleState.NotRead | ViewState.Any | InstanceState.Any
@@ -43,7 +44,7 @@ def configuration(interface: str) -> str:
     """
     if not _INTERFACE.fullmatch(interface):
         raise ValueError(
-            "a network interface such as lo or eth0, or empty for CYCLONEDDS_URI and cyclonedds's own choice"
+            f"a network interface such as lo or eth0, or {AUTO} for the choice of CYCLONEDDS_URI or cyclonedds"
         )
     local = interface in ("lo", "127.0.0.1")
     peers = '<Peers><Peer address="localhost"/></Peers>' if local else ""
@@ -64,13 +65,13 @@ class Participant:
 
         Args:
             domain_id: ROS 2's ROS_DOMAIN_ID.
-            interface: network interface; empty: chosen by CYCLONEDDS_URI or cyclonedds.
+            interface: network interface; ``auto`` or empty: chosen by CYCLONEDDS_URI or cyclonedds.
 
         Raises:
             ValueError: the interface is not allowed.
             DDSException: the domain cannot be joined.
         """
-        self._domain = Domain(domain_id, configuration(interface)) if interface else None
+        self._domain = None if interface in ("", AUTO) else Domain(domain_id, configuration(interface))
         self._participant = DomainParticipant(domain_id)
         self._publications = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
         self._waitset = WaitSet(self._participant)

@@ -66,7 +66,7 @@ class Ros2Settings(Settings):
     interface: str = setting(
         "lo",
         check=_interface,
-        text="network interface; lo: this machine only; empty: chosen by CYCLONEDDS_URI or cyclonedds",
+        text="network interface; lo: this machine only; auto: chosen by CYCLONEDDS_URI or cyclonedds",
     )
     to_ros2: tuple[str, ...] = setting(
         ("*",), parse=patterns, allowed="shell patterns", text="topics of standard types bridged to ROS 2"
