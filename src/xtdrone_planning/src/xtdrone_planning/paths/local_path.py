@@ -15,7 +15,11 @@ from xtdrone_planning.paths.lines_of_sight import seen_count, without_corners
 Array = NDArray[np.float64]
 
 STOPPING_ROOM = 0.4
-"""Clearance at the end of a path beyond that along it, m: an iris that stops from 4 m/s comes to rest so far beyond."""
+"""Clearance at the end of a path beyond that along it, m.
+
+A vehicle whose air drag differs from ``PlannerSettings.drag`` overshoots when it stops: without compensation an iris
+from 4 m/s by that much.
+"""
 
 _AT_GOAL = 1.0  # m; a path may end this close to its goal, as the next one reaches it
 _ENTRIES = 400_000  # of the search's heap

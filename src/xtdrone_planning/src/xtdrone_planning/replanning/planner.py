@@ -15,6 +15,7 @@ from xtdrone_planning.mapping.voxel_grid import VoxelGrid
 from xtdrone_planning.paths.clear_place import nearest_clear
 from xtdrone_planning.paths.grid_search import BLOCKED, REACHED
 from xtdrone_planning.paths.local_path import LocalPath, PathQuery, PathSearch, Search
+from xtdrone_planning.replanning.feed_forward import acceleration_setpoint
 from xtdrone_planning.replanning.flight_states import FlightState, Planning, Waiting
 from xtdrone_planning.replanning.settings import PlannerSettings
 from xtdrone_planning.replanning.situation import Command, Situation
@@ -126,19 +127,8 @@ class Planner:
             return None
         position, velocity, _ = self.trajectory.at(now.time)
         self._commanded.append((now.time, position))
-        return Command(position, velocity, self._feed_forward(now.time), self._slewed_yaw(now))
-
-    def _feed_forward(self, time: float) -> Array:
-        """Return the acceleration setpoint, (3,) m/s^2 in map: the trajectory's, and what holds against the drag.
-
-        Without the latter the autopilot's integrator does, and carries the vehicle beyond its stops (M. Faessler, A.
-        Franchi, D. Scaramuzza, Differential flatness of quadrotor dynamics subject to rotor drag, RA-L 3, 2018).
-        """
-        assert self.trajectory is not None
-        settings = self.settings
-        _, velocity, acceleration = self.trajectory.at(time + settings.attitude_lag)
-        level = (1.0 + settings.damping) * acceleration[:2] + settings.drag * velocity[:2]
-        return np.array([*level, acceleration[2]])
+        acceleration = acceleration_setpoint(self.trajectory, now.time, self.settings)
+        return Command(position, velocity, acceleration, self._slewed_yaw(now))
 
     def _release(self) -> None:
         """Release the vehicle: the pilot or the autopilot has taken over, or it is on the ground."""

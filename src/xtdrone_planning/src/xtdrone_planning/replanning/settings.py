@@ -48,7 +48,11 @@ class PlannerSettings(Settings):
     )
     sampling_seed: int = setting(1, low=1, high=2**31 - 1, text="seed of each search of OMPL's planners")
     lead: float = setting(
-        0.06, low=0.0, high=1.0, unit="s", text="setpoints are so much ahead of the trajectory: their way to the autopilot"
+        0.06,
+        low=0.0,
+        high=1.0,
+        unit="s",
+        text="setpoints are so much ahead of the trajectory: their way to the autopilot",
     )
     attitude_lag: float = setting(
         0.1, low=0.0, high=1.0, unit="s", text="accelerations are so much ahead of positions and velocities"
@@ -58,14 +62,14 @@ class PlannerSettings(Settings):
         low=0.0,
         high=3.0,
         unit="1/s",
-        text="horizontal deceleration by air drag at 1 m/s, which the acceleration setpoints compensate: the iris's rotors",
+        text="horizontal deceleration by air drag at 1 m/s, which accelerations compensate: that of the iris's rotors",
     )
     damping: float = setting(
         0.2,
         low=0.0,
         high=2.0,
-        text="PX4's MPC_XY_VEL_D_ACC: horizontal accelerations are set so much higher, since the autopilot reduces them by "
-        "this share",
+        text="share of horizontal accelerations that the autopilot's derivative term removes, which they compensate: "
+        "MPC_XY_VEL_D_ACC of PX4",
     )
     astray: float = setting(
         1.0, low=0.1, high=10.0, unit="m", text="deviation from the trajectory beyond which the vehicle replans"
