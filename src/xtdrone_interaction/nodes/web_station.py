@@ -3,7 +3,7 @@
 docs/web.md.
 
 Parameters:
-    ~host, ~port, ~token, ~view_only, ~rate: see ``StationSettings`` and docs/settings.md.
+    ~host, ~port, ~token_file, ~origins, ~names, ~view_only, ~rate: see ``StationSettings`` and docs/settings.md.
     ~url (out): URL of the page, if it needs no token.
 
 Topics:

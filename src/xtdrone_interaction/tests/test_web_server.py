@@ -16,7 +16,7 @@ from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import WebSocketClientConnection, websocket_connect
 
 from xtdrone_interaction.web.server import session as sessions
-from xtdrone_interaction.web.server.credentials import Credentials, is_own_origin
+from xtdrone_interaction.web.server.credentials import Credentials
 from xtdrone_interaction.web.server.methods import Method, MethodTable, Params, invoke
 from xtdrone_interaction.web.server.session import Session, encode
 from xtdrone_interaction.web.server.station_server import MOST_CALLS, MOST_MESSAGE, Address, StationServer
@@ -249,24 +249,6 @@ def test_a_slow_browser_costs_no_memory_and_no_other_page(folder: Path, monkeypa
         station.server.stop()
 
     run(test)
-
-
-@pytest.mark.parametrize(
-    ("origin", "host", "listening", "own"),
-    [
-        ("http://127.0.0.1:8642", "127.0.0.1:8642", "127.0.0.1", True),
-        ("http://localhost:8642", "localhost:8642", "127.0.0.1", True),
-        (None, "[::1]:8642", "127.0.0.1", True),
-        ("http://127.0.0.1:9000", "127.0.0.1:8642", "127.0.0.1", False),  # another server on this machine
-        ("http://rebound.example:8642", "rebound.example:8642", "127.0.0.1", False),
-        ("http://10.0.0.2:8642", "10.0.0.2:8642", "0.0.0.0", True),
-        ("http://evil.example", "10.0.0.2:8642", "0.0.0.0", False),
-        ("null", "127.0.0.1:8642", "127.0.0.1", False),
-        ("http://[", "127.0.0.1:8642", "127.0.0.1", False),
-    ],
-)
-def test_origins(origin: str | None, host: str, listening: str, own: bool) -> None:
-    assert is_own_origin(origin, host, listening) is own
 
 
 def test_other_machines_need_a_token() -> None:

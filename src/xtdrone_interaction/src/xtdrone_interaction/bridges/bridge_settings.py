@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import rosgraph
 import rospy
@@ -13,22 +12,10 @@ from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction.bridges.bridge_graph import BridgeGraph
 from xtdrone_interaction.bridges.ros_publications import Publications
 from xtdrone_interaction.bridges.ros_services import Services
+from xtdrone_interaction.server_guard import ServerGuard, is_loopback, listed, names_setting, origins_setting
 from xtdrone_interaction.topics.discovery import read_topics
 
 _OLDEST = 1.0  # s, age after which the graph is read again, unless reading takes long
-
-
-def patterns(value: Any) -> tuple[str, ...]:
-    """Return shell patterns, given as a list or as one text with commas, also in rosbridge's form ``[/a/*, /b]``.
-
-    Raises:
-        ValueError: neither.
-    """
-    if isinstance(value, str):
-        value = value.strip().removeprefix("[").removesuffix("]").split(",")
-    if not isinstance(value, (list, tuple)) or not all(isinstance(part, str) for part in value):
-        raise ValueError("comma-separated shell patterns, such as /iris_*/mavros/*,/tf")
-    return tuple(part.strip().strip("'\"") for part in value if part.strip())
 
 
 @dataclass(frozen=True)
@@ -38,18 +25,25 @@ class BridgeSettings(Settings):
     address: str = setting(
         "127.0.0.1", text="listening address; 0.0.0.0 lets every machine of the network watch and command"
     )
-    topics_glob: tuple[str, ...] = setting(("*",), parse=patterns, allowed="shell patterns", text="topics offered")
-    services_glob: tuple[str, ...] = setting(("*",), parse=patterns, allowed="shell patterns", text="services offered")
-    params_glob: tuple[str, ...] = setting(("*",), parse=patterns, allowed="shell patterns", text="parameters offered")
+    topics_glob: tuple[str, ...] = setting(("*",), parse=listed, allowed="shell patterns", text="topics offered")
+    services_glob: tuple[str, ...] = setting(("*",), parse=listed, allowed="shell patterns", text="services offered")
+    params_glob: tuple[str, ...] = setting(("*",), parse=listed, allowed="shell patterns", text="parameters offered")
+    origins: tuple[str, ...] = origins_setting()
+    names: tuple[str, ...] = names_setting()
     operate: bool = setting(True, text="true: clients may publish, call services and set parameters; false: only watch")
     call_timeout: float = setting(30.0, low=0.1, high=3600.0, unit="s", text="timeout of a service's response")
 
 
 def warn_of_network(settings: BridgeSettings, name: str) -> None:
     """Log that other machines may connect."""
-    if settings.address not in ("127.0.0.1", "localhost", "::1"):
+    if not is_loopback(settings.address):
         can = "watch and command" if settings.operate else "watch"
         rospy.logwarn(f"{name}: every machine that can reach {settings.address} may {can} this simulation")
+
+
+def guard_of(settings: BridgeSettings, name: str) -> ServerGuard:
+    """Return the check of the clients' requests; refusals are logged. ``name``: of the node."""
+    return ServerGuard(name, settings.address, settings.origins, settings.names, report=rospy.logwarn)
 
 
 def graph_of(settings: BridgeSettings) -> BridgeGraph:

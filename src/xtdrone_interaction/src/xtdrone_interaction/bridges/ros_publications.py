@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from xtdrone_interaction.topics.message_classes import MessageTypeError, installed_class
+from xtdrone_interaction.topics.ros_names import absolute_name
 
 MAX_TOPICS = 200
 """Maximum number of topics published by the clients of a bridge."""
@@ -61,10 +62,10 @@ class Publications:
             latch: whether a later subscriber receives the last message.
 
         Raises:
+            RosNameError: the name is not allowed.
             PublicationError: the topic has another type, the type is unknown, or there are too many topics.
         """
-        if not topic.startswith("/") or any(c.isspace() for c in topic):
-            raise PublicationError(f"topic: {topic!r} is not allowed, an absolute name such as /xtdrone/leader/cmd")
+        topic = absolute_name(topic, "topic")
         with self._lock:
             present = self._topics.get(topic)
             known = present.type if present is not None else self._topic_type(topic)

@@ -8,7 +8,7 @@ from typing import Any
 
 import roslib.message
 
-_NAME = re.compile(r"[A-Za-z]\w*/[A-Za-z]\w*")
+_NAME = re.compile(r"[A-Za-z]\w*/[A-Za-z]\w*", re.ASCII)
 
 
 class ServiceTypeError(ValueError):

@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-import rosgraph.names
 import rospy
 
 from xtdrone_interaction.topics.message_classes import decode, message_class
 from xtdrone_interaction.topics.rates import RateMeter, Throttle
+from xtdrone_interaction.topics.ros_names import absolute_name
 
 BUFFER = 1 << 18  # bytes read from a connection at a time
 QUEUE = 100  # serialised messages of a topic kept while its listeners are busy
@@ -129,9 +129,9 @@ class RawSubscriptions:
             most: messages per s; None for all. Of those that come faster the latest one is passed on.
 
         Raises:
-            ValueError: the name is not allowed.
+            RosNameError: the name is not allowed.
         """
-        name = _resolved(topic)
+        name = str(rospy.resolve_name(absolute_name(topic, "topic")))
         listener = Listener(self, name, callback, most)
         with self._master_lock:
             with self._lock:
@@ -247,17 +247,6 @@ class RawSubscriptions:
                 del self._topics[listener.topic]
             if shared.subscriber is not None:
                 shared.subscriber.unregister()
-
-
-def _resolved(topic: str) -> str:
-    if (
-        not isinstance(topic, str)
-        or not topic.isascii()
-        or not rosgraph.names.is_legal_name(topic)
-        or not topic.strip("/")
-    ):
-        raise ValueError(f"topic: {str(topic)[:100]!r} is not allowed, a name such as /iris_0/mavros/state")
-    return str(rospy.resolve_name(topic))
 
 
 def _raw(topic: str, message: Any, now: float) -> RawMessage:

@@ -14,17 +14,20 @@ import rosgraph
 import rospy
 from tornado.ioloop import IOLoop
 
-from xtdrone_control.programs.node_command_line import check_no_arguments
+from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments
+from xtdrone_interaction.ending import end_within_limit
+from xtdrone_interaction.server_guard import is_loopback
 from xtdrone_interaction.server_port import port_here
 from xtdrone_interaction.web.actions.operator_actions import OperatorActions
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.rooms import methods_of_rooms
-from xtdrone_interaction.web.server.credentials import Credentials, is_loopback
+from xtdrone_interaction.web.server.credentials import TOKEN_ADVICE, Credentials, TokenError, chosen_token
 from xtdrone_interaction.web.server.station_server import Address, StationServer
 from xtdrone_interaction.web.station_settings import DEFAULT_PORT, StationSettings
 
 NAME = "web_station"
 URL_PARAMETER = "~url"
+_TOKEN_PARAMETER = "~token"
 PAGE = Path(__file__).resolve().parents[3] / "web_page"
 _PORTS_TRIED = 20
 
@@ -33,22 +36,23 @@ def main(arguments: Sequence[str]) -> None:
     """Run the node until shutdown.
 
     Raises:
-        ArgumentError: an argument was given.
+        ArgumentError: an argument was given, or a token that is not allowed.
         SettingError: a parameter is not allowed.
     """
     check_no_arguments(arguments)
     rospy.init_node(NAME, disable_signals=True)
-    settings = StationSettings.from_parameters(rospy.get_param)
+    settings, token = _settings_and_token()
     loop = IOLoop.current()
     context = StationContext(rosgraph.get_master_uri(), rospy.get_name())
     actions = OperatorActions(context)
     context.act = actions.carry_out
-    credentials = Credentials.for_host(settings.host, settings.token, settings.view_only)
+    credentials = Credentials.for_host(settings.host, token, settings.view_only)
     server = StationServer(
-        Address(settings.host, port_here(settings.port, DEFAULT_PORT), credentials),
+        Address(settings.host, port_here(settings.port, DEFAULT_PORT), credentials, settings.origins, settings.names),
         PAGE,
         methods_of_rooms(context, settings),
         operate=context.act,
+        report=rospy.logwarn,
         welcome=lambda: {"station": str(actions.station)},
         sessions=context.sessions,
     )
@@ -62,12 +66,30 @@ def main(arguments: Sequence[str]) -> None:
     rospy.on_shutdown(lambda: loop.add_callback(loop.stop))
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: loop.add_callback_from_signal(loop.stop))
+    end_within_limit(NAME)
     try:
         loop.start()
     finally:
         server.stop()
         context.close()
         threading.Thread(target=rospy.signal_shutdown, args=("the station ends",), daemon=True).start()
+
+
+def _settings_and_token() -> tuple[StationSettings, str]:
+    """Return the settings, and the token that the user has chosen.
+
+    Raises:
+        ArgumentError: the token is not allowed, or on the parameter server, where it is deleted.
+        SettingError: a parameter is not allowed.
+    """
+    if rospy.has_param(_TOKEN_PARAMETER):
+        rospy.delete_param(_TOKEN_PARAMETER)
+        raise ArgumentError(TOKEN_ADVICE)
+    settings = StationSettings.from_parameters(rospy.get_param)
+    try:
+        return settings, chosen_token(settings.token_file)
+    except TokenError as error:
+        raise ArgumentError(str(error)) from error
 
 
 def _listen(server: StationServer) -> int:

@@ -5,13 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from xtdrone_control.settings import Settings, setting
+from xtdrone_interaction.server_guard import names_setting, origins_setting
 
 DEFAULT_PORT = 8642
-
-
-def _checked_token(token: str) -> None:
-    if token and (len(token) < 8 or not all(c.isalnum() or c in "-_" for c in token)):
-        raise ValueError("8 or more letters, digits, - and _, or empty")
 
 
 @dataclass(frozen=True)
@@ -31,7 +27,14 @@ class StationSettings(Settings):
         text="TCP port; 0: any free one; if it is in use: the next free one; the default is 540 N higher for "
         "instance N",
     )
-    token: str = setting("", check=_checked_token, metavar="TEXT", text="token to operate; empty: generated if needed")
+    token_file: str = setting(
+        "",
+        metavar="FILE",
+        text="file of mode 600 with the token to operate, in place of the environment variable XTDRONE_WEB_TOKEN; "
+        "without either one is generated if needed",
+    )
+    origins: tuple[str, ...] = origins_setting()
+    names: tuple[str, ...] = names_setting()
     view_only: bool = setting(False, text="pages may only watch, not operate")
     rate: float = setting(
         10.0, low=0.5, high=30.0, unit="Hz", text="frame rate of the fleet in wall time", metavar="HZ"

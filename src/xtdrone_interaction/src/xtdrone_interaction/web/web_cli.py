@@ -6,6 +6,7 @@ Exit status: 0 after Ctrl-C, 1 without a flight, 2 for an invalid value.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
 from dataclasses import fields
@@ -13,6 +14,7 @@ from pathlib import Path
 
 from xtdrone_interaction import command_options
 from xtdrone_interaction.sim_cli import RUNS, SimError, choose_master, master_uri
+from xtdrone_interaction.web.server.credentials import TOKEN_ADVICE
 from xtdrone_interaction.web.station_settings import StationSettings
 
 
@@ -23,6 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "changes no bit of the flight. Ctrl-C ends the page, not the flight."
     )
     StationSettings.add_arguments(parser)
+    parser.add_argument("--token", action=_RefusedToken, help=argparse.SUPPRESS)
     parser.add_argument(
         "--master",
         type=master_uri,
@@ -52,6 +55,13 @@ def run(arguments: argparse.Namespace) -> int:
     os.execve(sys.executable, [sys.executable, str(node), *given], {**os.environ, **environment})
 
 
+class _RefusedToken(argparse.Action):
+    """Refuses a token on the command line."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        parser.error(TOKEN_ADVICE)
+
+
 def _yaml(value: object) -> str:
     """Return a value as rospy reads it on a command line; texts quoted, so that 12345678 stays a text."""
-    return f"'{value}'" if isinstance(value, str) else str(value).lower() if isinstance(value, bool) else str(value)
+    return json.dumps(",".join(value) if isinstance(value, tuple) else value)

@@ -11,11 +11,12 @@ from xtdrone_interaction.bridges.ros_publications import PublicationError, Publi
 from xtdrone_interaction.topics.discovery import MasterError
 from xtdrone_interaction.topics.message_classes import MessageTypeError, decode
 from xtdrone_interaction.topics.message_json import MessageJsonError, from_json
+from xtdrone_interaction.topics.ros_names import RosNameError, absolute_name
 
 ENCODINGS = (ENCODING, "json")
 MAX_MESSAGE = 10_000_000
 """Bytes of a client's message."""
-_ERRORS = (PublicationError, MessageTypeError, MessageJsonError, MasterError)
+_ERRORS = (RosNameError, PublicationError, MessageTypeError, MessageJsonError, MasterError)
 
 
 class _Channel(NamedTuple):
@@ -45,6 +46,7 @@ class ClientTopics:
     def advertise(self, client: int, channel: int, topic: str, encoding: str, type_: str) -> None:
         """Advertise a topic for a client's channel; violations are reported."""
         try:
+            topic = absolute_name(topic, "topic")
             if encoding not in ENCODINGS:
                 raise PublicationError(
                     f"topic: {topic}: encoding {encoding!r} is not allowed, {' or '.join(ENCODINGS)}"

@@ -20,10 +20,12 @@ from xtdrone_interaction.bridges import bridge_settings
 from xtdrone_interaction.bridges.bridge_settings import BridgeSettings
 from xtdrone_interaction.bridges.foxglove.client_topics import ENCODINGS, ClientTopics
 from xtdrone_interaction.bridges.foxglove.connection_graph import to_connection_graph
+from xtdrone_interaction.bridges.foxglove.guarded_port import GuardedPort, hidden_address
 from xtdrone_interaction.bridges.foxglove.parameter_values import ParameterError, RosParameters
 from xtdrone_interaction.bridges.foxglove.service_offers import ServiceOffers
 from xtdrone_interaction.bridges.foxglove.standing_client import StandingClient
 from xtdrone_interaction.bridges.foxglove.topic_channels import TopicChannels
+from xtdrone_interaction.ending import end_within_limit
 from xtdrone_interaction.server_port import port_here
 from xtdrone_interaction.topics.discovery import UNKNOWN_TYPE, MasterError, TopicGraph
 from xtdrone_interaction.topics.raw_subscriptions import RawSubscriptions
@@ -131,8 +133,10 @@ class FoxgloveBridge:
         """Open the port.
 
         Raises:
-            RuntimeError: it cannot be opened.
+            OSError, RuntimeError: it cannot be opened.
         """
+        self._port = GuardedPort(bridge_settings.guard_of(settings, NAME), settings.address, settings.port)
+        self.port = self._port.port
         context = foxglove.Context()
         self._graph = bridge_settings.graph_of(settings)
         self.raw = RawSubscriptions()
@@ -147,16 +151,16 @@ class FoxgloveBridge:
             capabilities += [Capability.Services, Capability.ClientPublish]
         self._server = foxglove.start_server(
             name="XTDrone",
-            host=settings.address,
-            port=settings.port,
+            host=(address := hidden_address()),
+            port=0,
             capabilities=capabilities,
             supported_encodings=list(ENCODINGS),
             server_listener=self._listener,
             context=context,
             message_backlog_size=settings.send_buffer_limit,
         )
-        self.port = self._server.port
-        self._standing = self._listener.standing = StandingClient(settings.address, self.port)
+        self._standing = self._listener.standing = StandingClient(address, self._server.port)
+        self._port.serve(address, self._server.port)
         services = bridge_settings.services_of(settings)
         self._is_offered = services.is_offered
         self._services = None
@@ -219,6 +223,7 @@ class FoxgloveBridge:
     def close(self) -> None:
         """Close the port and end the subscriptions."""
         self.raw.close()
+        self._port.close()
         self._standing.close()
         self._server.stop()
 
@@ -251,6 +256,7 @@ def main(arguments: Sequence[str]) -> None:
     """
     check_no_arguments(arguments)
     rospy.init_node(NAME)
+    end_within_limit(NAME)
     settings = FoxgloveSettings.from_parameters(rospy.get_param)
     settings = replace(settings, port=port_here(settings.port, PORT))
     bridge_settings.warn_of_network(settings, NAME)

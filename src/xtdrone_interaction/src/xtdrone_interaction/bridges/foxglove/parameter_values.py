@@ -9,6 +9,9 @@ from typing import Any
 
 from foxglove import Parameter
 
+from xtdrone_interaction.parameter_secrets import is_secret, without_secrets
+from xtdrone_interaction.topics.ros_names import RosNameError, absolute_name
+
 _MAX = 5000  # parameters sent at a time
 _MAX_INTEGER = 1 << 31  # of the parameter server's XML-RPC
 
@@ -67,7 +70,7 @@ class RosParameters:
 
     def get(self, names: Sequence[str]) -> list[Parameter]:
         """Return the named parameters, all without names; parameters that are not set are skipped."""
-        values = flat(self._master().getParam("/"))
+        values = flat(without_secrets(self._master().getParam("/")))
         chosen: Iterable[str] = names or sorted(values)
         found = (to_parameter(n, values[n]) for n in chosen if n in values and self._is_open(n))
         return [parameter for parameter in found if parameter is not None][:_MAX]
@@ -92,10 +95,14 @@ class RosParameters:
     def _check(self, name: str, value: Any) -> None:
         if not self._operate:
             raise ParameterError(f"parameter: {name} is not set: this bridge is read-only, see its parameter operate")
+        try:
+            absolute_name(name, "parameter")
+        except RosNameError as error:
+            raise ParameterError(str(error)) from error
         if not (name.startswith("/") and self._is_open(name)):
-            raise ParameterError(f"parameter: {name!r} is not allowed, {', '.join(self._patterns)}")
+            raise ParameterError(f"parameter: {name!r} is not allowed, {', '.join(self._patterns)}, without tokens")
         if type(value) is int and not -_MAX_INTEGER <= value < _MAX_INTEGER:
             raise ParameterError(f"parameter: {name}: {value} is not allowed, 32 bits")
 
     def _is_open(self, name: str) -> bool:
-        return any(fnmatch.fnmatchcase(name, pattern) for pattern in self._patterns)
+        return not is_secret(name) and any(fnmatch.fnmatchcase(name, pattern) for pattern in self._patterns)

@@ -26,7 +26,6 @@ _LONGEST = 1 << 30  # bytes of a frame
 _CONNECT_LIMIT = 10.0  # s
 _PATIENCE = 0.02  # s that a call waits for an answer, which comes within a millisecond on an idle machine
 _RETRY = 1.0  # s between two connections
-_EVERY_ADDRESS = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}
 
 
 class StandingClient:
@@ -43,9 +42,8 @@ class StandingClient:
             address: on which the server listens.
             port: TCP port.
         """
-        host = _EVERY_ADDRESS.get(address, f"[{address}]" if ":" in address else address)
         self.stands = False
-        self._url = f"ws://{host}:{port}"
+        self._url = f"ws://{address}:{port}"
         self._secret = secrets.token_hex(16)  # no other client can pass its parameters off as the bridge's
         self._told: dict[str, list[Parameter]] = {}
         self._awaited = ""  # request whose answer has not been used

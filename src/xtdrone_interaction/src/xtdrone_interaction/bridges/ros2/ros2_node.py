@@ -19,7 +19,7 @@ from cyclonedds.sub import DataReader
 from xtdrone_control.programs.node_command_line import check_no_arguments
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_interaction.bridges.bridge_graph import BridgeGraph
-from xtdrone_interaction.bridges.bridge_settings import patterns, publications_of
+from xtdrone_interaction.bridges.bridge_settings import publications_of
 from xtdrone_interaction.bridges.ros2.dds_participant import (
     Participant,
     Published,
@@ -31,10 +31,13 @@ from xtdrone_interaction.bridges.ros2.dds_participant import (
 )
 from xtdrone_interaction.bridges.ros2.message_conversion import ConversionError, Converter, converter
 from xtdrone_interaction.bridges.ros_publications import PublicationError
+from xtdrone_interaction.ending import end_within_limit
+from xtdrone_interaction.server_guard import listed
 from xtdrone_interaction.server_port import instance_here
 from xtdrone_interaction.topics.discovery import UNKNOWN_TYPE, MasterError, TopicGraph
 from xtdrone_interaction.topics.message_classes import MessageTypeError, decode, installed_class
 from xtdrone_interaction.topics.raw_subscriptions import Listener, RawMessage, RawSubscriptions
+from xtdrone_interaction.topics.ros_names import RosNameError
 
 NAME = "ros2_bridge"
 _PERIOD = 1.0  # s between two reads of both graphs
@@ -69,10 +72,10 @@ class Ros2Settings(Settings):
         text="network interface; lo: this machine only; auto: chosen by CYCLONEDDS_URI or cyclonedds",
     )
     to_ros2: tuple[str, ...] = setting(
-        ("*",), parse=patterns, allowed="shell patterns", text="topics of standard types bridged to ROS 2"
+        ("*",), parse=listed, allowed="shell patterns", text="topics of standard types bridged to ROS 2"
     )
     from_ros2: tuple[str, ...] = setting(
-        _COMMANDS, parse=patterns, allowed="shell patterns", text="topics bridged from ROS 2; none: read-only"
+        _COMMANDS, parse=listed, allowed="shell patterns", text="topics bridged from ROS 2; none: read-only"
     )
 
 
@@ -201,9 +204,9 @@ class Ros2Bridge:
             made = converter(topic.type, kind._md5sum)
             self._publications.advertise(NAME, topic.topic, topic.type)
             self._received[topic] = _Received(made, kind, self._participant.reader(topic.topic, made.name))
-        except (ConversionError, MessageTypeError, PublicationError, MasterError, DDSException) as error:
+        except (RosNameError, ConversionError, MessageTypeError, PublicationError, MasterError, DDSException) as error:
             self._refused.add((topic.topic, topic.type))
-            rospy.logwarn(f"{NAME}: {topic.topic} is not bridged from ROS 2: {error}")
+            rospy.logwarn(f"{NAME}: {topic.topic!r} is not bridged from ROS 2: {error}")
 
     def _take(self, topic: str, received: _Received) -> None:
         for cdr in take(received.reader):
@@ -230,6 +233,7 @@ def main(arguments: Sequence[str]) -> None:
     """
     check_no_arguments(arguments)
     rospy.init_node(NAME)
+    end_within_limit(NAME)
     settings = Ros2Settings.from_parameters(rospy.get_param)
     try:
         bridge = Ros2Bridge(settings)

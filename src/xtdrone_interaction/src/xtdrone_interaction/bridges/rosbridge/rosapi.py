@@ -16,8 +16,10 @@ import genpy
 
 from xtdrone_interaction.bridges.ros_types import ServiceTypeError, service_class
 from xtdrone_interaction.bridges.rosbridge.protocol.operations import shown
+from xtdrone_interaction.parameter_secrets import is_secret, without_secrets
 from xtdrone_interaction.topics.discovery import UNKNOWN_TYPE, Topic, TopicGraph
 from xtdrone_interaction.topics.message_classes import MessageTypeError, class_of_field, installed_class
+from xtdrone_interaction.topics.ros_names import RosNameError, absolute_name
 
 PREFIX = "/rosapi/"
 _EXAMPLES = {"bool": "False", "string": "", "float32": "0.0", "float64": "0.0", "time": "0", "duration": "0"}
@@ -84,13 +86,13 @@ class Rosapi:
             "topics": self._topics,
             "topics_and_raw_types": self._topics_and_raw_types,
             "topics_for_type": lambda a: {"topics": _with_type(self._types(), _text(a, "type"))},
-            "topic_type": lambda a: {"type": self._types().get(_text(a, "topic"), "")},
+            "topic_type": lambda a: {"type": self._types().get(_name(a, "topic"), "")},
             "publishers": lambda a: {"publishers": list(self._topic(a).publishers)},
             "subscribers": lambda a: {"subscribers": list(self._topic(a).subscribers)},
             "services": lambda _: {"services": sorted(self._graph().services)},
             "services_for_type": self._services_for_type,
-            "service_type": lambda a: {"type": self._service_type(_text(a, "service"))},
-            "service_node": lambda a: {"node": next(iter(self._graph().services.get(_text(a, "service"), ())), "")},
+            "service_type": lambda a: {"type": self._service_type(_name(a, "service"))},
+            "service_node": lambda a: {"node": next(iter(self._graph().services.get(_name(a, "service"), ())), "")},
             "service_providers": self._service_providers,
             "nodes": lambda _: {"nodes": self._graph().nodes},
             "node_details": self._node_details,
@@ -100,7 +102,7 @@ class Rosapi:
             "set_param": self._set_param,
             "has_param": lambda a: {"exists": self._parameters.hasParam(self._param(a))},
             "delete_param": self._delete_param,
-            "search_param": lambda a: {"global_name": self._parameters.searchParam(_text(a, "name")) or ""},
+            "search_param": self._search_param,
             "get_time": lambda _: {"time": dict(zip(("secs", "nsecs"), self._now(), strict=True))},
             "message_details": lambda a: {"typedefs": type_definitions(_message(_text(a, "type")))},
             "service_request_details": lambda a: {"typedefs": type_definitions(_service(a)._request_class)},
@@ -120,6 +122,7 @@ class Rosapi:
             arguments: fields of the request.
 
         Raises:
+            RosNameError: a name in the arguments is not allowed.
             RosapiError: an unknown service, arguments that are not allowed, or a parameter server that rejects them.
         """
         name = service.removeprefix(PREFIX)
@@ -130,7 +133,7 @@ class Rosapi:
             raise RosapiError(f"{service}: this bridge is read-only, see its parameter operate")
         try:
             return function(arguments)
-        except RosapiError:
+        except (RosapiError, RosNameError):
             raise
         except Exception as error:  # rosgraph.MasterError, or any error of a broken XML-RPC exchange
             raise RosapiError(f"{service}: {error}") from error
@@ -141,7 +144,7 @@ class Rosapi:
         return {topic.name: "" if topic.type == UNKNOWN_TYPE else topic.type for topic in topics}
 
     def _topic(self, arguments: Fields) -> Topic:
-        name = _text(arguments, "topic")
+        name = _name(arguments, "topic")
         return self._graph().topics.get(name, Topic(name, UNKNOWN_TYPE))
 
     def _topics(self, _: Fields) -> Fields:
@@ -161,11 +164,11 @@ class Rosapi:
         return {"services": [name for name in sorted(self._graph().services) if self._service_type(name) == wanted]}
 
     def _service_providers(self, arguments: Fields) -> Fields:
-        nodes = self._graph().services.get(_text(arguments, "service"), ())
+        nodes = self._graph().services.get(_name(arguments, "service"), ())
         return {"providers": list(nodes)}
 
     def _node_details(self, arguments: Fields) -> Fields:
-        node, graph = _text(arguments, "node"), self._graph()
+        node, graph = _name(arguments, "node"), self._graph()
         return {
             "publishing": [topic.name for topic in graph.topics.values() if node in topic.publishers],
             "subscribing": [topic.name for topic in graph.topics.values() if node in topic.subscribers],
@@ -178,10 +181,10 @@ class Rosapi:
         return [name.removesuffix("/goal") for name, t in types if name.endswith("/goal") and t.endswith("ActionGoal")]
 
     def _get_param(self, arguments: Fields) -> Fields:
-        name = self._param(arguments)
+        name = "/" if arguments.get("name") == "/" and self._is_open("/") else self._param(arguments)
         if not self._parameters.hasParam(name):
             return {"value": str(arguments.get("default", ""))}
-        return {"value": json.dumps(self._parameters.getParam(name), default=str)}
+        return {"value": json.dumps(without_secrets(self._parameters.getParam(name)), default=str)}
 
     def _set_param(self, arguments: Fields) -> Fields:
         name, text = self._param(arguments), _text(arguments, "value")
@@ -196,14 +199,19 @@ class Rosapi:
         self._parameters.deleteParam(self._param(arguments))
         return {}
 
+    def _search_param(self, arguments: Fields) -> Fields:
+        absolute_name(arguments.get("name"), "name")
+        found = self._parameters.searchParam(arguments["name"]) or ""
+        return {"global_name": found if self._is_open(found) else ""}
+
     def _param(self, arguments: Fields) -> str:
-        name = _text(arguments, "name")
+        name = absolute_name(arguments.get("name"), "name")
         if not self._is_open(name):
-            raise RosapiError(f"name: {name!r} is not allowed, {', '.join(self._params)}")
+            raise RosapiError(f"name: {name!r} is not allowed, {', '.join(self._params)}, without tokens")
         return name
 
     def _is_open(self, name: str) -> bool:
-        return any(fnmatch.fnmatchcase(name, pattern) for pattern in self._params)
+        return not is_secret(name) and any(fnmatch.fnmatchcase(name, pattern) for pattern in self._params)
 
 
 def type_definitions(kind: Any) -> list[Fields]:
@@ -266,6 +274,10 @@ def _text(arguments: Fields, name: str) -> str:
     if not isinstance(value, str) or not value:
         raise RosapiError(f"{name}: {shown(value)} is not allowed, text")
     return value
+
+
+def _name(arguments: Fields, name: str) -> str:
+    return absolute_name(arguments.get(name), name)
 
 
 def _with_type(types: Mapping[str, str], wanted: str) -> list[str]:

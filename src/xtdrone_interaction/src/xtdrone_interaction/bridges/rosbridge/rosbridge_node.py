@@ -14,11 +14,12 @@ import rospy
 from xtdrone_control.programs.node_command_line import check_no_arguments
 from xtdrone_control.settings import setting
 from xtdrone_interaction.bridges import bridge_settings
-from xtdrone_interaction.bridges.bridge_settings import BridgeSettings, patterns
+from xtdrone_interaction.bridges.bridge_settings import BridgeSettings
 from xtdrone_interaction.bridges.rosbridge.clients.session import Bridge
 from xtdrone_interaction.bridges.rosbridge.clients.subscriptions import Encoder
 from xtdrone_interaction.bridges.rosbridge.rosapi import Rosapi
 from xtdrone_interaction.bridges.rosbridge.websocket_server import WebSocketServer
+from xtdrone_interaction.ending import end_within_limit
 from xtdrone_interaction.server_port import port_here
 from xtdrone_interaction.topics.raw_subscriptions import RawSubscriptions
 
@@ -44,12 +45,6 @@ class RosbridgeSettings(BridgeSettings):
         high=1_000_000_000,
         unit="bytes",
         text="maximum frame size; a larger frame closes the connection",
-    )
-    origins: tuple[str, ...] = setting(
-        (),
-        parse=patterns,
-        allowed="origins such as http://10.0.0.2:8000, null for pages opened as files, or *",
-        text="web pages that may connect, in addition to those served by this machine",
     )
 
 
@@ -84,7 +79,7 @@ def _bridge(settings: RosbridgeSettings) -> Bridge:
 
 async def _serve(settings: RosbridgeSettings) -> None:
     bridge = _bridge(settings)
-    server = WebSocketServer(bridge, settings.max_message_size, settings.origins)
+    server = WebSocketServer(bridge, settings.max_message_size, bridge_settings.guard_of(settings, NAME))
     port = server.listen(settings.port, settings.address)
     rospy.set_param("~actual_port", port)
     rospy.loginfo(f"{NAME}: ws://{settings.address}:{port}")
@@ -104,6 +99,7 @@ def main(arguments: Sequence[str]) -> None:
     """
     check_no_arguments(arguments)
     rospy.init_node(NAME)
+    end_within_limit(NAME)
     settings = RosbridgeSettings.from_parameters(rospy.get_param)
     settings = replace(settings, port=port_here(settings.port, PORT))
     bridge_settings.warn_of_network(settings, NAME)

@@ -1,14 +1,13 @@
-"""The WebSocket server of rosbridge's protocol: connections, their limits, and allowed origins."""
+"""The WebSocket server of rosbridge's protocol: connections and their limits."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
-from urllib.parse import urlparse
 
 import tornado.httpserver
 import tornado.netutil
@@ -16,9 +15,9 @@ import tornado.web
 import tornado.websocket
 
 from xtdrone_interaction.bridges.rosbridge.clients.session import Bridge, Session
+from xtdrone_interaction.server_guard import ServerGuard
 
 MAX_CLIENTS = 100
-_LOCAL = ("localhost", "127.0.0.1", "::1")
 _ROOM = 1_000_000  # bytes sent but not yet received, above which messages are queued
 _MOST_UNTAKEN = 32_000_000  # bytes; the connection of a client that lags further is closed
 _PING = 10.0  # s between pings; a client that does not answer is disconnected
@@ -30,16 +29,16 @@ _POLICY = 1008
 class WebSocketServer:
     """Serves the sessions of clients on one port, in an asyncio loop."""
 
-    def __init__(self, bridge: Bridge, max_message_size: int, origins: Sequence[str]) -> None:
+    def __init__(self, bridge: Bridge, max_message_size: int, guard: ServerGuard) -> None:
         """Initialise; ``listen`` opens the port.
 
         Args:
             bridge: resources shared by the sessions.
             max_message_size: maximum bytes of a client's frame.
-            origins: of pages that may connect, in addition to those of this machine; ``*`` for all.
+            guard: rules for the clients' requests.
         """
         self.bridge = bridge
-        self.origins = tuple(origins)
+        self.guard = guard
         self.clients: set[_Handler] = set()
         self.thread = 0  # identifier of the loop's
         self.workers = ThreadPoolExecutor(_WORKERS, "rosbridge")
@@ -69,10 +68,6 @@ class WebSocketServer:
         await self._server.close_all_connections()
         self.workers.shutdown(wait=False, cancel_futures=True)
 
-    def allows(self, origin: str) -> bool:
-        """Return whether a page of this origin may connect; programs other than browsers send none."""
-        return "*" in self.origins or origin in self.origins or urlparse(origin).hostname in _LOCAL
-
 
 class _Handler(tornado.websocket.WebSocketHandler):
     """The connection to one client; a ``Connection`` of its session."""
@@ -83,8 +78,12 @@ class _Handler(tornado.websocket.WebSocketHandler):
         self._session: Session | None = None
         self._loop = asyncio.get_running_loop()
 
+    def prepare(self) -> None:
+        if self._server.guard.refusal(self.request.headers):
+            raise tornado.web.HTTPError(403)
+
     def check_origin(self, origin: str) -> bool:
-        return self._server.allows(origin)
+        return True  # checked with the host, by ``prepare``: tornado asks here for some origins only
 
     def select_subprotocol(self, subprotocols: list[str]) -> str | None:
         return subprotocols[0] if subprotocols else None

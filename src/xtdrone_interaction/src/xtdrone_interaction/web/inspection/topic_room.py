@@ -11,6 +11,7 @@ from xtdrone_interaction.topics.field_paths import fields_of
 from xtdrone_interaction.topics.message_classes import MessageTypeError, installed_class
 from xtdrone_interaction.topics.message_json import from_json, to_json
 from xtdrone_interaction.topics.raw_subscriptions import RawMessage, RawSubscriptions
+from xtdrone_interaction.topics.ros_names import absolute_name
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.inspection.page_subscriptions import PageSubscriptions
 from xtdrone_interaction.web.server.methods import CallError, Method, Params, needed
@@ -63,6 +64,7 @@ class TopicRoom:
             CallError: there is no such topic, or no node has named its type.
             MessageTypeError: its definition is not valid.
         """
+        topic = absolute_name(topic, "topic")
         found = (await self.graph()).topics.get(topic, Topic(topic, UNKNOWN_TYPE))
         if found.type == UNKNOWN_TYPE:
             raise CallError(f"topic: {topic[:100]!r} is not there, or no node has named its type")
@@ -129,7 +131,7 @@ class TopicRoom:
         }
 
     async def _publish(self, _session: Session, params: Params) -> dict[str, Any]:
-        topic = needed(params, "topic", str, "a topic's name")
+        topic = absolute_name(params.get("topic"), "topic")
         kind = await self._context.blocking(installed_class, needed(params, "type", str, "a type as std_msgs/String"))
         message = from_json(kind, params.get("message", {}))
         registered = (await self.graph()).topics.get(topic)

@@ -15,7 +15,9 @@ from mavros_msgs.srv import ParamPull, ParamPullRequest, ParamSet, ParamSetReque
 from xtdrone_control.autopilot.parameters.metadata import parameter_definitions
 from xtdrone_control.autopilot.parameters.parameters import NAMES, Parameters
 from xtdrone_interaction import command_options
+from xtdrone_interaction.parameter_secrets import is_secret, without_secrets
 from xtdrone_interaction.sim_cli import SimError, call
+from xtdrone_interaction.topics.ros_names import absolute_name
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.parameters.declared_settings import Tables, declared_for, read_declared
 from xtdrone_interaction.web.server.methods import CallError, Method, Params, needed
@@ -49,15 +51,15 @@ class ParameterRoom:
 
     async def _ros(self, _session: Session, _params: Params) -> dict[str, Any]:
         tree = await self._context.blocking(self._call, self._master.getParam, "/")
-        flat = {name: value for name, value in flattened(tree).items() if f"/{_MIRROR}/" not in name}
+        flat = {name: value for name, value in flattened(without_secrets(tree)).items() if f"/{_MIRROR}/" not in name}
         tables = _tables()
         about = {name: vars(found) for name in flat if (found := declared_for(tables, name)) is not None}
         return {"values": dict(sorted(flat.items())), "declared": about}
 
     async def _set_ros(self, _session: Session, params: Params) -> None:
-        name = needed(params, "name", str, "a parameter's name such as /simulator/speed")
-        if not name.isascii() or not rosgraph.names.is_legal_name(name) or not name.startswith("/") or name == "/":
-            raise CallError(f"name: {name[:100]!r} is not allowed, a name such as /simulator/speed")
+        name = absolute_name(needed(params, "name", str, "a parameter's name such as /simulator/speed"), "name")
+        if is_secret(name):
+            raise CallError(f"name: {name!r} is not allowed, a parameter that is no token")
         value = params.get("value")
         check_ros_value(name, value)
         await self._context.blocking(self._call, self._master.setParam, name, value)

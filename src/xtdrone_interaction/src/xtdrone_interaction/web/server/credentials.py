@@ -1,27 +1,77 @@
-"""Access control: tokens and the roles that they grant, hosts and origins."""
+"""Access control: tokens and the roles that they grant."""
 
 from __future__ import annotations
 
+import ctypes
 import hmac
-import ipaddress
+import os
 import secrets
+import stat
 from dataclasses import dataclass
-from urllib.parse import urlparse
 
+from xtdrone_interaction.server_guard import is_loopback
 from xtdrone_interaction.web.server.roles import Role
 
-_LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
+TOKEN_VARIABLE = "XTDRONE_WEB_TOKEN"
+TOKEN_ADVICE = (
+    f"token: a token on a command line or the parameter server is not allowed, as others can read it there; put it "
+    f"into the environment variable {TOKEN_VARIABLE}, or into a file of mode 600 named by token_file"
+)
 _TOKEN_BYTES = 18
+_LEAST = 8  # characters of a chosen token
+_MOST = 1000  # bytes of a file with a token
+_libc = ctypes.CDLL(None)
+_libc.getenv.restype = ctypes.c_void_p
 
 
-def is_loopback(host: str) -> bool:
-    """Whether a listening address is this machine's own only."""
-    if host == "localhost":
-        return True
+class TokenError(ValueError):
+    """A token that cannot be used; the message does not contain it."""
+
+
+def chosen_token(file: str) -> str:
+    """Return the token that the user has chosen, empty if there is none; the variable is erased.
+
+    Args:
+        file: with the token; empty: that of the environment variable ``TOKEN_VARIABLE``.
+
+    Raises:
+        TokenError: the file is not allowed, both are given, or the token is not allowed.
+    """
+    token = take_variable(TOKEN_VARIABLE)
+    if file:
+        if token:
+            raise TokenError(f"token_file: {file!r} is not allowed together with {TOKEN_VARIABLE}")
+        token = _token_in(file)
+    if (token or file) and not (
+        len(token) >= _LEAST and all(c.isascii() and (c.isalnum() or c in "-_") for c in token)
+    ):
+        raise TokenError(
+            f"{'token_file' if file else TOKEN_VARIABLE}: its token is not allowed, {_LEAST} or more "
+            "letters, digits, - and _"
+        )
+    return token
+
+
+def take_variable(name: str) -> str:
+    """Return an environment variable, and erase it for this process, its children and readers of its environment."""
+    value = os.environ.get(name, "")
+    place = _libc.getenv(name.encode())
+    if place:  # where /proc/PID/environ is read: unsetenv leaves it
+        ctypes.memset(place, 0, len(ctypes.string_at(place)))
+    os.environ.pop(name, None)
+    return value
+
+
+def _token_in(file: str) -> str:
     try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
+        with open(file, "rb", opener=lambda path, flags: os.open(path, flags | os.O_NONBLOCK)) as opened:
+            status = os.fstat(opened.fileno())
+            if not stat.S_ISREG(status.st_mode) or status.st_mode & 0o077 or status.st_uid not in (0, os.geteuid()):
+                mode = stat.filemode(status.st_mode)
+                raise TokenError(f"token_file: {file!r} ({mode}) is not allowed, a file of yours of mode 600")
+            return opened.read(_MOST).decode("ascii", "replace").strip()
+    except OSError as error:
+        raise TokenError(f"token_file: {file!r} is not allowed, a readable file: {error.strerror}") from error
 
 
 @dataclass(frozen=True)
@@ -64,30 +114,3 @@ class Credentials:
     @staticmethod
     def _matches(given: str, kept: str) -> bool:
         return hmac.compare_digest(given.encode(), kept.encode())
-
-
-def is_own_origin(origin: str | None, host_header: str, listening: str) -> bool:
-    """Whether a WebSocket comes from a page of this server, or from a program, which sends no origin.
-
-    A page of another server may send requests to this one from a user's browser, also by a name that it lets point to
-    this machine. So the origin must be the host of the request, and on loopback one of the names of loopback.
-
-    Args:
-        origin: header of the request.
-        host_header: the header Host of the request, with the port.
-        listening: the server's listening address.
-    """
-    if not is_own_host(host_header, listening):
-        return False
-    if origin is None:
-        return True
-    try:
-        return urlparse(origin).netloc.lower() == host_header.lower()
-    except ValueError:
-        return False
-
-
-def is_own_host(host_header: str, listening: str) -> bool:
-    """Whether a request names this server as browsers do that were given its URL."""
-    name = host_header.rpartition(":")[0] if ":" in host_header.rpartition("]")[2] else host_header
-    return not is_loopback(listening) or name.lower() in _LOOPBACK_NAMES

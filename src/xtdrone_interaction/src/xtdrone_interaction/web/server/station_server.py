@@ -23,7 +23,8 @@ from tornado.netutil import bind_sockets
 from tornado.web import Application, HTTPError, RequestHandler, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
-from xtdrone_interaction.web.server.credentials import Credentials, is_loopback, is_own_host, is_own_origin
+from xtdrone_interaction.server_guard import ServerGuard, is_loopback
+from xtdrone_interaction.web.server.credentials import Credentials
 from xtdrone_interaction.web.server.methods import CallError, Method, MethodTable, Params, checked_params, invoke
 from xtdrone_interaction.web.server.session import Session
 
@@ -47,11 +48,13 @@ log = logging.getLogger("xtdrone.web")
 
 @dataclass(frozen=True)
 class Address:
-    """Listening address and access tokens of the station."""
+    """Listening address and access of the station: tokens, further web pages, and further names of this machine."""
 
     host: str
     port: int
     credentials: Credentials
+    origins: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
 
     def urls(self, port: int) -> dict[str, str]:
         """Return the URLs to open, by role; the token is in the fragment, which browsers do not send."""
@@ -81,6 +84,7 @@ class StationServer:
         page: folder of the page's files.
         methods: of all rooms.
         operate: carries out a call of the role ``operate`` and returns its result.
+        report: logs a refused request.
         welcome: what ``hello`` answers beside the role.
         sessions: the connected pages, after their ``hello``, in order.
     """
@@ -90,6 +94,7 @@ class StationServer:
     methods: Iterable[Method]
     operate: Callable[[Method, Session, Params], Awaitable[Any]] = invoke
     on_connect: Callable[[Session], None] = lambda *_: None
+    report: Callable[[str], None] = log.warning
     welcome: Callable[[], dict[str, Any]] = dict
     sessions: dict[int, Session] = field(default_factory=dict)
 
@@ -103,6 +108,10 @@ class StationServer:
         self.loop = IOLoop.current()
         self.connections = 0
         self.open_sockets = 0
+        place = self.address
+        self.guard = ServerGuard(
+            "web_station", place.host, place.origins, place.names, own_page_only=True, report=self.report
+        )
         application = Application(
             routes(self),
             websocket_max_message_size=MOST_MESSAGE,
@@ -149,7 +158,7 @@ class _PageFile(StaticFileHandler):
             self.set_header(name, value)
 
     def prepare(self) -> None:
-        if not is_own_host(self.request.host, self._server.address.host):
+        if self._server.guard.refusal(self.request.headers):
             raise HTTPError(403)
 
     def validate_absolute_path(self, root: str, absolute_path: str) -> str | None:
@@ -177,11 +186,11 @@ class _PageSocket(WebSocketHandler):
         self._counted = False
 
     def check_origin(self, origin: str) -> bool:
-        return is_own_origin(origin, self.request.host, self._server.address.host)
+        return True  # checked with the host, by ``prepare``: tornado asks here for some origins only
 
     def prepare(self) -> None:
-        """Refuse hosts that are not this server's, also of programs, which send no origin."""
-        if not is_own_host(self.request.host, self._server.address.host):
+        """Refuse other servers' pages, and requests under a name that is not this server's."""
+        if self._server.guard.refusal(self.request.headers):
             raise HTTPError(403)
         if self._server.open_sockets >= MOST_SESSIONS:
             raise HTTPError(503)

@@ -23,7 +23,7 @@ from xtdrone_interaction.web.server.session import Session
 from xtdrone_interaction.web.steering.page_pilot import PagePilot
 
 MODES = ("vel", "accel")
-_NAME = re.compile(r"^[A-Za-z]\w*$", re.ASCII)
+_NAME = re.compile(r"[A-Za-z]\w*", re.ASCII)
 _TEXT = re.compile(r"^[ -~]{1,200}$", re.ASCII)
 _LIMITS = (MAX_SPEED, MAX_SPEED, MAX_SPEED, MAX_TURN)
 _MOST_VEHICLES = 250
@@ -196,7 +196,7 @@ def _steered(params: Params, known: Sequence[str]) -> tuple[list[str], str]:
     """
     vehicles = needed(params, "vehicles", list, "a list of vehicles")
     for name in vehicles:
-        if not isinstance(name, str) or not _NAME.match(name) or (known and name not in known):
+        if not isinstance(name, str) or not _NAME.fullmatch(name) or (known and name not in known):
             raise CallError(f"vehicles: {str(name)[:60]!r} is not allowed, one of {', '.join(known) or 'the fleet'}")
     if len(vehicles) > _MOST_VEHICLES:
         raise CallError(f"vehicles: {len(vehicles)} are not allowed, at most {_MOST_VEHICLES}")

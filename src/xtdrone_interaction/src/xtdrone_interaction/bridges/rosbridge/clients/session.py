@@ -23,6 +23,7 @@ from xtdrone_interaction.topics.discovery import MasterError
 from xtdrone_interaction.topics.message_classes import MessageTypeError
 from xtdrone_interaction.topics.message_json import MessageJsonError, NotFinite, from_json, to_json
 from xtdrone_interaction.topics.raw_subscriptions import RawSubscriptions
+from xtdrone_interaction.topics.ros_names import RosNameError, absolute_name
 
 MAX_CALLS = 20
 """Maximum number of pending service calls of one client."""
@@ -30,6 +31,7 @@ _OPERATE = {"advertise", "publish", "call_service", "advertise_service"}
 """Operations that require permission to operate."""
 _REFUSALS = (
     OperationError,
+    RosNameError,
     PublicationError,
     SubscriptionError,
     ClientServiceError,
@@ -37,6 +39,14 @@ _REFUSALS = (
     MessageTypeError,
     ServiceTypeError,
     MasterError,
+)
+_CALL_REFUSALS = (
+    RosNameError,
+    ServiceError,
+    ServiceTypeError,
+    MessageJsonError,
+    rosapi.RosapiError,
+    OperationError,
 )
 
 
@@ -86,13 +96,13 @@ class Session:
         self._services = ClientServices(bridge.serve, self._send, bridge.call_limit)
         self._handlers: Mapping[str, Callable[[Operation], None]] = {
             "subscribe": self._subscribe,
-            "unsubscribe": lambda op: self.subscriptions.unsubscribe(_absolute(op["topic"]), op.id),
+            "unsubscribe": lambda op: self.subscriptions.unsubscribe(absolute_name(op["topic"], "topic"), op.id),
             "advertise": self._advertise,
-            "unadvertise": lambda op: bridge.publications.unadvertise(self, _absolute(op["topic"])),
+            "unadvertise": lambda op: bridge.publications.unadvertise(self, absolute_name(op["topic"], "topic")),
             "publish": self._publish,
             "call_service": self._call_service,
             "advertise_service": self._advertise_service,
-            "unadvertise_service": lambda op: self._services.unadvertise(_absolute(op["service"])),
+            "unadvertise_service": lambda op: self._services.unadvertise(absolute_name(op["service"], "service")),
             "service_response": lambda op: self._services.answer(op.id, op["values"], op["result"]),
             "set_level": self._set_level,
         }
@@ -146,7 +156,7 @@ class Session:
             self.status("warning", f"topic: {topic} is not published yet", operation.id)
 
     def _open_topic(self, operation: Operation) -> str:
-        topic = _absolute(operation["topic"])
+        topic = absolute_name(operation["topic"], "topic")
         if not self._bridge.graph.is_open(topic):
             raise OperationError(f"topic: {topic} is not offered by this bridge, see its parameter topics_glob")
         return topic
@@ -161,7 +171,7 @@ class Session:
         self._bridge.publications.publish(topic, from_json(kind, operation["msg"]))
 
     def _advertise_service(self, operation: Operation) -> None:
-        name = _absolute(operation["service"])
+        name = absolute_name(operation["service"], "service")
         if name in self._bridge.graph.read().services or name.startswith(rosapi.PREFIX):
             raise ClientServiceError(f"service: {name} is not allowed, a node offers it already")
         self._services.advertise(name, _short(operation["type"]))
@@ -175,17 +185,17 @@ class Session:
 
     def _call(self, operation: Operation) -> None:
         """Call a service and answer the client; runs in its own thread."""
-        name = _absolute(operation["service"])
         try:
+            name = absolute_name(operation["service"], "service")
             if name.startswith(rosapi.PREFIX):
                 values = self._bridge.rosapi.call(name, _fields(operation["args"], ()))
             else:
                 values = self._called(name, operation)
             self._answer(operation, values, True)
-        except (ServiceError, ServiceTypeError, MessageJsonError, rosapi.RosapiError, OperationError) as error:
+        except _CALL_REFUSALS as error:
             self._answer(operation, str(error), False)
         except Exception as error:  # the response does not match its type, or the master is gone
-            self._answer(operation, f"{name}: {error}", False)
+            self._answer(operation, f"{operation['service']}: {error}", False)
         finally:
             self._waiting_calls -= 1
 
@@ -213,12 +223,7 @@ class Session:
 
 
 def _is_rosapi(operation: Operation) -> bool:
-    return operation.op == "call_service" and _absolute(operation["service"]).startswith(rosapi.PREFIX)
-
-
-def _absolute(name: str) -> str:
-    """Return the resolved name of a topic or service; rosbridge clients may omit the leading slash."""
-    return f"/{name.strip('/')}"
+    return operation.op == "call_service" and f"/{operation['service'].strip('/')}".startswith(rosapi.PREFIX)
 
 
 def _short(type_: str) -> str:
