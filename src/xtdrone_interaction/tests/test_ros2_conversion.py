@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import io
+import time
+from collections.abc import Callable
 from typing import Any
 
 import genpy
@@ -12,8 +15,12 @@ from random_messages import random_message
 
 pytest.importorskip("rospy")
 
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.pub import DataWriter
+from cyclonedds.topic import Topic
+
 from xtdrone_interaction.bridges.ros2 import dds_types
-from xtdrone_interaction.bridges.ros2.dds_participant import configuration
+from xtdrone_interaction.bridges.ros2.dds_participant import Participant, Published, configuration, is_wanted
 from xtdrone_interaction.bridges.ros2.message_conversion import ConversionError, converter
 from xtdrone_interaction.topics.message_classes import installed_class
 
@@ -140,3 +147,32 @@ def test_names_are_those_of_ros_2() -> None:
 def test_an_interface_that_is_no_name_is_refused(interface: str) -> None:
     with pytest.raises(ValueError, match="a network interface such as lo"):
         configuration(interface)
+
+
+def test_a_participant_without_readers_waits_and_reads_each_writer_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    participant, other = Participant(231, "lo"), DomainParticipant(231)
+    begin = time.monotonic()
+    participant.wait(0.2)
+    assert time.monotonic() - begin > 0.15, "a waitset without a condition does not wait"
+    noted: list[Any] = []
+    note = participant._note
+    monkeypatch.setattr(participant, "_note", lambda endpoint: (noted.append(endpoint.key), note(endpoint)))
+    own = participant.writer("/own", "std_msgs/msg/String")
+    writers = [
+        DataWriter(other, Topic(other, f"rt/{name}", dds_types.structure("std_msgs/msg/String"))) for name in "ab"
+    ]
+    _until(lambda: participant.published() == {Published("/a", "std_msgs/String"), Published("/b", "std_msgs/String")})
+    for _ in range(20):
+        participant.published()
+    assert len(noted) == len(set(noted)) == 3
+    del writers[0]
+    gc.collect()
+    _until(lambda: participant.published() == {Published("/b", "std_msgs/String")})
+    assert not is_wanted(own)
+
+
+def _until(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + 30.0
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
-from cyclonedds.core import DDSException, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
+from cyclonedds.core import DDSException, GuardCondition, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
@@ -74,7 +74,11 @@ class Participant:
         self._domain = None if interface in ("", AUTO) else Domain(domain_id, configuration(interface))
         self._participant = DomainParticipant(domain_id)
         self._publications = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
+        self._changes = ReadCondition(self._publications, _READABLE)
+        self._published: dict[Any, Published] = {}  # by the writer's key
         self._waitset = WaitSet(self._participant)
+        self._never = GuardCondition(self._participant)  # without any condition, a waitset does not wait
+        self._waitset.attach(self._never)
         self._conditions: dict[DataReader[Any], ReadCondition] = {}
 
     def writer(self, topic: str, name: str) -> DataWriter[Any]:
@@ -116,14 +120,19 @@ class Participant:
 
     def published(self) -> set[Published]:
         """Return the topics of ROS 2 that other participants publish."""
-        found = set()
-        for endpoint in self._publications.read(N=10_000):
-            if not getattr(endpoint.sample_info, "valid_data", True) or self._is_own(endpoint):
-                continue
+        while changed := self._publications.take(N=_AT_ONCE, condition=self._changes):
+            for endpoint in changed:
+                self._note(endpoint)
+        return set(self._published.values())
+
+    def _note(self, endpoint: Any) -> None:
+        """Store a writer that has come, and forget one that has gone."""
+        if not endpoint.sample_info.valid_data:
+            self._published.pop(endpoint.key, None)
+        elif not self._is_own(endpoint):
             topic, type_ = ros_topic(endpoint.topic_name), ros1_type(endpoint.type_name)
             if topic and type_:
-                found.add(Published(topic, type_))
-        return found
+                self._published[endpoint.key] = Published(topic, type_)
 
     def _is_own(self, endpoint: Any) -> bool:
         return bool(endpoint.participant_key == self._participant.guid)
