@@ -21,6 +21,7 @@ from xtdrone_interaction.server_guard import ServerGuard
 _HEAD_LIMIT = 10.0  # s for a client's request
 _BUFFER = 1 << 18  # bytes that wait for a slow end of a connection, besides the kernel's
 _HEAD_END = b"\r\n\r\n"
+_PLAIN = "Content-Type: text/plain\r\nConnection: close\r\n"
 
 
 def hidden_address() -> str:
@@ -79,7 +80,7 @@ class GuardedPort:
                 head = await reader.readuntil(_HEAD_END)
             status = self._refusal(head)
             if status:
-                writer.write(f"HTTP/1.1 {status}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n".encode())
+                writer.write(f"HTTP/1.1 {status}\r\n{_PLAIN}Content-Length: {len(status)}\r\n\r\n{status}".encode())
                 await writer.drain()
                 return
             inner_reader, inner_writer = await asyncio.open_connection(*self._inner, limit=_BUFFER)
