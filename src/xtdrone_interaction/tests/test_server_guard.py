@@ -142,7 +142,7 @@ def test_no_header_is_an_error_and_none_of_another_page_passes() -> None:
     draw = random.Random(34)
     parts = ["http", "://", "localhost", "127.0.0.1", "[", "]", ":", "@", "/", ",", "::1", "%", "x", "é", " ", "9090"]
     guard = ServerGuard("here", "127.0.0.1", report=lambda _: None)
-    for _ in range(20_000):
+    for _ in range(5_000):
         text = "".join(draw.choices(parts, k=draw.randrange(8)))
         allowed = not refusal(guard, ["localhost"], [f"{text}evil.example"])
         assert not allowed, text

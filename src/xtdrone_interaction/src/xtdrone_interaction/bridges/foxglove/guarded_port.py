@@ -2,24 +2,28 @@
 
 The SDK (0.30.3) accepts every web page, and has no hook before a connection stands. So it listens on an address of
 loopback that is chosen at random (24 bits) with any free port, which no web page can find, and clients connect here.
+The kernel passes the bytes (``splice``), so that images cost no copies and hold no lock of the interpreter.
 """
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
+import fcntl
+import os
 import secrets
+import socket
 import threading
-from collections.abc import Coroutine
-from typing import Any
+import time
 
 from tornado.httputil import HTTPHeaders, HTTPInputError
 from tornado.netutil import bind_sockets
 
 from xtdrone_interaction.server_guard import ServerGuard
 
+MAX_CLIENTS = 100
 _HEAD_LIMIT = 10.0  # s for a client's request
-_BUFFER = 1 << 18  # bytes that wait for a slow end of a connection, besides the kernel's
+_LONGEST_HEAD = 1 << 16  # bytes
+_PIPE = 1 << 20  # bytes passed on at a time
 _HEAD_END = b"\r\n\r\n"
 _PLAIN = "Content-Type: text/plain\r\nConnection: close\r\n"
 
@@ -31,7 +35,7 @@ def hidden_address() -> str:
 
 
 class GuardedPort:
-    """A listening port, served by a thread of its own.
+    """A listening port, served by threads of its own.
 
     Attributes:
         port: TCP port.
@@ -49,48 +53,46 @@ class GuardedPort:
             OSError: it cannot be opened.
         """
         self._guard = guard
-        self._sockets = bind_sockets(port, address, reuse_port=False)
-        self.port = int(self._sockets[0].getsockname()[1])
+        self._listening = bind_sockets(port, address, reuse_port=False)
+        self.port = int(self._listening[0].getsockname()[1])
         self._inner = ("", 0)
-        self._loop = asyncio.new_event_loop()
-        self._closed = asyncio.Event()
+        self._clients: set[socket.socket] = set()
 
     def serve(self, address: str, port: int) -> None:
         """Begin to pass connections on to a server at an address and TCP port of this machine."""
         self._inner = (address, port)
-        threading.Thread(target=self._loop.run_until_complete, args=(self._run(),), name="port", daemon=True).start()
+        for listening in self._listening:
+            listening.setblocking(True)
+            threading.Thread(target=self._accept, args=(listening,), name="port", daemon=True).start()
 
     def close(self) -> None:
         """Close the port and all connections."""
-        self._loop.call_soon_threadsafe(self._closed.set)
+        for end in (*self._listening, *list(self._clients)):
+            _shut_down(end)
 
-    async def _run(self) -> None:
-        servers = [await asyncio.start_server(self._connected, sock=s, limit=_BUFFER) for s in self._sockets]
-        await self._closed.wait()
-        for server in servers:
-            server.close()
-        connections = asyncio.all_tasks() - {asyncio.current_task()}
-        for task in connections:
-            task.cancel()
-        await asyncio.gather(*connections, return_exceptions=True)
+    def _accept(self, listening: socket.socket) -> None:
+        with listening, contextlib.suppress(OSError):  # the port is closed
+            while True:
+                client, _ = listening.accept()
+                if len(self._clients) >= MAX_CLIENTS:
+                    client.close()
+                    continue
+                self._clients.add(client)
+                threading.Thread(target=self._serve, args=(client,), name="client", daemon=True).start()
 
-    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        with contextlib.closing(writer), contextlib.suppress(OSError, EOFError, asyncio.LimitOverrunError):
-            async with asyncio.timeout(_HEAD_LIMIT):
-                head = await reader.readuntil(_HEAD_END)
+    def _serve(self, client: socket.socket) -> None:
+        with client, contextlib.suppress(OSError):
+            head = _read_head(client)
             status = self._refusal(head)
             if status:
-                writer.write(f"HTTP/1.1 {status}\r\n{_PLAIN}Content-Length: {len(status)}\r\n\r\n{status}".encode())
-                await writer.drain()
-                return
-            inner_reader, inner_writer = await asyncio.open_connection(*self._inner, limit=_BUFFER)
-            with contextlib.closing(inner_writer):
-                inner_writer.write(head)
-                await _first_of(_pass_on(reader, inner_writer), _pass_on(inner_reader, writer))
+                client.sendall(f"HTTP/1.1 {status}\r\n{_PLAIN}Content-Length: {len(status)}\r\n\r\n{status}".encode())
+            else:
+                self._connect(client, head)
+        self._clients.discard(client)
 
     def _refusal(self, head: bytes) -> str:
         """Return the status of a refused request, empty for a handshake that is allowed."""
-        request, _, lines = head.decode("latin-1").partition("\r\n")
+        request, _, lines = head.partition(_HEAD_END)[0].decode("latin-1").partition("\r\n")
         try:
             headers = HTTPHeaders.parse(lines)
         except (HTTPInputError, ValueError):
@@ -100,19 +102,53 @@ class GuardedPort:
         is_handshake = request.startswith("GET ") and headers.get("Upgrade", "").lower() == "websocket"
         return "" if is_handshake else "426 Upgrade Required"
 
+    def _connect(self, client: socket.socket, head: bytes) -> None:
+        """Pass a client's connection on, until one of its ends closes it."""
+        with socket.create_connection(self._inner, _HEAD_LIMIT) as inner:
+            for end in (client, inner):
+                end.settimeout(None)
+                end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            inner.sendall(head)
+            back = threading.Thread(target=_pass_on, args=(inner, client), name="client, back", daemon=True)
+            back.start()
+            _pass_on(client, inner)
+            back.join()
 
-async def _first_of(*directions: Coroutine[Any, Any, None]) -> None:
-    """Wait for the end of a connection in one direction, which ends the other one."""
-    tasks = [asyncio.ensure_future(direction) for direction in directions]
+
+def _read_head(client: socket.socket) -> bytes:
+    """Return what a client has sent, up to the end of its request's headers at least.
+
+    Raises:
+        OSError: the client ends, or the request is too slow or too long.
+    """
+    head = b""
+    end = time.monotonic() + _HEAD_LIMIT
+    while _HEAD_END not in head:
+        client.settimeout(max(0.001, end - time.monotonic()))
+        received = client.recv(_LONGEST_HEAD)
+        head += received
+        if not received or len(head) > _LONGEST_HEAD:
+            raise OSError("no request")
+    return head
+
+
+def _pass_on(source: socket.socket, target: socket.socket) -> None:
+    """Pass bytes on until an end closes, then close both."""
+    outlet, inlet = os.pipe()
     try:
-        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        with contextlib.suppress(OSError):  # the size is limited by the system
+            fcntl.fcntl(inlet, fcntl.F_SETPIPE_SZ, _PIPE)
+        with contextlib.suppress(OSError):  # an end has broken off
+            while count := os.splice(source.fileno(), inlet, _PIPE):
+                while count:
+                    count -= os.splice(outlet, target.fileno(), count)
     finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        os.close(outlet)
+        os.close(inlet)
+        _shut_down(source)
+        _shut_down(target)
 
 
-async def _pass_on(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    while data := await reader.read(_BUFFER):
-        writer.write(data)
-        await writer.drain()
+def _shut_down(end: socket.socket) -> None:
+    with contextlib.suppress(OSError):
+        end.shutdown(socket.SHUT_RDWR)
