@@ -8,6 +8,7 @@ so that it carries and pushes bodies that touch it, and static bodies stop it.
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -32,6 +33,8 @@ from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
 from xtdrone_sim.worlds.sdf.models.rigid_links import MOST_SHAPES
 from xtdrone_sim.worlds.sdf.world_records import SdfModel
+
+_log = logging.getLogger("rosout.simulation")  # a child of ROS's logger, see ``xml_elements``
 
 _NEAR = 0.1  # m between the boxes of two bodies below which a moving one wakes the other
 _ROLLING = 1e-3  # m, rolling and spinning friction: a ball comes to rest
@@ -64,7 +67,7 @@ def mark_near_bodies(plant, models, boxes, speeds, moving, limits, horizon, want
     count = 0
     for i in range(plant.shape[0]):
         v = plant[i]
-        if v.contact == ABSENT:
+        if v.contact >= ABSENT:
             continue
         x, y, z = v.position[0], v.position[1], v.position[2]
         speed = math.sqrt(v.velocity[0] ** 2 + v.velocity[1] ** 2 + v.velocity[2] ** 2)
@@ -463,6 +466,11 @@ class Bodies:
         self.awake.discard(number)
         body.shapes, body.mass = [], 0.0
         body.velocity = body.spin = (0.0, 0.0, 0.0)
+        x, y, z = body.pose.position
+        _log.warning(
+            "simulator: %s is out of the world: it stays at (%.4g, %.4g, %.4g) m, without collisions, until a restart",
+            *(body.model.name, x, y, z),
+        )
 
 
 def _meet(some: NDArray[np.float64], boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
