@@ -17,7 +17,7 @@ from xtdrone_sim.gazebo.request_limits import (
     check_wrench,
     unknown,
 )
-from xtdrone_sim.physics.bodies.movable_bodies import Drive
+from xtdrone_sim.physics.bodies.movable_bodies import MOST_PAIRS, Drive
 from xtdrone_sim.physics.vehicle_dynamics import LOST
 from xtdrone_sim.physics.wrenches import Wrench
 from xtdrone_sim.shapes.pose_arithmetic import compose, conjugate, inverse, rotate
@@ -254,10 +254,16 @@ class Models:
         if len(parts) > 1 or self._joints_of({name}):
             self._check_loose(name, parts)
 
-        def place_model() -> str:
+
+        def targets() -> dict[int, State]:
             back = inverse(self._model_state(number).pose)
-            states = {part: part_of(state, compose(back, self._model_state(part).pose)) for part in parts}
-            for part, one in states.items():
+            return {part: part_of(state, compose(back, self._model_state(part).pose)) for part in parts}
+
+        for part, one in targets().items():
+            self._check_crowd(name, self._description(part), one.pose, part)
+
+        def place_model() -> str:
+            for part, one in targets().items():
                 self._simulation.world.place_model(part, one.pose, one.velocity, one.spin, hold_steps)
             return words
 
@@ -310,12 +316,25 @@ class Models:
         check_model(model)
         origin = compose(self.find("reference_frame", frame, frame=True).pose, pose)
         placed = replace(model, name=name, pose=compose(origin, model.pose))
+        self._check_crowd(name, placed, placed.pose)
 
         def add() -> str:
             self.enter(placed)
             return f"{name} is added, {'a static model' if placed.static else 'a body that moves'}"
 
         return add
+
+    def _check_crowd(self, name: str, model: SdfModel, pose: Pose, number: int | None = None) -> None:
+        """Check the contacts of a model at a new pose; see ``Bodies.crowd``.
+
+        Raises:
+            RequestError: too many shapes would touch.
+        """
+        if self._simulation.world.bodies.crowd(model, pose, number) > MOST_PAIRS:
+            raise RequestError(
+                f"model_name: {name!r} would touch others that touch each other: more than {MOST_PAIRS} pairs of shapes "
+                "in one crowd, which are not allowed"
+            )
 
     def enter(self, model: SdfModel, drive: Drive | None = None) -> int:
         """Add a model at its pose under a free name, and return its number.
