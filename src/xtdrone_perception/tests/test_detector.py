@@ -187,7 +187,7 @@ def test_uncertain_layouts_are_rejected(shapes, classes, size, message):
         ("yolov8", {"task": "pose"}, "task 'pose' is not allowed, detect"),
         ("yolov5", {"end2end": "True"}, "end-to-end export"),
         ("yolov8", {"args": "{'nms': True, 'batch': 1}"}, "end-to-end export"),
-        ("yolov8", {"names": "{0: 'person', 1: 'car', 2: 'cat'}"}, "the network has 3 classes, the file of names has 2"),
+        ("yolov8", {"names": "{0: 'person', 1: 'car', 2: 'cat'}"}, "the network has 3 classes, the file of names"),
         ("yolov8", {"task": "detect", "names": "{0: 'a', 1: 'b'}", "args": "{'nms': False}", "end2end": "False"}, ""),
         ("yolov8", {"names": "{" * 5000, "args": "\0"}, ""),
     ],
@@ -208,7 +208,7 @@ def test_coordinates_in_another_unit_are_rejected(tmp_path, names):
     pixels, parts = onnx_outputs("yolov8")["output0"], onnx_outputs("darknet")
     scaled = pixels / np.array([96, 64, 96, 64, 1, 1])[None, :, None]
     path = write_onnx(tmp_path / "parts.onnx", (96, 64), {"output0": (scaled, np.zeros((3, scaled.size)))})
-    with pytest.raises(DetectorError, match="centres up to .* are not of layout yolov8, which has pixels"):
+    with pytest.raises(DetectorError, match=r"centres up to .* are not of layout yolov8, which has pixels"):
         Detector(DetectorSettings(path, None, names, width=96, height=64))
     rows = {name: (value * 50.0, np.zeros((3, value.size))) for name, value in parts.items()}
     path = write_onnx(tmp_path / "pixels.onnx", (96, 64), rows)

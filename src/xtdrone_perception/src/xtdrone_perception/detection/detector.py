@@ -207,7 +207,7 @@ class Detector:
             if settings.layout == "auto":
                 layout = find_layout(shapes, len(self.names), darknet, self._size)
                 if not darknet:
-                    check_scale(layout, blank)
+                    check_scale(layout, [output.astype(float) for output in blank])
             else:
                 layout = settings.layout
                 check_layout(layout, shapes, len(self.names))
@@ -363,7 +363,8 @@ def onnx_metadata(content: bytes) -> dict[str, str]:
     onnx.proto: field 14 of ModelProto, with the key in field 1 and the value in field 2.
     """
     pairs = [dict(_protobuf_fields(entry)) for number, entry in _protobuf_fields(content) if number == _METADATA]
-    return {pair[1].decode("utf-8", "replace"): pair[2].decode("utf-8", "replace") for pair in pairs if {1, 2} <= {*pair}}
+    texts = [(pair[1], pair[2]) for pair in pairs if 1 in pair and 2 in pair]
+    return {name.decode("utf-8", "replace"): text.decode("utf-8", "replace") for name, text in texts}
 
 
 def _protobuf_fields(content: bytes) -> Iterator[tuple[int, bytes]]:

@@ -12,8 +12,8 @@ Four layouts, C classes and N candidates:
 - ``yolov8``: (1, 4 + C, N). Column: centre x, y, width, height in pixels of the input, class probabilities. Also yolov9
   and yolo11, exported without non-maximum suppression.
 
-Networks that choose their objects themselves (end-to-end exports, one row of corners, score and class for each object)
-have shapes like those of ``yolov5`` with one or two classes. They are rejected, and so are outputs that fit two layouts.
+Networks that choose their objects themselves (end-to-end exports: one row of corners, score and class per object) have
+shapes like those of ``yolov5`` with one or two classes. They are rejected, and so are outputs that fit two layouts.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _LONGEST_LITERAL = 1 << 18  # characters of a text in the metadata
 _STRIDES = (4, 8, 16, 32, 64)
 _LARGEST_FRACTION = 2.0  # of the input; coordinates beyond it are pixels
 _ADVICE = (
-    "export it without non-maximum suppression (of Ultralytics: nms=False, end2end=False), or give layout if it is known"
+    "export it without non-maximum suppression (Ultralytics: nms=False, end2end=False), or give layout if it is known"
 )
 
 
@@ -63,14 +63,15 @@ def find_layout(shapes: Sequence[Shape], classes: int, darknet: bool, size: tupl
         raise LayoutError(f"outputs of shapes {_text(shapes)} fit yolov5 and yolov8: give layout")
     if "yolov4" in fitting and not _has_certain_boxes(shapes):
         raise LayoutError(
-            f"outputs of shapes {_text(shapes)} are not certainly yolov4, 1 x N x 1 x 4 and 1 x N x {classes}: {_ADVICE}"
+            f"outputs of shapes {_text(shapes)} are not certainly yolov4, 1 x N x 1 x 4 and 1 x N x {classes}: "
+            f"{_ADVICE}"
         )
     if fitting and (darknet or not _may_be_chosen(shapes, size)):
         return fitting[0]
     if not darknet and _may_be_chosen(shapes, size):
         raise LayoutError(
-            f"output of shape {_text(shapes)} may have the objects that the network has chosen (corners, score, class), "
-            f"which is not supported: {_ADVICE}"
+            f"output of shape {_text(shapes)} may have the objects that the network has chosen (corners, score, "
+            f"class), which is not supported: {_ADVICE}"
         )
     raise LayoutError(
         f"outputs of shapes {_text(shapes)} fit none of {', '.join(candidates)} with {classes} "
@@ -156,7 +157,7 @@ def check_scale(layout: str, outputs: Sequence[Array]) -> None:
 
 
 def check_metadata(metadata: Mapping[str, str], classes: int) -> None:
-    """Check what an exporter has written into its file: Ultralytics' keys ``task``, ``end2end``, ``args`` and ``names``.
+    """Check what Ultralytics' exporter has written into a file: ``task``, ``end2end``, ``args`` and ``names``.
 
     Args:
         metadata: texts by name; empty if there are none.
