@@ -55,7 +55,8 @@ def fill(models: Models, model: SdfModel, pose: Pose) -> int:
         try:
             models.adding(f"m_{number}", model, pose, "")()
         except RequestError as error:
-            assert f"more than {MOST_PAIRS} pairs of shapes" in str(error)
+            if f"more than {MOST_PAIRS} pairs of shapes" not in str(error):
+                raise
             return number
     return 120
 
@@ -100,8 +101,11 @@ def test_a_file_outside_packages_is_refused_however_it_is_written(uri: str) -> N
 
 def test_chains_of_links_are_limited() -> None:
     assert len(model_of_urdf(urdf(101)).links) == 1
-    for links, words in ((102, "a chain of 101 is not allowed, at most 100"), (9000, "9000 are not allowed, at most 1000"),
-                         (90_000, "more than 200000 elements")):  # fmt: skip
+    for links, words in (
+        (102, "a chain of 101 is not allowed, at most 100"),
+        (9000, "9000 are not allowed, at most 1000"),
+        (90_000, "more than 200000 elements"),
+    ):
         with pytest.raises(RequestError, match=words):
             model_of_urdf(urdf(links))
 
@@ -115,7 +119,8 @@ def test_chains_and_text_of_sdf_are_read_in_linear_time() -> None:
         f'<joint name="j{k}" type="fixed"><parent>l{k}</parent><child>l{k + 1}</child></joint>' for k in range(7999)
     )
     model = read_model(f'<sdf version="1.6"><model name="m">{links}{joints}</model></sdf>', "model_xml")
-    assert len(model.links) == 8000 and not model.static
+    assert len(model.links) == 8000
+    assert not model.static
     root = parse("<sdf>" + ("x" * 80 + "<b/>") * 100_000 + "</sdf>", Path("text.sdf"))
     assert len(root.text) == 8_000_000
     assert time.process_time() - begin < 30.0

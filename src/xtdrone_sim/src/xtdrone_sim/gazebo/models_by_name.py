@@ -254,7 +254,6 @@ class Models:
         if len(parts) > 1 or self._joints_of({name}):
             self._check_loose(name, parts)
 
-
         def targets() -> dict[int, State]:
             back = inverse(self._model_state(number).pose)
             return {part: part_of(state, compose(back, self._model_state(part).pose)) for part in parts}
@@ -332,8 +331,8 @@ class Models:
         """
         if self._simulation.world.bodies.crowd(model, pose, number) > MOST_PAIRS:
             raise RequestError(
-                f"model_name: {name!r} would touch others that touch each other: more than {MOST_PAIRS} pairs of shapes "
-                "in one crowd, which are not allowed"
+                f"model_name: {name!r} would touch others that touch each other: more than {MOST_PAIRS} pairs of "
+                "shapes in one crowd are not allowed"
             )
 
     def enter(self, model: SdfModel, drive: Drive | None = None) -> int:
@@ -395,7 +394,7 @@ class Models:
             end_us: simulated time of the end, counted from ``begin_us``; None: never.
 
         Raises:
-            RequestError: the body or the frame does not exist, the body cannot move, or the wrench is too strong for it.
+            RequestError: the body or the frame does not exist, the body cannot move, or the wrench is too strong.
         """
         target, centre = self._pushed(name)
         axes = self.find("reference_frame", frame, frame=True)

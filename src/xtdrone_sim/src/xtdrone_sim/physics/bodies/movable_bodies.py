@@ -260,7 +260,7 @@ class Bodies:
         return body
 
     def crowd(self, model: SdfModel, pose: Pose, number: int | None = None) -> int:
-        """Return the pairs of shapes that would touch in the crowd around a model, ``MOST_PAIRS`` + 1 if there are more.
+        """Return the pairs of shapes that would touch in the crowd around a model, at most ``MOST_PAIRS`` + 1.
 
         The crowd are the bodies with mass whose boxes touch the model's, those that touch these, and so on; static
         bodies connect no others. Bullet's work in a step grows with the square of the pairs.

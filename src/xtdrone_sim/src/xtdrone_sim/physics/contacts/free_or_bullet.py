@@ -20,8 +20,8 @@ _FASTEST_SPIN = 20.0  # rad/s below which the drag of rotation is far less than 
 def mark_near(plant, models, steps, dt, wanted):
     """Fill ``wanted`` (n,) with TOUCHING for vehicles near the ground or each other, with FREE for all others.
 
-    Absent ones stay ABSENT, lost ones LOST, which those that are LEAVING become. Vehicles are spheres around the collision boxes, enlarged by the distance travelled until
-    the next check.
+    Absent ones stay ABSENT, lost ones LOST, which those that are LEAVING become. Vehicles are spheres around the
+    collision boxes, enlarged by the distance travelled until the next check.
     """
     count = plant.shape[0]
     for i in range(count):
