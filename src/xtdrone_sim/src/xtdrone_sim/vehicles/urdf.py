@@ -318,7 +318,8 @@ class _Reader:
         except ValueError:
             values = []
         if len(values) != count or not all(map(math.isfinite, values)):
-            raise self._fail(place, f"{text!r} is not allowed, {'a number' if count == 1 else f'{count} numbers'}")
+            wanted = "a number" if count == 1 else f"{count} numbers"
+            raise self._fail(place, f"{text[:100]!r} is not allowed, {wanted}")
         return values
 
     def _positive(self, element: Element, attribute: str, where: str, count: int = 1) -> list[float]:
