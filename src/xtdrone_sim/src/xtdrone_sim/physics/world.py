@@ -460,6 +460,8 @@ class World:
     def remove_model(self, number: int) -> None:
         """Remove a model."""
         self._loosen(number)
+        for shape in self.bodies.by_number[number].shapes:
+            self._index_of.pop(shape, None)
         self.bodies.remove(number)
         self.wrenches.clear(len(self.plant) + number)
 
