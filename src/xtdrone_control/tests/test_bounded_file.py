@@ -137,3 +137,26 @@ def test_invalid_json_is_reported(text: str, words: str) -> None:
         load_json(text)
     with pytest.raises(qgc_plan.PlanError, match=f"plan: is not JSON: .*{words}"):
         qgc_plan.parse(text)
+
+
+@pytest.mark.parametrize(
+    "number", ["9" * 5000, "-" + "9" * 310, "0x" + "f" * 5000, "0x" + "f" * 300, "1" + ":59" * 5000]
+)
+def test_numbers_that_fit_into_no_float_are_rejected(number: str, bounded: None) -> None:
+    """Python neither prints a whole number of more than 4300 digits nor converts one beyond 1.8e308 to a float."""
+    with pytest.raises(ContentError, match=r"a number of [0-9]+ characters is not allowed"):
+        load_yaml(f"a: {number}")
+    if number.lstrip("-").isdecimal():
+        with pytest.raises(ContentError, match=r"a number of [0-9]+ characters is not allowed"):
+            load_json(f"[{number}]")
+    assert load_yaml("[0x10, 1_000, 1:30, 1e3, -7, .5]") == [16, 1000, 90, "1e3", -7, 0.5]
+    assert load_json("[12345678901234567890, -7]") == [12345678901234567890, -7]
+
+
+def test_a_name_with_nul_is_an_error_of_the_system(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="a name with a NUL"):
+        read_bytes(tmp_path / "a\0b", MB)
+    rows = tmp_path / "long.params"
+    rows.write_text(f"{'9' * 5000}\t1\tMPC_XY_VEL_MAX\t5.0\t9\n")
+    with pytest.raises(parameter_file.ParameterFileError, match=r"vehicle id '9+' is not allowed"):
+        parameter_file.read(rows)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from xtdrone_coordination.patterns import PatternError, Patterns, least_separation, origin_columns
+from xtdrone_coordination.patterns.clouds import read_cloud
 
 
 @pytest.mark.parametrize(
@@ -162,3 +163,34 @@ def test_the_least_spacing_travels_as_32_bit_floats(count: int, name: str) -> No
     check_offsets(sent, count, name)
     with pytest.raises(PatternError, match=r"0\.50 m apart"):
         check_offsets(0.999 * sent, count, name)
+
+
+def npy(header: bytes, data: bytes = b"") -> bytes:
+    """Return an .npy file of version 1 with a header, which numpy would evaluate."""
+    return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + data
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"", b"\x93NUMPY", npy(b"("), npy(b"(" * 5000), npy(b"[" * 9000), npy(b"'" * 3), npy(b"\0" * 64),
+        npy(b"-" * 9000 + b"1"),
+        npy(b"{'descr': 'O', 'fortran_order': False, 'shape': (3, 3)}\n", bytes(72)),
+        npy(b"{'descr': '<f8', 'fortran_order': False, 'shape': (" + b"9" * 5000 + b", 3)}\n"),
+        npy(b"{'descr': '<f8', 'fortran_order': False, 'shape': (-3, -3)}\n", bytes(72)),
+        npy(b"{'descr': ('<f8', (2, 2)), 'fortran_order': False, 'shape': (3, 3)}\n", bytes(720)),
+        npy(b"{'descr': '<f8', 'fortran_order': False, 'shape': (True, 3)}\n", bytes(8)),
+        npy(b"{'descr': [('a', '<f8')], 'fortran_order': None, 'shape': None}\n"),
+    ],
+)  # fmt: skip
+def test_damaged_arrays_are_errors_of_the_pattern(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "cloud.npy"
+    path.write_bytes(content)
+    with pytest.raises(PatternError, match=r"cloud .*cloud\.npy"):
+        read_cloud(path)
+
+
+@pytest.mark.parametrize("name", ["a\0b.npy", "a\0b.ply", "a\0b.txt", "a" * 300 + ".npy"])
+def test_impossible_names_of_clouds_are_errors_of_the_pattern(name: str, tmp_path: Path) -> None:
+    with pytest.raises(PatternError):
+        read_cloud(tmp_path / name)

@@ -203,7 +203,7 @@ def test_rejects_incompatible_options(tmp_path: Path) -> None:
         ("name: a\nname: b", "'name' is given twice, again in line 2"),
         ("3", "3 is not a study"),
         ("# nothing yet\n", "study.yaml: it is empty"),
-        ("? [1, 2]\n: 3", "is not YAML: while constructing a mapping"),
+        ("? [1, 2]\n: 3", "is not YAML: line 1, column 3: found unhashable key"),
     ],
 )
 def test_rejects_files(tmp_path: Path, text: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -235,3 +235,22 @@ def test_dry_run_flies_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "n=4 follower.Kp=0.1 seed=0" in text
     assert "and 10 more" in text
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[" * 20_000, "nested more than 100 deep"),
+        ("- " * 20_000 + "1", "nested more than 100 deep"),
+        ("seeds: " + "9" * 5000, "a number of 5000 characters is not allowed"),
+        ("seeds: 1\nname: a\nseeds: 2\n", "'seeds' is given twice, again in line 3"),
+        ("? [1, 2]\n: 3\n", "is not YAML"),
+        ("<a>" * 20_000, "is not a study"),
+    ],
+)
+def test_study_files_that_no_person_writes(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "study.yaml"
+    path.write_text(text)
+    with pytest.raises(OptionError, match=message) as caught:
+        read_study(path)
+    assert len(str(caught.value)) < 1000

@@ -116,7 +116,7 @@ def onnx_outputs(layout: str) -> dict[str, np.ndarray]:
 def test_layouts_of_onnx(tmp_path, names, layout):
     outputs = {name: (value, np.zeros((3, value.size))) for name, value in onnx_outputs(layout).items()}
     path = write_onnx(tmp_path / "tiny.onnx", (96, 64), outputs)
-    for asked in ("auto", layout):
+    for asked in (layout,) if layout == "yolov5" else ("auto", layout):  # three rows are no grid of yolov5
         detector = Detector(DetectorSettings(path, None, names, layout=asked, width=96, height=64, confidence=0.3))
         assert detector.settings.layout == layout
         human, car = detector.detect(np.zeros((64, 96, 3), np.uint8))
@@ -129,7 +129,8 @@ def test_the_input_is_red_green_blue_from_0_to_1(tmp_path, names):
     factors = np.zeros((3, 7))
     factors[0, 5], factors[2, 6] = 0.75, 0.5
     path = write_onnx(tmp_path / "tiny.onnx", (64, 32), {"output0": (constant, factors)})
-    detector = Detector(DetectorSettings(path, None, names, width=64, height=32, confidence=0.1))
+    settings = DetectorSettings(path, None, names, layout="yolov5", width=64, height=32, confidence=0.1)
+    detector = Detector(settings)
     (red,) = detector.detect(np.full((32, 64, 3), (255, 0, 0), np.uint8))
     (blue,) = detector.detect(np.full((32, 64, 3), (0, 0, 255), np.uint8))
     assert (red.name, red.probability) == ("human", pytest.approx(0.75))
@@ -140,19 +141,79 @@ def test_the_input_is_red_green_blue_from_0_to_1(tmp_path, names):
 def test_two_objects_of_different_classes_at_one_place_are_two(tmp_path, names):
     rows = np.array([[[30.0, 20, 10, 16, 1, 0.9, 0.0], [30.0, 20, 10, 16, 1, 0.0, 0.8]]])
     path = write_onnx(tmp_path / "tiny.onnx", (64, 32), {"output0": (rows, np.zeros((3, rows.size)))})
-    found = Detector(DetectorSettings(path, None, names, width=64, height=32)).detect(np.zeros((32, 64, 3), np.uint8))
+    settings = DetectorSettings(path, None, names, layout="yolov5", width=64, height=32)
+    found = Detector(settings).detect(np.zeros((32, 64, 3), np.uint8))
     assert [entry.name for entry in found] == ["human", "car"]
 
 
 def test_number_of_classes_decides_between_layouts():
-    assert find_layout([(1, 8400, 7)], 2, False) == "yolov5"
-    assert find_layout([(1, 6, 8400)], 2, False) == "yolov8"
-    assert find_layout([(1, 25200, 85)], 80, False) == "yolov5"
-    assert find_layout([(1, 84, 8400)], 80, False) == "yolov8"
+    size = (640, 640)
+    assert find_layout([(1, 8400, 7)], 2, False, size) == "yolov5"
+    assert find_layout([(1, 6, 8400)], 2, False, size) == "yolov8"
+    assert find_layout([(1, 25200, 85)], 80, False, size) == "yolov5"
+    assert find_layout([(1, 25200, 6)], 1, False, size) == "yolov5"
+    assert find_layout([(1, 15120, 6)], 1, False, (640, 384)) == "yolov5"
+    assert find_layout([(1, 84, 8400)], 80, False, size) == "yolov8"
+    assert find_layout([(1, 5, 8400)], 1, False, size) == "yolov8"
     with pytest.raises(LayoutError, match="seems to have 80"):
-        find_layout([(1, 84, 8400)], 2, False)
+        find_layout([(1, 84, 8400)], 2, False, size)
     with pytest.raises(LayoutError, match="seems to have 80"):
-        find_layout([(507, 85), (2028, 85)], 1, True)
+        find_layout([(507, 85), (2028, 85)], 1, True, (416, 416))
+
+
+@pytest.mark.parametrize(
+    ("shapes", "classes", "size", "message"),
+    [
+        ([(1, 300, 6)], 1, (640, 640), "objects that the network has chosen.*nms=False"),  # yolov10, yolo11 with nms
+        ([(1, 300, 6)], 80, (640, 640), "objects that the network has chosen"),  # whatever the names
+        ([(1, 300, 6)], 1, (160, 128), "objects that the network has chosen"),  # also the number of cells
+        ([(1, 1234, 6)], 1, (640, 640), "objects that the network has chosen"),
+        ([(100, 7)], 2, (640, 640), "objects that the network has chosen"),  # yolov7 with its own suppression
+        ([(1, 1, 100, 7)], 2, (640, 640), "objects that the network has chosen"),  # DetectionOutput of SSD
+        ([(1, 300, 7)], 2, (640, 640), "objects that the network has chosen"),  # rotated boxes
+        ([(1, 84, 85)], 80, (640, 640), "fit yolov5 and yolov8: give layout"),
+        ([(1, 100, 4), (1, 100, 4)], 4, (640, 640), "not certainly yolov4"),
+        ([(1, 100, 4), (1, 100, 80)], 80, (640, 640), "not certainly yolov4"),  # DETR: centres and sizes
+    ],
+)
+def test_uncertain_layouts_are_rejected(shapes, classes, size, message):
+    with pytest.raises(LayoutError, match=message):
+        find_layout(shapes, classes, False, size)
+
+
+@pytest.mark.parametrize(
+    ("layout", "metadata", "message"),
+    [
+        ("yolov8", {"task": "pose"}, "task 'pose' is not allowed, detect"),
+        ("yolov5", {"end2end": "True"}, "end-to-end export"),
+        ("yolov8", {"args": "{'nms': True, 'batch': 1}"}, "end-to-end export"),
+        ("yolov8", {"names": "{0: 'person', 1: 'car', 2: 'cat'}"}, "the network has 3 classes, the file of names"),
+        ("yolov8", {"task": "detect", "names": "{0: 'a', 1: 'b'}", "args": "{'nms': False}", "end2end": "False"}, ""),
+        ("yolov8", {"names": "{" * 5000, "args": "\0"}, ""),
+    ],
+)
+def test_metadata_of_onnx_count_for_every_layout(tmp_path, names, layout, metadata, message):
+    outputs = {name: (value, np.zeros((3, value.size))) for name, value in onnx_outputs(layout).items()}
+    path = write_onnx(tmp_path / "tiny.onnx", (96, 64), outputs, metadata)
+    for asked in {"yolov5": (layout,), "yolov8": ("auto", layout)}[layout]:
+        settings = DetectorSettings(path, None, names, layout=asked, width=96, height=64)
+        if message:
+            with pytest.raises(DetectorError, match=message):
+                Detector(settings)
+        else:
+            assert Detector(settings).settings.layout == layout
+
+
+def test_coordinates_in_another_unit_are_rejected(tmp_path, names):
+    pixels, parts = onnx_outputs("yolov8")["output0"], onnx_outputs("darknet")
+    scaled = pixels / np.array([96, 64, 96, 64, 1, 1])[None, :, None]
+    path = write_onnx(tmp_path / "parts.onnx", (96, 64), {"output0": (scaled, np.zeros((3, scaled.size)))})
+    with pytest.raises(DetectorError, match=r"centres up to .* are not of layout yolov8, which has pixels"):
+        Detector(DetectorSettings(path, None, names, width=96, height=64))
+    rows = {name: (value * 50.0, np.zeros((3, value.size))) for name, value in parts.items()}
+    path = write_onnx(tmp_path / "pixels.onnx", (96, 64), rows)
+    with pytest.raises(DetectorError, match="which has fractions of the input"):
+        Detector(DetectorSettings(path, None, names, width=96, height=64))
 
 
 def test_settings_file(tmp_path, names):

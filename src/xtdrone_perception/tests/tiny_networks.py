@@ -45,13 +45,19 @@ def write_darknet(
     return cfg, path
 
 
-def write_onnx(path: Path, size: tuple[int, int], outputs: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Path:
+def write_onnx(
+    path: Path,
+    size: tuple[int, int],
+    outputs: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    metadata: Mapping[str, str] | None = None,
+) -> Path:
     """Write a network whose outputs are constants plus the picture's mean colour (0 to 1) times factors.
 
     Args:
         path: output file.
         size: (width, height) of the input, px.
         outputs: by name: the constants, and the factors of red, green, blue, with an axis of 3 before theirs.
+        metadata: texts by name.
     """
     nodes = [_node("GlobalAveragePool", ["picture"], "mean"), _node("Flatten", ["mean"], "colour")]
     constants, infos = [], []
@@ -76,7 +82,9 @@ def write_onnx(path: Path, size: tuple[int, int], outputs: Mapping[str, tuple[np
             *(_field(12, info) for info in infos),
         ]
     )
-    path.write_bytes(_number(1, 7) + _field(7, graph) + _field(8, _number(2, 12)))
+    entries = [_field(1, key.encode()) + _field(2, value.encode()) for key, value in (metadata or {}).items()]
+    properties = b"".join(_field(14, entry) for entry in entries)
+    path.write_bytes(_number(1, 7) + _field(7, graph) + _field(8, _number(2, 12)) + properties)
     return path
 
 

@@ -23,8 +23,11 @@ MOST_TEXT = 4 * MB
 MOST_VALUES = 200_000
 """Limit of the values of a YAML file and the elements of an XML file; an alias counts as all its values."""
 MOST_JSON_VALUES = 500_000
+MOST_DIGITS = 400
+"""Limit of the characters of a number in YAML and JSON; the whole numbers beyond 1e308 are not allowed either."""
 MOST_DEPTH = 100
 """Limit of the nesting of lists, mappings or elements."""
+_MOST_BITS = 1023  # of a whole number
 
 
 class ContentError(ValueError):
@@ -56,7 +59,11 @@ def check(path: str | Path, most: int) -> None:
     Raises:
         OSError: see :func:`read_bytes`.
     """
-    _check(os.stat(path), path, most)
+    try:
+        status = os.stat(path)
+    except ValueError:
+        raise OSError(errno.EINVAL, "a name with a NUL or an invalid character is not allowed", str(path)) from None
+    _check(status, path, most)
 
 
 def read_text(path: str | Path, most: int = MOST_TEXT) -> str:
@@ -77,14 +84,18 @@ def read_text(path: str | Path, most: int = MOST_TEXT) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def load_yaml(text: str) -> Any:
+def load_yaml(text: str, loader: type[BoundedLoader] | None = None) -> Any:
     """Return the content of a YAML text, in the types of ``yaml.safe_load``.
 
+    Args:
+        text: the text.
+        loader: a class derived from ``BoundedLoader``; None: that one.
+
     Raises:
-        ContentError: the text is not valid YAML, or has too many values.
+        ContentError: the text is not valid YAML, or has too many values or a number that is too long.
     """
     try:
-        return _Loader(text).get_single_data()
+        return (loader or BoundedLoader)(text).get_single_data()
     except ContentError:
         raise
     except yaml.MarkedYAMLError as error:
@@ -104,19 +115,32 @@ def load_json(text: str, parse_constant: Callable[[str], Any] | None = None) -> 
         parse_constant: see ``json.loads``.
 
     Raises:
-        ContentError: the text has too many values, or is nested too deeply.
+        ContentError: the text has too many values, is nested too deeply, or has a number that is too long.
         ValueError: the text is not valid JSON.
     """
     if text.count(",") + text.count("[") + text.count("{") > MOST_JSON_VALUES:  # each value has at least one
         raise ContentError(f"more than {MOST_JSON_VALUES} values")
     try:
-        return json.loads(text, parse_constant=parse_constant)
+        return json.loads(text, parse_constant=parse_constant, parse_int=_whole_number)
     except RecursionError:
         raise ContentError("nested too deeply") from None
 
 
-class _Loader(yaml.SafeLoader):
-    """Safe YAML loader with limits of values and depth."""
+def _whole_number(text: str) -> int:
+    """Return a whole number that fits into a float; others could neither be converted nor printed.
+
+    Raises:
+        ContentError: it does not.
+    """
+    if len(text) <= MOST_DIGITS:
+        number = int(text)
+        if number.bit_length() <= _MOST_BITS:
+            return number
+    raise ContentError(f"a number of {len(text)} characters is not allowed, up to 1e308")
+
+
+class BoundedLoader(yaml.SafeLoader):
+    """Safe YAML loader with limits of values, depth and numbers."""
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
@@ -125,6 +149,7 @@ class _Loader(yaml.SafeLoader):
         self._sizes: dict[str | None, int] = {}  # number of values by anchor
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """Return the next node, counted with its depth."""
         event = self.peek_event()
         anchor: str | None = getattr(event, "anchor", None)
         before = self._values
@@ -142,10 +167,32 @@ class _Loader(yaml.SafeLoader):
             self._sizes[anchor] = self._values - before
         return node
 
+    def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
+        """Return a whole number within the limits; numbers in base 60 take quadratic time."""
+        self._check_length(node)
+        number = int(super().construct_yaml_int(node))
+        if number.bit_length() > _MOST_BITS:
+            raise ContentError(f"{_located(node.start_mark)}a number of {len(node.value)} characters is not allowed")
+        return number
+
+    def construct_yaml_float(self, node: yaml.ScalarNode) -> float:
+        """Return a number within the limits."""
+        self._check_length(node)
+        return float(super().construct_yaml_float(node))
+
+    def _check_length(self, node: yaml.ScalarNode) -> None:
+        if len(node.value) > MOST_DIGITS:
+            long = f"a number of {len(node.value)} characters is not allowed, {MOST_DIGITS} at most"
+            raise ContentError(_located(node.start_mark) + long)
+
     def _count(self, event: yaml.Event, values: int) -> None:
         self._values += values
         if self._values > MOST_VALUES:
             raise ContentError(f"{_located(event.start_mark)}more than {MOST_VALUES} values, those of aliases included")
+
+
+BoundedLoader.add_constructor("tag:yaml.org,2002:int", BoundedLoader.construct_yaml_int)
+BoundedLoader.add_constructor("tag:yaml.org,2002:float", BoundedLoader.construct_yaml_float)
 
 
 def _located(mark: Any) -> str:

@@ -23,7 +23,8 @@ effect's name, so the same flight sees the same noise.
 
 Cost, next to 11 us for a step of one vehicle and 75 us for one of 30: about 3 us for a function compiled by
 ``numba.njit``; 2 us for a plain Python function, and 1 to 3 us more for each numpy operation in it. A vehicle asleep on
-the ground with its motors off is not moved. A row with ``contact`` ABSENT is a place without a vehicle.
+the ground with its motors off is not moved. A row with ``contact`` ABSENT is a place without a vehicle, one
+with LOST a vehicle that is out of the world until its reset.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ def drive_rotors(plant, models, actuators, armed, dt):
     """Advance the rotors by ``dt`` and compute the wrench of every vehicle that is awake; see ``plant.step_all``."""
     for i in range(plant.shape[0]):
         v, m = plant[i], models[i]
-        if v.contact == ABSENT or (v.contact == ASLEEP and not armed[i]):
+        if v.contact >= ABSENT or (v.contact == ASLEEP and not armed[i]):
             continue
         advance_rotors(v, m, rotor_lag(m, dt), actuators[i], armed[i])
         rotor_wrench(v, m)
@@ -82,7 +83,7 @@ def add_wrench(plant, armed, force, torque):
     bad = -1
     for i in range(plant.shape[0]):
         v = plant[i]
-        awake = v.contact != ABSENT and (v.contact != ASLEEP or armed[i])
+        awake = v.contact < ABSENT and (v.contact != ASLEEP or armed[i])
         for k in range(3):
             if not (np.isfinite(force[i, k]) and np.isfinite(torque[i, k])):
                 bad = i
@@ -100,7 +101,7 @@ def integrate_all(plant, models, armed, gravity, dt):
     touching = 0
     for i in range(plant.shape[0]):
         v, m = plant[i], models[i]
-        if v.contact == ABSENT or (v.contact == ASLEEP and not armed[i]):
+        if v.contact >= ABSENT or (v.contact == ASLEEP and not armed[i]):
             continue
         if v.contact == FREE:
             integrate_free(v, m, gravity, dt)

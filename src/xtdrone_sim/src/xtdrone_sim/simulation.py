@@ -7,6 +7,7 @@ samples and compute the next commands. After a step, truth, samples and estimate
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Sequence
 
@@ -28,6 +29,8 @@ from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
 from xtdrone_sim.worlds.actors import actors_of
 
 from .effects import Effect, Effects
+
+_log = logging.getLogger("rosout.simulation")  # a child of ROS's logger, see ``xml_elements``
 
 STRONGEST_WIND = 100.0
 """Greatest wind speed that a request may set, m/s."""
@@ -245,6 +248,21 @@ class Simulation:
             self.gimbals.step(self._steps, self.world.plant, self.commanders, self.world.time_step)
         self.landing_gears.step(self._steps, self.commanders, self.world.time_step)
         self._steps += 1
+        if self.world.lost:
+            self._report_losses()
+
+    def _report_losses(self) -> None:
+        """Log the vehicles that have been taken out of the world, and stop their motors."""
+        for index in self.world.lost:
+            x, y, z = self.world.plant["position"][index].tolist()
+            _log.error(
+                "simulator: %s is out of the world, because its motion was not finite or beyond all bounds: it stays "
+                "at (%.4g, %.4g, %.4g) m, without collisions, until it is reset",
+                *(self.names[index], x, y, z),
+            )
+            if self.commanders:
+                self.commanders[index].arm_disarm(False, force=True)
+        self.world.lost.clear()
 
     def restart(self, time_us: int = 0) -> None:
         """Return the fleet to its spawn positions, disarmed, with estimators, modes and noise reinitialised.
@@ -315,6 +333,8 @@ class Simulation:
         self.time_us += steps * STEP_US
         self._steps += steps
         self.autopilots.count_steps(steps)
+        if self.world.lost:
+            self._report_losses()
         return True
 
     def close(self) -> None:

@@ -82,13 +82,17 @@ def _read_npy(data: bytes) -> Points:
     readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     try:
         shape, _, kind = readers[np.lib.format.read_magic(stream)](stream)
-    except (KeyError, ValueError, EOFError):
+    except Exception:  # any exception of the parser, of which numpy declares few
         raise ContentError("is not an .npy file") from None
-    if len(shape) != 2 or shape[1] < 3 or kind.kind not in "fiu":
-        raise ContentError(f"shape {shape} of another type or size; (points, 3) of numbers is needed")
+    whole = all(0 <= length <= MAX_CLOUD_FILE for length in shape)
+    if not whole or len(shape) != 2 or shape[1] < 3 or kind.kind not in "fiu":
+        raise ContentError("has an array of another type or size; (points, 3) of numbers is needed")
     if math.prod(shape) * kind.itemsize > len(data) - stream.tell():
         raise ContentError(f"ends before its {shape[0]} points")
-    values = np.load(io.BytesIO(data), allow_pickle=False)
+    try:
+        values = np.load(io.BytesIO(data), allow_pickle=False)
+    except Exception:
+        raise ContentError("is not an .npy file") from None
     return np.asarray(values[:, :3].astype(float))
 
 

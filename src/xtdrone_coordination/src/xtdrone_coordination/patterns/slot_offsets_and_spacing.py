@@ -41,7 +41,7 @@ def check_offsets(rows: ArrayLike, count: int, name: str) -> Offsets:
     try:
         offsets = np.array(rows, dtype=float)
     except (TypeError, ValueError) as error:
-        raise PatternError(f"{name}: rows must be three numbers each ({error})") from error
+        raise PatternError(f"{name}: rows must be three numbers each ({str(error)[:100]})") from error
     if offsets.shape != (count - 1, 3):
         shape = " x ".join(str(n) for n in offsets.shape)
         raise PatternError(f"{name}: size {shape}, but {count} vehicles need {count - 1} x 3")

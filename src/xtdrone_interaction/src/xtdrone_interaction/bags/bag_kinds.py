@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Protocol
@@ -109,7 +110,7 @@ def open_source(path: Path) -> Source:
     Raises:
         BagError: it cannot be opened.
     """
-    if not path.exists():
+    if not os.path.exists(path):  # false for a name that the file system rejects, too
         raise BagError(f"bag: {str(path)!r} does not exist")
     if path.suffix in _ROS2 or path.is_dir():
         if path.is_dir() and not (path / "metadata.yaml").is_file():

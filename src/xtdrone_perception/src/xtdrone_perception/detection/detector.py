@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,13 @@ from numpy.typing import NDArray
 from xtdrone_control.bounded_file import ContentError, load_yaml, read_text
 from xtdrone_control.settings import SettingError, Settings, setting
 
-from .output_layouts import LAYOUTS, LayoutError, check_layout, decode, find_layout
+from .output_layouts import LAYOUTS, LayoutError, check_layout, check_metadata, check_scale, decode, find_layout
 
 STRIDE = 32  # px of the input per cell of the coarsest grid; input sizes are multiples of it
 _GREY = 127  # of the letterbox edges, as in darknet
 _LARGEST_FILE = 1 << 31  # bytes; networks for a CPU are far smaller
+_METADATA = 14  # field of an ONNX file
+_WITH_LENGTH, _FIXED = 2, {1: 8, 5: 4}  # wire types of protobuf: with a length, and bytes of those of a fixed one
 _FILES = ("weights", "config", "names")
 
 
@@ -191,16 +193,21 @@ class Detector:
         self.names = read_names(settings.names)
         cv2.setNumThreads(int(settings.threads))
         darknet = settings.weights.suffix == ".weights"
+        metadata: dict[str, str] = {}
         if darknet:
             self._network, size = _read_darknet(settings)
         else:
-            self._network, size = _read_onnx(settings)
+            self._network, size, metadata = _read_onnx(settings)
         self._outputs = self._network.getUnconnectedOutLayersNames()
         self._size = (settings.width or size[0], settings.height or size[1])
-        shapes = [output.shape for output in self._run(np.zeros((self._size[1], self._size[0], 3), np.uint8))]
+        blank = self._run(np.zeros((self._size[1], self._size[0], 3), np.uint8))
+        shapes = [output.shape for output in blank]
         try:
+            check_metadata(metadata, len(self.names))
             if settings.layout == "auto":
-                layout = find_layout(shapes, len(self.names), darknet)
+                layout = find_layout(shapes, len(self.names), darknet, self._size)
+                if not darknet:
+                    check_scale(layout, [output.astype(float) for output in blank])
             else:
                 layout = settings.layout
                 check_layout(layout, shapes, len(self.names))
@@ -336,8 +343,8 @@ def _with_entry(text: str, section: str, name: str, value: float) -> str:
     return re.sub(rf"^(\s*\[(?:{section})\])([^\[]*)", entered, text, flags=re.MULTILINE)
 
 
-def _read_onnx(settings: DetectorSettings) -> tuple[Any, tuple[int, int]]:
-    """Return a network from an ONNX file and the size of its input."""
+def _read_onnx(settings: DetectorSettings) -> tuple[Any, tuple[int, int], dict[str, str]]:
+    """Return a network from an ONNX file, the size of its input, and its metadata."""
     if settings.weights.suffix != ".onnx":
         raise DetectorError(f"weights: {settings.weights} is not allowed, a file .weights or .onnx")
     if not settings.width:
@@ -347,7 +354,46 @@ def _read_onnx(settings: DetectorSettings) -> tuple[Any, tuple[int, int]]:
         network = cv2.dnn.readNetFromONNX(np.frombuffer(content, np.uint8))
     except cv2.error as error:
         raise DetectorError(f"{settings.weights}: {_reason(error)}") from error
-    return _on_cpu(network), (settings.width, settings.height)
+    return _on_cpu(network), (settings.width, settings.height), onnx_metadata(content)
+
+
+def onnx_metadata(content: bytes) -> dict[str, str]:
+    """Return the texts of ``metadata_props`` in an ONNX file by name; what is damaged is left out.
+
+    onnx.proto: field 14 of ModelProto, with the key in field 1 and the value in field 2.
+    """
+    pairs = [dict(_protobuf_fields(entry)) for number, entry in _protobuf_fields(content) if number == _METADATA]
+    texts = [(pair[1], pair[2]) for pair in pairs if 1 in pair and 2 in pair]
+    return {name.decode("utf-8", "replace"): text.decode("utf-8", "replace") for name, text in texts}
+
+
+def _protobuf_fields(content: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield number and content of the fields of a protobuf message that have a length, up to the first damaged one."""
+    at = 0
+    while at < len(content):
+        key, at = _varint(content, at)
+        if key & 7 == _WITH_LENGTH:
+            length, at = _varint(content, at)
+            if at + length > len(content):
+                return
+            yield key >> 3, content[at : at + length]
+            at += length
+        elif key & 7 == 0:
+            _, at = _varint(content, at)
+        elif key & 7 in _FIXED:
+            at += _FIXED[key & 7]
+        else:
+            return
+
+
+def _varint(content: bytes, at: int) -> tuple[int, int]:
+    """Return the number that begins at a byte, and the byte after it."""
+    value = 0
+    for shift, byte in enumerate(content[at : at + 10]):
+        value |= (byte & 127) << 7 * shift
+        if byte < 128:
+            return value, at + shift + 1
+    return value, len(content)
 
 
 def _on_cpu(network: Any) -> Any:

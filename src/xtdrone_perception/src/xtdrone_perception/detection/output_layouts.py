@@ -11,11 +11,15 @@ Four layouts, C classes and N candidates:
   probabilities. Also yolov3 and yolov7 exported by the same tools.
 - ``yolov8``: (1, 4 + C, N). Column: centre x, y, width, height in pixels of the input, class probabilities. Also yolov9
   and yolo11, exported without non-maximum suppression.
+
+Networks that choose their objects themselves (end-to-end exports: one row of corners, score and class per object) have
+shapes like those of ``yolov5`` with one or two classes. They are rejected, and so are outputs that fit two layouts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import ast
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,25 +30,49 @@ Array = NDArray[np.float64]
 Shape = tuple[int, ...]
 
 
+_CHOSEN_COLUMNS = (6, 7)
+"""Columns of end-to-end exports: corners, score and class, and in some the number of the picture or an angle."""
+_USUAL_LIMITS = (100, 200, 300, 500, 1000, 3000)  # objects of an end-to-end export
+_LONGEST_LITERAL = 1 << 18  # characters of a text in the metadata
+_STRIDES = (4, 8, 16, 32, 64)
+_LARGEST_FRACTION = 2.0  # of the input; coordinates beyond it are pixels
+_ADVICE = (
+    "export it without non-maximum suppression (Ultralytics: nms=False, end2end=False), or give layout if it is known"
+)
+
+
 class LayoutError(ValueError):
-    """Outputs that match no known layout, or another number of classes."""
+    """Outputs that match no known layout, or several, or another number of classes."""
 
 
-def find_layout(shapes: Sequence[Shape], classes: int, darknet: bool) -> str:
+def find_layout(shapes: Sequence[Shape], classes: int, darknet: bool, size: tuple[int, int]) -> str:
     """Return the layout of a network's outputs.
 
     Args:
         shapes: of all outputs.
         classes: number of names, C.
         darknet: whether the network was read from darknet's files.
+        size: (width, height) of the network's input, pixels.
 
     Raises:
-        LayoutError: no layout matches; the message names those expected.
+        LayoutError: no layout matches; the message names those expected. Or it is not certain which one does.
     """
     candidates = ("darknet",) if darknet else ("yolov5", "yolov8", "yolov4", "darknet")
     fitting = [layout for layout in candidates if fits(layout, shapes, classes)]
-    if fitting:
+    if "yolov5" in fitting and "yolov8" in fitting:
+        raise LayoutError(f"outputs of shapes {_text(shapes)} fit yolov5 and yolov8: give layout")
+    if "yolov4" in fitting and not _has_certain_boxes(shapes):
+        raise LayoutError(
+            f"outputs of shapes {_text(shapes)} are not certainly yolov4, 1 x N x 1 x 4 and 1 x N x {classes}: "
+            f"{_ADVICE}"
+        )
+    if fitting and (darknet or not _may_be_chosen(shapes, size)):
         return fitting[0]
+    if not darknet and _may_be_chosen(shapes, size):
+        raise LayoutError(
+            f"output of shape {_text(shapes)} may have the objects that the network has chosen (corners, score, "
+            f"class), which is not supported: {_ADVICE}"
+        )
     raise LayoutError(
         f"outputs of shapes {_text(shapes)} fit none of {', '.join(candidates)} with {classes} "
         f"{'class' if classes == 1 else 'classes'}{_guess(shapes, classes, darknet)}"
@@ -85,6 +113,74 @@ def fits(layout: str, shapes: Sequence[Shape], classes: int) -> bool:
         return False
     _, rows, columns = shapes[0]
     return columns == 5 + classes if layout == "yolov5" else rows == 4 + classes
+
+
+def _has_certain_boxes(shapes: Sequence[Shape]) -> bool:
+    """Return whether a pair is that of ``yolov4``; (1, N, 4) has centres and sizes in other networks."""
+    boxes, scores = _boxes_first(shapes)
+    return len(boxes) == 4 and boxes[2] == 1 and len(scores) == 3
+
+
+def _may_be_chosen(shapes: Sequence[Shape], size: tuple[int, int]) -> bool:
+    """Return whether a single output may be that of an end-to-end export."""
+    if len(shapes) != 1 or len(shapes[0]) < 2 or shapes[0][-1] not in _CHOSEN_COLUMNS or not _ones(shapes[0][:-2]):
+        return False
+    rows = shapes[0][-2]
+    return rows in _USUAL_LIMITS or rows not in _grid_sizes(size)
+
+
+def _grid_sizes(size: tuple[int, int]) -> set[int]:
+    """Return the numbers of candidates on the grids of a network: two or more with 3 anchors, three or more with 1."""
+    cells = [-(-size[0] // stride) * -(-size[1] // stride) for stride in _STRIDES]
+    grids = [(first, last) for first in range(4) for last in range(3, 5) if last > first]  # each with the stride of 32
+    found = {3 * sum(cells[first : last + 1]) for first, last in grids}
+    return found | {sum(cells[first : last + 1]) for first, last in grids if last - first > 1}
+
+
+def check_scale(layout: str, outputs: Sequence[Array]) -> None:
+    """Check that the coordinates of a network are pixels or fractions of the input, as its layout has them.
+
+    Args:
+        layout: one of LAYOUTS.
+        outputs: of the network for any picture.
+
+    Raises:
+        LayoutError: they are not, so that all boxes would be at wrong places.
+    """
+    if layout == "yolov4":
+        return
+    columns = [output[0].T if layout == "yolov8" else output.reshape(-1, output.shape[-1]) for output in outputs]
+    largest = max((float(np.abs(rows[:, :2]).max()) for rows in columns if len(rows)), default=0.0)
+    if (layout == "darknet") != (largest <= _LARGEST_FRACTION):
+        wanted = "fractions of the input" if layout == "darknet" else "pixels"
+        raise LayoutError(f"centres up to {largest:.4g} are not of layout {layout}, which has {wanted}: {_ADVICE}")
+
+
+def check_metadata(metadata: Mapping[str, str], classes: int) -> None:
+    """Check what Ultralytics' exporter has written into a file: ``task``, ``end2end``, ``args`` and ``names``.
+
+    Args:
+        metadata: texts by name; empty if there are none.
+        classes: number of names, C.
+
+    Raises:
+        LayoutError: the network does another task, chooses the objects itself, or has another number of classes.
+    """
+    task = metadata.get("task", "detect")
+    if task != "detect":
+        raise LayoutError(f"task {task[:40]!r} is not allowed, detect")
+    arguments, names = (_literal(metadata.get(name, "{}")) for name in ("args", "names"))
+    if metadata.get("end2end", "").lower() == "true" or (isinstance(arguments, Mapping) and arguments.get("nms")):
+        raise LayoutError(f"an end-to-end export, which has chosen its objects, is not supported: {_ADVICE}")
+    if isinstance(names, (Mapping, list)) and names and len(names) != classes:
+        raise LayoutError(f"the network has {len(names)} classes, the file of names has {classes}")
+
+
+def _literal(text: str) -> object:
+    try:
+        return ast.literal_eval(text[:_LONGEST_LITERAL])
+    except (ValueError, SyntaxError, MemoryError, RecursionError):
+        return None
 
 
 def decode(

@@ -8,8 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from xtdrone_sim.gazebo.frames import STANDING, State, in_world, part_of
-from xtdrone_sim.gazebo.request_limits import MOST_ADDED, RequestError, check_model, check_name, unknown
-from xtdrone_sim.physics.bodies.movable_bodies import Drive
+from xtdrone_sim.gazebo.request_limits import (
+    MOST_ADDED,
+    MOST_WRENCHES,
+    RequestError,
+    check_model,
+    check_name,
+    check_wrench,
+    unknown,
+)
+from xtdrone_sim.physics.bodies.movable_bodies import MOST_PAIRS, Drive
+from xtdrone_sim.physics.vehicle_dynamics import LOST
 from xtdrone_sim.physics.wrenches import Wrench
 from xtdrone_sim.shapes.pose_arithmetic import compose, conjugate, inverse, rotate
 from xtdrone_sim.shapes.visual import Pose
@@ -245,10 +254,15 @@ class Models:
         if len(parts) > 1 or self._joints_of({name}):
             self._check_loose(name, parts)
 
-        def place_model() -> str:
+        def targets() -> dict[int, State]:
             back = inverse(self._model_state(number).pose)
-            states = {part: part_of(state, compose(back, self._model_state(part).pose)) for part in parts}
-            for part, one in states.items():
+            return {part: part_of(state, compose(back, self._model_state(part).pose)) for part in parts}
+
+        for part, one in targets().items():
+            self._check_crowd(name, self._description(part), one.pose, part)
+
+        def place_model() -> str:
+            for part, one in targets().items():
                 self._simulation.world.place_model(part, one.pose, one.velocity, one.spin, hold_steps)
             return words
 
@@ -301,12 +315,25 @@ class Models:
         check_model(model)
         origin = compose(self.find("reference_frame", frame, frame=True).pose, pose)
         placed = replace(model, name=name, pose=compose(origin, model.pose))
+        self._check_crowd(name, placed, placed.pose)
 
         def add() -> str:
             self.enter(placed)
             return f"{name} is added, {'a static model' if placed.static else 'a body that moves'}"
 
         return add
+
+    def _check_crowd(self, name: str, model: SdfModel, pose: Pose, number: int | None = None) -> None:
+        """Check the contacts of a model at a new pose; see ``Bodies.crowd``.
+
+        Raises:
+            RequestError: too many shapes would touch.
+        """
+        if self._simulation.world.bodies.crowd(model, pose, number) > MOST_PAIRS:
+            raise RequestError(
+                f"model_name: {name!r} would touch others that touch each other: more than {MOST_PAIRS} pairs of "
+                "shapes in one crowd are not allowed"
+            )
 
     def enter(self, model: SdfModel, drive: Drive | None = None) -> int:
         """Add a model at its pose under a free name, and return its number.
@@ -367,7 +394,7 @@ class Models:
             end_us: simulated time of the end, counted from ``begin_us``; None: never.
 
         Raises:
-            RequestError: the body or the frame does not exist, or the body cannot move.
+            RequestError: the body or the frame does not exist, the body cannot move, or the wrench is too strong.
         """
         target, centre = self._pushed(name)
         axes = self.find("reference_frame", frame, frame=True)
@@ -376,9 +403,13 @@ class Models:
         if frame not in _WORLD:
             point = np.array(compose(axes.pose, wrench.pose).position)
             torque = torque + np.cross(point - np.array(centre), force)
+        world = self._simulation.world
+        check_wrench(name, tuple(force.tolist()), tuple(torque.tolist()), *world.inertia(target))
+        if len(world.wrenches) >= MOST_WRENCHES:
+            raise RequestError(f"body_name: {name!r}: {MOST_WRENCHES} wrenches act or are to act, no more are allowed")
 
         def push() -> str:
-            world, now_us, step_us = self._simulation.world, self._simulation.time_us, self._simulation.step_us
+            now_us, step_us = self._simulation.time_us, self._simulation.step_us
             begin = world.steps + max(begin_us - now_us, 0) / step_us
             end = float("inf") if end_us is None else begin + (end_us - begin_us) / step_us
             world.wrenches.add(Wrench(target, tuple(force.tolist()), tuple(torque.tolist()), begin, end))
@@ -408,6 +439,8 @@ class Models:
             root = self._simulation.models[vehicle].urdf.root
             if part not in ("", root):
                 raise RequestError(f"body_name: {name!r} is not a separate body, forces act on {base}::{root}")
+            if world.plant["contact"][vehicle] >= LOST:
+                raise RequestError(f"body_name: {name!r} is out of the world until it is reset")
             return vehicle, world.plant["position"][vehicle].tolist()
         number = self._numbers.get(base)
         body = None if number is None else world.bodies.models.get(number)

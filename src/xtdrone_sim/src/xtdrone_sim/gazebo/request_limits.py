@@ -15,6 +15,9 @@ from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
 FARTHEST = 1e5  # m, along each axis
 FASTEST = 1e3  # m/s and rad/s
 STRONGEST = 1e6  # N and N m
+HARDEST = 1e4  # m/s^2, of a body by the force of a request
+HARDEST_TURN = 1e5  # rad/s^2, of a body by the torque of a request
+MOST_WRENCHES = 1000  # that act now or later
 LONGEST_TEXT = 1 << 20  # characters of a model's description
 MOST_SHAPES = 256  # of a model
 MOST_ADDED = 500  # models added by requests at one time
@@ -39,6 +42,31 @@ def check_vector(what: str, values: Sequence[float], most: float) -> Vector:
     if not all(math.isfinite(value) and abs(value) <= most for value in (x, y, z)):
         raise RequestError(f"{what}: ({x:g}, {y:g}, {z:g}) is not allowed, finite numbers from {-most:g} to {most:g}")
     return (x, y, z)
+
+
+def check_wrench(name: str, force: Vector, torque: Vector, mass: float, moments: Sequence[float]) -> None:
+    """Check a wrench against the body on which it is to act.
+
+    Args:
+        name: of the body.
+        force: N, at the centre of mass.
+        torque: N m.
+        mass: kg.
+        moments: principal moments of inertia, kg m^2; the smallest one limits the torque.
+
+    Raises:
+        RequestError: the wrench would accelerate the body by more than ``HARDEST`` or ``HARDEST_TURN``.
+    """
+    least = min(moments)
+    for what, vector, most, unit, of in (
+        ("force", force, mass * HARDEST, "N", f"{mass:.4g} kg"),
+        ("torque", torque, least * HARDEST_TURN, "N m", f"moments of inertia from {least:.3g} kg m^2"),
+    ):
+        size = math.hypot(*vector)
+        if not size <= most:
+            raise RequestError(
+                f"wrench: {what}: {size:.4g} {unit} on {name!r} is not allowed, at most {most:.3g} {unit} with {of}"
+            )
 
 
 def check_quaternion(what: str, values: Sequence[float]) -> Quaternion:

@@ -12,7 +12,6 @@ from xtdrone_sim.vehicles.urdf import Description, Inertial, UrdfError, parse_ur
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
 from xtdrone_sim.worlds.sdf.models.rigid_links import is_possible
 
-_FILE = re.compile(r"filename\s*=\s*[\"'](.*?)[\"']")
 _STATIC = re.compile(r"<static>\s*(true|1)\s*</static>")
 
 
@@ -22,13 +21,8 @@ def model_of_urdf(text: str) -> SdfModel:
     Raises:
         RequestError: the URDF is invalid, or names a file outside ROS packages.
     """
-    for uri in _FILE.findall(text):
-        if uri.endswith(".so"):  # a plugin of Gazebo's
-            continue
-        if not uri.startswith("package://") or ".." in uri.split("/"):
-            raise RequestError(f"model_xml: {uri!r} is not allowed in a request, package://NAME/... without '..'")
     try:
-        description = parse_urdf(text, PACKAGE / "model_xml")
+        description = parse_urdf(text, PACKAGE / "model_xml", is_foreign=True)
         mass, centre, inertia = description.mass() if _has_mass(description) else (0.0, None, None)
     except UrdfError as error:
         raise RequestError(f"model_xml: {error}") from error

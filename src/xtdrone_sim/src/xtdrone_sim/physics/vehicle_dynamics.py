@@ -19,6 +19,13 @@ FREE = 0  # integrated here
 TOUCHING = 1  # near ground or another body: Bullet integrates
 ASLEEP = 2  # at rest on the ground with motors off: not integrated
 ABSENT = 3  # not in the world: a reserved place without a vehicle
+LOST = 4  # taken out of the world: it stays at its last possible position, without collisions, until a reset
+LEAVING = 5  # to be taken out by the next contact check; the states from ABSENT on are not integrated
+
+FASTEST_TURN = 100.0
+"""Limit of body rates, rad/s: far above those of flight, far below those at which a step of 4 ms becomes unstable."""
+FARTHEST = 1e6
+"""Limit of the sum of a state's numbers, in m, m/s and rad/s: far beyond all flights. Not finite ones exceed it too."""
 
 PLANT = np.dtype(
     [
@@ -31,7 +38,7 @@ PLANT = np.dtype(
         ("force", "f8", 3),  # N, world, without gravity
         ("torque", "f8", 3),  # N m, body
         ("wind", "f8", 3),  # m/s, world
-        ("contact", "i8"),  # FREE, TOUCHING, ASLEEP or ABSENT
+        ("contact", "i8"),  # FREE, TOUCHING, ASLEEP, ABSENT, LOST or LEAVING
         ("still_steps", "i8"),  # steps at rest with motors off
     ],
     align=True,
@@ -99,8 +106,26 @@ def _angular_acceleration(m, wx, wy, wz, torque):
 
 
 @kernel
+def _stop_at(v, position, q):
+    """Stop a vehicle with an impossible state at a position (3-tuple), m, and attitude (4-tuple); it is LEAVING."""
+    for i in range(3):
+        v.position[i] = position[i]
+        v.velocity[i] = v.rates[i] = v.acceleration[i] = v.force[i] = v.torque[i] = 0.0
+    for i in range(4):
+        v.q[i] = q[i]
+    for i in range(MAX_ROTORS):
+        v.rotor_speed[i] = 0.0
+    v.contact = LEAVING
+
+
+@kernel
 def integrate_free(v, m, gravity, dt):
-    """Advance a body in free flight by ``dt`` under v.force, v.torque and gravity (second order in dt)."""
+    """Advance a body in free flight by ``dt`` under v.force, v.torque and gravity (second order in dt).
+
+    Body rates are limited to ``FASTEST_TURN``. A body whose state becomes impossible stops where it was, LEAVING.
+    """
+    position = v.position[0], v.position[1], v.position[2]
+    q = v.q[0], v.q[1], v.q[2], v.q[3]
     for i in range(3):
         v.acceleration[i] = v.force[i] / m.mass
     v.acceleration[2] -= gravity
@@ -116,12 +141,22 @@ def integrate_free(v, m, gravity, dt):
     v.rates[1] = wy + dt * by
     v.rates[2] = wz + dt * bz
     integrate(v.q, hx * dt, hy * dt, hz * dt)
+    turn = v.rates[0] * v.rates[0] + v.rates[1] * v.rates[1] + v.rates[2] * v.rates[2]
+    if turn > FASTEST_TURN * FASTEST_TURN:
+        share = FASTEST_TURN / math.sqrt(turn)
+        for i in range(3):
+            v.rates[i] *= share
+    total = abs(v.q[0]) + abs(v.q[1]) + abs(v.q[2]) + abs(v.q[3])
+    for i in range(3):
+        total += abs(v.position[i]) + abs(v.velocity[i]) + abs(v.rates[i])
+    if not total < FARTHEST:  # true for NaN as well
+        _stop_at(v, position, q)
 
 
 @kernel
 def step_vehicle(v, m, lag, actuators, armed, gravity, dt):
     """Advance one vehicle; return 1 if Bullet must integrate its motion, else 0. See ``step_all``, ``rotor_lag``."""
-    if v.contact == ABSENT or (v.contact == ASLEEP and not armed):
+    if v.contact >= ABSENT or (v.contact == ASLEEP and not armed):
         return 0
     advance_rotors(v, m, lag, actuators, armed)
     rotor_wrench(v, m)

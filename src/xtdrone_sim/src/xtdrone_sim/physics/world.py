@@ -8,6 +8,7 @@ that can move are in ``movable_bodies``.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 
 import numpy as np
@@ -39,7 +40,16 @@ from xtdrone_sim.physics.contacts.sleeping import (
 from xtdrone_sim.physics.contacts.start_collisions import body_pose, check_starts
 from xtdrone_sim.physics.joints import Joint, swapped
 from xtdrone_sim.physics.quiet_pybullet import connect, pybullet
-from xtdrone_sim.physics.vehicle_dynamics import ABSENT, ASLEEP, PLANT, TOUCHING
+from xtdrone_sim.physics.vehicle_dynamics import (
+    ABSENT,
+    ASLEEP,
+    FARTHEST,
+    FASTEST_TURN,
+    LEAVING,
+    LOST,
+    PLANT,
+    TOUCHING,
+)
 from xtdrone_sim.physics.world_environment import WorldModel
 from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.vehicles.vehicle_model import MODEL, VehicleModel
@@ -64,6 +74,7 @@ class World:
         time_step: s.
         bodies: movable models, by number.
         wrenches: forces and torques by request.
+        lost: vehicles taken out of the world because their state was impossible; emptied by its reader.
         collisions: pairs that have collided since the start, lower index first: vehicles, and from n on the models by
             number: those of the world in its order, then added ones.
     """
@@ -94,6 +105,7 @@ class World:
         self.plant = np.zeros(count, PLANT)
         self.models = np.zeros(count, MODEL)
         self.collisions: set[tuple[int, int]] = set()
+        self.lost: list[int] = []
         for i, vehicle in enumerate(vehicles):
             self.models[i] = vehicle.record
         for v, m, pose in zip(self.plant, self.models, poses, strict=True):
@@ -205,7 +217,9 @@ class World:
         check_starts(self.plant, self.models, names, self._obstacles, owners, which)
 
     def put(self, i: int, pose: StartPose, names: Sequence[str]) -> None:
-        """Move vehicle ``i`` to a start pose, at rest and with its rotors stopped.
+        """Move vehicle ``i`` to a start pose, at rest, with its rotors stopped and without wrenches.
+
+        A lost one is in the world again.
 
         Args:
             i: index of the vehicle.
@@ -216,6 +230,7 @@ class World:
             StartError: the place is not free; nothing has changed then.
         """
         self.plant[i] = self._start(i, pose, self.models, names)
+        self.wrenches.clear(i)
         self._hand_over(i)
         self._update_touching()
         self.collisions = {pair for pair in self.collisions if i not in pair}
@@ -251,18 +266,18 @@ class World:
         models[i] = vehicle.record
         self.plant[i] = self._start(i, pose, models, names)
         self.models[i] = vehicle.record
+        self._restore_body(i)
+        self._update_touching()
+
+    def _restore_body(self, i: int) -> None:
+        """Create Bullet's body of vehicle ``i``, which has none."""
         self._bodies[i] = self._create_body(self.plant[i], self.models[i])
         self._index_of[self._bodies[i]] = i
-        self._update_touching()
 
     def remove_vehicle(self, i: int) -> None:
         """Remove a vehicle from the world; bodies that rest against it wake."""
         v, m = self.plant[i].copy(), self.models[i]
-        self._bullet.removeBody(self._bodies[i])
-        del self._index_of[self._bodies[i]]
-        self._bodies[i] = _NO_BODY
-        self._held.pop(i, None)
-        self.wrenches.clear(i)
+        self._remove_body(i)
         self.collisions = {pair for pair in self.collisions if i not in pair}
         self.plant[i] = _absent()
         distances = np.linalg.norm(self.plant["position"] - v["position"], axis=1)
@@ -272,6 +287,15 @@ class World:
         reach = float(m["radius"])
         self.bodies.wake_around(np.concatenate([v["position"] - reach, v["position"] + reach])[None])
         self._update_touching()
+
+    def _remove_body(self, i: int) -> None:
+        """Remove Bullet's body of vehicle ``i``, with its wrenches."""
+        if self._bodies[i] != _NO_BODY:
+            self._bullet.removeBody(self._bodies[i])
+            del self._index_of[self._bodies[i]]
+            self._bodies[i] = _NO_BODY
+        self._held.pop(i, None)
+        self.wrenches.clear(i)
 
     def _update_touching(self) -> None:
         self._touching = np.flatnonzero(self.plant["contact"] == TOUCHING).tolist()
@@ -359,6 +383,9 @@ class World:
         for i in np.flatnonzero(self._wanted != contact):
             if self._wanted[i] == TOUCHING:
                 self._hand_over(i)
+            elif self._wanted[i] == LOST:
+                self._remove_body(int(i))
+                self.lost.append(int(i))
             else:
                 self._park(i, asleep=bool(self._wanted[i] == ASLEEP))
         contact[:] = self._wanted
@@ -389,6 +416,14 @@ class World:
             del self._held[i]
             wanted[i] = TOUCHING
         wanted[list(self._held)] = ASLEEP
+
+    def inertia(self, target: int) -> tuple[float, list[float]]:
+        """Return mass, kg, and principal moments of inertia, kg m^2, of the target of a wrench; see ``Wrench``."""
+        if target < len(self.plant):
+            m = self.models[target]
+            return float(m["mass"]), m["inertia"].tolist()
+        body = self.bodies.by_number[target - len(self.plant)]
+        return body.mass, body.moments.tolist()
 
     # requests, between two steps
 
@@ -425,6 +460,8 @@ class World:
     def remove_model(self, number: int) -> None:
         """Remove a model."""
         self._loosen(number)
+        for shape in self.bodies.by_number[number].shapes:
+            self._index_of.pop(shape, None)
         self.bodies.remove(number)
         self.wrenches.clear(len(self.plant) + number)
 
@@ -482,6 +519,8 @@ class World:
 
     def _hand_over(self, i: int) -> None:
         """Make Bullet integrate body ``i`` from its current state."""
+        if self._bodies[i] == _NO_BODY:  # of a lost vehicle
+            self._restore_body(i)
         v, body = self.plant[i], self._bodies[i]
         v["still_steps"] = 0
         w, x, y, z = v["q"].tolist()
@@ -508,9 +547,12 @@ class World:
         # The client looks up each attribute with inspect, which takes longer than the call.
         apply_force, apply_torque = client.applyExternalForce, client.applyExternalTorque
         pose_of, velocity_of = client.getBasePositionAndOrientation, client.getBaseVelocity
-        for i in self._touching:
+        for i in self._touching.copy():
             v, m = plant[i], models[i]
             fx, fy, fz = v["force"].tolist()
+            if not math.isfinite(fx + fy + fz + float(v["torque"].sum())):  # would spread to the bodies that it touches
+                self._stop(i)
+                continue
             weight = float(m["mass"]) * gravity
             position = v["position"].tolist()
             apply_force(self._bodies[i], -1, (fx, fy, fz - weight), position, pybullet.WORLD_FRAME)
@@ -525,10 +567,17 @@ class World:
             self.bodies.read()
         for i in self._held:
             self._hand_over(i)
-        for i in self._touching:
+        for i in self._touching.copy():
             v = plant[i]
             position, (x, y, z, w) = pose_of(self._bodies[i])
             velocity, spin = velocity_of(self._bodies[i])
+            turn = math.hypot(*spin)
+            if turn > FASTEST_TURN:
+                spin = tuple(value * FASTEST_TURN / turn for value in spin)
+                client.resetBaseVelocity(self._bodies[i], velocity, spin)
+            if not sum(map(abs, (*position, x, y, z, w, *velocity, *spin))) < FARTHEST:  # true for NaN as well
+                self._stop(i)
+                continue
             v["acceleration"] = (np.array(velocity) - v["velocity"]) / dt
             v["position"] = position
             v["velocity"] = velocity
@@ -539,6 +588,15 @@ class World:
             v["still_steps"] = v["still_steps"] + 1 if speed < REST_SPEED and not spinning else 0
         if len(self._touching) > 1 or self._near_obstacles:
             self._note_collisions()
+
+    def _stop(self, i: int) -> None:
+        """Stop a vehicle whose state has become impossible where it was; see ``vehicle_dynamics.LEAVING``."""
+        v = self.plant[i]
+        for name in ("velocity", "rates", "acceleration", "force", "torque", "rotor_speed"):
+            v[name] = 0.0
+        v["contact"] = LEAVING
+        self._touching.remove(i)
+        self._remove_body(i)
 
     @staticmethod
     def _world_torque(v: np.void) -> tuple[float, float, float]:

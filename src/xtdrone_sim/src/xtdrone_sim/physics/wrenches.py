@@ -38,9 +38,9 @@ class Wrenches:
         """Start without wrenches."""
         self._wrenches: list[Wrench] = []
 
-    def __bool__(self) -> bool:
-        """Whether there are any."""
-        return bool(self._wrenches)
+    def __len__(self) -> int:
+        """Number of wrenches."""
+        return len(self._wrenches)
 
     def add(self, wrench: Wrench) -> None:
         """Add a wrench."""

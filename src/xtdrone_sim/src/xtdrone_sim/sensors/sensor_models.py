@@ -55,6 +55,7 @@ BIAS = np.dtype(
 _P0 = 101325.0  # Pa
 _T0 = 288.15  # K
 _LAPSE = 0.0065  # K/m
+_THINNEST = 1e-3  # least share of that temperature: the model ends at 44 km
 _EXPONENT = 5.25588
 
 _reproject = kernel(projection.reproject)
@@ -101,7 +102,7 @@ def _magnetometer(s, v, m, b, noise, field):
 def _barometer(s, v, m, b, noise, datum_altitude, dt):
     b.baro += m.baro_drift * math.sqrt(dt) * noise[4]
     altitude = datum_altitude + v.position[2] + b.baro + m.baro_noise * noise[3]
-    share = 1.0 - _LAPSE * altitude / _T0
+    share = max(1.0 - _LAPSE * altitude / _T0, _THINNEST)
     s.baro_alt = altitude
     s.baro_pressure = _P0 * share**_EXPONENT
     s.baro_temperature = _T0 * share - 273.15

@@ -58,7 +58,7 @@ class Others:
     @property
     def any(self) -> bool:
         """Whether there is another vehicle or a person that a vehicle can see."""
-        return bool(self.people) or int(np.count_nonzero(self._world.plant["contact"] != ABSENT)) > 1
+        return bool(self.people) or int(np.count_nonzero(self._world.plant["contact"] < ABSENT)) > 1
 
     def spheres(self, time_us: int) -> tuple[Array, Array]:
         """Return centres (m, 3), m, map, and radii (m,), m, of spheres around all vehicles by index, then all people.
@@ -70,7 +70,7 @@ class Others:
         states = [state for _, state in self._actors.present(time_us)]
         middles, radii = np.empty((count + len(states), 3)), np.empty(count + len(states))
         middles[:count], radii[:count] = plant["position"], self._world.models["radius"] + _MARGIN
-        radii[:count][plant["contact"] == ABSENT] = -1.0
+        radii[:count][plant["contact"] >= ABSENT] = -1.0
         for k, state in enumerate(states, start=count):
             middles[k], radii[k] = state.position, _PERSON[1]
             middles[k, 2] += _PERSON[0]

@@ -15,11 +15,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.bounded_file import MB, read_bytes
 from xtdrone_control.cameras import camera_pose
 from xtdrone_sim.shapes.visual import Box, Cylinder, Geometry, Mesh, Pose, Sphere
 
 _AROUND = 24  # corners per circle
 _RINGS = 12  # from pole to pole of a sphere
+_LARGEST = 64 * MB  # of a Wavefront file
 
 Array = NDArray[np.float64]
 
@@ -190,7 +192,7 @@ def read_obj(path: Path) -> Triangles:
     values: dict[str, list[list[float]]] = {"v": [], "vt": [], "vn": []}
     faces: list[tuple[tuple[int, int, int], ...]] = []
     try:
-        lines = Path(path).read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = read_bytes(path, _LARGEST).decode("utf-8", "replace").splitlines()
     except OSError as error:
         raise MeshError(f"{path}: {error.strerror or error}") from None
     for number, line in enumerate(lines, 1):
@@ -204,7 +206,7 @@ def read_obj(path: Path) -> Triangles:
                 corners = [_corner(word, values) for word in words[1:]]
                 faces += [(corners[0], b, c) for b, c in itertools.pairwise(corners[1:])]
         except (ValueError, IndexError):
-            raise MeshError(f"{path}, line {number}: {line.strip()!r} cannot be read") from None
+            raise MeshError(f"{path}, line {number}: {line.strip()[:80]!r} cannot be read") from None
     if not faces:
         raise MeshError(f"{path}: has no faces, a Wavefront file (.obj) with faces is needed")
     return _triangles(path, values, faces)
@@ -230,6 +232,8 @@ def _triangles(path: Path, values: dict[str, list[list[float]]], faces: list) ->
         normals = np.array([*values["vn"], [0.0, 0.0, 0.0]], float).reshape(-1, 3)
     except ValueError:
         raise MeshError(f"{path}: corners must have three numbers, texture coordinates two") from None
+    if not all(np.isfinite(numbers).all() for numbers in (points, uv, normals)):
+        raise MeshError(f"{path}: has numbers that are not finite, all must be")
     indices = np.array(faces, int)
     corners = points[indices[:, :, 0]]
     flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -8,10 +8,13 @@ must be expanded first.
 
 from __future__ import annotations
 
+import itertools
 import math
+import os
 import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -39,10 +42,14 @@ from xtdrone_sim.shapes.visual import (
 
 FIXED, REVOLUTE, CONTINUOUS = "fixed", "revolute", "continuous"
 _LARGEST = 16 * MB
+MOST_LINKS = 1000
+MOST_IN_CHAIN = 100
+"""Largest number of joints between a link and the root: work on chains grows with their square."""
 _KINDS = (FIXED, REVOLUTE, CONTINUOUS)
 _SHAPES = ("box", "cylinder", "sphere", "mesh")
 _MESHES = (".obj",)
 _TEXTURES = (".png", ".jpg", ".jpeg")
+LONGEST_URI = 1000  # characters
 _URI = re.compile(r"(?P<attribute>filename\s*=\s*)(?P<quote>[\"'])(?P<uri>.*?)(?P=quote)")
 
 
@@ -235,12 +242,13 @@ def read_urdf(path: Path) -> Description:
     return parse_urdf(text, path)
 
 
-def parse_urdf(text: str, path: Path) -> Description:
+def parse_urdf(text: str, path: Path, is_foreign: bool = False) -> Description:
     """Parse a URDF.
 
     Args:
         text: content of the file.
         path: path of the file, for messages and relative file names.
+        is_foreign: whether the content is from a request and may therefore only name files of ROS packages.
 
     Raises:
         UrdfError: see ``read_urdf``.
@@ -257,25 +265,29 @@ def parse_urdf(text: str, path: Path) -> Description:
         raise UrdfError(f"{path}: element <{robot.tag}> is not allowed at the top, <robot>")
     if "xacro" in text:
         raise UrdfError(f"{path}: xacro is not supported, expand it first: xacro FILE.xacro > FILE.urdf")
-    return _Reader(path, robot).read(text)
+    return _Reader(path, robot, is_foreign).read(text)
 
 
 class _Reader:
     """State of the reader of one file."""
 
-    def __init__(self, path: Path, robot: Element) -> None:
+    def __init__(self, path: Path, robot: Element, is_foreign: bool) -> None:
         self._path = path
         self._robot = robot
+        self._is_foreign = is_foreign
         self._materials: dict[str, tuple[Colour, Path | None]] = {}
 
     def read(self, text: str) -> Description:
         name = self._robot.get("name", self._path.stem)
+        count = sum(element.tag == "link" for element in self._robot)
+        if count > MOST_LINKS:
+            raise self._fail("links", f"{count} are not allowed, at most {MOST_LINKS}")
         for element in self._robot.findall("material"):
             self._materials[self._name(element, "material")] = self._look(element, "material")
         links = [self._link(element) for element in self._robot.findall("link")]
         joints = [self._joint(element) for element in self._robot.findall("joint")]
         ordered = self._tree(links, joints)
-        return Description(name, *ordered, _URI.sub(self._found, text))
+        return Description(name, *ordered, text if self._is_foreign else _URI.sub(self._found, text))
 
     def _fail(self, where: str, problem: str) -> UrdfError:
         return UrdfError(f"{self._path}: {where}: {problem}")
@@ -306,7 +318,8 @@ class _Reader:
         except ValueError:
             values = []
         if len(values) != count or not all(map(math.isfinite, values)):
-            raise self._fail(place, f"{text!r} is not allowed, {'a number' if count == 1 else f'{count} numbers'}")
+            wanted = "a number" if count == 1 else f"{count} numbers"
+            raise self._fail(place, f"{text[:100]!r} is not allowed, {wanted}")
         return values
 
     def _positive(self, element: Element, attribute: str, where: str, count: int = 1) -> list[float]:
@@ -328,13 +341,17 @@ class _Reader:
     def _file(self, element: Element, where: str, suffixes: tuple[str, ...]) -> Path:
         uri = element.get("filename", "")
         place = f"{where}, <{element.tag}> filename"
+        if len(uri) > LONGEST_URI:
+            raise self._fail(place, f"{uri[:80]!r}...: {len(uri)} characters are not allowed, at most {LONGEST_URI}")
+        if self._is_foreign and (not uri.startswith("package://") or ".." in uri.split("/")):
+            raise self._fail(place, f"{uri!r} is not allowed in a request, package://NAME/... without '..'")
         try:
             path = resolve(uri, self._path.parent)
         except UrdfError as error:
             raise self._fail(place, str(error)) from error
         if path.suffix.lower() not in suffixes:
             raise self._fail(place, f"{uri!r} is not allowed, a file that ends with {' or '.join(suffixes)}")
-        if not path.is_file():
+        if not os.path.isfile(path):  # false for a name that the file system rejects, too
             raise self._fail(place, f"{uri!r}: there is no file {path}")
         return path
 
@@ -460,22 +477,35 @@ class _Reader:
         children = {joint.child for joint in joints}
         roots = [link for link in links if link.name not in children]
         if len(roots) != 1:
-            names = ", ".join(link.name for link in roots) or "none"
+            names = _list(link.name for link in roots) or "none"
             raise self._fail("links", f"{names}: exactly one link must not be the child of a joint")
-        ordered, held = [roots[0]], []
+        below: dict[str, list[Joint]] = {}
+        for joint in joints:
+            below.setdefault(joint.parent, []).append(joint)
+        ordered, held, depths = [roots[0]], [], {roots[0].name: 0}
         for link in ordered:
-            below = [joint for joint in joints if joint.parent == link.name]
-            held += below
-            ordered += [by_name[joint.child] for joint in below]
+            own = below.get(link.name, [])
+            held += own
+            ordered += [by_name[joint.child] for joint in own]
+            depths |= {joint.child: depths[link.name] + 1 for joint in own}
+        deepest = max(depths.values())
+        if deepest > MOST_IN_CHAIN:
+            raise self._fail("joints", f"a chain of {deepest} is not allowed, at most {MOST_IN_CHAIN}")
         if len(ordered) < len(links):
-            lost = ", ".join(sorted(set(by_name) - {link.name for link in ordered}))
+            lost = _list(sorted(set(by_name) - {link.name for link in ordered}))
             raise self._fail("joints", f"{lost}: the joints form a loop")
         return tuple(ordered), tuple(held)
 
     def _only_once(self, what: str, names: list[str]) -> None:
-        for name in names:
-            if names.count(name) > 1:
-                raise self._fail(what, f"{name!r} is given {names.count(name)} times")
+        for name, count in Counter(names).items():
+            if count > 1:
+                raise self._fail(what, f"{name!r} is given {count} times")
+
+
+def _list(names: Iterable[str]) -> str:
+    """Return up to 20 names for a message."""
+    shown = list(itertools.islice(names, 21))
+    return ", ".join(shown[:20]) + (", ..." if len(shown) > 20 else "")
 
 
 def _numbered(element: Element, tag: str, where: str) -> Iterator[tuple[Element, str]]:

@@ -6,6 +6,7 @@ package's ``config/vehicles``. The YAML defines its dynamics, the URDF its shape
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from dataclasses import fields as dataclass_fields
@@ -91,6 +92,12 @@ _MOST_PRODUCT = 0.05  # maximum product of inertia, as a fraction of the smalles
 # sensors that a vehicle may lack: section, prefix of the record's fields
 _OPTIONAL_SENSORS = (("optical_flow", "flow"), ("range_finder", "range"))
 _BATTERY_KINDS = ("drain", "cell")
+_FIELDS = (
+    *("extends", "urdf", "mass", "inertia", "collision_box", "linear_drag", "rotor_model", "rotors"),
+    *("control_allocation", "sensors", "cameras", "gimbal", "lidars", "imus", "uwb", "landing_gear", "battery"),
+    *("parameters", "simplified"),
+)
+_SENSORS = {"imu": "", "magnetometer": "mag_", "barometer": "baro_", "gps": "gps_"}
 _DIRECTIONS = {"ccw": 1.0, "cw": -1.0}
 _ROTOR_FIELDS = (
     "thrust_constant",
@@ -180,6 +187,7 @@ def load_vehicle(name: str) -> VehicleModel:
     description = read_description("vehicles", name)
     record = np.zeros(1, MODEL)[0]
     try:
+        _check_fields("vehicle", description, _FIELDS)
         urdf = _description(description, find("vehicles", name).parent)
         _fill_body(record, description, urdf)
         _fill_rotors(record, description)
@@ -192,15 +200,32 @@ def load_vehicle(name: str) -> VehicleModel:
         _check_topics({"lidars": lidars, "imus": imus, "uwb": uwb})
         gimbal = read_gimbal(description.get("gimbal"), urdf)
         gear = read_landing_gear(description.get("landing_gear"), urdf)
-    except (KeyError, TypeError) as error:
-        raise ModelError(f"vehicle {name!r}: field {error} is missing or of the wrong kind") from error
+        parameters = {str(key): float(value) for key, value in description.get("parameters", {}).items()}
+        battery = _battery(description.get("battery", {}))
+    except ModelError:
+        raise
     except (MountError, UrdfError) as error:
         raise ModelError(f"vehicle {name!r}: {error}") from error
-    parameters = {str(key): float(value) for key, value in description.get("parameters", {}).items()}
-    battery = _battery(description.get("battery", {}))
+    except (KeyError, IndexError, TypeError, AttributeError, ValueError, OverflowError) as error:
+        words = str(error)[:200]
+        raise ModelError(f"vehicle {name!r}: field {words} is missing or of the wrong kind") from error
+    bad = [field for field in MODEL.names or () if not np.isfinite(record[field]).all()]
+    if bad:
+        raise ModelError(f"vehicle {name!r}: {bad[0]}: {record[bad[0]]} is not allowed, finite numbers")
     return VehicleModel(
         Path(name).stem, record, parameters, battery, urdf, assumed, cameras, gimbal, gear, lidars, imus, uwb
     )
+
+
+def _check_fields(place: str, given: Mapping[str, Any], known: Sequence[str]) -> None:
+    """Check that no field of a mapping is unknown.
+
+    Raises:
+        ModelError: one is.
+    """
+    for field in given:
+        if field not in known:
+            raise ModelError(f"{place}: field {str(field)[:60]!r} is not known; there are {', '.join(known)}")
 
 
 def _check_topics(sensors: Mapping[str, Sequence[LidarMount | ImuMount | UwbMount]]) -> None:
@@ -235,7 +260,7 @@ def _description(description: dict[str, Any], folder: Path) -> Description:
     places = [folder, *folders("vehicles")[:-1], MODELS]
     for place in places:
         path = place / str(name)
-        if path.is_file():
+        if os.path.isfile(path):  # false for a name that the file system rejects, too
             return read_urdf(path)
     raise ModelError(f"urdf: {str(name)!r} does not exist; searched in {', '.join(map(str, places))}")
 
@@ -246,9 +271,7 @@ def _battery(description: dict[str, Any]) -> BatteryModel:
     if kind not in _BATTERY_KINDS:
         raise ModelError(f"battery model {kind!r} is not allowed, {' or '.join(_BATTERY_KINDS)}")
     allowed = [field.name for field in dataclass_fields(BatteryModel) if field.name != "cells"]
-    for name in fields:
-        if name not in allowed:
-            raise ModelError(f"battery: field {name!r} is not known; there are {', '.join(allowed)}")
+    _check_fields("battery", fields, allowed)
     values = {name: _positive(fields, name) for name in fields}
     return BatteryModel(cells=kind == "cell", **values)
 
@@ -303,6 +326,7 @@ def _weighed(urdf: Description) -> tuple[float, list[float]]:
 
 
 def _fill_rotors(record: np.void, description: dict[str, Any]) -> None:
+    _check_fields("rotor_model", description["rotor_model"], _ROTOR_FIELDS)
     for field in _ROTOR_FIELDS:
         record[field] = float(description["rotor_model"][field])
     for field in ("thrust_constant", "time_constant_up", "time_constant_down", "max_speed", "input_scaling"):
@@ -312,6 +336,7 @@ def _fill_rotors(record: np.void, description: dict[str, Any]) -> None:
         raise ModelError(f"rotors: {len(rotors)} is not allowed, 4 to {MAX_ROTORS}")
     record["rotor_count"] = len(rotors)
     for i, rotor in enumerate(rotors):
+        _check_fields(f"rotor {i}", rotor, ("position", "direction"))
         if rotor["direction"] not in _DIRECTIONS:
             raise ModelError(f"rotor {i}: direction {rotor['direction']!r} is not allowed, ccw or cw")
         record["rotor_position"][i] = rotor["position"]
@@ -326,6 +351,7 @@ def _assumed_layout(record: np.void, description: dict[str, Any] | None) -> Roto
     """
     if description is None:
         return None
+    _check_fields("control_allocation", description, ("positions", "moment_ratio"))
     count = int(record["rotor_count"])
     positions = np.asarray(description["positions"], float)
     if positions.shape != (count, 2):
@@ -335,12 +361,17 @@ def _assumed_layout(record: np.void, description: dict[str, Any] | None) -> Roto
 
 
 def _fill_sensors(record: np.void, sensors: dict[str, Any]) -> None:
-    for field, value in sensors["imu"].items():
-        record[field] = float(value)
-    for prefix, sensor in (("mag", "magnetometer"), ("baro", "barometer"), ("gps", "gps")):
-        for field, value in sensors[sensor].items():
-            record[f"{prefix}_{field}"] = value
-    for section, prefix in _OPTIONAL_SENSORS:
-        for field, value in (sensors.get(section) or {}).items():
-            record[f"{prefix}_{field}"] = float(value)
-            record[f"{prefix}_fitted"] = 1
+    _check_fields("sensors", sensors, (*_SENSORS, *(section for section, _ in _OPTIONAL_SENSORS)))
+    for section, prefix in _SENSORS.items():
+        _fill_sensor(record, section, prefix, sensors[section])
+    for section, name in _OPTIONAL_SENSORS:
+        given = sensors.get(section) or {}
+        _fill_sensor(record, section, f"{name}_", given)
+        record[f"{name}_fitted"] = bool(given)
+
+
+def _fill_sensor(record: np.void, section: str, prefix: str, given: Mapping[str, Any]) -> None:
+    names = [name for name in MODEL.names or () if name.startswith(prefix or ("gyro_", "accel_"))]
+    _check_fields(f"sensors: {section}", given, [name.removeprefix(prefix) for name in names if "_fitted" not in name])
+    for field, value in given.items():
+        record[f"{prefix}{field}"] = float(value)

@@ -38,6 +38,7 @@ _COLUMNS = 5
 _NAME = re.compile(r"[A-Za-z0-9_]{1,16}")
 _STACK = re.compile(r"#\s*Stack:\s*(\S.*?)\s*")
 _LARGEST_SYSTEM = 255
+_MOST_DIGITS = 9  # of a vehicle id, leading zeros included
 _log = logging.getLogger(__name__)
 
 Value = tuple[float, int]
@@ -178,8 +179,8 @@ def _row(line: str, where: str) -> tuple[int, str, Value]:
     if len(columns) != _COLUMNS:
         raise ParameterFileError(f"{where}: {len(columns)} columns are not allowed, {_COLUMNS} with tabs between")
     system, _, parameter, value, kind = columns
-    if not system.isdecimal() or not 1 <= int(system) <= _LARGEST_SYSTEM:
-        raise ParameterFileError(f"{where}: vehicle id {system!r} is not allowed, 1 to {_LARGEST_SYSTEM}")
+    if not system.isdecimal() or len(system) > _MOST_DIGITS or not 1 <= int(system) <= _LARGEST_SYSTEM:
+        raise ParameterFileError(f"{where}: vehicle id {system[:40]!r} is not allowed, 1 to {_LARGEST_SYSTEM}")
     if not _NAME.fullmatch(parameter):
         raise ParameterFileError(f"{where}: name {parameter!r} is not allowed, 1 to 16 letters, digits and _")
     try:

@@ -24,9 +24,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
-from xtdrone_control.bounded_file import ContentError, read_text
+from xtdrone_control.bounded_file import BoundedLoader, ContentError, load_yaml, read_text
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
 from xtdrone_interaction.command_options import OptionError
@@ -137,7 +136,7 @@ def _plain_axis(axis: Axis) -> Any:
     return {"from": axis.values[0], "to": axis.values[1], "log": axis.log} if axis.sampled else list(axis.values)
 
 
-class _Loader(yaml.SafeLoader):
+class _Loader(BoundedLoader):
     """YAML loader that rejects duplicate keys, of which YAML silently takes the last."""
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Hashable, Any]:
@@ -147,7 +146,7 @@ class _Loader(yaml.SafeLoader):
             if not isinstance(key, Hashable):
                 continue  # rejected below
             if key in seen:
-                raise OptionError(f"{key!r} is given twice, again in line {key_node.start_mark.line + 1}")
+                raise ContentError(f"{key!r} is given twice, again in line {key_node.start_mark.line + 1}")
             seen.add(key)
         return super().construct_mapping(node, deep)
 
@@ -161,10 +160,10 @@ def read_study(file: str | Path) -> Study:
     path = Path(file)
     try:
         text = read_text(path)
-        return make_study(yaml.load(text, _Loader), path.resolve().parent)
+        return make_study(load_yaml(text, _Loader), path.resolve().parent)
     except OSError as error:
         raise OptionError(f"study: {path}: {error.strerror or error}") from error
-    except (yaml.YAMLError, ContentError) as error:
+    except ContentError as error:
         raise OptionError(f"study: {path} is not YAML: {error}") from error
     except OptionError as error:
         raise OptionError(f"study {path}: {error}") from error
@@ -207,7 +206,7 @@ def make_study(data: object, folder: Path) -> Study:
     if data is None:
         raise OptionError(f"it is empty; a mapping with {', '.join(_KEYS)}")
     if not isinstance(data, Mapping):
-        raise OptionError(f"{data!r} is not a study; a mapping with {', '.join(_KEYS)}")
+        raise OptionError(f"{str(data)[:60]} is not a study; a mapping with {', '.join(_KEYS)}")
     check = _Checks()
     for key in (key for key in data if key not in _KEYS):
         check.add(f"{key!r} is unknown; there are: {', '.join(_KEYS)}")

@@ -8,9 +8,11 @@ so that it carries and pushes bodies that touch it, and static bodies stop it.
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -28,11 +30,18 @@ from xtdrone_sim.physics.contacts.sleeping import (
 from xtdrone_sim.physics.quiet_pybullet import BulletClient, pybullet
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT, FREE, TOUCHING
 from xtdrone_sim.shapes.pose_arithmetic import compose, inverse, rotate
-from xtdrone_sim.shapes.visual import Pose
+from xtdrone_sim.shapes.visual import Geometry, Pose
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
 from xtdrone_sim.worlds.sdf.models.rigid_links import MOST_SHAPES
 from xtdrone_sim.worlds.sdf.world_records import SdfModel
 
+_log = logging.getLogger("rosout.simulation")  # a child of ROS's logger, see ``xml_elements``
+
+MOST_PAIRS = 300
+"""Largest number of pairs of shapes that a request may make touch in one crowd of bodies."""
+
+_AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+_TOUCHING = 0.02  # m between boxes that count as touching
 _NEAR = 0.1  # m between the boxes of two bodies below which a moving one wakes the other
 _ROLLING = 1e-3  # m, rolling and spinning friction: a ball comes to rest
 _LOST = 1e6  # m from the origin at which a body has left the world
@@ -64,7 +73,7 @@ def mark_near_bodies(plant, models, boxes, speeds, moving, limits, horizon, want
     count = 0
     for i in range(plant.shape[0]):
         v = plant[i]
-        if v.contact == ABSENT:
+        if v.contact >= ABSENT:
             continue
         x, y, z = v.position[0], v.position[1], v.position[2]
         speed = math.sqrt(v.velocity[0] ** 2 + v.velocity[1] ** 2 + v.velocity[2] ** 2)
@@ -128,7 +137,8 @@ class Body:
         moments: principal moments of inertia (3,), kg m^2.
         weight: share of the mass that has weight.
         shapes: Bullet's bodies; one of a body with mass, none if nothing of it collides.
-        box: lowest and highest corner (2, 3), m, in ``frame``.
+        corners: lowest and highest corner of each shape of the model (s, 2, 3), m, in ``frame``.
+        box: lowest and highest corner of all (2, 3), m, in ``frame``.
         pose: of the model in the world.
         velocity: of the model's origin, m/s, world.
         spin: rad/s, world.
@@ -144,6 +154,7 @@ class Body:
     moments: NDArray[np.float64]
     weight: float
     shapes: list[int]
+    corners: NDArray[np.float64]
     box: NDArray[np.float64]
     pose: Pose
     velocity: Vector = (0.0, 0.0, 0.0)
@@ -159,6 +170,19 @@ class Body:
     def is_solid(self) -> bool:
         """Whether Bullet can move it."""
         return self.mass > 0.0 and bool(self.shapes)
+
+    @cached_property
+    def reach(self) -> float:
+        """Greatest distance of a point of its box from the model's origin, m."""
+        return float(np.linalg.norm(np.abs(self.box).max(axis=0))) + math.hypot(*self.frame.position)
+
+    def boxes_at(self, pose: Pose) -> NDArray[np.float64]:
+        """Return the boxes (s, 6) of its shapes, m, world, with the model at a pose."""
+        frame = compose(pose, self.frame)
+        turn = np.array([rotate(frame.orientation, axis) for axis in _AXES]).T
+        middle = 0.5 * (self.corners[:, 0] + self.corners[:, 1]) @ turn.T + frame.position
+        half = 0.5 * (self.corners[:, 1] - self.corners[:, 0]) @ np.abs(turn).T
+        return np.concatenate([middle - half, middle + half], axis=1)
 
     @property
     def centre(self) -> Vector:
@@ -211,19 +235,10 @@ class Bodies:
         Raises:
             SdfError: a mesh file cannot be read.
         """
-        mass, frame, moments = (0.0, Pose(), np.zeros(3)) if model.static else mass_of(model)
-        back = inverse(frame)
-        placed = [
-            (shape.geometry, compose(back, compose(link.pose, shape.pose)))
-            for link in model.links
-            for shape in link.collisions
-        ]
-        corners = np.array([box_of(*shape) for shape in placed], float).reshape(-1, 2, 3)
-        box = np.array([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)]) if len(corners) else np.zeros((2, 3))
-        heavy = [link for link in model.links if link.gravity]
-        weight = len(heavy) / len(model.links) if model.links else 0.0
-        start = compose(pose, frame)
-        shapes = [
+        body, placed = _described(model, pose, drive)
+        start = compose(pose, body.frame)
+        mass = body.mass
+        body.shapes = shapes = [
             self._client.createMultiBody(
                 mass,
                 shape_array(self._client, placed[k : k + MOST_SHAPES], hollow=mass == 0.0),
@@ -234,15 +249,49 @@ class Bodies:
         ]
         settings = dict(self._surface)
         if mass > 0.0:
-            settings |= {"linearDamping": 0.0, "angularDamping": 0.0, "localInertiaDiagonal": moments.tolist()}
+            settings |= {"linearDamping": 0.0, "angularDamping": 0.0, "localInertiaDiagonal": body.moments.tolist()}
             settings |= {"rollingFriction": _ROLLING, "spinningFriction": _ROLLING}
             settings |= {"activationState": pybullet.ACTIVATION_STATE_DISABLE_SLEEPING}
         for shape in shapes:
             self._client.changeDynamics(shape, -1, **settings)
-        body = self.by_number[number] = Body(model, frame, mass, moments, weight, shapes, box, pose, drive=drive)
+        self.by_number[number] = body
         if body.is_solid:
             self.awake.add(number)
         return body
+
+    def crowd(self, model: SdfModel, pose: Pose, number: int | None = None) -> int:
+        """Return the pairs of shapes that would touch in the crowd around a model, at most ``MOST_PAIRS`` + 1.
+
+        The crowd are the bodies with mass whose boxes touch the model's, those that touch these, and so on; static
+        bodies connect no others. Bullet's work in a step grows with the square of the pairs.
+
+        Args:
+            model: a model that is to be added, or moved.
+            pose: its pose in the world then.
+            number: its number if it is in the world already.
+        """
+        there = None if number is None else self.by_number.get(number)
+        first = there or _described(model, pose, None)[0]
+        others = [body for body in self.by_number.values() if body is not there and body.shapes]
+        places = np.array([body.pose.position for body in others]).reshape(-1, 3)
+        reaches = np.array([body.reach for body in others])
+        waiting, reached, pairs = [(first, pose, -1)], {-1}, 0
+        done: set[int] = set()
+        while waiting and pairs <= MOST_PAIRS:
+            body, place, own = waiting.pop()
+            done.add(own)
+            near = np.linalg.norm(places - place.position, axis=1) < reaches + body.reach + 2.0 * _TOUCHING
+            boxes = body.boxes_at(place)
+            for k in np.flatnonzero(near).tolist():
+                other = others[k]
+                if k in done or not (body.mass or other.mass):
+                    continue
+                found = _touching(boxes, other.boxes_at(other.pose))
+                pairs += found
+                if found and other.mass and k not in reached:
+                    reached.add(k)
+                    waiting.append((other, other.pose, k))
+        return min(pairs, MOST_PAIRS + 1)
 
     def remove(self, number: int) -> None:
         """Remove a body, and wake those that may rest on it."""
@@ -332,8 +381,7 @@ class Bodies:
         for k, number in enumerate(numbers):
             body = self.by_number[number]
             frame = compose(body.pose, body.frame)
-            axes = [rotate(frame.orientation, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
-            turn = np.array(axes).T
+            turn = np.array([rotate(frame.orientation, axis) for axis in _AXES]).T
             middle = turn @ (0.5 * (body.box[0] + body.box[1])) + frame.position
             half = np.abs(turn) @ (0.5 * (body.box[1] - body.box[0]))
             boxes[k, :3], boxes[k, 3:] = middle - half, middle + half
@@ -463,6 +511,37 @@ class Bodies:
         self.awake.discard(number)
         body.shapes, body.mass = [], 0.0
         body.velocity = body.spin = (0.0, 0.0, 0.0)
+        x, y, z = body.pose.position
+        _log.warning(
+            "simulator: %s is out of the world: it stays at (%.4g, %.4g, %.4g) m, without collisions, until a restart",
+            *(body.model.name, x, y, z),
+        )
+
+
+def _described(model: SdfModel, pose: Pose, drive: Drive | None) -> tuple[Body, list[tuple[Geometry, Pose]]]:
+    """Return the body of a model at a pose without shapes in Bullet, and its shapes with their poses in its frame.
+
+    Raises:
+        SdfError: a mesh file cannot be read.
+    """
+    mass, frame, moments = (0.0, Pose(), np.zeros(3)) if model.static else mass_of(model)
+    back = inverse(frame)
+    placed = [
+        (shape.geometry, compose(back, compose(link.pose, shape.pose)))
+        for link in model.links
+        for shape in link.collisions
+    ]
+    corners = np.array([box_of(*shape) for shape in placed], float).reshape(-1, 2, 3)
+    box = np.array([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)]) if len(corners) else np.zeros((2, 3))
+    heavy = [link for link in model.links if link.gravity]
+    weight = len(heavy) / len(model.links) if model.links else 0.0
+    return Body(model, frame, mass, moments, weight, [], corners, box, pose, drive=drive), placed
+
+
+def _touching(some: NDArray[np.float64], others: NDArray[np.float64]) -> int:
+    """Return the number of pairs of boxes (j, 6) and (k, 6) that touch."""
+    low, high = some[:, None, :3] - _TOUCHING, some[:, None, 3:] + _TOUCHING
+    return int(((low <= others[None, :, 3:]) & (others[None, :, :3] <= high)).all(axis=2).sum())
 
 
 def _meet(some: NDArray[np.float64], boxes: NDArray[np.float64]) -> NDArray[np.bool_]:

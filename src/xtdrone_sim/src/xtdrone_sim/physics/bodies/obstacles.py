@@ -51,12 +51,12 @@ def mark_near_obstacles(plant, models, boxes, origin, cell, begins, items, limit
     rows, columns = begins.shape[0], begins.shape[1] - 1
     for i in range(plant.shape[0]):
         v = plant[i]
-        if v.contact == ABSENT:
+        if v.contact >= ABSENT:
             continue
         x, y, z = v.position[0], v.position[1], v.position[2]
         speed = math.sqrt(v.velocity[0] ** 2 + v.velocity[1] ** 2 + v.velocity[2] ** 2)
         reach = models[i].radius + speed * horizon + (limits[0] if v.contact == FREE else limits[1])
-        # Positions may be huge or NaN after a divergence: compare as floating point before converting to integers.
+        # Positions may be huge: compare as floating point before converting to integers.
         ax, bx = (x - reach - origin[0]) / cell, (x + reach - origin[0]) / cell
         ay, by = (y - reach - origin[1]) / cell, (y + reach - origin[1]) / cell
         if not (ax < rows and bx >= 0.0 and ay < columns and by >= 0.0):

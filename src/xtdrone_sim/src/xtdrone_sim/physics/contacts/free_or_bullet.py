@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from xtdrone_sim.kernel import kernel, kernel_that_allocates
-from xtdrone_sim.physics.vehicle_dynamics import ABSENT, FREE, TOUCHING
+from xtdrone_sim.physics.vehicle_dynamics import ABSENT, FREE, LEAVING, LOST, TOUCHING
 
 CHECK_STEPS = 5  # steps between two updates of the contact states; margins cover the motion in between
 NEAR = 0.25  # m of clearance below which Bullet integrates a body
@@ -20,14 +20,14 @@ _FASTEST_SPIN = 20.0  # rad/s below which the drag of rotation is far less than 
 def mark_near(plant, models, steps, dt, wanted):
     """Fill ``wanted`` (n,) with TOUCHING for vehicles near the ground or each other, with FREE for all others.
 
-    Absent ones stay ABSENT. Vehicles are spheres around the collision boxes, enlarged by the distance travelled until
-    the next check.
+    Absent ones stay ABSENT, lost ones LOST, which those that are LEAVING become. Vehicles are spheres around the
+    collision boxes, enlarged by the distance travelled until the next check.
     """
     count = plant.shape[0]
     for i in range(count):
         v, m = plant[i], models[i]
-        if v.contact == ABSENT:
-            wanted[i] = ABSENT
+        if v.contact >= ABSENT:
+            wanted[i] = ABSENT if v.contact == ABSENT else LOST
             continue
         reach = abs(v.velocity[2]) * steps * dt
         clearance = v.position[2] - m.radius - reach
@@ -35,11 +35,11 @@ def mark_near(plant, models, steps, dt, wanted):
         wanted[i] = TOUCHING if near else FREE
     for i in range(count):
         v = plant[i]
-        if v.contact == ABSENT:
+        if v.contact >= ABSENT:
             continue
         for j in range(i):
             o = plant[j]
-            if o.contact == ABSENT:
+            if o.contact >= ABSENT:
                 continue
             dx = v.position[0] - o.position[0]
             dy = v.position[1] - o.position[1]
@@ -80,7 +80,9 @@ def stay_free(plant, models, steps, gravity, dt):
     ahead = CHECK_STEPS * dt
     for i in range(count):
         v, m = plant[i], models[i]
-        if v.contact == ABSENT:
+        if v.contact == LEAVING:
+            return False
+        if v.contact >= ABSENT:
             continue
         spin = v.rates[0] * v.rates[0] + v.rates[1] * v.rates[1] + v.rates[2] * v.rates[2]
         if v.contact != FREE or not spin < _FASTEST_SPIN * _FASTEST_SPIN:
@@ -91,11 +93,11 @@ def stay_free(plant, models, steps, gravity, dt):
             return False
     for i in range(count):
         v = plant[i]
-        if v.contact == ABSENT:
+        if v.contact >= ABSENT:
             continue
         for j in range(i):
             o = plant[j]
-            if o.contact == ABSENT:
+            if o.contact >= ABSENT:
                 continue
             dx = v.position[0] - o.position[0]
             dy = v.position[1] - o.position[1]

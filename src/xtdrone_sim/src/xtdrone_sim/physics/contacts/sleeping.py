@@ -33,7 +33,7 @@ def _disturbed(plant, models, i):
     v = plant[i]
     for j in range(plant.shape[0]):
         o = plant[j]
-        if j == i or o.contact == ASLEEP or o.contact == ABSENT:
+        if j == i or o.contact == ASLEEP or o.contact >= ABSENT:
             continue
         dx = v.position[0] - o.position[0]
         dy = v.position[1] - o.position[1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -41,7 +42,7 @@ def world_path(name: str, beside: Path | None = None) -> Path | None:
     if name.endswith(_ENDINGS):
         return (beside or Path()).joinpath(Path(name).expanduser()).absolute()
     path = WORLDS / f"{name}.world"
-    return path if path.is_file() else None
+    return path if os.path.isfile(path) else None  # false for a name that the file system rejects, too
 
 
 def world_file(name: str) -> Path:
@@ -154,9 +155,9 @@ def _surroundings(description: Mapping[str, Any], name: str) -> SdfWorld:
         declination, inclination = math.radians(field["declination"]), math.radians(field["inclination"])
         horizontal = field["strength"] * math.cos(inclination)
         x, y, z = (float(value) for value in description["wind"])
-        return SdfWorld(
+        world = SdfWorld(
             Path(name).stem,
-            Datum(datum["latitude"], datum["longitude"], datum["altitude"]),
+            Datum(*(float(datum[key]) for key in ("latitude", "longitude", "altitude"))),
             float(description["gravity"]),
             (x, y, z),
             (
@@ -168,5 +169,29 @@ def _surroundings(description: Mapping[str, Any], name: str) -> SdfWorld:
             float(ground["friction"]),
             float(ground["restitution"]),
         )
-    except (KeyError, TypeError, ValueError) as error:
-        raise ModelError(f"world {name!r}: field {error} is missing or of the wrong kind") from error
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise ModelError(f"world {name!r}: field {str(error)[:200]} is missing or of the wrong kind") from error
+    _check_values(name, world)
+    return world
+
+
+def _check_values(name: str, world: SdfWorld) -> None:
+    """Check the ranges, which are those of SDF worlds; see ``world_reader``.
+
+    Raises:
+        ModelError: a value is outside its range.
+    """
+    field = math.hypot(*world.magnetic_field)
+    for what, value, low, high in (
+        ("datum: latitude", world.datum.latitude, -90.0, 90.0),
+        ("datum: longitude", world.datum.longitude, -180.0, 180.0),
+        ("datum: altitude", world.datum.altitude, -1000.0, 20000.0),
+        ("gravity", world.gravity, 1e-9, 100.0),
+        ("magnetic_field: strength", field, 0.01, 20.0),
+        ("magnetic_field: declination", world.declination, -180.0, 180.0),
+        ("ground: friction", world.friction, 0.0, 10.0),
+        ("ground: restitution", world.restitution, 0.0, 1.0),
+        *(("wind", value, -100.0, 100.0) for value in world.wind),
+    ):
+        if not low <= value <= high:
+            raise ModelError(f"world {name!r}: {what}: {value:g} is not allowed, {low:g} to {high:g}")

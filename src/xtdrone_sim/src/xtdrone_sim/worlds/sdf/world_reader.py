@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from decimal import Decimal
@@ -264,7 +265,7 @@ def _read_include(element: Element) -> Jointed | None:
     uri = element.required("uri")
     name, static = element.one("name"), element.one("static")
     built_in = uri.string().removeprefix("model://").strip("/")
-    known = any((folder / built_in).exists() for folder in model_folders(element.file.path.parent))
+    known = any(os.path.exists(folder / built_in) for folder in model_folders(element.file.path.parent))
     if built_in in _BUILT_IN and not known:
         return None
     path = _model_file(uri, resolve(uri))
@@ -282,14 +283,14 @@ def _read_include(element: Element) -> Jointed | None:
 
 def _model_file(uri: Element, path: Path) -> Path:
     """Return the SDF file in a model's folder: the last one in ``model.config``, or ``model.sdf``."""
-    if path.is_file():
+    if os.path.isfile(path):
         return path
     config, file = path / "model.config", path / "model.sdf"
     if config.is_file():
         named = list(parse(_content(uri, config), config).all("sdf"))
         if named:
             file = path / named[-1].string()
-    if not file.is_file():
+    if not os.path.isfile(file):
         raise uri.error(f"{uri.string()!r}: {file} does not exist")
     return file
 

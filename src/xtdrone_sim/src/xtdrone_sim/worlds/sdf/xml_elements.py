@@ -21,6 +21,11 @@ LARGEST = 16 * MB  # maximum size of a file
 _BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
 
 
+def shortened(text: str, most: int = 200) -> str:
+    """Return a text for a message, with at most ``most`` characters and a mark if it is longer."""
+    return text if len(text) <= most else f"{text[:most]}..."
+
+
 @dataclass(eq=False)
 class Element:
     """One element of a file.
@@ -123,7 +128,7 @@ class Element:
             limits = "".join(
                 f", {word} {limit:g}" for word, limit in (("at least", low), ("at most", high)) if not math.isinf(limit)
             )
-            raise self.error(f"{text!r} is not allowed, {many} finite number{'s' * (many != '1')}{limits}")
+            raise self.error(f"{shortened(text)!r} is not allowed, {many} finite number{'s' * (many != '1')}{limits}")
         return values
 
     def warn_unknown(self, known: Sequence[str], silent: Sequence[str] = ()) -> None:
@@ -180,6 +185,7 @@ def parse(text: str | bytes, path: Path, is_foreign: bool = False) -> Element:
     count = 0
     stack: list[Element] = []
     roots: list[Element] = []
+    pieces: list[list[str]] = []
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal count
@@ -190,12 +196,13 @@ def parse(text: str | bytes, path: Path, is_foreign: bool = False) -> Element:
         element = Element(tag, attributes, parser.CurrentLineNumber, file)
         (stack[-1].children if stack else roots).append(element)
         stack.append(element)
+        pieces.append([])
 
     def end(_tag: str) -> None:
-        stack.pop()
+        stack.pop().text = "".join(pieces.pop())
 
     def characters(data: str) -> None:
-        stack[-1].text += data
+        pieces[-1].append(data)  # joined at the end of the element: text between many children stays linear
 
     def entity(name: str, *_: object) -> None:
         raise SdfError(

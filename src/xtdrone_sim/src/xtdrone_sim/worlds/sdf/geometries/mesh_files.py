@@ -28,10 +28,12 @@ from xtdrone_sim.worlds.sdf.world_records import SdfError
 
 LARGEST_MESH = 64 * MB
 MOST_TRIANGLES = 300_000
+MOST_NODES = 2000
 ENDINGS = (".dae", ".stl", ".gltf", ".glb")
 """File name endings of the meshes that ``read_mesh`` converts."""
 
 _FORMAT = b"1"  # of the cached files; a new version invalidates them
+_MOST_GLTF_VALUES = 10_000_000
 _LARGEST_PICTURE = LARGEST_MESH
 _UNIT = re.compile(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']([^\"']+)[\"']")
 _PARTS = "parts.json"
@@ -134,8 +136,8 @@ def check_wavefront(path: Path) -> None:
     try:
         status = path.stat()
         faces = _count_faces(path, status.st_mtime_ns, status.st_size)
-    except OSError as error:
-        raise SdfError(f"{path}: {error.strerror or error}") from error
+    except (OSError, ValueError) as error:  # of a name with NUL
+        raise SdfError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
     _check_triangles(faces, path)
 
 
@@ -151,16 +153,21 @@ def _loaded(data: bytes, path: Path) -> list[tuple[str, Any]]:
     kind = path.suffix.lower().removeprefix(".")
     if kind == "dae" and b"<!ENTITY" in data:
         raise SdfError(f"{path}: <!ENTITY is not allowed: write its text instead")
+    _check_counts(data, kind, path)
     pictures: Any = _Pictures(path.parent)
     try:
         scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=pictures, process=False)
         order = {name: number for number, name in enumerate(scene.geometry)}
         placed = [(order[name], str(node), name, matrix) for node, (matrix, name) in _nodes(scene)]
-        found = []
+        found, triangles = [], 0
         for _, _, name, matrix in sorted(placed, key=lambda row: row[:2]):
-            mesh = scene.geometry[name].copy()
-            if not hasattr(mesh, "faces"):  # points or lines
+            if not hasattr(scene.geometry[name], "faces"):  # points or lines
                 continue
+            _check_corners(scene.geometry[name], name, path)
+            triangles += len(scene.geometry[name].faces)
+            if triangles > MOST_TRIANGLES:  # before they are copied for each node
+                raise SdfError(f"{path}: it has more than {MOST_TRIANGLES} triangles, with those of all its nodes")
+            mesh = scene.geometry[name].copy()
             mesh.apply_transform(matrix)
             mesh.apply_scale(_metres(data) if kind == "dae" else 1.0)
             if kind in ("gltf", "glb"):
@@ -169,8 +176,44 @@ def _loaded(data: bytes, path: Path) -> list[tuple[str, Any]]:
     except SdfError:
         raise
     except Exception as error:  # any exception of the parsers
-        raise SdfError(f"{path}: not a {kind.upper()} file: {type(error).__name__}: {error}") from error
+        raise SdfError(f"{path}: not a {kind.upper()} file: {type(error).__name__}: {str(error)[:200]}") from error
     return found
+
+
+def _check_counts(data: bytes, kind: str, path: Path) -> None:
+    """Check the numbers of nodes and of values before a parser, whose time grows with their square, reads them.
+
+    Raises:
+        SdfError: there are too many.
+    """
+    if kind == "dae":
+        _check_nodes(data.count(b"<node"), path)
+    if kind not in ("gltf", "glb"):
+        return
+    length = int.from_bytes(data[12:16], "little") if kind == "glb" else len(data)
+    try:
+        content = load_json((data[20 : 20 + length] if kind == "glb" else data).decode("utf-8"))
+        _check_nodes(max(len(content.get(name) or ()) for name in ("nodes", "meshes", "accessors", "materials")), path)
+        values = sum(int(accessor["count"]) for accessor in content.get("accessors") or ())
+    except SdfError:
+        raise
+    except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
+        raise SdfError(f"{path}: not a {kind.upper()} file: {str(error)[:200]}") from error
+    if not 0 <= values <= _MOST_GLTF_VALUES:
+        raise SdfError(f"{path}: its accessors have {values} values, 0 to {_MOST_GLTF_VALUES} are allowed")
+
+
+def _check_nodes(count: int, path: Path) -> None:
+    if count > MOST_NODES:
+        raise SdfError(f"{path}: it has {count} nodes, meshes or accessors, at most {MOST_NODES} are allowed")
+
+
+def _check_corners(mesh: Any, name: str, path: Path) -> None:
+    """Check that the triangles of a mesh have corners."""
+    faces = np.asarray(mesh.faces)
+    if len(faces) and not (faces.min() >= 0 and faces.max() < len(mesh.vertices)):
+        bad, count = int(faces.max()), len(mesh.vertices)
+        raise SdfError(f"{path}: geometry {str(name)[:60]!r}: corner {bad} does not exist, it has {count}")
 
 
 def _nodes(scene: Any) -> Iterator[tuple[Any, Any]]:

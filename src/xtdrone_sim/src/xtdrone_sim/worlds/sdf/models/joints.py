@@ -7,14 +7,14 @@ first link, with those beyond it. Fixed joints hold links together in one part.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from xtdrone_control.rotation import Vector
 from xtdrone_sim.shapes.pose_arithmetic import compose, inverse, rotate
 from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.worlds.sdf.world_records import SdfJoint, SdfLink, SdfModel
-from xtdrone_sim.worlds.sdf.xml_elements import Element
+from xtdrone_sim.worlds.sdf.xml_elements import Element, shortened
 from xtdrone_sim.worlds.sdf.xml_poses import read_pose, write_pose
 
 MOVING = ("revolute", "continuous", "prismatic", "ball")
@@ -52,7 +52,7 @@ def _end(element: Element, tag: str, frames: dict[str, Pose]) -> str:
     end = element.required(tag)
     name = end.string().strip()
     if name not in frames or (tag == "child" and name == WORLD):
-        raise end.error(f"{name!r} does not exist; there are {', '.join(frames)}")
+        raise end.error(f"{shortened(name)!r} does not exist; there are {shortened(', '.join(frames))}")
     return name
 
 
@@ -97,6 +97,29 @@ def _bound(limit: Element, tag: str, missing: float) -> float:
     return value if abs(value) < _LIMIT_FREE else missing
 
 
+class Groups:
+    """Groups of connected names; joining them takes nearly constant time (a disjoint-set forest)."""
+
+    def __init__(self, names: Iterable[str]) -> None:
+        """Start with each name in a group of its own."""
+        self._above = {name: name for name in names}
+
+    def __contains__(self, name: str) -> bool:
+        """Whether the name is in a group."""
+        return name in self._above
+
+    def of(self, name: str) -> str:
+        """Return the name that stands for the group of ``name``."""
+        above = self._above
+        while above[name] != name:
+            above[name] = name = above[above[name]]
+        return name
+
+    def join(self, parent: str, child: str) -> None:
+        """Make the groups of two names one."""
+        self._above[self.of(child)] = self.of(parent)
+
+
 def divide(model: SdfModel, joints: Sequence[SdfJoint]) -> tuple[list[SdfModel], list[SdfJoint]]:
     """Divide a model into its rigid parts.
 
@@ -110,16 +133,17 @@ def divide(model: SdfModel, joints: Sequence[SdfJoint]) -> tuple[list[SdfModel],
     """
     if model.static or not joints:
         return [model], []
-    group = {name: name for name in (WORLD, *(link.name for link in model.links))}
+    groups = Groups((WORLD, *(link.name for link in model.links)))
     for joint in joints:
         if joint.kind == "fixed":
-            old, new = group[joint.child], group[joint.parent]
-            group = {name: new if root == old else root for name, root in group.items()}
+            groups.join(joint.parent, joint.child)
     parts: list[SdfModel] = []
     names: dict[str, str] = {}
-    for root in dict.fromkeys(group[link.name] for link in model.links):
-        links = [link for link in model.links if group[link.name] == root]
-        part = _part(model, links, is_first=not parts, static=root == group[WORLD])
+    members: dict[str, list[SdfLink]] = {}
+    for link in model.links:
+        members.setdefault(groups.of(link.name), []).append(link)
+    for root, links in members.items():
+        part = _part(model, links, is_first=not parts, static=root == groups.of(WORLD))
         parts.append(part)
         names |= {link.name: part.name for link in links}
     names[WORLD] = WORLD

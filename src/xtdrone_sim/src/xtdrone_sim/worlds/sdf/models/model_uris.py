@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from xtdrone_sim.package_files import MODELS, PACKAGE
+from xtdrone_sim.vehicles.urdf import LONGEST_URI
 from xtdrone_sim.worlds.sdf.world_records import SdfError
-from xtdrone_sim.worlds.sdf.xml_elements import Element
+from xtdrone_sim.worlds.sdf.xml_elements import Element, shortened
 
 _VARIABLES = ("XTDRONE_MODELS", "GAZEBO_MODEL_PATH")
 
@@ -39,6 +40,8 @@ def resolve(element: Element) -> Path:
         SdfError: the file or folder does not exist.
     """
     uri = element.string()
+    if len(uri) > LONGEST_URI:
+        raise element.error(f"{shortened(uri)!r}: {len(uri)} characters are not allowed, at most {LONGEST_URI}")
     beside = element.file.path.parent
     kind, _, rest = uri.rpartition("://")
     if element.file.is_foreign and (kind not in {"model", "package"} or ".." in Path(rest).parts or rest[:1] == "/"):
@@ -47,7 +50,7 @@ def resolve(element: Element) -> Path:
     if kind == "model":
         folders = list(model_folders(beside))
         for folder in folders:
-            if (folder / rest).exists():
+            if os.path.exists(folder / rest):  # false for a name that the file system rejects, too
                 return (folder / rest).absolute()
         raise element.error(f"{uri!r} is in none of {', '.join(dict.fromkeys(map(str, folders)))} (XTDRONE_MODELS)")
     if kind == "package":
@@ -56,7 +59,7 @@ def resolve(element: Element) -> Path:
         path = (beside / rest).absolute()
     else:
         raise element.error(f"{uri!r} is not allowed, model://, package://, file:// or a path")
-    if not path.exists():
+    if not os.path.exists(path):
         raise element.error(f"{uri!r}: {path} does not exist")
     return path
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from xtdrone_sim.vehicles.urdf import Inertial
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import has_heightmap
-from xtdrone_sim.worlds.sdf.models.joints import MOVING, WORLD
+from xtdrone_sim.worlds.sdf.models.joints import MOVING, WORLD, Groups
 from xtdrone_sim.worlds.sdf.world_records import DEFAULT_INERTIAL, SdfLink, SdfModel
-from xtdrone_sim.worlds.sdf.xml_elements import Element
+from xtdrone_sim.worlds.sdf.xml_elements import Element, shortened
 from xtdrone_sim.worlds.sdf.xml_poses import (
     read_pose,
 )
@@ -81,19 +81,18 @@ def _why_not_a_body(links: Sequence[SdfLink]) -> str:
 def why_loose(model: Element, links: Sequence[SdfLink]) -> str:
     """Return the reason why links and joints do not form one model; "" if they do."""
     names = [link.name for link in links]
-    group = {name: name for name in (WORLD, *names)}
+    groups = Groups((WORLD, *names))
     for joint in model.all("joint"):
         name, kind = joint.attributes.get("name", ""), joint.attributes.get("type", "")
         if kind not in (*MOVING, "fixed"):
             return f"its joint {name!r} of type {kind!r} is not supported"
         ends = [joint.one(tag) for tag in ("parent", "child")]
         parent, child = ("" if end is None else end.text.strip() for end in ends)
-        if parent not in group or child not in group or child == WORLD:
+        if parent not in groups or child not in groups or child == WORLD:
             return f"its joint {name!r} does not connect two of its links or one with the world"
-        old, new = group[child], group[parent]
-        group = {name: new if root == old else root for name, root in group.items()}
-    if len({group[name] for name in names}) > 1:
-        return f"its links {', '.join(names)} are not connected"
+        groups.join(parent, child)
+    if len({groups.of(name) for name in names}) > 1:
+        return f"its links {shortened(', '.join(names))} are not connected"
     return ""
 
 
