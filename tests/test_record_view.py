@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import resource
 import shutil
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import roslib.packages
 import yaml
 from conftest import Graph
 
@@ -228,6 +230,29 @@ def test_an_interval_outside_the_bag_is_reported(bag: Path, tmp_path: Path) -> N
     assert done.returncode == 2
     assert "from, to: the flight has no data in that interval; " in done.stderr
     assert "has 1.0 to 1.6 s" in done.stderr
+
+
+def test_a_film_whose_drawing_crashes_is_drawn_once_again(bag: Path, view: Path, tmp_path: Path) -> None:
+    """The first drawing node, or each, dies by SIGSEGV; its core is kept where the system lets it have one."""
+    real, crashed = roslib.packages.find_node("xtdrone_rviz", "rviz_offscreen")[0], tmp_path / "crashed"
+    overlay = tmp_path / "overlay"
+    stand_in = overlay / "lib" / "xtdrone_rviz" / "rviz_offscreen"
+    stand_in.parent.mkdir(parents=True)
+    (overlay / ".catkin").touch()
+    once = f'[ -e {crashed} ] && exec {real} "$@"\n'
+    prefix = f"{overlay}:{os.environ['CMAKE_PREFIX_PATH']}"
+    for name, first in (("once", once), ("always", "")):
+        stand_in.write_text(f"#!/bin/sh\n{first}touch {crashed}\necho drawing\nkill -SEGV $$\n", encoding="utf-8")
+        stand_in.chmod(0o755)
+        out = tmp_path / f"{name}.mp4"
+        run = record(view, "--bag", bag, "--out", out, "--to", 0.3, CMAKE_PREFIX_PATH=prefix)
+        assert run.stderr.count("rviz_offscreen has crashed (SIGSEGV); ") == (1 if name == "once" else 2), run.stderr
+        assert run.stderr.count("the film is drawn once again") == 1
+        assert (run.returncode, out.exists()) == ((0, True) if name == "once" else (1, False)), run.stderr
+        with_core = Path("/proc/sys/kernel/core_pattern").read_text(encoding="utf-8").strip() == "core"
+        if with_core and resource.getrlimit(resource.RLIMIT_CORE)[1]:
+            assert f"core: {out.with_suffix('.core')}" in run.stderr
+            assert out.with_suffix(".core").stat().st_size > 0
 
 
 def test_no_frame_is_no_film_even_where_an_older_one_is(bag: Path, tmp_path: Path) -> None:
