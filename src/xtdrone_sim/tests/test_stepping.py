@@ -323,8 +323,8 @@ def test_a_hold_ends_with_its_holder_and_a_pause_does_not(end, paused):
         loop.hold(other)  # once more
     loop.run(1.0)
     loop.control.tend()
-    assert loop.words == ["the hold of /station ends: "
-                          + ("its connection has closed" if end == "killed" else "it has held time for 5 s")]  # fmt: skip
+    why = "its connection has closed" if end == "killed" else "it has held time for 5 s"
+    assert loop.words == [f"the hold of /station ends: {why}"]
     loop.run(1.0)
     assert loop.now_us == before  # the other one holds
     loop.control.let_go(other)

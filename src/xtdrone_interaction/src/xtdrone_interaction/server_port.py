@@ -27,7 +27,8 @@ class BoundedHTTPServer(HTTPServer):
     def initialize(self, *given: Any, **named: Any) -> None:
         """Set the limits."""
         named |= {"idle_connection_timeout": _REQUEST_LIMIT, "max_header_size": _MOST_HEADERS}
-        super().initialize(*given, max_body_size=_MOST_BODY, **named)
+        named |= {"max_body_size": _MOST_BODY}
+        super().initialize(*given, **named)
         self._in_order: dict[Any, None] = {}
 
     def handle_stream(self, stream: Any, address: Any) -> None:

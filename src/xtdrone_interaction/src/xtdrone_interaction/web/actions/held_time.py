@@ -83,4 +83,3 @@ def status_of(master: str) -> SimulationStatus:
         SimError: there is no simulator.
     """
     return call(master, "/simulator/get_status", GetStatus, GetStatusRequest()).status
-

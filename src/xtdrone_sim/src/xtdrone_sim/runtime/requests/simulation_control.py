@@ -1,9 +1,10 @@
-"""Control of the running simulation: speed, pause, hold, step, reset. Independent of ROS; ``control_services`` advertises it.
+"""Control of the running simulation: speed, pause, hold, step, reset. Independent of ROS, see ``control_services``.
 
 All methods are called in the simulator's own thread. Changes of speed and pause take effect immediately, even while the
 barrier waits for a participant. Steps, resets and changes are executed between ticks, and their callers wait for the
-answer. A hold (see ``holds``) is granted at the end of a tick. A participant must not wait for the end of its own tick: during its turn, its step requests are rejected, and
-its requests for resets and changes are answered immediately and executed after the tick.
+answer. A hold (see ``holds``) is granted at the end of a tick. A participant must not wait for the end of its own tick:
+during its turn, its requests for steps and holds are rejected, and its requests for resets and changes are answered
+immediately and executed after the tick.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any
 
-from xtdrone_sim.runtime.requests.holds import Holder, HoldAnswer, Holds
+from xtdrone_sim.runtime.requests.holds import HoldAnswer, Holder, Holds
 from xtdrone_sim.runtime.requests.mailbox import ClosedError
 from xtdrone_sim.runtime.requests.pacing import Pacer, SpeedMeter
 from xtdrone_sim.runtime.requests.slow_participants import Barrier, SlowParticipants
