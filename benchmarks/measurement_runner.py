@@ -169,7 +169,7 @@ class Flight:
             OptionError: a UDP port that the vehicles need is taken.
         """
         folder = fresh_folder(bench, case.folder)
-        row, began = {"load_before": os.getloadavg()[0]}, time.time()
+        row, began = {"load_before": os.getloadavg()[0]}, time.monotonic()
         arguments = {**self.arguments(bench, case.known, folder), "out": folder}
         observer = self.observer(bench)
         events = fly(bench, self.launch_file, arguments, folder, case.known["vehicles"], observer)

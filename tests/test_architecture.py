@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
@@ -138,3 +139,13 @@ def test_rooms_of_control_import_only_those_below(room):
 
 def test_no_import_cycle():
     assert " -> ".join(_circle()) == ""
+
+
+def test_no_interval_is_measured_by_a_clock_that_may_jump():
+    """A correction of the system's clock would otherwise be seen as hours of flight."""
+    jumping = re.compile(r"\btime\.time\(\)|datetime\.now\(\) -|WallTime::now|CLOCK_REALTIME|system_clock|Date\.now")
+    folders = [ROOT / name for name in ("src", "benchmarks", "validation")]
+    files = [path for folder in folders for kind in ("py", "cpp", "h", "js") for path in folder.rglob(f"*.{kind}")]
+    found = [path for path in files if "vendor" not in path.parts and jumping.search(path.read_text(encoding="utf-8"))]
+    assert len(files) > 1000
+    assert found == []

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import math
 import os
+import pickle
+import re
+import resource
 import shutil
 import subprocess
 import sys
@@ -14,8 +18,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import roslib.packages
 import yaml
 from conftest import Graph
+
+from xtdrone_interaction.rviz.films import record_view
+from xtdrone_interaction.rviz.films.film_options import film_settings
+from xtdrone_interaction.rviz.films.view_nodes import CrashError
 
 NAMES = ("iris_0", "typhoon_h480_0", "iris_1")  # the second one has joints, which the bag does not contain
 MIDDLES = (0.0, 0.09, 0.0)  # m above base_link, centre of the visible part of each
@@ -207,7 +216,6 @@ def test_invalid_values_are_reported(
 
 
 def test_options_after_two_dashes_are_the_demos(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from xtdrone_interaction.rviz.films.record_view import film_settings
 
     monkeypatch.chdir(tmp_path)
     settings = film_settings(["search", "--demo", "formation", "--faster", "2", "--", "--n", "3", "--headless"])
@@ -228,6 +236,51 @@ def test_an_interval_outside_the_bag_is_reported(bag: Path, tmp_path: Path) -> N
     assert done.returncode == 2
     assert "from, to: the flight has no data in that interval; " in done.stderr
     assert "has 1.0 to 1.6 s" in done.stderr
+
+
+def test_a_film_whose_drawing_crashes_is_drawn_once_again(bag: Path, view: Path, tmp_path: Path) -> None:
+    """The first drawing node dies by SIGSEGV; its core is kept where the system lets it have one."""
+    real, crashed = roslib.packages.find_node("xtdrone_rviz", "rviz_offscreen")[0], tmp_path / "crashed"
+    overlay = tmp_path / "overlay"
+    stand_in = overlay / "lib" / "xtdrone_rviz" / "rviz_offscreen"
+    stand_in.parent.mkdir(parents=True)
+    (overlay / ".catkin").touch()
+    stand_in.write_text(
+        f'#!/bin/sh\n[ -e {crashed} ] && exec {real} "$@"\ntouch {crashed}\nkill -SEGV $$\n', encoding="utf-8"
+    )
+    stand_in.chmod(0o755)
+    prefix = f"{overlay}:{os.environ['CMAKE_PREFIX_PATH']}"
+    out = tmp_path / "film.mp4"
+    run = record(view, "--bag", bag, "--out", out, "--to", 1.1, CMAKE_PREFIX_PATH=prefix)
+    assert run.stderr.count("rviz_offscreen has crashed (SIGSEGV); ") == 1, run.stderr
+    assert run.stderr.count("the film is drawn once again") == 1
+    assert (run.returncode, out.exists()) == (0, True), run.stderr
+    with_core = Path("/proc/sys/kernel/core_pattern").read_text(encoding="utf-8").strip() == "core"
+    if with_core and resource.getrlimit(resource.RLIMIT_CORE)[1]:
+        assert f"core: {out.with_suffix('.core')}" in run.stderr
+        assert out.with_suffix(".core").stat().st_size > 0
+
+
+def test_a_film_whose_second_drawing_crashes_is_given_up(
+    bag: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def crash(*_: Any) -> None:
+        raise CrashError("it has crashed")
+
+    monkeypatch.setattr(record_view, "film_bag", crash)
+    monkeypatch.setattr(record_view, "check_tools", lambda: None)
+    drawn: list[bool] = []
+
+    def draw(command: list[str]) -> int:
+        stored = re.findall(r"film_stored\('(.*)'\)", command[-1])[0]
+        settings = pickle.loads(base64.b64decode(stored))
+        drawn.append(settings.again)
+        return record_view._run(settings)
+
+    monkeypatch.setattr(record_view, "_fly", draw)
+    assert record_view._run(film_settings(["search", "--bag", str(bag)])) == 1
+    assert drawn == [True]
+    assert capsys.readouterr().err.count("it has crashed") == 2
 
 
 def test_no_frame_is_no_film_even_where_an_older_one_is(bag: Path, tmp_path: Path) -> None:

@@ -89,13 +89,20 @@ def test_a_file_that_cannot_grow_keeps_what_was_recorded(stack: Stack, tmp_path:
     limited = ["sh", "-c", f'trap "" XFSZ; ulimit -f {limit}; exec "$@"', "sh"]
     recorder = stack.start("recorder", [*limited, *RECORDER, str(file), "/xtdrone/notes"])
     notes = rospy.Publisher("/xtdrone/notes", String, queue_size=10)
+    warnings: list[str] = []
+    rospy.Subscriber("/recorder/warning", String, lambda message: warnings.append(message.data))
 
-    def ended() -> bool:
+    def warned() -> bool:
         notes.publish(String("word " * 50_000))
-        return recorder.process.poll() is not None
+        return bool(warnings)
 
-    poll(ended, "the recorder ends")
+    poll(warned, "the recorder warns at once, while the flight goes on")
+    assert warnings[0].startswith(f"{file}: ")
+    assert warnings[0].endswith("; the rest of the flight is not recorded")
+    assert recorder.process.poll() is None
+    recorder.process.send_signal(signal.SIGINT)
     assert recorder.end() == 1, recorder.output
+    assert f"recorder: {warnings[0]}" in recorder.output
     assert "flight.bag cannot be recorded: " in recorder.output
     bag = BagFile(file.with_name("flight.bag.active"))
     assert sum(len(batch.time) for batch in bag.batches()) >= 3

@@ -61,7 +61,7 @@ def sensing_figures(events: Sequence[Event], began: float) -> Row:
 
     Args:
         events: of the client.
-        began: wall time of the start of roslaunch, epoch s.
+        began: monotonic wall time of the start of roslaunch, s.
 
     Returns:
         Also frames_per_simulated_second (scans or images received, of all vehicles together) and cores (busy cores by

@@ -21,7 +21,7 @@ def stack_figures(events: Sequence[Event], began: float) -> Row:
 
     Args:
         events: of the client.
-        began: wall time of the start of roslaunch, epoch s.
+        began: monotonic wall time of the start of roslaunch, s.
 
     Returns:
         real_time_factor, window (``simulated`` and ``elapsed`` s), messages_per_second (of wall time),
@@ -65,7 +65,7 @@ def formation_figures(events: Sequence[Event], began: float) -> Row:
 
     Args:
         events: of the director.
-        began: wall time of the start of roslaunch, epoch s.
+        began: monotonic wall time of the start of roslaunch, s.
 
     Returns:
         real_time_factor (from armed to all disarmed), flight (``simulated`` and ``elapsed`` s), startup_seconds (from

@@ -184,7 +184,8 @@ class SpeedProbe:
             raise ProbeError("shut down")
 
     def _event(self, event: str, **values: Any) -> None:
-        self._events.write(json.dumps({"event": event, "time": rospy.get_time(), "wall": time.time(), **values}) + "\n")
+        found = {"event": event, "time": rospy.get_time(), "wall": time.monotonic(), **values}
+        self._events.write(json.dumps(found) + "\n")
         self._events.flush()
 
 

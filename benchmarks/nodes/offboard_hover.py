@@ -281,7 +281,7 @@ class OffboardClient:
 
     def _event(self, event: str, **values: Any) -> None:
         if self._events is not None:
-            values = {"event": event, "time": rospy.get_time(), "wall": time.time(), **values}
+            values = {"event": event, "time": rospy.get_time(), "wall": time.monotonic(), **values}
             self._events.write(json.dumps(values) + "\n")
             self._events.flush()
 

@@ -164,7 +164,7 @@ class SearchProbe:
         )
 
     def _event(self, event: str, **values: Any) -> None:
-        self._events.write(json.dumps({"event": event, "time": self._time, "wall": time.time(), **values}) + "\n")
+        self._events.write(json.dumps({"event": event, "time": self._time, "wall": time.monotonic(), **values}) + "\n")
         self._events.flush()
 
 

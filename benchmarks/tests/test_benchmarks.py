@@ -1212,7 +1212,7 @@ def argument(name):
 out = argument("out")
 def event(name, **values):
     with open(out + "/events.jsonl", "a") as file:
-        print(json.dumps(dict(event=name, time=1.0, wall=time.time(), **values)), file=file)
+        print(json.dumps(dict(event=name, time=1.0, wall=time.monotonic(), **values)), file=file)
 def bench():  # the parent of what guards this process
     with open(f"/proc/{{os.getppid()}}/stat") as file:
         return int(file.read().rpartition(")")[2].split()[1])

@@ -4,7 +4,7 @@ docs/web.md.
 
 Parameters:
     ~host, ~port, ~token_file, ~origins, ~names, ~view_only, ~rate: see ``StationSettings`` and docs/settings.md.
-    ~url (out): URL of the page, if it needs no token.
+    ~url (out): URL of the page, without the token.
 
 Topics:
     /xtdrone/live_states (in): while a page is open; /gazebo/model_states where no node publishes it.

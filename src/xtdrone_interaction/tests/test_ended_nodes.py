@@ -66,6 +66,14 @@ def test_a_closed_or_crashed_window_does_not_affect_the_flight(log: Path) -> Non
     assert [ended.matters for ended in ended_nodes.update(3.0)] == [True]
 
 
+def test_a_killed_station_or_bridge_takes_no_part_in_the_result(log: Path) -> None:
+    ended_nodes = EndedNodes(log)
+    for node in ("web_station", "foxglove_bridge", "rosbridge_websocket"):
+        add(log, f"[{node}-9] process has died [pid 7, exit code -9, cmd x].\n")
+    found = ended_nodes.update(1.0)
+    assert [(ended.died, ended.matters) for ended in found] == [(True, False)] * 3  # shown, and no shortcoming
+
+
 def test_the_ground_station_may_go_when_it_has_done_its_work(log: Path) -> None:
     ended_nodes = EndedNodes(log)
     add(log, "[upload_plans-9] process has finished cleanly\n")

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import errno
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from rich.console import Console
 
+from xtdrone_control.whole_file import replacing
 from xtdrone_interaction.launching import supervised_launch
 from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
 
@@ -56,6 +62,49 @@ def test_a_flight_ends_when_a_required_node_is_dropped(
             supervised_launch._watch(watch, flight)
     else:
         supervised_launch._watch(watch, flight)
+
+
+def test_what_ends_a_recording_is_shown_at_once_and_comes_first_at_the_end(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Also on a full disk, where the file of events is cut off and no report can be written."""
+    warning = "/full/flight.bag: No space left on device; the rest of the flight is not recorded"
+    watch = made(tmp_path)
+    shown: list[str] = []
+    watch.display = SimpleNamespace(note=shown.append, standstill=lambda _: None)  # type: ignore[assignment]
+    told = [[{"kind": "warning", "text": warning}], [{"kind": "events", "message": {"event": "done"}}]]
+    watch._feed.take = lambda _: told.pop(0)  # type: ignore[method-assign]
+    watch.running = lambda: bool(told)  # type: ignore[method-assign]
+    watch.finish = lambda: None  # type: ignore[method-assign]
+
+    @contextmanager
+    def watching(*_: object) -> Iterator[supervised_launch.Watch]:
+        yield watch
+        (tmp_path / "roslaunch.log").write_text("[recorder-5] process has died [pid 7, exit code -9, cmd x].\n")
+        watch.ended_nodes.update(3.0)
+
+    monkeypatch.setattr(supervised_launch, "watching", watching)
+    monkeypatch.setattr(supervised_launch, "EndedNodes", lambda _: watch.ended_nodes)
+    (tmp_path / "events.jsonl").write_text('{"event": "armed"}\n{"eve')
+    flight = supervised_launch.Flight(
+        file="a.launch", arguments={}, out=tmp_path, master_port=11311, headless=True, bag="flight.bag",
+        start_limit=60.0, progress_topic="/p", events_topic="/e", last_events=("done",), show_event=lambda *_: None,
+    )  # fmt: skip
+    console = Console(file=io.StringIO(), width=200)
+
+    def conclude(_: EndedNodes) -> int:
+        console.print("the table")
+        with replacing(tmp_path / "report.json"):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    assert supervised_launch.run_flight(flight, console, conclude) == 1
+    assert shown[0] == f"  [red]{warning}[/red]"
+    lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    places = [
+        next(i for i, line in enumerate(lines) if words in line)
+        for words in (warning, "recorder has died (SIGKILL) at 3.0 s", "the table", "report.json: No space left")
+    ]
+    assert places == sorted(places), lines
 
 
 @pytest.mark.parametrize(("home", "moved"), [("/proc/self", True), ("", False)])

@@ -88,7 +88,7 @@ class Station:
 
     def _hold(self, _master: str, *, is_stepping: bool) -> Instant:
         self.log.append("no hold" if is_stepping else "hold")
-        return Instant(7, 0.5, False, False) if is_stepping else self._instant
+        return Instant(7, 0.5, False) if is_stepping else self._instant
 
     def publish(self, message: Any) -> None:
         self.log.append(json.loads(message.data))
@@ -99,7 +99,7 @@ class Station:
 
 def test_an_action_on_the_flight_acts_while_time_stands_still(monkeypatch: pytest.MonkeyPatch) -> None:
     async def test() -> None:
-        station = Station(monkeypatch, Instant(7, 0.5, True, True))
+        station = Station(monkeypatch, Instant(7, 0.5, True))
         fly = Method("fly", lambda _, params: station.log.append("fly") or params["x"], "operate",
                      recorded=lambda params: {"all of": params["x"]})  # fmt: skip
         assert await station.do(fly, x=4) == 4
@@ -115,7 +115,7 @@ def test_an_action_on_the_flight_acts_while_time_stands_still(monkeypatch: pytes
 
 def test_the_other_pages_are_told_an_action_and_its_own_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
     async def test() -> None:
-        station = Station(monkeypatch, Instant(7, 0.5, True, True))
+        station = Station(monkeypatch, Instant(7, 0.5, True))
         told: list[tuple[int, Any]] = []
         station.context.sessions[3] = station.session
         for number in (4, 5):
@@ -152,7 +152,7 @@ def test_actions_in_words(method: str, params: dict[str, Any], words: str) -> No
 
 def test_time_goes_on_after_a_failed_and_during_a_long_action(monkeypatch: pytest.MonkeyPatch) -> None:
     async def test() -> None:
-        station = Station(monkeypatch, Instant(7, 0.5, True, True))
+        station = Station(monkeypatch, Instant(7, 0.5, True))
 
         def refuse(*_: Any) -> None:
             raise CallError("refused")
@@ -176,7 +176,7 @@ def test_time_goes_on_after_a_failed_and_during_a_long_action(monkeypatch: pytes
 
 def test_what_does_not_touch_the_flight_holds_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     async def test() -> None:
-        station = Station(monkeypatch, Instant(7, 0.5, True, True))
+        station = Station(monkeypatch, Instant(7, 0.5, True))
         for touches in ("time", "nothing"):
             assert await station.do(Method("m", lambda *_: 1, "operate", touches)) == 1  # type: ignore[arg-type]
         assert [told["number"] for told in station.log] == [0, 0]
@@ -187,7 +187,7 @@ def test_what_does_not_touch_the_flight_holds_nothing(monkeypatch: pytest.Monkey
 
 def test_a_long_step_lets_other_actions_pass(monkeypatch: pytest.MonkeyPatch) -> None:
     async def test() -> None:
-        station = Station(monkeypatch, Instant(7, 0.5, True, True))
+        station = Station(monkeypatch, Instant(7, 0.5, True))
         ended = asyncio.Event()
         fly = Method("fly", lambda *_: station.log.append("fly"), "operate")
         step = asyncio.ensure_future(station.do(Method("step", lambda *_: ended.wait(), "operate", "time")))
@@ -207,7 +207,7 @@ def test_a_long_step_lets_other_actions_pass(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_a_short_step_ends_before_the_next_action(monkeypatch: pytest.MonkeyPatch) -> None:
     async def test() -> None:
-        station = Station(monkeypatch, Instant(7, 0.5, True, True))
+        station = Station(monkeypatch, Instant(7, 0.5, True))
         monkeypatch.setattr(operator_actions, "LONGEST_HOLD", 5.0)
 
         async def pass_one_tick(*_: Any) -> None:
@@ -217,6 +217,23 @@ def test_a_short_step_ends_before_the_next_action(monkeypatch: pytest.MonkeyPatc
         step = asyncio.ensure_future(station.do(Method("step", pass_one_tick, "operate", "time")))
         await asyncio.gather(step, station.do(Method("fly", lambda *_: station.log.append("fly"), "operate")))
         assert [entry for entry in station.log if isinstance(entry, str)] == ["tick", "hold", "fly", "let go"]
+        station.context.close()
+
+    asyncio.run(test())
+
+
+def test_a_pause_waits_neither_for_a_step_nor_for_an_action(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def test() -> None:
+        station = Station(monkeypatch, Instant(7, 0.5, True))
+        monkeypatch.setattr(operator_actions, "LONGEST_HOLD", 5.0)
+        ended = asyncio.Event()
+        waiting = [
+            asyncio.ensure_future(station.do(Method("step", lambda *_: ended.wait(), "operate", "time"))),
+            asyncio.ensure_future(station.do(Method("fly", lambda *_: ended.wait(), "operate"))),
+        ]
+        pause = Method("pause", lambda *_: ended.set(), "operate", "time")
+        await asyncio.wait_for(station.do(pause), 1.0)
+        assert await asyncio.gather(*waiting) == [True, True]
         station.context.close()
 
     asyncio.run(test())

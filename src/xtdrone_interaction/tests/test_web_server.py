@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import gzip
 import json
 import re
@@ -15,11 +16,20 @@ import pytest
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import WebSocketClientConnection, websocket_connect
 
+from xtdrone_interaction import server_port
 from xtdrone_interaction.web.server import session as sessions
+from xtdrone_interaction.web.server import station_server
 from xtdrone_interaction.web.server.credentials import Credentials
 from xtdrone_interaction.web.server.methods import Method, MethodTable, Params, invoke
 from xtdrone_interaction.web.server.session import Session, encode
-from xtdrone_interaction.web.server.station_server import MOST_CALLS, MOST_MESSAGE, Address, StationServer
+from xtdrone_interaction.web.server.station_server import (
+    MOST_CALLS,
+    MOST_MESSAGE,
+    MOST_SESSIONS,
+    NO_HELLO,
+    Address,
+    StationServer,
+)
 
 PAGE = Path(__file__).parents[1] / "web_page"
 TOKENS = Credentials("operate-token", "view-token")
@@ -168,6 +178,70 @@ def test_a_stranger_can_do_nothing(folder: Path) -> None:
                 await station.connect(**headers)
         assert (station.flown, station.actions, station.server.sessions) == ([], [], {})
         station.server.stop()
+
+    run(test)
+
+
+def test_sockets_without_hello_lock_no_page_out(folder: Path) -> None:
+    async def test() -> None:
+        station = Station(folder)
+        page = await station.greeted()
+        silent = [await station.connect() for _ in range(MOST_SESSIONS - 1)]
+        late = await station.greeted()
+        assert await silent[0].read_message() is None
+        assert silent[0].close_code == NO_HELLO
+        assert (await ask(silent[1], "hello", {"token": TOKENS.view}))["result"]["role"] == "view"
+        await asyncio.gather(*(ask(other, "hello", {"token": TOKENS.view}) for other in silent[2:]))
+        assert len(station.server.sessions) == MOST_SESSIONS
+        with pytest.raises(HTTPClientError, match="503"):  # all are pages now
+            await station.connect()
+        silent[5].close()
+        while len(station.server.sessions) == MOST_SESSIONS:
+            await asyncio.sleep(0)
+        await station.greeted()
+        for one in (page, late):
+            assert (await ask(one, "echo", {"b": 2}))["result"] == {"b": 2}
+        station.server.stop()
+
+    run(test)
+
+
+def test_a_late_hello_has_a_closing_code_of_its_own(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page gives up after the code of a wrong token only."""
+    monkeypatch.setattr(station_server, "_HELLO_LIMIT", 0.0)
+
+    async def test() -> None:
+        station = Station(folder)
+        connection = await station.connect()
+        assert await connection.read_message() is None
+        assert connection.close_code == NO_HELLO
+        while station.server.open_sockets:
+            await asyncio.sleep(0)
+        station.server.stop()
+
+    run(test)
+    text = (PAGE / "station.js").read_text(encoding="utf-8")
+    assert re.findall(r"(\d+); // closing code", text) == [str(station_server.WRONG_TOKEN)]
+    assert text.count("if (refused) return;") == text.count("refused = code === WRONG_TOKEN") == 1
+
+
+def test_connections_that_ask_for_nothing_yield(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server_port, "MOST_CONNECTIONS", 4)
+
+    async def test() -> None:
+        station = Station(folder)
+        page = await station.greeted()
+        mute = [socket.create_connection(("127.0.0.1", station.port), timeout=10.0) for _ in range(6)]
+        for one in mute:
+            one.sendall(b"GET / HTTP/1.1\r\n")  # and no end of the headers
+        assert (await AsyncHTTPClient().fetch(f"http://127.0.0.1:{station.port}/")).body == b"the page"
+        for one in mute[:3]:  # a connection of the client is the newest
+            with contextlib.suppress(ConnectionResetError):
+                assert await asyncio.to_thread(one.recv, 1) == b""
+        assert (await ask(page, "echo", {"b": 2}))["result"] == {"b": 2}
+        station.server.stop()
+        for one in mute:
+            one.close()
 
     run(test)
 

@@ -4,6 +4,7 @@ import { readFleetFrame } from './fleet_frame.js';
 const FLEET = 1; // channel of the fleet's frames
 const FIRST_WAIT = 300; // ms between two attempts to connect; doubled up to the last
 const LAST_WAIT = 4000;
+const WRONG_TOKEN = 4401; // closing code of the station; any other one, as 4408 for a late hello, may not come again
 const ANSWER_LIMIT = 60000; // ms
 const MOST_CALLS = 24; // unanswered ones; the station refuses more than 32
 const ASK_PERIOD = 1000; // ms between two calls that a living station answers at once
@@ -204,7 +205,7 @@ export class Station {
     this.connected = this.silent = false;
     for (const id of [...this.#calls.keys()]) this.#settle(id, { error: 'the connection broke' });
     this.#waiting.splice(0).forEach(({ reject }) => reject(new Error('the connection broke')));
-    const refused = code === 4401;
+    const refused = code === WRONG_TOKEN;
     this.emit('station.state', { connected: false, refused });
     if (refused) return; // another token needs another URL
     setTimeout(() => this.start(), this.#wait);

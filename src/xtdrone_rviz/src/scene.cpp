@@ -285,8 +285,8 @@ void Scene::reset() { parts_->manager->resetTime(); }
 
 void Scene::draw(Picture& picture) {
   const auto missing = [](const auto& entry) { return entry.second.heard < entry.second.sent; };
-  const ros::WallTime limit = ros::WallTime::now() + ros::WallDuration(RELAY_LIMIT);
-  while (std::any_of(parts_->relays.begin(), parts_->relays.end(), missing) && ros::WallTime::now() < limit) {
+  const ros::SteadyTime limit = ros::SteadyTime::now() + ros::WallDuration(RELAY_LIMIT);
+  while (std::any_of(parts_->relays.begin(), parts_->relays.end(), missing) && ros::SteadyTime::now() < limit) {
     parts_->heard.callAvailable(ros::WallDuration(RELAY_SLICE));
   }
   ros::CallbackQueue& queue = *ros::getGlobalCallbackQueue();

@@ -11,10 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from xtdrone_sim.runtime.requests.holds import LONGEST_HOLD, HoldAnswer, Holder
 from xtdrone_sim.runtime.requests.mailbox import ClosedError, Mailbox
 from xtdrone_sim.runtime.requests.pacing import Pacer
 from xtdrone_sim.runtime.requests.simulation_control import (
     PATIENCE,
+    STEP_PATIENCE,
     Control,
     ControlError,
     Reset,
@@ -41,6 +43,14 @@ class FakeBarrier:
 
     def missing(self, expected: int | Iterable[str] = 0) -> str:
         return self.text
+
+
+@dataclass(eq=False)
+class FakeConnection:
+    is_open: bool = True
+
+    def is_alive(self) -> bool:
+        return self.is_open
 
 
 class Loop:
@@ -101,6 +111,11 @@ class Loop:
     def reset(self, kind: Reset, caller: str = "/user") -> Future[None]:
         answer: Future[None] = Future()
         self.control.ask_reset(kind, caller, answer)
+        return answer
+
+    def hold(self, holder: Holder) -> Future[HoldAnswer]:
+        answer: Future[HoldAnswer] = Future()
+        self.control.ask_hold(holder, answer)
         return answer
 
     def stuck(self, name: str, caller_waits: float = 0.0) -> None:
@@ -262,6 +277,104 @@ def test_runs_that_cannot_start_fail_with_the_reason():
     loop.barrier.participants["/follower"].waiting = False
     loop.run(1.0)
     assert loop.resets == []  # the client has been told that no reset was made
+
+
+# ---- holds
+
+
+def holder(name: str = "/station") -> Holder:
+    return Holder(name, FakeConnection())
+
+
+def test_a_hold_stands_between_two_ticks_until_it_is_let_go():
+    loop = Loop(1.0)
+    loop.run(0.1)
+    station = holder()
+    answer = loop.hold(station)
+    loop.run(1.0)
+    held = answer.result(timeout=0)
+    assert (held.success, held.tick, held.time_us) == (True, loop.control.ticks, loop.now_us)
+    assert loop.control.status().reason == "held by /station"
+    assert not loop.control.paused
+    step = loop.step(ticks=3)  # a user's
+    loop.run(1.0)
+    assert loop.now_us == held.time_us
+    loop.control.let_go(station)
+    loop.run(1.0)
+    assert step.result(timeout=0).ticks == 3
+    assert loop.control.paused  # as the user asked: a hold changes no pause
+    assert loop.control.let_go(station) == "time was not held"
+
+
+@pytest.mark.parametrize("end", ["killed", "suspended"])
+@pytest.mark.parametrize("paused", [False, True])
+def test_a_hold_ends_with_its_holder_and_a_pause_does_not(end, paused):
+    loop = Loop(1.0, paused=paused)
+    killed, other = holder(), holder("/other")
+    loop.run(0.1)
+    for one in (killed, other):
+        loop.hold(one)
+    loop.run(0.1)
+    before = loop.now_us
+    if end == "killed":
+        killed.connection.is_open = False
+    else:
+        loop.run(LONGEST_HOLD - 1.0)
+        loop.hold(other)  # once more
+    loop.run(1.0)
+    loop.control.tend()
+    why = "its connection has closed" if end == "killed" else "it has held time for 5 s"
+    assert loop.words == [f"the hold of /station ends: {why}"]
+    loop.run(1.0)
+    assert loop.now_us == before  # the other one holds
+    loop.control.let_go(other)
+    loop.run(100.0)
+    assert (loop.now_us == before) is paused
+
+
+def test_a_hold_that_cannot_begin_is_refused_with_the_reason():
+    loop = Loop(1.0)
+    loop.barrier.participants["/follower"] = FakeParticipant(waiting=True, asked=loop.wall)
+    assert "turn of /follower" in loop.hold(holder("/follower")).result(timeout=0).message
+    loop.run(0.1)
+    waiting = loop.hold(holder())
+    assert loop.control.between_ticks(loop._reset)  # the tick that the hold waits for begins, and hangs
+    loop.stuck("/follower", PATIENCE + 1.0)
+    assert "waiting for /follower (11.0 s)" in waiting.result(timeout=0).message
+    loop.barrier.participants.clear()
+    step = loop.step(ticks=100)
+    loop.run(0.1)
+    assert loop.hold(holder()) is not None
+    refused = loop.hold(holder())
+    loop.run(0.1)
+    assert refused.result(timeout=0).message == "no hold: a step of /user is in progress"
+    assert not step.done()
+
+
+def test_a_pause_before_the_tick_that_a_hold_waits_for_grants_it():
+    loop = Loop(1.0)
+    loop.run(0.1)
+    answer = loop.hold(holder())
+    assert loop.control.between_ticks(loop._reset)
+    loop.control.pause("/user")
+    loop.run(0.1)
+    assert answer.result(timeout=0).success
+
+
+def test_a_step_that_cannot_end_is_given_up_and_a_slow_one_is_not():
+    loop = Loop(0.01, paused=True)
+    slow = loop.step(ticks=50)  # 2 s of wall time each
+    loop.run(STEP_PATIENCE + 10.0)
+    loop.control.tend()
+    assert not slow.done()
+    loop.barrier.participants["/follower"] = FakeParticipant()
+    loop.stuck("/follower", STEP_PATIENCE)
+    loop.stuck("/follower", 0.0)
+    result = slow.result(timeout=0)
+    assert not result.success
+    assert "no tick has ended within 30 s: waiting for /follower (30.0 s)" in result.message
+    assert "the step of /user is given up" in " ".join(loop.words)
+    assert loop.control.paused
 
 
 def test_the_log_names_the_participant_that_time_waits_for():

@@ -8,6 +8,9 @@
 // Parameter ~buffer (MB, default 256, as in rosbag): size of the backlog of unwritten messages; messages beyond it are
 // dropped and counted. The recorder is no participant of the lockstep, so that no flight waits for a disk.
 //
+// When nothing more can be recorded, it tells so at once on ~warning (std_msgs/String), because the log may be on the
+// same full disk, and stays until the end of the flight.
+//
 // SIGINT and SIGTERM end it. Exit status: 0; 1 if the bag cannot be written; 2 for invalid arguments.
 
 #include <ros/callback_queue_interface.h>
@@ -15,6 +18,7 @@
 #include <ros/ros.h>
 #include <rosbag/bag.h>
 #include <semaphore.h>
+#include <std_msgs/String.h>
 #include <topic_tools/shape_shifter.h>
 
 #include <algorithm>
@@ -44,7 +48,7 @@ using Clock = std::chrono::steady_clock;
 constexpr auto kPeriod = std::chrono::milliseconds(2);  // between reads of the network; the stamps' delay
 constexpr time_t kShutdownPeriod = 1;                   // s between checks for a shutdown by another node
 constexpr int kBuffer = 256;                            // MB
-constexpr auto kDiskPeriod = std::chrono::seconds(10);
+constexpr auto kDiskPeriod = std::chrono::seconds(1);
 constexpr std::uintmax_t kMinSpace = 1 << 30;  // bytes of free disk space, as in rosbag; recording stops below
 
 std::atomic<bool> stop_requested{false};
@@ -57,9 +61,9 @@ void request_stop(int) {
 
 void wait_for_wake_up() {
   timespec limit;
-  clock_gettime(CLOCK_REALTIME, &limit);
+  clock_gettime(CLOCK_MONOTONIC, &limit);
   limit.tv_sec += kShutdownPeriod;
-  sem_timedwait(&wake_up, &limit);
+  sem_clockwait(&wake_up, CLOCK_MONOTONIC, &limit);
 }
 
 // Runs roscpp's callbacks at once, in its network thread.
@@ -126,7 +130,8 @@ class Recorder {
  public:
   // Creates the folder of the file if there is none. Throws rosbag::BagException or std::filesystem::filesystem_error
   // if the file cannot be written.
-  explicit Recorder(const std::string& file) : file_(file), active_(file + ".active") {
+  Recorder(const std::string& file, const ros::Publisher& warnings)
+      : file_(file), active_(file + ".active"), warnings_(warnings) {
     const std::filesystem::path folder = std::filesystem::path(file).parent_path();
     if (!folder.empty()) std::filesystem::create_directories(folder);
     bag_->setCompression(rosbag::compression::LZ4);
@@ -139,9 +144,9 @@ class Recorder {
     const ros::Time time = std::max(event.getReceiptTime(), ros::TIME_MIN);
     try {
       bag_->write(topic, time, *event.getConstMessage(), event.getConnectionHeaderPtr());
-    } catch (const std::exception&) {
+    } catch (const std::exception& error) {
       error_ = std::current_exception();
-      stop_requested = true;
+      warn(error.what());
     }
   }
 
@@ -159,19 +164,26 @@ class Recorder {
   }
 
  private:
+  void warn(const std::string& why) const {
+    std_msgs::String warning;
+    warning.data = file_ + ": " + why + "; the rest of the flight is not recorded";
+    ROS_ERROR("recorder: %s", warning.data.c_str());
+    warnings_.publish(warning);
+  }
+
   bool has_space() {
     if (Clock::now() < next_look_) return has_space_;
     next_look_ = Clock::now() + kDiskPeriod;
     std::error_code unknown;
     const auto space = std::filesystem::space(active_, unknown);
     const bool enough = unknown || space.available >= kMinSpace;
-    if (!enough && has_space_)
-      ROS_ERROR("recorder: less than 1024 MB of disk are free; the rest of the flight is not recorded");
+    if (!enough && has_space_) warn("less than 1024 MB of disk are free");
     return has_space_ = enough;
   }
 
   const std::string file_;
   const std::string active_;
+  const ros::Publisher warnings_;
   std::unique_ptr<rosbag::Bag> bag_ = std::make_unique<rosbag::Bag>();
   std::exception_ptr error_;
   Clock::time_point next_look_ = Clock::now();
@@ -205,8 +217,8 @@ void record(const std::string& file, const std::vector<std::string>& topics) {
   // Never destroyed, as roscpp's network thread uses them until the process ends.
   auto& queue = *new DirectQueue;
   auto& backlog = *new Backlog(buffer_size());
-  Recorder recorder(file);
   ros::NodeHandle node;
+  Recorder recorder(file, ros::NodeHandle("~").advertise<std_msgs::String>("warning", 1, true));
   node.setCallbackQueue(&queue);
   // Messages that arrive meanwhile wait in their sockets; they are then read without a thread switch for each.
   ros::PollManager::instance()->addPollThreadListener([&backlog] {

@@ -5,10 +5,12 @@ Source of the protocol: wiki.ros.org, ROS/TCPROS and ROS/Connection Header.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import re
 import socket
 import struct
+from collections.abc import Iterator
 from typing import Any
 
 import rosgraph.network
@@ -42,10 +44,8 @@ def call_service(address: tuple[str, int], name: str, kind: Any, request: Any, c
     Raises:
         ServiceError: it rejects the request (``ServiceRefusedError``), or does not respond.
     """
-    content = io.BytesIO()
-    request.serialize(content)
-    data = call_with_bytes(address, name, (kind._type, kind._md5sum), content.getvalue(), caller, limit)
-    return kind._response_class().deserialize(data)
+    with ServiceConnection(address, name, (kind._type, kind._md5sum), caller) as connection:
+        return connection.call(kind, request, limit)
 
 
 def call_with_bytes(
@@ -59,18 +59,68 @@ def call_with_bytes(
     Raises:
         ServiceError: as for ``call_service``.
     """
-    patience = CONNECTION_LIMIT
-    try:
-        with socket.create_connection(address, timeout=patience) as sock:
-            _greet(sock, name, {"callerid": caller, "service": name, "type": kind[0], "md5sum": kind[1]})
-            patience = limit or 0.0
-            sock.sendall(struct.pack("<I", len(request)) + request)
-            sock.settimeout(limit)
-            return _response(sock, name)
-    except TimeoutError as error:
-        raise ServiceError(f"{name} has not answered within {patience:g} s") from error
-    except OSError as error:
-        raise ServiceError(f"{name} at {address[0]}:{address[1]} does not answer: {error}") from error
+    with ServiceConnection(address, name, kind, caller) as connection:
+        return connection.call_with_bytes(request, limit)
+
+
+class ServiceConnection:
+    """A connection to a service for any number of calls; the service can tell when its process has ended."""
+
+    def __init__(self, address: tuple[str, int], name: str, kind: tuple[str, str], caller: str) -> None:
+        """Connect; see ``call_with_bytes`` for the arguments.
+
+        Raises:
+            ServiceError: it does not respond, or has another type.
+        """
+        self._address, self._name = address, name
+        header = {"callerid": caller, "service": name, "type": kind[0], "md5sum": kind[1], "persistent": "1"}
+        with self._errors(CONNECTION_LIMIT):
+            self._sock = socket.create_connection(address, timeout=CONNECTION_LIMIT)
+        try:
+            with self._errors(CONNECTION_LIMIT):
+                _greet(self._sock, name, header)
+        except ServiceError:
+            self.close()
+            raise
+
+    def __enter__(self) -> ServiceConnection:
+        """Return the connection."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the connection."""
+        self.close()
+
+    def call(self, kind: Any, request: Any, limit: float | None) -> Any:
+        """Call the service and return its response; see ``call_service``."""
+        content = io.BytesIO()
+        request.serialize(content)
+        return kind._response_class().deserialize(self.call_with_bytes(content.getvalue(), limit))
+
+    def call_with_bytes(self, request: bytes, limit: float | None) -> bytes:
+        """Call the service with a serialised request and return the serialised response.
+
+        Raises:
+            ServiceError: it rejects the request (``ServiceRefusedError``), or does not respond.
+        """
+        with self._errors(limit or 0.0):
+            self._sock.sendall(struct.pack("<I", len(request)) + request)
+            self._sock.settimeout(limit)
+            return _response(self._sock, self._name)
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._sock.close()
+
+    @contextlib.contextmanager
+    def _errors(self, patience: float) -> Iterator[None]:
+        try:
+            yield
+        except TimeoutError as error:
+            raise ServiceError(f"{self._name} has not answered within {patience:g} s") from error
+        except OSError as error:
+            host, port = self._address
+            raise ServiceError(f"{self._name} at {host}:{port} does not answer: {error}") from error
 
 
 def probe(address: tuple[str, int], name: str, caller: str) -> dict[str, str]:

@@ -366,6 +366,8 @@ def _state(status: Any) -> str:
         return "paused"
     if status.waiting_for:
         return "waiting"
+    if status.reason.startswith("held by "):
+        return "held between two ticks"
     return "waiting for participants" if status.reason else "running"
 
 

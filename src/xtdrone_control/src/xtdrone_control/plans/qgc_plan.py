@@ -19,6 +19,7 @@ from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import FRAME_MISSION, Items, PlanItem
 from xtdrone_control.bounded_file import MB, ContentError, load_json, read_text
 from xtdrone_control.mavlink.microservices import mission_items
+from xtdrone_control.whole_file import write_whole
 
 SUFFIX = ".plan"
 LARGEST = 16 * MB  # several thousand items take a few MB
@@ -302,7 +303,7 @@ def write(path: str | Path, content: Plan) -> None:
         PlanError: the plan cannot be represented in this format; nothing is written.
         OSError: the file cannot be written.
     """
-    Path(path).write_text(text_of(content), encoding="utf-8")
+    write_whole(path, text_of(content))
 
 
 def text_of(content: Plan) -> str:

@@ -178,7 +178,7 @@ class CrossingDirector:
         values = {"event": event, "time": rospy.get_time(), **numbers}
         self._event_publisher.publish(String(json.dumps(values)))
         if self._events is not None:
-            self._events.write(json.dumps({**values, "wall": time.time()}) + "\n")
+            self._events.write(json.dumps({**values, "wall": time.monotonic()}) + "\n")
 
     def _publish_progress(self) -> None:
         left = [

@@ -14,6 +14,7 @@ from rich.console import Console
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.lockstep.simulation_speed import speed_setting
 from xtdrone_control.settings import Settings, setting
+from xtdrone_control.whole_file import write_whole
 from xtdrone_interaction.command_options import seed_setting, web_setting
 from xtdrone_interaction.demos.directed_flight import (
     directed_flight,
@@ -116,7 +117,7 @@ def run_explore(settings: ExploreDemoSettings, console: Console) -> int:
 
     def conclude(_: object) -> int:
         stored = {**settings.stored(), "wall_time": time.monotonic() - begin}
-        (settings.out / _SETTINGS).write_text(json.dumps(stored, indent=2) + "\n", encoding="utf-8")
+        write_whole(settings.out / _SETTINGS, json.dumps(stored, indent=2) + "\n")
         return _report(settings.out, stored, console)
 
     return run_flight(flight(settings), console, conclude)
@@ -213,11 +214,11 @@ def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
     report["shortcomings"] += [f"{name} was not saved" for name in unsaved_maps(folder, names)]
     if settings.get("merge"):
         _add_merging(report, folder, names, solids)
-    write_report(report, folder / "report.json")
-    save_floor(record, visible, solid, exploration, report, folder / "floor.png")
-    print_exploration(report, console)
+    print_exploration(report, console)  # first: the disk may be full
     if maps:
         print_table(map_table(maps), console)
+    write_report(report, folder / "report.json")
+    save_floor(record, visible, solid, exploration, report, folder / "floor.png")
     results = [folder / name for name in _RESULTS if (folder / name).exists()]
     print_paths([*results, *octrees_in(folder)], console)
     return 1 if report["shortcomings"] else 0

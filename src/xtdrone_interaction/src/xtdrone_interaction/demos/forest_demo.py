@@ -16,6 +16,7 @@ from rich.console import Console
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.lockstep.simulation_speed import speed_setting
 from xtdrone_control.settings import Settings, setting
+from xtdrone_control.whole_file import write_whole
 from xtdrone_interaction.command_options import seed_setting, web_setting
 from xtdrone_interaction.demos.directed_flight import (
     directed_flight,
@@ -176,7 +177,7 @@ def run_forest(settings: ForestDemoSettings, console: Console) -> int:
 
     def conclude(_: object) -> int:
         stored = {**settings.stored(), "fleet": settings.fleet, "wall_time": time.monotonic() - begin}
-        (settings.out / _SETTINGS).write_text(json.dumps(stored, indent=2) + "\n", encoding="utf-8")
+        write_whole(settings.out / _SETTINGS, json.dumps(stored, indent=2) + "\n")
         status = _report(settings.out, stored, console)
         if settings.film:
             _film(*_record(settings.out, stored), settings.out, console)
@@ -243,9 +244,9 @@ def _report(folder: Path, settings: Mapping[str, Any], console: Console) -> int:
 
     record, solids = _record(folder, settings)
     report = make_report(record, solids, settings, planning_times(folder))
+    print_crossing(report, console)  # first: the disk may be full
     write_report(report, folder / "report.json")
     save_crossing_map(record, solids, folder / "map.png")
-    print_crossing(report, console)
     print_paths((folder / name for name in _RESULTS if (folder / name).exists()), console)
     return 1 if report["shortcomings"] else 0
 

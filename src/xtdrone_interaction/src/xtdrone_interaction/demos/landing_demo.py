@@ -118,8 +118,8 @@ def _conclude(settings: LandingDemoSettings, console: Console, wall_time: float,
     report = report_of(settings.out / "flight.bag", {**stored, "wall_time": wall_time})
     ended = [str(node) for node in ended_nodes.found.values() if node.matters]
     report["shortcomings"] = [*ended, *report["shortcomings"]]
+    print_landing(report, console)  # first: the disk may be full
     write_report(report, settings.out / "report.json")
-    print_landing(report, console)
     for name in ("flight.bag", "report.json", "landing.png"):
         console.print(f"  {settings.out / name}", highlight=False, soft_wrap=True)
     return 1 if report["shortcomings"] else 0

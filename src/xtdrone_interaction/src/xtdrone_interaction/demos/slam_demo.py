@@ -201,12 +201,12 @@ def report_again(bag: Path, console: Console, settings: dict[str, Any] | None = 
     except RecordError as error:
         raise DemoError(str(error)) from error
     report["settings"] = settings
-    write_report(report, bag.parent / "report.json")
-    save_pictures(shown, bag.parent)
-    print_table(odometry_table(report["odometry"]), console)
+    print_table(odometry_table(report["odometry"]), console)  # first: the disk may be full
     if report["maps"]:
         print_table(map_table(report["maps"]), console)
     console.print(f"landed {report['home_miss']:.2f} m from the start", highlight=False)
+    write_report(report, bag.parent / "report.json")
+    save_pictures(shown, bag.parent)
     for name in _RESULTS:
         if (bag.parent / name).exists():
             console.print(f"  {bag.parent / name}", highlight=False, soft_wrap=True)

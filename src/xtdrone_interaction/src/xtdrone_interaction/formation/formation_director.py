@@ -179,7 +179,7 @@ class FormationDirector:
         text = json.dumps(values)
         self._event_publisher.publish(String(text))
         if self._events is not None:
-            self._events.write(json.dumps({**values, "wall": time.time()}) + "\n")
+            self._events.write(json.dumps({**values, "wall": time.monotonic()}) + "\n")
             self._events.flush()
         {"failed": rospy.logerr, "lost": rospy.logwarn}.get(event, rospy.loginfo)("director: %s", text)
 

@@ -135,8 +135,8 @@ class FormationFlight:
         self._swarm.steer((x, y, z), 0.0)
 
     def event(self, event: str, **values: Any) -> None:
-        """Record an event, with the wall clock's time for the report's real-time factor."""
-        found = {"event": event, "time": self.view.time, **values, "wall": time.time()}
+        """Record an event, with the monotonic wall time for the report's real-time factor."""
+        found = {"event": event, "time": self.view.time, **values, "wall": time.monotonic()}
         self._events.append(found)
         if self._on_event is not None:
             self._on_event(found)

@@ -9,6 +9,7 @@ Lines have a ``kind``:
 master       the master answers and the topics are subscribed
 status       of the simulator: ``text``: reason for a standstill, ``held``: whether that is intended, ``joined``: names
              of the lockstep participants, ``time``: simulated, s, ``paused``
+warning      of the flight's recorder, which can record no more: ``text``
 estimators   every vehicle's estimator has started; ``time``: simulated, s
 (others)     JSON of the std_msgs/String messages on the requested topics, as ``message``
 ===========  ======================================================================================================
@@ -37,6 +38,7 @@ _ASK_PERIOD = 0.3  # s between two calls to a master that does not answer
 _CLOSE_LIMIT = 2.0  # s for the child to unregister from the master
 _NAMES_SHOWN = 3
 _STANDBY = 3  # MAV_STATE; below it, the autopilot is starting
+_WARNINGS = "/recorder/warning"
 _MOST_ESTIMATORS = 50  # vehicles whose state is subscribed; each is a connection
 
 
@@ -171,6 +173,7 @@ class _Node:
         for kind, topic in self._wanted["topics"].items():
             rospy.Subscriber(topic, String, self._on_text, kind)
         rospy.Subscriber("/simulator/status", SimulationStatus, self._on_status)
+        rospy.Subscriber(_WARNINGS, String, lambda message: self._say("warning", text=message.data))
         names = self._wanted["vehicles"] if len(self._wanted["vehicles"]) <= _MOST_ESTIMATORS else []
         with self._lock:
             for name in names:

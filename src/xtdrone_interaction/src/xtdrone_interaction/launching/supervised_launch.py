@@ -47,6 +47,7 @@ _VITAL = (
     "search_mission",
     "crossing_director",
 )  # required for the flight to continue
+_RECORDER = "recorder"
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 _INCOMPLETE = "participants have "  # "joined" or "not joined": the simulator's status while it waits at the start
 _ERROR_LINES = 12
@@ -178,6 +179,7 @@ class Watch:
         startup: progress of the start, read from the logs.
         display: shows progress and messages.
         status: latest status of the simulator, see ``message_feed``; None before the first.
+        warnings: of the recorder, see ``message_feed``.
     """
 
     def __init__(
@@ -188,6 +190,7 @@ class Watch:
         self.display = display
         self.startup = Startup(launch.out / "logs")
         self.status: dict[str, Any] | None = None
+        self.warnings: list[str] = []
         self._tree = tree
         self._launch = launch
         self._feed = feed
@@ -243,6 +246,10 @@ class Watch:
 
     def _note(self, message: dict[str, Any]) -> None:
         now, kind = time.monotonic(), message["kind"]
+        if kind == "warning":
+            self.warnings.append(message["text"])
+            self.display.note(f"  [red]{escape(message['text'])}[/red]")
+            return
         if kind != "status":
             self._moved = now
             self._sim_time = message.get("message", {}).get("sim_time", self._sim_time)
@@ -331,17 +338,24 @@ def run_flight(flight: Flight, console: Console, conclude: Callable[[EndedNodes]
         The exit status: that of ``conclude``, 1 for a flight that failed, 128 + signal when stopped.
     """
     ended_nodes = EndedNodes(flight.log)
+    warnings: list[str] = []
 
     def fly() -> int:
         console.print(flight.control_words, highlight=False, soft_wrap=True)
         topics = {"progress": flight.progress_topic, "events": flight.events_topic}
         try:
             with watching(flight, console, ended_nodes, topics) as watch:
+                watch.warnings = warnings
                 _watch(watch, flight)
         finally:
             with defer_signals():
                 _mend_bag(flight.out / flight.bag, flight.environment())
-        return conclude(ended_nodes)
+        # the cause comes first: what follows is made of an incomplete record
+        recorder = [str(ended) for ended in ended_nodes.all() if ended.node == _RECORDER and ended.died]
+        for text in dict.fromkeys([*warnings, *recorder]):
+            console.print(f"[red]Not recorded to the end:[/red] {escape(text)}", highlight=False, soft_wrap=True)
+        status = conclude(ended_nodes)
+        return status or int(bool(warnings))
 
     status = run_launch(flight, console, fly)
     bag = flight.out / flight.bag
@@ -371,6 +385,10 @@ def run_launch(launch: Launch, console: Console, run: Callable[[], int]) -> int:
         except DemoError as error:
             console.print(f"[red]Error:[/red] {escape(str(error))}", highlight=False, soft_wrap=True)
             print_log_errors(launch, console)
+            return 1
+        except OSError as error:
+            words = f"{error.filename or launch.out}: {error.strerror or error}"
+            console.print(f"[red]Error:[/red] {escape(words)}", highlight=False, soft_wrap=True)
             return 1
         except Interrupted as signalled:
             console.print(f"stopped by {signalled}; nothing is left running", highlight=False)
@@ -474,8 +492,9 @@ def _watch(watch: Watch, flight: Flight) -> None:
     watch.show_ended_nodes()
     if outcome in flight.last_events:
         watch.finish()
-    events = flight.events()
-    if not events or events[-1]["event"] not in flight.last_events:
+    # on a full disk, the file has no last event
+    events = [outcome, *(event["event"] for event in flight.events()[-1:])]
+    if not set(events) & set(flight.last_events):
         failure = watch.ended_nodes.failure
         raise DemoError(f"the flight ended early{'' if failure is None else f': {failure}'}")
 
@@ -512,15 +531,18 @@ def escape(text: str) -> str:
 
 
 def _mend_bag(bag: Path, environment: dict[str, str]) -> None:
-    """Reindex the bag of a killed recorder."""
+    """Reindex the bag of a killed recorder; without space for that, it stays without an index."""
     active = bag.with_suffix(".bag.active")
     program = shutil.which("rosbag")
     if not active.is_file() or program is None:
         return
     command = [program, "reindex", "-q", str(active)]
-    subprocess.run(command, env=environment, check=False, capture_output=True, timeout=300)
+    done = subprocess.run(command, env=environment, check=False, capture_output=True, timeout=300)
+    original = active.with_suffix(".orig.active")
+    if (done.returncode != 0 or done.stderr) and original.is_file():
+        original.replace(active)
     active.replace(bag)
-    active.with_suffix(".orig.active").unlink(missing_ok=True)
+    original.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager

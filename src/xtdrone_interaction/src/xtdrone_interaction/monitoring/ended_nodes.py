@@ -22,8 +22,10 @@ _CRASHED = re.compile(r"^it (?:has )?crashed: ")
 _DIED = "has died"
 _DROPPED = "was dropped by the simulator"
 _BY_ITSELF = "has ended by itself"
-_ONLOOKER = "visualize"  # the live window, which the user may close at any time
-_MAY_END = (_ONLOOKER, "upload_plans")  # the ground station ends after the upload
+_WINDOW = "visualize"  # the live window, which the user may close at any time
+_MAY_END = (_WINDOW, "upload_plans")  # the ground station ends after the upload
+# nodes that show a flight and take no part in it
+_ONLOOKERS = (_WINDOW, "web_station", "foxglove_bridge", "rosbridge_websocket", "ros2_bridge", "rviz")
 _ALL_END = re.compile(r"^\[[^\]]+-\d+\] killing on exit|Initiating shutdown|REQUIRED process")
 # roslaunch: "====REQUIRED process [simulator-2] has died!", and the reason in the next line
 _REQUIRED = re.compile(r"REQUIRED process \[(?P<node>[^\]]+?)(?:-\d+)?\] has died!")
@@ -53,7 +55,7 @@ class EndedNode:
     @property
     def matters(self) -> bool:
         """Whether the flight is degraded without the node."""
-        return self.node != _ONLOOKER
+        return self.node not in _ONLOOKERS
 
     @property
     def died(self) -> bool:

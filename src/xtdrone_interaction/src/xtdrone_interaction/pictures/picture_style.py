@@ -16,6 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
+from xtdrone_control.whole_file import replacing
 from xtdrone_interaction.recording.series_in_bounded_memory import Array
 
 _POINTS = 4000  # drawn per line; longer lines are reduced to the minimum and maximum of each part
@@ -63,7 +64,8 @@ def save_figures(figures: Iterable[NamedFigure], folder: str | Path, dpi: int = 
     with plt.rc_context(STYLE):
         for name, title, figure in figures:
             path = Path(folder) / f"{_file_stem(name)}.png"
-            figure.savefig(path, dpi=dpi)
+            with replacing(path) as draft:
+                figure.savefig(draft, dpi=dpi, format="png")
             plt.close(figure)
             saved.append((title, path))
     return saved

@@ -11,6 +11,7 @@ import jinja2
 from rich.console import Console
 from rich.markup import escape
 
+from xtdrone_control.whole_file import write_whole
 from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.metrics.missions.formation_metrics import write_report
 from xtdrone_interaction.pictures.picture_style import NamedFigure, save_figures
@@ -112,9 +113,9 @@ def write_page(
     images = [(title, path.stem, base64.b64encode(path.read_bytes()).decode()) for title, path in saved]
     template = jinja2.Environment(autoescape=True).from_string(_TEMPLATE)
     html, data = folder / "report.html", folder / "report.json"
-    html.write_text(template.render(page=page, images=images), encoding="utf-8")
+    print_page(page, console)  # first: the disk may be full
+    write_whole(html, template.render(page=page, images=images))
     write_report(metrics, data)
-    print_page(page, console)
     print_paths([html, data, *(path for _, path in saved)], console)
 
 

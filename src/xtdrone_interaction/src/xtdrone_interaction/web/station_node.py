@@ -17,7 +17,7 @@ from tornado.ioloop import IOLoop
 from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments
 from xtdrone_interaction.ending import end_within_limit
 from xtdrone_interaction.server_guard import is_loopback
-from xtdrone_interaction.server_port import port_here
+from xtdrone_interaction.server_port import check_not_running, port_here
 from xtdrone_interaction.web.actions.operator_actions import OperatorActions
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.rooms import methods_of_rooms
@@ -38,8 +38,10 @@ def main(arguments: Sequence[str]) -> None:
     Raises:
         ArgumentError: an argument was given, or a token that is not allowed.
         SettingError: a parameter is not allowed.
+        ROSInitException: a station runs already.
     """
     check_no_arguments(arguments)
+    check_not_running(NAME, URL_PARAMETER.removeprefix("~"))
     rospy.init_node(NAME, disable_signals=True)
     settings, token = _settings_and_token()
     loop = IOLoop.current()
@@ -59,8 +61,7 @@ def main(arguments: Sequence[str]) -> None:
     port = _listen(server)
     for role, url in server.address.urls(port).items():
         print(f"station ({'operate' if role == 'operate' else 'watch only'}): {url}", flush=True)
-        if role == "operate" and not (settings.view_only or credentials.operate):
-            rospy.set_param(URL_PARAMETER, url)  # without a token, because any node can read parameters
+    rospy.set_param(URL_PARAMETER, url.partition("#")[0])  # without a token, because any node can read parameters
     if not is_loopback(settings.host):
         rospy.logwarn("the station listens on %s: the token allows flying the vehicles", settings.host)
     rospy.on_shutdown(lambda: loop.add_callback(loop.stop))

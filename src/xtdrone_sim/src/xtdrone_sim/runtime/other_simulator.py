@@ -27,7 +27,7 @@ def obstacle(name: str) -> str:
     master, uri = rosgraph.Master(name), rosgraph.get_master_uri()
     elsewhere = "or use another master for this one (ROS_MASTER_URI)"
     lockstep = _lockstep_uri(master)
-    if lockstep and _answers(lockstep):
+    if lockstep and answers(lockstep):
         return (
             f"a simulator is already running on the ROS master {uri}, with its lockstep at {lockstep}; stop it "
             f"(Ctrl-C where it was started, or rosnode kill /simulator), {elsewhere}"
@@ -36,7 +36,7 @@ def obstacle(name: str) -> str:
         node = str(master.lookupNode(name))
     except rosgraph.MasterError:
         return ""
-    if _answers(node):
+    if answers(node):
         return (
             f"the node name {name} is taken on the ROS master {uri} by a node that is running, at {node}; stop it "
             f"(rosnode kill {name}), {elsewhere}"
@@ -73,7 +73,7 @@ def _lockstep_uri(master: rosgraph.Master) -> str:
     return str(master.getParam(_URI)) if master.hasParam(_URI) else ""
 
 
-def _answers(uri: str) -> bool:
+def answers(uri: str) -> bool:
     """Return whether a server accepts connections at ``uri``, scheme://host:port."""
     try:
         address = urlparse(uri)

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import logging
 import math
-import os
 import re
 import struct
 from collections.abc import Iterable
@@ -21,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from xtdrone_control.bounded_file import ContentError, read_text
+from xtdrone_control.whole_file import write_whole
 
 SUFFIX = ".params"
 REAL32 = 9
@@ -222,7 +222,8 @@ def write(path: Path, content: ParameterFile) -> None:
     Raises:
         OSError: it cannot be written.
     """
-    _replace(path, text_of(content))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, text_of(content))
 
 
 def write_changed(path: Path, rows: Iterable[Row], system: int, component: int) -> None:
@@ -241,11 +242,5 @@ def write_changed(path: Path, rows: Iterable[Row], system: int, component: int) 
         "# Vehicle-Id Component-Id Name Value Type\n",
     ]
     lines += [f"{system}\t{component}\t{name}\t{value!r}\t{kind}\n" for name, value, kind in rows]
-    _replace(path, "".join(lines))
-
-
-def _replace(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_name(path.name + ".new")
-    draft.write_text(text, encoding="utf-8")
-    os.replace(draft, path)
+    write_whole(path, "".join(lines))

@@ -26,7 +26,7 @@ from xtdrone_interaction.bridges.foxglove.service_offers import ServiceOffers
 from xtdrone_interaction.bridges.foxglove.standing_client import StandingClient
 from xtdrone_interaction.bridges.foxglove.topic_channels import TopicChannels
 from xtdrone_interaction.ending import end_within_limit
-from xtdrone_interaction.server_port import port_here
+from xtdrone_interaction.server_port import check_not_running, port_here
 from xtdrone_interaction.topics.discovery import UNKNOWN_TYPE, MasterError, TopicGraph
 from xtdrone_interaction.topics.raw_subscriptions import RawSubscriptions
 
@@ -252,9 +252,10 @@ def main(arguments: Sequence[str]) -> None:
     Raises:
         ArgumentError: invalid arguments.
         SettingError: a parameter is not allowed.
-        ROSInitException: the port cannot be opened.
+        ROSInitException: a bridge runs already, or the port cannot be opened.
     """
     check_no_arguments(arguments)
+    check_not_running(NAME, "actual_port")
     rospy.init_node(NAME)
     end_within_limit(NAME)
     settings = FoxgloveSettings.from_parameters(rospy.get_param)

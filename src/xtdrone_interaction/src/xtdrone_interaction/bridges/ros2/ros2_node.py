@@ -33,7 +33,7 @@ from xtdrone_interaction.bridges.ros2.message_conversion import ConversionError,
 from xtdrone_interaction.bridges.ros_publications import PublicationError
 from xtdrone_interaction.ending import end_within_limit
 from xtdrone_interaction.server_guard import listed
-from xtdrone_interaction.server_port import instance_here
+from xtdrone_interaction.server_port import check_not_running, instance_here
 from xtdrone_interaction.topics.discovery import UNKNOWN_TYPE, MasterError, TopicGraph
 from xtdrone_interaction.topics.message_classes import MessageTypeError, decode, installed_class
 from xtdrone_interaction.topics.raw_subscriptions import Listener, RawMessage, RawSubscriptions
@@ -232,6 +232,7 @@ def main(arguments: Sequence[str]) -> None:
         ROSInitException: the DDS domain cannot be joined.
     """
     check_no_arguments(arguments)
+    check_not_running(NAME)
     rospy.init_node(NAME)
     end_within_limit(NAME)
     settings = Ros2Settings.from_parameters(rospy.get_param)

@@ -20,7 +20,7 @@ from xtdrone_interaction.bridges.rosbridge.clients.subscriptions import Encoder
 from xtdrone_interaction.bridges.rosbridge.rosapi import Rosapi
 from xtdrone_interaction.bridges.rosbridge.websocket_server import WebSocketServer
 from xtdrone_interaction.ending import end_within_limit
-from xtdrone_interaction.server_port import port_here
+from xtdrone_interaction.server_port import check_not_running, port_here
 from xtdrone_interaction.topics.raw_subscriptions import RawSubscriptions
 
 NAME = "rosbridge_websocket"
@@ -95,9 +95,10 @@ def main(arguments: Sequence[str]) -> None:
     Raises:
         ArgumentError: invalid arguments.
         SettingError: a parameter is not allowed.
-        ROSInitException: the port cannot be opened.
+        ROSInitException: a bridge runs already, or the port cannot be opened.
     """
     check_no_arguments(arguments)
+    check_not_running(NAME, "actual_port")
     rospy.init_node(NAME)
     end_within_limit(NAME)
     settings = RosbridgeSettings.from_parameters(rospy.get_param)

@@ -9,15 +9,16 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-import tornado.httpserver
 import tornado.netutil
 import tornado.web
 import tornado.websocket
 
 from xtdrone_interaction.bridges.rosbridge.clients.session import Bridge, Session
 from xtdrone_interaction.server_guard import ServerGuard
+from xtdrone_interaction.server_port import BoundedHTTPServer
 
 MAX_CLIENTS = 100
+"""Connected clients; beyond them the oldest that has sent nothing yields."""
 _ROOM = 1_000_000  # bytes sent but not yet received, above which messages are queued
 _MOST_UNTAKEN = 32_000_000  # bytes; the connection of a client that lags further is closed
 _PING = 10.0  # s between pings; a client that does not answer is disconnected
@@ -39,7 +40,7 @@ class WebSocketServer:
         """
         self.bridge = bridge
         self.guard = guard
-        self.clients: set[_Handler] = set()
+        self.clients: dict[_Handler, None] = {}  # in order
         self.thread = 0  # identifier of the loop's
         self.workers = ThreadPoolExecutor(_WORKERS, "rosbridge")
         application = tornado.web.Application(
@@ -47,7 +48,7 @@ class WebSocketServer:
             websocket_ping_interval=_PING,
             websocket_max_message_size=max_message_size,
         )
-        self._server = tornado.httpserver.HTTPServer(application)
+        self._server = BoundedHTTPServer(application)
 
     def listen(self, port: int, address: str) -> int:
         """Open the port, from the loop's thread; return its number.
@@ -76,6 +77,7 @@ class _Handler(tornado.websocket.WebSocketHandler):
         self._server = server
         self._untaken = 0
         self._session: Session | None = None
+        self.is_silent = True  # it has sent nothing
         self._loop = asyncio.get_running_loop()
 
     def prepare(self) -> None:
@@ -90,19 +92,23 @@ class _Handler(tornado.websocket.WebSocketHandler):
 
     def open(self, *_: str, **__: str) -> None:
         if len(self._server.clients) >= MAX_CLIENTS:
-            self.close(_TOO_MANY, f"{MAX_CLIENTS} clients are connected, more are not allowed")
-            return
+            yielding = next((client for client in self._server.clients if client.is_silent), self)
+            yielding.close(_TOO_MANY, f"{MAX_CLIENTS} clients are connected, more are not allowed")
+            if yielding is self:
+                return
+            yielding.on_close()
         self.set_nodelay(True)
-        self._server.clients.add(self)
+        self._server.clients[self] = None
         self._session = Session(self._server.bridge, self)
 
     async def on_message(self, message: str | bytes) -> None:
+        self.is_silent = False
         # The next frame is read after this one: a client that sends too fast waits, and the order is kept.
         if self._session is not None:
             await self._loop.run_in_executor(self._server.workers, self._session.handle, message)
 
     def on_close(self) -> None:
-        self._server.clients.discard(self)
+        self._server.clients.pop(self, None)
         session, self._session = self._session, None
         if session is not None:
             with contextlib.suppress(RuntimeError):  # the server has ended, and its threads

@@ -112,7 +112,7 @@ def run_demo(settings: DemoSettings, console: Console) -> int:
     Returns:
         The exit status: 0 for a good flight, 1 for one that failed or missed a limit, 128 + signal when stopped.
     """
-    command_wall = time.time()
+    command_wall = time.monotonic()
     return run_flight(
         flight(settings), console, lambda ended_nodes: _conclude(settings, console, command_wall, ended_nodes)
     )
@@ -186,9 +186,9 @@ def _conclude(settings: DemoSettings, console: Console, command_wall: float, end
     Raises:
         DemoError: the flight failed.
     """
-    last = flight(settings).events()[-1]
-    if last["event"] == "failed":
-        raise DemoError(last["reason"])
+    last = flight(settings).events()[-1:]  # none on a full disk
+    if last and last[0]["event"] == "failed":
+        raise DemoError(last[0]["reason"])
     unstored = ("out", "master_port", "headless", "window", "film", "instance", "web")
     stored = {k: v for k, v in asdict(settings).items() if k not in unstored}
     bag = settings.out / "flight.bag"
@@ -250,10 +250,10 @@ def report_flight(
         report = make_report(record, settings)
         report |= {"died": [asdict(ended) for ended in ended_nodes], **kept}
         report["shortcomings"] = [*(str(ended) for ended in ended_nodes if ended.matters), *report["shortcomings"]]
+        print_formation(report, console)  # first: the disk may be full
         write_report(report, bag.parent / "report.json")
         pictures = save_figures(figures(record), bag.parent)
     except RecordError as error:
         raise DemoError(str(error)) from error
-    print_formation(report, console)
     print_paths([bag, bag.parent / "report.json", *(path for _, path in pictures)], console)
     return 1 if report["shortcomings"] else 0

@@ -166,7 +166,7 @@ def run_in_process(settings: SwarmSettings, film: FilmSettings, console: Console
     Returns:
         The exit status: 0 for a good flight, 1 for one that failed or missed a limit, 128 + signal when stopped.
     """
-    command_wall = time.time()
+    command_wall = time.monotonic()
     settings.out.mkdir(parents=True, exist_ok=True)
     console.print(f"Results: {settings.out}", highlight=False, soft_wrap=True)
     with raise_on_signals():
@@ -176,7 +176,7 @@ def run_in_process(settings: SwarmSettings, film: FilmSettings, console: Console
             _check_outcome(record)
             report = make_report(record, {**settings.stored(), "command_wall": command_wall})
             return _conclude(record, report, settings, film, console)
-        except (DemoError, RecordError) as error:
+        except (DemoError, RecordError, OSError) as error:
             console.print(f"[red]Error:[/red] {escape(str(error))}", highlight=False, soft_wrap=True)
             _remove_empty(settings.out)
             return 1
@@ -366,7 +366,7 @@ def run_on_ros(demo: DemoSettings, settings: SwarmSettings, film: FilmSettings, 
     with raise_on_signals():
         try:
             return max(status, _after_ros(demo, settings, film, console))
-        except (DemoError, RecordError) as error:
+        except (DemoError, RecordError, OSError) as error:
             console.print(f"[red]Error:[/red] {escape(str(error))}", highlight=False, soft_wrap=True)
             return 1
         except Interrupted as signalled:

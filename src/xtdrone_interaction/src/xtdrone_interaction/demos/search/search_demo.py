@@ -168,9 +168,9 @@ def _report(
     report = make_report(record, dict(settings))
     report["died"] = [asdict(ended) for ended in ended_nodes]
     report["shortcomings"] = [*(str(ended) for ended in ended_nodes if ended.matters), *report["shortcomings"]]
+    print_search(report, console)  # first: the disk may be full
     write_report(report, folder / "report.json")
     save_map(record, prepared.region, prepared.pieces, prepared.ways, folder / "map.png")
-    print_search(report, console)
     for file in (bag, *(folder / name for name in _RESULTS)):
         if file.exists():
             console.print(f"  {file}", highlight=False, soft_wrap=True)

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from xtdrone_control.whole_file import write_whole
 from xtdrone_coordination.laws.assignment import assign
 from xtdrone_interaction.formation.distances import Array, close_pairs, formation_error, relative
 from xtdrone_interaction.formation.flight_criteria import (
@@ -168,7 +169,7 @@ def make_report(record: FormationRecord, settings: dict[str, Any] | None = None)
 
     Args:
         record: the flight.
-        settings: of the flight (seed, speed, ...), stored as they are; ``command_wall``, the wall clock time of the
+        settings: of the flight (seed, speed, ...), stored as they are; ``command_wall``, the monotonic time of the
             command in s, gives the start-up time.
 
     Raises:
@@ -313,8 +314,12 @@ def _cpu_name() -> str:
 
 
 def write_report(report: object, path: str | Path) -> None:
-    """Write plain data as JSON; numbers that are not finite become null."""
-    Path(path).write_text(json.dumps(_finite(report), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    """Write plain data as JSON; numbers that are not finite become null.
+
+    Raises:
+        OSError: it cannot be written; a file of that name is then as it was.
+    """
+    write_whole(Path(path), json.dumps(_finite(report), indent=2, allow_nan=False) + "\n")
 
 
 def _finite(report: Any) -> Any:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.whole_file import replacing
 from xtdrone_interaction.bags.ros1bag import BagError
 from xtdrone_interaction.formation.distances import Array
 from xtdrone_interaction.formation.flight_events import parse_event
@@ -278,7 +279,8 @@ def save_formation(record: FormationRecord, path: str | Path) -> None:
         events=json.dumps(record.events),
         collisions=json.dumps(record.collisions),
     )
-    Path(path).write_bytes(archive.getvalue())
+    with replacing(Path(path)) as draft:
+        draft.write_bytes(archive.getvalue())
 
 
 def read_archive(path: Path) -> Recording:

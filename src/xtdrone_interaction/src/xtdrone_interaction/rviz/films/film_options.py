@@ -33,6 +33,7 @@ class FilmSettings(Settings):
         out: file of the film.
         frames: folder for PNG files, or None.
         master: port or URI of the running flight; empty for automatic.
+        again: the film is drawn for the second time, after a crash.
     """
 
     view: str
@@ -58,6 +59,7 @@ class FilmSettings(Settings):
     out: Path
     frames: Path | None
     master: str
+    again: bool = False
 
     @property
     def rate(self) -> float:

@@ -11,8 +11,10 @@ is kept).
 from __future__ import annotations
 
 import argparse
+import base64
 import json
 import os
+import pickle
 import subprocess
 import sys
 import tempfile
@@ -28,7 +30,14 @@ from xtdrone_interaction import command_options, sim_cli
 from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.launching.supervised_launch import DemoError, Interrupted, defer_signals, raise_on_signals
 from xtdrone_interaction.rviz.films.film_options import FilmSettings, add_arguments, film_settings, parse, settings_of
-from xtdrone_interaction.rviz.films.view_nodes import DRAWER, Stage, StageError, check_tools, node_environment
+from xtdrone_interaction.rviz.films.view_nodes import (
+    DRAWER,
+    CrashError,
+    Stage,
+    StageError,
+    check_tools,
+    node_environment,
+)
 
 _REPORT_PERIOD = 5.0  # wall s between two lines of progress
 _SLICE = 0.1  # wall s
@@ -39,9 +48,16 @@ __all__ = ["add_arguments", "film_settings", "parse", "run"]  # all but run are 
 
 def run(arguments: argparse.Namespace) -> int:
     """Film and return the exit status."""
+    try:
+        return _run(settings_of(arguments))
+    except OptionError as error:
+        print(f"xtdrone: {error}", file=sys.stderr)
+        return 2
+
+
+def _run(settings: FilmSettings) -> int:
     console = Console()
     try:
-        settings = settings_of(arguments)
         with raise_on_signals():
             return _film(settings, console)
     except OptionError as error:
@@ -73,20 +89,37 @@ def _film(settings: FilmSettings, console: Console) -> int:
         settings.frames.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="xtdrone-view-") as work:
         if settings.bag is not None:
-            film_bag(settings, settings.bag, Path(work), console)
+            try:
+                film_bag(settings, settings.bag, Path(work), console)
+            except CrashError as error:
+                if settings.again:
+                    raise
+                print(f"xtdrone: {error}\nxtdrone: the film is drawn once again", file=sys.stderr)
+                return _film_again(settings) or flown
         else:
             film_running(settings, Path(work), console)
     console.print(f"{settings.out}", highlight=False, soft_wrap=True)
     return flown
 
 
+def _film_again(settings: FilmSettings) -> int:
+    """Film in a new process, in which rospy can start again; return its exit status."""
+    stored = base64.b64encode(pickle.dumps(replace(settings, again=True))).decode()
+    return _fly([sys.executable, "-c", f"import {__name__} as film; film.film_stored({stored!r})"])
+
+
+def film_stored(stored: str) -> None:
+    """Film with settings of ``_film_again``, and end this process with the exit status."""
+    sys.exit(_run(pickle.loads(base64.b64decode(stored))))
+
+
 def _fly(command: Sequence[str]) -> int:
-    """Run a demo and return its status; a signal ends the demo first."""
+    """Run a program and return its status; a signal ends the program first."""
     with subprocess.Popen(command) as demo:
         try:
             return demo.wait()
         except Interrupted as signalled:
-            # Forward the signal and let the demo clean up, undisturbed by further signals.
+            # Forward the signal and let the program clean up, undisturbed by further signals.
             demo.send_signal(signalled.number)
             with defer_signals():
                 demo.wait()

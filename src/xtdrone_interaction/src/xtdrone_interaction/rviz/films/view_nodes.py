@@ -26,6 +26,7 @@ from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 DRAWER = "rviz_offscreen"
 TF, MARKERS = "robot_tf", "swarm_markers"
 NODES = tuple(f"/{name}" for name in (TF, MARKERS, DRAWER))
+_CORE_PATTERN = Path("/proc/sys/kernel/core_pattern")
 _PATIENCE = 30.0  # wall s for the film to be finished
 _LAST_LINES = 6
 _MOST_COMPLAINTS = 10
@@ -34,8 +35,17 @@ _DRAWN = re.compile(rf"^{DRAWER}: (\d+) frames drawn$", re.MULTILINE)  # its las
 _COMPLAINT = re.compile(r"\[(?: WARN|ERROR|FATAL)\] \[[\d., ]+\]: (.*?)(?:\x1b\[0m)?$", re.MULTILINE)
 
 
+# Lets the drawing node leave a core in its folder, if the machine's limit and core_pattern allow it.
+_KEEP_CORE = ("sh", "-c", 'ulimit -S -c "$(ulimit -H -c)"; cd "$0" && exec "$@"')
+_CRASHES = (signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGILL, signal.SIGFPE)
+
+
 class StageError(DemoError):
     """A node cannot be started or has ended early; the message contains its last output."""
+
+
+class CrashError(StageError):
+    """The drawing node has crashed; the message names its core."""
 
 
 def program(package: str, name: str) -> str:
@@ -132,12 +142,14 @@ class Stage:
         """
         file = name if name == DRAWER else f"{name}.py"
         command = [program(package, file), f"__name:={name}"]
+        if name == DRAWER:
+            command = [*_KEEP_CORE, str(self._work), *command]
         # Set on the server, because some nodes read parameters before rospy parses the command line.
         if self._master.hasParam(f"/{name}"):  # of an earlier node
             self._master.deleteParam(f"/{name}")
         for key, value in parameters.items():
             if value is not None:
-                self._master.setParam(f"/{name}/{key}", str(value) if isinstance(value, Path) else value)
+                self._master.setParam(f"/{name}/{key}", str(value.absolute()) if isinstance(value, Path) else value)
         self._nodes[name] = ProcessTree(command, self._environment, self.log(name))
 
     def log(self, name: str) -> Path:
@@ -156,6 +168,7 @@ class Stage:
         """
         for name, tree in self._nodes.items():
             if tree.wait(0.0):
+                self._raise_crash()
                 raise StageError(f"{name} has ended (status {tree.status}): {self.last_words(name)}")
 
     def check_others(self) -> None:
@@ -191,6 +204,7 @@ class Stage:
             tree.process.send_signal(signal.SIGINT)
         if not tree.wait(_PATIENCE):
             raise StageError(f"{DRAWER} has not ended within {_PATIENCE:g} s")
+        self._raise_crash()
         if tree.process.returncode != 0:
             raise StageError(f"{DRAWER} has failed (status {tree.status}): {self.last_words()}{self._rest()}")
         for words in self.complaints()[:_MOST_COMPLAINTS]:
@@ -200,6 +214,23 @@ class Stage:
         if frames == 0:
             raise StageError(f"no frame was drawn: {self.last_words()}")
         return frames
+
+    def _raise_crash(self) -> None:
+        """Raise an error if the drawing node has crashed, and keep its core beside the film.
+
+        Raises:
+            CrashError: it has.
+        """
+        status = self._nodes[DRAWER].status if DRAWER in self._nodes else None
+        if status is None or -status not in _CRASHES:
+            return
+        words = f"no core in its folder (core_pattern {_CORE_PATTERN.read_text().strip()!r}, or a limit of 0)"
+        for core in self._work.glob("core*"):
+            kept = self._film.with_name(f"{self._film.stem}.core")
+            shutil.move(core, kept)
+            words = f"core: {kept}"
+        how = f"{DRAWER} has crashed ({signal.Signals(-status).name}); {words}"
+        raise CrashError(f"{how}: {self.last_words()}{self._rest()}")
 
     def _rest(self) -> str:
         """Return a message with the file of an unfinished film, if any."""

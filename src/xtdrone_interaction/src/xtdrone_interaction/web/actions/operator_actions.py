@@ -26,7 +26,8 @@ from xtdrone_interaction.web.server.session import Session
 _KEPT = 10_000  # actions
 _KEPT_TEXT = 64 << 20  # characters of all of them
 LONGEST_HOLD = 3.0
-"""s of wall time that an action may let simulated time stand still, and a step may let other actions wait."""
+"""s of wall time that an action may let simulated time stand still; the simulator ends a hold after 5 s."""
+_SHORT_STEP = 0.2  # s of wall time that an action waits for the end of a step, to take effect after it
 
 
 class OperatorActions:
@@ -48,38 +49,32 @@ class OperatorActions:
         listener.peer_subscribe = self._tell_newcomer
         self._publisher.impl.add_subscriber_listener(listener)
         self._one_at_a_time = asyncio.Lock()
-        self._long_steps: set[asyncio.Future[Any]] = set()
+        self._steps: set[asyncio.Future[Any]] = set()  # and other calls on time that have not ended
 
     async def carry_out(self, method: Method, session: Session, params: Params) -> Any:
         """Publish a call, carry it out and return its result; its errors are the caller's."""
         if method.touches == "nothing":
             self._publish(method, session, params, Instant())
             return await invoke(method, session, params)
+        if method.touches == "time":  # waits for no action: a pause ends a step that hangs
+            self._publish(method, session, params, Instant())
+            step = asyncio.ensure_future(invoke(method, session, params))
+            self._steps.add(step)
+            step.add_done_callback(self._steps.discard)
+            return await step
         async with self._one_at_a_time:
-            if method.touches == "time":
-                call = await self._begin_on_time(method, session, params)
-            else:
-                number, call = await self._begin(method, session, params)
+            number, call = await self._begin(method, session, params)
         try:
             return await call
         except Exception:
-            if method.touches == "flight":
-                self._mark(REFUSED, number)
+            self._mark(REFUSED, number)
             raise
-
-    async def _begin_on_time(self, method: Method, session: Session, params: Params) -> asyncio.Future[Any]:
-        """Start a call on simulated time; return its task when it has ended, or takes long as a step of many ticks."""
-        self._publish(method, session, params, Instant())
-        call = asyncio.ensure_future(invoke(method, session, params))
-        await asyncio.wait({call}, timeout=LONGEST_HOLD)
-        if not call.done():
-            self._long_steps.add(call)
-            call.add_done_callback(self._long_steps.discard)
-        return call
 
     async def _begin(self, method: Method, session: Session, params: Params) -> tuple[int, asyncio.Future[Any]]:
         """Start a call while time stands still; return its number and its task when it has ended or takes too long."""
-        instant = await self._context.blocking(hold, self._context.master, is_stepping=bool(self._long_steps))
+        if self._steps:
+            await asyncio.wait(self._steps, timeout=_SHORT_STEP)
+        instant = await self._context.blocking(hold, self._context.master, is_stepping=bool(self._steps))
         try:
             recorded = params if method.recorded is None else method.recorded(params)
             number = self._publish(method, session, recorded, instant)
@@ -88,7 +83,7 @@ class OperatorActions:
             if instant.held and not call.done():
                 self._mark(LET_GO, number)
         finally:
-            await self._context.blocking(let_go, self._context.master, instant)
+            await self._context.blocking(let_go, instant)
         return number, call
 
     def _publish(self, method: Method, session: Session, params: Params, instant: Instant) -> int:

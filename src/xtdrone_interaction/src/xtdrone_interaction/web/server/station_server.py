@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
 from tornado.iostream import StreamClosedError
 from tornado.netutil import bind_sockets
@@ -24,6 +23,7 @@ from tornado.web import Application, HTTPError, RequestHandler, StaticFileHandle
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from xtdrone_interaction.server_guard import ServerGuard, is_loopback
+from xtdrone_interaction.server_port import BoundedHTTPServer
 from xtdrone_interaction.web.server.credentials import Credentials
 from xtdrone_interaction.web.server.methods import CallError, Method, MethodTable, Params, checked_params, invoke
 from xtdrone_interaction.web.server.session import Session
@@ -31,6 +31,9 @@ from xtdrone_interaction.web.server.session import Session
 MOST_MESSAGE = 1 << 20
 """Bytes of a message from a page."""
 MOST_SESSIONS = 64
+"""WebSockets; beyond them the oldest without ``hello`` yields."""
+WRONG_TOKEN, NO_HELLO = 4401, 4408
+"""Codes of the server's closing a WebSocket: the page gives up after the first and connects again after the second."""
 MOST_CALLS = 32
 """Calls of one page whose answers are outstanding."""
 _HELLO_LIMIT = 5.0  # s of wall time for a page's first message
@@ -112,6 +115,7 @@ class StationServer:
         self.guard = ServerGuard(
             "web_station", place.host, place.origins, place.names, own_page_only=True, report=self.report
         )
+        self.without_hello: dict[_PageSocket, None] = {}  # in order
         application = Application(
             routes(self),
             websocket_max_message_size=MOST_MESSAGE,
@@ -121,7 +125,7 @@ class StationServer:
             compress_response=True,
         )
         bound = bind_sockets(self.address.port, self.address.host)
-        self._http = HTTPServer(application, max_body_size=1 << 16, max_header_size=1 << 14, idle_connection_timeout=60)
+        self._http = BoundedHTTPServer(application)
         self._http.add_sockets(bound)
         return int(bound[0].getsockname()[1])
 
@@ -192,14 +196,21 @@ class _PageSocket(WebSocketHandler):
         """Refuse other servers' pages, and requests under a name that is not this server's."""
         if self._server.guard.refusal(self.request.headers):
             raise HTTPError(403)
-        if self._server.open_sockets >= MOST_SESSIONS:
+        if self._server.open_sockets >= MOST_SESSIONS and not self._server.without_hello:
             raise HTTPError(503)
 
     def open(self, *_: str, **__: str) -> None:
+        self._hello_limit = self._server.loop.call_later(_HELLO_LIMIT, self._refuse, NO_HELLO, "no hello")
+        if self._server.open_sockets >= MOST_SESSIONS:
+            oldest = next(iter(self._server.without_hello), self)
+            oldest._refuse(NO_HELLO, "no hello, and others wait")
+            oldest._forget()
+            if oldest is self:
+                return
         self._server.open_sockets += 1
         self._counted = True
+        self._server.without_hello[self] = None
         self.set_nodelay(True)
-        self._hello_limit = self._server.loop.call_later(_HELLO_LIMIT, self._refuse, "no hello")
 
     async def on_message(self, message: str | bytes) -> None:
         """Answer a call; before ``hello`` no other method is allowed."""
@@ -242,23 +253,29 @@ class _PageSocket(WebSocketHandler):
             request, params = {}, {}
         role = self._server.address.credentials.role(params.get("token", ""))
         if request.get("method") != "hello" or role is None:
-            self._refuse("token")
+            self._refuse(WRONG_TOKEN, "token")
             return
         self._server.loop.remove_timeout(self._hello_limit)
+        self._server.without_hello.pop(self, None)
         self._server.connections += 1
         self._session = Session(self._server.connections, role, self, self._server.loop.add_callback)  # type: ignore[arg-type]
         self._server.sessions[self._session.number] = self._session
         self._session.answer({"id": request.get("id"), "result": {"role": role, **self._server.welcome()}})
         self._server.on_connect(self._session)
 
-    def _refuse(self, reason: str) -> None:
+    def _refuse(self, code: int, reason: str) -> None:
         if self._session is None:
-            super().close(4401, reason)
+            super().close(code, reason)
 
-    def on_close(self) -> None:
+    def _forget(self) -> None:
+        """Count this socket no longer; its connection may take longer to close."""
         self._server.open_sockets -= self._counted
         self._counted = False
+        self._server.without_hello.pop(self, None)
         self._server.loop.remove_timeout(self._hello_limit)
+
+    def on_close(self) -> None:
+        self._forget()
         if self._session is not None:
             self._server.sessions.pop(self._session.number, None)
             self._session.close()

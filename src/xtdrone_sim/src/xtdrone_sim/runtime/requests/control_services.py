@@ -4,6 +4,7 @@
 /simulator/set_speed                   xtdrone_msgs/SetSpeed              target real-time factor
 /simulator/pause, resume               std_srvs/Trigger
 /simulator/step                        xtdrone_msgs/Step                  a number of ticks, or to a simulated time
+/simulator/hold                        xtdrone_msgs/Hold                  between two ticks, as long as its connection
 /simulator/get_status                  xtdrone_msgs/GetStatus
 /simulator/status (topic)              xtdrone_msgs/SimulationStatus      latched; on change, at least every wall second
 /simulator/speed (topic, in)           std_msgs/Float64                   target real-time factor
@@ -21,6 +22,7 @@ rospy calls the handlers in its own threads; they pass each request to the simul
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
@@ -41,9 +43,19 @@ from geometry_msgs.msg import Vector3
 from std_msgs.msg import Float64
 from std_srvs.srv import Empty, EmptyResponse, Trigger, TriggerResponse
 from xtdrone_msgs.msg import SimulationStatus
-from xtdrone_msgs.srv import GetStatus, GetStatusResponse, SetSpeed, SetSpeedResponse, Step, StepResponse
+from xtdrone_msgs.srv import (
+    GetStatus,
+    GetStatusResponse,
+    Hold,
+    HoldResponse,
+    SetSpeed,
+    SetSpeedResponse,
+    Step,
+    StepResponse,
+)
 
 from xtdrone_control.lockstep.simulation_speed import LEAST_SPEED
+from xtdrone_sim.runtime.requests.holds import Holder
 from xtdrone_sim.runtime.requests.mailbox import ClosedError, Mailbox
 from xtdrone_sim.runtime.requests.simulation_control import Control, ControlError, Reset, Status, StepRequest
 
@@ -89,6 +101,7 @@ class Services:
             ("~pause", Trigger, partial(self._trigger, control.pause)),
             ("~resume", Trigger, partial(self._trigger, control.resume)),
             ("~step", Step, self._step),
+            ("~hold", Hold, self._hold),
             ("~get_status", GetStatus, self._get_status),
             ("/gazebo/pause_physics", Empty, partial(self._empty, control.pause)),
             ("/gazebo/unpause_physics", Empty, partial(self._empty, control.resume)),
@@ -158,6 +171,16 @@ class Services:
         wanted = StepRequest(request.ticks, _microseconds(request.until), _microseconds(request.duration))
         answer = self._ask(lambda answer: self._control.ask_step(wanted, _caller(request), answer))
         return StepResponse(answer.success, answer.message, _time(answer.time_us), answer.ticks)
+
+    def _hold(self, request: Any) -> HoldResponse:
+        # rospy serves each connection in a thread of its own, which ends when the connection closes.
+        holder = Holder(_caller(request), threading.current_thread())
+        if request.hold:
+            answer = self._ask(lambda answer: self._control.ask_hold(holder, answer))
+            return HoldResponse(answer.success, answer.message, answer.tick, _time(answer.time_us))
+        done = self._call(self._control.let_go, holder)
+        status = self._call(self._control.status)
+        return HoldResponse(True, done, status.tick, _time(status.time_us))
 
     def _reset(self, kind: Reset, request: Any) -> EmptyResponse:
         self._ask(lambda answer: self._control.ask_reset(kind, _caller(request), answer))

@@ -1,9 +1,10 @@
-"""Control of the running simulation: speed, pause, step, reset. Independent of ROS; ``control_services`` advertises it.
+"""Control of the running simulation: speed, pause, hold, step, reset. Independent of ROS, see ``control_services``.
 
 All methods are called in the simulator's own thread. Changes of speed and pause take effect immediately, even while the
 barrier waits for a participant. Steps, resets and changes are executed between ticks, and their callers wait for the
-answer. A participant must not wait for the end of its own tick: during its turn, its step requests are rejected, and
-its requests for resets and changes are answered immediately and executed after the tick.
+answer. A hold (see ``holds``) is granted at the end of a tick. A participant must not wait for the end of its own tick:
+during its turn, its requests for steps and holds are rejected, and its requests for resets and changes are answered
+immediately and executed after the tick.
 """
 
 from __future__ import annotations
@@ -16,13 +17,16 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any
 
+from xtdrone_sim.runtime.requests.holds import HoldAnswer, Holder, Holds
 from xtdrone_sim.runtime.requests.mailbox import ClosedError
 from xtdrone_sim.runtime.requests.pacing import Pacer, SpeedMeter
 from xtdrone_sim.runtime.requests.slow_participants import Barrier, SlowParticipants
 from xtdrone_sim.runtime.requests.stepping import Goal, Outcome, StepError, Stepper
 
 PATIENCE = 10.0
-"""Longest wait of a step or a reset for the end of the current tick, wall s."""
+"""Longest wait of a step, a hold or a reset for the end of the current tick, wall s."""
+STEP_PATIENCE = 30.0
+"""Wall s without a tick after which a step is given up that the lockstep holds up."""
 
 
 class ControlError(RuntimeError):
@@ -119,14 +123,16 @@ class _Asked:
     """A request that is queued until the end of the tick.
 
     Attributes:
-        request: the step, the reset or the change.
+        request: the step, the hold, the reset or the change.
         answer: future of the caller; None if the caller has been answered already.
         until: monotonic wall time at which the request times out, s.
+        caller: of a step: the node that asked for it.
     """
 
-    request: StepRequest | Reset | Change
+    request: StepRequest | Holder | Reset | Change
     answer: Future[Any] | None
     until: float
+    caller: str = ""
 
 
 class Control:
@@ -176,6 +182,10 @@ class Control:
         self._meter = SpeedMeter()
         self._asked: deque[_Asked] = deque()
         self._step_answer: Future[Any] | None = None
+        self._stepper_name = ""  # the caller of the current step
+        self._holds = Holds(wall)
+        self._holding: list[_Asked] = []  # holds that wait for the end of the next tick
+        self._moved = wall()  # when the last tick or step began or ended
         self._names: tuple[str, ...] = ()
         self._slow = SlowParticipants(barrier, hang_limit, warn)
 
@@ -189,7 +199,11 @@ class Control:
     @property
     def flowing(self) -> bool:
         """Whether the next tick may begin and no request is queued before it."""
-        return self._stepper.moving and not self._asked
+        return self._moving and not self._asked
+
+    @property
+    def _moving(self) -> bool:
+        return self._stepper.moving and not self._holds
 
     def start(self) -> None:
         """Start simulated time."""
@@ -238,7 +252,28 @@ class Control:
                 )
             )
         else:
-            self._asked.append(_Asked(request, answer, self._wall() + PATIENCE))
+            self._asked.append(_Asked(request, answer, self._wall() + PATIENCE, caller))
+
+    def ask_hold(self, holder: Holder, answer: Future[Any]) -> None:
+        """Queue a hold; ``answer`` receives a HoldAnswer when time stands still, or the hold was rejected.
+
+        In a running simulation time stands at the end of the next tick that participants take part in, which a replay
+        reaches, too; in one that stands still already, at once.
+        """
+        if self.held is not None:
+            self._grant_hold(holder, answer)
+        elif self._waited_for(holder.name):
+            answer.set_result(self._hold_refusal(f"the turn of {holder.name} in the lockstep is not over"))
+        else:
+            self._asked.append(_Asked(holder, answer, self._wall() + PATIENCE))
+
+    def let_go(self, holder: Holder) -> str:
+        """End a hold; return a description of the change."""
+        self._holding = [asked for asked in self._holding if asked.request != holder]
+        if not self._holds.end(holder):
+            return "time was not held"
+        self._time_goes_on()
+        return "let go"
 
     def ask_reset(self, kind: Reset, caller: str, answer: Future[Any]) -> None:
         """Queue a reset; ``answer`` receives None when it is complete, or a ControlError."""
@@ -309,10 +344,45 @@ class Control:
             if isinstance(asked.request, Change):
                 self._make(asked.request, asked.answer)
                 continue
-            assert isinstance(asked.request, StepRequest)
             assert asked.answer is not None
-            self._begin_step(asked.request, asked.answer)
-        return self._stepper.moving
+            if isinstance(asked.request, Holder):
+                self._begin_hold(asked, asked.request, asked.answer)
+                continue
+            assert isinstance(asked.request, StepRequest)
+            self._begin_step(asked.request, asked.answer, asked.caller)
+        if not self._stepper.moving:  # paused before the tick that holds wait for
+            self._grant_holds()
+        return self._moving
+
+    def _begin_hold(self, asked: _Asked, holder: Holder, answer: Future[Any]) -> None:
+        if self._stepper.goal is not None and not self._holds:
+            answer.set_result(self._hold_refusal(f"a step of {self._stepper_name} is in progress"))
+        elif self._stepper.paused or self._holds or self.ticks == 0:
+            self._grant_hold(holder, answer)
+        else:
+            self._holding.append(asked)
+            self.pacer.restart()  # the tick begins at once
+
+    def _grant_holds(self) -> None:
+        """Grant the holds that have waited for the end of a tick."""
+        for asked in self._holding:
+            assert isinstance(asked.request, Holder)
+            assert asked.answer is not None
+            self._grant_hold(asked.request, asked.answer)
+        self._holding.clear()
+
+    def _grant_hold(self, holder: Holder, answer: Future[Any]) -> None:
+        self._holds.begin(holder)
+        self.changed = True
+        answer.set_result(HoldAnswer(True, "held", self.ticks, self._now_us()))
+
+    def _hold_refusal(self, reason: str) -> HoldAnswer:
+        return HoldAnswer(False, f"no hold: {reason}", self.ticks, self._now_us())
+
+    def _time_goes_on(self) -> None:
+        self.pacer.restart()
+        self._moved = self._wall()
+        self.changed = True
 
     def _reset(self, kind: Reset, reset: Callable[[Reset], None]) -> None:
         self._finish_step(self._stepper.interrupt("the simulation was reset"))
@@ -323,21 +393,23 @@ class Control:
         self.changed = True
         self._info(f"reset of the {kind.name.lower()} at {before * 1e-6:.3f} s")
 
-    def _begin_step(self, request: StepRequest, answer: Future[Any]) -> None:
+    def _begin_step(self, request: StepRequest, answer: Future[Any], caller: str) -> None:
         now = self._now_us()
         try:
             self._stepper.begin(request.goal(now), now)
         except StepError as error:
-            answer.set_result(self._refusal(str(error)))
+            other = f", that of {self._stepper_name}; a pause ends it" if self._stepper.goal is not None else ""
+            answer.set_result(self._refusal(f"{error}{other}"))
             return
-        self._step_answer = answer
-        self.pacer.restart()
-        self.changed = True
+        self._step_answer, self._stepper_name = answer, caller
+        self._time_goes_on()
 
     def ticked(self) -> None:
-        """Count a tick that has ended, and finish a step that has reached its goal."""
+        """Count a tick that has ended, finish a step that has reached its goal, and grant the holds that wait."""
         self.ticks += 1
+        self._moved = self._wall()
         self._finish_step(self._stepper.ticked(self._now_us()))
+        self._grant_holds()
 
     def _end_steps(self, outcome: Outcome | None, reason: str) -> None:
         """End the current step with ``outcome``, and reject the queued ones for ``reason``."""
@@ -363,10 +435,12 @@ class Control:
     # supervision
 
     def tend(self) -> None:
-        """Time out queued requests and log participants that hold up the world; called periodically."""
+        """Time out requests, steps and holds, and log participants that hold up the world; called periodically."""
         now = self._wall()
-        for asked in [asked for asked in self._asked if now >= asked.until]:
-            self._asked.remove(asked)
+        self._end_overdue_holds()
+        self._give_up_step(now)
+        for asked in [asked for asked in (*self._asked, *self._holding) if now >= asked.until]:
+            (self._asked if asked in self._asked else self._holding).remove(asked)
             reason = f"the current tick has not ended within {PATIENCE:g} s: {self._standstill(now)}"
             if asked.answer is None:
                 continue
@@ -374,6 +448,8 @@ class Control:
                 asked.answer.set_exception(ControlError(f"no reset: {reason}"))
             elif isinstance(asked.request, Change):
                 asked.answer.set_exception(ControlError(f"no {asked.request.what}: {reason}"))
+            elif isinstance(asked.request, Holder):
+                asked.answer.set_result(self._hold_refusal(reason))
             else:
                 asked.answer.set_result(self._refusal(reason))
         names = tuple(self._barrier.participants)
@@ -382,10 +458,28 @@ class Control:
             self.changed = True
         self._slow.report(now)
 
+    def _end_overdue_holds(self) -> None:
+        texts = self._holds.end_overdue()
+        for text in texts:
+            self._warn(text)
+        if texts:
+            self._time_goes_on()
+
+    def _give_up_step(self, now: float) -> None:
+        """End a step that the lockstep holds up: its caller would wait for ever."""
+        if self._stepper.goal is None or self._holds or now - self._moved < STEP_PATIENCE:
+            return
+        if not (self._slow.waiting(now) or self._barrier.missing()):
+            return  # a slow speed
+        reason = f"no tick has ended within {STEP_PATIENCE:g} s: {self._standstill(now)}"
+        self._warn(f"the step of {self._stepper_name} is given up: {reason}")
+        self._finish_step(self._stepper.interrupt(reason))
+
     def close(self) -> None:
         """Answer all pending requests with a ClosedError."""
-        waiting = [asked.answer for asked in self._asked] + [self._step_answer]
+        waiting = [asked.answer for asked in (*self._asked, *self._holding)] + [self._step_answer]
         self._asked.clear()
+        self._holding.clear()
         self._step_answer = None
         for answer in waiting:
             if answer is not None:
@@ -422,4 +516,6 @@ class Control:
         missing = self._barrier.missing()
         if missing:
             return missing
+        if self._holds:
+            return f"held by {self._holds.names}"
         return "paused" if not self._stepper.moving else ""
