@@ -15,6 +15,7 @@ import rospy
 from tornado.ioloop import IOLoop
 
 from xtdrone_control.programs.node_command_line import check_no_arguments
+from xtdrone_control.programs.plain_node import init_plain_node
 from xtdrone_interaction.server_port import port_here
 from xtdrone_interaction.web.actions.operator_actions import OperatorActions
 from xtdrone_interaction.web.context import StationContext
@@ -37,7 +38,7 @@ def main(arguments: Sequence[str]) -> None:
         SettingError: a parameter is not allowed.
     """
     check_no_arguments(arguments)
-    rospy.init_node(NAME, disable_signals=True)
+    init_plain_node(NAME, disable_signals=True)
     settings = StationSettings.from_parameters(rospy.get_param)
     loop = IOLoop.current()
     context = StationContext(rosgraph.get_master_uri(), rospy.get_name())

@@ -17,6 +17,7 @@ from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 
 from xtdrone_control.programs.node_command_line import check_no_arguments
+from xtdrone_control.programs.plain_node import init_plain_node
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_interaction.bridges.bridge_graph import BridgeGraph
 from xtdrone_interaction.bridges.bridge_settings import patterns, publications_of
@@ -229,7 +230,7 @@ def main(arguments: Sequence[str]) -> None:
         ROSInitException: the DDS domain cannot be joined.
     """
     check_no_arguments(arguments)
-    rospy.init_node(NAME)
+    init_plain_node(NAME)
     settings = Ros2Settings.from_parameters(rospy.get_param)
     try:
         bridge = Ros2Bridge(settings)
