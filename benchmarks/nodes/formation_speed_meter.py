@@ -38,6 +38,7 @@ from xtdrone_msgs.srv import SetSpeed
 from benchmarks.nodes import bus_statistics
 from benchmarks.nodes.free_running_speeds import Trial, next_speed
 from benchmarks.process_use import CpuSample
+from xtdrone_control.programs.plain_node import init_plain_node
 from xtdrone_interaction.formation.shared_topics_and_names import EVENTS_TOPIC
 
 _FIRST_PHASE = "climb"  # from this phase on all followers publish commands
@@ -196,7 +197,7 @@ def run_probe(name: str, probe: type[SpeedProbe]) -> int:
         name: of the node.
         probe: what it measures.
     """
-    rospy.init_node(name)
+    init_plain_node(name)
     plan = json.loads(Path(rospy.get_param("~plan")).read_text(encoding="utf-8"))
     out = Path(rospy.get_param("~out"))
     with (out / "events.jsonl").open("w", encoding="utf-8") as events:

@@ -42,6 +42,7 @@ from xtdrone_msgs.msg import ObjectsOnGround
 
 from benchmarks.process_use import CpuSample, memory, process_tree
 from xtdrone_control.fleet import FleetError, parse_fleet
+from xtdrone_control.programs.plain_node import init_plain_node
 from xtdrone_interaction.recording.missions.search_record import PROGRESS_TOPIC
 
 _SEARCHES = {"searching", "second look", "back to its lane"}  # states of a searching vehicle
@@ -170,7 +171,7 @@ class SearchProbe:
 
 def main() -> int:
     """Run the node and return its exit status."""
-    rospy.init_node("search_speed_meter", disable_rostime=True)
+    init_plain_node("search_speed_meter", disable_rostime=True)
     try:
         names = [vehicle.name for vehicle in parse_fleet(str(rospy.get_param("/xtdrone/fleet")))]
         window, out = float(rospy.get_param("~window")), Path(rospy.get_param("~out"))

@@ -207,9 +207,10 @@ def _soak(settings: SoakSettings, episodes: Sequence[Episode], folder: Path, con
 
 def _join_graph() -> None:
     """Become a node to publish; on wall time, as /clock has a thousand messages a second."""
-    import rospy
 
-    rospy.init_node("soak", disable_signals=True, disable_rostime=True)
+    from xtdrone_control.programs.plain_node import init_plain_node
+
+    init_plain_node("soak", disable_signals=True, disable_rostime=True)
 
 
 def _conclude(runner: Runner, settings: dict[str, Any], end: str, *, stopped: bool, judge_growth: bool) -> Outcome:

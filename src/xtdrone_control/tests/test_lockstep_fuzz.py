@@ -14,6 +14,7 @@ import os
 import random
 import socket
 import struct
+from collections.abc import Collection
 from typing import Any
 
 import pytest
@@ -123,6 +124,9 @@ class Simulator:
 
     def counted(self, number: int, value: bool) -> None:
         assert number == 1
+
+    def connect_again(self, topics: Collection[str]) -> None:
+        assert set(topics) <= {"/t"}
 
     def deliver(self, news: dict[str, Any], counts: dict[int, int]) -> None:
         self.channels |= {row[0]: row[2] for row in news["made"]}

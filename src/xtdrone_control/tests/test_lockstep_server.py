@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import math
 import os
@@ -26,7 +27,13 @@ from hypothesis import strategies as st
 
 from xtdrone_control.lockstep import protocol
 from xtdrone_control.lockstep.protocol import FrameReader, Kind, ProtocolError, Schedule
-from xtdrone_control.lockstep.server import LockstepServer, client_sockets, frame_checks, participant
+from xtdrone_control.lockstep.server import (
+    LockstepServer,
+    client_sockets,
+    frame_checks,
+    missing_connections,
+    participant,
+)
 from xtdrone_control.lockstep.server.barrier import STOPPED
 from xtdrone_control.lockstep.server.frame_checks import Declaration
 from xtdrone_control.lockstep.server.missing_connections import TopicTable
@@ -361,12 +368,21 @@ def test_start_waits_for_connections_between_declared_topics(server):
     assert a.peers == [{"made": [], "lost": [], "counted": [1], "uncounted": []}]
 
 
-def test_a_connection_that_is_never_made_times_out_with_a_warning(log):
+def test_a_connection_that_is_never_made_is_asked_for_again_before_a_warning(log, monkeypatch):
+    monkeypatch.setattr(missing_connections, "ASK_PERIOD", 0.0)
     server = LockstepServer(connect_limit=0.2, log=log)
-    _a = FakeParticipant(server, "/a", publications=[["/x", "T"]])
-    _b = FakeParticipant(server, "/b", subscriptions=[["/x", "T"]])
+    _a = FakeParticipant(server, "/a", publications=[["/x", "T"], ["/y", "T"]])
+    b = FakeParticipant(server, "/b", subscriptions=[["/x", "T"]])
+    told: list[list[str]] = []
+    changes = itertools.chain([({"subscriptions": [["/y", "T"]]}, [], [], {})], itertools.repeat((None, [], [], {})))
+    server.attach_host(SimpleNamespace(name="/s", collect=lambda: next(changes), connect_again=told.append))
     assert server.wait_for(2, timeout=PATIENCE)
-    assert "no connection of /x from /a to /b within 0.2 s" in log.warnings()
+    warnings = log.warnings()
+    assert "no connection of /x from /a to /b within 0.2 s, though the master was asked again" in warnings
+    assert "no connection of /y from /a to /s within 0.2 s, though the master was asked again" in warnings
+    b.expect(Kind.WELCOME)
+    assert b.expect(Kind.PEER)["missing"] == ["/x"]
+    assert told[0] == ["/y"]
     server.close()
 
 

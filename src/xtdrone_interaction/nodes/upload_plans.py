@@ -23,6 +23,7 @@ from std_srvs.srv import Empty
 
 from xtdrone_control.fleet import FleetError, check_instance, parse_fleet
 from xtdrone_control.plans import qgc_plan
+from xtdrone_control.programs.plain_node import init_plain_node
 from xtdrone_interaction.gcs import GcsError, upload_plans
 
 _RESUME = "/gazebo/unpause_physics"
@@ -31,7 +32,7 @@ _PATIENCE = 60.0  # s of wall time without a response: the simulator may still b
 
 def main() -> int:
     """Upload and return the exit status."""
-    rospy.init_node("upload_plans", disable_rostime=True)  # simulated time is paused until the upload is complete
+    init_plain_node("upload_plans", disable_rostime=True)  # simulated time is paused until the upload is complete
     try:
         fleet = str(rospy.get_param("/xtdrone/fleet"))
         instance = check_instance(rospy.get_param("/xtdrone/instance", 0))

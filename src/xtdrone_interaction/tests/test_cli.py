@@ -19,6 +19,7 @@ import pytest
 from xtdrone_interaction import cli, command_options
 from xtdrone_interaction.demos.formation import formation_cli
 from xtdrone_interaction.demos.search import search_cli
+from xtdrone_interaction.launching import launch_cli
 
 DEMO = ["demo", "formation"]
 PATIENCE = 120.0  # s of wall time; bounds a broken test
@@ -89,7 +90,8 @@ def test_a_class_that_cannot_fly_is_rejected_before_anything_starts(
 
 
 def test_a_master_port_in_use_is_rejected(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(command_options, "check_vehicle_ports", lambda fleet: None)  # another simulation may be running
+    # Another simulation may be running.
+    monkeypatch.setattr(command_options, "check_vehicle_ports", lambda fleet, **_: None)
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         assert cli.main([*DEMO, "--master-port", str(port)]) == 2
@@ -100,6 +102,62 @@ def test_a_mavlink_port_in_use_is_rejected(monkeypatch: pytest.MonkeyPatch, capf
     monkeypatch.setattr(command_options, "_taken", lambda number, kind: number == 24542)
     assert cli.main([*DEMO, "--instance", "0"]) == 2
     assert "port: UDP 24542 of iris_2 is taken" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("argument", "port", "words"),
+    [
+        ("mavros:=false", 24541, ""),  # real MAVROS listens already
+        ("mavros:=elsewhere", 24541, ""),
+        ("fcu_url:=udp://:25540@127.0.0.1:34580", 24541, ""),  # our layer has another port
+        ("mavros:=true", 24541, "UDP 24541 of iris_1 is taken by another program (beside real MAVROS: mavros:=false)"),
+        ("mavros_nodes:=per_uav", 24541, "UDP 24541 of iris_1 is taken"),
+        ("mavros:=false", 34581, "UDP 34581 of iris_1 is taken by another program;"),  # the simulator's own
+    ],
+)
+def test_a_launch_is_refused_for_ports_that_it_binds_itself(
+    argument: str, port: int, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd
+) -> None:
+    monkeypatch.setattr(command_options, "_taken", lambda number, kind: number == port)
+    monkeypatch.setattr(command_options, "_take", lambda name: True)
+    launched: list[str] = []
+    monkeypatch.setattr(launch_cli, "_run", lambda file, launch, console: launched.append(launch.file) or 0)
+    command = [
+        "launch",
+        "multi_vehicle",
+        "vehicles:=iris:2",
+        argument,
+        "--out",
+        str(tmp_path / "out"),
+        "--port",
+        "22000",
+    ]
+    assert cli.main(command) == (2 if words else 0)
+    assert words in capfd.readouterr().err
+    assert len(launched) == (not words)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["ROS_NAMESPACE", "ROSCONSOLE_FORMAT", "ROSCONSOLE_CONFIG_FILE", "ROS_PYTHON_LOG_CONFIG_FILE", "MPLBACKEND"],
+)
+def test_variables_under_which_a_launch_fails_are_left_out_with_a_line(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command_options, "_taken", lambda number, kind: False)
+    monkeypatch.setattr(command_options, "_take", lambda name: True)
+    environments: list[dict[str, str]] = []
+    monkeypatch.setattr(launch_cli, "_run", lambda file, launch, _: environments.append(launch.environment()) or 0)
+    command = ["launch", "multi_vehicle", "--out", str(tmp_path / "out"), "--port", "22000"]
+    monkeypatch.setenv("ROS_HOSTNAME", "here")
+    for value in ("uav0", ""):
+        monkeypatch.setenv(name, value)
+        assert cli.main(command) == 0
+    lines = [line for line in capfd.readouterr().err.splitlines() if "environment" in line]
+    assert len(lines) == 1
+    assert lines[0].startswith(f"xtdrone: {name}=uav0 is left out of the environment: ")
+    assert not any(name in environment for environment in environments)
+    assert [environment["ROS_HOSTNAME"] for environment in environments] == ["here"] * 2  # honoured
 
 
 @pytest.mark.parametrize("demo", ["formation", "search"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import resource
@@ -13,12 +14,15 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import fake_roslaunch
 import pytest
 
 from xtdrone_interaction import command_options
+from xtdrone_interaction.launching import supervised_launch
 from xtdrone_interaction.launching.supervised_launch import master_port
+from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
 
 pytestmark = pytest.mark.skipif(shutil.which("roslaunch") is None, reason="ROS is not there")
 LIMIT = 120.0  # s of wall time; only a broken run takes it
@@ -292,6 +296,43 @@ def test_a_demo_whose_launch_hangs_is_ended(tmp_path: Path, then: str) -> None:
     assert command.end() == 1
     assert re.search(r"no progress for 3 s of wall time; the ROS master at \S+ does not answer", command.output)
     assert command.running() == {}
+
+
+@pytest.mark.parametrize("needs_all", [True, False])
+def test_a_missed_join_ends_a_demo_and_is_shown_in_a_launch(
+    needs_all: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(supervised_launch, "_LOGS_PERIOD", 0.0)
+    launch = supervised_launch.Launch("x.launch", {}, tmp_path, 11311, True, needs_all=needs_all)
+    launch.log.parent.mkdir()
+    line = "simulator: time starts without all participants after 120 s: 1 of 2 participants have not joined: /script"
+    launch.log.write_text(f"[WARN] [1.0]: {line}\n")
+    notes: list[str] = []
+    display = SimpleNamespace(note=notes.append, standstill=notes.append)
+    feed = SimpleNamespace(take=lambda _: [], lost=False)
+    watch = supervised_launch.Watch(SimpleNamespace(), launch, feed, display, EndedNodes(launch.log))
+    if needs_all:
+        with pytest.raises(supervised_launch.DemoError, match=re.escape(line)):
+            watch.poll(starting=True)
+    else:
+        watch.poll(starting=True)
+        assert line in notes[0]
+
+
+@pytest.mark.parametrize(
+    ("variables", "named"),
+    [
+        ({"ROS_IP": "127.0.0.1"}, ""),
+        ({"ROS_HOSTNAME": "localhost", "ROS_IP": "no.such.host.invalid"}, ""),  # the host's name comes first
+        ({"ROS_IP": "no.such.host.invalid"}, "ROS_IP is 'no.such.host.invalid'"),
+        ({"ROS_HOSTNAME": "no.such.host.invalid", "ROS_IP": "127.0.0.1"}, "ROS_HOSTNAME is 'no.such.host.invalid'"),
+        ({"ROS_HOSTNAME": "", "ROS_IP": ""}, ""),
+    ],
+)
+def test_an_address_under_which_nodes_do_not_find_each_other_is_named(variables: dict[str, str], named: str) -> None:
+    refused = pytest.raises(supervised_launch.DemoError, match=named) if named else contextlib.nullcontext()
+    with refused:
+        supervised_launch._check_own_address(variables)
 
 
 def test_a_mute_master_is_rejected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

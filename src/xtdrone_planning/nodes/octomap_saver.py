@@ -14,6 +14,7 @@ import rospy
 from octomap_msgs.srv import GetOctomap
 
 from xtdrone_control.programs.node_command_line import ArgumentError, run_program
+from xtdrone_control.programs.plain_node import init_plain_node
 from xtdrone_planning.octree.octree_format import OctreeError, file_of
 from xtdrone_planning.octree.octree_messages import octree_of
 
@@ -29,7 +30,7 @@ def main(arguments: Sequence[str]) -> None:
         raise ArgumentError("a .bt or .ot file and the name of a vehicle are needed")
     file, vehicle = Path(words[0]), words[1].strip("/")
     full |= file.suffix == ".ot"
-    rospy.init_node("octomap_saver", anonymous=True)
+    init_plain_node("octomap_saver", anonymous=True)
     service = f"/{vehicle}/octomap_{'full' if full else 'binary'}"
     try:
         rospy.wait_for_service(service, _PATIENCE)

@@ -551,6 +551,13 @@ void Client::updatePeers(const nlohmann::json& content) {
       void_.emplace_back(pair.at(0).get<std::uint32_t>(), pair.at(1).get<std::uint64_t>());
     }
   }
+  if (const auto found = content.find("missing"); found != content.end()) {
+    for (const auto& topic : *found) {
+      if (const auto subscription = findSubscription(topic.get<std::string>())) {
+        askMasterAgain(*subscription);
+      }
+    }
+  }
   // Remembered, as the next tick may have the same time as the last, or a later one.
   was_reset_ = was_reset_ || content.value("reset", false);
 }

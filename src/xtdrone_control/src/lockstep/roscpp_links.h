@@ -7,14 +7,17 @@
 #pragma once
 
 #include <ros/connection.h>
+#include <ros/master.h>
 #include <ros/publication.h>
 #include <ros/publisher_link.h>
 #include <ros/subscriber_link.h>
 #include <ros/subscription.h>
+#include <ros/this_node.h>
 #include <ros/topic_manager.h>
 #include <ros/transport/transport.h>
 #include <ros/transport_publisher_link.h>
 #include <ros/transport_subscriber_link.h>
+#include <ros/xmlrpc_manager.h>
 
 #include <cstdint>
 #include <cstdlib>
@@ -73,6 +76,30 @@ inline std::vector<ros::TransportPublisherLinkPtr> linksOf(ros::Subscription& su
     }
   }
   return links;
+}
+
+/// Ask the master again for a topic's publishers, and connect to those that have no connection: the notification of one
+/// may have been lost, and roscpp does not repeat a request that a publisher has not answered.
+inline void askMasterAgain(ros::Subscription& subscription) {
+  XmlRpc::XmlRpcValue request;
+  XmlRpc::XmlRpcValue response;
+  XmlRpc::XmlRpcValue publishers;
+  request[0] = ros::this_node::getName();
+  request[1] = subscription.getName();
+  request[2] = subscription.datatype();
+  request[3] = ros::XMLRPCManager::instance()->getServerURI();
+  if (!ros::master::execute("registerSubscriber", request, response, publishers, false)) {
+    return;
+  }
+  std::vector<std::string> uris;
+  for (int i = 0; i < publishers.size(); ++i) {
+    uris.push_back(publishers[i]);
+  }
+  // The answer may be older than the last notification, and roscpp closes connections to all publishers not named here.
+  for (const ros::TransportPublisherLinkPtr& link : linksOf(subscription)) {
+    uris.push_back(link->getPublisherXMLRPCURI());
+  }
+  subscription.pubUpdate(uris);
 }
 
 /// Return the connections to a topic's subscribers.

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import signal
 import sys
 from collections.abc import Iterator, Sequence
@@ -26,6 +27,14 @@ from xtdrone_interaction.monitoring.launch_log_errors import advice
 
 TABLE = Path(__file__).resolve().parents[4] / "scripts" / "commands.txt"
 _NO_MODULE = "-"
+_READS_LOGS = "the nodes' logs are read, and need their usual form"
+_LEFT_OUT = {
+    "ROS_NAMESPACE": "nodes and topics have fixed names, and would not find each other",
+    "ROSCONSOLE_FORMAT": _READS_LOGS,
+    "ROSCONSOLE_CONFIG_FILE": _READS_LOGS,
+    "ROS_PYTHON_LOG_CONFIG_FILE": _READS_LOGS,
+    "MPLBACKEND": "pictures are drawn into files",
+}  # variables of a user's shell under which commands and launches fail, with the reasons
 
 
 @dataclass(frozen=True)
@@ -80,12 +89,21 @@ def _with_inner(path: str, parser: argparse.ArgumentParser) -> Iterator[tuple[st
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command, by default from the program's arguments, and return its exit status."""
+    _leave_out_variables()
     words = list(sys.argv[1:] if argv is None else argv)
     command, rest = _split(words)
     module = command.load()
     parser = command.parser(module)
     parse = getattr(module, "parse", argparse.ArgumentParser.parse_args)
     return int(module.run(parse(parser, rest)))
+
+
+def _leave_out_variables() -> None:
+    """Remove the variables of ``_LEFT_OUT`` from the environment, with a line for each."""
+    for name, reason in _LEFT_OUT.items():
+        value = os.environ.pop(name, "")
+        if value:
+            print(f"xtdrone: {name}={value} is left out of the environment: {reason}", file=sys.stderr)
 
 
 def _split(words: Sequence[str]) -> tuple[Command, list[str]]:
@@ -109,6 +127,7 @@ def start() -> None:
     one line, even if a library cannot be loaded because of it.
     """
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # nothing to clean up while modules are loaded
+    _leave_out_variables()  # before libraries read them
     try:
         command, rest = _split(sys.argv[1:])
         command.load()

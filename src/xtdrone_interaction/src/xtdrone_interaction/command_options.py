@@ -350,32 +350,38 @@ def check_master_port(number: int) -> int:
     return number
 
 
-def check_vehicle_ports(fleet: tuple[Vehicle, ...]) -> None:
-    """Check that the MAVLink ports of all vehicles are free.
+def check_vehicle_ports(fleet: tuple[Vehicle, ...], *, with_mavros: bool = True) -> None:
+    """Check that the MAVLink ports which a simulation of the vehicles binds are free.
+
+    Args:
+        fleet: the vehicles.
+        with_mavros: whether our MAVROS layer binds its end, too; real MAVROS may already listen there otherwise.
 
     Raises:
         OptionError: a port is taken; the message names the port and the vehicle.
     """
     for vehicle in fleet:
-        for number in _udp_ports(vehicle):
+        for number in _udp_ports(vehicle, with_mavros):
             if _taken(number, socket.SOCK_DGRAM):
+                real = " (beside real MAVROS: mavros:=false)" if number == vehicle.offboard_remote_port else ""
                 raise OptionError(
-                    f"port: UDP {number} of {vehicle.name} is taken by another program; a simulation beside another "
-                    f"one is an instance of its own: --instance N, up to {MAX_INSTANCE}"
+                    f"port: UDP {number} of {vehicle.name} is taken by another program{real}; a simulation beside "
+                    f"another one is an instance of its own: --instance N, up to {MAX_INSTANCE}"
                 )
 
 
-def _udp_ports(vehicle: Vehicle) -> tuple[int, ...]:
+def _udp_ports(vehicle: Vehicle, with_mavros: bool) -> tuple[int, ...]:
     local = vehicle.offboard_local_port, vehicle.gcs_local_port, vehicle.payload_local_port
-    return (*local, vehicle.offboard_remote_port)
+    return (*local, vehicle.offboard_remote_port) if with_mavros else local
 
 
-def take_instance(fleet: str, wanted: int | None) -> int:
+def take_instance(fleet: str, wanted: int | None, *, with_mavros: bool = True) -> int:
     """Reserve an instance whose ports are free, and return its number.
 
     Args:
         fleet: vehicles of the instance, as ``iris:9``.
         wanted: number; None for the first free one.
+        with_mavros: see ``check_vehicle_ports``.
 
     Raises:
         OptionError: the instance is not free, or none is.
@@ -384,11 +390,11 @@ def take_instance(fleet: str, wanted: int | None) -> int:
     if wanted is not None:
         if not _take(f"instance-{wanted}"):
             raise OptionError(f"instance: {wanted} flies already; another one of 0 to {MAX_INSTANCE} may be free")
-        check_vehicle_ports(parse_fleet(fleet, wanted))
+        check_vehicle_ports(parse_fleet(fleet, wanted), with_mavros=with_mavros)
         return wanted
     for instance in range(MAX_INSTANCE + 1):
-        free = not any(_taken(port, socket.SOCK_DGRAM) for v in parse_fleet(fleet, instance) for port in _udp_ports(v))
-        if free and _take(f"instance-{instance}"):
+        ports = [port for vehicle in parse_fleet(fleet, instance) for port in _udp_ports(vehicle, with_mavros)]
+        if not any(_taken(port, socket.SOCK_DGRAM) for port in ports) and _take(f"instance-{instance}"):
             return instance
     raise OptionError(f"port: the UDP ports of each instance from 0 to {MAX_INSTANCE} are taken by other programs")
 

@@ -26,7 +26,9 @@ PEER       client to server    made [[id, topic, subscriber, subscriber's TCP po
 PEER       server to client    made [[id, topic, publisher, subscriber's TCP port]], lost [id]; the
                                client's own connections whose subscriber has become (counted [id]) or is no longer
                                (uncounted [id]) a participant; after a reset of simulation time, reset (true) and
-                               void [[id, count]]: the first count messages of a channel predate the reset
+                               void [[id, count]]: the first count messages of a channel predate the reset;
+                               missing [topic]: subscribed topics without some connection that the simulation waits
+                               for, so that the client is to ask the master again
 DECLARE    client to server    publications, subscriptions (as in JOIN: the complete current lists)
 DIGEST     client to server    time_us, topics {topic: [messages, bytes, crc]}; see `Digest`
 LEAVE      client to server    reason, failed (bool)

@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
+from xtdrone_control.programs.plain_node import init_plain_node
 from xtdrone_interaction.doctor.findings import ESTIMATES, SETPOINT_TOPICS, Vehicle
 
 _PREARM_CHECK = 1 << 28  # MAV_SYS_STATUS_PREARM_CHECK
@@ -33,7 +34,7 @@ class Listener:
         self._latest: dict[str, Any] = {}
         self._texts: dict[str, list[str]] = defaultdict(list)
         self._setpoints: dict[str, int] = defaultdict(int)
-        rospy.init_node("xtdrone_doctor", anonymous=True, disable_signals=True, disable_rostime=True)
+        init_plain_node("xtdrone_doctor", anonymous=True, disable_signals=True, disable_rostime=True)
         for prefix in prefixes:
             for name, kind in (("state", State), ("sys_status", SysStatus), ("estimator_status", EstimatorStatus)):
                 rospy.Subscriber(f"{prefix}/{name}", kind, self._keep, f"{prefix}/{name}")

@@ -41,13 +41,14 @@ def send_goals(goals: Mapping[str, Goal], master: str = "") -> dict[str, GcsErro
     except sim_cli.SimError as error:
         raise GcsError(str(error)) from error
     os.environ["ROS_MASTER_URI"] = uri
-    import rospy  # reads the environment
+
+    from xtdrone_control.programs.plain_node import init_plain_node
 
     try:
         subscribers = _subscribers()
     except OSError as error:
         raise GcsError(f"master: none answers at {uri}: {error}") from error
-    rospy.init_node("xtdrone_gcs", anonymous=True, disable_signals=True)
+    init_plain_node("xtdrone_gcs", anonymous=True, disable_signals=True)
     return {name: _send(name, goal, subscribers.get(f"/{name}/planner/goal", [])) for name, goal in goals.items()}
 
 

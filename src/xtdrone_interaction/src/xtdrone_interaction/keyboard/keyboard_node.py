@@ -38,6 +38,7 @@ from mavros_msgs.msg import State
 from rosgraph.roslogging import RosStreamHandler
 
 from xtdrone_control.programs.node_command_line import ArgumentError, fleet_of, run_program
+from xtdrone_control.programs.plain_node import init_plain_node
 from xtdrone_coordination.patterns import PatternError, Patterns
 
 from .arguments import USAGE, Request, parse_arguments
@@ -448,7 +449,7 @@ def _keyboard(arguments: Sequence[str], terminal: Terminal) -> None:
     """
     request = parse_arguments(arguments, fleet_of(rospy.get_param("/xtdrone/fleet", None)))
     _allow_many_files()
-    rospy.init_node(NAME, disable_signals=True, disable_rostime=True)
+    init_plain_node(NAME, disable_signals=True, disable_rostime=True)
     try:
         Keyboard(request, Pilot(_patterns(request.formation)), terminal).run()
     finally:

@@ -13,6 +13,7 @@ from xtdrone_interaction.command_options import OptionError, repository
 from xtdrone_interaction.monitoring.ended_nodes import SIMULATOR
 
 _MAVLINK = "simulator.py"  # the simulator program with MAVLink
+_MAVROS = "mavros_node.py"
 _BUILTIN = "builtin"
 
 
@@ -26,6 +27,7 @@ class LaunchFile:
         parameters: name to value.
         has_simulator: whether one of the nodes is a simulator of this project.
         has_mavlink: whether the simulator runs autopilots with UDP ports.
+        has_mavros: whether our MAVROS layer binds its ends of the vehicles' offboard links on this machine.
     """
 
     path: Path
@@ -33,6 +35,7 @@ class LaunchFile:
     parameters: Mapping[str, Any]
     has_simulator: bool
     has_mavlink: bool
+    has_mavros: bool
 
     @property
     def fleet(self) -> str:
@@ -157,7 +160,14 @@ def load(path: Path, given: Mapping[str, str]) -> LaunchFile:
         parameters,
         bool(simulators),
         any(node.type == _MAVLINK for node in simulators) and ours,
+        any(_binds_offboard_ports(node, parameters) for node in config.nodes),
     )
+
+
+def _binds_offboard_ports(node: Any, parameters: Mapping[str, Any]) -> bool:
+    """Return whether a node is our MAVROS layer, here and without a link of its own."""
+    own_link = any(parameters.get(f"{node.namespace}{node.name}/{name}") for name in ("fleet_url", "fcu_url"))
+    return node.type == _MAVROS and not node.machine_name and not own_link
 
 
 def _check_programs(nodes: Sequence[Any]) -> None:

@@ -31,6 +31,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlparse
 
+from xtdrone_control.programs.plain_node import init_plain_node
 from xtdrone_interaction.launching.process_tree import die_with_parent
 
 ANSWER_LIMIT = 3.0  # s for a master to answer one call
@@ -169,7 +170,7 @@ class _Node:
         from std_msgs.msg import String
         from xtdrone_msgs.msg import SimulationStatus
 
-        rospy.init_node("demo_display", anonymous=True, disable_signals=True, disable_rostime=True)
+        init_plain_node("demo_display", anonymous=True, disable_signals=True, disable_rostime=True)
         for kind, topic in self._wanted["topics"].items():
             rospy.Subscriber(topic, String, self._on_text, kind)
         rospy.Subscriber("/simulator/status", SimulationStatus, self._on_status)

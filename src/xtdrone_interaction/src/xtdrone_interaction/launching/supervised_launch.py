@@ -10,6 +10,7 @@ import os
 import re
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -39,6 +40,7 @@ _GRACE = 1.0  # s to delay the report of an ended node: its cause, the end of th
 _SILENCE_LIMIT = 60.0  # s between two progress messages
 _PATIENCE = 25.0  # s for roslaunch to stop its nodes
 _NODE_PATIENCE = 8.0  # s for a node to stop
+_OWN_ADDRESS_LIMIT = 3.0  # s for this machine to reach itself
 _STOPPED = 5.0  # s between two polls; a longer gap means that this program was suspended
 _VITAL = (
     "simulator",
@@ -83,6 +85,7 @@ class Launch:
         master_port: TCP port of the launch's own ROS master; 0 for the running master of ROS_MASTER_URI.
         headless: print plain lines instead of the live display.
         instance: number of the simulation on this machine.
+        needs_all: whether the launch fails if time starts without a participant.
     """
 
     file: str
@@ -91,6 +94,7 @@ class Launch:
     master_port: int
     headless: bool
     instance: int = 0
+    needs_all: bool = True
 
     @property
     def master_uri(self) -> str:
@@ -222,7 +226,8 @@ class Watch:
             starting: whether new log lines count as progress.
 
         Raises:
-            DemoError: the child process that receives the topics has ended.
+            DemoError: the child process that receives the topics has ended, or time has started without a participant
+                that the launch needs.
         """
         messages = self._feed.take(_POLL)
         for message in messages:
@@ -261,10 +266,17 @@ class Watch:
         self._show_standstill()
 
     def _show_incomplete(self) -> None:
-        """Show once that time has started without all participants, and which nodes are missing."""
+        """Show once that time has started without all participants, and which nodes are missing.
+
+        Raises:
+            DemoError: the launch needs all of them.
+        """
         if self.startup.incomplete and not self._incomplete_shown:
             self._incomplete_shown = True
-            self.display.note(f"  [yellow]{escape(self.startup.incomplete + self.not_joined())}[/yellow]")
+            words = self.startup.incomplete + self.not_joined()
+            if self._launch.needs_all:
+                raise DemoError(words)
+            self.display.note(f"  [yellow]{escape(words)}[/yellow]")
 
     def _show_page(self) -> None:
         """Show once where the flight's page is, for a launch with ``web:=true``."""
@@ -411,6 +423,7 @@ def watching(
         DemoError: the launch cannot be started.
     """
     environment = launch.environment()
+    _check_own_address(environment)
     master = launch.out / MASTER_FILE
     master.write_text(launch.master_uri + "\n", encoding="utf-8")
     pointer = announce(launch.out)
@@ -437,6 +450,26 @@ def watching(
             master.unlink(missing_ok=True)
             if pointer is not None:
                 pointer.unlink(missing_ok=True)
+
+
+def _check_own_address(environment: Mapping[str, str]) -> None:
+    """Check that this machine reaches itself under the address by which nodes find each other, as roslaunch does.
+
+    Raises:
+        DemoError: it does not.
+    """
+    name = "ROS_HOSTNAME" if environment.get("ROS_HOSTNAME") else "ROS_IP"
+    address = environment.get(name, "")
+    if not address:
+        return
+    with socket.create_server(("", 0)) as server:
+        try:
+            socket.create_connection((address, server.getsockname()[1]), timeout=_OWN_ADDRESS_LIMIT).close()
+        except OSError as error:
+            raise DemoError(
+                f"{name} is {address!r}, and this machine does not reach itself under that name ({error}); unset it, "
+                "or set it to an address of this machine"
+            ) from error
 
 
 def master_port(wanted: int | None, *, use_running: bool) -> int:

@@ -15,6 +15,7 @@ import rospy
 from tornado.ioloop import IOLoop
 
 from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments
+from xtdrone_control.programs.plain_node import init_plain_node
 from xtdrone_interaction.ending import end_within_limit
 from xtdrone_interaction.server_guard import is_loopback
 from xtdrone_interaction.server_port import check_not_running, port_here
@@ -42,7 +43,7 @@ def main(arguments: Sequence[str]) -> None:
     """
     check_no_arguments(arguments)
     check_not_running(NAME, URL_PARAMETER.removeprefix("~"))
-    rospy.init_node(NAME, disable_signals=True)
+    init_plain_node(NAME, disable_signals=True)
     settings, token = _settings_and_token()
     loop = IOLoop.current()
     context = StationContext(rosgraph.get_master_uri(), rospy.get_name())

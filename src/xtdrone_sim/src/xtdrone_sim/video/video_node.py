@@ -23,6 +23,7 @@ from sensor_msgs.msg import Image
 from xtdrone_control.fleet import Vehicle, parse_fleet
 from xtdrone_control.fleet.vehicle import GCS_REMOTE_PORT, check_instance, instance_port
 from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments
+from xtdrone_control.programs.plain_node import init_plain_node
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.cameras.cameras_of_fleet import cameras_of
 from xtdrone_sim.video.camera_component import CameraComponent
@@ -179,7 +180,7 @@ def main(arguments: Sequence[str]) -> None:
         ArgumentError: an argument or parameter is not allowed, or there is no encoder.
     """
     check_no_arguments(arguments)
-    rospy.init_node("video")
+    init_plain_node("video")
     text = str(rospy.get_param("~fleet", rospy.get_param("/xtdrone/fleet", "typhoon_h480")))
     try:
         settings = VideoSettings.from_parameters(rospy.get_param)

@@ -42,6 +42,7 @@ from xtdrone_control.programs.node_command_line import (
     parse_count,
     run_program,
 )
+from xtdrone_control.programs.plain_node import init_plain_node
 from xtdrone_control.settings import check_range
 from xtdrone_coordination.patterns import Patterns, with_leader
 from xtdrone_swarm.view.film import FPS, FilmError, check_film, film
@@ -252,7 +253,7 @@ def _watch(names: Sequence[str]) -> None:
     """Show a live window until it is closed or the node shuts down."""
     check_display()
     # Tk runs in the main thread; only the newest message on /clock is used.
-    rospy.init_node("visualize", anonymous=True, disable_signals=True, disable_rostime=True)
+    init_plain_node("visualize", anonymous=True, disable_signals=True, disable_rostime=True)
     # Not by KeyboardInterrupt: imports and destructors during the first drawing suppress some of them.
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):  # shells make background jobs ignore SIGINT

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from ..protocol import Digest
@@ -110,6 +110,10 @@ class Host:
         outlet = self._outlets.get(number)
         if outlet is not None:
             outlet.participant = value
+
+    def connect_again(self, topics: Collection[str]) -> None:
+        """Ask the master again for participants to which a subscribed topic has no connection."""
+        self._node.connect_again(topics)
 
     def deliver(self, news: Mapping[str, Any], counts: Mapping[int, int]) -> None:
         """Accept the numbers of messages sent to the simulator by the end of a tick; ``receive`` dispatches them."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import traceback
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, Protocol
 
 import rospy
@@ -13,6 +13,7 @@ from ..protocol import Digest
 from ..transport.inbox import Inbox
 from ..transport.outlets import Outlet
 from ..transport.publisher import CountingPublisher
+from ..transport.rospy_internals import ask_master_again
 from ..transport.subscriber import BufferingSubscriber
 from ..transport.topic_reader import Reader
 
@@ -144,6 +145,13 @@ class Node:
             "publications": [[name, impl.type] for name, impl in list(self.publishers.items())],
             "subscriptions": [[name, kind] for name, kind in subscribed.items()],
         }
+
+    def connect_again(self, topics: Collection[str]) -> None:
+        """Ask the master again for publishers to which a subscribed topic has no connection."""
+        for topic in topics:
+            if topic in self.ends:
+                self.ends[topic].close_stalled()
+        ask_master_again(topics)
 
     # ---- ledger ----
 

@@ -230,6 +230,8 @@ class Client:
         for number in content["uncounted"]:
             self._set_participant(number, False)
         self._was_reset |= bool(content.get("reset"))
+        if "missing" in content:
+            self._node.connect_again(content["missing"])
 
     def _set_participant(self, number: int, value: bool) -> None:
         outlet = self._outlets.get(number)

@@ -204,7 +204,7 @@ class TickBarrier:
         reported = ""
         while True:
             self._wait(0.0, idle)
-            self._channels.give_up_missing()
+            self._press_missing()
             text = missing()
             if progress is not None and text != reported:
                 progress(text)
@@ -221,7 +221,15 @@ class TickBarrier:
         self._poll(0.0)
         while self._channels.missing:
             self._wait(SLICE, idle)
-            self._channels.give_up_missing()
+            self._press_missing()
+
+    def _press_missing(self) -> None:
+        """Let participants ask the master again for missing connections; give up those whose time is over."""
+        for participant, topics in self._channels.ask_again():
+            if participant.connection is not None:
+                peers = {"made": [], "lost": [], "counted": [], "uncounted": [], "missing": topics}
+                self._connections.send(participant.connection, pack_object(Kind.PEER, peers))
+        self._channels.give_up_missing()
 
     def _wait(self, timeout: float, idle: Idle | None) -> None:
         if idle is not None:

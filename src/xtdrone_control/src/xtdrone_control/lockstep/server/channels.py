@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any, Protocol
 
 from ..protocol import ProtocolError
@@ -24,6 +24,9 @@ class HostLink(Protocol):
 
     def counted(self, number: int, value: bool) -> None:
         """Set whether the subscriber of a connection is a participant."""
+
+    def connect_again(self, topics: Collection[str]) -> None:
+        """Ask the master again for participants to which a subscribed topic has no connection."""
 
     def deliver(self, news: Mapping[str, Any], counts: Mapping[int, int]) -> None:
         """Accept, after a barrier, the numbers of messages sent to the simulator.
@@ -130,10 +133,10 @@ class Channels:
         for pair in self.missing.of(participant.name):
             if pair not in required:
                 self.missing.discard(pair)
-        deadline = time.monotonic() + self._connect_limit
+        now = time.monotonic()
         for pair in sorted(required):
             if pair not in self._live:
-                self.missing.add(pair, deadline)
+                self.missing.add(pair, now, self._connect_limit)
 
     def _required_pairs(self, participant: Participant) -> set[Pair]:
         pairs = set()
@@ -150,15 +153,39 @@ class Channels:
                 self._log(logging.WARNING, text)
         return pairs
 
+    def ask_again(self) -> Iterator[tuple[Participant, list[str]]]:
+        """Yield the participants that are to ask the master again, with the topics that lack connections.
+
+        The simulator's own end asks itself.
+        """
+        if not self.missing:
+            return
+        topics: dict[str, dict[str, None]] = {}
+        pairs = self.missing.take_due(time.monotonic())
+        for topic, _, subscriber in pairs:
+            topics.setdefault(subscriber, {})[topic] = None
+        if pairs:
+            topic, publisher, subscriber = pairs[0]
+            others = f" and {len(pairs) - 1} other connections" if len(pairs) > 1 else ""
+            text = f"{topic} from {publisher} to {subscriber}{others}"
+            self._log(logging.INFO, f"asking the master again for connections that are not made: {text}")
+        for name, asked in topics.items():
+            participant = self._participants.get(name)
+            if participant is not None:
+                yield participant, list(asked)
+            elif self._host is not None and self._is_host(name):
+                self._host.connect_again(list(asked))
+
     def give_up_missing(self) -> None:
         """Stop waiting for connections that have not been made in time, with a warning for each."""
         if not self.missing:
             return
-        for topic, publisher, subscriber in self.missing.expire(time.monotonic()):
+        for (topic, publisher, subscriber), asked in self.missing.expire(time.monotonic()):
+            times = f"{asked} time{'s' * (asked != 1)}"
             self._log(
                 logging.WARNING,
-                f"no connection of {topic} from {publisher} to {subscriber} within {self._connect_limit:g} s: "
-                "continuing without it",
+                f"no connection of {topic} from {publisher} to {subscriber} within {self._connect_limit:g} s, "
+                f"though the master was asked again {times}: continuing without it",
             )
 
     # ---- counts ----
@@ -282,7 +309,7 @@ class Channels:
         is_there = name in self._participants or self._is_host(name)
         required = is_there and self._topics.publishes(name, topic) and self._topics.subscribes(reader.name, topic)
         if required and channel.pair not in self._live:
-            self.missing.add(channel.pair, time.monotonic() + self._connect_limit)
+            self.missing.add(channel.pair, time.monotonic(), self._connect_limit)
 
     def _remove_live(self, pair: Pair, channel: int) -> bool:
         """Remove a counted channel; return whether it was one."""

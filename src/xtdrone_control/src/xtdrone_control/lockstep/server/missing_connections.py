@@ -6,10 +6,13 @@ Indexed by topic and by name, so that the cost of a declaration does not grow wi
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 from .frame_checks import Declaration
 from .participant import Pair
 
+ASK_PERIOD = 2.0
+"""Wall seconds without a connection after which its subscriber asks the master again, and between such questions."""
 _NOTHING = Declaration({}, {})
 
 
@@ -83,36 +86,57 @@ class TopicTable:
                     del table[topic]
 
 
+@dataclass(slots=True)
+class _Wait:
+    """The wait for one connection.
+
+    Attributes:
+        until: Monotonic time in seconds at which it ends.
+        ask_at: Monotonic time in seconds at which the subscriber is to ask the master again.
+        asked: How often it has been told to do so.
+    """
+
+    until: float
+    ask_at: float
+    asked: int = 0
+
+
 class MissingConnections:
     """Required connections that are not made yet, each with the wall time until which the simulation waits for it."""
 
     def __init__(self) -> None:
-        self._deadlines: dict[Pair, float] = {}
+        self._waits: dict[Pair, _Wait] = {}
         self._of: dict[str, dict[Pair, None]] = {}
 
     def __len__(self) -> int:
         """Return the number of missing connections."""
-        return len(self._deadlines)
+        return len(self._waits)
 
     def __iter__(self) -> Iterator[Pair]:
         """Yield them in the order in which they were added."""
-        return iter(self._deadlines)
+        return iter(self._waits)
 
     def of(self, name: str) -> list[Pair]:
         """Return the missing connections from or to a participant."""
         return list(self._of.get(name, ()))
 
-    def add(self, pair: Pair, deadline: float) -> None:
-        """Add a connection with its deadline in monotonic seconds; one already missing keeps its deadline."""
-        if pair in self._deadlines:
+    def add(self, pair: Pair, now: float, limit: float) -> None:
+        """Add a connection that is missing from ``now`` on; one already missing keeps its times.
+
+        Args:
+            pair: The connection.
+            now: Monotonic time in seconds.
+            limit: Longest wait in wall seconds.
+        """
+        if pair in self._waits:
             return
-        self._deadlines[pair] = deadline
+        self._waits[pair] = _Wait(now + limit, now + ASK_PERIOD)
         for name in pair[1:]:
             self._of.setdefault(name, {})[pair] = None
 
     def discard(self, pair: Pair) -> None:
         """Remove a connection if it is missing."""
-        if self._deadlines.pop(pair, None) is None:
+        if self._waits.pop(pair, None) is None:
             return
         for name in set(pair[1:]):
             del self._of[name][pair]
@@ -120,13 +144,23 @@ class MissingConnections:
                 del self._of[name]
 
     def postpone(self, seconds: float) -> None:
-        """Move all deadlines."""
-        for pair in self._deadlines:
-            self._deadlines[pair] += seconds
+        """Move all times."""
+        for wait in self._waits.values():
+            wait.until += seconds
+            wait.ask_at += seconds
 
-    def expire(self, now: float) -> list[Pair]:
-        """Remove and return the connections whose deadline has passed at ``now``."""
-        expired = [pair for pair, deadline in self._deadlines.items() if now >= deadline]
-        for pair in expired:
+    def take_due(self, now: float) -> list[Pair]:
+        """Return the connections for which the master is to be asked again at ``now``, at most once per period."""
+        due = [pair for pair, wait in self._waits.items() if now >= wait.ask_at]
+        for pair in due:
+            wait = self._waits[pair]
+            wait.ask_at = now + ASK_PERIOD
+            wait.asked += 1
+        return due
+
+    def expire(self, now: float) -> list[tuple[Pair, int]]:
+        """Remove the connections whose wait has ended at ``now``; return each with the number of times asked."""
+        expired = [(pair, wait.asked) for pair, wait in self._waits.items() if now >= wait.until]
+        for pair, _ in expired:
             self.discard(pair)
         return expired

@@ -6,9 +6,11 @@ rospy offers no public way to replace the ends of a topic, to set the time or to
 from __future__ import annotations
 
 import contextlib
+import inspect
 import socket
+import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 from xmlrpc.client import MultiCall
 
@@ -115,6 +117,40 @@ def watch_param(name: str) -> Callable[[], Any]:
 
 # ---- registration with the master ----
 
+
+def _check_registration() -> None:
+    """Check that rospy keeps the publishers to connect to as ``_keep_every_publisher`` expects.
+
+    Raises:
+        ImportError: It does not.
+    """
+    given = list(inspect.signature(RegManager.publisher_update).parameters)
+    keeps = {"updates", "cond"} <= set(RegManager.__init__.__code__.co_names)
+    takes = {"updates", "cond", "pop", "_connect_topic_thread"} <= set(RegManager.run.__code__.co_names)
+    if given != ["self", "resolved_name", "uris"] or not (keeps and takes):
+        raise ImportError(f"{inspect.getfile(RegManager)}: this version of rospy registers topics in an unknown way")
+
+
+def _keep_every_publisher(manager: RegManager, resolved_name: str, uris: Sequence[str]) -> None:
+    """Queue a topic's publishers for connection, in place of ``RegManager.publisher_update``.
+
+    rospy's queue takes the last list as the newest and discards the others of the topic. The master's answer to a
+    registration is appended when it arrives, after the lists that the master has sent later on another connection, and
+    a list for an earlier subscription may arrive after the answer to a later one. Connections to the publishers that
+    only the discarded list names would never be made. Here a topic has one entry, with the publishers of all lists: one
+    that has ended in the meantime refuses the connection, which costs nothing.
+    """
+    with manager.cond:
+        waiting = [uri for name, older in manager.updates if name == resolved_name for uri in older]
+        merged = list(dict.fromkeys([*uris, *waiting]))
+        manager.updates = [(name, older) for name, older in manager.updates if name != resolved_name]
+        manager.updates.append((resolved_name, merged))
+        manager.cond.notify_all()
+
+
+_check_registration()
+RegManager.publisher_update = _keep_every_publisher
+
 _MOST_CALLS = 500  # of one request, so that the master serves other nodes in between
 _CALLS = {
     Registration.PUB: "registerPublisher",
@@ -144,22 +180,29 @@ class _Collector(RegistrationListener):  # type: ignore[misc]  # rospy has no ty
         added, self._added = self._added, []
         for begin in range(0, len(added), _MOST_CALLS):
             part = added[begin : begin + _MOST_CALLS]
-            for registration, publishers in zip(part, self._send(part), strict=True):
+            for registration, publishers in zip(part, _register(self.manager, part), strict=True):
                 if publishers is None:
                     self.manager.reg_added(*registration)
                 elif registration[2] == Registration.SUB and publishers:  # each update makes rospy check all topics
                     self.manager.publisher_update(registration[0], publishers)
 
-    def _send(self, registrations: list[tuple[str, str, str]]) -> list[Any]:
-        """Return the master's answer to each registration, None where it failed."""
-        calls = MultiCall(rospy.core.xmlrpcapi(self.manager.master_uri))
-        for name, what, kind in registrations:
-            getattr(calls, _CALLS[kind])(rospy.get_name(), name, what, self.manager.uri)
-        try:
-            answers: Any = calls()
-            return [value if code == 1 else None for code, _, value in answers]
-        except Exception:  # of the network, of HTTP or of XML-RPC
-            return [None] * len(registrations)
+
+def _register(manager: RegManager, registrations: Sequence[tuple[str, str, str]]) -> list[Any]:
+    """Register topics and services in one request, and return the master's answers, None for those that failed.
+
+    Args:
+        manager: The node's registration manager.
+        registrations: Name, type (URI of a service) and kind of each.
+    """
+    # A proxy of its own: with that of rospy, every other question to the master would wait for the answer.
+    calls = MultiCall(rospy.core.xmlrpcapi(manager.master_uri, cache=False))
+    for name, what, kind in registrations:
+        getattr(calls, _CALLS[kind])(rospy.get_name(), name, what, manager.uri)
+    try:
+        answers: Any = calls()
+        return [value if code == 1 else None for code, _, value in answers]
+    except Exception:  # of the network, of HTTP or of XML-RPC
+        return [None] * len(registrations)
 
 
 @contextlib.contextmanager
@@ -186,4 +229,39 @@ def registering_together() -> Iterator[None]:
                     collector.flush()
 
 
+def ask_master_again(topics: Iterable[str]) -> None:
+    """Ask the master for the publishers of subscribed topics, and connect to those that have no connection.
+
+    The master's notification may have been lost, or the publisher's answer to it. As the question is a registration,
+    it also restores one that the master has lost. It is asked in a thread; one that is under way is not repeated.
+    """
+    names = sorted(set(topics))
+    if names and _asking.acquire(blocking=False):
+        threading.Thread(target=_ask, args=(names,), name="lockstep ask master", daemon=True).start()
+
+
+def _ask(topics: Sequence[str]) -> None:
+    try:
+        topic_manager = rospy.topics.get_topic_manager()
+        for manager in _registration_managers():
+            for begin in range(0, len(topics), _MOST_CALLS):
+                with topic_manager.lock:  # no topic that is unsubscribed meanwhile is registered again
+                    ends = [topic_manager.subs.get(name) for name in topics[begin : begin + _MOST_CALLS]]
+                    asked = [(end.resolved_name, end.type, Registration.SUB) for end in ends if end is not None]
+                    answers = _register(manager, asked)
+                for (name, _, _), publishers in zip(asked, answers, strict=True):
+                    if publishers:
+                        manager.publisher_update(name, publishers)
+    finally:
+        _asking.release()
+
+
+def _registration_managers() -> list[RegManager]:
+    listeners = get_registration_listeners()
+    with listeners.lock:
+        found = [one.manager if isinstance(one, _Collector) else one for one in listeners.listeners]
+    return [one for one in found if isinstance(one, RegManager)]
+
+
+_asking = threading.Lock()
 _IS_ENABLED = SubscriberStatisticsLogger.__dict__["is_enabled"]

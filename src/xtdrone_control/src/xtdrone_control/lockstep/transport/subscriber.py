@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import select
+import time
 from typing import Any
 
 import rospy
@@ -17,6 +18,9 @@ from . import local_topics
 from .inbox import FOREIGN_QUEUE, Feed, Inbox
 from .rospy_internals import SubscriberImpl, add_subscriber_impl
 from .topic_reader import Reader
+
+STALLED = 10.0
+"""Wall seconds for a publisher to answer a connection that the simulation waits for."""
 
 
 class BufferingSubscriber(SubscriberImpl):
@@ -70,6 +74,7 @@ class BufferingSubscriber(SubscriberImpl):
 
     def add_connection(self, connection: Any) -> bool:
         """Add a connection that is handed over once it is made, when rospy calls its ``receive_loop``."""
+        connection.begun = time.monotonic()
         connection.receive_loop = functools.partial(self._receive, connection)
         connection.connect = functools.partial(self._connect, connection)
         with self.c_lock:
@@ -80,6 +85,14 @@ class BufferingSubscriber(SubscriberImpl):
                 return False
             return bool(super().add_connection(connection))
 
+    def close_stalled(self) -> None:
+        """Close connections whose publisher has not answered within ``STALLED``, so that rospy makes new ones."""
+        latest = time.monotonic() - STALLED
+        for connection in list(self.connections or ()):
+            if not connection.done and connection.local_endpoint[1] is None and connection.begun < latest:
+                rospy.logwarn(f"{self.resolved_name} from {connection.endpoint_id}: no answer within {STALLED:g} s")
+                connection.close()
+
     def _connect(self, connection: Any, host: str, port: int, publisher: str, timeout: float | None = None) -> None:
         """Connect over a Unix domain socket if possible, else over TCP as rospy does."""
         if self._reader.active:
@@ -87,6 +100,8 @@ class BufferingSubscriber(SubscriberImpl):
                 if local_topics.connect(connection, host, port, publisher):
                     return
             except (OSError, TransportInitError) as error:
+                if connection.done:
+                    raise TransportInitError(f"{self.resolved_name} from {publisher}: given up") from error
                 rospy.logdebug(f"{self.resolved_name} from {publisher}: {error}; connecting over TCP")
         TCPROSTransport.connect(connection, host, port, publisher, timeout)
 

@@ -16,6 +16,7 @@ import rospy
 from mavros_msgs.msg import State
 
 from xtdrone_control.bounded_file import MOST_TEXT, ContentError, read_text
+from xtdrone_control.programs.plain_node import init_plain_node
 
 DEFAULT_NAMESPACE = "mavros"
 STANDARD = "-"
@@ -206,7 +207,7 @@ def main(name: str, parser: argparse.ArgumentParser) -> int:
     try:
         if not rosgraph.is_master_online():
             raise ProgramError(f"no ROS master answers at {rosgraph.get_master_uri()}: start a launch file first")
-        rospy.init_node(name, anonymous=True)
+        init_plain_node(name, anonymous=True)
         execute(parser, arguments)
     except ProgramError as error:
         print(f"{name}: {error}", file=sys.stderr)

@@ -15,6 +15,7 @@ from foxglove import Parameter, StatusLevel
 from foxglove.websocket import Capability, ChannelView, Client, ClientChannel, ServerListener
 
 from xtdrone_control.programs.node_command_line import check_no_arguments
+from xtdrone_control.programs.plain_node import init_plain_node
 from xtdrone_control.settings import setting
 from xtdrone_interaction.bridges import bridge_settings
 from xtdrone_interaction.bridges.bridge_settings import BridgeSettings
@@ -256,7 +257,7 @@ def main(arguments: Sequence[str]) -> None:
     """
     check_no_arguments(arguments)
     check_not_running(NAME, "actual_port")
-    rospy.init_node(NAME)
+    init_plain_node(NAME)
     end_within_limit(NAME)
     settings = FoxgloveSettings.from_parameters(rospy.get_param)
     settings = replace(settings, port=port_here(settings.port, PORT))

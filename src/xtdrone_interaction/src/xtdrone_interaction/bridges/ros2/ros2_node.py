@@ -17,6 +17,7 @@ from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 
 from xtdrone_control.programs.node_command_line import check_no_arguments
+from xtdrone_control.programs.plain_node import init_plain_node
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_interaction.bridges.bridge_graph import BridgeGraph
 from xtdrone_interaction.bridges.bridge_settings import publications_of
@@ -233,7 +234,7 @@ def main(arguments: Sequence[str]) -> None:
     """
     check_no_arguments(arguments)
     check_not_running(NAME)
-    rospy.init_node(NAME)
+    init_plain_node(NAME)
     end_within_limit(NAME)
     settings = Ros2Settings.from_parameters(rospy.get_param)
     try:

@@ -106,8 +106,9 @@ def _serve(settings: FilmSettings, record: Record, work: Path, on_turn: Callable
     import rospy
 
     from xtdrone_control import lockstep
+    from xtdrone_control.programs.plain_node import init_plain_node
 
-    rospy.init_node("bag_player", disable_rostime=True, disable_signals=True)
+    init_plain_node("bag_player", disable_rostime=True, disable_signals=True)
     server = LockstepServer(hang_limit=_HANG_LIMIT, log=_log)
     try:
         server.attach_host(lockstep.host())

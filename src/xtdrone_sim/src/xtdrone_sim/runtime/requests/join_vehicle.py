@@ -11,6 +11,7 @@ import rospy
 from xtdrone_msgs.srv import AddVehicle, RemoveVehicle
 
 from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments
+from xtdrone_control.programs.plain_node import init_plain_node
 from xtdrone_control.programs.under_roslaunch import announce
 
 _PATIENCE = 60.0  # wall s to wait for the simulator
@@ -27,7 +28,7 @@ def main(arguments: Sequence[str]) -> None:
     over = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: over.set())
-    rospy.init_node("join_vehicle", disable_signals=True)  # the service is called after a signal
+    init_plain_node("join_vehicle", disable_signals=True)  # the service is called after a signal
     name, model, pose = str(rospy.get_param("~vehicle", "")), str(rospy.get_param("~model", "")), _pose()
     if not name:
         raise ArgumentError("vehicle: no name is given, as ~vehicle:=iris_9")
