@@ -241,11 +241,17 @@ def _params_position(params: list[_Value]) -> Position:
 
 
 def _with_index(where: _Value, item: PlanItem, index_of: dict[int, int]) -> PlanItem:
-    """Return ``item``, a DO_JUMP with the index of its target instead of the doJumpId."""
+    """Return ``item``, a DO_JUMP with the index of its target instead of the doJumpId.
+
+    A target out of the mission, which PX4 accepts, is possible where the ids are the numbers of the items.
+    """
     if item.command != plan.JUMP:
         return item
     target = item.params[0]
-    index = index_of.get(int(target)) if target == target // 1 else None
+    whole = abs(target) < 1 << 31 and target == target // 1
+    index = index_of.get(int(target)) if whole else None
+    if index is None and whole and all(i == at + 1 for i, at in index_of.items()):
+        index = int(target) - 1
     if index is None:
         ids = f"{min(index_of)} to {max(index_of)}" if index_of else "none there"
         raise PlanError(f"{where.where}: DO_JUMP to {target:g} is not allowed, the doJumpId of an item ({ids})")
@@ -309,23 +315,23 @@ def text_of(content: Plan) -> str:
     """Return the text of a .plan file, in the form that QGroundControl writes.
 
     Raises:
-        PlanError: the plan cannot be represented: a non-finite number, a jump out of the mission, or corners that do
-            not form a polygon.
+        PlanError: the plan cannot be represented: a non-finite number, corners that do not form a polygon, or an
+            altitude above sea level of a rally point without a home position.
     """
     document = {
         "fileType": "Plan",
-        "geoFence": _fence_object(content.fence),
+        "geoFence": _fence_object(content.fence, content.home),
         "groundStation": "QGroundControl",
         "mission": {
             "cruiseSpeed": content.cruise_speed,
             "firmwareType": content.firmware,
             "hoverSpeed": content.hover_speed,
-            "items": [_item_object(i, item, len(content.mission)) for i, item in enumerate(content.mission)],
+            "items": [_item_object(i, item) for i, item in enumerate(content.mission)],
             "plannedHomePosition": list(content.home),
             "vehicleType": _MULTICOPTER,
             "version": 2,
         },
-        "rallyPoints": {"points": [list(_position(point)) for point in content.rally], "version": 2},
+        "rallyPoints": {"points": [_above_home(point, content.home) for point in content.rally], "version": 2},
         "version": 1,
     }
     try:
@@ -344,15 +350,23 @@ def _position(item: PlanItem) -> Position:
     return float(item.x), float(item.y), float(item.z)
 
 
-def _item_object(index: int, item: PlanItem, count: int) -> dict[str, Any]:
+def _above_home(point: PlanItem, home: Position) -> list[float]:
+    """Return the position of a rally or return point, whose altitude is above home in this format."""
+    x, y, z = _position(point)
+    if point.relative:
+        return [x, y, z]
+    if not any(home):
+        raise PlanError(f"plan: an altitude above sea level, {z:g} m, is not allowed without a home position")
+    return [x, y, z - home[2]]
+
+
+def _item_object(index: int, item: PlanItem) -> dict[str, Any]:
     where = f"item {index + 1}"
     if item.frame not in _MAVLINK_FRAMES:
         raise PlanError(f"{where}: frame {item.frame} is not allowed, {sorted(_MAVLINK_FRAMES)}")
     frame = _MAVLINK_FRAMES[item.frame]
     first = item.params[0]
     if item.command == plan.JUMP:
-        if first not in range(count):
-            raise PlanError(f"{where}: DO_JUMP to {first} is not allowed, the index of an item: 0 to {count - 1}")
         first += 1.0
     params = [_finite_or_null(value, where) for value in (first, *item.params[1:], *_position(item))]
     found: dict[str, Any] = {}
@@ -368,7 +382,7 @@ def _item_object(index: int, item: PlanItem, count: int) -> dict[str, Any]:
     }
 
 
-def _fence_object(fence: Items) -> dict[str, Any]:
+def _fence_object(fence: Items, home: Position) -> dict[str, Any]:
     polygons: list[dict[str, Any]] = []
     circles: list[dict[str, Any]] = []
     found: dict[str, Any] = {"circles": circles, "polygons": polygons, "version": 2}
@@ -385,7 +399,7 @@ def _fence_object(fence: Items) -> dict[str, Any]:
             circle = {"center": [item.x, item.y], "radius": item.params[0]}
             circles.append({"circle": circle, "inclusion": _CIRCLES[item.command], "version": 1})
         elif item.command == plan.FENCE_RETURN_POINT:
-            found["breachReturn"] = list(_position(item))
+            found["breachReturn"] = _above_home(item, home)
         else:
             raise PlanError(f"fence item {i}: command {item.command} is not allowed, 5000 to 5004")
     return found

@@ -162,12 +162,14 @@ def _upload(arguments: argparse.Namespace) -> int:
     peers = peers or owners(plans, arguments)
     display = Display([peer.name for peer in peers])
 
-    def store(name: str, heartbeat: Heartbeat) -> Exchange[None]:
+    def store(name: str, heartbeat: Heartbeat) -> Exchange[list[str]]:
         progress = progress_of(name, display.watch)
         return plan_exchanges.upload_plan(heartbeat.system, plans[name], progress, heartbeat.autopilot)
 
     results = run({peer: partial(store, peer.name) for peer in peers}, arguments, plan_exchanges.cancel_transfers)
-    return display.results(peers, results, lambda name, _: f"{_summary(plans[name])}: sent, and come back the same")
+    return display.results(
+        peers, results, lambda name, altered: f"{_summary(plans[name])}: {plan_exchanges.outcome(altered)}"
+    )
 
 
 def _download(arguments: argparse.Namespace) -> int:
