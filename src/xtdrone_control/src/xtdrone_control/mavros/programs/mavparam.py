@@ -9,6 +9,7 @@ import rospy
 from mavros_msgs.msg import ParamValue
 from mavros_msgs.srv import ParamGet, ParamPull, ParamPush, ParamSet
 
+from xtdrone_control.autopilot.parameters import former_parameters
 from xtdrone_control.autopilot.parameters.parameter_file import as_float32
 
 from . import parameter_formats
@@ -61,7 +62,7 @@ def _add_formats(verb: argparse.ArgumentParser, default: str) -> None:
 def _load(mavros: Mavros, arguments: argparse.Namespace) -> None:
     name = arguments.file
     try:
-        values = parameter_formats.read(read_file(name), name, arguments.format)
+        values = parameter_formats.read(read_file(name), name, arguments.format, mavros.note)
     except FormatError as error:
         raise ProgramError(str(error)) from error
     _pull(mavros, False)  # so that MAVROS has each name and type
@@ -84,7 +85,7 @@ def _check_accepted(mavros: Mavros, values: dict[str, Number]) -> None:
     for name, value in values.items():
         answer = mavros.call("param/get", ParamGet, param_id=name)
         if not answer.success:
-            wrong.append(f"{name} does not exist")
+            wrong.append(f"{name} does not exist{former_parameters.hint(name)}")
         elif as_float32(_number(answer)) != as_float32(value):
             wrong.append(f"{name} stays {_number(answer)}")
     if wrong:

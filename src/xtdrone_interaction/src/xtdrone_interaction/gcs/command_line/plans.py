@@ -57,30 +57,43 @@ def find_files(paths: Sequence[Path]) -> list[Path]:
     return found
 
 
-def read_plans(files: Sequence[Path]) -> dict[Path, Plan]:
-    """Read plan files.
-
-    Raises:
-        UsageError: invalid files; one line each.
-    """
+def _read_valid(files: Sequence[Path]) -> tuple[dict[Path, Plan], list[str]]:
+    """Read plan files; return those that are valid, and the errors of the others, one line each."""
     plans: dict[Path, Plan] = {}
     wrong = []
     for file in files:
         try:
-            plans[file] = qgc_plan.read(file)
-            too_long = plan_exchanges.check_capacity(plans[file])
-            wrong += [f"{file}: {too_long}"] if too_long else []
+            content = qgc_plan.read(file)
+            too_long = plan_exchanges.check_capacity(content)
+            if too_long:
+                wrong.append(f"{file}: {too_long}")
+            else:
+                plans[file] = content
         except PlanError as error:
             wrong.append(str(error))
+    return plans, wrong
+
+
+def read_plans(files: Sequence[Path]) -> dict[Path, Plan]:
+    """Read plan files that are sent together, or not at all.
+
+    Raises:
+        UsageError: invalid files; one line each.
+    """
+    plans, wrong = _read_valid(files)
     if wrong:
         raise UsageError("\n".join(wrong))
+    _name_foreign(plans)
+    return plans
+
+
+def _name_foreign(plans: dict[Path, Plan]) -> None:
     for file, content in plans.items():
         if content.drawn_for:
             print(
                 f"{file}: drawn for {content.drawn_for}, its items are interpreted as PX4 interprets them",
                 file=sys.stderr,
             )
-    return plans
 
 
 def assign(plans: dict[Path, Plan], vehicles: Sequence[str]) -> dict[str, Plan]:
@@ -122,8 +135,10 @@ def problems(content: Plan) -> tuple[list[str], bool]:
     """Check a mission as PX4 does before it starts from the planned home position.
 
     Returns:
-        PX4's texts, which may be warnings only, and whether PX4 accepts the mission.
+        PX4's texts, which may be warnings only, and whether PX4 accepts the mission; it accepts a plan without one.
     """
+    if not content.mission:
+        return [], True
     home = content.home
     said: list[str] = []
 
@@ -140,7 +155,7 @@ def problems(content: Plan) -> tuple[list[str], bool]:
         fence_allows=lambda latitude, longitude, _altitude: fence.allows(to_plane(latitude, longitude)),
     )
     good = feasibility.check(content.mission, now, lambda _severity, text, *_, **__: said.append(text))
-    return said or ([] if good else ["the mission has no items"]), good
+    return said, good
 
 
 def path_length(content: Plan) -> float:
@@ -203,13 +218,17 @@ def _clear(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    status = 0
-    for file, content in read_plans(find_files(arguments.files)).items():
+    plans, wrong = _read_valid(find_files(arguments.files))
+    _name_foreign(plans)
+    status = 2 if wrong else 0
+    for file, content in plans.items():
         said, good = problems(content)
         print(f"{file}: {_summary(content)}; {path_length(content):.0f} m of path")
         for text in said:
             print(f"{file}: {text}", file=sys.stderr)
-        status = status if good else 1
+        status = status if good else max(status, 1)
+    for line in wrong:
+        print(f"xtdrone gcs: {line}", file=sys.stderr)
     return status
 
 
