@@ -132,7 +132,11 @@ ITEM = ("mission", "items", 0)
         ((*ITEM, "params", 0), "a", r'item 1: params: param 1: "a" is not allowed, a number'),
         ((*ITEM, "autoContinue"), 1, r"item 1: autoContinue: 1 is not allowed, true or false$"),
         ((*ITEM, "doJumpId"), 1.5, r"item 1: doJumpId: 1.5 is not allowed, a whole number"),
-        (("mission", "items", 2, "complexItemType"), "vtolLandingPattern", r'"vtolLanding.* is not allowed, "survey" or'),
+        (
+            ("mission", "items", 2, "complexItemType"),
+            "vtolLandingPattern",
+            r'"vtolLanding.* is not allowed, "survey" or',
+        ),
         (("mission", "items", 2, "complexItemType"), "StructureScan", r"item 3: polygon is missing$"),
         (("mission", "items", 2, "TransectStyleComplexItem", "Items", 1, "command"), 9, r"item 3: .*: item 2: command"),
         (("mission", "items", 4, "params", 0), 2.5, r"items: item 5: DO_JUMP to 2.5 is not allowed, .* \(1 to 8\)$"),

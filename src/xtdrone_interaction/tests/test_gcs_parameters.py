@@ -133,7 +133,9 @@ def test_another_vehicles_file_does_not_make_it_that_vehicle():
 def test_parameters_that_a_vehicle_does_not_have_are_listed_and_the_others_set():
     vehicle = ardupilot()
     values = {"RTL_ALT": (1, INT32), "MPC_XY_VEL_P": (1.0, 9), "NO_SUCH": (1.0, 9), "WPNAV_SPEED": (3, INT32)}
-    loaded = talk(parameters.load(beat(ARDUPILOT), ParameterFile(7, values, skipped=("a.params, line 2: x",)), False), vehicle)
+    loaded = talk(
+        parameters.load(beat(ARDUPILOT), ParameterFile(7, values, skipped=("a.params, line 2: x",)), False), vehicle
+    )
     assert loaded.changed == {"RTL_ALT": ((1500, INT32), (1, INT32))}
     assert vehicle.values["RTL_ALT"] == (1, INT32)
     assert loaded.skipped == (

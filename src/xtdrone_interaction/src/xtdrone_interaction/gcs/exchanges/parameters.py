@@ -282,7 +282,9 @@ def check(
         elif name not in IDENTITY:
             changes[name] = value
     if not content.values.keys() & present.keys():
-        raise RefusalError(f"the vehicle has none of the file's parameters, for example {next(iter(content.values))}", True)
+        raise RefusalError(
+            f"the vehicle has none of the file's parameters, for example {next(iter(content.values))}", True
+        )
     return changes, tuple(skipped)
 
 

@@ -108,8 +108,7 @@ class Plans:
             raise CallError(f"plan: {str(params.get('plan'))[:40]!r} is not allowed, the number of a plan made here")
         results = await self._context.blocking(_send, files)
         return {
-            name: {"ok": not isinstance(result, GcsError), "text": _text_of(result)}
-            for name, result in results.items()
+            name: {"ok": not isinstance(result, GcsError), "text": _text_of(result)} for name, result in results.items()
         }
 
     def _files(self, params: Params) -> Mapping[str, Plan] | None:
