@@ -192,7 +192,7 @@ def test_a_delay(hovering):
     assert hovering.current == 1
 
 
-BRAKES = {  # items behind a waypoint at which PX4 v1.14 disregards the waypoint after them, and those at which it does not
+BRAKES = {  # items behind a waypoint, and whether PX4 v1.14 disregards the waypoint after them
     "delay": (do(plan.DELAY, 3.0), True),
     "delay until a time of day, not supported": (do(plan.DELAY, -1.0, 12.0, 0.0, 0.0), False),
     "delay of nothing": (do(plan.DELAY, 0.0), False),

@@ -261,12 +261,14 @@ def test_check_reports_the_other_files_beside_an_invalid_one(tmp_path, capsys):
     qgc_plan.write(tmp_path / "c.plan", survey(0))
     qgc_plan.write(tmp_path / "b.plan", Plan((waypoint(0), waypoint(1, command_=plan.TAKEOFF)), home=(*HOME, 0.0)))
     (tmp_path / "a.plan").write_text("{")
+    (tmp_path / "d.waypoints").write_text("QGC WPL 120\n0\t0\t2\t177\t8\t1\t0\t0\t0\t0\t0\t1\n")
     assert main(["check", str(tmp_path)]) == 2
     said = capsys.readouterr()
     assert "c.plan: 9 items" in said.out
     assert "b.plan: 2 items" in said.out
     assert "takeoff not first waypoint item" in said.err
     assert "a.plan: is not JSON" in said.err
+    assert "d.waypoints: Warning: item 1 jumps to item 9 of 1, where PX4 ends the mission" in said.err
 
 
 @pytest.fixture

@@ -2,10 +2,11 @@
 
 Format: https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html. Items are read from frame and
 parameters; the ``Altitude`` keys, used for display only, are ignored. Patterns are expanded to the items that they
-contain or, of a structure scan, describe; the target of DO_JUMP, a ``doJumpId`` in the file, becomes the index of an item.
+contain or, of a structure scan, describe; the target of DO_JUMP, a ``doJumpId`` in the file, becomes the index of an
+item.
 
-What QGroundControl writes and reads itself is read: a home position or altitude that is null because it is unknown, fences
-of version 1, items of version 1 with a ``coordinate``, and missions in the text format ``QGC WPL``.
+What QGroundControl writes and reads itself is read: a home position or altitude that is null because it is unknown,
+fences of version 1, items of version 1 with a ``coordinate``, and missions in the text format ``QGC WPL``.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ from xtdrone_control.plans import waypoint_file
 from xtdrone_control.plans.structure_scan import StructureScan
 
 SUFFIX = ".plan"
+SUFFIXES = (SUFFIX, ".waypoints")
+"""Of the files that ``read`` reads; the second is Mission Planner's."""
 LARGEST = 16 * MB  # several thousand items take a few MB
 FRAME_GLOBAL, FRAME_RELATIVE = 0, 3  # MAV_FRAME: altitude above sea level, above home
 
@@ -338,7 +341,7 @@ def _with_index(where: _Value, item: PlanItem, index_of: dict[int, int]) -> Plan
 
 
 def _read_position(value: _Value, length: int) -> Position:
-    """Return [latitude, longitude] or [latitude, longitude, altitude]; the altitude is 0 where it is missing or null."""
+    """Return [latitude, longitude] or [latitude, longitude, altitude]; a missing or null altitude is 0."""
     numbers = value.list("number", length)
     altitude = numbers[2].number_or(0.0, -_FAR_ALTITUDE, _FAR_ALTITUDE) if length == 3 else 0.0
     return numbers[0].number(-90.0, 90.0), numbers[1].number(-180.0, 180.0), altitude

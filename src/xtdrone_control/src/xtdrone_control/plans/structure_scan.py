@@ -1,7 +1,8 @@
 """QGroundControl's structure scan: a camera's flight around a building, in layers.
 
-A .plan file has the outline and the settings of a structure scan, but not its items, unlike those of other patterns; here
-they are built as QGroundControl builds them (``StructureScanComplexItem::appendMissionItems``, ``QGCMapPolygon::offset``).
+A .plan file has the outline and the settings of a structure scan, but not its items, unlike those of other patterns;
+here they are built as QGroundControl builds them (``StructureScanComplexItem::appendMissionItems``,
+``QGCMapPolygon::offset``).
 """
 
 from __future__ import annotations

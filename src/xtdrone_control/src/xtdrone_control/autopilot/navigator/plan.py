@@ -42,7 +42,7 @@ _YAW_COMMANDS = frozenset((WAYPOINT, LOITER_UNLIM, LOITER_TIME, LAND, TAKEOFF, V
 
 
 def _integer(value: float, bits: int, signed: bool) -> int:
-    """Return a float converted to an integer of ``bits`` as PX4's SITL build does: by 32 bits, cut to the lower ones."""
+    """Return a float converted to an integer of ``bits`` as PX4's SITL build does: to 32 bits, then cut."""
     whole = int(value) if abs(value) < 2.0**31 else 0
     found = whole & ((1 << bits) - 1)
     return found - (1 << bits) if signed and found >> (bits - 1) else found

@@ -1,9 +1,9 @@
 """Conversion of MISSION_ITEM and MISSION_ITEM_INT to plan items and back, with the rules of PX4 v1.14.
 
-PX4 stores only the parameters that an item's command uses, some of them as integers: a download returns the others as 0,
-headings as 0..360 degrees, and the frame of the requested message type (``MavlinkMissionManager``). What it stores flies
-the same after a download and an upload, with two exceptions that are PX4's: LOITER_TIME returns its heading as a flag of
-0 or 1, and DO_SET_ROI of a location returns as one without.
+PX4 stores only the parameters that an item's command uses, some of them as integers: a download returns the others as
+0, headings as 0..360 degrees, and the frame of the requested message type (``MavlinkMissionManager``). What it stores
+flies the same after a download and an upload, with two exceptions that are PX4's: LOITER_TIME returns its heading as a
+flag of 0 or 1, and DO_SET_ROI of a location returns as one without.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ def find_files(paths: Sequence[Path]) -> list[Path]:
     found: list[Path] = []
     for path in paths:
         if path.is_dir():
-            inside = sorted(path.glob(f"*{qgc_plan.SUFFIX}"))
+            inside = sorted(file for file in path.iterdir() if file.suffix in qgc_plan.SUFFIXES)
             if not inside:
                 raise UsageError(f"{path}: no {qgc_plan.SUFFIX} file is in this folder")
             found += inside
@@ -155,6 +155,11 @@ def problems(content: Plan) -> tuple[list[str], bool]:
         fence_allows=lambda latitude, longitude, _altitude: fence.allows(to_plane(latitude, longitude)),
     )
     good = feasibility.check(content.mission, now, lambda _severity, text, *_, **__: said.append(text))
+    count = len(content.mission)
+    for i, item in enumerate(content.mission, 1):
+        if item.command == plan.JUMP and not 0 <= plan.jump(item.params)[0] < count:
+            target = plan.jump(item.params)[0] + 1
+            said.append(f"Warning: item {i} jumps to item {target} of {count}, where PX4 ends the mission")
     return said, good
 
 
