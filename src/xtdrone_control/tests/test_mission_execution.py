@@ -115,6 +115,18 @@ def test_heading_modes(mode, bearing):
     assert abs(error) < 0.01
 
 
+def test_the_heading_is_kept_within_the_radius_of_the_item(hovering):
+    """PX4 FlightTaskAuto::_set_heading_from_mode: the radius of the setpoint, not NAV_ACC_RAD."""
+    fly(hovering, at(40, 0, 10, plan.WAYPOINT, 0, 8.0), at(60, 0))
+    hovering.place(35, 5, -5)
+    hovering.run(0.2)
+    assert hovering.current == 0
+    assert hovering.setpoint["goal_yaw"] == pytest.approx(0.0, abs=0.01)
+    hovering.place(35, 8, -5)
+    hovering.run(0.2)
+    assert hovering.setpoint["goal_yaw"] == pytest.approx(math.atan2(-8, 5), abs=0.01)
+
+
 def test_a_region_of_interest_turns_the_vehicle(hovering):
     fly(hovering, do(plan.SET_ROI_NONE), at(0, 30, 0, plan.SET_ROI_LOCATION), at(30, 30), at(60, 30))
     hovering.run(0.1)
