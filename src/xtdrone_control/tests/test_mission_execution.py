@@ -372,8 +372,10 @@ def test_a_jump_out_of_bounds_is_reported(hovering, index):
 def test_speeds(hovering):
     items = [do(plan.CHANGE_SPEED, 1, 2.0, -1), do(plan.CHANGE_SPEED, 2, 1.0), at(20, 0), do(plan.CHANGE_SPEED, 1, 0)]
     fly(hovering, *items, at(40, 0))
+    assert hovering.setpoint["cruise_speed"] == 2.0
     hovering.run(0.2)
-    assert (hovering.setpoint["cruise_speed"], hovering.setpoint["climb_speed"]) == (2.0, 1.0)
+    assert hovering.setpoint["cruise_speed"] == 1.0  # of any kind, also climb: PX4 v1.14 does not distinguish them
+    assert math.isnan(hovering.setpoint["climb_speed"])
     hovering.tick()
     hovering.run(0.1)
     assert math.isnan(hovering.setpoint["cruise_speed"])

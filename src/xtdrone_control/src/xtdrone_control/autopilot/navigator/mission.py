@@ -20,7 +20,6 @@ _PAYLOAD_WAITS = (plan.GRIPPER, plan.WINCH)
 _LOITERS = (plan.LOITER_TIME, plan.LOITER_UNLIM, plan.LOITER_TO_ALT)
 _EPSILON = 1.1920929e-07  # PX4's FLT_EPSILON
 _PRECISE = (1, 2)
-_SPEED_FIELDS = {0: "cruise_speed", 1: "cruise_speed", 2: "climb_speed", 3: "descend_speed"}
 _ROI_NONE, _ROI_NEXT, _ROI_LOCATION = 0, 1, 3  # MAV_ROI
 
 
@@ -69,7 +68,6 @@ class Mission:
         self._reached_target = False
         self._reached_heading = False
         self._reached_us: int | None = None
-        self._climb_speed = NAN
         self._roi_kind = _ROI_NONE
         self._roi: Vector | None = None
         self._roi_offset = 0.0
@@ -83,7 +81,6 @@ class Mission:
         self.reached = -1
         self._stage = _Stage.ITEM
         self._item = None
-        self._climb_speed = NAN
         if self._view.landed:
             self._need_takeoff = True
         self._payload.pause(False)
@@ -280,7 +277,7 @@ class Mission:
             return
         moved = self._stage is _Stage.MOVE_TO_LAND
         if self._stage is _Stage.TAKEOFF:
-            self._view.setpoint["climb_speed"] = self._climb_speed
+            self._view.setpoint["climb_speed"] = NAN
         self._stage = _Stage.ITEM
         self._target = position
         self._loitering = item.command in _LOITERS
@@ -463,7 +460,7 @@ class Mission:
             return
         self._course.lead_onward(self._onward(item))
         if item.command == plan.CHANGE_SPEED:
-            self._change_speed(params[0], params[1])
+            self._change_speed(params[1])
         elif item.command == plan.SET_HOME:
             self.set_home(None if params[0] == 1.0 else params[4:7])
         elif item.command == plan.RETURN:
@@ -471,13 +468,9 @@ class Mission:
         elif not self._payload.execute(item.command, params):
             self.set_roi(item)
 
-    def _change_speed(self, kind: float, speed: float) -> None:
-        field = _SPEED_FIELDS.get(int(kind)) if math.isfinite(kind) else None
-        if field is None or math.isinf(speed):
-            return
-        self._view.setpoint[field] = speed if speed > 0.0 else NAN
-        if field == "climb_speed":
-            self._climb_speed = float(self._view.setpoint[field])
+    def _change_speed(self, speed: float) -> None:
+        """Set the horizontal speed (m/s), of whatever kind, as PX4's navigator; the default if it is not positive."""
+        self._view.setpoint["cruise_speed"] = speed if speed > _EPSILON else NAN
 
     def set_roi(self, item: PlanItem) -> None:
         """Set or clear the region of interest of a DO_SET_ROI* item, a location or the next waypoint."""
