@@ -245,6 +245,18 @@ def test_a_mission_that_begins_with_a_delay_holds(hovering):
     assert math.isnan(hovering.setpoint["onward_position"][0])
 
 
+def test_a_new_mission_in_flight_that_begins_with_a_delay_holds(hovering):
+    """PX4 Mission::on_active: a changed mission resets the setpoints."""
+    fly(hovering, at(40, 0), at(80, 0))
+    hovering.place(10, 0, -10)
+    hovering.load(do(plan.DELAY, 3.0), at(40, 40))
+    assert hovering.goal() == [10, 0, -10]
+    hovering.run(3.0)
+    assert hovering.current == 0
+    hovering.run(0.2)
+    assert hovering.goal() == [40, 40, -10]
+
+
 def test_a_gate_leads_to_the_radius_of_the_waypoint_behind_it(hovering):
     fly(hovering, at(20, 0, 10, plan.CONDITION_GATE), at(40, 0, 10, plan.WAYPOINT, 0, 7.0))
     assert hovering.setpoint["goal_radius"] == 7.0

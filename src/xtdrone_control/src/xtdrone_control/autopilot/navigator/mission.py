@@ -88,7 +88,7 @@ class Mission:
         return not self._set_item()
 
     def _wait_here(self) -> None:
-        """Hold until an item names a goal: those of the mode before, or its sticks, end with it."""
+        """Hold until an item names a goal: that of another mode, of its sticks or of a former mission has ended."""
         self._loitering = True
         found = self._read(self._index, count_jumps=False)
         if found is None or found[1].has_position or self._view.landed:
@@ -135,7 +135,10 @@ class Mission:
 
     def restart_item(self) -> bool:
         """Start the current item if the mission is active; return whether an active mission has no item left to fly."""
-        return self._active and not self._set_item()
+        if not self._active:
+            return False
+        self._wait_here()
+        return not self._set_item()
 
     def update(self) -> bool:
         """Advance to the next item when the current one is complete; return whether the mission has ended."""
