@@ -37,7 +37,7 @@ ROOMS = {
     "autopilot": {"geodesy"},
     "lockstep": set(),
     "mavlink": {"autopilot", "geodesy", "lockstep"},
-    "plans": {"autopilot", "mavlink"},
+    "plans": {"autopilot", "geodesy", "mavlink"},
     "communication": {"autopilot", "lockstep"},
     "drone": {"autopilot", "communication", "lockstep"},
     "mavros": {"autopilot", "geodesy", "plans", "lockstep", "mavlink", "communication"},

@@ -36,6 +36,16 @@ def test_parameters_are_read_as_they_were_written(values, kind):
             assert ("." in value) == isinstance(values[name], float)
 
 
+def test_a_row_that_cannot_be_set_is_named_and_the_others_are_read():
+    noted = []
+    text = "# Stack: PX4 Pro\n1\t1\tA\t1\t6\n1\t1\tB\tnan\t9\n1\t154\tMNT_MODE\t1\t6\n"
+    assert parameter_formats.read(text, "a.txt", QGC, noted.append) == {"A": 1}
+    assert noted == [
+        "a.txt, line 3: B: 'nan' of type '9' is not allowed, a finite number of 32 bits",
+        "a.txt: 1 parameters of component 154, not the autopilot",
+    ]
+
+
 def test_parameter_files_look_as_mavros_writes_them():
     values = {"NAV_RCL_ACT": 2, "MPC_XY_P": 0.949999988079071, "MPC_Z_P": 1.0}
     comment = "#NOTE: saved by mavparam\r\n"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 
@@ -114,6 +115,18 @@ def test_heading_modes(mode, bearing):
     assert abs(error) < 0.01
 
 
+def test_the_heading_is_kept_within_the_radius_of_the_item(hovering):
+    """PX4 FlightTaskAuto::_set_heading_from_mode: the radius of the setpoint, not NAV_ACC_RAD."""
+    fly(hovering, at(40, 0, 10, plan.WAYPOINT, 0, 8.0), at(60, 0))
+    hovering.place(35, 5, -5)
+    hovering.run(0.2)
+    assert hovering.current == 0
+    assert hovering.setpoint["goal_yaw"] == pytest.approx(0.0, abs=0.01)
+    hovering.place(35, 8, -5)
+    hovering.run(0.2)
+    assert hovering.setpoint["goal_yaw"] == pytest.approx(math.atan2(-8, 5), abs=0.01)
+
+
 def test_a_region_of_interest_turns_the_vehicle(hovering):
     fly(hovering, do(plan.SET_ROI_NONE), at(0, 30, 0, plan.SET_ROI_LOCATION), at(30, 30), at(60, 30))
     hovering.run(0.1)
@@ -191,6 +204,128 @@ def test_a_delay(hovering):
     assert hovering.current == 1
 
 
+BRAKES = {  # items behind a waypoint, and whether PX4 v1.14 disregards the waypoint after them
+    "delay": (do(plan.DELAY, 3.0), True),
+    "delay until a time of day, not supported": (do(plan.DELAY, -1.0, 12.0, 0.0, 0.0), False),
+    "delay of nothing": (do(plan.DELAY, 0.0), False),
+    "gripper": (do(plan.GRIPPER, 1, 0), True),
+    "winch": (do(plan.WINCH, 1, 0), True),
+    "without autocontinue": (dataclasses.replace(do(plan.START_VIDEO), autocontinue=False), True),
+    "speed": (do(plan.CHANGE_SPEED, 1, 4.0), False),
+    "picture": (do(plan.START_IMAGES, 0, 0, 1), False),
+    "gimbal": (do(plan.GIMBAL_PITCHYAW, -30, 0), False),
+    "region of interest": (do(plan.SET_ROI_NONE), False),
+    "start of landing": (do(plan.LAND_START), False),
+}
+
+
+@pytest.mark.parametrize(("item", "brakes"), BRAKES.values(), ids=BRAKES)
+def test_items_that_take_time_brake_at_the_waypoint_before(hovering, item, brakes):
+    """PX4 Mission::set_mission_items: brake_for_hold clears the next setpoint, the current one stays."""
+    fly(hovering, at(40, 0), item, at(40, 40), at(0, 40))
+    assert hovering.setpoint["onward_position"].tolist() == pytest.approx([40, 40, -10], abs=0.01)
+    hovering.tick()
+    assert (hovering.current, hovering.goal()) == (1, [40, 0, -10])
+    assert math.isnan(hovering.setpoint["onward_position"][0]) == brakes
+
+
+def test_a_command_after_a_loiter_stays_there(hovering):
+    """FlightTaskAuto::_evaluateTriplets: a loiter has no next waypoint."""
+    fly(hovering, at(40, 0, 10, plan.LOITER_TIME, 1.0), do(plan.START_VIDEO), at(40, 40))
+    hovering.tick()
+    hovering.run(1.0)
+    assert (hovering.current, hovering.goal()) == (1, [40, 0, -10])
+    assert math.isnan(hovering.setpoint["onward_position"][0])
+
+
+def test_a_mission_that_begins_with_a_delay_holds(hovering):
+    hovering.place(7, 3, -12)
+    fly(hovering, do(plan.DELAY, 3.0), at(20, 0))
+    assert (hovering.setpoint["task"], hovering.goal()) == (TASK_GOTO, [7, 3, -12])
+    assert math.isnan(hovering.setpoint["onward_position"][0])
+
+
+def test_a_new_mission_in_flight_that_begins_with_a_delay_holds(hovering):
+    """PX4 Mission::on_active: a changed mission resets the setpoints."""
+    fly(hovering, at(40, 0), at(80, 0))
+    hovering.place(10, 0, -10)
+    hovering.load(do(plan.DELAY, 3.0), at(40, 40))
+    assert hovering.goal() == [10, 0, -10]
+    hovering.run(3.0)
+    assert hovering.current == 0
+    hovering.run(0.2)
+    assert hovering.goal() == [40, 40, -10]
+
+
+def test_a_gate_leads_to_the_radius_of_the_waypoint_behind_it(hovering):
+    fly(hovering, at(20, 0, 10, plan.CONDITION_GATE), at(40, 0, 10, plan.WAYPOINT, 0, 7.0))
+    assert hovering.setpoint["goal_radius"] == 7.0
+
+
+@pytest.mark.parametrize(("mode", "climbs"), [(modes.AUTO_RTL, True), (modes.AUTO_LOITER, False)])
+def test_a_mission_resumed_from_a_mode_without_a_goal_climbs_first(hovering, mode, climbs):
+    """PX4 Mission::on_inactive: a takeoff is required after any mode that cannot loiter at its setpoint."""
+    fly(hovering, at(20, 0), at(40, 0, 30))
+    hovering.tick()
+    hovering.commander.request(mode)
+    hovering.place(10, 0, -10)
+    hovering.run(0.5)
+    hovering.texts()
+    hovering.commander.request(modes.AUTO_MISSION)
+    assert hovering.goal() == ([10, 0, -30] if climbs else [40, 0, -30])
+    assert ("Takeoff to 30.0 meters above home" in hovering.texts()) == climbs
+
+
+def test_a_mission_flown_to_its_end_in_the_air_is_not_flown_again(hovering):
+    """PX4 Mission::set_mission_items: the index stays behind the last item until it is set or the vehicle disarmed."""
+    fly(hovering, at(20, 0), at(40, 0))
+    for _ in ticks(hovering):
+        pass
+    hovering.texts()
+    hovering.commander.request(modes.AUTO_MISSION)
+    hovering.run(0.1)
+    assert hovering.commander.mode is modes.AUTO_LOITER
+    assert "No valid mission available, loitering" in hovering.texts()
+    hovering.load(at(20, 0), at(40, 0), at(60, 0))
+    hovering.commander.request(modes.AUTO_MISSION)
+    assert hovering.goal() == [60, 0, -10]
+    assert hovering.commander.navigator.set_current(0)
+    assert hovering.goal() == [20, 0, -10]
+
+
+HEADINGS = {  # item, MIS_YAW_TMT, heading of the vehicle there, whether the item is complete
+    "loiter time": (at(20, 0, 10, plan.LOITER_TIME, 0.0, 0.0, 0.0, 90.0), -1.0, 0.0, False),
+    "loiter time, waived": (at(20, 0, 10, plan.LOITER_TIME, 0.0, 0.0, 0.0, 90.0), 5.0, 0.0, True),
+    "loiter time, required": (at(20, 0, 10, plan.LOITER_TIME, 0.0, 1.0, 0.0, 90.0), 5.0, 0.0, False),
+    "loiter to altitude turns north": (at(20, 0, 10, plan.LOITER_TO_ALT, 0, 0, 0, 90.0), -1.0, math.pi / 2, False),
+    "loiter to altitude, at north": (at(20, 0, 10, plan.LOITER_TO_ALT, 0, 0, 0, 90.0), -1.0, 0.0, True),
+    "landing ignores it": (at(20, 0, 10, plan.LAND, 0, 0, 0, 90.0), -1.0, 0.0, False),
+}
+
+
+@pytest.mark.parametrize(("item", "timeout", "heading", "complete"), HEADINGS.values(), ids=HEADINGS)
+def test_headings_by_item(item, timeout, heading, complete):
+    """PX4 MissionBlock::is_mission_item_reached_or_completed; LOITER_TO_ALT stores no heading: 0, the north."""
+    flight = MissionFlight(MIS_YAW_TMT=timeout)
+    flight.hover()
+    fly(flight, item, at(40, 0))
+    flight.place(20, 0, -10, yaw=heading)
+    flight.run(1.0)
+    assert (flight.current == 1) == complete
+
+
+def test_a_required_heading_that_is_not_reached_in_time_fails_the_mission():
+    flight = MissionFlight(MIS_YAW_TMT=5)
+    flight.hover()
+    fly(flight, at(20, 0, 10, plan.LOITER_TIME, 0.0, 1.0, 0.0, 90.0), at(40, 0))
+    flight.place(20, 0, -10, yaw=0.0)
+    flight.run(4.9)
+    assert flight.commander.mode is modes.AUTO_MISSION
+    flight.run(0.4)
+    assert flight.commander.mode is modes.AUTO_RTL
+    assert "unable to reach heading within timeout" in flight.texts()
+
+
 def test_jumps_are_counted(hovering):
     fly(hovering, at(20, 0), at(40, 0), do(plan.JUMP, 0, 2), at(60, 0))
     seen = []
@@ -201,12 +336,41 @@ def test_jumps_are_counted(hovering):
     assert "DO JUMP repetitions completed." in hovering.texts()
 
 
-@pytest.mark.parametrize("jump", [(1, 1e9), (700, 5), (-3, 5), (NAN, 5), (1e30, 5)])
+@pytest.mark.parametrize("jump", [(1, 1e9), (700, 5), (-3, 5)])
 def test_jumps_that_lead_nowhere_end_the_mission(hovering, jump):
     fly(hovering, at(0, 0), do(plan.JUMP, *jump))
     for _ in ticks(hovering, 5):
         pass
     assert hovering.commander.mode is modes.AUTO_LOITER
+
+
+@pytest.mark.parametrize(
+    ("params", "stored"),
+    [
+        ((1, -1), (1, 65535)),
+        ((1, 70000), (1, 4464)),
+        ((1, 2.9), (1, 2)),
+        ((40000, 3), (-25536, 3)),
+        ((NAN, math.inf), (0, 0)),
+        ((1e30, -1e30), (0, 0)),
+    ],
+)
+def test_a_jump_is_stored_in_px4s_integers(params, stored):
+    """PX4 MavlinkMissionManager::parse_mavlink_mission_item, built for SITL: int16 index, uint16 count."""
+    assert plan.jump(params) == stored
+
+
+def test_a_jump_that_repeats_minus_once_does_not_end(hovering):
+    fly(hovering, at(20, 0), at(40, 0), do(plan.JUMP, 0, -1), at(60, 0))
+    assert [hovering.current for _ in ticks(hovering, 40)][-4:] == [1, 0, 1, 0]
+
+
+def test_the_search_for_the_next_position_goes_on_behind_a_jump(hovering):
+    """PX4 Mission::prepare_mission_items: the command at which the jump ends does not move the search."""
+    fly(hovering, do(plan.START_VIDEO), at(20, 0), do(plan.JUMP, 0, 5), at(20, 20), at(60, 0))
+    hovering.run(0.1)
+    assert hovering.current == 1
+    assert hovering.setpoint["onward_position"].tolist() == pytest.approx([20, 20, -10], abs=0.01)
 
 
 @pytest.mark.parametrize("index", [700, -3])
@@ -220,9 +384,20 @@ def test_a_jump_out_of_bounds_is_reported(hovering, index):
 def test_speeds(hovering):
     items = [do(plan.CHANGE_SPEED, 1, 2.0, -1), do(plan.CHANGE_SPEED, 2, 1.0), at(20, 0), do(plan.CHANGE_SPEED, 1, 0)]
     fly(hovering, *items, at(40, 0))
+    assert hovering.setpoint["cruise_speed"] == 2.0
     hovering.run(0.2)
-    assert (hovering.setpoint["cruise_speed"], hovering.setpoint["climb_speed"]) == (2.0, 1.0)
+    assert hovering.setpoint["cruise_speed"] == 1.0  # of any kind, also climb: PX4 v1.14 does not distinguish them
+    assert math.isnan(hovering.setpoint["climb_speed"])
     hovering.tick()
+    hovering.run(0.1)
+    assert math.isnan(hovering.setpoint["cruise_speed"])
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, -2.0, NAN])
+def test_a_speed_that_is_none_restores_the_parameters(hovering, speed):
+    """PX4 Navigator::run, DO_CHANGE_SPEED: any speed that is not positive."""
+    fly(hovering, do(plan.CHANGE_SPEED, 1, 2.0), do(plan.CHANGE_SPEED, 1, speed), at(20, 0))
+    assert hovering.setpoint["cruise_speed"] == 2.0
     hovering.run(0.1)
     assert math.isnan(hovering.setpoint["cruise_speed"])
 
@@ -325,7 +500,7 @@ def test_a_camera_triggers_by_distance(hovering):
     assert [shot.number for shot in shots] == [1, 2, 3, 4, 5, 6]
 
 
-def test_pictures_by_time_and_number_wait_while_the_mission_is_paused(hovering):
+def test_a_series_of_pictures_ends_when_the_mission_is_left(hovering):
     payload = hovering.commander.navigator.payload
     fly(hovering, do(plan.START_IMAGES, 0, 0.5, 4), at(30, 0))
     hovering.run(0.7)
@@ -335,7 +510,19 @@ def test_pictures_by_time_and_number_wait_while_the_mission_is_paused(hovering):
     assert payload.count == 2
     hovering.commander.request(modes.AUTO_MISSION)
     hovering.run(5.0)
-    assert payload.count == 4
+    assert payload.count == 2  # a series ends with the mission (PX4 Mission::on_inactivation, stop_capturing_images)
+
+
+def test_pictures_by_the_trigger_go_on_with_the_mission(hovering):
+    payload = hovering.commander.navigator.payload
+    fly(hovering, do(plan.TRIGGER_INTERVAL, 500.0), at(30, 0))
+    hovering.run(0.7)
+    hovering.commander.request(modes.AUTO_LOITER)
+    hovering.run(3.0)
+    assert payload.count == 2
+    hovering.commander.request(modes.AUTO_MISSION)
+    hovering.run(1.0)
+    assert payload.count > 2
 
 
 def test_gimbal_actuators_and_video_are_kept(hovering):

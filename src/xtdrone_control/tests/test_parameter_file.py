@@ -42,8 +42,6 @@ def test_a_file_of_qgroundcontrol_is_read(tmp_path):
     [
         ("", "the file has no parameters"),
         ("1 1 A 1 9", "line 1: 1 columns are not allowed, 5 with tabs between"),
-        ("1\t1\tA\t1\t9\n2\t1\tB\t1\t9", "parameters of several vehicles: 1, 2"),
-        ("1\t1\tA\t1\t9\n1\t1\tA\t2\t9", "line 2: A occurs a second time"),
         ("0\t1\tA\t1\t9", "vehicle id '0' is not allowed, 1 to 255"),
         ("1\t1\tA B\t1\t9", "name 'A B' is not allowed"),
         ("1\t1\tA\tnan\t9", "A: 'nan' of type '9' is not allowed, a finite number"),
@@ -56,11 +54,38 @@ def test_a_file_of_qgroundcontrol_is_read(tmp_path):
         ("1\t1\tA\t1\tfloat", "a type of"),
     ],
 )
-def test_invalid_files(text, message):
+def test_an_invalid_row_is_named_and_the_others_are_read(text, message):
     with pytest.raises(ParameterFileError) as error:
         parameter_file.parse(text, "a.params")
     assert message in str(error.value)
     assert str(error.value).startswith("a.params")
+    if text:
+        found = parameter_file.parse(f"1\t1\tB\t2\t9\n{text}", "a.params")
+        assert found.values == {"B": (2.0, REAL32)}
+        (skipped,) = found.skipped
+        assert skipped.startswith("a.params, line 2: ")
+        assert message.removeprefix("line 1: ") in skipped
+
+
+def test_parameters_of_several_vehicles_are_refused():
+    with pytest.raises(ParameterFileError, match="parameters of several vehicles: 1, 2"):
+        parameter_file.parse("1\t1\tA\t1\t9\n2\t1\tB\t1\t9", "a.params")
+
+
+def test_the_autopilots_parameters_are_read_beside_those_of_a_gimbal():
+    """QGroundControl writes all components of a vehicle, under the same names too."""
+    text = "1\t154\tMNT_MODE\t1\t6\n1\t1\tA\t1\t9\n1\t154\tA\t5\t9\n1\t1\tA\t2\t9\n"
+    found = parameter_file.parse(text, "a.params")
+    assert found.values == {"A": (2.0, REAL32)}
+    assert found.skipped == (
+        "a.params, line 4: A occurs a second time, this value counts",
+        "a.params: 2 parameters of component 154, not the autopilot",
+    )
+
+
+def test_a_byte_order_mark_and_spaces_are_no_part_of_a_value(tmp_path):
+    (tmp_path / "a.params").write_bytes("\ufeff# Stack: PX4 Pro\r\n1\t1\tA\t 2.5 \t9\r\n".encode())
+    assert parameter_file.read(tmp_path / "a.params") == ParameterFile(1, {"A": (2.5, REAL32)}, "PX4 Pro")
 
 
 def test_a_missing_file(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import json
 import math
 
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import PlanItem
+from xtdrone_control.geodesy import projection
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.plans.qgc_plan import Plan, PlanError
 
@@ -115,7 +117,7 @@ ITEM = ("mission", "items", 0)
         (("mission",), [], r"^p: mission: \[\] is not allowed, an object$"),
         (("mission", "version"), True, r"^p: mission: version: true is not allowed, 2$"),
         (("mission", "firmwareType"), 4, r"^p: mission: firmwareType: 4 is not allowed, 12 or 0 or 3$"),
-        (("mission", "plannedHomePosition"), [1, 2], r"^p: mission: plannedHomePosition: \[1, 2\] .* a list of 3$"),
+        (("mission", "plannedHomePosition"), [1], r"^p: mission: plannedHomePosition: \[1\] .* a list of 3$"),
         (("mission", "items"), {}, r"^p: mission: items: {} is not allowed, a list$"),
         ((*ITEM, "type"), "Item", r'^p: mission: items: item 1: type: "Item" is not allowed, "SimpleItem" or "Complex'),
         ((*ITEM, "frame"), 10, r"items: item 1: frame: 10 is not allowed, 0 or 2 or 3 or 5 or 6$"),
@@ -130,11 +132,16 @@ ITEM = ("mission", "items", 0)
         ((*ITEM, "params", 0), "a", r'item 1: params: param 1: "a" is not allowed, a number'),
         ((*ITEM, "autoContinue"), 1, r"item 1: autoContinue: 1 is not allowed, true or false$"),
         ((*ITEM, "doJumpId"), 1.5, r"item 1: doJumpId: 1.5 is not allowed, a whole number"),
-        (("mission", "items", 2, "complexItemType"), "StructureScan", r'"StructureScan" is not allowed, "survey" or'),
+        (
+            ("mission", "items", 2, "complexItemType"),
+            "vtolLandingPattern",
+            r'"vtolLanding.* is not allowed, "survey" or',
+        ),
+        (("mission", "items", 2, "complexItemType"), "StructureScan", r"item 3: polygon is missing$"),
         (("mission", "items", 2, "TransectStyleComplexItem", "Items", 1, "command"), 9, r"item 3: .*: item 2: command"),
-        (("mission", "items", 4, "params", 0), 40, r"items: item 5: DO_JUMP to 40 is not allowed, .* \(1 to 8\)$"),
+        (("mission", "items", 4, "params", 0), 2.5, r"items: item 5: DO_JUMP to 2.5 is not allowed, .* \(1 to 8\)$"),
         (("mission", "items", 4, "params", 0), None, r"items: item 5: DO_JUMP to nan is not allowed"),
-        (("geoFence", "version"), 1, r"geoFence: version: 1 is not allowed, 2$"),
+        (("geoFence", "version"), 3, r"geoFence: version: 3 is not allowed, 1 or 2$"),
         (("geoFence", "polygons", 0, "polygon"), [[1, 2]], r"polygon 1: polygon: .* at least 3 corners$"),
         (("geoFence", "circles", 0, "circle", "radius"), -1, r"circle 1: circle: radius: -1 is not allowed, a number"),
         (("rallyPoints", "points"), [[91, 0, 0]], r"rallyPoints: points: point 1: number 1: 91 is not allowed"),
@@ -157,6 +164,107 @@ def test_a_missing_or_binary_file_is_reported(tmp_path):
     (tmp_path / "b.plan").write_bytes(b"\xff\xfe")
     with pytest.raises(PlanError, match=r"b\.plan: cannot be read: "):
         qgc_plan.read(tmp_path / "b.plan")
+
+
+# ---- what QGroundControl and Mission Planner write
+
+
+def test_an_unknown_home_is_read():
+    for home in (None, [], [None, None, None], [0, 0, None]):
+        assert qgc_plan.parse(drawn("mission", "plannedHomePosition", value=home)).home == (0.0, 0.0, 0.0)
+    assert qgc_plan.parse(drawn("mission", "plannedHomePosition", value=[47.1, 8.1, None])).home == (47.1, 8.1, 0.0)
+    assert qgc_plan.parse(drawn("mission", "plannedHomePosition", value=[47.1, 8.1])).home == (47.1, 8.1, 0.0)
+
+
+def test_unset_speeds_and_altitudes_are_read():
+    assert qgc_plan.parse(drawn("mission", "cruiseSpeed", value=None)).cruise_speed == 15.0
+    assert qgc_plan.parse(drawn("rallyPoints", "points", value=[[47.1, 8.1, None]])).rally[0].z == 0.0
+    assert qgc_plan.parse(drawn("geoFence", "breachReturn", value=[47.1, 8.1, None])).fence[-1].z == 0.0
+    assert qgc_plan.parse(drawn("mission", "items", 0, "command", value=22.0)).mission[0].command == plan.TAKEOFF
+
+
+def test_fences_of_version_1_are_read():
+    """QGroundControl 3.2's: a single inclusive polygon, and parameters."""
+    corners = [[47.0, 8.0], [47.1, 8.0], [47.1, 8.1]]
+    fence = {"parameters": [{"compId": 1, "name": "GF_ACTION", "value": 1}], "polygon": corners, "version": 1}
+    found = qgc_plan.parse(drawn("geoFence", value=fence)).fence
+    assert [(item.command, item.params[0], item.x, item.y) for item in found] == [(5001, 3.0, *c) for c in corners]
+    assert qgc_plan.parse(drawn("geoFence", value={"polygon": [], "version": 1})).fence == ()
+
+
+def test_items_of_version_1_are_read():
+    old = {"autoContinue": True, "command": 16, "coordinate": [47.0, 8.0, 30], "doJumpId": 1, "frame": 3, "param1": 2,
+           "param2": 0, "param3": 0, "param4": None, "type": "SimpleItem"}  # fmt: skip
+    found = qgc_plan.parse(drawn(*ITEM, value=old)).mission[0]
+    assert same(found, PlanItem(16, 3, (2.0, 0.0, 0.0, NAN), 47.0, 8.0, 30.0))
+
+
+STRUCTURE = {
+    "CameraCalc": {"AdjustedFootprintFrontal": 4, "AdjustedFootprintSide": 5, "DistanceToSurface": 10, "version": 2},
+    "EntranceAltitude": 25,
+    "GimbalPitch": -10,
+    "Layers": 2,
+    "ScanBottomAlt": 6,
+    "StartFromTop": False,
+    "StructureHeight": 20,
+    "complexItemType": "StructureScan",
+    "polygon": [],
+    "type": "ComplexItem",
+    "version": 3,
+}
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_structure_scan_is_expanded_as_in_qgroundcontrol(order):
+    """StructureScanComplexItem::appendMissionItems: a ring of waypoints outside the outline in each layer."""
+    corners = [projection.reproject(north, east, 47.0, 8.0) for north, east in ((0, 0), (0, 40), (30, 40), (30, 0))]
+    scan = STRUCTURE | {"polygon": [list(corner) for corner in corners[::order]]}
+    found = qgc_plan.parse(drawn("mission", "items", value=[scan])).mission
+    layer = [16, 206, 16, 16, 16, 16, 206]
+    assert [item.command for item in found] == [16, 196, *layer, *layer, 197, 16]
+    assert [item.z for item in found if item.command == 16] == [25.0, *[8.0] * 5, *[12.0] * 5, 25.0]
+    assert (found[1].x, found[1].z) == (-10.0, 90.0)
+    assert [item.params[0] for item in found if item.command == 206] == [5.0, 0.0, 5.0, 0.0]
+    ring = [projection.project(item.x, item.y, 47.0, 8.0) for item in found[2:8] if item.command == 16]
+    assert {(round(north), round(east)) for north, east in ring} == {(-10, -10), (-10, 50), (40, 50), (40, -10)}
+    assert ring[0] == pytest.approx(ring[4])
+    east_of_north = sum(a[0] * b[1] - b[0] * a[1] for a, b in itertools.pairwise(ring))
+    assert east_of_north > 0.0  # clockwise: the camera looks to the right
+
+
+MISSION_PLANNER = """QGC WPL 110
+0\t1\t0\t16\t0\t0\t0\t0\t-35.3632621\t149.1652374\t584.080000\t1
+1\t0\t3\t22\t0.00000000\t0.00000000\t0.00000000\t0.00000000\t-35.36318\t149.16524\t20.000000\t1
+2\t0\t3\t178\t1.00000000\t4.00000000\t0.00000000\t0.00000000\t0.00000000\t0.00000000\t0.000000\t1
+3\t0\t0\t16\t2.00000000\t0.00000000\t0.00000000\t0.00000000\t-35.36218\t149.16524\t610.000000\t1
+4\t0\t3\t177\t3.00000000\t2.00000000\t0.00000000\t0.00000000\t0.00000000\t0.00000000\t0.000000\t1
+"""
+
+
+def test_a_mission_of_mission_planner_is_read():
+    found = qgc_plan.parse(MISSION_PLANNER)
+    assert found.home == (-35.3632621, 149.1652374, 584.08)
+    assert [(item.command, item.frame) for item in found.mission] == [(22, 3), (178, 2), (16, 0), (177, 2)]
+    assert found.mission[3].params[:2] == (2.0, 2.0)  # the index without home's item
+
+
+def test_a_mission_of_mavros_has_no_home_item():
+    found = qgc_plan.parse("QGC WPL 120\r\n0\t1\t3\t22\t0.0\t0.0\t0.0\tnan\t47.0\t8.0\t10.0\t1\r\n")
+    assert (found.home, len(found.mission)) == ((0.0, 0.0, 0.0), 1)
+    assert math.isnan(found.mission[0].params[3])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("QGC WPL 130\n", "p, line 1: 'QGC WPL 130' is not allowed, QGC WPL 110 or QGC WPL 120"),
+        ("QGC WPL 120\n0\t0\t3\t183\t0\t0\t0\t0\t1\t1\t1\t1\n", "p: item 1: command 183 in frame 3 is not allowed"),
+        ("QGC WPL 120\n0\t0\t10\t16\t0\t0\t0\t0\t1\t1\t1\t1\n", "p: item 1: command 16 in frame 10 is not allowed"),
+    ],
+)
+def test_invalid_mission_files_are_reported(text, message):
+    with pytest.raises(PlanError, match=message):
+        qgc_plan.parse(text, "p")
 
 
 # ---- round trip
@@ -230,7 +338,6 @@ def test_a_file_holds_it_and_looks_like_qgroundcontrols(tmp_path):
     [
         (Plan((PlanItem(16, 3, (math.inf, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0),)), "item 1: inf is not allowed"),
         (Plan((PlanItem(16, 1, (0.0,) * 4, 0.0, 0.0, 0.0),)), "item 1: frame 1 is not allowed"),
-        (Plan((PlanItem(177, 2, (1.0, 1.0, 0.0, 0.0), 0.0, 0.0, 0.0),)), "item 1: DO_JUMP to 1.0 .* 0 to 0$"),
         (Plan((), home=(NAN, 0.0, 0.0)), "not finite is not allowed"),
         (Plan((), fence=(PlanItem(5001, 0, (3.0, 0, 0, 0), 1.0, 1.0, 0.0),) * 2), "fence item 1: a polygon of 3"),
         (Plan((), fence=(PlanItem(16, 0, (3.0, 0, 0, 0), 1.0, 1.0, 0.0),)), "fence item 1: command 16"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 
 import pytest
@@ -111,6 +112,33 @@ def test_push_and_pull(layer):
     assert [w.is_current for w in shown.waypoints] == [True, False, False]
     assert shown.waypoints[1].x_lat == pytest.approx(MISSION[1].x_lat, abs=1e-7)
     assert shown.waypoints[1].param1 == 1.0
+
+
+def test_what_is_pulled_and_pushed_again_is_the_same_in_the_vehicle(layer):
+    nan = math.nan
+    jump = Waypoint(frame=2, command=177, autocontinue=True, param1=0.0, param2=-1.0)
+    items = [
+        waypoint(0, 22, param1=15.0, param4=nan),
+        waypoint(10, 16, 0, param1=2.5, param2=3.0, param4=-90.0),
+        waypoint(20, 31, param1=1.0, param2=-40.0),
+        Waypoint(frame=2, command=93, autocontinue=True, param1=10.0),
+        jump,
+        waypoint(30, 21, param2=1.9, param4=nan),
+    ]
+    assert layer.call("mission/push", WaypointPushRequest(waypoints=items)).success
+    navigator = layer.flight.commander.navigator
+    flown = navigator.plans.mission
+    assert [flown[4].params[1], flown[5].params[1]] == [65535.0, 1.0]
+    pulled = layer.uas.plans.pull(0)
+    assert layer.call("mission/push", WaypointPushRequest(waypoints=pulled)).success
+    again = navigator.plans.mission
+    assert [item.params[0] for item in again] == [0.0, 2.5, 1.0, 10.0, 0.0, 0.0]  # a takeoff's pitch is not stored
+    for before, after in zip(flown, again, strict=True):
+        assert (before.command, before.relative, before.z) == (after.command, after.relative, after.z)
+        assert (before.x, before.y) == pytest.approx((after.x, after.y), abs=1e-9)
+        assert before.time_inside == after.time_inside
+        assert math.cos(before.yaw) == pytest.approx(math.cos(after.yaw), abs=1e-6, nan_ok=True)
+    assert repr(layer.uas.plans.pull(0)) == repr(pulled)
 
 
 def test_a_rejected_item_reports_the_progress(layer):

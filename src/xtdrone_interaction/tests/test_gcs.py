@@ -250,6 +250,27 @@ def test_check_reports_px4s_result(tmp_path, capsys):
     assert "Mission rejected: takeoff not first waypoint item" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("content", [Plan((), fence=survey(0).fence), Plan((), rally=survey(0).rally), Plan(())])
+def test_check_accepts_a_plan_without_a_mission_as_upload_does(content, tmp_path, capsys):
+    qgc_plan.write(tmp_path / "part.plan", content)
+    assert main(["check", str(tmp_path)]) == 0
+    assert "part.plan: 0 items" in capsys.readouterr().out
+
+
+def test_check_reports_the_other_files_beside_an_invalid_one(tmp_path, capsys):
+    qgc_plan.write(tmp_path / "c.plan", survey(0))
+    qgc_plan.write(tmp_path / "b.plan", Plan((waypoint(0), waypoint(1, command_=plan.TAKEOFF)), home=(*HOME, 0.0)))
+    (tmp_path / "a.plan").write_text("{")
+    (tmp_path / "d.waypoints").write_text("QGC WPL 120\n0\t0\t2\t177\t8\t1\t0\t0\t0\t0\t0\t1\n")
+    assert main(["check", str(tmp_path)]) == 2
+    said = capsys.readouterr()
+    assert "c.plan: 9 items" in said.out
+    assert "b.plan: 2 items" in said.out
+    assert "takeoff not first waypoint item" in said.err
+    assert "a.plan: is not JSON" in said.err
+    assert "d.waypoints: Warning: item 1 jumps to item 9 of 1, where PX4 ends the mission" in said.err
+
+
 @pytest.fixture
 def terminal(monkeypatch):
     """Return the output on a terminal of 30 columns and 4 rows."""

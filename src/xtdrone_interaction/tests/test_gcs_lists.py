@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from test_gcs import survey
 
 from xtdrone_control.autopilot.navigator import plan
+from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.plans.qgc_plan import Plan
 from xtdrone_interaction.gcs.command_line.gcs_cli import main
@@ -41,6 +42,23 @@ def test_one_list_is_uploaded_and_downloaded_and_the_others_remain(field, tmp_pa
     assert qgc_plan.text_of(Plan(found.mission)) == qgc_plan.text_of(Plan(survey(3).mission))
     assert main(["fence", "clear", *vehicle]) == 0
     assert field.lists(0) == [0, 0, 1]
+
+
+def test_what_a_vehicle_stores_otherwise_is_said(field, tmp_path, capsys):
+    vehicle = ["--vehicle", str(FIRST)]
+    path, back = tmp_path / "mine.plan", tmp_path / "back"
+    items = [
+        PlanItem(plan.TAKEOFF, 3, (15.0, 0.0, 0.0, -90.0), 47.0, 8.0, 10.0),
+        PlanItem(plan.JUMP, 2, (0.0, -1.0, 0.0, 0.0), 0.0, 0.0, 0.0),
+        PlanItem(plan.JUMP, 2, (700.0, 1.0, 0.0, 0.0), 0.0, 0.0, 0.0),
+    ]
+    qgc_plan.write(path, Plan(tuple(items)))
+    assert main(["upload", str(path), *vehicle]) == 0
+    said = "stored in the vehicle's own form: param1 15 of item 1 as 0, param2 -1 of item 2 as 65535"
+    assert f"3 items: sent, and {said}\n" in capsys.readouterr().out
+    assert main(["download", "--to", str(back), *vehicle]) == 0
+    assert main(["upload", str(back / f"vehicle_{FIRST}.plan"), *vehicle]) == 0
+    assert "3 items: sent, and come back the same\n" in capsys.readouterr().out
 
 
 def test_a_plan_without_a_fence_does_not_empty_the_vehicles(field, tmp_path, capsys):

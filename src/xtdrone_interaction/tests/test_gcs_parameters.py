@@ -112,8 +112,7 @@ def test_rejected_values_are_reported():
     [
         (ParameterFile(7, {"RTL_ALT": (1, INT32)}, "PX4 Pro"), "the file is of PX4 Pro, this is ArduPilot"),
         (ParameterFile(3, {"RTL_ALT": (1, INT32)}), "the file is of vehicle 3, this is system 7"),
-        (ParameterFile(7, {"RTL_ALT": (1, INT32), "MPC_Z": (1.0, 9)}), "the vehicle has no MPC_Z"),
-        (ParameterFile(7, {"RTL_ALT": (1.0, 9)}), "RTL_ALT is of type 9 in the file, of type 6 in the vehicle"),
+        (ParameterFile(7, {"MPC_Z": (1.0, 9)}), "the vehicle has none of the file's parameters, for example MPC_Z"),
     ],
 )
 def test_a_file_of_another_vehicle_sets_nothing(content, message):
@@ -126,9 +125,25 @@ def test_a_file_of_another_vehicle_sets_nothing(content, message):
 def test_another_vehicles_file_does_not_make_it_that_vehicle():
     vehicle = ardupilot()
     content = ParameterFile(3, {"SYSID_THISMAV": (3, 4), "RTL_ALT": (1, INT32)})
-    changed = talk(parameters.load(beat(ARDUPILOT), content, True), vehicle)
-    assert changed == {"RTL_ALT": ((1500, INT32), (1, INT32))}
+    loaded = talk(parameters.load(beat(ARDUPILOT), content, True), vehicle)
+    assert loaded == parameters.Loaded({"RTL_ALT": ((1500, INT32), (1, INT32))})
     assert vehicle.values["SYSID_THISMAV"] == (7, 4)
+
+
+def test_parameters_that_a_vehicle_does_not_have_are_listed_and_the_others_set():
+    vehicle = ardupilot()
+    values = {"RTL_ALT": (1, INT32), "MPC_XY_VEL_P": (1.0, 9), "NO_SUCH": (1.0, 9), "WPNAV_SPEED": (3, INT32)}
+    loaded = talk(
+        parameters.load(beat(ARDUPILOT), ParameterFile(7, values, skipped=("a.params, line 2: x",)), False), vehicle
+    )
+    assert loaded.changed == {"RTL_ALT": ((1500, INT32), (1, INT32))}
+    assert vehicle.values["RTL_ALT"] == (1, INT32)
+    assert loaded.skipped == (
+        "a.params, line 2: x",
+        "MPC_XY_VEL_P does not exist: PX4 v1.14 has MPC_XY_VEL_P_ACC in its place",
+        "NO_SUCH does not exist",
+        "WPNAV_SPEED is of type 6 in the file, of type 9 in the vehicle",
+    )
 
 
 # ---- real MAVLink servers
@@ -181,6 +196,31 @@ def test_parameters_are_saved_compared_and_loaded(field, tmp_path, capsys):
     assert "a folder is needed for 2 vehicles" in capsys.readouterr().err
     assert main(["params", "save", str(tmp_path), *vehicles(field, 2)]) == 0
     assert main(["params", "load", str(tmp_path), *vehicles(field, 2)]) == 0
+
+
+def test_what_a_vehicle_does_not_have_is_listed_and_the_rest_is_set(field, tmp_path, capsys):
+    one = vehicles(field, 1)
+    rows = ("MPC_XY_VEL_P\t0.09\t9", "MPC_TILTMAX_AIR\t41.5\t9", "NO_SUCH\t1\t6", "MPC_XY_P\tnan\t9")
+    (tmp_path / "mine.params").write_text("".join(f"{FIRST + 1}\t1\t{row}\n" for row in rows))
+    assert main(["params", "load", str(tmp_path / "mine.params"), *one]) == 0
+    said = capsys.readouterr()
+    assert "1 parameters set, 3 rows of the file skipped, the rest is the same" in said.out
+    assert "skipped: MPC_XY_VEL_P does not exist: PX4 v1.14 has MPC_XY_VEL_P_ACC in its place" in said.err
+    assert "skipped: NO_SUCH does not exist\n" in said.err
+    assert "mine.params, line 4: MPC_XY_P: 'nan' of type '9' is not allowed" in said.err
+    assert field.commanders[0].parameters.get("MPC_TILTMAX_AIR") == 41.5
+
+
+def test_one_bad_file_does_not_keep_the_other_vehicles_from_being_set(field, tmp_path, capsys):
+    first, second = f"vehicle_{FIRST}", f"vehicle_{FIRST + 1}"
+    (tmp_path / f"{first}.params").write_text("nothing")
+    (tmp_path / f"{second}.params").write_text(f"{FIRST + 2}\t1\tMPC_TILTMAX_AIR\t42.5\t9\n")
+    for verb, status in (("diff", 1), ("load", 1)):
+        assert main(["params", verb, str(tmp_path), *vehicles(field, 2)]) == status
+        said = capsys.readouterr()
+        assert "MPC_TILTMAX_AIR" in said.out
+        assert f"{first}.params: the file has no parameters" in said.err
+    assert field.commanders[1].parameters.get("MPC_TILTMAX_AIR") == 42.5
 
 
 def test_over_a_line_that_loses_a_third(field):

@@ -119,3 +119,62 @@ def test_a_plan_outlives_a_reboot(flown):
     assert navigator.plans.mission == before
     simulation.run_until(3_000_000)
     assert navigator.mission_denial() == ""
+
+
+# behind a waypoint 40 m north and before one 40 m east of it; the largest speed, m/s, from 4 s after it is reached
+TAKES_TIME = {
+    "delay": (PlanItem(plan.DELAY, 2, (8.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0), 0.1),
+    "gripper": (PlanItem(plan.GRIPPER, 2, (1.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0), 0.1),
+    "hold at the waypoint": (8.0, 0.1),
+    "nothing": (0.0, math.inf),
+}
+
+
+def _corner(view, item):
+    """Return a mission with a corner: ``item`` behind its waypoint, or the seconds to hold there."""
+    x, y, _ = view.position
+    hold, between = (item, []) if isinstance(item, float) else (0.0, [item])
+
+    def at(command, north, east, seconds=0.0):
+        latitude, longitude, _ = view.to_global((x + north, y + east, 0.0))
+        return PlanItem(command, 6, (seconds, 0.0, 0.0, math.nan), latitude, longitude, 10.0)
+
+    corner = at(plan.WAYPOINT, 40, 0, hold)
+    return [at(plan.TAKEOFF, 0, 0), corner, *between, at(plan.WAYPOINT, 40, 40)]
+
+
+def test_the_vehicle_stands_while_an_item_takes_time():
+    """PX4 Mission::set_mission_items, brake_for_hold; without such an item it flies through the corner."""
+    simulation = Simulation(parse_fleet(f"iris:{len(TAKES_TIME)}"), seed=5)
+    try:
+        simulation.run_until(3_000_000)
+        for commander, (item, _) in zip(simulation.commanders, TAKES_TIME.values(), strict=True):
+            commander.navigator.set_plan(plan.MISSION, _corner(commander.view, item), 0)
+            commander.parameters.set("MIS_PD_TO", 8.0)
+            assert commander.request(modes.AUTO_MISSION) == 0
+            assert commander.arm_disarm(True) == 0
+        fastest = dict.fromkeys(TAKES_TIME, 0.0)
+        farthest = dict.fromkeys(TAKES_TIME, 0.0)
+        slowest = dict.fromkeys(TAKES_TIME, math.inf)
+        since: dict[str, int] = {}
+        while simulation.time_us < 38_000_000:
+            simulation.step()
+            for name, commander in zip(TAKES_TIME, simulation.commanders, strict=True):
+                goal, view = commander.view.setpoint["goal_position"], commander.view
+                away = math.hypot(view.position[0] - goal[0], view.position[1] - goal[1])
+                speed = math.hypot(*view.velocity[:2])
+                current, last = commander.navigator.plans.current, len(commander.navigator.plans.mission) - 1
+                if name not in since and current >= 1 and away < 2.0:
+                    since[name] = simulation.time_us
+                if name in since and current < last and simulation.time_us > since[name] + 4_000_000:
+                    fastest[name], farthest[name] = max(fastest[name], speed), max(farthest[name], away)
+                if name in since and simulation.time_us < since[name] + 3_000_000:
+                    slowest[name] = min(slowest[name], speed)
+        for name, (_, limit) in TAKES_TIME.items():
+            if math.isinf(limit):
+                assert slowest[name] > 0.5, name
+            else:
+                assert 0.0 < fastest[name] < limit, name
+                assert farthest[name] < 0.3, name
+    finally:
+        simulation.close()

@@ -67,7 +67,7 @@ def check(path: str | Path, most: int) -> None:
 
 
 def read_text(path: str | Path, most: int = MOST_TEXT) -> str:
-    r"""Return the content of a regular file in UTF-8, with ``\n`` line endings.
+    r"""Return the content of a regular file in UTF-8, without a byte order mark, with ``\n`` line endings.
 
     Args:
         path: the file; links are followed.
@@ -78,7 +78,7 @@ def read_text(path: str | Path, most: int = MOST_TEXT) -> str:
         ContentError: the file is not UTF-8.
     """
     try:
-        text = read_bytes(path, most).decode("utf-8")
+        text = read_bytes(path, most).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ContentError(f"byte {error.start} does not begin a UTF-8 character") from None
     return text.replace("\r\n", "\n").replace("\r", "\n")

@@ -2,7 +2,11 @@
 
 Format: https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html. Items are read from frame and
 parameters; the ``Altitude`` keys, used for display only, are ignored. Patterns are expanded to the items that they
-contain; the target of DO_JUMP, a ``doJumpId`` in the file, becomes the index of an item.
+contain or, of a structure scan, describe; the target of DO_JUMP, a ``doJumpId`` in the file, becomes the index of an
+item.
+
+What QGroundControl writes and reads itself is read: a home position or altitude that is null because it is unknown,
+fences of version 1, items of version 1 with a ``coordinate``, and missions in the text format ``QGC WPL``.
 """
 
 from __future__ import annotations
@@ -19,9 +23,13 @@ from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import FRAME_MISSION, Items, PlanItem
 from xtdrone_control.bounded_file import MB, ContentError, load_json, read_text
 from xtdrone_control.mavlink.microservices import mission_items
+from xtdrone_control.plans import waypoint_file
+from xtdrone_control.plans.structure_scan import StructureScan
 from xtdrone_control.whole_file import write_whole
 
 SUFFIX = ".plan"
+SUFFIXES = (SUFFIX, ".waypoints")
+"""Of the files that ``read`` reads; the second is Mission Planner's."""
 LARGEST = 16 * MB  # several thousand items take a few MB
 FRAME_GLOBAL, FRAME_RELATIVE = 0, 3  # MAV_FRAME: altitude above sea level, above home
 
@@ -30,7 +38,9 @@ _ALTITUDE_MODES = {FRAME_RELATIVE: 1, FRAME_GLOBAL: 2}  # QGroundControl's: rela
 _GENERIC, _ARDUPILOT, _PX4 = 0, 3, 12  # MAV_AUTOPILOT
 _FOREIGN = {_GENERIC: "no autopilot in particular", _ARDUPILOT: "ArduPilot"}
 _MULTICOPTER = 2  # MAV_TYPE
-_PATTERNS = ("survey", "CorridorScan")  # patterns whose items are in the file
+_STRUCTURE = "StructureScan"
+_PATTERNS = ("survey", "CorridorScan", _STRUCTURE)  # the items of the first two are in the file
+_MOST_LAYERS = 1000
 _TRANSECTS = "TransectStyleComplexItem"
 _LARGEST_COMMAND = 0xFFFF
 _LARGEST_NUMBER = 3.4e38  # limit of MAVLink's floats
@@ -95,11 +105,13 @@ def read(path: str | Path) -> Plan:
 
 
 def parse(text: str, name: str = "plan") -> Plan:
-    """Return the plan in the text of a .plan file; ``name`` is its name in error messages.
+    """Return the plan in the text of a .plan file, or of a mission file; ``name`` is its name in error messages.
 
     Raises:
         PlanError: the text is not a plan, or has an invalid value.
     """
+    if text.lstrip().startswith("QGC WPL"):
+        return _parse_rows(text, name)
     try:
         content = load_json(text, _no_constant)
     except ValueError as error:
@@ -114,11 +126,45 @@ def parse(text: str, name: str = "plan") -> Plan:
         _read_mission(mission),
         _read_fence(file.get("geoFence", {})),
         _read_rally(file.get("rallyPoints", {})),
-        _read_position(mission.get("plannedHomePosition"), 3),
-        mission.get("cruiseSpeed", 15.0).number(0.0, 1000.0),
-        mission.get("hoverSpeed", 5.0).number(0.0, 1000.0),
+        _read_home(mission.get("plannedHomePosition", [])),
+        mission.get("cruiseSpeed", 15.0).number_or(15.0, 0.0, 1000.0),
+        mission.get("hoverSpeed", 5.0).number_or(5.0, 0.0, 1000.0),
         firmware,
     )
+
+
+def _parse_rows(text: str, name: str) -> Plan:
+    """Return the mission of a file in the text format, see ``waypoint_file``.
+
+    In version 110 the first item is the home position and index 0 of jumps, as in ArduPilot and QGroundControl. Mission
+    Planner gives items without a position a global frame, which PX4 does not accept: they get the mission frame.
+    """
+    try:
+        rows = waypoint_file.read(text, name)
+    except ValueError as error:
+        raise PlanError(str(error)) from error
+    items = [row.item for row in rows]
+    home = (0.0, 0.0, 0.0)
+    if items and waypoint_file.version(text) == waypoint_file.WITH_HOME:
+        first = items.pop(0)
+        home = (first.x, first.y, first.z)
+        items = [_moved_jump(item, -1.0) for item in items]
+    return Plan(tuple(_accepted(item, f"{name}: item {i}") for i, item in enumerate(items, 1)), home=home)
+
+
+def _moved_jump(item: PlanItem, offset: float) -> PlanItem:
+    """Return an item; the target of a jump is moved by ``offset`` items."""
+    return replace(item, params=(item.params[0] + offset, *item.params[1:])) if item.command == plan.JUMP else item
+
+
+def _accepted(item: PlanItem, where: str) -> PlanItem:
+    """Return an item in a frame in which PX4 accepts its command."""
+    frame = _MAVLINK_FRAMES.get(item.frame)
+    if frame is not None and mission_items.accepts(item.command, frame != FRAME_MISSION):
+        return replace(item, frame=frame)
+    if frame is not None and mission_items.accepts(item.command, False):
+        return replace(item, frame=FRAME_MISSION)
+    raise PlanError(f"{where}: command {item.command} in frame {item.frame} is not allowed, one that PX4 accepts there")
 
 
 def _no_constant(constant: str) -> float:
@@ -169,9 +215,10 @@ class _Value:
 
     def whole(self, low: int, high: int) -> int:
         """Return this value, which must be an integer in ``low``..``high``."""
-        if isinstance(self.value, bool) or not isinstance(self.value, int) or not low <= self.value <= high:
+        number = isinstance(self.value, (int, float)) and not isinstance(self.value, bool)
+        if not number or not low <= self.value <= high or self.value != int(self.value):
             raise self.not_allowed(f"a whole number from {low} to {high}")
-        return self.value
+        return int(self.value)
 
     def flag(self) -> bool:
         """Return this value, which must be true or false."""
@@ -185,6 +232,10 @@ class _Value:
         if not number or not low <= self.value <= high:
             raise self.not_allowed(f"a number from {low:g} to {high:g}")
         return float(self.value)
+
+    def number_or(self, default: float, low: float, high: float) -> float:
+        """Return this value, a number in ``low``..``high``, or ``default`` for null."""
+        return default if self.value is None else self.number(low, high)
 
     def parameter(self) -> float:
         """Return this value as a parameter: a number, or NaN for null."""
@@ -204,9 +255,33 @@ def _read_item(entry: _Value) -> list[tuple[_Value, int | None, PlanItem]]:
     """Return the items of an entry, each with its value in the file and its doJumpId."""
     if entry.get("type").one_of(("SimpleItem", "ComplexItem")) == "SimpleItem":
         return [_read_simple(entry)]
-    entry.get("complexItemType").one_of(_PATTERNS)
+    if entry.get("complexItemType").one_of(_PATTERNS) == _STRUCTURE:
+        return [(entry, None, item) for item in _read_structure(entry).items()]
     items = entry.get(_TRANSECTS).get("Items")
     return [_read_simple(item) for item in items.list("item")]
+
+
+def _read_structure(entry: _Value) -> StructureScan:
+    corners = entry.get("polygon").list("corner")
+    if len(corners) < _LEAST_CORNERS:
+        raise entry.get("polygon").not_allowed(f"at least {_LEAST_CORNERS} corners")
+    camera = entry.get("CameraCalc")
+
+    def height(name: str) -> float:
+        return entry.get(name).number(-_FAR_ALTITUDE, _FAR_ALTITUDE)
+
+    return StructureScan(
+        outline=tuple(_read_position(corner, 2)[:2] for corner in corners),
+        distance=camera.get("DistanceToSurface").number(0.0, _FAR_ALTITUDE),
+        entrance=height("EntranceAltitude"),
+        bottom=height("ScanBottomAlt"),
+        top=height("StructureHeight"),
+        layers=entry.get("Layers").whole(0, _MOST_LAYERS),
+        layer_height=camera.get("AdjustedFootprintFrontal").number(0.0, _FAR_ALTITUDE),
+        trigger_distance=camera.get("AdjustedFootprintSide").number(0.0, _FAR_ALTITUDE),
+        pitch=entry.get("GimbalPitch").number(-180.0, 180.0),
+        from_top=entry.get("StartFromTop").flag(),
+    )
 
 
 def _read_simple(entry: _Value) -> tuple[_Value, int | None, PlanItem]:
@@ -217,7 +292,7 @@ def _read_simple(entry: _Value) -> tuple[_Value, int | None, PlanItem]:
     if not mission_items.accepts(command, positioned):
         kind = "with" if positioned else "without"
         raise entry.get("command").not_allowed(f"a MAV_CMD that PX4 accepts {kind} a position (frame {frame})")
-    values = entry.get("params").list("param", 7)
+    values = _param_values(entry)
     params = [value.parameter() for value in values]
     x, y, z = _params_position(values) if positioned else [0.0 if math.isnan(value) else value for value in params[4:]]
     jump_id = entry.get("doJumpId").whole(0, 1 << 30) if "doJumpId" in entry.value else None
@@ -233,6 +308,13 @@ def _read_simple(entry: _Value) -> tuple[_Value, int | None, PlanItem]:
     return entry, jump_id, item
 
 
+def _param_values(entry: _Value) -> list[_Value]:
+    """Return the seven parameters of an item; in version 1 the last three are its coordinate."""
+    if "coordinate" not in entry.value or "params" in entry.value:
+        return entry.get("params").list("param", 7)
+    return [*(entry.get(f"param{i}") for i in range(1, 5)), *entry.get("coordinate").list("number", 3)]
+
+
 def _params_position(params: list[_Value]) -> Position:
     return (
         params[4].number(-90.0, 90.0),
@@ -242,11 +324,17 @@ def _params_position(params: list[_Value]) -> Position:
 
 
 def _with_index(where: _Value, item: PlanItem, index_of: dict[int, int]) -> PlanItem:
-    """Return ``item``, a DO_JUMP with the index of its target instead of the doJumpId."""
+    """Return ``item``, a DO_JUMP with the index of its target instead of the doJumpId.
+
+    A target out of the mission, which PX4 accepts, is possible where the ids are the numbers of the items.
+    """
     if item.command != plan.JUMP:
         return item
     target = item.params[0]
-    index = index_of.get(int(target)) if target == target // 1 else None
+    whole = abs(target) < 1 << 31 and target == target // 1
+    index = index_of.get(int(target)) if whole else None
+    if index is None and whole and all(i == at + 1 for i, at in index_of.items()):
+        index = int(target) - 1
     if index is None:
         ids = f"{min(index_of)} to {max(index_of)}" if index_of else "none there"
         raise PlanError(f"{where.where}: DO_JUMP to {target:g} is not allowed, the doJumpId of an item ({ids})")
@@ -254,10 +342,17 @@ def _with_index(where: _Value, item: PlanItem, index_of: dict[int, int]) -> Plan
 
 
 def _read_position(value: _Value, length: int) -> Position:
-    """Return [latitude, longitude] or [latitude, longitude, altitude]; the default altitude is 0."""
+    """Return [latitude, longitude] or [latitude, longitude, altitude]; a missing or null altitude is 0."""
     numbers = value.list("number", length)
-    altitude = numbers[2].number(-_FAR_ALTITUDE, _FAR_ALTITUDE) if length == 3 else 0.0
+    altitude = numbers[2].number_or(0.0, -_FAR_ALTITUDE, _FAR_ALTITUDE) if length == 3 else 0.0
     return numbers[0].number(-90.0, 90.0), numbers[1].number(-180.0, 180.0), altitude
+
+
+def _read_home(value: _Value) -> Position:
+    """Return the planned home position, zeros for one that is missing or null."""
+    if value.value is None or (isinstance(value.value, list) and not any(value.value)):
+        return 0.0, 0.0, 0.0
+    return _read_position(value, 2 if isinstance(value.value, list) and len(value.value) == 2 else 3)
 
 
 def _item(command: int, frame: int, param1: float, position: Position) -> PlanItem:
@@ -267,9 +362,12 @@ def _item(command: int, frame: int, param1: float, position: Position) -> PlanIt
 def _read_fence(fence: _Value) -> Items:
     if not fence.value:
         return ()
-    fence.get("version").one_of((2,))
     items: list[PlanItem] = []
-    for polygon in fence.get("polygons", []).list("polygon"):
+    if fence.get("version", 1).one_of((1, 2)) == 1 and fence.get("polygon", []).value:  # version 1: one, inclusive
+        polygons = [_Value(fence.where, {"inclusion": True, "polygon": fence.get("polygon").value})]
+    else:
+        polygons = fence.get("polygons", []).list("polygon")
+    for polygon in polygons:
         command = plan.FENCE_INCLUSION if polygon.get("inclusion").flag() else plan.FENCE_EXCLUSION
         corners = polygon.get("polygon").list("corner")
         if len(corners) < _LEAST_CORNERS:
@@ -288,8 +386,8 @@ def _read_fence(fence: _Value) -> Items:
 def _read_rally(rally: _Value) -> Items:
     if not rally.value:
         return ()
-    rally.get("version").one_of((1, 2))
-    points = rally.get("points").list("point")
+    rally.get("version", 1).one_of((1, 2))
+    points = rally.get("points", []).list("point")
     return tuple(_item(plan.RALLY_POINT, FRAME_RELATIVE, 0.0, _read_position(point, 3)) for point in points)
 
 
@@ -310,23 +408,23 @@ def text_of(content: Plan) -> str:
     """Return the text of a .plan file, in the form that QGroundControl writes.
 
     Raises:
-        PlanError: the plan cannot be represented: a non-finite number, a jump out of the mission, or corners that do
-            not form a polygon.
+        PlanError: the plan cannot be represented: a non-finite number, corners that do not form a polygon, or an
+            altitude above sea level of a rally point without a home position.
     """
     document = {
         "fileType": "Plan",
-        "geoFence": _fence_object(content.fence),
+        "geoFence": _fence_object(content.fence, content.home),
         "groundStation": "QGroundControl",
         "mission": {
             "cruiseSpeed": content.cruise_speed,
             "firmwareType": content.firmware,
             "hoverSpeed": content.hover_speed,
-            "items": [_item_object(i, item, len(content.mission)) for i, item in enumerate(content.mission)],
+            "items": [_item_object(i, item) for i, item in enumerate(content.mission)],
             "plannedHomePosition": list(content.home),
             "vehicleType": _MULTICOPTER,
             "version": 2,
         },
-        "rallyPoints": {"points": [list(_position(point)) for point in content.rally], "version": 2},
+        "rallyPoints": {"points": [_above_home(point, content.home) for point in content.rally], "version": 2},
         "version": 1,
     }
     try:
@@ -345,15 +443,23 @@ def _position(item: PlanItem) -> Position:
     return float(item.x), float(item.y), float(item.z)
 
 
-def _item_object(index: int, item: PlanItem, count: int) -> dict[str, Any]:
+def _above_home(point: PlanItem, home: Position) -> list[float]:
+    """Return the position of a rally or return point, whose altitude is above home in this format."""
+    x, y, z = _position(point)
+    if point.relative:
+        return [x, y, z]
+    if not any(home):
+        raise PlanError(f"plan: an altitude above sea level, {z:g} m, is not allowed without a home position")
+    return [x, y, z - home[2]]
+
+
+def _item_object(index: int, item: PlanItem) -> dict[str, Any]:
     where = f"item {index + 1}"
     if item.frame not in _MAVLINK_FRAMES:
         raise PlanError(f"{where}: frame {item.frame} is not allowed, {sorted(_MAVLINK_FRAMES)}")
     frame = _MAVLINK_FRAMES[item.frame]
     first = item.params[0]
     if item.command == plan.JUMP:
-        if first not in range(count):
-            raise PlanError(f"{where}: DO_JUMP to {first} is not allowed, the index of an item: 0 to {count - 1}")
         first += 1.0
     params = [_finite_or_null(value, where) for value in (first, *item.params[1:], *_position(item))]
     found: dict[str, Any] = {}
@@ -369,7 +475,7 @@ def _item_object(index: int, item: PlanItem, count: int) -> dict[str, Any]:
     }
 
 
-def _fence_object(fence: Items) -> dict[str, Any]:
+def _fence_object(fence: Items, home: Position) -> dict[str, Any]:
     polygons: list[dict[str, Any]] = []
     circles: list[dict[str, Any]] = []
     found: dict[str, Any] = {"circles": circles, "polygons": polygons, "version": 2}
@@ -386,7 +492,7 @@ def _fence_object(fence: Items) -> dict[str, Any]:
             circle = {"center": [item.x, item.y], "radius": item.params[0]}
             circles.append({"circle": circle, "inclusion": _CIRCLES[item.command], "version": 1})
         elif item.command == plan.FENCE_RETURN_POINT:
-            found["breachReturn"] = list(_position(item))
+            found["breachReturn"] = _above_home(item, home)
         else:
             raise PlanError(f"fence item {i}: command {item.command} is not allowed, 5000 to 5004")
     return found

@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 from xtdrone_control.autopilot.navigator.plan import PlanItem
 
-VERSIONS = (110, 120)
+WITH_HOME = 110
+VERSIONS = (WITH_HOME, 120)
 _COLUMNS = 12
 _LARGEST_FLOAT = 3.4028234663852886e38  # limit of MAVLink's floats
 _NUMBERS = ("param1", "param2", "param3", "param4", "x", "y", "z")
@@ -48,18 +49,24 @@ def read(text: str, name: str) -> list[Row]:
         WaypointFileError: a line is not in this format.
     """
     rows: list[Row] = []
-    version = 0
+    begun = False
     for number, line in enumerate(text.splitlines(), 1):
         if not line.strip() or line.startswith("#"):
             continue
         where = f"{name}, line {number}"
-        if version:
+        if begun:
             rows.append(_row(line.split(), where))
         else:
-            version = _version(line, where)
-    if not version:
+            begun = bool(_version(line, where))
+    if not begun:
         raise WaypointFileError(f"{name}: is empty, its first line must be QGC WPL 110 or QGC WPL 120")
     return rows
+
+
+def version(text: str) -> int:
+    """Return the version of a file's text that ``read`` accepts, 110 or 120."""
+    lines = (line for line in text.splitlines() if line.strip() and not line.startswith("#"))
+    return _version(next(lines), "")
 
 
 def write(rows: Iterable[Row]) -> str:

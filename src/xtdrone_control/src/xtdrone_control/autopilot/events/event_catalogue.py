@@ -248,6 +248,7 @@ _NAVIGATOR = (
     _define("mission_not_valid_refuse", "No valid mission available, no takeoff"),
     _define("mission_not_valid_loiter", "No valid mission available, holding"),
     _define("mission_takeoff_to", "Takeoff to {1:.1m_v} over home", "height:float"),
+    _define("navigator_mission_failure_heading", "Mission failed: an item's heading is not reached in time"),
     _define("mission_do_jump_cycle", "The mission's jumps form a loop"),
     _define("mission_do_jump_rep_completed", "All repetitions of a jump are completed"),
     _define(

@@ -101,6 +101,10 @@ class Course:
         setpoint["goal_radius"] = radius
         self.view.start_task(TASK_GOTO)
 
+    def lead_onward(self, onward: Vector) -> None:
+        """Set the goal after the current one: passed through without a stop there, or NaN to stop; m, local NED."""
+        self.view.setpoint["onward_position"] = onward
+
     def take_off(self, position: Vector, yaw: float) -> None:
         """Climb to ``position`` (m, local NED) at MPC_TKO_SPEED, with heading ``yaw`` (rad, NaN keeps it)."""
         self.view.setpoint["climb_speed"] = self.parameters.get("MPC_TKO_SPEED")
@@ -140,12 +144,14 @@ class Course:
         self.update_heading()
 
     def update_heading(self) -> None:
-        """Update the heading by MPC_YAW_MODE; within the acceptance radius keep it."""
-        if not self._heading_free or self.distance_to(self.goal) <= self.parameters.get("NAV_ACC_RAD"):
+        """Update the heading by MPC_YAW_MODE; within the goal's acceptance radius keep it."""
+        given = float(self.view.setpoint["goal_radius"])
+        radius = self.parameters.get("NAV_ACC_RAD") if math.isnan(given) else given
+        if not self._heading_free or self.distance_to(self.goal) <= radius:
             return
         mode = self.parameters.get("MPC_YAW_MODE")
         if mode in (_TOWARDS_HOME, _AWAY_FROM_HOME) and self.home is not None:
-            if self.distance_to(self.home.position) > self.parameters.get("NAV_ACC_RAD"):
+            if self.distance_to(self.home.position) > radius:
                 towards = self.bearing_to(self.home.position)
                 self.look(towards if mode == _TOWARDS_HOME else towards + math.pi)
             return

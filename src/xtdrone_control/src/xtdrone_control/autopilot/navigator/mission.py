@@ -18,8 +18,8 @@ _MAX_JUMPS = 10  # consecutive; more are treated as a cycle
 _NEEDS_TAKEOFF = (plan.TAKEOFF, plan.WAYPOINT, plan.LOITER_TIME, plan.LOITER_UNLIM)
 _PAYLOAD_WAITS = (plan.GRIPPER, plan.WINCH)
 _LOITERS = (plan.LOITER_TIME, plan.LOITER_UNLIM, plan.LOITER_TO_ALT)
+_EPSILON = 1.1920929e-07  # PX4's FLT_EPSILON
 _PRECISE = (1, 2)
-_SPEED_FIELDS = {0: "cruise_speed", 1: "cruise_speed", 2: "climb_speed", 3: "descend_speed"}
 _ROI_NONE, _ROI_NEXT, _ROI_LOCATION = 0, 1, 3  # MAV_ROI
 
 
@@ -38,7 +38,7 @@ class Mission:
     Attributes:
         plans: mission, geofence and rally points.
         reached: index of the item reached last, -1 for none.
-        returning: whether the mission has reached an item that commands a return.
+        returning: whether the mission has reached an item that commands a return, or has failed.
         set_home: sets the home position to (latitude, longitude, altitude), degrees and m AMSL, or to the vehicle's
             current position (None).
     """
@@ -60,13 +60,14 @@ class Mission:
         self._item: PlanItem | None = None
         self._target: Vector = (0.0, 0.0, 0.0)
         self._yaw = NAN
+        self._loitering = False  # whether the vehicle stays at its goal, whatever follows
         self._stage = _Stage.ITEM
         self._need_takeoff = True
+        self._past_end = False  # whether the item after the last one is the next
         self._jumps: dict[int, int] = {}
         self._reached_target = False
         self._reached_heading = False
         self._reached_us: int | None = None
-        self._climb_speed = NAN
         self._roi_kind = _ROI_NONE
         self._roi: Vector | None = None
         self._roi_offset = 0.0
@@ -80,11 +81,19 @@ class Mission:
         self.reached = -1
         self._stage = _Stage.ITEM
         self._item = None
-        self._climb_speed = NAN
         if self._view.landed:
             self._need_takeoff = True
         self._payload.pause(False)
+        self._wait_here()
         return not self._set_item()
+
+    def _wait_here(self) -> None:
+        """Hold until an item names a goal: that of another mode, of its sticks or of a former mission has ended."""
+        self._loitering = True
+        found = self._read(self._index, count_jumps=False)
+        if found is None or found[1].has_position or self._view.landed:
+            return
+        self._course.hold()
 
     def deactivate(self) -> None:
         """Pause the mission; the next ``activate`` restarts the current item."""
@@ -93,12 +102,16 @@ class Mission:
         self._active = False
         self._stage = _Stage.ITEM
         self._landing.stop()
-        self._payload.pause(True)
+        self._payload.stop_with_mission()
+
+    def require_takeoff(self) -> None:
+        """Climb first when the next ``activate`` finds the vehicle below its item, as after a mode without a goal."""
+        self._need_takeoff = True
 
     def reset(self) -> None:
         """Rewind a mission that has been flown to its first item."""
         if self._flown:
-            self._flown = False
+            self._flown = self._past_end = False
             self.plans.current = 0
             self._jumps.clear()
 
@@ -109,10 +122,9 @@ class Mission:
             current: index of the item to start with; -1 keeps the current index if the plan still has such an item.
         """
         count = len(self.plans.mission)
-        if 0 <= current < count:
-            self.plans.current = current
-        elif self.plans.current >= count:
-            self.plans.current = 0
+        index = current if 0 <= current < count else self._index
+        self.plans.current = index if index < count else 0
+        self._past_end = False
         self.reached = -1
         self._stage = _Stage.ITEM
         self._roi_kind = _ROI_NONE
@@ -123,7 +135,10 @@ class Mission:
 
     def restart_item(self) -> bool:
         """Start the current item if the mission is active; return whether an active mission has no item left to fly."""
-        return self._active and not self._set_item()
+        if not self._active:
+            return False
+        self._wait_here()
+        return not self._set_item()
 
     def update(self) -> bool:
         """Advance to the next item when the current one is complete; return whether the mission has ended."""
@@ -140,6 +155,7 @@ class Mission:
                     self._stage = _Stage.ITEM
                 return not self._set_item()
             return False
+        self._check_heading_timeout(self._item)
         self._update_heading()
         return False
 
@@ -158,6 +174,11 @@ class Mission:
         return None
 
     # access to the items
+
+    @property
+    def _index(self) -> int:
+        """Index of the item to fly: the current one, or the one after the last."""
+        return self.plans.current + self._past_end
 
     def _read(self, index: int, count_jumps: bool) -> tuple[int, PlanItem] | None:
         """Return index and item at ``index`` after following jumps; None past the end."""
@@ -183,38 +204,36 @@ class Mission:
 
     def _jump(self, index: int, item: PlanItem, count: bool) -> int:
         done = self._jumps.get(index, 0)
-        wanted = item.params[1]
-        if done < wanted:
+        target, repeats = plan.jump(item.params)
+        if done < repeats:
             if count:
                 self._jumps[index] = done + 1
-            target = item.params[0]
-            return int(target) if abs(target) < plan.CAPACITY[plan.MISSION] else -2
+            return target
         if count:
             self._tell(INFO, "DO JUMP repetitions completed.", "mission_do_jump_rep_completed")
         return index + 1
 
     def _next_position(self) -> PlanItem | None:
-        """Return the next item with a position after the current one."""
-        index = self.plans.current + 1
-        for _ in range(len(self.plans.mission)):
+        """Return the next item with a position, searched as PX4's ``prepare_mission_items`` does.
+
+        A command at which a jump ends does not move the search: it goes on after the jump.
+        """
+        for index in range(self.plans.current + 1, len(self.plans.mission)):
             found = self._read(index, count_jumps=False)
-            if found is None:
-                return None
-            index, item = found
-            if item.has_position:
-                return item
-            index += 1
+            if found is None or found[1].has_position:
+                return None if found is None else found[1]
         return None
 
     # current item
 
     def _set_item(self) -> bool:
         """Start the current item; return False when the mission has ended."""
-        found = self._read(self.plans.current, count_jumps=True)
+        found = self._read(self._index, count_jumps=True)
         if found is None:
             self._finish()
             return False
         self.plans.current, item = found
+        self._past_end = False
         self._item = item
         self._reached_target = self._reached_heading = False
         self._reached_us = None
@@ -229,6 +248,7 @@ class Mission:
     def _finish(self) -> None:
         flown = self._item is not None
         count = len(self.plans.mission)
+        self._past_end = self._index >= count > 0
         self.plans.current = max(min(self.plans.current, count - 1), 0)
         self._item = None
         landed = self._view.landed
@@ -260,9 +280,10 @@ class Mission:
             return
         moved = self._stage is _Stage.MOVE_TO_LAND
         if self._stage is _Stage.TAKEOFF:
-            self._view.setpoint["climb_speed"] = self._climb_speed
+            self._view.setpoint["climb_speed"] = NAN
         self._stage = _Stage.ITEM
         self._target = position
+        self._loitering = item.command in _LOITERS
         if item.command == plan.LAND:
             self._fly_landing(item, position, moved)
             return
@@ -270,16 +291,20 @@ class Mission:
             self._yaw = NAN  # the heading mode decides, as in PX4
         if item.command == plan.LOITER_TO_ALT:
             position = self._target = (position[0], position[1], self._view.position[2])
-        self._go(position, self._onward(item))
+        self._go(position, self._onward(item), self._radius(item))
 
-    def _go(self, position: Vector, onward: Vector) -> None:
-        self._course.fly_to(position, self._yaw, onward=onward, radius=self._radius())
+    def _go(self, position: Vector, onward: Vector, radius: float) -> None:
+        self._course.fly_to(position, self._yaw, onward=onward, radius=radius)
         if math.isnan(self._yaw):
             self._course.free_heading()
 
     def _onward(self, item: PlanItem) -> Vector:
-        """Return the position to fly to after ``item`` without stopping, m, local NED; NaN when the vehicle stops."""
-        if not item.autocontinue or item.time_inside > 0.0 or item.command in _LOITERS:
+        """Return the position to fly to after ``item`` without stopping, m, local NED; NaN when the vehicle stops.
+
+        It brakes for an item that takes time, with a position or without (PX4 ``set_mission_items``, brake_for_hold).
+        """
+        brakes = item.time_inside > _EPSILON or item.command in _PAYLOAD_WAITS
+        if not item.autocontinue or brakes or self._loitering:
             return UNSET
         following = self._next_position()
         return UNSET if following is None else self._locate(following)
@@ -318,7 +343,7 @@ class Mission:
         if not moved and self._course.distance_to(position) > self._get("NAV_ACC_RAD"):
             self._stage = _Stage.MOVE_TO_LAND
             self._target = (position[0], position[1], self._current_height())
-            self._go(self._target, UNSET)
+            self._go(self._target, UNSET, float(self._get("NAV_ACC_RAD")))
         elif item.params[1] in _PRECISE:
             self._stage = _Stage.PRECISION_LAND
             self._landing.start(position, int(item.params[1]))
@@ -374,7 +399,7 @@ class Mission:
             return z < self._target[2] + self._takeoff_margin()
         if item.command == plan.LOITER_TO_ALT and self._stage is _Stage.ITEM:
             return self._near_loiter_height(item)
-        return self._course.distance_to(self._target) <= self._radius() and self._course.at_height(self._target[2])
+        return self._course.distance_to(self._target) <= self._radius(item) and self._course.at_height(self._target[2])
 
     def _takeoff_margin(self) -> float:
         height = self._course.ground - self._target[2]
@@ -390,23 +415,33 @@ class Mission:
         wanted = self._locate(item)[2]
         if self._target[2] != wanted:  # above the position: change the height next
             self._target = (self._target[0], self._target[1], wanted)
-            self._course.fly_to(self._target)
+            self._course.fly_to(self._target, self._yaw)
             return False
         return self._course.at_height(wanted)
 
-    def _radius(self) -> float:
-        """Return the acceptance radius of the current item, m."""
-        item = self._item
-        given = item.params[1] if item is not None and item.command == plan.WAYPOINT else NAN
+    def _radius(self, item: PlanItem) -> float:
+        """Return the acceptance radius of ``item``, m."""
+        given = item.params[1] if item.command == plan.WAYPOINT else NAN
         return given if math.isfinite(given) and given > 0.0 else float(self._get("NAV_ACC_RAD"))
 
     def _heading_reached(self) -> bool:
         if math.isnan(self._yaw) or self._stage is _Stage.TAKEOFF:
             return True
-        if self._get("MIS_YAW_TMT") > 0.0:
-            return True  # a heading timeout waives the heading check
+        assert self._item is not None
+        if self._get("MIS_YAW_TMT") > 0.0 and not self._item.forces_heading:
+            return True  # a heading timeout waives the check of a heading that the item does not require
         error = math.remainder(self._yaw - self._view.yaw, 2.0 * math.pi)
         return abs(error) < math.radians(self._get("MIS_YAW_ERR"))
+
+    def _check_heading_timeout(self, item: PlanItem) -> None:
+        """Return home when a required heading is not reached within MIS_YAW_TMT at the item (PX4's mission failure)."""
+        timeout = self._get("MIS_YAW_TMT")
+        if self._stage is not _Stage.ITEM or not self._reached_target or self._reached_heading or timeout <= 0.0:
+            return
+        if item.forces_heading and self._waited(int(timeout)):
+            text = "unable to reach heading within timeout"
+            self._tell(CRITICAL, text, "navigator_mission_failure_heading")
+            self.returning = True
 
     def _through_gate(self, item: PlanItem) -> bool:
         """Return whether the vehicle has passed the vertical plane through the gate, normal to the line to the goal."""
@@ -424,9 +459,11 @@ class Mission:
             following = self._next_position()
             if following is not None:
                 self._yaw = following.yaw
-                self._go(self._locate(following), UNSET)
-        elif item.command == plan.CHANGE_SPEED:
-            self._change_speed(params[0], params[1])
+                self._go(self._locate(following), UNSET, self._radius(following))
+            return
+        self._course.lead_onward(self._onward(item))
+        if item.command == plan.CHANGE_SPEED:
+            self._change_speed(params[1])
         elif item.command == plan.SET_HOME:
             self.set_home(None if params[0] == 1.0 else params[4:7])
         elif item.command == plan.RETURN:
@@ -434,13 +471,9 @@ class Mission:
         elif not self._payload.execute(item.command, params):
             self.set_roi(item)
 
-    def _change_speed(self, kind: float, speed: float) -> None:
-        field = _SPEED_FIELDS.get(int(kind)) if math.isfinite(kind) else None
-        if field is None or not math.isfinite(speed) or speed == -1.0:
-            return
-        self._view.setpoint[field] = speed if speed > 0.0 else NAN
-        if field == "climb_speed":
-            self._climb_speed = float(self._view.setpoint[field])
+    def _change_speed(self, speed: float) -> None:
+        """Set the horizontal speed (m/s), of whatever kind, as PX4's navigator; the default if it is not positive."""
+        self._view.setpoint["cruise_speed"] = speed if speed > _EPSILON else NAN
 
     def set_roi(self, item: PlanItem) -> None:
         """Set or clear the region of interest of a DO_SET_ROI* item, a location or the next waypoint."""

@@ -106,6 +106,8 @@ class Navigator:
             for field in ("cruise_speed", "climb_speed", "descend_speed"):
                 self._view.setpoint[field] = NAN
         self._mode = mode
+        if mode not in (modes.AUTO_MISSION, modes.AUTO_LOITER):
+            self.mission.require_takeoff()
         if mode is modes.AUTO_TAKEOFF:
             self._start_takeoff()
         elif mode is modes.AUTO_MISSION:
@@ -128,6 +130,7 @@ class Navigator:
     def deactivate(self) -> None:
         """Leave the AUTO modes."""
         self._stop()
+        self.mission.require_takeoff()
         self._mode = None
 
     def _stop(self) -> None:

@@ -65,6 +65,7 @@ class Payload:
         self._next_us = _NEVER_US
         self._shots_left = _SHOTS_UNLIMITED
         self._paused = False
+        self._capturing = False  # pictures of START_IMAGES, which end with the mission; the trigger's only pause
 
     @property
     def gimbal(self) -> Vector:
@@ -90,6 +91,12 @@ class Payload:
     def pause(self, paused: bool) -> None:
         """Suspend or resume camera triggering."""
         self._paused = paused
+
+    def stop_with_mission(self) -> None:
+        """Suspend camera triggering and end a series of pictures (PX4 ``Mission::on_inactivation``)."""
+        self.pause(True)
+        if self._capturing:
+            self._stop_images(())
 
     def update(self) -> None:
         """Trigger the camera when a shot is due; call at about 10 Hz."""
@@ -132,6 +139,7 @@ class Payload:
         self._next_us = self._view.time_us
 
     def _set_interval(self, p: Sequence[float]) -> None:
+        self._capturing = False
         if p[0] > 0.0:
             self._repeat(p[0] * 1e-3, _SHOTS_UNLIMITED)
         elif p[0] == 0.0:
@@ -142,10 +150,12 @@ class Payload:
             self._trigger()
         else:
             self._repeat(p[1], round(p[2]) if p[2] > 0.0 else _SHOTS_UNLIMITED)
+            self._capturing = True
 
     def _stop_images(self, _p: Sequence[float]) -> None:
         self._next_us = _NEVER_US
         self._distance = 0.0
+        self._capturing = False
 
     def _digicam(self, p: Sequence[float]) -> None:
         if p[4] == 1.0:

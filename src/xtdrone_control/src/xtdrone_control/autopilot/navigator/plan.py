@@ -41,6 +41,26 @@ FRAME_MISSION = 2
 _YAW_COMMANDS = frozenset((WAYPOINT, LOITER_UNLIM, LOITER_TIME, LAND, TAKEOFF, VTOL_TAKEOFF, VTOL_LAND))
 
 
+def _integer(value: float, bits: int, signed: bool) -> int:
+    """Return a float converted to an integer of ``bits`` as PX4's SITL build does: to 32 bits, then cut."""
+    whole = int(value) if abs(value) < 2.0**31 else 0
+    found = whole & ((1 << bits) - 1)
+    return found - (1 << bits) if signed and found >> (bits - 1) else found
+
+
+def jump(params: Sequence[float]) -> tuple[int, int]:
+    """Return index and repeat count of a DO_JUMP as PX4 stores them: -1 repeats, for example, become 65535.
+
+    Source: PX4 ``MavlinkMissionManager::parse_mavlink_mission_item`` into int16 and uint16.
+    """
+    return _integer(params[0], 16, True), _integer(params[1], 16, False)
+
+
+def unsigned(value: float) -> int:
+    """Return a float as PX4 stores it in a uint16, e.g. the precision of a landing or a polygon's number of corners."""
+    return _integer(value, 16, False)
+
+
 @dataclass(frozen=True, slots=True)
 class PlanItem:
     """Item of a mission, a geofence or the rally points.
@@ -79,8 +99,16 @@ class PlanItem:
 
     @property
     def yaw(self) -> float:
-        """Heading at the item, rad from north; NaN for none."""
+        """Heading at the item, rad from north; NaN for none. PX4 v1.14 turns to the north at LOITER_TO_ALT."""
+        if self.command == LOITER_TO_ALT:
+            return 0.0
         return math.radians(self.params[3]) if self.command in _YAW_COMMANDS else math.nan
+
+    @property
+    def forces_heading(self) -> bool:
+        """Whether the item's heading must be reached, even with a heading timeout."""
+        flag = {LOITER_TIME: self.params[1], LOITER_TO_ALT: self.params[0]}.get(self.command, 0.0)
+        return flag > 0.0
 
     @property
     def time_inside(self) -> float:

@@ -3,8 +3,9 @@
 A line is ``vehicle-id <tab> component-id <tab> name <tab> value <tab> MAV_PARAM_TYPE``; ``#`` begins a comment, and the
 first comments name the autopilot and the kind of vehicle.
 
-A ground station reads a file as a whole (``read``): one error rejects it. The simulated autopilot reads its own file
-row by row at boot (``read_rows``): a row with an error is skipped with a warning, so that the vehicle still starts.
+As in QGroundControl, a row with an error does not keep the others from being used: a ground station gets it named in
+``ParameterFile.skipped`` (``read``), and the simulated autopilot, which reads its own file at boot, logs a warning
+(``read_rows``). QGroundControl's files may also have parameters of other components, such as a gimbal.
 """
 
 from __future__ import annotations
@@ -37,8 +38,9 @@ LIMITS = {
 _COLUMNS = 5
 _NAME = re.compile(r"[A-Za-z0-9_]{1,16}")
 _STACK = re.compile(r"#\s*Stack:\s*(\S.*?)\s*")
-_LARGEST_SYSTEM = 255
-_MOST_DIGITS = 9  # of a vehicle id, leading zeros included
+_LARGEST_SYSTEM = 255  # of components as well
+_MOST_DIGITS = 9  # of an id, leading zeros included
+_AUTOPILOT = 1  # MAV_COMP_ID
 _log = logging.getLogger(__name__)
 
 Value = tuple[float, int]
@@ -59,11 +61,13 @@ class ParameterFile:
         system: its MAVLink system id.
         values: by name.
         stack: autopilot, "PX4 Pro" or "ArduPilot"; empty if the file does not name one.
+        skipped: descriptions of the rows that are not among the values, with the name of the file and the line.
     """
 
     system: int
     values: dict[str, Value] = field(default_factory=dict)
     stack: str = ""
+    skipped: tuple[str, ...] = ()
 
 
 def as_float32(value: float) -> float:
@@ -105,7 +109,7 @@ def read(path: Path) -> ParameterFile:
     """Read a file.
 
     Raises:
-        ParameterFileError: it cannot be read, or is not a valid parameter file of one vehicle.
+        ParameterFileError: it cannot be read, has parameters of several vehicles, or none that is valid.
     """
     try:
         text = read_text(path)
@@ -123,27 +127,37 @@ def parse(text: str, name: str = "parameters") -> ParameterFile:
         name: name of the file in error messages.
 
     Raises:
-        ParameterFileError: it is not a valid parameter file of one vehicle.
+        ParameterFileError: it has parameters of several vehicles, or none that is valid.
     """
     stack = ""
+    skipped: list[str] = []
     systems: set[int] = set()
-    values: dict[str, Value] = {}
+    by_component: dict[int, dict[str, Value]] = {}
     for number, line in enumerate(text.splitlines(), 1):
         where = f"{name}, line {number}"
         if line.startswith("#"):
             match = _STACK.fullmatch(line)
             stack = match[1] if match else stack
         elif line.strip():
-            system, parameter, value = _row(line, where)
-            if parameter in values:
-                raise ParameterFileError(f"{where}: {parameter} occurs a second time")
+            try:
+                system, component, parameter, value = _row(line, where)
+            except ParameterFileError as error:
+                skipped.append(str(error))
+                continue
             systems.add(system)
+            values = by_component.setdefault(component, {})
+            if parameter in values:
+                skipped.append(f"{where}: {parameter} occurs a second time, this value counts")
             values[parameter] = value
     if len(systems) > 1:
         raise ParameterFileError(f"{name}: parameters of several vehicles: {', '.join(map(str, sorted(systems)))}")
     if not systems:
-        raise ParameterFileError(f"{name}: the file has no parameters")
-    return ParameterFile(systems.pop(), values, stack)
+        more = f"; {skipped[0]}" if skipped else ""
+        raise ParameterFileError(f"{name}: the file has no parameters{more}")
+    chosen = _AUTOPILOT if _AUTOPILOT in by_component else min(by_component)
+    for component in sorted(by_component.keys() - {chosen}):
+        skipped.append(f"{name}: {len(by_component[component])} parameters of component {component}, not the autopilot")
+    return ParameterFile(systems.pop(), by_component[chosen], stack, tuple(skipped))
 
 
 def read_rows(path: Path) -> list[Row]:
@@ -174,13 +188,19 @@ def _unchecked_row(line: str) -> Row:
     return name, float(value), int(kind)
 
 
-def _row(line: str, where: str) -> tuple[int, str, Value]:
-    columns = line.split("\t")
+def _is_id(text: str) -> bool:
+    return text.isdecimal() and len(text) <= _MOST_DIGITS and int(text) <= _LARGEST_SYSTEM
+
+
+def _row(line: str, where: str) -> tuple[int, int, str, Value]:
+    columns = [column.strip() for column in line.split("\t")]
     if len(columns) != _COLUMNS:
         raise ParameterFileError(f"{where}: {len(columns)} columns are not allowed, {_COLUMNS} with tabs between")
-    system, _, parameter, value, kind = columns
-    if not system.isdecimal() or len(system) > _MOST_DIGITS or not 1 <= int(system) <= _LARGEST_SYSTEM:
+    system, component, parameter, value, kind = columns
+    if not _is_id(system) or int(system) == 0:
         raise ParameterFileError(f"{where}: vehicle id {system[:40]!r} is not allowed, 1 to {_LARGEST_SYSTEM}")
+    if not _is_id(component):
+        raise ParameterFileError(f"{where}: component id {component[:40]!r} is not allowed, 0 to {_LARGEST_SYSTEM}")
     if not _NAME.fullmatch(parameter):
         raise ParameterFileError(f"{where}: name {parameter!r} is not allowed, 1 to 16 letters, digits and _")
     try:
@@ -188,7 +208,8 @@ def _row(line: str, where: str) -> tuple[int, str, Value]:
     except ValueError:
         number = math.nan
     try:
-        return int(system), parameter, (checked(number, int(kind) if kind.isdecimal() else 0), int(kind))
+        checked_value = checked(number, int(kind) if kind.isdecimal() else 0)
+        return int(system), int(component), parameter, (checked_value, int(kind))
     except ValueError as error:
         raise ParameterFileError(f"{where}: {parameter}: {value!r} of type {kind!r} is not allowed, {error}") from error
 

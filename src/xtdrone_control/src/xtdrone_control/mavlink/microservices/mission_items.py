@@ -1,7 +1,9 @@
 """Conversion of MISSION_ITEM and MISSION_ITEM_INT to plan items and back, with the rules of PX4 v1.14.
 
-PX4 stores only the parameters that an item's command uses: a download returns the others as 0, headings as 0..360
-degrees, and the frame of the requested message type (``MavlinkMissionManager``).
+PX4 stores only the parameters that an item's command uses, some of them as integers: a download returns the others as
+0, headings as 0..360 degrees, and the frame of the requested message type (``MavlinkMissionManager``). What it stores
+flies the same after a download and an upload, with two exceptions that are PX4's: LOITER_TIME returns its heading as a
+flag of 0 or 1, and DO_SET_ROI of a location returns as one without.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import FRAME_MISSION, PlanItem
+from xtdrone_control.autopilot.parameters.parameter_file import as_float32
 
 _GLOBAL, _RELATIVE, _GLOBAL_INT, _RELATIVE_INT = 0, 3, 5, 6  # MAV_FRAME
 _SCALE = 1e7
@@ -83,6 +86,9 @@ _ROI_MODES = {
 }  # by whether it has a position
 
 
+Params = tuple[float, float, float, float]
+
+
 class ItemError(ValueError):
     """A rejected item.
 
@@ -118,11 +124,24 @@ def parse(message: Any, integers: bool) -> PlanItem:
         command = plan.SET_ROI
         if not math.isfinite(message.param1) or int(message.param1) not in _ROI_MODES[positioned]:
             raise ItemError(mavlink.MAV_MISSION_INVALID_PARAM1, f"region of interest {message.param1} is not allowed")
-    params = (message.param1, message.param2, message.param3, message.param4)
+    params = _converted(command, (message.param1, message.param2, message.param3, message.param4))
     x, y = message.x, message.y
-    if positioned and integers:
-        x, y = x / _SCALE, y / _SCALE
+    if integers:
+        x, y = (x / _SCALE, y / _SCALE) if positioned else (as_float32(x), as_float32(y))
     return PlanItem(command, message.frame, params, float(x), float(y), message.z, bool(message.autocontinue))
+
+
+def _converted(command: int, params: Params) -> Params:
+    """Return the parameters of an item with those that PX4 stores as integers converted."""
+    a, b, c, d = params
+    if command == plan.JUMP:
+        index, repeats = plan.jump(params)
+        return float(index), float(repeats), c, d
+    if command == plan.LAND:
+        return a, float(plan.unsigned(b)), c, d
+    if command in (plan.FENCE_INCLUSION, plan.FENCE_EXCLUSION):
+        return float(plan.unsigned(a + 0.5)), b, c, d
+    return params
 
 
 def _stored(value: float, how: str) -> float:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from typing import Any
 
 import rospy
 from mavros_msgs.msg import ParamValue
 from mavros_msgs.srv import ParamGet, ParamPull, ParamPush, ParamSet
 
+from xtdrone_control.autopilot.parameters import former_parameters
 from xtdrone_control.autopilot.parameters.parameter_file import as_float32
 
 from . import parameter_formats
@@ -21,7 +23,6 @@ _OPTIONS = (
     ("-qgc", "--qgroundcontrol", QGC, "QGroundControl's"),
     ("-mavpx", "--mavproxy", MAVPROXY, "MAVProxy's"),
 )
-_MOST_NAMED = 5  # in an error message
 
 
 def parser() -> argparse.ArgumentParser:
@@ -61,7 +62,7 @@ def _add_formats(verb: argparse.ArgumentParser, default: str) -> None:
 def _load(mavros: Mavros, arguments: argparse.Namespace) -> None:
     name = arguments.file
     try:
-        values = parameter_formats.read(read_file(name), name, arguments.format)
+        values = parameter_formats.read(read_file(name), name, arguments.format, _say_skipped)
     except FormatError as error:
         raise ProgramError(str(error)) from error
     _pull(mavros, False)  # so that MAVROS has each name and type
@@ -74,22 +75,25 @@ def _load(mavros: Mavros, arguments: argparse.Namespace) -> None:
     _check_accepted(mavros, values)
 
 
+def _say_skipped(row: str) -> None:
+    print(f"mavparam: skipped: {row}", file=sys.stderr)
+
+
 def _check_accepted(mavros: Mavros, values: dict[str, Number]) -> None:
     """Verify the loaded parameters.
 
     Raises:
-        ProgramError: the autopilot has other values.
+        ProgramError: the autopilot does not have some of them, or with other values; the others are set.
     """
     wrong = []
     for name, value in values.items():
         answer = mavros.call("param/get", ParamGet, param_id=name)
         if not answer.success:
-            wrong.append(f"{name} does not exist")
+            wrong.append(f"{name} does not exist{former_parameters.hint(name)}")
         elif as_float32(_number(answer)) != as_float32(value):
             wrong.append(f"{name} stays {_number(answer)}")
     if wrong:
-        named = "; ".join(wrong[:_MOST_NAMED]) + "; ..." * (len(wrong) > _MOST_NAMED)
-        raise ProgramError(f"{len(wrong)} of {len(values)} parameters were not accepted: {named}")
+        raise ProgramError(f"{len(wrong)} of {len(values)} parameters were not accepted: {'; '.join(wrong)}")
 
 
 def _dump(mavros: Mavros, arguments: argparse.Namespace) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from xtdrone_control.autopilot.parameters.parameter_file import REAL32, ParameterFile, checked, parse, text_of, written
 
@@ -41,13 +41,14 @@ def guess(text: str) -> str:
     return MISSION_PLANNER if "," in first else MAVPROXY
 
 
-def read(text: str, name: str, kind: str = "") -> dict[str, Number]:
+def read(text: str, name: str, kind: str = "", note: Callable[[str], None] = lambda _: None) -> dict[str, Number]:
     """Parse a parameter file.
 
     Args:
         text: the file's content.
         name: the file's name, for error messages.
         kind: QGC, MISSION_PLANNER or MAVPROXY; empty: detect it from the content.
+        note: receives a description of each row of QGroundControl's format that is skipped.
 
     Returns:
         The values by name, a float for each REAL32.
@@ -59,10 +60,12 @@ def read(text: str, name: str, kind: str = "") -> dict[str, Number]:
     if kind != QGC:
         return _read_pairs(text, name, _SEPARATOR[kind])
     try:
-        found = parse(text, name).values
+        found = parse(text, name)
     except ValueError as error:
         raise FormatError(str(error)) from error
-    return {key: float(value) if form == REAL32 else int(value) for key, (value, form) in found.items()}
+    for skipped in found.skipped:
+        note(skipped)
+    return {key: float(value) if form == REAL32 else int(value) for key, (value, form) in found.values.items()}
 
 
 def write(values: Mapping[str, Number], kind: str, system: int = 1) -> str:

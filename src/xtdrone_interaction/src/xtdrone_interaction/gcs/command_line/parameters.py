@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from functools import partial
@@ -67,56 +68,74 @@ def _set(arguments: argparse.Namespace) -> int:
     return display.results(peers, results, lambda _, found: f"{name}: {shown(*found[1])}, was {shown(*found[0])}")
 
 
-def _files(arguments: argparse.Namespace, peers: Sequence[Peer]) -> dict[str, ParameterFile]:
+def _files(arguments: argparse.Namespace, peers: Sequence[Peer]) -> tuple[dict[Peer, ParameterFile], list[GcsError]]:
     """Read the file for all vehicles, or from a folder the file of each vehicle.
 
+    Returns:
+        Files by vehicle, and the errors of the files of a folder that cannot be used.
+
     Raises:
-        UsageError: a file is missing or invalid.
+        UsageError: no file can be used.
     """
     path: Path = arguments.file
-    try:
-        if path.is_dir():
-            return {peer.name: read(path / f"{peer.name}{SUFFIX}") for peer in peers}
-        return dict.fromkeys((peer.name for peer in peers), read(path))
-    except ParameterFileError as error:
-        raise UsageError(str(error)) from error
+    paths = {peer: path / f"{peer.name}{SUFFIX}" if path.is_dir() else path for peer in peers}
+    found: dict[Path, ParameterFile] = {}
+    wrong: list[GcsError] = []
+    for file in dict.fromkeys(paths.values()):
+        try:
+            found[file] = read(file)
+        except ParameterFileError as error:
+            wrong.append(GcsError(str(error)))
+    if not found:
+        raise UsageError("\n".join(map(str, wrong)))
+    return {peer: found[file] for peer, file in paths.items() if file in found}, wrong
 
 
 def _diff(arguments: argparse.Namespace) -> int:
     peers = select_vehicles(arguments)
-    files = _files(arguments, peers)
-    results = run(dict.fromkeys(peers, parameters.fetch_all), arguments)
+    files, wrong = _files(arguments, peers)
+    results = run(dict.fromkeys(files, parameters.fetch_all), arguments)
     different = False
-    for peer in peers:
+    for peer, content in files.items():
         found = results[peer.name]
         if isinstance(found, GcsError):
             continue
-        for name, (value, there) in parameters.differences(files[peer.name], found).items():
+        for name, (value, there) in parameters.differences(content, found).items():
             different = True
             print(f"{peer.name}  {name:<16}  {'none' if there is None else shown(*there)}  file: {shown(*value)}")
-    return print_errors(results.values()) or int(different)
+    return print_errors([*results.values(), *wrong]) or int(different)
 
 
 def _load(arguments: argparse.Namespace) -> int:
     peers = select_vehicles(arguments)
-    files = _files(arguments, peers)
-    display = Display([peer.name for peer in peers])
+    files, wrong = _files(arguments, peers)
+    display = Display([peer.name for peer in files])
     jobs = {
         peer: partial(
             parameters.load,
-            content=files[peer.name],
+            content=content,
             of_another=arguments.of_another,
             progress=progress_of(peer.name, display.watch),
         )
-        for peer in peers
+        for peer, content in files.items()
     }
     results = run(jobs, arguments)
-    status = display.results(peers, results, lambda _, changed: f"{len(changed)} parameters set, the rest is the same")
-    for peer in peers:
-        changed = results[peer.name]
-        for name, (old, new) in ({} if isinstance(changed, GcsError) else changed).items():
+    status = display.results(list(files), results, lambda _, loaded: _summary(loaded))
+    for peer in files:
+        loaded = results[peer.name]
+        if isinstance(loaded, GcsError):
+            continue
+        for name, (old, new) in loaded.changed.items():
             print(f"{peer.name}  {name:<16}  {shown(*new)}, was {shown(*old)}")
-    return status
+        for text in loaded.skipped:
+            print(f"{peer.name}: skipped: {text}", file=sys.stderr)
+    return print_errors(wrong) or status
+
+
+def _summary(loaded: parameters.Loaded) -> str:
+    if not loaded.skipped:
+        return f"{len(loaded.changed)} parameters set, the rest is the same"
+    return f"{len(loaded.changed)} parameters set, {len(loaded.skipped)} rows of the file skipped, the rest is the same"
 
 
 def _save(arguments: argparse.Namespace) -> int:
@@ -148,7 +167,7 @@ def add_to(add: Adder) -> None:
     set_.add_argument("name", metavar="NAME", help="its name")
     set_.add_argument("value", type=_value, metavar="VALUE", help="its value")
     diff = add_group("diff", _diff, "show differences between vehicles and a file; exit status 1 if there are any")
-    load = add_group("load", _load, "set the parameters of a file, all or, if it does not fit the vehicle, none")
+    load = add_group("load", _load, "set the parameters of a file; those that the vehicle does not have are listed")
     load.add_argument("--of-another", action="store_true",
                       help="accept the file of another vehicle, without the parameters that identify it")  # fmt: skip
     save = add_group("save", _save, "save all parameters of vehicles")

@@ -23,16 +23,20 @@ from .arguments import Adder, Runner, UsageError, run, select_vehicles
 from .plans import assign, find_files, owners, read_plans
 
 
-def _store(kind: int, lists: dict[Peer, Items], arguments: argparse.Namespace, done: str) -> int:
+def _store(kind: int, lists: dict[Peer, Items], arguments: argparse.Namespace, cleared: str = "") -> int:
     display = Display([peer.name for peer in lists])
 
-    def store(peer: Peer, heartbeat: Heartbeat) -> Exchange[None]:
+    def store(peer: Peer, heartbeat: Heartbeat) -> Exchange[list[str]]:
         progress = progress_of(peer.name, display.watch)
         return plan_exchanges.upload_list(heartbeat.system, kind, lists[peer], progress, heartbeat.autopilot)
 
     results = run({peer: partial(store, peer) for peer in lists}, arguments, plan_exchanges.cancel_transfers)
-    counts = {peer.name: len(items) for peer, items in lists.items()}
-    return display.results(list(lists), results, lambda name, _: done.format(counts[name]))
+    counts = {peer.name: f"{len(items)} items of {KINDS[kind]}" for peer, items in lists.items()}
+    return display.results(
+        list(lists),
+        results,
+        lambda name, altered: cleared or f"{counts[name]}: {plan_exchanges.outcome(altered)}",
+    )
 
 
 def _upload(kind: int, arguments: argparse.Namespace) -> int:
@@ -43,7 +47,7 @@ def _upload(kind: int, arguments: argparse.Namespace) -> int:
     peers = select_vehicles(arguments) if arguments.vehicle else []
     plans = assign(content, [peer.name for peer in peers])
     lists = {peer: plans[peer.name].items(kind) for peer in peers or owners(plans, arguments)}
-    return _store(kind, lists, arguments, f"{{}} items of {KINDS[kind]}: sent, and come back the same")
+    return _store(kind, lists, arguments)
 
 
 def _clear(kind: int, arguments: argparse.Namespace) -> int:

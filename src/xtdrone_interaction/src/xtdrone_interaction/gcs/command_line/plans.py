@@ -46,7 +46,7 @@ def find_files(paths: Sequence[Path]) -> list[Path]:
     found: list[Path] = []
     for path in paths:
         if path.is_dir():
-            inside = sorted(path.glob(f"*{qgc_plan.SUFFIX}"))
+            inside = sorted(file for file in path.iterdir() if file.suffix in qgc_plan.SUFFIXES)
             if not inside:
                 raise UsageError(f"{path}: no {qgc_plan.SUFFIX} file is in this folder")
             found += inside
@@ -57,30 +57,43 @@ def find_files(paths: Sequence[Path]) -> list[Path]:
     return found
 
 
-def read_plans(files: Sequence[Path]) -> dict[Path, Plan]:
-    """Read plan files.
-
-    Raises:
-        UsageError: invalid files; one line each.
-    """
+def _read_valid(files: Sequence[Path]) -> tuple[dict[Path, Plan], list[str]]:
+    """Read plan files; return those that are valid, and the errors of the others, one line each."""
     plans: dict[Path, Plan] = {}
     wrong = []
     for file in files:
         try:
-            plans[file] = qgc_plan.read(file)
-            too_long = plan_exchanges.check_capacity(plans[file])
-            wrong += [f"{file}: {too_long}"] if too_long else []
+            content = qgc_plan.read(file)
+            too_long = plan_exchanges.check_capacity(content)
+            if too_long:
+                wrong.append(f"{file}: {too_long}")
+            else:
+                plans[file] = content
         except PlanError as error:
             wrong.append(str(error))
+    return plans, wrong
+
+
+def read_plans(files: Sequence[Path]) -> dict[Path, Plan]:
+    """Read plan files that are sent together, or not at all.
+
+    Raises:
+        UsageError: invalid files; one line each.
+    """
+    plans, wrong = _read_valid(files)
     if wrong:
         raise UsageError("\n".join(wrong))
+    _name_foreign(plans)
+    return plans
+
+
+def _name_foreign(plans: dict[Path, Plan]) -> None:
     for file, content in plans.items():
         if content.drawn_for:
             print(
                 f"{file}: drawn for {content.drawn_for}, its items are interpreted as PX4 interprets them",
                 file=sys.stderr,
             )
-    return plans
 
 
 def assign(plans: dict[Path, Plan], vehicles: Sequence[str]) -> dict[str, Plan]:
@@ -122,8 +135,10 @@ def problems(content: Plan) -> tuple[list[str], bool]:
     """Check a mission as PX4 does before it starts from the planned home position.
 
     Returns:
-        PX4's texts, which may be warnings only, and whether PX4 accepts the mission.
+        PX4's texts, which may be warnings only, and whether PX4 accepts the mission; it accepts a plan without one.
     """
+    if not content.mission:
+        return [], True
     home = content.home
     said: list[str] = []
 
@@ -140,7 +155,12 @@ def problems(content: Plan) -> tuple[list[str], bool]:
         fence_allows=lambda latitude, longitude, _altitude: fence.allows(to_plane(latitude, longitude)),
     )
     good = feasibility.check(content.mission, now, lambda _severity, text, *_, **__: said.append(text))
-    return said or ([] if good else ["the mission has no items"]), good
+    count = len(content.mission)
+    for i, item in enumerate(content.mission, 1):
+        if item.command == plan.JUMP and not 0 <= plan.jump(item.params)[0] < count:
+            target = plan.jump(item.params)[0] + 1
+            said.append(f"Warning: item {i} jumps to item {target} of {count}, where PX4 ends the mission")
+    return said, good
 
 
 def path_length(content: Plan) -> float:
@@ -162,12 +182,14 @@ def _upload(arguments: argparse.Namespace) -> int:
     peers = peers or owners(plans, arguments)
     display = Display([peer.name for peer in peers])
 
-    def store(name: str, heartbeat: Heartbeat) -> Exchange[None]:
+    def store(name: str, heartbeat: Heartbeat) -> Exchange[list[str]]:
         progress = progress_of(name, display.watch)
         return plan_exchanges.upload_plan(heartbeat.system, plans[name], progress, heartbeat.autopilot)
 
     results = run({peer: partial(store, peer.name) for peer in peers}, arguments, plan_exchanges.cancel_transfers)
-    return display.results(peers, results, lambda name, _: f"{_summary(plans[name])}: sent, and come back the same")
+    return display.results(
+        peers, results, lambda name, altered: f"{_summary(plans[name])}: {plan_exchanges.outcome(altered)}"
+    )
 
 
 def _download(arguments: argparse.Namespace) -> int:
@@ -201,13 +223,17 @@ def _clear(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    status = 0
-    for file, content in read_plans(find_files(arguments.files)).items():
+    plans, wrong = _read_valid(find_files(arguments.files))
+    _name_foreign(plans)
+    status = 2 if wrong else 0
+    for file, content in plans.items():
         said, good = problems(content)
         print(f"{file}: {_summary(content)}; {path_length(content):.0f} m of path")
         for text in said:
             print(f"{file}: {text}", file=sys.stderr)
-        status = status if good else 1
+        status = status if good else max(status, 1)
+    for line in wrong:
+        print(f"xtdrone gcs: {line}", file=sys.stderr)
     return status
 
 

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from xtdrone_control.autopilot.parameters import former_parameters
 from xtdrone_control.autopilot.parameters.parameter_file import (
     LIMITS,
     REAL32,
@@ -235,10 +237,25 @@ def differences(content: ParameterFile, present: Mapping[str, Value]) -> dict[st
     return found
 
 
+@dataclass(frozen=True)
+class Loaded:
+    """Result of setting a vehicle's parameters to a file's.
+
+    Attributes:
+        changed: old and new value of each changed parameter by name.
+        skipped: descriptions of the rows of the file that are not set.
+    """
+
+    changed: dict[str, tuple[Value, Value]]
+    skipped: tuple[str, ...] = ()
+
+
 def check(
     content: ParameterFile, heartbeat: Heartbeat, present: Mapping[str, Value], of_another: bool
-) -> dict[str, Value]:
-    """Return the changes that make a vehicle's parameters equal to a file's.
+) -> tuple[dict[str, Value], tuple[str, ...]]:
+    """Return the changes that make a vehicle's parameters equal to a file's, and what of the file is left out.
+
+    Left out are, as in QGroundControl, the parameters that the vehicle does not have or has with another type.
 
     Args:
         content: of the file.
@@ -247,7 +264,7 @@ def check(
         of_another: accept the file of another vehicle; ``IDENTITY`` stays unchanged then.
 
     Raises:
-        RefusalError: the file belongs to another vehicle or autopilot, or does not fit the vehicle's parameters.
+        RefusalError: the file belongs to another vehicle or autopilot, or the vehicle has none of its parameters.
     """
     stack = STACKS.get(heartbeat.autopilot, "")
     if content.stack and stack and content.stack.split()[0] != stack.split()[0]:
@@ -255,32 +272,37 @@ def check(
     if content.system != heartbeat.system and not of_another:
         raise RefusalError(f"the file is of vehicle {content.system}, this is system {heartbeat.system}; "
                            "--of-another loads it without the vehicle's identity", True)  # fmt: skip
-    changes = differences(content, present)
-    unknown = [name for name, (_, there) in changes.items() if there is None]
-    if unknown:
-        more = f" and {len(unknown) - 5} more" if len(unknown) > 5 else ""
-        raise RefusalError(f"the vehicle has no {', '.join(unknown[:5])}{more}", True)
-    for name, (value, there) in changes.items():
-        if there is not None and there[1] != value[1]:
-            raise RefusalError(f"{name} is of type {value[1]} in the file, of type {there[1]} in the vehicle", True)
-    return {name: value for name, (value, _) in changes.items() if name not in IDENTITY}
+    skipped = list(content.skipped)
+    changes: dict[str, Value] = {}
+    for name, (value, there) in differences(content, present).items():
+        if there is None:
+            skipped.append(f"{name} does not exist{former_parameters.hint(name)}")
+        elif there[1] != value[1]:
+            skipped.append(f"{name} is of type {value[1]} in the file, of type {there[1]} in the vehicle")
+        elif name not in IDENTITY:
+            changes[name] = value
+    if not content.values.keys() & present.keys():
+        raise RefusalError(
+            f"the vehicle has none of the file's parameters, for example {next(iter(content.values))}", True
+        )
+    return changes, tuple(skipped)
 
 
 def load(
     heartbeat: Heartbeat, content: ParameterFile, of_another: bool, progress: Progress = ignore_progress
 ) -> Exchange[Any]:
-    """Set a vehicle's parameters to a file's, all of them or none; see ``check``.
+    """Set a vehicle's parameters to a file's; see ``check``.
 
     Returns:
-        Old and new values of the changed parameters by name.
+        What is changed and what is skipped, as ``Loaded``.
 
     Raises:
         RefusalError: the file does not fit the vehicle, or the vehicle has rejected some values; the rest are set then.
     """
     present = yield from fetch_all(heartbeat, progress)
-    changes = check(content, heartbeat, present, of_another)
+    changes, skipped = check(content, heartbeat, present, of_another)
     failed = yield from store(heartbeat, changes, progress)
     if failed:
         text = "; ".join(f"{name}: {reason}" for name, reason in failed.items())
         raise RefusalError(f"{len(changes) - len(failed)} of {len(changes)} parameters are set; {text}", True)
-    return {name: (present[name], value) for name, value in changes.items()}
+    return Loaded({name: (present[name], value) for name, value in changes.items()}, skipped)

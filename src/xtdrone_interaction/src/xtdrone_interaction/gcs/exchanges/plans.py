@@ -38,12 +38,15 @@ KINDS = ("mission", "fence", "rally points")  # by MAV_MISSION_TYPE
 
 _PX4, _ARDUPILOT = mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 _ATTEMPTS = 10
+_SHOWN = 4  # alterations in the text
 _REPEATS = 8  # unanswered requests before a download starts over: the vehicle may have ended the transfer
 _RETRIED = (mavlink.MAV_MISSION_ERROR, mavlink.MAV_MISSION_INVALID_SEQUENCE, mavlink.MAV_MISSION_OPERATION_CANCELLED)
 _ALL = plan.ALL_KINDS
 _FRAMES = {0: 0, 5: 0, 3: 3, 6: 3, FRAME_MISSION: FRAME_MISSION}  # MAV_FRAME; integer frames as their float frames
 _PLACE_TOLERANCE = 1.5e-7  # degrees, one digit in a message
 _NUMBER_TOLERANCE = 1e-6  # relative, of MAVLink's floats
+_HEADING = 4  # number of the parameter
+_HEADING_TOLERANCE = 1e-3  # degrees
 
 
 def to_message(item: PlanItem, seq: int, kind: int, system: int) -> Any:
@@ -89,6 +92,34 @@ def difference(sent: Sequence[PlanItem], found: Sequence[PlanItem], kind: int, a
     return ""
 
 
+def alterations(sent: Sequence[PlanItem], found: Sequence[PlanItem], kind: int) -> list[str]:
+    """Describe each number of the items that a vehicle has stored otherwise than it was sent; headings are modulo 360.
+
+    Args:
+        sent, found: uploaded and downloaded items, without a ``difference``.
+        kind: MAV_MISSION_TYPE.
+    """
+    altered = []
+    for seq, (item, back) in enumerate(zip(sent, found, strict=True), 1):
+        if item.command != back.command:
+            altered.append(f"item {seq} as command {back.command}")
+        heads = math.isfinite(item.yaw)
+        for number, (value, stored) in enumerate(zip(_numbers(item), _numbers(back), strict=True), 1):
+            turned = math.remainder(value - stored, 360.0) if heads and number == _HEADING else math.nan
+            if not (_alike(value, stored) or abs(turned) < _HEADING_TOLERANCE):
+                altered.append(f"param{number} {value:g} of item {seq} as {stored:g}")
+    return altered if kind == plan.MISSION else [f"{KINDS[kind]}: {text}" for text in altered]
+
+
+def _numbers(item: PlanItem) -> tuple[float, ...]:
+    """Return the parameters of an item; 0 for a position, which ``difference`` compares."""
+    return (*item.params, item.x, item.y, item.z) if item.frame == FRAME_MISSION else (*item.params, 0.0, 0.0, item.z)
+
+
+def _alike(a: float, b: float) -> bool:
+    return math.isclose(a, b, rel_tol=_NUMBER_TOLERANCE, abs_tol=1e-6) or (a != a and b != b)
+
+
 def _same_place(a: PlanItem, b: PlanItem) -> bool:
     return max(abs(a.x - b.x), abs(a.y - b.y)) <= _PLACE_TOLERANCE
 
@@ -100,8 +131,7 @@ def _equal(a: PlanItem, b: PlanItem, kind: int) -> bool:
         return False
     if a.frame != FRAME_MISSION and not _same_place(a, b):
         return False
-    numbers = zip((*a.params, a.z), (*b.params, b.z), strict=True)
-    return all(math.isclose(x, y, rel_tol=_NUMBER_TOLERANCE, abs_tol=1e-6) or (x != x and y != y) for x, y in numbers)
+    return all(map(_alike, (*a.params, a.z), (*b.params, b.z)))
 
 
 def cancel_transfers(system: int) -> list[Any]:
@@ -250,8 +280,8 @@ def upload_list(
     progress: Progress = ignore_progress,
     autopilot: int = _PX4,
     home: Position = (0.0, 0.0, 0.0),
-) -> Exchange[None]:
-    """Replace a list of a vehicle, download it again and compare.
+) -> Exchange[list[str]]:
+    """Replace a list of a vehicle, download it again and compare; return its ``alterations``.
 
     Args:
         system: MAVLink system id of the vehicle.
@@ -267,15 +297,17 @@ def upload_list(
     with_home = autopilot == _ARDUPILOT and kind == plan.MISSION
     sent = _with_home(items, home) if with_home else items
 
-    def once() -> Exchange[None]:
+    def once() -> Exchange[list[str]]:
         yield from _upload_once(system, kind, sent, progress)
         found = yield from _download_once(system, kind, progress)
         yield from _send(_acceptance(system, kind))
-        wrong = difference(items, _without_home(found) if with_home else found, kind, autopilot)
+        found = _without_home(found) if with_home else found
+        wrong = difference(items, found, kind, autopilot)
         if wrong:
             raise RefusalError(f"{KINDS[kind]}: {wrong}", False)
+        return alterations(items, found, kind)
 
-    yield from _retry(system, once)
+    return (yield from _retry(system, once))
 
 
 def download_list(
@@ -298,6 +330,14 @@ def _send(messages: list[Any]) -> Exchange[None]:
 # whole plans
 
 
+def outcome(altered: Sequence[str]) -> str:
+    """Describe the result of an upload from its ``alterations``."""
+    if not altered:
+        return "sent, and come back the same"
+    more = f" and {len(altered) - _SHOWN} more" if len(altered) > _SHOWN else ""
+    return f"sent, and stored in the vehicle's own form: {', '.join(altered[:_SHOWN])}{more}"
+
+
 def check_capacity(content: Plan) -> str:
     """Describe the list of a plan that is too long for a PX4; empty for none."""
     for kind in plan.KINDS:
@@ -309,14 +349,16 @@ def check_capacity(content: Plan) -> str:
 
 def upload_plan(
     system: int, content: Plan, progress: Progress = ignore_progress, autopilot: int = _PX4
-) -> Exchange[None]:
+) -> Exchange[list[str]]:
     """Replace all three lists of a vehicle, also by empty ones, as QGroundControl does; see ``upload_list``.
 
     Raises:
         RefusalError: the vehicle rejects one of them.
     """
+    altered: list[str] = []
     for kind in plan.KINDS:
-        yield from upload_list(system, kind, content.items(kind), progress, autopilot, content.home)
+        altered += yield from upload_list(system, kind, content.items(kind), progress, autopilot, content.home)
+    return altered
 
 
 def download_plan(system: int, progress: Progress = ignore_progress, autopilot: int = _PX4) -> Exchange[Plan]:

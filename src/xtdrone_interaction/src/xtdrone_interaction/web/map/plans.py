@@ -108,8 +108,7 @@ class Plans:
             raise CallError(f"plan: {str(params.get('plan'))[:40]!r} is not allowed, the number of a plan made here")
         results = await self._context.blocking(_send, files)
         return {
-            name: {"ok": not isinstance(result, GcsError), "text": str(result or "stored")}
-            for name, result in results.items()
+            name: {"ok": not isinstance(result, GcsError), "text": _text_of(result)} for name, result in results.items()
         }
 
     def _files(self, params: Params) -> Mapping[str, Plan] | None:
@@ -126,8 +125,15 @@ class Plans:
         return params if files is None else {"files": {name: qgc_plan.text_of(plan) for name, plan in files.items()}}
 
 
+def _text_of(result: Any) -> str:
+    """Return the text on an upload's error or its alterations; "stored" for none."""
+    if isinstance(result, GcsError):
+        return str(result)
+    return plan_exchanges.outcome(result) if result else "stored"
+
+
 def _send(files: Mapping[str, Plan]) -> dict[str, Any]:
-    def store(name: str, heartbeat: Heartbeat) -> Exchange[None]:
+    def store(name: str, heartbeat: Heartbeat) -> Exchange[list[str]]:
         progress = station.progress_of(name, None)
         return plan_exchanges.upload_plan(heartbeat.system, files[name], progress, heartbeat.autopilot)
 

@@ -19,12 +19,17 @@ _LEAD = 5.0  # m, minimum lookahead distance in turns (L1 guidance)
 
 @kernel
 def _start_leg(c, s, e):
-    """Start the leg to a new goal: from the previous goal if that led on to this one, else from the vehicle."""
-    onwards = True  # false for NaN, no onward waypoint
+    """Start the leg to a new goal: from the previous goal if that led on to this one, else from the vehicle.
+
+    The leg to a goal that stays, with another one after it, keeps its start.
+    """
+    onwards, same = True, True  # onwards: false for NaN, no onward waypoint
     for i in range(3):
         onwards = onwards and abs(c.leg_onward[i] - s.goal_position[i]) < 1e-3
+        same = same and abs(c.leg_goal[i] - s.goal_position[i]) < 1e-3
     for i in range(3):
-        c.leg_start[i] = c.leg_goal[i] if onwards else e.position[i]
+        if not same:
+            c.leg_start[i] = c.leg_goal[i] if onwards else e.position[i]
         c.leg_goal[i] = s.goal_position[i]
         c.leg_onward[i] = s.onward_position[i]
     c.goal_from_ground = 1 if c.takeoff.state < TAKEOFF_RAMPUP else 0
