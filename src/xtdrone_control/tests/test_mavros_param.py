@@ -95,7 +95,7 @@ def test_push_writes_changed_parameters(pair):
     pair.bench.ros.params["/iris_0/mavros/param"]["MPC_XY_CRUISE"] = 6.5
     pair.bench.ros.params["/iris_0/mavros/param"]["NOBODYS"] = 1
     answer = pair.call("param/push", ParamPushRequest())
-    assert (answer.success, answer.param_transfered) == (True, 1)
+    assert (answer.success, answer.param_transfered) == (True, len(NAMES)), "MAVROS counts the unchanged ones, too"
     assert pair.served.parameters.get("MPC_XY_CRUISE") == 6.5
 
 
@@ -104,3 +104,28 @@ def test_values_are_published(pair):
     pair.call("param/get", ParamGetRequest("MPC_XY_CRUISE"))
     (message,) = pair.bench.published("param/param_value")
     assert (message.param_id, message.value.real, message.param_count) == ("MPC_XY_CRUISE", 5.0, len(NAMES))
+
+
+@pytest.mark.parametrize("subscribed", [True, False])
+def test_all_are_published_ten_seconds_after_the_connection(pair, subscribed):
+    """Publish them as MAVROS does (param.cpp, shedule_cb), which costs nothing without a subscriber."""
+    if subscribed:
+        pair.bench.take("param/param_value")
+    pair.bench.uas.step(0)
+    pair.bench.uas.set_connected(True)
+    names = []
+    for second in range(1, 21):
+        pair.bench.uas.step(second * 10**9)
+        for _ in range(20):
+            pair.turn()
+        if second == 9:
+            assert pair.bench.published("param/param_value") == []
+    names = {message.param_id for message in pair.bench.published("param/param_value")}
+    assert names == (set(NAMES) if subscribed else set())
+
+
+def test_a_value_of_the_wrong_type_is_named(pair, caplog):
+    pair.call("param/set", ParamSetRequest("MPC_XY_CRUISE", ParamValue(8, 0.0)))
+    assert "MPC_XY_CRUISE is given as an integer, which a real PX4 rejects: use value.real" in caplog.text
+    pair.call("param/set", ParamSetRequest("COM_DL_LOSS_T", ParamValue(0, 20.0)))
+    assert "COM_DL_LOSS_T is given as a real number, which a real PX4 rejects: use value.integer" in caplog.text

@@ -8,9 +8,11 @@ import threading
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Twist, TwistStamped
 from mavros_fakes import Bench
-from mavros_msgs.msg import AttitudeTarget, HomePosition, PositionTarget, StatusText
+from mavros_msgs.msg import AttitudeTarget, HomePosition, Mavlink, PositionTarget, StatusText
 from mavros_msgs.srv import (
     CommandBoolRequest,
+    CommandIntRequest,
+    CommandLongRequest,
     CommandTOLRequest,
     CommandTriggerControlRequest,
     CommandTriggerIntervalRequest,
@@ -19,11 +21,12 @@ from mavros_msgs.srv import (
 )
 from nav_msgs.msg import Odometry
 from pymavlink.dialects.v20 import common as mavlink
-from sensor_msgs.msg import NavSatFix
+from sensor_msgs.msg import NavSatFix, NavSatStatus
 
 from xtdrone_control import frames
 from xtdrone_control.mavros.lib.log_throttle import Throttle
 from xtdrone_control.mavros.lib.plugin_settings import ParamError
+from xtdrone_control.mavros.link.raw_frames import fill
 from xtdrone_control.mavros.plugins import PLUGINS
 
 NAN = float("nan")
@@ -202,8 +205,8 @@ class TestImu:
         assert raw.orientation_covariance[0] == -1.0
         [mag] = bench.published("imu/mag")
         assert xyz(mag.magnetic_field) == approx((0.2e-4, 0.1e-4, -0.4e-4), 1e-11)
-        assert bench.published("imu/static_pressure")[0].fluid_pressure == pytest.approx(95500.0)
-        assert bench.published("imu/diff_pressure")[0].fluid_pressure == pytest.approx(150.0)
+        assert bench.published("imu/static_pressure")[0].fluid_pressure == pytest.approx(955.0)  # hPa
+        assert bench.published("imu/diff_pressure")[0].fluid_pressure == pytest.approx(1.5)
         assert bench.published("imu/temperature_imu")[0].temperature == 25.0
         assert raw.header.stamp.to_sec() == 20.004
 
@@ -227,6 +230,16 @@ class TestSysStatus:
         [state] = bench.published("state")
         assert (state.connected, state.armed, state.mode, state.system_status) == (True, True, "OFFBOARD", 4)
         assert (state.guided, state.manual_input) == (False, False)
+
+    def test_the_missing_connection_is_published_once_before_the_first_heartbeat(self, bench):
+        """Publish it as MAVROS does (sys_status.cpp, initialize)."""
+        for second in range(3):
+            bench.uas.step(second * 10**9)
+        [state] = bench.published("state")
+        assert (state.connected, state.armed, state.mode, state.system_status) == (False, False, "", 0)
+        bench.send(HEARTBEAT)
+        bench.uas.step(3 * 10**9)
+        assert [state.connected for state in bench.published("state")] == [True]
 
     def test_connection_is_lost_after_ten_seconds_of_silence(self, bench):
         bench.send(HEARTBEAT)
@@ -269,12 +282,33 @@ class TestSysStatus:
         assert battery.cell_voltage == approx([4.1, 4.0, 3.9])
         assert battery.power_supply_technology == battery.POWER_SUPPLY_TECHNOLOGY_LIPO
 
-    @pytest.mark.parametrize("current", [-1, -100], ids=["MAVLink's", "PX4's"])
-    def test_battery_whose_current_is_not_measured(self, bench, current):
+    @pytest.mark.parametrize(("current", "published"), [(-1, NAN), (-100, 1.0)], ids=["MAVLink's", "PX4's"])
+    def test_battery_with_unknown_values(self, bench, current, published):
+        """Publish MAVROS's values (sys_status.cpp, handle_battery_status): PX4's "unknown" is -1 A."""
         bench.take("battery")
-        cells = [4100] + [65535] * 9
-        bench.send(mavlink.MAVLink_battery_status_message(0, 0, 1, 32767, cells, current, -1, -1, 87))
-        assert math.isnan(bench.published("battery")[0].current)
+        bench.send(mavlink.MAVLink_battery_status_message(0, 0, 1, 32767, [65535] * 10, current, -1, -1, -1))
+        [battery] = bench.published("battery")
+        assert battery.current == pytest.approx(published, nan_ok=True)
+        assert (battery.voltage, battery.cell_voltage) == (0.0, [])
+        assert battery.percentage == pytest.approx(-0.01)
+
+    @pytest.mark.parametrize(
+        ("voltages", "extension", "cells"),
+        [
+            ([4100, 0, 3900], [], [4.1, 0.0, 3.9]),
+            ([65534, 1000, 4000], [], [66.534, 4.0]),
+            ([4100, 65535, 3900], [], [4.1]),
+            ([4000] * 10, [3900, 0, 3800], [*[4.0] * 10, 3.9]),
+            ([*[4000] * 9, 65534], [466], [*[4.0] * 9, 66.0]),
+        ],
+    )
+    def test_cells_are_mavross(self, bench, voltages, extension, cells):
+        bench.take("battery")
+        fields = [*voltages, *[65535] * 10][:10], 0, -1, -1, 50, 0, 0, [*extension, *[0] * 4][:4]
+        bench.send(mavlink.MAVLink_battery_status_message(0, 0, 1, 32767, *fields))
+        [battery] = bench.published("battery")
+        assert battery.cell_voltage == approx(cells)
+        assert battery.voltage == pytest.approx(sum(cells))
 
     def test_estimator_flags(self, bench):
         bench.take("estimator_status")
@@ -350,6 +384,13 @@ class TestGlobalPosition:
         assert bench.published("global_position/rel_alt")[0].data == 2.0
         assert bench.published("global_position/compass_hdg")[0].data == 45.0
 
+    def test_global_has_no_fix_before_a_receivers_message(self, bench):
+        bench.take("global_position/global")
+        bench.send(mavlink.MAVLink_global_position_int_message(1000, 473977420, 85455940, 500_000, 0, 0, 0, 0, 0))
+        [fix] = bench.published("global_position/global")
+        assert (fix.status.status, fix.status.service) == (NavSatStatus.STATUS_NO_FIX, NavSatStatus.SERVICE_GPS)
+        assert fix.position_covariance[0] == -1.0
+
     def test_local_is_relative_to_home(self, bench):
         bench.take("global_position/local")
         home = mavlink.MAVLink_home_position_message(
@@ -375,6 +416,23 @@ class TestGlobalPosition:
         assert xyz(home.approach) == (0.0, 0.0, 1.0)
         assert same_rotation(wxyz(home.orientation), Q_ENU)
         assert home.header.stamp.to_sec() == 7.0
+
+    def test_a_missing_home_is_asked_for_every_ten_seconds(self, bench):
+        """Ask as MAVROS does (home_position.cpp, timeout_cb)."""
+
+        def asked(until):
+            times = []
+            for second in range(bench.ros.time_ns // 10**9 + 1, until + 1):
+                bench.ros.time_ns = second * 10**9
+                bench.send(HEARTBEAT)
+                bench.uas.step(bench.ros.time_ns)
+                commands = [m.command for m in bench.received() if m.get_type() == "COMMAND_LONG"]
+                times += [second] * commands.count(mavlink.MAV_CMD_GET_HOME_POSITION)
+            return times
+
+        assert asked(35) == [11, 21, 31]
+        bench.send(mavlink.MAVLink_home_position_message(0, 0, 0, 0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0))
+        assert asked(60) == []
 
     def test_home_is_set_in_the_autopilots_frame(self, bench):
         home = HomePosition()
@@ -685,6 +743,42 @@ class TestDemand:
         assert asked() == {}
         bench.uas.step(1_000_000_000)
         assert asked() == {74: -1.0}
+
+    @pytest.mark.parametrize("way", ["cmd/command", "broadcast", "cmd/command_int", "mavlink/to"])
+    def test_a_rate_set_by_a_users_command_stays(self, bench, way):
+        """Leave the stream alone, with and without subscribers, until the autopilot restarts; MAVROS sets no rates."""
+
+        def asked():
+            bench.uas.refresh()
+            return [m.param2 for m in bench.received() if m.get_type() == "COMMAND_LONG" and m.param1 == 105]
+
+        bench.send(HEARTBEAT)
+        command, number, interval = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 105.0, 5000.0
+        if way == "mavlink/to":
+            frame = mavlink.MAVLink_command_long_message(1, 1, command, 0, number, interval, 0, 0, 0, 0, 0)
+            message = Mavlink()
+            fill(message, bytes(frame.pack(mavlink.MAVLink(None))))
+            bench.ros.subscribers["/iris_0/mavlink/to"](message)
+        elif way == "cmd/command_int":
+            request = CommandIntRequest(command=command, param1=number, param2=interval)
+            bench.ros.services["/iris_0/mavros/cmd/command_int"](request)
+        else:
+            bench.uas.commands.call = lambda *_, **__: mavlink.MAV_RESULT_ACCEPTED
+            request = CommandLongRequest(command=command, param1=number, param2=interval)
+            request.broadcast = way == "broadcast"
+            bench.ros.services["/iris_0/mavros/cmd/command"](request)
+        bench.received()
+        bench.take("imu/data_raw")
+        assert asked() == []
+        bench.ros.publishers["/iris_0/mavros/imu/data_raw"].connections = 0
+        bench.send(HIGHRES)
+        assert asked() == []
+        bench.uas.set_connected(False)
+        bench.send(HEARTBEAT, HIGHRES)
+        assert asked() == [], "the autopilot keeps its rates while a link is lost"
+        bench.uas.rebooted()
+        bench.take("imu/data_raw")
+        assert asked() == [0.0]
 
     def test_streams_are_left_alone_on_request(self):
         bench = Bench(PLUGINS, {"manage_streams": False})

@@ -143,7 +143,8 @@ class TestDiagnostics:
         for second in range(3):
             bench.uas.step(second * 1_000_000_000)
         assert bench.ros.publishers["/diagnostics"].messages == []
-        assert not {1, 24, 147} & bench.link.wanted
+        assert not {1, 24, 111, 147} & bench.link.wanted
+        assert "TIMESYNC" not in [m.get_type() for m in bench.received()]
 
     def test_before_the_first_message(self, bench):
         self.listen(bench)
@@ -154,7 +155,20 @@ class TestDiagnostics:
             "Heartbeat": (2, "No events recorded."),
             "System": (0, "Normal"),
             "Battery": (2, "No data"),
+            "Time Sync": (2, "No events recorded."),
         }
+
+    def test_clocks_are_compared_in_simulation_while_there_is_a_subscriber(self, bench):
+        self.listen(bench)
+        bench.received()
+        bench.ros.time_ns = 100_000_000
+        bench.uas.step(bench.ros.time_ns)
+        [request] = [m for m in bench.received() if m.get_type() == "TIMESYNC"]
+        bench.ros.time_ns += 20_000_000
+        bench.send(mavlink.MAVLink_timesync_message(request.ts1 + 10_000_000, request.ts1))
+        level, text, values = self.statuses(bench)["Time Sync"]
+        assert (level, text, values["Last RTT (ms)"]) == (0, "Normal", "20.000000")
+        assert values["Estimated time offset (s)"] == "0.000000000", "stamps stay the simulation's"
 
     def test_in_flight(self, bench):
         self.listen(bench)

@@ -205,3 +205,65 @@ def test_an_autopilot_that_does_not_answer(layer, monkeypatch):
     answer = layer.call("mission/push", WaypointPushRequest(waypoints=MISSION))
     assert (answer.success, answer.wp_transfered) == (False, 0)
     assert not layer.call("mission/clear", WaypointClearRequest()).success
+
+
+class TestFirstPull:
+    """The lists are fetched 15 s after the connection, as MAVROS does (mission_protocol_base.h, scheduled_pull_cb)."""
+
+    TOPICS = ("mission/waypoints", "geofence/waypoints", "rallypoint/waypoints")
+
+    def connect(self, layer):
+        layer.stop_serving()
+        layer.step(0.1)
+        layer.uas.set_connected(True)
+
+    def fly(self, layer, seconds):
+        for _ in range(round(seconds * 10)):
+            layer.server.receive(0.0)
+            layer.step(0.1)
+
+    def test_empty_lists_are_published(self, layer):
+        self.connect(layer)
+        self.fly(layer, 14.8)
+        assert [layer.published(topic) for topic in self.TOPICS] == [[], [], []]
+        self.fly(layer, 3.0)
+        assert [[m.waypoints for m in layer.published(topic)] for topic in self.TOPICS] == [[[]], [[]], [[]]]
+        self.fly(layer, 20.0)
+        assert [layer.published(topic) for topic in self.TOPICS] == [[], [], []], "once"
+
+    def test_what_another_program_has_uploaded_is_published(self, layer):
+        fence = [waypoint(n, 5001, param1=3.0) for n in (0, 100, 200)]
+        layer.call("mission/push", WaypointPushRequest(waypoints=MISSION))
+        layer.call("geofence/push", WaypointPushRequest(waypoints=fence))
+        self.connect(layer)
+        assert [layer.published(topic) for topic in self.TOPICS[2:]] == [[]]
+        layer.published("mission/waypoints")
+        self.fly(layer, 20.0)
+        [mission] = layer.published("mission/waypoints")
+        assert [w.command for w in mission.waypoints] == [22, 16, 16]
+        assert len(layer.published("geofence/waypoints")[-1].waypoints) == 3
+
+    def test_lost_answers_are_asked_for_again_and_a_silent_autopilot_is_named(self, layer, caplog):
+        self.connect(layer)
+        layer.step(15.0)
+        layer.server.receive(0.0)  # the request is answered after a second without an answer
+        self.fly(layer, 4.0)
+        assert len(layer.published("mission/waypoints")) == 1
+        layer.uas.set_connected(False)
+        layer.uas.set_connected(True)
+        layer.link.send = lambda *_: None
+        layer.step(40.0)
+        for space in ("mission", "geofence", "rallypoint"):
+            assert f"the autopilot does not send the list of {space}/waypoints" in caplog.text
+
+    def test_a_service_waits_for_it_and_a_lost_connection_ends_it(self, layer):
+        self.connect(layer)
+        layer.step(15.1)
+        answers = []
+        thread = threading.Thread(target=lambda: answers.append(layer.call("mission/pull", WaypointPullRequest())))
+        thread.start()
+        layer.uas.set_connected(False)
+        while thread.is_alive():
+            layer.server.receive(0.01)
+            thread.join(0.001)
+        assert answers[0].success

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 from dataclasses import replace
@@ -14,6 +15,7 @@ from xtdrone_interaction.doctor import machine_check
 from xtdrone_interaction.doctor.failing_check_remedies import CHECKS, UNKNOWN_CHECK
 from xtdrone_interaction.doctor.findings import (
     Check,
+    Finding,
     Graph,
     Simulator,
     Vehicle,
@@ -138,6 +140,30 @@ def test_long_lines_hang_below_their_text() -> None:
     text = wrapped(Line("  arming    " + "word " * 30), 60)
     assert all(len(line) <= 60 for line in text.splitlines())
     assert all(line.startswith(" " * 12) for line in text.splitlines()[1:])
+
+
+def _bound(stack: contextlib.ExitStack, port: int) -> bool:
+    """Bind a UDP port; return whether it was free."""
+    taken = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+    with contextlib.suppress(OSError):
+        taken.bind(("127.0.0.1", port))
+        return True
+    return False
+
+
+def test_a_listener_on_px4s_stock_port_is_told_the_ports_of_this_simulation() -> None:
+    def mine() -> list[Finding]:
+        return [f for f in machine_check.examine_stock_ports() if f"(pid {os.getpid()}" in f.text]
+
+    with contextlib.ExitStack() as stack:
+        if not (_bound(stack, 14_545) and mine()):
+            pytest.skip("port 14545 or 14585 is in use")
+        [found] = mine()
+        assert "listens on UDP 14545, PX4's stock port; no PX4 is at 14585" in found.text
+        assert "vehicle 5 at udpout://127.0.0.1:18575; listen on 14550" in found.remedy
+        assert "on 24545 in the place of MAVROS" in found.remedy
+        assert _bound(stack, 14_585)
+        assert mine() == []
 
 
 def test_a_taken_port_is_named_with_its_holder() -> None:

@@ -8,11 +8,13 @@ import json
 import math
 from typing import Any
 
+import genpy
 import pytest
 from geometry_msgs.msg import PoseStamped, TwistWithCovarianceStamped
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mavros_msgs.msg import State, WaypointList
+from nav_msgs.msg import Path
 from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Float32, Header, String, Time, UInt8MultiArray
@@ -90,6 +92,21 @@ def test_json_has_rosbridges_forms() -> None:
     assert math.isnan(from_json(Float32, {"data": None}).data)
     assert from_json(Image, {"data": [0, 255, 16]}).data == b"\x00\xff\x10"
     assert from_json(Time, {"data": 1.5}).data.nsecs == 500_000_000
+
+
+def test_headers_without_a_stamp_get_rosbridges() -> None:
+    """Fill them as rosbridge does (message_conversion.py, _to_object_inst and _to_time_inst)."""
+    now = genpy.Time(12, 34)
+    point = {"pose": {"position": {"x": 1.0}}}
+    assert from_json(PoseStamped, {"header": {"frame_id": "map"}, **point}, now).header.stamp == now
+    assert from_json(PoseStamped, {"header": {"stamp": {"secs": 5, "nsecs": 6}}}, now).header.stamp == genpy.Time(5, 6)
+    assert from_json(PoseStamped, point, now).header.stamp == genpy.Time()
+    nested = {"poses": [{"header": {}}, {"header": {"stamp": 1.5}}]}
+    assert [pose.header.stamp.to_sec() for pose in from_json(Path, nested, now).poses] == [now.to_sec(), 1.5]
+    assert from_json(Time, {"data": "now"}, now).data == now
+    assert from_json(PoseStamped, {"header": {}}).header.stamp == genpy.Time()
+    with pytest.raises(MessageJsonError):
+        from_json(Time, {"data": "now"})
 
 
 def test_long_arrays_are_shortened_on_request() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from functools import partial
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from xtdrone_control.autopilot.state import (
 )
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.mavlink.streams.telemetry import Telemetry
+from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot
 from xtdrone_sim.simulation import Simulation
 
 UNSET = (math.nan, math.nan, math.nan)
@@ -246,12 +248,19 @@ def test_vision_alone_provides_position_in_its_frame():
 
 
 def test_with_vision_alone_there_is_no_home_until_there_is_an_origin():
-    """The vehicle flies by local position; global functions wait for an origin, as with PX4."""
-    flight = Flight(parameters=VISION_ONLY, shared_datum=False)
+    """The vehicle flies by local position; global functions wait for an origin, as with PX4.
+
+    Modes: mode_requirements.cpp; a takeoff without a successor: UserModeIntention.cpp, change. A shared frame changes
+    nothing: the vehicle does not know its place on Earth.
+    """
+    flight = Flight(parameters=VISION_ONLY, shared_datum=True)
     commander = flight.commander
     flight.vision = camera()
     flight.take_off(4.0)
-    assert commander.mode is modes.AUTO_LOITER
+    assert commander.mode is modes.AUTO_TAKEOFF
+    assert flight.e["global_valid"] == flight.e["origin"]["set"] == 0
+    for mode in (modes.AUTO_LOITER, modes.AUTO_RTL, modes.AUTO_MISSION):
+        assert commander.request(mode) is Result.TEMPORARILY_REJECTED
     assert commander.home is None
     assert commander.set_home(None) is Result.TEMPORARILY_REJECTED
     assert commander.set_home((47.0, 8.0, 400.0)) is Result.TEMPORARILY_REJECTED
@@ -272,6 +281,7 @@ def test_with_vision_alone_there_is_no_home_until_there_is_an_origin():
     flight.run(0.3)
     assert commander.home is not None
     assert (commander.home.latitude, commander.home.longitude) == pytest.approx((47.0, 8.0), abs=1e-4)
+    assert commander.request(modes.AUTO_LOITER) is Result.ACCEPTED
     assert commander.request(modes.AUTO_LAND) is Result.ACCEPTED
     flight.setpoint = None
     flight.run(12.0)
@@ -468,10 +478,11 @@ def test_a_loiter_continues_smoothly_over_a_reset():
     """The goal is fixed in the world: the vehicle flies there from its corrected position without a jerk."""
     resets = [0]
     offset = np.zeros(3)
-    flight = Flight(parameters=VISION_ONLY)
+    flight = Flight(parameters=VISION_ONLY, autopilots=partial(BuiltinAutopilot, datum_known=True))
     flight.vision = camera(offset=offset, resets=lambda: resets[0])
     flight.take_off(5.0)
     flight.run(3.0)
+    assert flight.commander.mode is modes.AUTO_LOITER
     goal = flight.e["position"].copy()
     offset[:2] = (3.0, 0.0)
     resets[0] = 1

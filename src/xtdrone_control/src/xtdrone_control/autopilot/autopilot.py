@@ -255,12 +255,14 @@ class Autopilot:
     motor_tests: running motor tests by index of the vehicle.
     """
 
-    def __init__(self, layouts: Sequence[RotorLayout], datum: Datum | None) -> None:
+    def __init__(self, layouts: Sequence[RotorLayout], datum: Datum | None, *, datum_known: bool = False) -> None:
         """Create the records of ``len(layouts)`` vehicles.
 
         Args:
             layouts: one rotor layout per vehicle.
             datum: common origin of the local frames; with None each vehicle's origin is its first GPS fix.
+            datum_known: whether the vehicles know the datum from the start; otherwise, as with PX4, they have no global
+                position before a GPS fix or SET_GPS_GLOBAL_ORIGIN.
         """
         self.count = len(layouts)
         self.time_us = 0
@@ -273,6 +275,7 @@ class Autopilot:
         self.failures = records(FAILURES, self.count)
         self.params = records(PARAMS, self.count)
         self._datum = datum
+        self._datum_known = datum_known
         self._initialise_records(slice(None))
         self._layouts = list(layouts)
         self.failed_rotors = np.zeros(self.count, np.int32)
@@ -293,7 +296,8 @@ class Autopilot:
             origin["lat"][which] = self._datum.latitude
             origin["lon"][which] = self._datum.longitude
             origin["alt"][which] = self._datum.altitude
-            origin["set"][which] = 1
+            origin["preset"][which] = 1
+            origin["set"][which] = self._datum_known
         for field in ("position", "velocity", "acceleration", "goal_position", "onward_position"):
             self.setpoint[field][which] = np.nan
         for field in ("yaw", "yaw_rate", "goal_yaw", "cruise_speed", "climb_speed", "descend_speed"):

@@ -27,7 +27,7 @@ class Mode:
         sub: PX4 sub mode of AUTO modes and ORBIT; 0 for others.
         flags: base_mode without the armed bit.
         needs: requirements of the mode: "attitude", "altitude", "position" (accurate horizontal estimate),
-            "relaxed_position" (any horizontal estimate), "home", "mission", "offboard".
+            "relaxed_position" (any horizontal estimate), "global_position", "home", "mission", "offboard".
         sticks: whether the pilot flies by stick; such a mode requires manual control.
         prevents_arming: whether arming is rejected in this mode; disarming leaves it.
         attitude_control: whether the attitude is controlled, so that the failure detector's limits apply.
@@ -66,13 +66,14 @@ _ATTITUDE = frozenset({"attitude"})
 _HEIGHT = _ATTITUDE | {"altitude"}
 _ABOUT = _HEIGHT | {"relaxed_position"}
 _EXACT = _HEIGHT | {"position"}
+_GLOBAL = _EXACT | {"global_position"}
 
 MANUAL = Mode("MANUAL", "MANUAL", 0, 1, 0, _STICKS, _ATTITUDE, sticks=True)
 ALTCTL = Mode("ALTCTL", "ALTCTL", 1, 2, 0, _STICKS, _HEIGHT, sticks=True)
 POSCTL = Mode("POSCTL", "POSCTL", 2, 3, 0, _STICKS, _ABOUT, sticks=True)
-AUTO_MISSION = Mode("AUTO.MISSION", "AUTO_MISSION", 3, MAIN_AUTO, 4, _PILOT, _EXACT | {"mission"})
-AUTO_LOITER = Mode("AUTO.LOITER", "AUTO_LOITER", 4, MAIN_AUTO, 3, _PILOT, _EXACT)
-AUTO_RTL = Mode("AUTO.RTL", "AUTO_RTL", 5, MAIN_AUTO, 5, _PILOT, _EXACT | {"home"}, prevents_arming=True)
+AUTO_MISSION = Mode("AUTO.MISSION", "AUTO_MISSION", 3, MAIN_AUTO, 4, _PILOT, _GLOBAL | {"mission"})
+AUTO_LOITER = Mode("AUTO.LOITER", "AUTO_LOITER", 4, MAIN_AUTO, 3, _PILOT, _GLOBAL)
+AUTO_RTL = Mode("AUTO.RTL", "AUTO_RTL", 5, MAIN_AUTO, 5, _PILOT, _GLOBAL | {"home"}, prevents_arming=True)
 ACRO = Mode("ACRO", "ACRO", 10, 5, 0, _CUSTOM | _MANUAL, frozenset(), sticks=True, attitude_control=False)
 # PX4 reports its DESCEND state as AUTO.LAND, and TERMINATION as MANUAL
 DESCEND = Mode("AUTO.LAND", "DESCEND", 12, MAIN_AUTO, 6, _PILOT, _ATTITUDE, prevents_arming=True)

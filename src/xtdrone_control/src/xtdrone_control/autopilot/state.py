@@ -142,6 +142,7 @@ HEIGHT_BARO, HEIGHT_GPS, HEIGHT_RANGE, HEIGHT_VISION = range(4)
 ORIGIN = np.dtype(  # aiding and origin: origin of the local frame
     [
         ("set", "i4"),
+        ("preset", "i4"),  # lat, lon and alt are given before the first fix, which sets them
         ("lat", "f8"),  # deg
         ("lon", "f8"),
         ("alt", "f8"),  # m AMSL

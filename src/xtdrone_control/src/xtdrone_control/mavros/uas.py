@@ -329,7 +329,6 @@ class Uas:
         """Reset requests and cached values after a reboot of the autopilot."""
         log.warning("%s: autopilot %d.%d has been rebooted", self.name, *self.target)
         self._forget()
-        self.streams.reset()
         for plugin in self.plugins:
             plugin.connected(True)
         self.refresh()
@@ -400,7 +399,7 @@ class Uas:
         system, component = self.target
         if connected:
             log.info("%s: connected to autopilot %d.%d on port %d", self.name, system, component, self.link.port)
-            self.streams.reset()
+            self.streams.reconnect()
         else:
             log.warning("%s: connection to autopilot %d.%d %s", self.name, system, component, why)
         for plugin in self.plugins:
@@ -412,6 +411,7 @@ class Uas:
             slot.frame = slot.message = None
         self._attitude_of = self._attitude = None
         self.refusals.reset()
+        self.streams.reset()
 
     def _connect(self, plugin: LoadedPlugin) -> None:
         for name, feeds in plugin.messages.items():

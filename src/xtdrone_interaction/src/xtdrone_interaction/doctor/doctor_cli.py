@@ -27,6 +27,7 @@ from xtdrone_interaction.doctor.machine_check import (
     Holder,
     examine_packages,
     examine_ports,
+    examine_stock_ports,
     instance_words,
     port_holders,
 )
@@ -71,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _report(given: str) -> tuple[list[Line], bool]:
     """Return the lines, and whether all is well."""
     holders = port_holders()
-    machine = [*examine_ports(holders), *examine_packages(command_options.repository())]
+    machine = [*examine_ports(holders), *examine_stock_ports(), *examine_packages(command_options.repository())]
     lines = [Line(f"machine   instances: {instance_words(holders)}"), *finding_lines(machine)]
     try:
         running, healthy = _running(given)

@@ -13,6 +13,8 @@ CHECKS = {
     "check_modes_cannot_takeoff": "switch to another mode before arming: AUTO.LOITER, AUTO.TAKEOFF or OFFBOARD",
     "check_modes_attitude": "wait until the estimator has started",
     "check_modes_local_pos": _POSITION,
+    "check_modes_global_pos": "wait for GPS; without it publish mavros/global_position/set_gp_origin, launch with "
+    "datum_known:=true, or fly in OFFBOARD, POSCTL, AUTO.TAKEOFF and AUTO.LAND",
     "check_modes_local_alt": "wait until the estimator has started; later: check EKF2_HGT_REF and the barometer",
     "check_modes_mission": "upload a mission (QGroundControl, ./xtdrone gcs upload), or set COM_ARM_MIS_REQ to 0",
     "check_modes_offboard_signal": "publish setpoints at 2 Hz or faster before switching to OFFBOARD",

@@ -11,12 +11,14 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-from xtdrone_control.fleet import MAX_INSTANCE, Vehicle, parse_fleet
+from xtdrone_control.fleet import GCS_REMOTE_PORT, MAX_INSTANCE, Vehicle, parse_fleet
 from xtdrone_interaction.doctor.findings import Finding, listed
 
 _OURS = ("simulator.py", "mavros_node.py", "simplified_simulator")
 _REQUIREMENT = re.compile(r"^\s*(?P<name>[A-Za-z0-9_.-]+)\s*==\s*(?P<version>[^\s;#]+)")
 _PACKAGES_LIMIT = 20.0  # s
+_STOCK_REMOTE, _STOCK_LOCAL = 14540, 14580  # a program's and PX4's end of the offboard link of PX4's own simulations
+_STOCK_VEHICLES = 10  # PX4's simulations give each further vehicle the next port, up to 14549
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,25 @@ def examine_ports(holders: Mapping[int, Mapping[int, Holder]]) -> list[Finding]:
             )
         )
     return findings
+
+
+def examine_stock_ports() -> list[Finding]:
+    """Return the programs that listen where a PX4 with its stock ports would send, while no such PX4 runs."""
+    taken = _udp_sockets()
+    waiting = [i for i in range(_STOCK_VEHICLES) if _STOCK_REMOTE + i in taken and _STOCK_LOCAL + i not in taken]
+    owners = _owners({taken[_STOCK_REMOTE + i] for i in waiting})
+    return [_stock_finding(i, owners.get(taken[_STOCK_REMOTE + i], Holder(0, ""))) for i in waiting]
+
+
+def _stock_finding(number: int, holder: Holder) -> Finding:
+    vehicle = Vehicle("iris", number, number)
+    return Finding(
+        "ports",
+        f"{holder} listens on UDP {_STOCK_REMOTE + number}, PX4's stock port; no PX4 is at {_STOCK_LOCAL + number}: "
+        "simulations here have upstream XTDrone's ports",
+        f"connect to vehicle {number} at udpout://127.0.0.1:{vehicle.gcs_local_port}; listen on {GCS_REMOTE_PORT} as a "
+        f"ground station, or with mavros:=false on {vehicle.offboard_remote_port} in the place of MAVROS",
+    )
 
 
 def instance_words(holders: Mapping[int, Mapping[int, Holder]]) -> str:

@@ -63,18 +63,20 @@ def to_json(message: Any, *, not_finite: NotFinite = NotFinite.TEXT, longest: in
     return _writer(kind, not_finite, longest)(message)
 
 
-def from_json(kind: type[Any], value: Json) -> Any:
+def from_json(kind: type[Any], value: Json, now: genpy.Time | None = None) -> Any:
     """Return the message that JSON describes; fields that are missing keep their defaults.
 
     Args:
         kind: class of the message.
         value: parsed JSON. Times may be a number in s too, arrays of bytes a list of numbers, NaN null.
+        now: with a time, each header in ``value`` that lacks a stamp gets this one, and so does each time that is the
+            text "now" (rosbridge's message_conversion.py); a header that is missing altogether keeps its default.
 
     Raises:
         MessageJsonError: it has a field that the type does not have, or a value that the field cannot hold; the text
             names field, value and what is allowed.
     """
-    return _read_message(kind, value, "")
+    return _read_message(kind, value, "", now)
 
 
 # writing
@@ -153,28 +155,30 @@ def _refuse(path: str, value: Json, allowed: str) -> MessageJsonError:
     return MessageJsonError(f"{path or 'message'}: {shown} is not allowed, {allowed}")
 
 
-def _read_message(kind: type[Any], value: Json, path: str) -> Any:
+def _read_message(kind: type[Any], value: Json, path: str, now: genpy.Time | None) -> Any:
     if not isinstance(value, Mapping):
         raise _refuse(path, value, f"an object with the fields of {kind._type}")
     message = kind()
+    if now is not None and kind._type == "std_msgs/Header":
+        message.stamp = now
     types = dict(zip(kind.__slots__, kind._slot_types, strict=True))
     for name, field in value.items():
         if name not in types:
             fields = ", ".join(types) or "no fields"
             raise MessageJsonError(f"{path or 'message'}: {name!r} is no field of {kind._type}, which has {fields}")
-        setattr(message, name, _read_field(kind, types[name], field, f"{path}.{name}" if path else name))
+        setattr(message, name, _read_field(kind, types[name], field, f"{path}.{name}" if path else name, now))
     return message
 
 
-def _read_field(owner: type[Any], slot_type: str, value: Json, path: str) -> Any:
+def _read_field(owner: type[Any], slot_type: str, value: Json, path: str, now: genpy.Time | None) -> Any:
     base, is_array, length = genmsg.msgs.parse_type(slot_type)
     if not is_array:
-        return _read_single(owner, base, value, path)
+        return _read_single(owner, base, value, path, now)
     if base in _BYTES and isinstance(value, str):
         return _checked_length(_read_bytes(value, path), length, value, path)
     if not isinstance(value, (list, tuple)):
         raise _refuse(path, value, f"a list of {base}")
-    elements = [_read_single(owner, base, element, f"{path}[{i}]") for i, element in enumerate(value)]
+    elements = [_read_single(owner, base, element, f"{path}[{i}]", now) for i, element in enumerate(value)]
     return _checked_length(bytes(elements) if base in _BYTES else elements, length, value, path)
 
 
@@ -191,7 +195,7 @@ def _read_bytes(value: str, path: str) -> bytes:
         raise _refuse(path, value, "bytes in base 64") from error
 
 
-def _read_single(owner: type[Any], base: str, value: Json, path: str) -> Any:
+def _read_single(owner: type[Any], base: str, value: Json, path: str, now: genpy.Time | None) -> Any:
     if base in FLOATS:
         return _read_float(base, value, path)
     if base in INTEGERS:
@@ -203,8 +207,8 @@ def _read_single(owner: type[Any], base: str, value: Json, path: str) -> Any:
     if base == "string":
         return _read_text(value, path)
     if base in TIMES:
-        return _read_time(base, value, path)
-    return _read_message(class_of_field(owner, base), value, path)
+        return now if base == "time" and value == "now" and now is not None else _read_time(base, value, path)
+    return _read_message(class_of_field(owner, base), value, path, now)
 
 
 def _read_float(base: str, value: Json, path: str) -> float:

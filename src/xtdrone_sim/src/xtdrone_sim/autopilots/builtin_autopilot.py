@@ -134,6 +134,8 @@ class BuiltinAutopilot:
         reserve: int = 0,
         params: Path | None = None,
         logs: Path | None = None,
+        *,
+        datum_known: bool = False,
     ) -> None:
         """Create parameters and plans of the vehicles, which survive a restart.
 
@@ -142,6 +144,7 @@ class BuiltinAutopilot:
             params: folder that stores changed parameters between runs, one file ``<vehicle>.params`` per vehicle;
                 None: every run starts with the defaults.
             logs: folder for the flight logs; None disables logging.
+            datum_known: whether vehicles know the datum before a GPS fix, see ``Autopilot``.
         """
         self.served = fleet
         self._logs = logs
@@ -155,12 +158,13 @@ class BuiltinAutopilot:
         self._layouts = [model.rotor_layout for model in models]
         self._battery_models = [model.battery for model in models]
         self._datum = datum
+        self._datum_known = datum_known
         self._parameters = [
             self._load_parameters(vehicle, model, None if index in self._absent else params)
             for index, (vehicle, model) in enumerate(zip(self._vehicles, models, strict=True))
         ]
         self._plans = [Plans() for _ in self._vehicles]
-        self.autopilot = Autopilot(self._layouts, datum)
+        self.autopilot = Autopilot(self._layouts, datum, datum_known=datum_known)
         self.commanders: list[Commander] = []
 
     def _load_parameters(self, vehicle: Vehicle, model: VehicleModel, folder: Path | None) -> Parameters:
@@ -170,7 +174,7 @@ class BuiltinAutopilot:
     def begin(self, world: World, time_us: int) -> None:
         """Boot all autopilots; changed parameters, missions, geofences and rally points are kept."""
         self.close()
-        self.autopilot = Autopilot(self._layouts, self._datum)
+        self.autopilot = Autopilot(self._layouts, self._datum, datum_known=self._datum_known)
         self.autopilot.time_us = time_us
         self.commanders = []
         for index, parameters in enumerate(self._parameters):

@@ -76,6 +76,11 @@ class FullSettings(NodeSettings):
     shared_datum: bool = setting(
         True, text="one local frame for all vehicles; PX4 instances receive it as /xtdrone/shared_origin"
     )
+    datum_known: bool = setting(
+        False,
+        text="vehicles without GPS know the shared frame's place on Earth from the start and thus accept AUTO.LOITER, "
+        "AUTO.RTL and missions, which PX4 rejects before SET_GPS_GLOBAL_ORIGIN",
+    )
     solid_people: bool = setting(False, text="vehicles and robots collide with people")
     params: str = setting("", text="folder that keeps changed vehicle parameters, empty for none")
     log_dir: str = setting("", text="folder for ULogs of the vehicles, empty for none")
@@ -176,6 +181,7 @@ class FullSimulation:
                 BuiltinAutopilot,
                 params=Path(settings.params).expanduser() if settings.params else None,
                 logs=Path(settings.log_dir).expanduser() if settings.log_dir else None,
+                datum_known=settings.datum_known,
             ),
             "hil": partial(
                 Hil,

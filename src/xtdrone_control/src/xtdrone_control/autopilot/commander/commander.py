@@ -644,7 +644,9 @@ class Commander(FlightCommands):
         if self._active_mode.sticks:
             self._steer()
         following = self.navigator.update()
-        if following is not None:  # never during a failsafe: its modes have no successor
+        # never during a failsafe: its modes have no successor. PX4's change() keeps a mode whose successor cannot be
+        # flown, such as a takeoff without a global position
+        if following is not None and self._can_choose(following):
             self._set_intended_mode(following)
             self._update_mode(changed=True)
 

@@ -77,6 +77,7 @@ class Flags(NamedTuple):
         altitude_invalid: no altitude estimate.
         position_invalid: no horizontal position estimate accurate enough for AUTO modes.
         relaxed_position_invalid: no horizontal position estimate at all.
+        global_position_invalid: the same as ``position_invalid``, or the local frame's place on Earth is unknown.
         home_missing: no home position.
         mission_missing: no feasible mission.
         offboard_lost: OFFBOARD setpoint stream missing or unusable.
@@ -94,6 +95,7 @@ class Flags(NamedTuple):
     altitude_invalid: bool = False
     position_invalid: bool = False
     relaxed_position_invalid: bool = False
+    global_position_invalid: bool = False
     home_missing: bool = False
     mission_missing: bool = False
     offboard_lost: bool = False
@@ -204,6 +206,7 @@ def missing(mode: Mode, flags: Flags) -> set[str]:
         "altitude": flags.altitude_invalid,
         "position": flags.position_invalid,
         "relaxed_position": flags.relaxed_position_invalid,
+        "global_position": flags.global_position_invalid,
         "home": flags.home_missing,
         "mission": flags.mission_missing,
         "offboard": flags.offboard_lost,

@@ -180,6 +180,11 @@ _CHECKS = (
     _check("check_modes_cannot_takeoff", "Mode not suitable for arming", "Choose another mode before arming."),
     _check("check_modes_attitude", "No valid attitude estimate", "Wait until the estimator has started."),
     _check("check_modes_local_pos", "No valid local position estimate"),
+    _check(
+        "check_modes_global_pos",
+        "No valid global position estimate",
+        "The mode needs GPS, or an origin of the local frame (SET_GPS_GLOBAL_ORIGIN).",
+    ),
     _check("check_modes_local_alt", "No valid altitude estimate"),
     _check("check_modes_mission", "No valid mission available", "Upload one that can be flown."),
     _check(

@@ -52,6 +52,7 @@ _NEEDS = (
     ("mode_req_local_alt", "altitude"),
     ("mode_req_local_position", "position"),
     ("mode_req_local_position_relaxed", "relaxed_position"),
+    ("mode_req_global_position", "global_position"),
     ("mode_req_mission", "mission"),
     ("mode_req_offboard_signal", "offboard"),
     ("mode_req_home_position", "home"),
@@ -213,7 +214,7 @@ class StatusTopics:
         r["attitude_invalid"] = r["angular_velocity_invalid"] = flags.attitude_invalid
         r["local_altitude_invalid"] = flags.altitude_invalid
         r["local_position_invalid"] = flags.position_invalid
-        r["global_position_invalid"] = flags.position_invalid or not self._commander.view.global_valid
+        r["global_position_invalid"] = flags.global_position_invalid
         r["local_position_invalid_relaxed"] = r["local_velocity_invalid"] = flags.relaxed_position_invalid
         r["home_position_invalid"] = flags.home_missing
         r["auto_mission_missing"] = flags.mission_missing

@@ -14,7 +14,6 @@ import numpy as np
 from xtdrone_native import mavlink_wire
 
 from xtdrone_control.autopilot.commander.commander import Commander
-from xtdrone_control.autopilot.state import ORIGIN
 from xtdrone_control.geodesy.projection import EARTH_RADIUS, GRAVITY
 
 if TYPE_CHECKING:
@@ -86,7 +85,7 @@ def _records(autopilot: Autopilot, index: int) -> mavlink_wire.Telemetry:
     own = slice(index, index + 1)
     estimator = autopilot.estimator[own]
     fields = {name: estimator[name] for name in _ESTIMATOR_FIELDS}
-    fields |= {f"origin_{name}": estimator["origin"][name] for name in ORIGIN.names or ()}
+    fields |= {f"origin_{name}": estimator["origin"][name] for name in ("set", "lat", "lon", "alt")}
     fields["reset_counter"] = estimator["resets"]["any"]
     fields |= {name: autopilot.sensors[own][name] for name in _SENSOR_FIELDS}
     fields |= {name: autopilot.control[own][name] for name in _CONTROL_FIELDS}

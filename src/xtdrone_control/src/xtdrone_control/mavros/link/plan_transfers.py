@@ -205,14 +205,24 @@ class PlanTransfers:
                 if fits(*found):
                     return found
 
+    def claim(self) -> bool:
+        """Return whether no transfer is running, and if so keep the next ones waiting until ``release``."""
+        return self._turn.acquire(blocking=False)
+
+    def release(self) -> None:
+        """End a claim."""
+        self._turn.release()
+
     @contextmanager
     def _exchange(self) -> Iterator[None]:
         """Hold the lock and receive messages, starting with an empty inbox."""
-        with self._turn:
+        with self._meanwhile():  # a claim ends as time advances
+            self._turn.acquire()
+        try:
             while not self._inbox.empty():
                 self._inbox.get()
             self._waiting = True
-            try:
-                yield
-            finally:
-                self._waiting = False
+            yield
+        finally:
+            self._waiting = False
+            self._turn.release()

@@ -1,12 +1,16 @@
 """Requests to the autopilot to start streams with subscribers and to stop the others.
 
 A stream is stopped when it arrives without a plugin that needs it, and requested when a plugin begins to need it. An
-autopilot that rejects a request is asked a few times and then left alone.
+autopilot that rejects a request is asked a few times and then left alone. A stream whose interval a user has set, by
+whatever command of this node, is left to the user until the autopilot restarts, as MAVROS sets no rates itself.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
+
+from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
 
@@ -50,18 +54,32 @@ class Streams:
         self._user: set[int] = set()
 
     def reset(self) -> None:
-        """Forget all requests after a (re)start of the autopilot."""
+        """Forget all requests after a restart of the autopilot."""
+        self.reconnect()
+        self._user.clear()
+
+    def reconnect(self) -> None:
+        """Forget the own requests when a link is made; an autopilot that has not restarted keeps the user's rates."""
         self._asked.clear()
         self._refused.clear()
-        self._user.clear()
 
     def switched_off(self) -> set[int]:
         """Return the ids of the messages that the autopilot was asked to stop."""
         return {number for number, interval in self._asked.items() if interval == OFF_US}
 
     def leave(self, number: int) -> None:
-        """Leave message ``number`` to the user, who has set its interval through the service."""
+        """Leave message ``number`` to the user, who has set its interval."""
         self._user.add(number)
+
+    def note_command(self, command: int, number: float) -> None:
+        """Leave the message that a user's command sets the interval of.
+
+        Args:
+            command: MAV_CMD number; all but SET_MESSAGE_INTERVAL are ignored.
+            number: its first parameter.
+        """
+        if command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL and math.isfinite(number):
+            self.leave(round(number))
 
     def update(self, wanted: Iterable[int], unwanted_seen: Iterable[int]) -> None:
         """Request the changes.

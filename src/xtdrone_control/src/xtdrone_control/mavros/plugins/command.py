@@ -80,6 +80,7 @@ class CommandPlugin(Plugin):
             if self._arming and self.uas.arming_held:
                 self.uas.warn("arming", "not armed yet: %s", self.uas.arming_held)
                 return False, mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+        self.uas.streams.note_command(command, values[0])
         result = self.uas.commands.call(
             command,
             lambda attempt: mavlink.MAVLink_command_long_message(*self._target, command, attempt, *values),
@@ -93,6 +94,7 @@ class CommandPlugin(Plugin):
     def _command(self, request: Any) -> CommandLongResponse:
         params = (getattr(request, f"param{i}") for i in range(1, 8))
         if request.broadcast:
+            self.uas.streams.note_command(request.command, request.param1)
             message = mavlink.MAVLink_command_long_message(0, 0, request.command, request.confirmation, *params)
             self.uas.link.send(message)
             return CommandLongResponse(True, mavlink.MAV_RESULT_ACCEPTED)
@@ -113,6 +115,7 @@ class CommandPlugin(Plugin):
             request.y,
             request.z,
         )
+        self.uas.streams.note_command(request.command, request.param1)
         if request.broadcast:
             self.uas.link.send(message)
         else:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from pymavlink.dialects.v20 import common as mavlink
 
+from xtdrone_control.mavros.lib.battery_cells import cell_voltages
 from xtdrone_control.mavros.lib.plugin_settings import ParamError, Params
 from xtdrone_control.mavros.lib.px4_modes import mode_name
 from xtdrone_control.mavros.plugin import Feed, Plugin
@@ -103,9 +104,9 @@ class DiagnosticsPlugin(Plugin):
         compares = (
             uas.params.get("conn/timesync_rate", 10.0) > 0.0 and uas.params.get("time/timesync_mode", "") != "NONE"
         )
-        if loads("sys_time") and not uas.ros.use_sim_time and compares:
+        if loads("sys_time") and compares:  # sys_time sends the requests while a feed needs the answers
             self._reports.append(("Time Sync", self._report_time))
-            self.messages["TIMESYNC"] = Feed(self._on_timesync, always=True)
+            self.messages["TIMESYNC"] = Feed(self._on_timesync, topic, always=not uas.ros.use_sim_time)
         uas.timer(_PERIOD, self._publish)
 
     def connected(self, connected: bool) -> None:
@@ -228,7 +229,7 @@ class DiagnosticsPlugin(Plugin):
         battery = self._batteries.get(number)
         if battery is None:
             return Report(_ERROR, "No data", [("Voltage", "-1.00"), ("Current", "0.0"), ("Remaining", "0.0")])
-        cells = [value / 1000.0 for value in (*battery.voltages, *battery.voltages_ext) if 0 < value < _UNKNOWN]
+        cells = cell_voltages(battery)
         voltage = sum(cells)
         current = math.nan if battery.current_battery == -1 else -battery.current_battery / 100.0
         values = [

@@ -19,6 +19,7 @@ from xtdrone_control.mavros.plugin import Feed, Plugin, Topic
 from xtdrone_control.mavros.uas import Uas
 
 _UNKNOWN = 65535  # of the 16-bit fields
+_UNKNOWN_COVARIANCE = [-1.0, *[0.0] * 8]
 _NAN = float("nan")
 
 
@@ -45,7 +46,8 @@ class GlobalPositionPlugin(Plugin):
         self._relative_altitude = get("global_position/use_relative_alt", True)
         self._first_fix: frames.Vector | None = None
         self._raw_of: Any = None
-        self._raw_fix = NavSatFix()
+        self._raw_fix = NavSatFix(position_covariance=_UNKNOWN_COVARIANCE)
+        self._raw_fix.status.service, self._raw_fix.status.status = NavSatStatus.SERVICE_GPS, NavSatStatus.STATUS_NO_FIX
 
         self._raw = uas.topic("global_position/raw/fix", NavSatFix())
         self._raw_velocity = uas.topic("global_position/raw/gps_vel", TwistStamped())
@@ -208,7 +210,7 @@ class GlobalPositionPlugin(Plugin):
             fix.position_covariance_type = NavSatFix.COVARIANCE_TYPE_APPROXIMATED
         else:
             fix.position_covariance_type = NavSatFix.COVARIANCE_TYPE_UNKNOWN
-            fix.position_covariance = [-1.0, *[0.0] * 8]
+            fix.position_covariance = _UNKNOWN_COVARIANCE
             return
         h, v = horizontal * horizontal, vertical * vertical
         fix.position_covariance = [h, 0.0, 0.0, 0.0, h, 0.0, 0.0, 0.0, v]

@@ -13,9 +13,14 @@ from xtdrone_control.mavros.link.ros_values_to_mavlink import whole
 from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.uas import Uas
 
+_POLL_PERIOD_NS = 10_000_000_000  # MAVROS's REQUEST_POLL_TIME
+_CHECK_PERIOD = 1.0  # s of ROS time
+
 
 class HomePositionPlugin(Plugin):
     """MAVROS's home_position. Altitudes are above the ellipsoid, see ``global_position/geoid``.
+
+    While an autopilot that is connected sends no home position, it is asked for one every 10 s.
 
     The orientation is that of ``base_link`` in ENU, as in local_position/pose (MAVROS leaves the body axes FRD here, so
     a level home position comes out upside down).
@@ -26,12 +31,29 @@ class HomePositionPlugin(Plugin):
     def __init__(self, uas: Uas) -> None:
         """Advertise topic and service."""
         super().__init__(uas)
+        self._asks_at_ns: int | None = None  # ROS time of the next request; None: no home position is missing
         self._home = uas.topic("home_position/home", HomePosition(), latch=True)
         self.messages = {"HOME_POSITION": Feed(self._on_home, always=True)}
         uas.subscribe("home_position/set", HomePosition, self._set)
         uas.service("home_position/req_update", Trigger, self._request)
+        uas.timer(_CHECK_PERIOD, self._poll)
+
+    def connected(self, connected: bool) -> None:
+        """Begin to wait for the home position, or stop."""
+        self._asks_at_ns = self.uas.now_ns + _POLL_PERIOD_NS if connected else None
+
+    def _poll(self) -> None:
+        if self._asks_at_ns is not None and self.uas.now_ns >= self._asks_at_ns:
+            self._asks_at_ns = self.uas.now_ns + _POLL_PERIOD_NS
+            self.uas.commands.send(mavlink.MAV_CMD_GET_HOME_POSITION, self._query(0))
+
+    def _query(self, attempt: int) -> Any:
+        return mavlink.MAVLink_command_long_message(
+            *self.uas.target, mavlink.MAV_CMD_GET_HOME_POSITION, attempt, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        )
 
     def _on_home(self, home: Any) -> None:
+        self._asks_at_ns = None
         message = self._home.message
         self.uas.stamp_us(message.header, home.time_usec)
         message.geo.latitude = home.latitude / 1e7
@@ -65,12 +87,5 @@ class HomePositionPlugin(Plugin):
         )
 
     def _request(self, _: Any) -> TriggerResponse:
-        system, component = self.uas.target
-        command = mavlink.MAV_CMD_GET_HOME_POSITION
-        result = self.uas.commands.call(
-            command,
-            lambda attempt: mavlink.MAVLink_command_long_message(
-                system, component, command, attempt, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            ),
-        )
+        result = self.uas.commands.call(mavlink.MAV_CMD_GET_HOME_POSITION, self._query)
         return TriggerResponse(success=result == mavlink.MAV_RESULT_ACCEPTED, message="")

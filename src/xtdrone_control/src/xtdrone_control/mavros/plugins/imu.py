@@ -12,7 +12,6 @@ from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.uas import Uas
 
 _GAUSS_TO_TESLA = 1e-4
-_HECTOPASCAL = 100.0  # Pa
 _CENTIDEGREE = 0.01  # degrees C
 
 # Groups of HIGHRES_IMU.fields_updated
@@ -28,7 +27,11 @@ _MAG = mavlink.HIGHRES_IMU_UPDATED_XMAG | mavlink.HIGHRES_IMU_UPDATED_YMAG | mav
 
 
 class ImuPlugin(Plugin):
-    """MAVROS's imu: ``imu/data`` at the rate of ATTITUDE_QUATERNION, with the latest acceleration of HIGHRES_IMU."""
+    """MAVROS's imu: ``imu/data`` at the rate of ATTITUDE_QUATERNION, with the latest acceleration of HIGHRES_IMU.
+
+    Pressures are in hPa, HIGHRES_IMU's unit, although sensor_msgs/FluidPressure is defined in Pa: MAVROS passes them
+    on unscaled (imu.cpp, handle_highres_imu), and programs written for it expect that.
+    """
 
     name = "imu"
 
@@ -105,7 +108,7 @@ class ImuPlugin(Plugin):
     def _publish_pressure(self, topic: Any, time_us: int, hectopascal: float) -> None:
         message = topic.message
         self.uas.stamp_us(message.header, time_us)
-        message.fluid_pressure = hectopascal * _HECTOPASCAL
+        message.fluid_pressure = hectopascal
         topic.publish(message)
 
     def _on_scaled_pressure(self, pressure: Any) -> None:

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
+
 from mavros_msgs.msg import Mavlink
 
+from xtdrone_control.mavlink.wire.codec import FrameError, decoder
+from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
 from xtdrone_control.mavros.link.raw_frames import RawFrameError, fill, to_frame
 from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.uas import RAW, Uas
+
+_COMMANDS = {MESSAGE_ID[name]: decoder(name) for name in ("COMMAND_LONG", "COMMAND_INT")}
 
 
 class MavlinkBridge(Plugin):
@@ -38,4 +44,12 @@ class MavlinkBridge(Plugin):
         except RawFrameError as error:
             self.uas.warn("mavlink/to", "a message on mavlink/to is not forwarded: %s", error)
             return
+        if message.msgid in _COMMANDS:
+            self._note_command(message.msgid, frame)
         self.uas.link.send_frame(frame)
+
+    def _note_command(self, number: int, frame: bytes) -> None:
+        """Leave the stream alone whose interval the frame sets."""
+        with contextlib.suppress(FrameError):  # the autopilot drops such a frame, too
+            command = _COMMANDS[number](frame)
+            self.uas.streams.note_command(command.command, command.param1)

@@ -31,6 +31,7 @@ _REAL = 9
 _TRY_LIMIT = 1.0  # s of wall time, MAVROS's PARAM_TIMEOUT
 _RETRIES = 3
 _LIST_LIMIT = 30  # consecutive attempts with progress
+_BOOT_TIME_NS = 10_000_000_000  # MAVROS's BOOTUP_TIME
 _NO_INDEX = 0xFFFF
 _FENCE = "_HASH_CHECK"  # a read request for it is always answered
 _FENCES = 2  # responses to it without one for a name; more than a lost datagram can explain
@@ -102,12 +103,22 @@ class ParamPlugin(Plugin):
         uas.service("param/set", ParamSet, self._set)
         uas.service("param/pull", ParamPull, self._pull)
         uas.service("param/push", ParamPush, self._push)
+        self._lists_at_ns: int | None = None  # ROS time of the list that follows a connection
+        uas.timer(1.0, self._list_for_subscribers)
 
     def connected(self, connected: bool) -> None:
         """Drop the values of another autopilot, or of this one before a reboot."""
+        self._lists_at_ns = self.uas.now_ns + _BOOT_TIME_NS if connected else None
         with self._changed:
             self._values.clear()
             self._complete = False
+
+    def _list_for_subscribers(self) -> None:
+        """Request all parameters 10 s after the connection, as MAVROS does, if a subscriber receives them."""
+        if self._lists_at_ns is not None and self.uas.now_ns >= self._lists_at_ns:
+            self._lists_at_ns = None
+            if self._topic.needed:
+                self.uas.link.send(mavlink.MAVLink_param_request_list_message(*self.uas.target))
 
     def _publish(self, m: Any) -> None:
         number = _number(m.param_type, m.param_value)
@@ -186,6 +197,13 @@ class ParamPlugin(Plugin):
                 self._values.setdefault(name, known)
         return written
 
+    def _warn_of_type(self, name: str, known: _Value, asked: Any) -> None:
+        """Warn about a value whose type MAVROS would pass on and PX4 would leave without an answer."""
+        given, right = ("an integer", "real") if asked.integer else ("a real number", "integer")
+        if (asked.integer or asked.real) and (known.kind == _REAL) == bool(asked.integer):
+            text = "param/set: %s is given as %s, which a real PX4 rejects: use value.%s"
+            self.uas.warn(f"param {name}", text, name, given, right)
+
     def _warn_of(self, service: str, name: str) -> None:
         text = "%s: parameter %s does not exist%s"
         self.uas.warn(f"param {name}", text, service, name, former_parameters.hint(name))
@@ -210,6 +228,7 @@ class ParamPlugin(Plugin):
         if name in former_parameters.NAMES:
             self._warn_of_effect(name)
         number = asked.integer if asked.integer else asked.real
+        self._warn_of_type(name, known, asked)
         success = self._write(name, known, number)
         value = self._values.get(name, known)
         self.uas.ros.set_param(f"{self.uas.prefix}/param/{name}", value.number)
@@ -251,6 +270,6 @@ class ParamPlugin(Plugin):
             known = self._known(name)
             if known is None or isinstance(number, bool) or not isinstance(number, (int, float)):
                 self.uas.warn(f"param {name}", "ROS parameter %s does not exist on the autopilot", name)
-            elif number != known.number:
-                sent += self._write(name, known, number)
+            else:  # MAVROS writes and counts those that are equal, too
+                sent += number == known.number or self._write(name, known, number)
         return ParamPushResponse(True, sent)

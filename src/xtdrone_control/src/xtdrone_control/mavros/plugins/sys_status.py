@@ -25,6 +25,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from sensor_msgs.msg import BatteryState
 
 from xtdrone_control.mavlink.wire.codec import decoder, version
+from xtdrone_control.mavros.lib.battery_cells import cell_voltages
 from xtdrone_control.mavros.lib.plugin_settings import ParamError
 from xtdrone_control.mavros.lib.px4_modes import ModeError, mode_name, mode_number
 from xtdrone_control.mavros.plugin import Feed, Plugin
@@ -37,10 +38,9 @@ _NAN = float("nan")
 # s of wall time. MAVROS does not wait; waiting keeps the order in a simulation that stands still meanwhile.
 _MODE_ACK_LIMIT = 0.5
 _VERSION_LIMIT = 2.0  # s, wall, between the ack of the request and the version
-_UINT16_MAX = 65535
 _MAVLINK_VERSION = 3  # the heartbeat's mavlink_version field
 _TEXT_LENGTH = 50  # bytes of a STATUSTEXT
-_CURRENT_UNKNOWN = (-1, -100)  # cA; MAVLink's value, and PX4's, which is -1 A
+_CURRENT_UNKNOWN = -1  # cA
 
 _LOG_LEVELS = {0: log.error, 1: log.error, 2: log.error, 3: log.error, 4: log.warning, 5: log.warning, 6: log.info}
 
@@ -84,7 +84,7 @@ _decode_version = decoder("AUTOPILOT_VERSION")
 
 
 class SysStatusPlugin(Plugin):
-    """MAVROS's sys_status.
+    """MAVROS's sys_status. Unknown values of ``battery`` are MAVROS's (sys_status.cpp, handle_battery_status).
 
     ``vehicle_info_get`` covers only the autopilot, and requests its version on first use.
     """
@@ -105,6 +105,7 @@ class SysStatusPlugin(Plugin):
         self._text_parts: list[str] = []
         self._armed = False
         self._booted = False
+        self._announced = False  # whether a state has been published
         self._version: Any = None
         self._version_known = threading.Event()
         self._info_ns = 0  # time at which either of them arrived
@@ -139,9 +140,13 @@ class SysStatusPlugin(Plugin):
         self._version_known.clear()
         if not connected:
             self._armed = self._booted = False
-            state = self._state.message = State()
-            self.uas.stamp_now(state.header)
-            self._state.publish(state)
+            self._publish_disconnection()
+
+    def _publish_disconnection(self) -> None:
+        self._announced = True
+        state = self._state.message = State()
+        self.uas.stamp_now(state.header)
+        self._state.publish(state)
 
     def _send_heartbeat(self) -> None:
         self.uas.link.send(
@@ -156,6 +161,9 @@ class SysStatusPlugin(Plugin):
         )
 
     def _check_connection(self) -> None:
+        """Publish a lost connection, and once the missing one of the start, as MAVROS does."""
+        if not self._announced:
+            self._publish_disconnection()
         if self.uas.connected and self.uas.now_ns - self._last_heartbeat_ns > self._timeout_ns:
             self.uas.set_connected(False)
 
@@ -179,6 +187,7 @@ class SysStatusPlugin(Plugin):
         state.system_status = heartbeat.system_status
         uas.refusals.custom_mode = heartbeat.custom_mode
         uas.set_connected(True)
+        self._announced = True
         self._state.publish(state)
 
     def _on_extended(self, extended: Any) -> None:
@@ -191,14 +200,14 @@ class SysStatusPlugin(Plugin):
     def _on_battery(self, battery: Any) -> None:
         message = self._battery.message
         self.uas.stamp_now(message.header)
-        cells = [v / 1000.0 for v in (*battery.voltages, *battery.voltages_ext) if 0 < v < _UINT16_MAX]
-        message.voltage = sum(cells) if cells else _NAN
-        message.cell_voltage = cells
-        # BatteryState counts a discharge current as negative, MAVLink as positive
-        unknown = battery.current_battery in _CURRENT_UNKNOWN
+        message.cell_voltage = cells = cell_voltages(battery)
+        message.voltage = sum(cells)
+        # BatteryState counts a discharge current as negative, MAVLink as positive. PX4's "unknown" is -1 A, not
+        # MAVLink's -1 cA, and comes out as 1 A, as in MAVROS.
+        unknown = battery.current_battery == _CURRENT_UNKNOWN
         message.current = _NAN if unknown else -battery.current_battery / 100.0
         message.charge = message.capacity = message.design_capacity = _NAN
-        message.percentage = _NAN if battery.battery_remaining < 0 else battery.battery_remaining / 100.0
+        message.percentage = battery.battery_remaining / 100.0  # -0.01: unknown
         message.power_supply_status = BatteryState.POWER_SUPPLY_STATUS_DISCHARGING
         message.power_supply_health = BatteryState.POWER_SUPPLY_HEALTH_UNKNOWN
         message.power_supply_technology = _TECHNOLOGY.get(battery.type, BatteryState.POWER_SUPPLY_TECHNOLOGY_UNKNOWN)

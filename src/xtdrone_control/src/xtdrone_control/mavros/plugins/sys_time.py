@@ -9,25 +9,27 @@ from pymavlink.dialects.v20 import common as mavlink
 from rospy import Time
 from sensor_msgs.msg import TimeReference
 
+from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
 from xtdrone_control.mavros.lib.plugin_settings import ParamError
 from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.uas import Uas
 
 _MODES = ("MAVLINK", "NONE")
+_TIMESYNC = MESSAGE_ID["TIMESYNC"]
 _RESTART_NS = 1_000_000_000  # an offset that differs by more than this belongs to another clock
 
 
 class SysTimePlugin(Plugin):
     """MAVROS's sys_time, with time synchronisation by an exponential average.
 
-    In simulation the autopilot's boot time is ROS time: clocks are compared only for ``timesync_status``, while it has
-    subscribers, and no stamp depends on it.
+    In simulation the autopilot's boot time is ROS time: clocks are compared only for ``timesync_status`` and the
+    diagnostics, while these have subscribers, and no stamp depends on it.
     """
 
     name = "sys_time"
 
     def __init__(self, uas: Uas) -> None:
-        """Advertise the topics and start TIMESYNC; in simulation only while its status has subscribers.
+        """Advertise the topics and start TIMESYNC; in simulation only while a plugin needs its answers.
 
         Outside simulation SYSTEM_TIME is sent, too.
 
@@ -64,7 +66,7 @@ class SysTimePlugin(Plugin):
             self.uas.time_offset_ns = offset_ns
 
     def _send(self) -> None:
-        if self._stamps or self._status.needed:
+        if _TIMESYNC in self.uas.link.wanted:
             self.uas.link.send(mavlink.MAVLink_timesync_message(0, self.uas.ros.now_ns()))
 
     def _send_system_time(self) -> None:

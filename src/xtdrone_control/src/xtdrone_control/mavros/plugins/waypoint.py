@@ -17,6 +17,7 @@ from mavros_msgs.srv import (
     WaypointSetCurrentResponse,
 )
 
+from xtdrone_control.mavros.link.first_pulls import FirstPull
 from xtdrone_control.mavros.link.plan_transfers import MISSION
 from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.uas import Uas
@@ -29,8 +30,9 @@ _PUBLISH_PERIOD = 0.1  # s of ROS time between checks for a changed list
 class PlanPlugin(Plugin):
     """Base class of the three plugins.
 
-    The main thread publishes the list, in the order of simulated time; services only store it. Unlike MAVROS, the
-    plugin fetches no list unasked: ``pull`` fetches a list that another program has uploaded.
+    The main thread publishes the list, in the order of simulated time; services only store it. As in MAVROS, the list
+    is fetched 15 s after the connection and published, even if it is empty; ``pull`` fetches one that another program
+    has uploaded since.
     """
 
     kind: ClassVar[int]
@@ -44,10 +46,37 @@ class PlanPlugin(Plugin):
         self._waypoints: list[Any] = []
         self._current = 0
         self.replies = dict(uas.plans.replies)
+        self._first_pull = pull = FirstPull(self.kind, uas.plans, uas.link.send, uas.target, self._end_first_pull)
+        self.messages = {
+            "MISSION_COUNT": Feed(lambda m: pull.on_count(m, uas.now_ns), pull),
+            "MISSION_ITEM_INT": Feed(lambda m: pull.on_item(m, uas.now_ns), pull),
+            "MISSION_ACK": Feed(pull.on_ack, pull),
+        }
         uas.service(f"{self.space}/push", WaypointPush, self._push)
         uas.service(f"{self.space}/pull", WaypointPull, self._pull)
         uas.service(f"{self.space}/clear", WaypointClear, self._clear)
-        uas.timer(_PUBLISH_PERIOD, self._publish)
+        uas.timer(_PUBLISH_PERIOD, self._tend)
+
+    def connected(self, connected: bool) -> None:
+        """Fetch the list after the connection."""
+        if connected:
+            self._first_pull.schedule(self.uas.now_ns)
+        else:
+            self._first_pull.cancel()
+
+    def _tend(self) -> None:
+        was_needed = self._first_pull.needed
+        self._first_pull.tend(self.uas.now_ns)
+        if self._first_pull.needed and not was_needed:
+            self.uas.refresh()  # so that the answers are handled
+        self._publish()
+
+    def _end_first_pull(self, found: list[Any] | None) -> None:
+        self.uas.refresh()
+        if found is None:
+            log.warning("%s: the autopilot does not send the list of %s/waypoints", self.uas.name, self.space)
+        else:
+            self._keep(found)
 
     def _push(self, request: Any) -> WaypointPushResponse:
         if request.start_index:
@@ -104,7 +133,7 @@ class WaypointPlugin(PlanPlugin):
         """Advertise the additional topics and services of missions."""
         super().__init__(uas)
         self._reached = uas.topic("mission/reached", WaypointReached(), latch=True)
-        self.messages = {
+        self.messages |= {
             "MISSION_CURRENT": Feed(self._on_current, always=True),
             "MISSION_ITEM_REACHED": Feed(self._on_reached, always=True),
         }

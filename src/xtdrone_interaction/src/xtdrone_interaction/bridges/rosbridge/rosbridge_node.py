@@ -75,6 +75,7 @@ def _bridge(settings: RosbridgeSettings) -> Bridge:
         calls=ThreadPoolExecutor(_CALLS, "rosbridge call"),
         call_limit=settings.call_timeout,
         operate=settings.operate,
+        now=rospy.get_rostime,
     )
 
 

@@ -99,7 +99,8 @@ def _needing(need: str) -> int:
     return _mask(mode for mode in modes.ALL if need in mode.needs)
 
 
-_BY_NEED = {need: _needing(need) for need in ("attitude", "altitude", "position", "home", "mission", "offboard")}
+_NEEDS = ("attitude", "altitude", "position", "global_position", "home", "mission", "offboard")
+_BY_NEED = {need: _needing(need) for need in _NEEDS}
 _POSITIONED = _BY_NEED["position"] | _needing("relaxed_position")
 _BY_STICKS = _mask(mode for mode in modes.ALL if mode.sticks)
 _UNARMABLE = _mask(mode for mode in modes.ALL if mode.prevents_arming)
@@ -125,6 +126,8 @@ def _mode_checks(flags: Flags, get: Get) -> list[Check]:
                 _POSITIONED if flags.relaxed_position_invalid else _BY_NEED["position"],
             )
         )
+    if flags.global_position_invalid:
+        found.append(Check("check_modes_global_pos", events.ERROR, events.SYSTEM, _BY_NEED["global_position"]))
     if flags.altitude_invalid:
         found.append(Check("check_modes_local_alt", events.CRITICAL, events.SYSTEM, _BY_NEED["altitude"]))
     if flags.mission_missing:

@@ -70,7 +70,8 @@ class Health:
         self._variances = np.diagonal(view.estimator["P"])[POS : POS + 2]
         self._voltage, self._current = view.cell("sensors", "battery_voltage"), view.cell("sensors", "battery_current")
         self._thrust = view.cell("control", "sp_thrust")
-        self._position_us = self._relaxed_position_us = self._altitude_us = _NEVER_US  # time of the last valid estimate
+        # time of the last valid estimate
+        self._position_us = self._relaxed_position_us = self._global_us = self._altitude_us = _NEVER_US
         self._accurate = False
         self._gcs_us: int | None = None
         self._gcs_lost = True
@@ -129,6 +130,7 @@ class Health:
             altitude_invalid,
             position_invalid,
             relaxed_position_invalid,
+            position_invalid or self._global_invalid(now_us, delay_us),
             self._navigator.home is None,
             not self._in_mission and bool(self._navigator.mission_denial()),
             self._offboard_lost(limit, relaxed_position_invalid),
@@ -162,6 +164,13 @@ class Health:
             not self._accurate and now_us - self._position_us >= delay_us,
             not altitude_good and now_us - self._altitude_us >= delay_us,
         )
+
+    def _global_invalid(self, now_us: int, delay_us: float) -> bool:
+        """Return whether the global position was invalid for ``delay_us`` (estimatorCheck, setModeRequirementFlags)."""
+        if self._view.global_valid:
+            self._global_us = now_us
+            return False
+        return now_us - self._global_us >= delay_us
 
     def _horizontal_error(self) -> float:
         north, east = self._variances.tolist()

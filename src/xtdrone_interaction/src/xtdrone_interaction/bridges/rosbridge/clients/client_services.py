@@ -8,6 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+import genpy
+
 from xtdrone_interaction.bridges.ros_types import ServiceTypeError, service_class
 from xtdrone_interaction.topics.message_json import MessageJsonError, NotFinite, from_json, to_json
 
@@ -39,6 +41,7 @@ class ClientServices:
         serve: Callable[[str, Any, Callable[[Any], Any]], Any],
         send: Callable[[dict[str, Any]], None],
         limit: float,
+        now: Callable[[], genpy.Time],
     ) -> None:
         """Initialise without services.
 
@@ -46,7 +49,9 @@ class ClientServices:
             serve: ``rospy.Service``, or another function of name, class and handler.
             send: sends an operation to the client.
             limit: timeout of the client's answer, s.
+            now: returns the ROS time, the stamp of headers that the client leaves without one.
         """
+        self._now = now
         self._serve = serve
         self._send = send
         self._limit = limit
@@ -102,7 +107,7 @@ class ClientServices:
             raise ClientServiceError(f"id: no pending call has the id {id_!r}")
         call.error = f"the client answers: {values}"
         try:
-            call.response = from_json(call.kind._response_class, values) if result else None
+            call.response = from_json(call.kind._response_class, values, self._now()) if result else None
         except MessageJsonError as error:
             call.error = str(error)
             raise ClientServiceError(f"values: {error}") from error

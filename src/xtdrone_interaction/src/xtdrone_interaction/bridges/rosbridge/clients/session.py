@@ -8,6 +8,8 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any
 
+import genpy
+
 from xtdrone_interaction.bridges.bridge_graph import BridgeGraph
 from xtdrone_interaction.bridges.ros_publications import PublicationError, Publications
 from xtdrone_interaction.bridges.ros_services import Services
@@ -65,6 +67,7 @@ class Bridge:
         calls: threads for service calls.
         call_limit: timeout of a service's response, s.
         operate: whether clients may publish, call services and set parameters.
+        now: returns the ROS time, the stamp of headers that clients leave without one.
     """
 
     graph: BridgeGraph
@@ -77,6 +80,7 @@ class Bridge:
     calls: Executor
     call_limit: float
     operate: bool
+    now: Callable[[], genpy.Time]
 
 
 class Session:
@@ -93,7 +97,7 @@ class Session:
         self.subscriptions = Subscriptions(
             bridge.raw, bridge.encoder, connection, lambda text: self.status("error", text)
         )
-        self._services = ClientServices(bridge.serve, self._send, bridge.call_limit)
+        self._services = ClientServices(bridge.serve, self._send, bridge.call_limit, bridge.now)
         self._handlers: Mapping[str, Callable[[Operation], None]] = {
             "subscribe": self._subscribe,
             "unsubscribe": lambda op: self.subscriptions.unsubscribe(absolute_name(op["topic"], "topic"), op.id),
@@ -168,7 +172,7 @@ class Session:
     def _publish(self, operation: Operation) -> None:
         topic = self._open_topic(operation)
         kind = self._bridge.publications.advertise(self, topic, "", latch=operation["latch"])
-        self._bridge.publications.publish(topic, from_json(kind, operation["msg"]))
+        self._bridge.publications.publish(topic, from_json(kind, operation["msg"], self._bridge.now()))
 
     def _advertise_service(self, operation: Operation) -> None:
         name = absolute_name(operation["service"], "service")
@@ -201,7 +205,8 @@ class Session:
 
     def _called(self, name: str, operation: Operation) -> Any:
         kind = service_class(self._type_of(name, _short(operation["type"] or "")))
-        request = from_json(kind._request_class, _fields(operation["args"], kind._request_class.__slots__))
+        fields = _fields(operation["args"], kind._request_class.__slots__)
+        request = from_json(kind._request_class, fields, self._bridge.now())
         limit = self._bridge.call_limit
         if operation["timeout"]:
             limit = min(limit, float(operation["timeout"]))

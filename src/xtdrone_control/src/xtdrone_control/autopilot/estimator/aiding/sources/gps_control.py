@@ -86,13 +86,15 @@ def process_gps(e, s, p, work):
 
 @kernel
 def _set_origin(origin, e, s):
-    """Set the origin so that the present GPS fix agrees with the current local position."""
+    """Set the origin so that the present GPS fix agrees with the current local position, unless it is preset."""
+    origin.set = 1
+    if origin.preset:
+        return
     origin.lat, origin.lon, origin.alt = s.gps_lat, s.gps_lon, s.gps_alt
     if e.located:
         origin.lat, origin.lon = _reproject(-e.position[0], -e.position[1], s.gps_lat, s.gps_lon)
     if e.altitude_valid:
         origin.alt += e.position[2]
-    origin.set = 1
 
 
 @kernel
