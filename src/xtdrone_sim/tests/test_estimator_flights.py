@@ -247,7 +247,7 @@ def test_vision_alone_provides_position_in_its_frame():
 
 def test_with_vision_alone_there_is_no_home_until_there_is_an_origin():
     """The vehicle flies by local position; global functions wait for an origin, as with PX4."""
-    flight = Flight(parameters=VISION_ONLY, shared_datum=False)
+    flight = Flight(parameters={**VISION_ONLY, "COM_HOME_IN_AIR": 1}, shared_datum=False)
     commander = flight.commander
     flight.vision = camera()
     flight.take_off(4.0)

@@ -54,7 +54,7 @@ class Mission:
         self.plans = Plans()
         self.reached = -1
         self.returning = False
-        self.set_home: Callable[[Vector | None], None] = lambda _location: None
+        self.set_home: Callable[[Vector | None], object] = lambda _location: None
         self._active = False
         self._flown = False
         self._item: PlanItem | None = None
@@ -439,6 +439,8 @@ class Mission:
         if field is None or not math.isfinite(speed) or speed == -1.0:
             return
         self._view.setpoint[field] = speed if speed > 0.0 else NAN
+        if field == "cruise_speed":
+            self._course.cruising_speed = float(self._view.setpoint[field])
         if field == "climb_speed":
             self._climb_speed = float(self._view.setpoint[field])
 
