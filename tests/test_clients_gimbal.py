@@ -67,8 +67,8 @@ def test_control_is_taken_and_the_camera_turns(client, gimbal_id):
 
 
 def test_a_place_is_looked_at(client, gimbal_id):
-    # 100 m north of the world's origin and as high as home: MAVSDK's altitude is relative. The vehicle looks east.
-    client.run(client.drone.gimbal.set_roi_location(gimbal_id, HOME[0] + 9e-4, HOME[1], 0.0))
+    # 100 m north of the world's origin and as high as home; MAVSDK's altitude is AMSL. The vehicle looks east.
+    client.run(client.drone.gimbal.set_roi_location(gimbal_id, HOME[0] + 9e-4, HOME[1], 488.0))
     looks(client, 0.0, -90.0)
 
 

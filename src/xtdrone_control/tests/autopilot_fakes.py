@@ -86,6 +86,11 @@ class Flight:
             self.place(*self.setpoint["goal_position"].tolist())
 
     def place(self, x: float, y: float, z: float, yaw: float = 0.0) -> None:
+        """Set the vehicle's position; an armed vehicle that leaves the ground takes off where it stood, as its home."""
+        landing = self.autopilot.control[0]["landing"]
+        if self.commander.armed and landing["landed"] and z <= -0.1:
+            landing["landed"] = 0
+            self.commander.update()
         self.autopilot.place(0, x, y, z, yaw)
 
     def hover(self) -> None:

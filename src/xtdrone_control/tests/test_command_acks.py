@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 
 import pytest
+from autopilot_fakes import ORIGIN
 from pymavlink.dialects.v20 import common as mavlink
 from service_fakes import SYSTEM, Served
 
@@ -113,9 +114,29 @@ def test_reposition_takes_its_heading_in_radians(served):
         assert served.command(192, -1, flags)[0] == 3
 
 
+@pytest.mark.parametrize(
+    ("place", "north", "up"),
+    [
+        ((0.0, 0.0, 0.0), 0.0, 2.5),
+        ((0.0, 0.0, 12.0), 0.0, 12.0),
+        ((math.nan, math.nan, 12.0), 0.0, 12.0),
+        (None, 9.0, 12.0),
+    ],
+)
+def test_a_takeoff_leads_to_its_place_unless_that_is_left_out(served, place, north, up):
+    """By zeros too, in difference to PX4, which flies towards 0 N 0 E then."""
+    if place is None:
+        place = (*served.commander.view.to_global((9.0, 0.0, 0.0))[:2], 12.0)
+    altitude = ORIGIN[2] + place[2] if place[2] else 0.0
+    assert served.command(22, 0.0, 0.0, 0.0, math.nan, *place[:2], altitude)[0] == 0
+    assert served.command(400, 1)[0] == 0
+    # a float of COMMAND_LONG has steps of some 0.4 m here
+    assert served.autopilot.setpoint[0]["goal_position"].tolist() == pytest.approx([north, 0.0, -up], abs=0.6)
+
+
 def test_a_region_of_interest_is_looked_at(served):
     latitude, longitude, _ = served.commander.view.to_global((0.0, 100.0, 0.0))
-    message = command_int(195, round(latitude * 1e7), round(longitude * 1e7), 10.0, frame=6)
+    message = command_int(195, round(latitude * 1e7), round(longitude * 1e7), ORIGIN[2] + 10.0, frame=6)
     assert served.ask(message)[0].result == 0
     assert served.commander.navigator.mission._roi == pytest.approx((0.0, 100.0, -10.0), abs=0.02)
     assert served.command(197)[0] == 0
@@ -171,6 +192,14 @@ def test_versions(served):
     assert served.ask(command_long(512, 259))[0].result == 2, "no camera"
 
 
+def test_the_origin_is_sent_on_request(served):
+    for _ in range(2):  # also unchanged
+        assert served.command(512, 49)[0] == 0
+        assert served.link.sent[0][1].altitude == 488_000
+    served.autopilot.estimator[0]["origin"]["set"] = 0
+    assert served.command(512, 49)[0] == 2
+
+
 def test_flights_are_announced(served):
     served.ask(command_long(528))
     assert (served.link.sent[0][1].arming_time_utc, served.link.sent[0][1].flight_uuid) == (0, 0)
@@ -199,7 +228,8 @@ def test_flights_are_announced(served):
         (101, 2, 1, 3),
         (100, 1, 0, 0),
         (4, 7, 0, 3),
-        (4, 1, -1, 3),
+        (4, 1, -1, 0),  # PX4 rounds up before it truncates: 0
+        (4, 1, -2, 3),
         (math.nan, 1, 0, 3),
     ],
 )
@@ -244,7 +274,7 @@ def test_parameters_are_stored_and_recalled(tmp_path):
     assert served.command(245, 2)[0] == 0
     assert served.parameters.get("MPC_XY_P") == 0.95
     assert "MPC_XY_P" not in file.read_text()
-    assert served.command(245, 9)[0] == 2
+    assert served.command(245, 9)[0] is None
     file.unlink()
     file.mkdir()
     assert served.command(245, 1)[0] == 4, "what cannot be stored has failed"

@@ -58,21 +58,23 @@ def test_disarmed_every_mode_can_be_chosen(flight):
         assert flight.commander.custom_mode == mode.custom_mode
 
 
-@pytest.mark.parametrize(
-    ("custom_mode", "texts"),
-    [
-        (4 << 16 | 1 << 24, ["Unsupported auto mode"]),  # AUTO.READY
-        (3 << 16 | 1 << 24, []),  # orbit
-    ],
-)
-def test_rejected_modes(flight, custom_mode, texts):
-    assert flight.commander.set_mode(1, custom_mode) is Result.TEMPORARILY_REJECTED
-    assert flight.texts() == texts
+def test_an_unknown_sub_mode_of_auto_is_rejected(flight):
+    assert flight.commander.set_mode(1, 4 << 16 | 1 << 24) is Result.TEMPORARILY_REJECTED  # AUTO.READY
+    assert flight.texts() == ["Unsupported auto mode"]
     assert flight.commander.mode is modes.AUTO_LOITER
+
+
+@pytest.mark.parametrize("mode", [modes.MANUAL, modes.ALTCTL, modes.POSCTL, modes.ACRO, modes.OFFBOARD])
+def test_sub_modes_exist_in_auto_only(flight, mode):
+    """PX4 v1.14's DO_SET_MODE (3, 1), the number of ORBIT, selects POSCTL."""
+    assert flight.commander.set_mode(1, mode.custom_mode | 1 << 24) is Result.ACCEPTED
+    assert flight.commander.mode is mode
 
 
 def test_an_unknown_main_mode_is_acknowledged_and_changes_nothing(flight):
     assert flight.commander.set_mode(1, 99 << 16) is Result.ACCEPTED
+    for base_mode in (0, 8, 16):  # without AUTO and MANUAL_INPUT
+        assert flight.commander.set_mode(base_mode, 0) is Result.ACCEPTED
     assert flight.commander.mode is modes.AUTO_LOITER
 
 

@@ -6,7 +6,7 @@ import math
 import threading
 
 import pytest
-from autopilot_fakes import Flight
+from autopilot_fakes import ORIGIN, Flight
 from geometry_msgs.msg import Quaternion
 from mavros_fakes import Bench
 from mavros_msgs.msg import MountControl
@@ -183,7 +183,7 @@ def test_a_region_of_interest_is_looked_at_by_the_gimbal_too(served):
     latitude, longitude, _ = served.commander.view.to_global((100.0, 0.0, 0.0))
     served.autopilot.place(0, 0.0, 0.0, -100.0)
     message = mavlink.MAVLink_command_int_message(
-        SYSTEM, 1, 6, 195, 0, 0, 0.0, 0.0, 0.0, 0.0, round(latitude * 1e7), round(longitude * 1e7), 0.0
+        SYSTEM, 1, 6, 195, 0, 0, 0.0, 0.0, 0.0, 0.0, round(latitude * 1e7), round(longitude * 1e7), ORIGIN[2]
     )
     assert served.ask(message)[0].result == 0
     payload = served.commander.navigator.payload

@@ -86,7 +86,6 @@ ONBOARD = {
 # Recorded too, but not streams of the autopilot: HEARTBEAT of component 190, the recording ground station's own, which
 # PX4 forwards to its other link (there is no forwarding here); CURRENT_EVENT_SEQUENCE, which belongs to the events.
 NO_STREAMS = {"CURRENT_EVENT_SEQUENCE"}
-# Additional: PX4 sends the origin on change; here it is also sent every 10 s, for later clients.
 ONLY_WITH_A_SOURCE = {  # on by default in PX4 too, but without a source there
     "DISTANCE_SENSOR",
     "GIMBAL_DEVICE_ATTITUDE_STATUS",
@@ -97,7 +96,7 @@ ONLY_WITH_A_SOURCE = {  # on by default in PX4 too, but without a source there
     "POSITION_TARGET_GLOBAL_INT",
     "RC_CHANNELS",
 }
-OURS = {"GPS_GLOBAL_ORIGIN": 2}
+ON_CHANGE = "GPS_GLOBAL_ORIGIN"
 
 
 @pytest.fixture
@@ -147,14 +146,29 @@ def test_the_default_streams_have_px4s_rates(world, station, monkeypatch):
             counter.update(name for name, _ in frames(client))
     for client, expected in ((station, GROUND_STATION), (world.client, ONBOARD)):
         found = {name: count for name, count in counts[client].items() if name not in NO_STREAMS}
-        assert found.keys() == {**expected, **OURS}.keys()
-        for name, count in {**expected, **OURS}.items():
+        assert found.pop(ON_CHANGE, 0) == (client is station), "once; the onboard client got it in its first second"
+        assert found.keys() == expected.keys()
+        for name, count in expected.items():
             assert found[name] == pytest.approx(count, rel=0.02, abs=0.5), name
 
 
 def test_no_stream_is_on_by_default_that_the_recorded_px4_does_not_have():
     for rates, recorded in ((GCS_RATES, GROUND_STATION), (ONBOARD_RATES, ONBOARD)):
-        assert set(rates) - set(recorded) == {"GPS_GLOBAL_ORIGIN", *ONLY_WITH_A_SOURCE}
+        assert set(rates) - set(recorded) == {ON_CHANGE, *ONLY_WITH_A_SOURCE}
+
+
+def test_the_origin_is_sent_once_and_again_on_change(world):
+    """As PX4 v1.14's MavlinkStreamGpsGlobalOrigin, at most once a second onboard."""
+
+    def origins(seconds):
+        world.listen(seconds, 20_000)
+        return [decoder(name)(frame).altitude for name, frame in frames(world.client) if name == ON_CHANGE]
+
+    assert origins(5.0) == [488_000]
+    assert origins(12.0) == []
+    world.autopilot.estimator[0]["origin"]["alt"] = 400.0
+    assert origins(1.1) == [400_000]
+    assert origins(5.0) == []
 
 
 def test_the_seldom_messages_content(world):

@@ -131,6 +131,8 @@ class World:
         self.ask(local_target(x=x, y=y, z=z, mask=_ALL_BUT_POSITION))
         assert self.command(176, 1, 6)[0] == 0
         assert self.command(400, 1)[0] == 0
+        self.autopilot.control[0]["landing"]["landed"] = 0
+        self.commander.update()  # where it stood is home
         self.autopilot.place(0, x, y, z, yaw)
         self.commander.update()
 
@@ -484,8 +486,9 @@ def test_mode_commands(world):
     assert world.command(176, 1, 99)[0] == 0, "an unknown main mode, as PX4"
     assert world.command(176, 1, 1)[0] == 0
     assert world.commander.mode is modes.MANUAL
-    assert world.command(176, math.nan, 4, 5)[0] == 2
-    assert world.command(176, 1, 300)[0] == 2
+    assert world.command(176, math.nan, 4, 5)[0] == 0, "PX4 casts NaN to no bits, which select no mode"
+    assert world.command(176, 1, 300)[0] == 0, "and 300 to the byte 44"
+    assert world.commander.mode is modes.MANUAL
 
 
 def test_set_mode_message_is_acknowledged_as_a_command(world):
@@ -514,7 +517,8 @@ def test_request_message(world):
     _, (home,) = world.command(512, 242)
     assert home.latitude == 473977420
     assert world.command(512, 259)[0] == 2
-    assert world.command(512, math.nan)[0] == 2
+    _, (beat,) = world.command(512, math.nan)
+    assert beat.get_type() == "HEARTBEAT", "(uint16_t)NaN is 0"
 
 
 def test_takeoff_command(world):
@@ -524,16 +528,22 @@ def test_takeoff_command(world):
     assert math.isnan(world.setpoint["goal_yaw"])
 
 
-def test_command_int_has_relative_altitudes_and_integer_places(world):
+def test_command_int_has_integer_places_and_no_frame(world):
+    """Altitudes are AMSL in every frame, as with PX4 v1.14's MavlinkReceiver::handle_message_command_int."""
     world.fly_offboard(0.0, 0.0, -5.0)
     place = [round(v * 1e7) for v in world.commander.view.to_global((10.0, 20.0, 0.0))[:2]]
-    message = mavlink.MAVLink_command_int_message(_SYSTEM, 1, 6, 192, 0, 0, -1, 1, 0, math.nan, *place, 15.0)
-    assert world.ask(message)[0].result == 0
-    assert world.setpoint["goal_position"].tolist() == pytest.approx([10.0, 20.0, -15.0], abs=0.02)
     unset = 0x7FFFFFFF
-    message = mavlink.MAVLink_command_int_message(_SYSTEM, 1, 6, 192, 0, 0, -1, 1, 0, math.nan, unset, unset, 8.0)
-    assert world.ask(message)[0].result == 0
-    assert world.setpoint["goal_position"].tolist() == pytest.approx([0.0, 0.0, -8.0], abs=1e-6)
+
+    def ask(frame, *position):
+        message = mavlink.MAVLink_command_int_message(_SYSTEM, 1, frame, 192, 0, 0, -1, 1, 0, math.nan, *position)
+        assert world.ask(message)[0].result == 0
+        return world.setpoint["goal_position"].tolist()
+
+    for frame in range(22):
+        height = 15.0 + frame
+        assert ask(frame, *place, ORIGIN[2] + height) == pytest.approx([10.0, 20.0, -height], abs=0.02)
+    goal = ask(6, unset, unset, ORIGIN[2] + 8.0)
+    assert goal == pytest.approx([10.0, 20.0, -8.0], abs=0.02), "the goal's place stays"
 
 
 def test_set_home(world):

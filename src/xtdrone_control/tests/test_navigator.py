@@ -180,20 +180,85 @@ def test_bad_reposition_is_denied(flight, place):
     assert goal(flight) == before
 
 
-def test_reposition_on_the_ground_is_rejected():
+def test_reposition_on_the_ground():
+    """Disarmed it is accepted and selects the mode; armed it leads off the ground, as PX4's flight task allows."""
     flight = Flight()
+    flight.commander.request(modes.AUTO_TAKEOFF)
+    target = flight.commander.view.to_global((30.0, 40.0, -20.0))
+    assert flight.commander.reposition(target, math.nan, math.nan) is Result.ACCEPTED
+    assert flight.commander.mode is modes.AUTO_LOITER
     flight.commander.arm_disarm(True)
-    assert flight.commander.reposition((47.0, 8.0, 500.0), math.nan, math.nan) is Result.TEMPORARILY_REJECTED
-    assert flight.setpoint["task"] == TASK_IDLE
+    assert flight.setpoint["task"] == TASK_IDLE, "forgotten"
+    assert flight.commander.reposition(target, math.nan, math.nan) is Result.ACCEPTED
+    assert flight.setpoint["task"] == TASK_GOTO
+    assert goal(flight) == pytest.approx([30.0, 40.0, -20.0], abs=1e-6)
 
 
-def test_speed_change_lasts_until_the_next_mode(flight):
-    assert flight.commander.change_speed(1, 2.0) is Result.ACCEPTED
-    assert flight.setpoint["cruise_speed"] == 2.0
-    assert flight.commander.change_speed(1, math.nan) is Result.DENIED
-    assert flight.commander.change_speed(9, 2.0) is Result.DENIED
+def repositioned(flight, north, east, up, yaw=math.nan, speed=math.nan):
+    """Return goal, heading and speed after a DO_REPOSITION to a local position; NaN leaves values out."""
+    latitude, longitude, _ = flight.commander.view.to_global((north, east, 0.0))
+    place = (latitude, longitude, ORIGIN[2] + up)
+    assert flight.commander.reposition(place, yaw, speed) is Result.ACCEPTED
+    return [*goal(flight), float(flight.setpoint["goal_yaw"]), float(flight.setpoint["cruise_speed"])]
+
+
+def test_what_a_reposition_leaves_out(flight):
+    """PX4's navigator keeps the goal's place, the vehicle's height, and brakes without place, height and heading."""
+    nan = math.nan
+    assert repositioned(flight, 30.0, 0.0, 20.0)[:4] == pytest.approx([30.0, 0.0, -20.0, 0.0], abs=1e-6)
+    assert repositioned(flight, nan, nan, 12.0)[:3] == pytest.approx([30.0, 0.0, -12.0], abs=1e-6)
+    assert repositioned(flight, nan, nan, nan, 1.5)[:4] == pytest.approx([30.0, 0.0, -10.0, 1.5], abs=1e-6)
+    flight.autopilot.estimator[0]["velocity"] = (5.0, 0.0, 0.0)
+    here = [*flight.commander.navigator._course.stopping_place(), 0.0]
+    assert repositioned(flight, nan, nan, nan)[:4] == pytest.approx(here)
+    assert here[0] > 5.0
+    flight.commander.navigator.deactivate()
+    assert repositioned(flight, nan, nan, 12.0)[:3] == pytest.approx([0.0, 0.0, -12.0]), "no goal in manual modes"
+
+
+def test_a_speed_of_one_reposition_is_no_setting(flight):
+    """PX4's navigator returns to its cruising speed: the default, or that of DO_CHANGE_SPEED."""
+    speeds = [repositioned(flight, 30.0, 0.0, 10.0, speed=speed)[-1] for speed in (2.0, -1.0, 3.0, math.nan, 0.0)]
+    assert speeds == pytest.approx([2.0, math.nan, 3.0, math.nan, math.nan], nan_ok=True)
+    flight.commander.change_speed(1, 4.0)
+    speeds = [repositioned(flight, 30.0, 0.0, 10.0, speed=speed)[-1] for speed in (2.0, -1.0)]
+    assert speeds == [2.0, 4.0]
+
+
+def test_speed_change_lasts_until_a_return(flight):
+    """As in PX4's navigator: it survives changes of mode, and rtl.cpp and a disarming reset it."""
+    change = flight.commander.change_speed
+    assert change(1, 2.0) is Result.ACCEPTED
+    assert flight.setpoint["cruise_speed"] == 2.0, "a ground speed acts at once"
+    for mode in (modes.POSCTL, modes.AUTO_LAND, modes.AUTO_LOITER):
+        flight.commander.request(mode)
+        assert flight.setpoint["cruise_speed"] == 2.0
     flight.commander.request(modes.AUTO_RTL)
     assert math.isnan(flight.setpoint["cruise_speed"])
+    for kind, given in ((0, 3.0), (2, 3.0), (3, 3.0), (9, 3.0), (math.nan, 3.0)):  # PX4 looks at ground speed only
+        assert change(kind, given) is Result.ACCEPTED
+        flight.commander.request(modes.AUTO_LOITER)
+        assert flight.setpoint["cruise_speed"] == 3.0
+        assert math.isnan(flight.setpoint["climb_speed"])
+    for none in (-1.0, 0.0, -3.0, math.nan):
+        change(1, 2.0)
+        assert change(1, none) is Result.ACCEPTED
+        flight.commander.request(modes.AUTO_LOITER)
+        assert math.isnan(flight.setpoint["cruise_speed"])
+    change(1, 2.0)
+    flight.commander.arm_disarm(False, force=True)
+    flight.commander.arm_disarm(True)
+    flight.commander.request(modes.AUTO_LOITER)
+    assert math.isnan(flight.setpoint["cruise_speed"])
+
+
+def test_a_takeoff_ends_at_its_place_and_forgets_it(flight):
+    place = flight.commander.view.to_global((6.0, 8.0, 0.0))[:2]
+    assert flight.commander.takeoff(ORIGIN[2] + 25.0, 1.0, place) is Result.ACCEPTED
+    assert goal(flight) == pytest.approx([6.0, 8.0, -25.0], abs=1e-6)
+    flight.commander.request(modes.AUTO_TAKEOFF)
+    assert goal(flight)[:2] == [0.0, 0.0]
+    assert math.isnan(flight.setpoint["goal_yaw"])
 
 
 def test_speed_change_holds_through_a_reposition(flight):
@@ -207,3 +272,34 @@ def test_speed_change_holds_through_a_reposition(flight):
 def test_change_of_altitude_keeps_the_place(flight):
     assert flight.commander.change_altitude(ORIGIN[2] + 15.0) is Result.ACCEPTED
     assert goal(flight) == pytest.approx([0.0, 0.0, -15.0])
+    assert flight.commander.change_altitude(math.nan) is Result.ACCEPTED, "at the vehicle's height"
+    assert goal(flight) == pytest.approx([0.0, 0.0, -10.0])
+
+
+def orbit(flight, *values):
+    """Return radius, speed and centre's north after a DO_ORBIT round a place ``north`` of the origin, or NaN."""
+    radius, speed, behaviour, north = values
+    latitude, longitude, _ = flight.commander.view.to_global((north, 0.0, 0.0))
+    assert flight.commander.orbit(radius, speed, behaviour, (latitude, longitude, math.nan)) is Result.ACCEPTED
+    s = flight.setpoint
+    return [float(s["orbit_radius"]), float(s["orbit_speed"]), int(s["orbit_yaw"]), float(s["orbit_centre"][0])]
+
+
+def test_an_orbit_keeps_its_values_and_the_next_one_takes_none_of_them(flight):
+    """PX4's FlightTaskOrbit: NaN keeps a value while the task runs, and a new task starts from its defaults."""
+    nan = math.nan
+    assert orbit(flight, 10.0, 3.0, 2.0, 20.0) == pytest.approx([10.0, 3.0, 2, 20.0], abs=1e-6)
+    assert orbit(flight, nan, 2.0, nan, nan) == pytest.approx([10.0, 2.0, 2, 20.0], abs=1e-6)
+    assert orbit(flight, -8.0, nan, nan, 25.0) == pytest.approx([8.0, -2.0, 2, 25.0], abs=1e-6)
+    assert orbit(flight, 8.0, -2.0, nan, nan) == pytest.approx([8.0, -2.0, 2, 25.0], abs=1e-6), "against its radius"
+    flight.commander.request(modes.AUTO_LOITER)
+    assert orbit(flight, nan, nan, nan, 30.0) == pytest.approx([1.0, 1.0, 0, 30.0], abs=1e-6)
+
+
+def test_a_vehicle_holds_in_place_of_an_orbit_that_is_too_wide(flight):
+    """PX4's flight mode manager replaces the task by its failsafe, which holds."""
+    assert flight.commander.orbit(1001.0, 2.0, 0.0, (*ORIGIN[:2], math.nan)) is Result.ACCEPTED
+    assert flight.texts() == ["Orbit radius limit exceeded"]
+    flight.run(1.0)
+    assert flight.commander.mode is modes.ORBIT
+    assert (flight.setpoint["task"], goal(flight)) == (TASK_GOTO, [0.0, 0.0, -10.0])

@@ -193,12 +193,12 @@ def test_commands_over_a_line_that_loses_a_third(field):
         line.close()
 
 
-def test_a_goto_on_the_ground_is_rejected(field):
+def test_a_goto_of_a_disarmed_vehicle_is_rejected(field):
     peer = field.peers()[0]
     job = {peer: lambda beat: commands_and_refusals.go_to(beat, Target(place=(47.0, 8.0), altitude=500.0))}
     (result,) = station.run(job, on_abort=station.no_abort_messages).values()
     assert isinstance(result, GcsError)
-    assert "goto: the vehicle answers TEMPORARILY_REJECTED" in str(result)
+    assert "goto: the vehicle is on the ground and disarmed" in str(result)
 
 
 @pytest.mark.parametrize(

@@ -253,7 +253,7 @@ def test_with_vision_alone_there_is_no_home_until_there_is_an_origin():
     Modes: mode_requirements.cpp; a takeoff without a successor: UserModeIntention.cpp, change. A shared frame changes
     nothing: the vehicle does not know its place on Earth.
     """
-    flight = Flight(parameters=VISION_ONLY, shared_datum=True)
+    flight = Flight(parameters={**VISION_ONLY, "COM_HOME_IN_AIR": 1}, shared_datum=True)
     commander = flight.commander
     flight.vision = camera()
     flight.take_off(4.0)

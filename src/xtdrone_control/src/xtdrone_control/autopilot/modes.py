@@ -122,15 +122,12 @@ def from_custom_mode(custom_mode: int) -> Mode | None:
     return _BY_CUSTOM_MODE.get(custom_mode)
 
 
-def is_main_mode(main: int) -> bool:
-    """Return whether ``main`` is one of PX4's main modes (PX4_CUSTOM_MAIN_MODE), MANUAL to STABILIZED."""
-    return any(mode.main == main for mode in SUPPORTED)
-
-
-def from_base_mode(base_mode: int) -> Mode:
-    """Return the mode that PX4 selects for MAV_MODE_FLAG bits without the custom bit."""
+def from_base_mode(base_mode: int) -> Mode | None:
+    """Return the mode that PX4 selects for MAV_MODE_FLAG bits without the custom bit, or None."""
     if base_mode & _AUTO:
         return AUTO_MISSION
+    if not base_mode & _MANUAL:
+        return None
     if base_mode & _GUIDED:
         return POSCTL
     return STABILIZED if base_mode & _STABILISED else MANUAL

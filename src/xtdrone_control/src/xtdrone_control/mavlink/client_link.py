@@ -109,7 +109,9 @@ class Link:
         self._samples = mavlink_wire.Samples()
 
     def _new_streams(self) -> Streams:
+        self._origin: Values | None = None  # sent last
         own: dict[str, Source] = {
+            "GPS_GLOBAL_ORIGIN": self._changed_origin,
             "PING": self._ping,
             "LINK_NODE_STATUS": self._node_status,
             "HIGHRES_IMU": self._highres_imu,
@@ -272,6 +274,14 @@ class Link:
             0,
             0,
         )
+
+    def _changed_origin(self) -> Values | None:
+        """Return GPS_GLOBAL_ORIGIN if this client does not have it yet, as PX4's stream does."""
+        values = self.telemetry.gps_global_origin()
+        if values is None or values[:3] == self._origin:
+            return None
+        self._origin = values[:3]
+        return values
 
     def _highres_imu(self) -> bytes:
         """Return HIGHRES_IMU, flagging the sensors with a new sample since the last message on this link."""

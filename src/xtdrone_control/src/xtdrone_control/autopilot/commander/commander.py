@@ -6,7 +6,6 @@ the operator queue in ``texts`` and ``events`` until a link sends them.
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
@@ -17,6 +16,7 @@ from xtdrone_control.autopilot.commander.flight_commands import FlightCommands, 
 from xtdrone_control.autopilot.commander.health_and_arming_checks.arming_checks import ArmingChecks
 from xtdrone_control.autopilot.commander.health_and_arming_checks.battery_estimate import BatteryEstimate
 from xtdrone_control.autopilot.commander.health_and_arming_checks.health import Health
+from xtdrone_control.autopilot.commander.home_position import HomePosition
 from xtdrone_control.autopilot.commander.manual_control import ManualControl, Request, Sticks
 from xtdrone_control.autopilot.commander.manual_flight import MANUAL_THRUST, ManualFlight
 from xtdrone_control.autopilot.commander.motors import ArmReason, MotorSwitch
@@ -92,6 +92,8 @@ class Commander(FlightCommands):
         get = parameters.get
         self._announcements = Announcements(self.view)
         self.navigator = Navigator(self.view, parameters, self._announcements)
+        self._home = HomePosition(self.view, self.navigator, get)
+        self.navigator.mission.set_home = self.set_home
         self.manual = ManualControl(get)
         self._offboard = OffboardSetpoint(self.view)
         self.health = Health(self.view, get, self.navigator, self._offboard, self.manual, self._announcements)
@@ -252,8 +254,8 @@ class Commander(FlightCommands):
         self._armed_us = self.view.time_us
         self._took_off = not self.view.landed
         self._was_landed = self.view.landed
-        if self.view.global_valid and int(self.parameters.get("COM_HOME_EN")) and self.view.landed:
-            self._set_home_here()
+        if reason is ArmReason.COMMAND and self._home.enabled:
+            self._home.set_here()
         self._motors.apply(self.armed)
         number, words = reason.value
         self._announcements.tell(INFO, f"Armed by {words}", "commander_armed_by", number)
@@ -306,8 +308,7 @@ class Commander(FlightCommands):
         self.flights += 1
         self._disarmed_us = self.view.time_us
         self._motors.apply(self.armed)
-        self.navigator.deactivate()
-        self.navigator.mission.reset()
+        self.navigator.end_flight()
         self._cascade_mode = None
         self.view.start_task(TASK_IDLE)
         number, words = reason.value
@@ -331,8 +332,6 @@ class Commander(FlightCommands):
 
     def flight_termination(self, level: float) -> Result:
         """Execute MAV_CMD_DO_FLIGHTTERMINATION: 0 releases the motors, 1 stops them for good, 2 as a test."""
-        if math.isnan(level):
-            return Result.DENIED
         if level > 1.5:
             self._motors.locked = True
         elif level > 0.5:
@@ -375,18 +374,18 @@ class Commander(FlightCommands):
 
     def set_mode(self, base_mode: int, custom_mode: int) -> Result:
         """Switch to the mode of PX4's ``custom_mode``, or of ``base_mode`` when its custom-mode flag is not set."""
+        main = custom_mode >> 16 & 0xFF
         if not base_mode & modes.CUSTOM_FLAG:
-            return self.request(modes.from_base_mode(base_mode))
-        mode = modes.from_custom_mode(custom_mode)
+            mode = modes.from_base_mode(base_mode)
+        else:  # sub modes exist in AUTO only: PX4 v1.14 takes POSCTL for ORBIT's number
+            mode = modes.from_custom_mode(custom_mode if main == modes.MAIN_AUTO else main << 16)
+            if mode is None and main == modes.MAIN_AUTO:
+                text, name = "Unsupported auto mode", "commander_unsupported_auto_mode"
+                self._announcements.tell(CRITICAL, text, name, level=events.ERROR)
+                return Result.TEMPORARILY_REJECTED
         if mode is not None:
             return self.request(mode)
-        if custom_mode >> 16 & 0xFF == modes.MAIN_AUTO:
-            text, name = "Unsupported auto mode", "commander_unsupported_auto_mode"
-            self._announcements.tell(CRITICAL, text, name, level=events.ERROR)
-            return Result.TEMPORARILY_REJECTED
-        if modes.is_main_mode(custom_mode >> 16 & 0xFF):
-            return Result.TEMPORARILY_REJECTED
-        return Result.ACCEPTED  # PX4 accepts an unknown main mode and ignores it
+        return Result.ACCEPTED  # PX4 accepts a mode that it does not know, and ignores it
 
     def request(self, mode: Mode) -> Result:
         """Switch to a mode; an armed vehicle rejects a mode that it cannot fly."""
@@ -614,8 +613,7 @@ class Commander(FlightCommands):
         view = self.view
         self._handle_pilot_requests()
         flags = self.health.update(self._mode, self._active_mode, self.armed)
-        if self.home is None and view.global_valid:
-            self._set_home_here()
+        self._home.update(self.armed)
         if self.armed:
             landed = view.landed
             if landed != self._was_landed:
@@ -669,6 +667,7 @@ class Commander(FlightCommands):
             self._announcements.tell(INFO, "Landing detected", "commander_landing_detected")
         else:
             self._announcements.tell(INFO, "Takeoff detected", "commander_takeoff_detected")
+            self._home.take_off()
 
     def _auto_disarm(self) -> bool:
         now = self.view.time_us

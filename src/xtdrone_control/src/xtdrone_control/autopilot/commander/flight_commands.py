@@ -7,11 +7,12 @@ import math
 from abc import ABC, abstractmethod
 
 from xtdrone_control.autopilot import modes
+from xtdrone_control.autopilot.commander.home_position import HomePosition
 from xtdrone_control.autopilot.commander.motors import ArmReason
 from xtdrone_control.autopilot.events import events
 from xtdrone_control.autopilot.events.announcements import CRITICAL, INFO, Announcements
 from xtdrone_control.autopilot.modes import Mode
-from xtdrone_control.autopilot.navigator.navigator import Home, Navigator
+from xtdrone_control.autopilot.navigator.navigator import Goal, Home, Navigator
 from xtdrone_control.autopilot.vehicle_view import Vector, VehicleView
 from xtdrone_control.geodesy import projection
 
@@ -40,6 +41,7 @@ class FlightCommands(ABC):
     navigator: Navigator
     armed: bool
     _announcements: Announcements
+    _home: HomePosition
 
     @property
     @abstractmethod
@@ -59,17 +61,20 @@ class FlightCommands(ABC):
         """Home position, None until it is set."""
         return self.navigator.home
 
-    def takeoff(self, altitude: float, yaw: float) -> Result:
-        """Take off in AUTO.TAKEOFF.
+    def takeoff(self, altitude: float, yaw: float, place: tuple[float, float] = (math.nan, math.nan)) -> Result:
+        """Take off in AUTO.TAKEOFF; the values apply to the next takeoff only.
 
         Args:
             altitude: m AMSL; NaN for MIS_TAKEOFF_ALT above home.
-            yaw: rad; NaN keeps the heading.
+            yaw: rad, also in MAV_CMD_NAV_TAKEOFF, whose degrees PX4 v1.14 does not convert; NaN keeps the heading.
+            place: latitude and longitude of the end of the climb, degrees; NaN for the vehicle's.
         """
-        if math.isinf(altitude) or math.isinf(yaw):
+        given = [value for value in place if not math.isnan(value)]
+        if math.isinf(altitude) or math.isinf(yaw) or (len(given) > 1 and not projection.is_place(*place, 0.0)):
             return Result.DENIED
         self.navigator.takeoff_altitude = altitude
         self.navigator.takeoff_yaw = yaw
+        self.navigator.takeoff_place = place
         return self.request(modes.AUTO_TAKEOFF)
 
     def land(self) -> Result:
@@ -109,58 +114,69 @@ class FlightCommands(ABC):
             self._announcements.tell(INFO, text, name)
         return result
 
-    def set_home(self, location: Vector | None) -> Result:
-        """Set the home position to (latitude, longitude, altitude), degrees and m AMSL, or to the vehicle's (None)."""
-        if location is None:
-            if not self.view.global_valid:
-                return Result.TEMPORARILY_REJECTED
-            self._set_home_here()
-            return Result.ACCEPTED
-        if not projection.is_place(*location):
-            return Result.DENIED
-        if not self.view.global_valid:
-            return Result.TEMPORARILY_REJECTED
-        position = self.view.to_local(*location)
-        self.navigator.home = Home(*location, position, self.view.yaw, self.view.time_us)
-        return Result.ACCEPTED
+    def set_home(self, location: Vector | None, yaw: float | None = None) -> Result:
+        """Set the home position.
 
-    def _set_home_here(self) -> None:
-        position = self.view.position
-        location = self.view.to_global(position)
-        self.navigator.home = Home(*location, position, self.view.yaw, self.view.time_us)
+        Args:
+            location: latitude and longitude in degrees, altitude in m AMSL; None for the vehicle's position.
+            yaw: rad, NaN if unknown; None for the vehicle's heading.
+        """
+        if not self._home.enabled or (location is not None and not projection.is_place(*location)):
+            return Result.DENIED
+        if location is None:
+            done = self._home.set_here(force=True)
+        else:
+            done = self._home.set_manually(location, self.view.yaw if yaw is None else yaw)
+        return Result.ACCEPTED if done else Result.TEMPORARILY_REJECTED
 
     def reposition(self, location: Vector, yaw: float, speed: float) -> Result:
-        """Fly to a position in AUTO.LOITER.
+        """Fly to a position in AUTO.LOITER (PX4's commander switches, its navigator takes the position).
+
+        Without a position and a heading the vehicle brakes and holds; without a position alone it keeps its goal's.
+        A disarmed vehicle only changes its mode; from the ground an armed one takes off to a higher position.
 
         Args:
             location: latitude and longitude in degrees, altitude in m AMSL; NaN keeps the current value.
             yaw: rad; NaN turns towards a goal beyond NAV_ACC_RAD.
-            speed: m/s; NaN, 0 or less for MPC_XY_CRUISE.
+            speed: m/s to this position alone; NaN, 0 or less for that of ``change_speed``, or MPC_XY_CRUISE.
         """
-        here = self.view.to_global(self.view.position)
-        target = tuple(h if math.isnan(p) else p for p, h in zip(location, here, strict=True))
-        if not projection.is_place(*target) or math.isinf(yaw) or math.isinf(speed):
+        known = [0.0 if math.isnan(value) else value for value in location]
+        if not projection.is_place(*known) or math.isinf(yaw) or math.isinf(speed):
             return Result.DENIED
-        able = self.armed and not self.view.landed and self.view.has_origin
-        if not able or self.request(modes.AUTO_LOITER) is not Result.ACCEPTED:
-            self._announcements.tell(CRITICAL, "Reposition command rejected", "commander_reposition_rejected")
+        goal = self.navigator.goal_before_a_pause()
+        if not self._hold_to_fly():
             return Result.TEMPORARILY_REJECTED
-        if self.mode is not modes.AUTO_LOITER:
-            return Result.ACCEPTED  # a failsafe overrides the mode
-        position = self.view.to_local(*target)
-        if self.navigator.geofence_forbids(position):  # PX4 accepts the command before this check
+        if self.armed and self.mode is modes.AUTO_LOITER:  # otherwise disarmed, or a failsafe overrides the mode
+            self._fly_to(location, yaw, speed, goal)
+        return Result.ACCEPTED
+
+    def _hold_to_fly(self) -> bool:
+        """Switch to AUTO.LOITER for a goal in global coordinates; return whether that was possible."""
+        if self.armed and not self.view.has_origin:
+            self._announcements.mode_refused(modes.AUTO_LOITER)
+            return False
+        return self.request(modes.AUTO_LOITER) is Result.ACCEPTED
+
+    def _fly_to(self, location: Vector, yaw: float, speed: float, goal: Goal) -> None:
+        latitude, longitude, altitude = location
+        has_place = not math.isnan(latitude) and not math.isnan(longitude)
+        z = self.view.position[2] if math.isnan(altitude) else self.view.origin[2] - altitude
+        if not has_place and math.isnan(altitude) and math.isnan(yaw):
+            self.navigator.pause(goal)
+            return
+        position = (*(self.view.to_local(latitude, longitude, 0.0)[:2] if has_place else goal.place), z)
+        if has_place and self.navigator.geofence_forbids(position):  # PX4 accepts the command before this check
             text = "Reposition is outside geofence"
             self._announcements.tell(CRITICAL, text, "navigator_reposition_outside_geofence", level=events.ERROR)
-            return Result.ACCEPTED
-        if speed > 0.0:
-            self.navigator.set_speed("cruise_speed", speed)
-        self.navigator.reposition(position, yaw)
-        return Result.ACCEPTED
+            return
+        self.navigator.reposition(position, yaw, speed if speed > 0.0 else math.nan)
 
     def orbit(self, radius: float, speed: float, yaw_behaviour: float, location: Vector) -> Result:
         """Fly a circle in ORBIT; see :meth:`.orbit.Orbit.command` for the arguments."""
         if any(math.isinf(value) for value in (radius, speed, yaw_behaviour, *location)):
             return Result.DENIED
+        if self.mode is not modes.ORBIT:
+            self.navigator.orbit.forget()
         self.navigator.orbit.command(radius, speed, yaw_behaviour, location)
         result = self.request(modes.ORBIT)
         if result is not Result.ACCEPTED:
@@ -168,25 +184,20 @@ class FlightCommands(ABC):
         return result
 
     def change_altitude(self, altitude: float) -> Result:
-        """Climb or descend to ``altitude`` (m AMSL) in AUTO.LOITER."""
-        if not math.isfinite(altitude):
+        """Climb or descend to ``altitude`` (m AMSL, NaN: the vehicle's) in AUTO.LOITER, where the vehicle brakes.
+
+        PX4 v1.14 does not look at the frame in param2 of MAV_CMD_DO_CHANGE_ALTITUDE.
+        """
+        if math.isinf(altitude):
             return Result.DENIED
-        if not self.view.has_origin or self.request(modes.AUTO_LOITER) is not Result.ACCEPTED:
+        goal = self.navigator.goal_before_a_pause()
+        if not self._hold_to_fly():
             return Result.TEMPORARILY_REJECTED
-        if self.armed and not self.view.landed and self.mode is modes.AUTO_LOITER:
-            self.navigator.change_altitude(self.view.origin[2] - altitude)
+        if self.armed and self.mode is modes.AUTO_LOITER:
+            self.navigator.pause(goal, self.view.origin[2] - altitude)
         return Result.ACCEPTED
 
-    def change_speed(self, kind: int, speed: float) -> Result:
-        """Set the speed of AUTO modes until the next mode.
-
-        Args:
-            kind: SPEED_TYPE: 0 and 1 horizontal, 2 climb, 3 descent.
-            speed: m/s; -1 keeps the current speed, 0 and other negative values restore the parameter's.
-        """
-        field = {0: "cruise_speed", 1: "cruise_speed", 2: "climb_speed", 3: "descend_speed"}.get(kind)
-        if field is None or not math.isfinite(speed):
-            return Result.DENIED
-        if speed != -1.0:
-            self.navigator.set_speed(field, speed if speed > 0.0 else math.nan)
+    def change_speed(self, kind: float, speed: float) -> Result:
+        """Set the horizontal speed of AUTO modes, see ``Navigator.change_speed``; PX4 accepts any values."""
+        self.navigator.change_speed(kind, speed)
         return Result.ACCEPTED

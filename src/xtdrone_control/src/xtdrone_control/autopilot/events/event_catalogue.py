@@ -112,7 +112,6 @@ _COMMANDER = (
     _define("commander_landing_current_pos", "Landing at the current position"),
     _define("commander_landing_prec_land", "Landing on a target"),
     _define("commander_rtl", "Returning to launch"),
-    _define("commander_reposition_rejected", "Reposition command rejected"),
     _define("commander_takeoff_detected", "Takeoff detected"),
     _define("commander_landing_detected", "Landing detected"),
     _define("commander_gcs_lost", "Connection to the ground station lost"),

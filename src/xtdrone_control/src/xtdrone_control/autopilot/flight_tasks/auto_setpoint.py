@@ -38,6 +38,7 @@ class Home:
         position: m, local NED.
         yaw: rad.
         time_us: simulated time of its setting, microseconds.
+        manual: whether a command gave the position; it does not follow the vehicle then.
     """
 
     latitude: float
@@ -46,6 +47,7 @@ class Home:
     position: Vector
     yaw: float
     time_us: int
+    manual: bool = False
 
 
 class Course:
@@ -56,6 +58,7 @@ class Course:
         parameters: its parameters.
         announcements: texts and events for the operator.
         home: None until the first valid position.
+        cruising_speed: horizontal speed of this and later goals, m/s; NaN for MPC_XY_CRUISE.
         goal: m, local NED.
         landing: whether the current goal is a landing.
         taking_off: whether the current goal is the end of a takeoff.
@@ -67,6 +70,7 @@ class Course:
         self.parameters = parameters
         self.announcements = announcements
         self.home: Home | None = None
+        self.cruising_speed = NAN
         self.goal: Vector = (0.0, 0.0, 0.0)
         self.landing = False
         self.taking_off = False
@@ -81,6 +85,7 @@ class Course:
         *,
         onward: Vector = UNSET,
         radius: float = NAN,
+        speed: float = NAN,
     ) -> None:
         """Fly to ``position``.
 
@@ -89,6 +94,7 @@ class Course:
             yaw: rad; NaN keeps the heading, see also ``free_heading``.
             onward: next goal, reached without a stop at ``position``, m, local NED; NaN to stop.
             radius: acceptance radius of ``position``, m; NaN for NAV_ACC_RAD.
+            speed: horizontal speed to this goal alone, m/s; NaN for ``cruising_speed``.
         """
         self.goal = position
         self.landing = self.taking_off = False
@@ -99,6 +105,7 @@ class Course:
         setpoint["goal_yaw"] = yaw
         setpoint["onward_position"] = onward
         setpoint["goal_radius"] = radius
+        setpoint["cruise_speed"] = self.cruising_speed if math.isnan(speed) else speed
         self.view.start_task(TASK_GOTO)
 
     def lead_onward(self, onward: Vector) -> None:
@@ -122,6 +129,7 @@ class Course:
         setpoint["goal_velocity"] = STILL
         setpoint["goal_yaw"] = NAN
         setpoint["onward_position"] = UNSET
+        setpoint["cruise_speed"] = self.cruising_speed
         self.view.start_task(TASK_LAND)
 
     def hold(self) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from xtdrone_control.autopilot import c_casts
 from xtdrone_control.autopilot.events.announcements import CRITICAL
 from xtdrone_control.autopilot.events.events import ERROR
 from xtdrone_control.autopilot.flight_tasks.auto_setpoint import Course
@@ -32,55 +33,61 @@ class Orbit:
     def __init__(self, course: Course) -> None:
         """Initialise; the setpoint is not changed until ``start``."""
         self._course = course
-        self._commanded = False
-        self._altitude = math.nan
-        self._next_centre: tuple[float, float] | None = None
         self.centre = (0.0, 0.0)
+        self.circling = False
+        self.forget()
+
+    def forget(self) -> None:
+        """Restore the defaults; the next orbit takes nothing from the last one (PX4 ``FlightTaskOrbit::activate``)."""
         self.radius = LEAST_RADIUS
         self.speed = _DEFAULT_SPEED
         self.yaw_behaviour = ORBIT_TO_CENTRE
-        self.circling = False
+        self._altitude = math.nan
+        self._place: tuple[float, float] | None = None
+        self._possible = True
 
     def command(self, radius: float, speed: float, yaw_behaviour: float, place: Sequence[float]) -> None:
-        """Store the parameters of MAV_CMD_DO_ORBIT for ``start``; NaN keeps the previous value.
+        """Store the parameters of MAV_CMD_DO_ORBIT for ``start``; NaN keeps the value of the orbit that is flown.
 
-        A radius outside its limits is announced and clipped; the speed is limited to a centripetal acceleration of
-        2 m/s^2.
+        With a radius outside its limits, which is announced, the vehicle holds instead. The speed is limited to a
+        centripetal acceleration of 2 m/s^2.
 
         Args:
             radius: m, positive clockwise; absolute value from 1 to MC_ORBIT_RAD_MAX.
-            speed: m/s along the circle, up to 10.
+            speed: m/s along the circle, up to 10; negative against the direction of ``radius``.
             yaw_behaviour: MAVLink ORBIT_YAW_BEHAVIOUR.
             place: latitude and longitude of the centre in degrees, and the altitude to fly at, m AMSL.
         """
         view = self._course.view
         clockwise = self.speed > 0.0 if math.isnan(radius) else radius > 0.0
         wanted = self.radius if math.isnan(radius) else abs(radius)
-        largest = self._course.parameters.get("MC_ORBIT_RAD_MAX")
-        if not LEAST_RADIUS <= wanted <= largest:
+        self._possible = LEAST_RADIUS <= wanted <= self._course.parameters.get("MC_ORBIT_RAD_MAX")
+        if self._possible:
+            limit = min(_LARGEST_SPEED, math.sqrt(_LARGEST_ACCELERATION * wanted))
+            along = min(max(abs(self.speed) if math.isnan(speed) else speed, -limit), limit)
+            self.radius, self.speed = wanted, along if clockwise else -along
+        else:
             text = "Orbit radius limit exceeded"
             self._course.announcements.tell(CRITICAL, text, "orbit_radius_exceeded", level=ERROR)
-            wanted = min(max(wanted, LEAST_RADIUS), largest)
-        self.radius = wanted
-        size = abs(self.speed if math.isnan(speed) else speed)
-        size = min(size, _LARGEST_SPEED, math.sqrt(_LARGEST_ACCELERATION * wanted))
-        self.speed = size if clockwise else -size
         if math.isfinite(yaw_behaviour):
-            self.yaw_behaviour = int(yaw_behaviour)
+            self.yaw_behaviour = c_casts.to_byte(yaw_behaviour)
         if view.has_origin and math.isfinite(place[0]) and math.isfinite(place[1]):
             north, east, _ = view.to_local(place[0], place[1], 0.0)
-            self._next_centre = (north, east)
-        self._altitude = place[2]
+            self._place = (north, east)
+        if math.isfinite(place[2]):
+            self._altitude = place[2]
 
     def start(self) -> None:
         """Fly to the nearest point on the circle, heading towards it."""
+        self.circling = False
+        if not self._possible:
+            self._course.hold()
+            return
         view = self._course.view
         x, y, z = self._course.stopping_place()
-        if self._next_centre is None and not self._commanded:
-            self.centre = (x - self.radius, y)
-        elif self._next_centre is not None:
-            self.centre = self._next_centre
-        self._commanded = True
+        if self._place is None:
+            self._place = (x - self.radius, y)
+        self.centre = self._place
         if math.isfinite(self._altitude) and view.has_origin:
             z = view.origin[2] - self._altitude
         setpoint = view.setpoint
@@ -89,13 +96,12 @@ class Orbit:
         setpoint["orbit_speed"] = self.speed
         setpoint["orbit_yaw"] = self.yaw_behaviour
         setpoint["orbit_heading"] = view.yaw
-        self.circling = False
         goal = self._nearest(z)
-        self._course.fly_to(goal, self._course.bearing_to(goal))
+        self._course.fly_to(goal, self._course.bearing_to(goal), speed=self._course.parameters.get("MPC_XY_CRUISE"))
 
     def update(self) -> None:
         """Start circling once the circle is reached; call at 10 Hz."""
-        if self.circling:
+        if self.circling or not self._possible:
             return
         near = min(self._course.parameters.get("NAV_ACC_RAD"), _REACHED * self.radius)
         if self._course.distance_to(self._course.goal) < near and self._course.at_height(self._course.goal[2]):

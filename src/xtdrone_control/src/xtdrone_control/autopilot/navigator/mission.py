@@ -54,7 +54,7 @@ class Mission:
         self.plans = Plans()
         self.reached = -1
         self.returning = False
-        self.set_home: Callable[[Vector | None], None] = lambda _location: None
+        self.set_home: Callable[[Vector | None], object] = lambda _location: None
         self._active = False
         self._flown = False
         self._item: PlanItem | None = None
@@ -473,7 +473,8 @@ class Mission:
 
     def _change_speed(self, speed: float) -> None:
         """Set the horizontal speed (m/s), of whatever kind, as PX4's navigator; the default if it is not positive."""
-        self._view.setpoint["cruise_speed"] = speed if speed > _EPSILON else NAN
+        self._course.cruising_speed = speed if speed > _EPSILON else NAN
+        self._view.setpoint["cruise_speed"] = self._course.cruising_speed
 
     def set_roi(self, item: PlanItem) -> None:
         """Set or clear the region of interest of a DO_SET_ROI* item, a location or the next waypoint."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control.autopilot import c_casts, modes
 from xtdrone_control.autopilot.events.announcements import Announcements
 from xtdrone_control.autopilot.events.events import ERROR
 from xtdrone_control.autopilot.flight_tasks.auto_setpoint import CRITICAL, INFO, NAN, Course, Home, braking_time
@@ -21,15 +22,24 @@ from xtdrone_control.autopilot.navigator.plan import PlanItem, Plans
 from xtdrone_control.autopilot.navigator.precision_landing import PrecisionLanding, from_angles
 from xtdrone_control.autopilot.navigator.rtl import Return
 from xtdrone_control.autopilot.parameters.parameters import Parameters
-from xtdrone_control.autopilot.state import TASK_IDLE
+from xtdrone_control.autopilot.state import TASK_GOTO, TASK_IDLE, TASK_LAND
 from xtdrone_control.autopilot.vehicle_view import Vector, VehicleView
-from xtdrone_control.geodesy import projection
 
-__all__ = ["Home", "Navigator"]
+__all__ = ["Goal", "Home", "Navigator"]
 
 _NO_MISSION = "No valid mission available"
 _GPS = 1  # GF_SOURCE
 _GEOFENCE_WARNS = 1  # GF_ACTION
+_GROUND_SPEED = 1  # SPEED_TYPE
+_FLT_EPSILON = 2.0**-23
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Place of a goal, north and east in m, local NED, and whether it is the end of a takeoff."""
+
+    place: tuple[float, float]
+    taking_off: bool
 
 
 class Navigator:
@@ -38,6 +48,7 @@ class Navigator:
     Attributes:
         takeoff_altitude: altitude of the next takeoff, m AMSL; NaN for MIS_TAKEOFF_ALT above home.
         takeoff_yaw: heading of the next takeoff, rad; NaN keeps the current one.
+        takeoff_place: latitude and longitude at which the next takeoff ends, degrees; NaN for the vehicle's.
         mission: mission execution.
         payload: camera, gimbal and actuators.
         precision_landing: landing on a detected target.
@@ -61,7 +72,6 @@ class Navigator:
         self.payload = Payload(view)
         self.precision_landing = PrecisionLanding(self._course)
         self.mission = Mission(self._course, self.payload, self.precision_landing)
-        self.mission.set_home = self._set_home
         self._return = Return(self._course, self.mission, self.precision_landing)
         self.orbit = Orbit(self._course)
         self.follow_target = FollowTarget(self._course)
@@ -72,6 +82,7 @@ class Navigator:
         self._fence_key: tuple[object, ...] = ()
         self.takeoff_altitude = NAN
         self.takeoff_yaw = NAN
+        self.takeoff_place = (NAN, NAN)
 
     @property
     def home(self) -> Home | None:
@@ -102,9 +113,10 @@ class Navigator:
     def activate(self, mode: Mode) -> None:
         """Start the AUTO mode ``mode`` on an armed vehicle."""
         self._stop()
-        if mode is not self._mode:  # a commanded speed applies until the next mode change
-            for field in ("cruise_speed", "climb_speed", "descend_speed"):
-                self._view.setpoint[field] = NAN
+        if mode is not self._mode:
+            self._view.setpoint["climb_speed"] = self._view.setpoint["descend_speed"] = NAN
+        if mode is modes.AUTO_RTL:
+            self._course.cruising_speed = NAN
         self._mode = mode
         if mode not in (modes.AUTO_MISSION, modes.AUTO_LOITER):
             self.mission.require_takeoff()
@@ -126,6 +138,12 @@ class Navigator:
             self.orbit.start()
         else:
             self.hold()
+
+    def end_flight(self) -> None:
+        """Leave the AUTO modes of a vehicle that is disarmed, and forget what was commanded for its flight."""
+        self.deactivate()
+        self.mission.reset()
+        self._course.cruising_speed = NAN
 
     def deactivate(self) -> None:
         """Leave the AUTO modes."""
@@ -250,15 +268,6 @@ class Navigator:
         )
         self._valid = feasibility.check(self.plans.mission, now, self._tell)
 
-    def _set_home(self, location: Vector | None) -> None:
-        """Set the home position to (latitude, longitude, altitude), degrees and m AMSL, or to the vehicle's (None)."""
-        if location is not None and not projection.is_place(*location):
-            return
-        position = self._view.position if location is None else self._view.to_local(*location)
-        where = self._view.to_global(position) if location is None else location
-        if all(map(math.isfinite, where)):
-            self.home = Home(*where, position, self._view.yaw, self._view.time_us)
-
     # geofence
 
     def geofence_breach(self) -> str:
@@ -355,23 +364,53 @@ class Navigator:
         """Stop and hold position."""
         self._course.hold()
 
-    def reposition(self, position: Vector, yaw: float) -> None:
-        """Fly to ``position`` (m, local NED) with heading ``yaw`` (rad; NaN: towards a goal beyond NAV_ACC_RAD)."""
+    def reposition(self, position: Vector, yaw: float, speed: float = NAN) -> None:
+        """Fly to ``position``.
+
+        Args:
+            position: m, local NED.
+            yaw: rad; NaN turns towards a goal beyond NAV_ACC_RAD.
+            speed: horizontal speed to this goal alone, m/s; NaN for that of ``change_speed``.
+        """
         if math.isnan(yaw) and self._course.distance_to(position) > self._parameters.get("NAV_ACC_RAD"):
             yaw = self._course.bearing_to(position)
-        self._course.fly_to(position, yaw)
+        self._course.fly_to(position, yaw, speed=speed)
 
-    def change_altitude(self, z: float) -> None:
-        """Climb or descend to ``z`` (m, local NED) at the current goal."""
-        x, y, _ = self._course.goal
-        self._course.fly_to((x, y, z))
+    def goal_before_a_pause(self) -> Goal:
+        """Return what a command that holds the vehicle may keep of the goal that it replaces."""
+        has_goal = self._mode is not None and self._view.task in (TASK_GOTO, TASK_LAND)
+        x, y, _ = self._course.goal if has_goal else self._view.position
+        return Goal((x, y), self._course.taking_off)
 
-    def set_speed(self, field: str, speed: float) -> None:
-        """Set cruise_speed, climb_speed or descend_speed (m/s) until the next mode; NaN restores the parameter's."""
-        self._view.setpoint[field] = speed
+    def pause(self, goal: Goal, z: float = NAN) -> None:
+        """Brake and hold the position and heading reached, at ``z`` (m, local NED; NaN for the vehicle's height).
+
+        During a takeoff the place of its goal stays, as in PX4.
+        """
+        x, y, here = self._course.stopping_place()
+        if goal.taking_off:
+            x, y = goal.place
+        self._course.fly_to((x, y, here if math.isnan(z) else z), NAN if goal.taking_off else self._view.yaw)
+
+    def change_speed(self, kind: float, speed: float) -> None:
+        """Set the horizontal speed of AUTO modes until a return, the disarming or the next change.
+
+        PX4's navigator keeps it for the goals to come, and its flight task takes a ground speed at once.
+
+        Args:
+            kind: SPEED_TYPE, of which only ground speed is distinguished.
+            speed: m/s; 0 or less, and NaN, restore MPC_XY_CRUISE.
+        """
+        wanted = speed if speed > _FLT_EPSILON else NAN
+        self._course.cruising_speed = wanted
+        at_once = c_casts.to_byte(kind + 0.5) == _GROUND_SPEED and speed > 0.0
+        if at_once or self._mode is modes.AUTO_MISSION:
+            self._view.setpoint["cruise_speed"] = wanted
 
     def _start_takeoff(self) -> None:
         x, y, z = self._view.position
+        if self._view.has_origin and all(map(math.isfinite, self.takeoff_place)):
+            x, y, _ = self._view.to_local(*self.takeoff_place, 0.0)
         ground = self._course.ground
         min_altitude = self._parameters.get("MIS_TAKEOFF_ALT")
         wanted = self._view.origin[2] - self.takeoff_altitude if self._view.has_origin else NAN
@@ -387,3 +426,4 @@ class Navigator:
             )
         self._course.take_off((x, y, goal), self.takeoff_yaw)
         self.takeoff_altitude = self.takeoff_yaw = NAN
+        self.takeoff_place = (NAN, NAN)

@@ -51,7 +51,6 @@ _ROWS: tuple[Row, ...] = (
     ("COM_FORCE_SAFETY", 0, 0, 1, ""),
     ("COM_HLDL_LOSS_T", 120, 60, 3600, "s"),
     ("COM_HLDL_REG_T", 0, 0, 60, "s"),
-    ("COM_HOME_IN_AIR", 0, 0, 1, ""),
     ("COM_IMB_PROP_ACT", 0, -1, 2, ""),
     ("COM_OBC_LOSS_T", 5.0, 0.0, 60.0, "s"),
     ("COM_OBS_AVOID", 0, 0, 1, ""),

@@ -34,6 +34,7 @@ CHOICES: dict[str, dict[int, str]] = {
     "COM_ARM_WO_GPS": {0: "a GPS fix is required", 1: "warning only"},
     **{f"COM_FLTMODE{number}": _SLOT for number in range(1, 7)},
     "COM_HOME_EN": _OFF_ON,
+    "COM_HOME_IN_AIR": _OFF_ON,
     "COM_LOW_BAT_ACT": {0: "warning", 1: "return", 2: "land", 3: "return when critical, land when almost empty"},
     "COM_MOT_TEST_EN": _OFF_ON,
     "COM_OBL_RC_ACT": {

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from xtdrone_control.autopilot import c_casts
 from xtdrone_control.autopilot.commander.commander import CRITICAL, Result
 from xtdrone_control.autopilot.events.announcements import INFO
 from xtdrone_control.autopilot.navigator.gimbal_manager import GimbalManager
@@ -28,8 +29,9 @@ _NAN_AS_INT = 0x7FF80000  # x and y of a sender that has cast NaN to an integer
 _LEAST_UNSET, _MOST_UNSET = 2147483520.0, 2147483904.0  # floats next to INT32_UNSET
 _FORCE = 21196
 _CHANGE_MODE_FLAG = 1  # MAV_DO_REPOSITION_FLAGS
-_RELATIVE_FRAMES = (3, 6)  # MAV_FRAME_GLOBAL_RELATIVE_ALT(_INT)
-_LOCAL_FRAMES = (1, 4, 7, 8, 9, 12, 20, 21)
+_RESET_CALIBRATION = 3  # of PREFLIGHT_STORAGE
+_BY_TEMPERATURE = 3  # PX4's PREFLIGHT_CALIBRATION_TEMPERATURE_CALIBRATION
+_GLOBAL = 0  # MAV_FRAME_GLOBAL: altitudes are AMSL
 _ROI = (
     mavlink.MAV_CMD_NAV_ROI,
     mavlink.MAV_CMD_DO_SET_ROI_LOCATION,
@@ -37,7 +39,6 @@ _ROI = (
     mavlink.MAV_CMD_DO_SET_ROI_NONE,
     mavlink.MAV_CMD_DO_SET_ROI,
 )
-_LARGEST_ID = 0xFFFF  # of messages, in GET_MESSAGE_INTERVAL
 
 # Handled by modules that do not run in PX4's simulator: no acknowledgement
 _SILENT = frozenset(
@@ -72,13 +73,11 @@ class Command:
 
     Attributes:
         number: MAV_CMD.
-        params: param1..param7; NaN for those left out of COMMAND_INT.
-        frame: MAV_FRAME of the position in param5..7.
+        params: param1..param7; NaN for those left out of COMMAND_INT. Positions are in degrees and m AMSL.
     """
 
     number: int
     params: tuple[float, float, float, float, float, float, float]
-    frame: int = 0
 
 
 class CommandError(ValueError):
@@ -96,27 +95,24 @@ def from_command_long(number: int, params: tuple[float, float, float, float, flo
     return Command(number, params)
 
 
-def from_command_int(number: int, frame: int, params: tuple[float, ...], x: int, y: int, z: float) -> Command:
-    """Return the command of a COMMAND_INT; x and y are in 1e-7 degrees, in local frames in metres.
+def from_command_int(number: int, params: tuple[float, ...], x: int, y: int, z: float) -> Command:
+    """Return the command of a COMMAND_INT, whose frame PX4 v1.14 does not look at.
+
+    So x and y are in 1e-7 degrees and z is AMSL in every frame: ``MavlinkReceiver::handle_message_command_int`` copies
+    them. MAVSDK relies on it: it sends altitudes AMSL with the frame GLOBAL_RELATIVE_ALT.
 
     Raises:
         CommandError: x and y have the bits of a NaN.
     """
     if x == y == _NAN_AS_INT:
         raise CommandError(f"command {number}: x and y have the bits of a NaN; {_INT32_UNSET} leaves them out")
-    scale = 1.0 if frame in _LOCAL_FRAMES else 1e-7
-    position = [_NAN if value == _INT32_UNSET else value * scale for value in (x, y)]
-    return Command(number, (params[0], params[1], params[2], params[3], position[0], position[1], z), frame)
+    position = (_NAN, _NAN) if x == y == _INT32_UNSET else (x / 1e7, y / 1e7)
+    return Command(number, (params[0], params[1], params[2], params[3], *position, z))
 
 
-def _whole(value: float) -> int:
-    """Return ``value`` as an integer, -1 if it is not a whole number in 0..2^31-1."""
-    return int(value) if 0.0 <= value < 2147483648.0 and value == int(value) else -1
-
-
-def _rounded(value: float) -> int:
-    """Return ``value`` rounded to an integer, -1 if it is not finite."""
-    return math.floor(value + 0.5) if math.isfinite(value) else -1
+def _message_id(command: Command) -> int:
+    """Return param1 as the id of a message: ``(uint16_t)roundf(param1)``."""
+    return c_casts.nearest(command.params[0]) & 0xFFFF
 
 
 class CommandHandler:
@@ -158,7 +154,7 @@ class CommandHandler:
             mavlink.MAV_CMD_INJECT_FAILURE: self._inject_failure,
             mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: self._get_interval,
             mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
-            mavlink.MAV_CMD_REQUEST_MESSAGE: lambda command, link: self._send(link, _rounded(command.params[0])),
+            mavlink.MAV_CMD_REQUEST_MESSAGE: lambda command, link: self._send(link, _message_id(command)),
             **{
                 number: self._sender_of(name)
                 for number, name in (
@@ -188,59 +184,46 @@ class CommandHandler:
     # flight
 
     def _arm_disarm(self, command: Command, _link: Link) -> Result | None:
-        arm = _rounded(command.params[0])
-        if arm not in (0, 1):
+        action = c_casts.nearest(command.params[0]) & 0xFF  # to int8_t
+        if action not in (0, 1):
             self._commander.say(CRITICAL, f"Unsupported ARM_DISARM param: {command.params[0]:.3f}")
             return None
-        return self._commander.arm_disarm(arm == 1, _rounded(command.params[1]) == _FORCE)
+        # PX4 v1.14 checks a vehicle that a client arms in any case; here force helps to try out what cannot fly
+        return self._commander.arm_disarm(action == 1, c_casts.nearest(command.params[1]) == _FORCE)
 
     def _set_mode(self, command: Command, _link: Link) -> Result:
-        base, main, sub = (_whole(value) for value in command.params[:3])
-        if base < 0 or not 0 <= main <= 255 or not 0 <= sub <= 255:
-            return Result.DENIED
+        base, main, sub = (c_casts.to_byte(value) for value in command.params[:3])
         return self._commander.set_mode(base, main << 16 | sub << 24)
 
-    def _altitude(self, command: Command) -> float:
-        """Return param7 in m AMSL; NaN if it is relative to a home that is not set."""
-        altitude = command.params[6]
-        if command.frame not in _RELATIVE_FRAMES:
-            return altitude
-        home = self._commander.home
-        return _NAN if home is None else home.altitude + altitude
-
     def _takeoff(self, command: Command, _link: Link) -> Result:
-        # without a position the altitude is ignored too: a COMMAND_LONG of zeros takes off with the default values
-        given = any(command.params[4:7])
-        if not given:
-            return self._commander.takeoff(_NAN, _NAN)
-        return self._commander.takeoff(self._altitude(command), math.radians(command.params[3]))
+        _, _, _, yaw, latitude, longitude, altitude = command.params
+        if latitude == longitude == 0.0:  # left out by many scripts; PX4 flies towards 0 N 0 E
+            latitude = longitude = _NAN
+            if altitude == 0.0:  # all are left out
+                altitude = yaw = _NAN
+        return self._commander.takeoff(altitude, yaw, (latitude, longitude))
 
     def _change_speed(self, command: Command, _link: Link) -> Result:
-        speed = command.params[1]
-        return self._commander.change_speed(_whole(command.params[0]), 0.0 if math.isnan(speed) else speed)
+        return self._commander.change_speed(command.params[0], command.params[1])
 
     def _change_altitude(self, command: Command, _link: Link) -> Result:
-        altitude, frame = command.params[0], _whole(command.params[1])
-        home = self._commander.home
-        if frame in _RELATIVE_FRAMES:
-            altitude += _NAN if home is None else home.altitude
-        return self._commander.change_altitude(altitude)
+        return self._commander.change_altitude(command.params[0])
 
     def _reposition(self, command: Command, _link: Link) -> Result:
-        if _whole(command.params[1]) != _CHANGE_MODE_FLAG:
+        if c_casts.to_unsigned(command.params[1]) != _CHANGE_MODE_FLAG:
             return Result.UNSUPPORTED
-        position = (command.params[4], command.params[5], self._altitude(command))
-        return self._commander.reposition(position, command.params[3], command.params[0])
+        speed, _, _, yaw, latitude, longitude, altitude = command.params
+        return self._commander.reposition((latitude, longitude, altitude), yaw, speed)
 
     def _orbit(self, command: Command, _link: Link) -> Result:
-        radius, speed, yaw_behaviour = command.params[:3]
-        position = (command.params[4], command.params[5], self._altitude(command))
-        return self._commander.orbit(radius, speed, yaw_behaviour, position)
+        radius, speed, yaw_behaviour, _, latitude, longitude, altitude = command.params
+        return self._commander.orbit(radius, speed, yaw_behaviour, (latitude, longitude, altitude))
 
     def _set_home(self, command: Command, _link: Link) -> Result:
-        if command.params[0] > 0.5:
+        here, _, _, yaw, latitude, longitude, altitude = command.params
+        if here > 0.5:
             return self._commander.set_home(None)
-        return self._commander.set_home((command.params[4], command.params[5], self._altitude(command)))
+        return self._commander.set_home((latitude, longitude, altitude), math.radians(yaw))
 
     def _start_mission(self, command: Command, _link: Link) -> Result:
         return self._commander.start_mission(command.params[0])  # PX4 ignores the last item, param2
@@ -255,7 +238,8 @@ class CommandHandler:
     def _set_roi(self, command: Command, _link: Link) -> Result:
         number = mavlink.MAV_CMD_DO_SET_ROI if command.number == mavlink.MAV_CMD_NAV_ROI else command.number
         p = command.params
-        self._commander.navigator.mission.set_roi(PlanItem(number, command.frame, p[:4], p[4], p[5], p[6]))
+        mode = float(c_casts.to_byte(p[0]))
+        self._commander.navigator.mission.set_roi(PlanItem(number, _GLOBAL, (mode, *p[1:4]), p[4], p[5], p[6]))
         return Result.ACCEPTED
 
     def _set_actuators(self, command: Command, _link: Link) -> Result:
@@ -290,21 +274,25 @@ class CommandHandler:
 
     # before flight
 
-    def _calibrate(self, command: Command, _link: Link) -> Result:
+    def _calibrate(self, command: Command, _link: Link) -> Result | None:
         """Accept calibrations without movement of the vehicle: gyroscope, barometer, and the end of a radio's.
 
-        The simulated sensors need no calibration, so these complete immediately. Calibrations for which the operator
-        turns the vehicle (magnetometer, accelerometer, level) are unsupported.
+        The first parameter that asks for a calibration decides, in PX4's order. The simulated sensors need no
+        calibration, so these complete immediately. Calibrations for which the operator turns the vehicle
+        (magnetometer, accelerometer, level) are unsupported.
         """
         if self._commander.armed:
             return Result.TEMPORARILY_REJECTED
-        wanted = [_rounded(value) for value in command.params]
-        sensor = {0: "gyro", 2: "baro"}.get(next((i for i, value in enumerate(wanted) if value), -1))
-        if sensor is not None and wanted.count(0) == len(wanted) - 1:
+        p = [c_casts.to_int(value) for value in command.params]
+        if p[0] != 1 and _BY_TEMPERATURE in (p[0], p[4], p[6]):
+            return None  # of the events module, which does not run in PX4's simulator
+        sensor = "gyro" if p[0] == 1 else "baro" if p[2] == 1 and p[1] != 1 else ""
+        if sensor:
             for text in (f"[cal] calibration started: 2 {sensor}", f"[cal] calibration done: {sensor}"):
                 self._commander.say(INFO, text)
             return Result.ACCEPTED
-        return Result.UNSUPPORTED if any(wanted) else Result.ACCEPTED
+        by_hand = p[1] == 1 or p[4] in (1, 2, 4) or p[5] in (1, 2) or p[6] == 1
+        return Result.UNSUPPORTED if by_hand or p[3] != 0 else Result.ACCEPTED
 
     def _calibrate_heading(self, _command: Command, _link: Link) -> Result:
         """Accept a calibration of the magnetometer by a known heading; the simulated sensor needs none."""
@@ -315,23 +303,26 @@ class CommandHandler:
         self._commander.parameters.set("MC_AT_START", 1.0)
         return Result.IN_PROGRESS
 
-    def _storage(self, command: Command, _link: Link) -> Result:
+    def _storage(self, command: Command, _link: Link) -> Result | None:
+        """Load (0), save (1) or reset (2, 4) the parameters; other numbers get no acknowledgement, as from PX4."""
         if self._commander.armed:
             return Result.TEMPORARILY_REJECTED
         parameters = self._commander.parameters
-        action = _rounded(command.params[0])
+        action = c_casts.to_int(command.params[0])
         if action == 0:
             parameters.load()
             return Result.ACCEPTED
         if action in (2, 4):
             parameters.reset()
+        elif action == _RESET_CALIBRATION:
+            return Result.ACCEPTED  # the simulated sensors have none
         elif action != 1:
-            return Result.DENIED
+            return None
         return Result.ACCEPTED if parameters.save() else Result.FAILED
 
     def _reboot(self, command: Command, _link: Link) -> Result:
         """Reboot the autopilot (1). Shutdown (2) is denied because the vehicle could not be started again."""
-        action = _rounded(command.params[0])
+        action = c_casts.to_int(command.params[0])
         if action == 0:  # no action on the autopilot
             return Result.ACCEPTED
         if action == 1 and not self._commander.armed:
@@ -342,10 +333,12 @@ class CommandHandler:
         return Result.DENIED
 
     def _test_actuator(self, command: Command, _link: Link) -> Result | None:
-        return self._commander.test_actuator(_rounded(command.params[4]), command.params[0], command.params[1])
+        return self._commander.test_actuator(
+            c_casts.to_int(command.params[4] + 0.5), command.params[0], command.params[1]
+        )
 
     def _inject_failure(self, command: Command, _link: Link) -> Result:
-        unit, kind, instance = (_rounded(value) for value in command.params[:3])
+        unit, kind, instance = (c_casts.to_int(value + 0.5) for value in command.params[:3])
         return failure_injection.inject(self._vehicle, unit, kind, instance)
 
     # messages
@@ -365,16 +358,14 @@ class CommandHandler:
         return Result.ACCEPTED if sent else Result.DENIED
 
     def _get_interval(self, command: Command, link: Link) -> Result:
-        number = _rounded(command.params[0])
-        if not 0 <= number <= _LARGEST_ID:
-            return Result.DENIED
+        number = _message_id(command)
         interval = link.streams.interval(number)
         # 0: not available
         link.send_message(mavlink.MAVLink_message_interval_message(number, 0 if interval is None else interval))
         return Result.ACCEPTED
 
     def _set_interval(self, command: Command, link: Link) -> Result:
-        number, interval = _rounded(command.params[0]), command.params[1]
+        number, interval = c_casts.nearest(command.params[0]), command.params[1]
         if math.isnan(interval):
             interval = 0.0  # the default rate
         elif math.isinf(interval):

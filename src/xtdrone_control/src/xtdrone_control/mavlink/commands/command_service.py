@@ -70,7 +70,7 @@ class CommandService(Service):
         if self._is_for_us(link, m):
             params = (m.param1, m.param2, m.param3, m.param4)
             try:
-                command = from_command_int(m.command, m.frame, params, m.x, m.y, m.z)
+                command = from_command_int(m.command, params, m.x, m.y, m.z)
                 self._acknowledge(link, m.command, self.run(command, link))
             except CommandError as error:
                 self._refuse(link, m.command, error)

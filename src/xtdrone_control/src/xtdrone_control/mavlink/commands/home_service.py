@@ -25,6 +25,15 @@ class HomeService(Service):
         super().__init__(vehicle)
         self._commands = commands
         self._estimator = vehicle.autopilot.estimator[vehicle.index]
+        vehicle.on_request[mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN] = self._send_origin
+
+    def _send_origin(self, link: Link) -> bool:
+        """Send GPS_GLOBAL_ORIGIN, also unchanged; return whether there is one."""
+        link.telemetry.refresh(self.vehicle.now_us)
+        values = link.telemetry.gps_global_origin()
+        if values is not None:
+            link.send_message(mavlink.MAVLink_gps_global_origin_message(*values))
+        return values is not None
 
     def _set_origin(self, link: Link, m: Any) -> None:
         # as in PX4, an origin received in flight is silently ignored

@@ -2,8 +2,7 @@
 
 Due times are multiples of a stream's interval, so that the telemetry of all vehicles falls on the same ticks and every
 run is the same. Default rates are those of PX4 v1.14's onboard and normal (ground station) modes, the latter with
-upstream XTDrone's streams at 50 Hz. GPS_GLOBAL_ORIGIN, which PX4 sends on change, is sent every 10 s for clients that
-connect later.
+upstream XTDrone's streams at 50 Hz. GPS_GLOBAL_ORIGIN is sent on change, at most once in its interval.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ ONBOARD_RATES: dict[str, float] = {
     "ESTIMATOR_STATUS": 1.0,
     "EXTENDED_SYS_STATE": 5.0,
     "GLOBAL_POSITION_INT": 50.0,
-    "GPS_GLOBAL_ORIGIN": 0.1,
+    "GPS_GLOBAL_ORIGIN": 1.0,
     "GPS_RAW_INT": 5.0,
     "HIGHRES_IMU": 50.0,
     "HOME_POSITION": 0.5,
@@ -119,6 +118,7 @@ FORMATS: dict[int, Format] = {
 }
 LINK_MESSAGES = (
     "PING",
+    "GPS_GLOBAL_ORIGIN",
     "LINK_NODE_STATUS",
     "HIGHRES_IMU",
 )  # specific to a link; all others to the vehicle

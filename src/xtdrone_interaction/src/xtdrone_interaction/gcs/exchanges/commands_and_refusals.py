@@ -247,8 +247,13 @@ def go_to(heartbeat: Heartbeat, target: Target) -> Exchange[None]:
     """Command a flying vehicle to go to a position and hold there.
 
     Raises:
-        RefusalError: the vehicle lacks the target's reference, or rejects it.
+        RefusalError: the vehicle stands disarmed, which PX4 accepts without flying, lacks the target's reference, or
+            rejects it.
     """
+    if not heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED:
+        landed = yield from fetch_message(heartbeat.system, "EXTENDED_SYS_STATE")
+        if landed is not None and landed.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND:
+            raise RefusalError("goto: the vehicle is on the ground and disarmed", True)
     latitude, longitude, altitude = yield from _global_position(heartbeat, target)
     speed = -1.0 if math.isnan(target.speed) else target.speed
     number = mavlink.MAV_CMD_DO_REPOSITION
