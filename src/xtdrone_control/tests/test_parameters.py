@@ -126,6 +126,7 @@ def test_the_page_of_parameters_names_all_that_have_an_effect():
             assert (f"`{name}`" in effective) == describe(name).has_effect, name
     assert "`CAL_MAGN_XOFF`" in stored_only
     assert str(len(NAMES)) in effective
+    assert f"{sum(describe(name).has_effect for name in NAMES)} have an effect" in effective
 
 
 def test_former_names_lead_to_parameters_that_exist():

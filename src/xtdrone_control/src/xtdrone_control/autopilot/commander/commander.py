@@ -25,6 +25,7 @@ from xtdrone_control.autopilot.events import events
 from xtdrone_control.autopilot.events.announcements import CRITICAL, INFO, WARNING, Announcements
 from xtdrone_control.autopilot.events.events import Event
 from xtdrone_control.autopilot.modes import Mode
+from xtdrone_control.autopilot.navigator import rtl
 from xtdrone_control.autopilot.navigator.navigator import Navigator
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.autopilot.state import FAILURE_OFF, TASK_DESCEND, TASK_IDLE
@@ -91,6 +92,7 @@ class Commander(FlightCommands):
         self._receiver_failure = self.view.cell("failures", "rc_signal")
         get = parameters.get
         self._announcements = Announcements(self.view)
+        parameters.on_limit = self._tell_limit
         self.navigator = Navigator(self.view, parameters, self._announcements)
         self.manual = ManualControl(get)
         self._offboard = OffboardSetpoint(self.view)
@@ -217,6 +219,9 @@ class Commander(FlightCommands):
     def warn(self, text: str) -> None:
         """Queue a warning, at most one a second."""
         self._announcements.warn(text)
+
+    def _tell_limit(self, text: str, event: str, value: float) -> None:
+        self.tell(CRITICAL, text, event, value, level=WARNING)
 
     # arming
 
@@ -441,7 +446,8 @@ class Commander(FlightCommands):
         self._active_mode = outcome.mode
         self._perform_action(outcome, before)
         if self._active_mode is not mode_before and self._active_mode is modes.AUTO_RTL:
-            self._announcements.tell(INFO, "RTL HOME activated", "navigator_rtl_home_activated")
+            if self.parameters.get("RTL_TYPE") not in rtl.BY_MISSION:
+                self._announcements.tell(INFO, "RTL HOME activated", "navigator_rtl_home_activated")
         reactivated = changed and not outcome.active
         must_stop = outcome.active and not before.active and self._active_mode is modes.AUTO_LOITER
         if self.armed and (reactivated or must_stop or self._active_mode is not self._cascade_mode):

@@ -15,11 +15,11 @@ from xtdrone_control.autopilot.modes import Mode
 from xtdrone_control.autopilot.navigator import feasibility, geofence, plan
 from xtdrone_control.autopilot.navigator.geofence import Fence
 from xtdrone_control.autopilot.navigator.gimbal_manager import NO_CONTROLLER
-from xtdrone_control.autopilot.navigator.mission import Mission
+from xtdrone_control.autopilot.navigator.mission import Mission, Way
 from xtdrone_control.autopilot.navigator.payload import Payload
 from xtdrone_control.autopilot.navigator.plan import PlanItem, Plans
 from xtdrone_control.autopilot.navigator.precision_landing import PrecisionLanding, from_angles
-from xtdrone_control.autopilot.navigator.rtl import Return
+from xtdrone_control.autopilot.navigator.rtl import MISSION_REVERSED, Return
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.autopilot.state import TASK_IDLE
 from xtdrone_control.autopilot.vehicle_view import Vector, VehicleView
@@ -66,6 +66,7 @@ class Navigator:
         self.orbit = Orbit(self._course)
         self.follow_target = FollowTarget(self._course)
         self._mission_ended = False
+        self._return_way: Way | None = None  # of the mission in a return; None for a return without it
         self._checked: tuple[object, ...] = ()
         self._valid = False
         self._fence = Fence()
@@ -101,8 +102,9 @@ class Navigator:
 
     def activate(self, mode: Mode) -> None:
         """Start the AUTO mode ``mode`` on an armed vehicle."""
+        before = self._mode
         self._stop()
-        if mode is not self._mode:  # a commanded speed applies until the next mode change
+        if mode is not before:  # a commanded speed applies until the next mode change
             for field in ("cruise_speed", "climb_speed", "descend_speed"):
                 self._view.setpoint[field] = NAN
         self._mode = mode
@@ -119,11 +121,43 @@ class Navigator:
         elif mode is modes.AUTO_PRECLAND:
             self.precision_landing.start(self._course.stopping_place())
         elif mode is modes.AUTO_RTL:
-            self._return.start()
+            self._start_return(before)
         elif mode is modes.ORBIT:
             self.orbit.start()
         else:
             self.hold()
+
+    def _start_return(self, before: Mode | None) -> None:
+        """Start a return from the AUTO mode ``before``, None for another mode.
+
+        RTL_TYPE 2 flies the mission on to its landing, or back if it has none (PX4 ``Navigator::run``).
+        """
+        if self._parameters.get("RTL_TYPE") != MISSION_REVERSED:
+            self._return.start()
+            return
+        mission, to_closest = self.mission, before is not modes.AUTO_MISSION
+        flyable = not self.mission_denial()
+        if flyable and mission.landing_item() is not None:
+            self._tell(INFO, "RTL Mission activated, continue mission", "navigator_rtl_mission_activated")
+            self._return_way = Way.TO_LANDING
+            if before is None:
+                mission.go_to_landing()
+            else:
+                mission.go_on(Way.TO_LANDING, closest=to_closest)
+        elif flyable and before not in (None, modes.AUTO_RTL):
+            self._tell(INFO, "RTL Mission activated, fly mission in reverse", "navigator_rtl_mission_activated_rev")
+            self._return_way = Way.BACK
+            if mission.go_on(Way.BACK, closest=to_closest):
+                self._return_home()
+        else:
+            self._tell(INFO, "RTL Mission activated, fly to home", "navigator_rtl_mission_activated_home")
+            self._return.start()
+
+    def _return_home(self) -> None:
+        """Return without the mission, after it has been flown back."""
+        self._return_way = None
+        self.mission.deactivate()
+        self._return.start()
 
     def deactivate(self) -> None:
         """Leave the AUTO modes."""
@@ -132,6 +166,7 @@ class Navigator:
 
     def _stop(self) -> None:
         self.mission.deactivate()
+        self._return_way = None
         self.precision_landing.stop()
         self._course.landing = self._course.taking_off = False
 
@@ -148,6 +183,9 @@ class Navigator:
             return self._update_mission()
         if mode is modes.AUTO_FOLLOW_TARGET:
             self._follow_on()
+        if self._return_way is not None:
+            self._return_on(self._return_way)
+            return None
         if self._view.landed:
             return None
         if mode is modes.AUTO_TAKEOFF and self._course.at_height(self._course.goal[2]):
@@ -165,6 +203,11 @@ class Navigator:
         gimbal, pitch = self.payload.gimbal_manager, self.follow_target.camera_pitch()
         if gimbal.primary == NO_CONTROLLER and math.isfinite(pitch):  # no yaw: the vehicle faces the target
             gimbal.look((0.0, pitch, 0.0))
+
+    def _return_on(self, way: Way) -> None:
+        """Continue a return that flies the mission; after the way back return home."""
+        if self.mission.update() and way is Way.BACK:
+            self._return_home()
 
     def _update_mission(self) -> Mode | None:
         if self._mission_ended or self.mission.update():

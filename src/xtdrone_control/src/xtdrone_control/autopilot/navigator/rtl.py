@@ -1,4 +1,7 @@
-"""PX4's RTL mode: climb, return, descend, loiter and land at home, a rally point or the mission landing."""
+"""PX4's RTL mode: climb, return, descend, loiter and land at home, a rally point or the mission landing.
+
+The navigator flies the mission instead for RTL_TYPE 2.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,9 @@ from xtdrone_control.autopilot.navigator.precision_landing import PrecisionLandi
 from xtdrone_control.autopilot.vehicle_view import Vector
 
 # RTL_TYPE
-_MISSION_LANDING, _MISSION_REVERSED, _CLOSEST = 1, 2, 3
+_MISSION_LANDING, MISSION_REVERSED, _CLOSEST = 1, 2, 3
+BY_MISSION = (_MISSION_LANDING, MISSION_REVERSED, _CLOSEST)
+_AT_MISSION = "rtl_land_at_mission"
 _NEVER_US = 1 << 62
 
 
@@ -58,6 +63,9 @@ class Return:
         """Start the return at the current position; requires a home position."""
         self._to = self._choose()
         self._tell(INFO, f"RTL: landing at {self._to.name}.", self._to.event)
+        if self._to.event == _AT_MISSION and self._mission.landing_in_progress:
+            self._land()
+            return
         x, y, z = self._course.view.position
         height = min(self._to.position[2] - self._height(), z)
         self._phase = _Phase.CLIMB
@@ -111,11 +119,11 @@ class Return:
         kind = self._get("RTL_TYPE")
         best = _Destination(home.position, "home position", "rtl_land_at_home")
         landing = self._mission.landing_item()
-        if landing is not None and kind in (_MISSION_LANDING, _MISSION_REVERSED, _CLOSEST):
-            candidate = _Destination(self._local(landing[0], home.altitude), "mission landing", "rtl_land_at_mission")
+        if landing is not None and kind in (_MISSION_LANDING, MISSION_REVERSED, _CLOSEST):
+            candidate = _Destination(self._local(landing[0], home.altitude), "mission landing", _AT_MISSION)
             if kind != _CLOSEST or self._distance(candidate) < self._distance(best):
                 best = candidate
-        if kind == _MISSION_REVERSED:
+        if kind == MISSION_REVERSED:
             return best
         for item in self._mission.plans.items[plan.RALLY]:
             if item.command != plan.RALLY_POINT or not all(map(math.isfinite, (item.x, item.y, item.z))):

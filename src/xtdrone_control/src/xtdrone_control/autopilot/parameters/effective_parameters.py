@@ -99,7 +99,7 @@ KERNEL_ROWS: tuple[Row, ...] = (
     ("MPC_Z_V_AUTO_UP", 3.0, 0.5, 8.0, "m/s", "climb rate in AUTO modes"),
     ("MPC_Z_V_AUTO_DN", 1.5, 0.5, 4.0, "m/s", "sink rate in AUTO modes"),
     ("MPC_VEL_MANUAL", 10.0, 3.0, 20.0, "m/s", "horizontal velocity at full stick"),
-    ("MPC_ACC_HOR", 3.0, 2.0, 15.0, "m/s^2", "horizontal acceleration in AUTO modes"),
+    ("MPC_ACC_HOR", 3.0, 2.0, 15.0, "m/s^2", "horizontal acceleration in AUTO modes and with MPC_POS_MODE 4"),
     ("MPC_ACC_UP_MAX", 4.0, 2.0, 15.0, "m/s^2", "largest upward acceleration"),
     ("MPC_ACC_DOWN_MAX", 3.0, 2.0, 15.0, "m/s^2", "largest downward acceleration"),
     ("MPC_JERK_AUTO", 4.0, 1.0, 80.0, "m/s^3", "jerk in AUTO modes"),
@@ -131,7 +131,7 @@ KERNEL_ROWS: tuple[Row, ...] = (
     ("MPC_MAN_Y_TAU", 0.08, 0.0, 5.0, "s", "time constant of the yaw rate by stick"),
     ("MPC_MANTHR_MIN", 0.08, 0.0, 1.0, "", "minimum thrust in flight by stick"),
     ("MPC_THR_CURVE", 0, 0, 1, "", "thrust by stick: 0 hover at the middle, 1 linear from least to largest"),
-    ("MPC_POS_MODE", 4, 0, 4, "", "POSCTL sticks: 4 accelerations, other values velocities"),
+    ("MPC_POS_MODE", 4, 0, 4, "", "sticks in POSCTL: 0 velocities, 3 smoothed velocities, 4 accelerations"),
     ("MC_ACRO_R_MAX", 720.0, 0.0, 1800.0, "deg/s", "roll rate at full stick in ACRO"),
     ("MC_ACRO_P_MAX", 720.0, 0.0, 1800.0, "deg/s", "pitch rate at full stick in ACRO"),
     ("MC_ACRO_Y_MAX", 540.0, 0.0, 1800.0, "deg/s", "yaw rate at full stick in ACRO"),
@@ -198,6 +198,9 @@ KERNEL_ROWS: tuple[Row, ...] = (
     ("FLW_TGT_HT", 8.0, 8.0, _INF, "m", "height above the reference of FLW_TGT_ALT_M"),
     ("FLW_TGT_MAX_VEL", 5.0, 0.0, 20.0, "", "largest speed around the target, m/s"),
     ("COM_SPOOLUP_TIME", 1.0, 0.0, 30.0, "s", "idle time of the motors between arming and takeoff"),
+    ("MPC_ACC_HOR_MAX", 5.0, 2.0, 15.0, "m/s^2", "horizontal acceleration in POSCTL with MPC_POS_MODE 3"),
+    ("MPC_VEL_MAN_BACK", -1.0, -1.0, 20.0, "m/s", "backward velocity at full stick; negative: MPC_VEL_MANUAL"),
+    ("MPC_VEL_MAN_SIDE", -1.0, -1.0, 20.0, "m/s", "sideways velocity at full stick; negative: MPC_VEL_MANUAL"),
 )
 
 OTHER_ROWS: tuple[Row, ...] = (
@@ -323,6 +326,16 @@ OTHER_ROWS: tuple[Row, ...] = (
     ("SIM_BAT_DRAIN", 60.0, 1.0, 86_400.0, "s", "time to drain the simulated battery"),
     ("SIM_BAT_MIN_PCT", 50.0, 0.0, 100.0, "%", "charge at which the simulated battery stops draining"),
     ("SYS_AUTOSTART", 10015, 0, 9_999_999, "", "airframe number"),
+    ("MPC_XY_VEL_ALL", -10.0, -20.0, 20.0, "", "0 or more: sets the horizontal speeds of all modes, m/s"),
+    ("MPC_Z_VEL_ALL", -3.0, -3.0, 8.0, "", "0 or more: sets the vertical speeds of all modes, m/s"),
+    (
+        "SYS_VEHICLE_RESP",
+        -0.4,
+        -1.0,
+        1.0,
+        "",
+        "0 or more: sets accelerations, jerks, tilt and yaw rate, from gentle (0) to brisk (1)",
+    ),
 )  # fmt: skip
 
 

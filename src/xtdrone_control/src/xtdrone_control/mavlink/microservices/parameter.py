@@ -2,7 +2,8 @@
 
 As in PX4, a list starts with the hash, so that a ground station that has these values can stop the list by sending the
 hash back; then follow 20 parameters every 20 ms, and the hash again. A second request during a list restarts it.
-Unknown names and wrong types get no reply; values out of range are accepted. A written value is broadcast.
+Unknown names and wrong types get no reply; values out of range are accepted. A written value is broadcast, then the
+values that it changes in other parameters.
 
 Clients outside the lockstep share those 20 parameters every 20 ms: there may be many of them, and a list costs far more
 than its request.
@@ -114,16 +115,20 @@ class ParameterService(Service):
         if m.param_type == INT32:
             (value,) = struct.unpack("<i", struct.pack("<f", value))
         try:
-            self._parameters.set(m.param_id, value, m.param_type)
+            stored = self._parameters.set(m.param_id, value, m.param_type)
         except ParameterError as error:
             # no reply, as in PX4
             link.warn("parameter", f"parameter not set: {error}", self.vehicle.now_us)
             return
         self._parameters.save()
-        self._send_parameter(dict.fromkeys((link, *self.vehicle.clients())), m.param_id)
+        links = dict.fromkeys((link, *self.vehicle.clients()))
+        self._send_parameter(links, m.param_id, stored)
+        for name in self._parameters.take_adjusted():
+            self._send_parameter(links, name)
 
-    def _send_parameter(self, links: Iterable[Link], name: str) -> None:
-        value: float = self._parameters.get(name)
+    def _send_parameter(self, links: Iterable[Link], name: str, value: float | None = None) -> None:
+        """Send a parameter's current value, or ``value``, which it has just been given."""
+        value = self._parameters.get(name) if value is None else value
         kind = FLOAT
         if describe(name).type == INT32:
             kind = INT32
