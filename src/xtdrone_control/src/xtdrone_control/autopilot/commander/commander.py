@@ -90,6 +90,7 @@ class Commander(FlightCommands):
         self.parameters = parameters
         self.view = VehicleView(autopilot, index)
         self._receiver_failure = self.view.cell("failures", "rc_signal")
+        self._obstacle_hold = self.view.cell("control", "obstacles", "hold")
         get = parameters.get
         self._announcements = Announcements(self.view)
         parameters.on_limit = self._tell_limit
@@ -649,10 +650,17 @@ class Commander(FlightCommands):
         """Advance the active mode."""
         if self._active_mode.sticks:
             self._steer()
+            self._hold_without_obstacles()
         following = self.navigator.update()
         if following is not None:  # never during a failsafe: its modes have no successor
             self._set_intended_mode(following)
             self._update_mode(changed=True)
+
+    def _hold_without_obstacles(self) -> None:
+        """Change to hold when collision prevention has had no data for long (PX4 ``CollisionPrevention``)."""
+        if self._obstacle_hold[0]:
+            self._obstacle_hold[0] = 0
+            self.request(modes.AUTO_LOITER)
 
     def _report_checks(self, flags: Flags) -> None:
         """Emit the arming checks as events when their result has changed."""

@@ -201,6 +201,10 @@ KERNEL_ROWS: tuple[Row, ...] = (
     ("MPC_ACC_HOR_MAX", 5.0, 2.0, 15.0, "m/s^2", "horizontal acceleration in POSCTL with MPC_POS_MODE 3"),
     ("MPC_VEL_MAN_BACK", -1.0, -1.0, 20.0, "m/s", "backward velocity at full stick; negative: MPC_VEL_MANUAL"),
     ("MPC_VEL_MAN_SIDE", -1.0, -1.0, 20.0, "m/s", "sideways velocity at full stick; negative: MPC_VEL_MANUAL"),
+    ("CP_DELAY", 0.4, 0.0, 1.0, "s", "delay of obstacle distances and of the velocity control"),
+    ("CP_DIST", -1.0, -1.0, 15.0, "m", "distance kept from obstacles in POSCTL; 0 or less: no collision prevention"),
+    ("CP_GO_NO_DATA", 0, 0, 1, "", "1: directions that no sensor has covered may be flown to"),
+    ("CP_GUIDE_ANG", 30.0, 0.0, 90.0, "deg", "largest turn of the commanded direction towards more room"),
 )
 
 OTHER_ROWS: tuple[Row, ...] = (

@@ -48,6 +48,7 @@ CHOICES: dict[str, dict[int, str]] = {
     },
     "COM_POSCTL_NAVL": {0: "altitude or manual control", 1: "land or descend"},
     "COM_RC_IN_MODE": {0: "radio", 1: "joystick", 2: "either", 3: "the first to arrive", 4: "none"},
+    "CP_GO_NO_DATA": _NO_YES,
     "EKF2_BARO_CTRL": _OFF_ON,
     "EKF2_EV_NOISE_MD": {0: "the larger of message and parameters", 1: "parameters only"},
     "EKF2_HGT_REF": {0: "barometer", 1: "GPS", 2: "range finder", 3: "vision"},

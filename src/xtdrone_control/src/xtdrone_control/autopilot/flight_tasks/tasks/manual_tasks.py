@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 
+from xtdrone_control.autopilot.flight_tasks.collision_prevention import prevent_collision
 from xtdrone_control.autopilot.flight_tasks.motion_planning.jerk_limited_velocity import follow, plan_axis
 from xtdrone_control.autopilot.flight_tasks.motion_planning.smoothing import reset_smoothing
 from xtdrone_control.autopilot.flight_tasks.tasks.auto_tasks import landing_speed
@@ -164,10 +165,17 @@ def _stick_accelerations(c, s, e, p, dt):
 
 
 @kernel
+def _collision_prevented(p):
+    return p.cp_dist > 0.0
+
+
+@kernel
 def _stick_velocities(c, s, e, p, dt):
     """Command velocities by stick, jerk-limited with MPC_POS_MODE 3, at once with 0."""
     x, y = _stick_direction(s, p)
     x, y = _heading_to_local(c, e, x * p.mpc_vel_manual, y * p.mpc_vel_manual)
+    if _collision_prevented(p):
+        x, y = prevent_collision(c.obstacles, e, p, x, y)
     for i in range(2):
         wanted = x if i == 0 else y
         if _unsmoothed(p):
@@ -191,7 +199,8 @@ def sticks_task(c, s, e, p, dt):
         for i in range(2):
             reset_smoothing(c.path, i, e.position[i], 0.0, 0.0)
             c.stick_acceleration[i] = 0.0
-    if p.mpc_pos_mode >= 3.5:
+    # PX4 v1.14 prevents no collision with MPC_POS_MODE 4; here the sticks command velocities then, as with 3
+    if p.mpc_pos_mode >= 3.5 and not _collision_prevented(p):
         _stick_accelerations(c, s, e, p, dt)
     else:
         _stick_velocities(c, s, e, p, dt)
