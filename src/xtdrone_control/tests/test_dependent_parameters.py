@@ -7,7 +7,7 @@ from autopilot_fakes import Flight
 from pymavlink.dialects.v20 import common as mavlink
 from service_fakes import SYSTEM, Served
 
-from xtdrone_control.autopilot.parameters.dependent_parameters import NAMES
+from xtdrone_control.autopilot.parameters.dependent_parameters import NAMES, in_order
 from xtdrone_control.autopilot.parameters.parameters import FLOAT, Parameters
 
 
@@ -91,6 +91,15 @@ def test_a_file_is_adjusted_as_a_whole(tmp_path):
     file.write_text("1\t1\tMPC_XY_CRUISE\t15.0\t9\n1\t1\tMPC_XY_VEL_MAX\t18.0\t9\n")
     assert values(Parameters(file=file), "MPC_XY_CRUISE", "MPC_XY_VEL_MAX") == [15.0, 18.0]
     assert values(Parameters({"MPC_XY_VEL_MAX": 1.5}), "MPC_XY_CRUISE", "MPC_VEL_MANUAL") == [1.5, 1.5]
+
+
+def test_a_files_parameters_can_be_set_one_by_one():
+    wanted = {"MPC_XY_CRUISE": 15.0, "MPC_XY_VEL_MAX": 18.0, "MPC_VEL_MAN_SIDE": 14.0, "MPC_VEL_MANUAL": 16.0,
+              "MPC_XY_VEL_ALL": -1.0, "MPC_XY_P": 1.0, "MPC_Z_V_AUTO_UP": 5.0, "MPC_Z_VEL_MAX_UP": 6.0}  # fmt: skip
+    p = Parameters({"MPC_XY_VEL_ALL": 5.0})
+    for name in in_order(wanted):
+        p.set(name, wanted[name])
+    assert values(p, *wanted) == list(wanted.values())
 
 
 def test_every_name_exists():

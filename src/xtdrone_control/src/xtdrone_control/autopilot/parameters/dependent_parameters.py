@@ -7,7 +7,7 @@ as they are not negative. Speeds and tilts beyond their own maximum parameter ar
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 
 Value = int | float
@@ -75,6 +75,18 @@ NAMES = frozenset(
     )
 )  # fmt: skip
 """Parameters after whose change ``adjust`` must be called."""
+
+# those that act on others, in the order in which they must be set so that all keep their value
+_FIRST = (
+    "SYS_VEHICLE_RESP", "MPC_XY_VEL_ALL", "MPC_Z_VEL_ALL", "MPC_XY_VEL_MAX", "MPC_VEL_MANUAL", "MPC_Z_VEL_MAX_UP",
+    "MPC_Z_VEL_MAX_DN", "MPC_TILTMAX_AIR", "MPC_THR_MAX", "MPC_THR_MIN",
+)  # fmt: skip
+
+
+def in_order(names: Iterable[str]) -> list[str]:
+    """Return ``names`` in an order in which they can be set one by one without one changing another's value."""
+    rank = {name: i for i, name in enumerate(_FIRST)}
+    return sorted(names, key=lambda name: rank.get(name, len(rank)))
 
 
 def _single(value: float) -> float:

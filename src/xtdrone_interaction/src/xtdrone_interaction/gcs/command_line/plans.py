@@ -12,6 +12,7 @@ from pathlib import Path
 
 from xtdrone_control.autopilot.navigator import feasibility, geofence, plan
 from xtdrone_control.autopilot.navigator.feasibility import Situation
+from xtdrone_control.autopilot.parameters import parameter_file
 from xtdrone_control.geodesy import projection
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.plans.qgc_plan import Plan, PlanError
@@ -22,6 +23,7 @@ from ..exchanges.exchange import Exchange, Heartbeat
 from ..station import progress_of
 from ..vehicle_addresses import GcsError, Peer
 from .arguments import Adder, UsageError, run, select_named, select_vehicles
+from .parameters import check_file
 
 _FIRST_DISTANCE = 900.0  # m, PX4's default of MIS_DIST_1WP
 
@@ -201,8 +203,10 @@ def _clear(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    status = 0
-    for file, content in read_plans(find_files(arguments.files)).items():
+    files = [file for file in arguments.files if file.suffix != parameter_file.SUFFIX]
+    valid = [check_file(file) for file in arguments.files if file.suffix == parameter_file.SUFFIX]
+    status = 0 if all(valid) else 1
+    for file, content in read_plans(find_files(files)).items() if files else ():
         said, good = problems(content)
         print(f"{file}: {_summary(content)}; {path_length(content):.0f} m of path")
         for text in said:
@@ -223,5 +227,8 @@ def add_to(add: Adder) -> None:
         "--to", type=Path, default=Path(), metavar="FOLDER", help="folder to write to (default: here)"
     )
     add("clear", _clear, "clear the vehicles' missions, fences and rally points")
-    check = add("check", _check, "check plan files as PX4 does; no vehicle is needed", False)
-    check.add_argument("files", type=Path, nargs="+", metavar="FILE", help=files)
+    check = add(
+        "check", _check, "check plan files as PX4 does, list a .params file's parameters without effect; no vehicle is "
+        "needed", False
+    )  # fmt: skip
+    check.add_argument("files", type=Path, nargs="+", metavar="FILE", help=f"{files}; NAME.params")

@@ -12,6 +12,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from xtdrone_control.autopilot.parameters.dependent_parameters import in_order
 from xtdrone_control.autopilot.parameters.parameter_file import (
     LIMITS,
     REAL32,
@@ -263,7 +264,7 @@ def check(
     for name, (value, there) in changes.items():
         if there is not None and there[1] != value[1]:
             raise RefusalError(f"{name} is of type {value[1]} in the file, of type {there[1]} in the vehicle", True)
-    return {name: value for name, (value, _) in changes.items() if name not in IDENTITY}
+    return {name: changes[name][0] for name in in_order(changes) if name not in IDENTITY}
 
 
 def load(
