@@ -186,14 +186,14 @@ def test_parameters_are_saved_compared_and_loaded(field, tmp_path, capsys):
     assert set(content.values) == set(NAMES)
     assert (content.system, content.stack) == (FIRST + 1, "PX4 Pro")
     assert main(["params", "diff", str(path), *one]) == 0
-    old = field.commanders[0].parameters.get("MPC_LAND_CRWL")
-    field.commanders[0].parameters.set("MPC_LAND_CRWL", 1.25)
+    old = field.commanders[0].parameters.get("MPC_LAND_ALT1")
+    field.commanders[0].parameters.set("MPC_LAND_ALT1", 1.25)
     capsys.readouterr()
     assert main(["params", "diff", str(path), *one]) == 1
-    assert capsys.readouterr().out.split() == [f"vehicle_{FIRST}", "MPC_LAND_CRWL", "1.25", "file:", f"{old:g}"]
+    assert capsys.readouterr().out.split() == [f"vehicle_{FIRST}", "MPC_LAND_ALT1", "1.25", "file:", f"{old:g}"]
     assert main(["params", "load", str(path), *one]) == 0
-    assert f"MPC_LAND_CRWL     {old:g}, was 1.25" in capsys.readouterr().out
-    assert field.commanders[0].parameters.get("MPC_LAND_CRWL") == old
+    assert f"MPC_LAND_ALT1     {old:g}, was 1.25" in capsys.readouterr().out
+    assert field.commanders[0].parameters.get("MPC_LAND_ALT1") == old
     assert main(["params", "load", str(path), *vehicles(field, 2)]) == 1  # the second vehicle differs
     assert f"the file is of vehicle {FIRST + 1}, this is system {FIRST + 2}" in capsys.readouterr().err
     assert main(["params", "save", str(path), *vehicles(field, 2)]) == 2
