@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from xtdrone_control.autopilot.parameters import former_parameters, inert_parameters
+from xtdrone_control.autopilot.parameters.effective_parameters import KERNEL_ROWS
 from xtdrone_control.autopilot.parameters.parameters import (
     FLOAT,
     INT32,
@@ -116,6 +117,21 @@ def test_none_is_both_stored_only_and_read():
     stored_only = [row[0] for row in inert_parameters.rows()]
     assert len(stored_only) == len(set(stored_only))
     assert sum(describe(name).has_effect for name in NAMES) == len(NAMES) - len(stored_only)
+
+
+def test_every_parameter_with_an_effect_is_read():
+    """Kernels read a field of the record, all other code a name; a replayed flight tests those of kernels."""
+    sources = Path(__file__).parents[2]
+    files = [*sources.glob("xtdrone_control/src/**/*.py"), *sources.glob("xtdrone_sim/src/**/*.py")]
+    tables = {"effective_parameters.py", "inert_parameters.py", "former_parameters.py", "parameter_choices.py"}
+    text = "\n".join(file.read_text() for file in files if file.name not in tables)
+    kernel = {row[0] for row in KERNEL_ROWS}
+    made = re.compile(r"COM_FLTMODE[1-6]|RC_MAP_(ROLL|PITCH|YAW|THROTTLE)|RC\d+_(MIN|MAX|TRIM|REV|DZ)")  # by function
+    for name in NAMES:
+        if describe(name).has_effect and not made.fullmatch(name):
+            field = name.lower()
+            wanted = rf"\bp\.{field}\b|params\[\"{field}\"\]" if name in kernel else rf"\"{name}\""
+            assert re.search(wanted, text), name
 
 
 def test_the_page_of_parameters_names_all_that_have_an_effect():

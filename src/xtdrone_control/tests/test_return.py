@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
-from mission_fakes import MissionFlight, at, do
+from mission_fakes import NAN, MissionFlight, at, do
 
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.navigator import plan
@@ -63,7 +64,8 @@ def flown_by(flight, ticks):
     """Return the goals (north, east, height) of a vehicle that reaches each at once, without repetitions."""
     goals = []
     for _ in range(ticks):
-        goal = tuple(flight.goal()[:2]) + (-flight.goal()[2],)
+        north, east, down = flight.goal()
+        goal = (north, east, -down)
         if goal not in goals[-1:]:
             goals.append(goal)
         flight.tick()
@@ -154,6 +156,22 @@ def test_a_return_goes_to_the_start_of_the_landing_and_continues_one_that_has_be
     flight.commander.navigator.set_current(3)
     flight.commander.request(modes.AUTO_RTL)
     assert flight.setpoint["task"] == TASK_LAND
+
+
+@pytest.mark.parametrize(("mode", "headings"), [(0, (NAN, -math.pi / 2, NAN)), (1, (0.5,) * 3), (2, (NAN,) * 3)])
+def test_the_heading_of_a_return(mode, headings):
+    """PX4 rtl.cpp: RTL_HDG_MD, while climbing, returning and landing; NaN keeps the heading."""
+    flight = flying(0.0, 70.0, RTL_HDG_MD=mode)
+    flight.commander.navigator.home = replace(flight.commander.navigator.home, yaw=0.5)
+    flight.commander.request(modes.AUTO_RTL)
+    found = [float(flight.setpoint["goal_yaw"])]
+    flight.tick()
+    found.append(float(flight.setpoint["goal_yaw"]))
+    for _ in range(3):
+        flight.tick()
+    assert flight.setpoint["task"] == TASK_LAND
+    found.append(float(flight.setpoint["goal_yaw"]))
+    assert found == pytest.approx(headings, nan_ok=True)
 
 
 def test_heights_are_over_the_destination():

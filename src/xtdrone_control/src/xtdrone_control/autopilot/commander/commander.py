@@ -446,9 +446,9 @@ class Commander(FlightCommands):
             self._announcements.tell(INFO, "Pilot took over using sticks", "failsafe_rc_override")
         self._active_mode = outcome.mode
         self._perform_action(outcome, before)
-        if self._active_mode is not mode_before and self._active_mode is modes.AUTO_RTL:
-            if self.parameters.get("RTL_TYPE") not in rtl.BY_MISSION:
-                self._announcements.tell(INFO, "RTL HOME activated", "navigator_rtl_home_activated")
+        returns = self._active_mode is not mode_before and self._active_mode is modes.AUTO_RTL
+        if returns and self.parameters.get("RTL_TYPE") not in rtl.BY_MISSION:
+            self._announcements.tell(INFO, "RTL HOME activated", "navigator_rtl_home_activated")
         reactivated = changed and not outcome.active
         must_stop = outcome.active and not before.active and self._active_mode is modes.AUTO_LOITER
         if self.armed and (reactivated or must_stop or self._active_mode is not self._cascade_mode):

@@ -1,8 +1,8 @@
 """Collision prevention in POSCTL, after PX4 v1.14's lib/collision_prevention: a map of distances around the vehicle.
 
 The map (``OBSTACLES``) has 36 directions of 10 degrees in the body frame, clockwise from the nose, filled by
-``ObstacleMap`` from OBSTACLE_DISTANCE and DISTANCE_SENSOR. ``prevent_collision`` turns and shortens the velocity by stick,
-so that the vehicle can stop CP_DIST from every obstacle.
+``ObstacleMap`` from OBSTACLE_DISTANCE and DISTANCE_SENSOR. ``prevent_collision`` turns and shortens the velocity by
+stick, so that the vehicle can stop CP_DIST from every obstacle.
 
 One detail differs: in a message that covers the full circle the last direction is followed by the first one; PX4 reads
 past the array there.
@@ -204,7 +204,7 @@ class ObstacleMap:
         if reading < limits[1]:
             reading *= self._cosine_of_pitch()
         half = math.degrees(min(width, _FULL_TURN) / 2.0)
-        first, last = (int(math.floor((yaw % 360.0 + side) / _BIN)) for side in (-half, half))
+        first, last = (math.floor((yaw % 360.0 + side) / _BIN) for side in (-half, half))
         first, last = (bound + 1 if bound < 0 else bound for bound in (first, last))
         for i in range(first, last + 1):
             self._enter(i % OBSTACLE_BINS, math.floor(100.0 * reading + 0.5), math.floor(100.0 * limits[1] + 0.5))

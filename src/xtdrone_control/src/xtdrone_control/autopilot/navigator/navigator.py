@@ -29,6 +29,7 @@ __all__ = ["Home", "Navigator"]
 
 _NO_MISSION = "No valid mission available"
 _GPS = 1  # GF_SOURCE
+_TAKEOFF_MISSION = 1  # COM_TAKEOFF_ACT
 _GEOFENCE_WARNS = 1  # GF_ACTION
 
 
@@ -189,7 +190,7 @@ class Navigator:
         if self._view.landed:
             return None
         if mode is modes.AUTO_TAKEOFF and self._course.at_height(self._course.goal[2]):
-            return modes.AUTO_LOITER
+            return self._after_takeoff()
         if mode is modes.AUTO_RTL:
             self._return.update()
         elif mode is modes.AUTO_PRECLAND:
@@ -197,6 +198,11 @@ class Navigator:
         elif mode is modes.ORBIT:
             self.orbit.update()
         return None
+
+    def _after_takeoff(self) -> Mode:
+        """Return the mode after a takeoff by COM_TAKEOFF_ACT: hold, or the mission if there is one."""
+        wants_mission = self._parameters.get("COM_TAKEOFF_ACT") == _TAKEOFF_MISSION
+        return modes.AUTO_MISSION if wants_mission and not self.mission_denial() else modes.AUTO_LOITER
 
     def _follow_on(self) -> None:
         self.follow_target.update()

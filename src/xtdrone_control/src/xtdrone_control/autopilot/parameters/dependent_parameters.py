@@ -9,7 +9,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterable
 
-
 Value = int | float
 Notice = Callable[[str, str, float], None]
 """Receives a text, the name of its event and the event's argument, a value that a parameter has been set to."""
@@ -142,5 +141,3 @@ def adjust(get: Callable[[str], Value], store: Callable[[str, float], object], n
     if hover != get("MPC_THR_HOVER"):
         store("MPC_THR_HOVER", hover)
         notice("Hover thrust has been constrained by min/max", "mc_pos_ctrl_hover_thrust_set", hover)
-
-

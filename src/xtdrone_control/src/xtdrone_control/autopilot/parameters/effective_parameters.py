@@ -148,7 +148,6 @@ KERNEL_ROWS: tuple[Row, ...] = (
     ("HTE_VZ_THR", 2.0, 1.0, 10.0, "m/s", "vertical speed above which the noise is raised"),
     ("MPC_MAN_Y_MAX", 150.0, 0.0, 400.0, "deg/s", "yaw rate at full stick"),
     ("MPC_YAWRAUTO_MAX", 45.0, 0.0, 360.0, "deg/s", "yaw rate in AUTO modes"),
-    ("MPC_HOLD_DZ", 0.1, 0.0, 1.0, "", "dead zone of the sticks"),
     ("MPC_HOLD_MAX_XY", 0.8, 0.0, 3.0, "m/s", "horizontal velocity below which a centred stick holds position"),
     ("MPC_HOLD_MAX_Z", 0.6, 0.0, 3.0, "m/s", "vertical velocity below which a centred stick holds altitude"),
     ("MPC_USE_HTE", 1, 0, 1, "", "1: estimate the hover thrust in flight"),
@@ -205,6 +204,14 @@ KERNEL_ROWS: tuple[Row, ...] = (
     ("CP_DIST", -1.0, -1.0, 15.0, "m", "distance kept from obstacles in POSCTL; 0 or less: no collision prevention"),
     ("CP_GO_NO_DATA", 0, 0, 1, "", "1: directions that no sensor has covered may be flown to"),
     ("CP_GUIDE_ANG", 30.0, 0.0, 90.0, "deg", "largest turn of the commanded direction towards more room"),
+    (
+        "THR_MDL_FAC",
+        0.0,
+        0.0,
+        1.0,
+        "",
+        "share of the thrust that rises with the square of a motor command; 0: thrust is proportional to it",
+    ),
 )
 
 OTHER_ROWS: tuple[Row, ...] = (
@@ -297,6 +304,7 @@ OTHER_ROWS: tuple[Row, ...] = (
     ("RTL_PLD_MD", 0, 0, 2, "", "precision landing after a return: 0 off, 1 if a target is visible, 2 with a search"),
     ("RTL_TYPE", 0, 0, 3, "", "return to: 0 home or rally point, 1, 2 mission landing, 3 the closest of them"),
     ("MIS_TAKEOFF_ALT", 2.5, 0.0, 80.0, "m", "minimum takeoff height above home"),
+    ("MPC_HOLD_DZ", 0.1, 0.0, 1.0, "", "dead zone of the sticks"),
     ("MPC_XY_MAN_EXPO", 0.6, 0.0, 1.0, "", "curve of the horizontal sticks: 0 linear, 1 cubic"),
     ("MPC_YAW_EXPO", 0.6, 0.0, 1.0, "", "curve of the yaw stick"),
     ("MPC_Z_MAN_EXPO", 0.6, 0.0, 1.0, "", "curve of the throttle stick"),
@@ -329,7 +337,6 @@ OTHER_ROWS: tuple[Row, ...] = (
     ("SYS_FAILURE_EN", 1, 0, 1, "", "1: allow failure injection, as in PX4's simulation"),
     ("SIM_BAT_DRAIN", 60.0, 1.0, 86_400.0, "s", "time to drain the simulated battery"),
     ("SIM_BAT_MIN_PCT", 50.0, 0.0, 100.0, "%", "charge at which the simulated battery stops draining"),
-    ("SYS_AUTOSTART", 10015, 0, 9_999_999, "", "airframe number"),
     ("MPC_XY_VEL_ALL", -10.0, -20.0, 20.0, "", "0 or more: sets the horizontal speeds of all modes, m/s"),
     ("MPC_Z_VEL_ALL", -3.0, -3.0, 8.0, "", "0 or more: sets the vertical speeds of all modes, m/s"),
     (
@@ -340,6 +347,8 @@ OTHER_ROWS: tuple[Row, ...] = (
         "",
         "0 or more: sets accelerations, jerks, tilt and yaw rate, from gentle (0) to brisk (1)",
     ),
+    ("COM_TAKEOFF_ACT", 0, 0, 1, "", "after a takeoff: 0 hold, 1 mission"),
+    ("RTL_HDG_MD", 0, 0, 2, "", "heading of a return: 0 along the path, 1 that of home, 2 the current one"),
 )  # fmt: skip
 
 

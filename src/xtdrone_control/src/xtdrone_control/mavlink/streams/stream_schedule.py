@@ -138,7 +138,9 @@ def _scaled(rates: dict[str, float], limit: float) -> dict[str, float]:
 
 
 PAYLOAD_RATES: dict[str, float] = _scaled(ONBOARD_RATES, _PAYLOAD_BYTES)
-ONBOARD_RATES |= _GIMBAL_RATES | _ORBIT_RATES | _OBSTACLE_RATES  # not on the payload link, whose scale they would change
+ONBOARD_RATES |= (
+    _GIMBAL_RATES | _ORBIT_RATES | _OBSTACLE_RATES
+)  # not on the payload link, whose scale they would change
 GCS_RATES |= _GIMBAL_RATES | _ORBIT_RATES | {"GIMBAL_DEVICE_ATTITUDE_STATUS": 0.5, "OBSTACLE_DISTANCE": 1.0}
 
 

@@ -43,6 +43,12 @@ def _unsmoothed(p):
 
 
 @kernel
+def _slow(speed, largest):
+    """Return whether a centred stick holds the place at ``speed``; a ``largest`` of 0 holds it at any."""
+    return largest <= 0.0 or speed < largest
+
+
+@kernel
 def _stick_height(c, s, e, p, dt):
     """Command a climb rate by stick, jerk-limited; a centred stick brakes, then holds the height."""
     wanted = -s.stick_z * (p.mpc_z_vel_max_up if s.stick_z > 0.0 else p.mpc_z_vel_max_dn)
@@ -64,7 +70,7 @@ def _stick_height(c, s, e, p, dt):
     still = wanted == 0.0 and abs(c.path.velocity[2]) < 1e-3
     if not still:
         c.hold_z = 0
-    elif not c.hold_z and abs(e.velocity[2]) < p.mpc_hold_max_z:
+    elif not c.hold_z and _slow(abs(e.velocity[2]), p.mpc_hold_max_z):
         c.hold_z = 1
         c.path.position[2] = e.position[2]
     c.task_velocity[2] = c.path.velocity[2]
@@ -186,7 +192,7 @@ def _stick_velocities(c, s, e, p, dt):
         plan_axis(c.path, i, wanted, p.mpc_acc_hor_max, p.mpc_jerk_max)
     if x != 0.0 or y != 0.0:
         c.hold_xy = 0
-    elif not c.hold_xy and math.hypot(e.velocity[0], e.velocity[1]) < p.mpc_hold_max_xy:
+    elif not c.hold_xy and _slow(math.hypot(e.velocity[0], e.velocity[1]), p.mpc_hold_max_xy):
         c.hold_xy = 1
         c.path.position[0], c.path.position[1] = e.position[0], e.position[1]
 
