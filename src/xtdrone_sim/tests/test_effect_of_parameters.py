@@ -21,7 +21,6 @@ from xtdrone_control.autopilot.parameters.parameter_choices import CHOICES
 from xtdrone_control.autopilot.parameters.parameters import INT32, Parameters, describe
 from xtdrone_control.autopilot.state import (
     N_STATES,
-    OBSTACLE_BINS,
     OBSTACLE_UNKNOWN,
     TASK_ACRO,
     TASK_ALTITUDE,
@@ -259,13 +258,14 @@ class Replay:
         step_all(*(arrays[name] for name in NAMES_OF_ARGUMENTS[:8]), STEP_US * 1e-6, self.work)
 
     def see_obstacles(self, k: int) -> None:
-        """Fill the maps of collision prevention: walls around, nothing known behind."""
+        """Fill the maps of collision prevention: walls with gaps that turn; nothing known behind without guidance."""
         found = self.arrays["control"]["obstacles"]
         found["time_us"] = found["times_us"] = k * STEP_US
         found["ranges"], found["least"], found["largest"] = 1000.0, 20.0, 1000.0
-        found["distances"] = np.linspace(350.0, 450.0, OBSTACLE_BINS)
+        found["distances"] = 350.0
+        found["distances"][:, k // 25 % 9 :: 9] = 900.0
         unguided = np.flatnonzero(self.arrays["params"]["cp_guide_ang"] == 0.0)
-        found["distances"][unguided, 8:26] = OBSTACLE_UNKNOWN
+        found["distances"][unguided, 4:27] = OBSTACLE_UNKNOWN
 
     def compare(self) -> None:
         """Mark the cases that differ from their default vehicle, and let them leave."""
