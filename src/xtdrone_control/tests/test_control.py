@@ -77,6 +77,17 @@ def test_saturation_gives_up_yaw_before_roll():
     assert control["saturation_pos"][2] == 1
 
 
+@pytest.mark.parametrize("factor", [0.0, 0.3, 1.0])
+def test_motor_commands_by_the_thrust_model(factor):
+    """THR_MDL_FAC: thrust = factor u^2 + (1 - factor) u."""
+    control = np.zeros(1, CONTROL)[0]
+    thrusts = np.linspace(0.0, 1.0, MAX_ROTORS)
+    control["actuators"] = thrusts
+    control_allocator.to_motor_commands(control, MAX_ROTORS, factor)
+    u = control["actuators"]
+    np.testing.assert_allclose(factor * u**2 + (1.0 - factor) * u, thrusts, atol=1e-12)
+
+
 @pytest.mark.parametrize("count", [3, MAX_ROTORS + 1])
 def test_rotor_counts_are_limited(count):
     with pytest.raises(ValueError, match=str(count)):

@@ -6,9 +6,11 @@ import math
 
 import pytest
 from autopilot_fakes import ORIGIN, Flight
+from mission_fakes import MissionFlight, at
 
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.commander.commander import Result
+from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.state import TASK_GOTO, TASK_IDLE, TASK_LAND
 
 
@@ -27,6 +29,22 @@ def flight():
 
 def goal(flight):
     return flight.setpoint["goal_position"].tolist()
+
+
+@pytest.mark.parametrize(("action", "loaded", "mode"), [
+    (0, True, modes.AUTO_LOITER), (1, True, modes.AUTO_MISSION), (1, False, modes.AUTO_LOITER),
+])  # fmt: skip
+def test_the_mode_after_a_takeoff(action, loaded, mode):
+    """PX4 Commander.cpp: COM_TAKEOFF_ACT."""
+    flight = MissionFlight(COM_TAKEOFF_ACT=action)
+    if loaded:
+        flight.load(at(0, 0, command=plan.TAKEOFF), at(40, 0))
+    flight.commander.takeoff(math.nan, math.nan)
+    flight.commander.arm_disarm(True)
+    seen = []
+    flight.run(3.0, lambda: (flight.follow(), seen.append(flight.commander.mode)))
+    assert (modes.AUTO_MISSION in seen) == (mode is modes.AUTO_MISSION)
+    assert modes.AUTO_LOITER in seen, "the mission ends in hold"
 
 
 def test_takeoff_goes_to_loiter_within_the_altitude_radius():

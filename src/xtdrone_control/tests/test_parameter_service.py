@@ -9,7 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 from service_fakes import SYSTEM, Served
 
-from xtdrone_control.autopilot.parameters.parameters import FLOAT, INT32, NAMES, Parameters
+from xtdrone_control.autopilot.parameters.parameters import FLOAT, INT32, NAMES, Parameters, describe
 from xtdrone_control.mavlink.wire import dialect
 
 
@@ -108,6 +108,34 @@ def test_unwritable_messages_are_not_answered(served, name, value, kind):
     assert not served.other.sent
     assert served.parameters.hash() == before
     assert served.link.warnings
+
+
+def test_a_client_is_told_once_of_a_parameter_without_effect(served):
+    for value in (1.0, 2.0):
+        served.ask(write("CAL_MAG0_XOFF", value))
+        served.ask(write("MPC_XY_P", value))
+        served.run(1.5)
+    assert [text for _, text in served.link.texts] == ["CAL_MAG0_XOFF stored, no effect here"]
+    assert not served.other.texts
+    served.ask(write("CAL_MAG0_XOFF", 3.0), served.other)
+    served.run(1.5)
+    assert [text for _, text in served.other.texts] == ["CAL_MAG0_XOFF stored, no effect here"]
+    served.ask(write("EKF2_AID_MASK", 0.0, INT32))
+    served.run(1.5)
+    assert "no effect here: PX4 v1.14 has EKF2_GPS_CTRL" in served.link.texts[-1][1]
+
+
+def test_a_file_that_is_loaded_makes_one_text(served):
+    names = [name for name in NAMES if not describe(name).has_effect and describe(name).type == FLOAT][:37]
+    for name in names:
+        served.ask(write(name, 0.5))
+        served.run(0.1)
+    assert not served.link.texts
+    served.ask(write("MPC_XY_P", 1.0))
+    served.run(1.5)
+    assert [text for _, text in served.link.texts] == [
+        "37 parameters stored, no effect here: ./xtdrone gcs check FILE lists them"
+    ]
 
 
 # files

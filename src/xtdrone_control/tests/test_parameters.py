@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from xtdrone_control.autopilot.parameters import former_parameters, inert_parameters
+from xtdrone_control.autopilot.parameters.effective_parameters import KERNEL_ROWS
 from xtdrone_control.autopilot.parameters.parameters import (
     FLOAT,
     INT32,
@@ -118,6 +119,19 @@ def test_none_is_both_stored_only_and_read():
     assert sum(describe(name).has_effect for name in NAMES) == len(NAMES) - len(stored_only)
 
 
+def test_every_parameter_with_an_effect_is_read():
+    """Kernels read a field of the record, all other code a name; a replayed flight tests those of kernels."""
+    sources = Path(__file__).parents[2]
+    files = [*sources.glob("xtdrone_control/src/**/*.py"), *sources.glob("xtdrone_sim/src/**/*.py")]
+    tables = {"effective_parameters.py", "inert_parameters.py", "former_parameters.py", "parameter_choices.py"}
+    text = "\n".join(file.read_text() for file in files if file.name not in tables)
+    fields = set(re.findall(r"\bp\.(\w+)|params\[\"(\w+)\"\]", text))
+    read = {field.upper() for found in fields for field in found} & {row[0] for row in KERNEL_ROWS}
+    read |= set(re.findall(r"\"([A-Z0-9_]+)\"", text)) - {row[0] for row in KERNEL_ROWS}
+    made = re.compile(r"COM_FLTMODE[1-6]|RC_MAP_(ROLL|PITCH|YAW|THROTTLE)|RC\d+_(MIN|MAX|TRIM|REV|DZ)")  # by function
+    assert not [name for name in NAMES if describe(name).has_effect and name not in read and not made.fullmatch(name)]
+
+
 def test_the_page_of_parameters_names_all_that_have_an_effect():
     page = (Path(__file__).parents[3] / "docs" / "parameters.md").read_text(encoding="utf-8")
     effective, stored_only = page.split("## Stored only")
@@ -126,6 +140,7 @@ def test_the_page_of_parameters_names_all_that_have_an_effect():
             assert (f"`{name}`" in effective) == describe(name).has_effect, name
     assert "`CAL_MAGN_XOFF`" in stored_only
     assert str(len(NAMES)) in effective
+    assert f"{sum(describe(name).has_effect for name in NAMES)} have an effect" in effective
 
 
 def test_former_names_lead_to_parameters_that_exist():

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
-from mission_fakes import MissionFlight, at
+from mission_fakes import NAN, MissionFlight, at, do
 
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.navigator import plan
@@ -31,7 +32,6 @@ LANDING = (at(0, 0, command=plan.TAKEOFF), at(-50, 0), at(-100, 0, 0, plan.LAND)
         (0, (80, 10), "safe landing point", (100, 0)),
         (0, (-80, 0), "home position", (0, 0)),
         (1, (-40, 0), "mission landing", (-100, 0)),
-        (2, (95, 0), "mission landing", (-100, 0)),
         (3, (-80, 0), "mission landing", (-100, 0)),
         (3, (-10, 0), "home position", (0, 0)),
         (3, (0, 80), "safe landing point", (0, 100)),
@@ -48,6 +48,130 @@ def test_destinations(kind, place, name, goal):
     flight.follow()
     flight.run(0.1)
     assert flight.goal()[:2] == list(goal)
+
+
+LOOP = (
+    at(0, 0, command=plan.TAKEOFF),
+    at(40, 0, 15),
+    do(plan.CHANGE_SPEED, 1, 3.0),
+    at(40, 40, 20, plan.LOITER_TIME, 30.0),
+    do(plan.JUMP, 1, 5),
+    at(0, 40),
+)
+
+
+def flown_by(flight, ticks):
+    """Return the goals (north, east, height) of a vehicle that reaches each at once, without repetitions."""
+    goals = []
+    for _ in range(ticks):
+        north, east, down = flight.goal()
+        goal = (north, east, -down)
+        if goal not in goals[-1:]:
+            goals.append(goal)
+        flight.tick()
+    return goals
+
+
+@pytest.mark.parametrize(
+    ("start", "place", "expected"),
+    [
+        # in the mission at its item 5: back from the position before the one that it flies to
+        (5, (20, 40), [(40, 40, 20), (40, 0, 15), (0, 0, 10)]),
+        # in hold: from the closest position, home being one
+        (None, (35, 45), [(40, 40, 20), (40, 0, 15), (0, 0, 10)]),
+        (None, (3, 42), [(0, 40, 10), (40, 40, 20), (40, 0, 15), (0, 0, 10)]),
+        (None, (1, 0), []),
+    ],
+)
+def test_a_mission_without_a_landing_is_flown_back(start, place, expected):
+    """PX4 navigator_main.cpp, RTL_TYPE_MISSION_LANDING_REVERSED: positions only, without waits and jumps."""
+    flight = flying(RTL_TYPE=2)
+    flight.load(*LOOP)
+    flight.load(*RALLY, kind=plan.RALLY)
+    if start is not None:
+        flight.commander.request(modes.AUTO_MISSION)
+        flight.commander.navigator.set_current(start)
+    flight.place(*place, -10 if expected else -1)
+    flight.texts()
+    flight.commander.request(modes.AUTO_RTL)
+    assert "RTL Mission activated, fly mission in reverse" in flight.texts()
+    goals = flown_by(flight, 14)
+    assert goals[: len(expected)] == expected
+    said = flight.texts() if expected else ["Reverse Mission finished, loitering", "RTL: landing at home position."]
+    assert said.index("Reverse Mission finished, loitering") < said.index("RTL: landing at home position.")
+    assert flight.goal()[:2] == [0, 0]
+    assert flight.setpoint["task"] == TASK_LAND
+
+
+@pytest.mark.parametrize(
+    ("start", "place", "expected"),
+    [
+        (1, (0, 5), [(-50, 0, 10), (-80, 0, 12), (-100, 0, 12), (-100, 0, 0)]),
+        (None, (-82, 3), [(-80, 0, 12), (-100, 0, 12), (-100, 0, 0)]),
+    ],
+)
+def test_a_mission_with_a_landing_is_flown_on(start, place, expected):
+    flight = flying(RTL_TYPE=2)
+    wait = at(-50, 0, 10, plan.LOITER_UNLIM)
+    flight.load(at(0, 0, command=plan.TAKEOFF), wait, do(plan.DELAY, 60), at(-80, 0, 12), at(-100, 0, 0, plan.LAND))
+    if start is not None:
+        flight.commander.request(modes.AUTO_MISSION)
+        flight.commander.navigator.set_current(start)
+    flight.place(*place, -12)
+    flight.texts()
+    flight.commander.request(modes.AUTO_RTL)
+    assert "RTL Mission activated, continue mission" in flight.texts()
+    assert flown_by(flight, 12) == expected
+    assert flight.setpoint["task"] == TASK_LAND
+
+
+def test_a_return_from_a_stick_mode_goes_to_the_landing_or_home():
+    flight = flying(30.0, RTL_TYPE=2)
+    flight.load(*LOOP)
+    flight.run(0.2, lambda: flight.commander.manual_control(0.0, 0.0, 0.0, 0.0))
+    flight.commander.request(modes.POSCTL)
+    flight.texts()
+    flight.commander.request(modes.AUTO_RTL)
+    assert "RTL Mission activated, fly to home" in flight.texts()
+    flight.commander.manual_control(0.0, 0.0, 0.0, 0.0)
+    flight.commander.request(modes.POSCTL)
+    flight.load(at(0, 0, command=plan.TAKEOFF), at(90, 0), do(plan.LAND_START), at(60, 0), at(50, 0, 0, plan.LAND))
+    flight.commander.request(modes.AUTO_RTL)
+    flight.tick()
+    assert flight.goal()[:2] == [60, 0]
+
+
+def test_a_return_goes_to_the_start_of_the_landing_and_continues_one_that_has_begun():
+    """PX4 rtl.cpp: a multirotor lands at the first position after DO_LAND_START."""
+    landing = (at(0, 0, command=plan.TAKEOFF), at(90, 0), do(plan.LAND_START), at(60, 0, 5), at(50, 0, 0, plan.LAND))
+    flight = flying(30.0, RTL_TYPE=1)
+    flight.load(*landing)
+    flight.commander.request(modes.AUTO_RTL)
+    flight.tick()
+    flight.tick()
+    assert flight.goal()[:2] == [60, 0]
+    flight = flying(70.0, RTL_TYPE=1)
+    flight.load(*landing)
+    flight.commander.request(modes.AUTO_MISSION)
+    flight.commander.navigator.set_current(3)
+    flight.commander.request(modes.AUTO_RTL)
+    assert flight.setpoint["task"] == TASK_LAND
+
+
+@pytest.mark.parametrize(("mode", "headings"), [(0, (NAN, -math.pi / 2, NAN)), (1, (0.5,) * 3), (2, (NAN,) * 3)])
+def test_the_heading_of_a_return(mode, headings):
+    """PX4 rtl.cpp: RTL_HDG_MD, while climbing, returning and landing; NaN keeps the heading."""
+    flight = flying(0.0, 70.0, RTL_HDG_MD=mode)
+    flight.commander.navigator.home = replace(flight.commander.navigator.home, yaw=0.5)
+    flight.commander.request(modes.AUTO_RTL)
+    found = [float(flight.setpoint["goal_yaw"])]
+    flight.tick()
+    found.append(float(flight.setpoint["goal_yaw"]))
+    for _ in range(3):
+        flight.tick()
+    assert flight.setpoint["task"] == TASK_LAND
+    found.append(float(flight.setpoint["goal_yaw"]))
+    assert found == pytest.approx(headings, nan_ok=True)
 
 
 def test_heights_are_over_the_destination():

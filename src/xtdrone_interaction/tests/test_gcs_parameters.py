@@ -46,6 +46,25 @@ def test_a_value_is_the_same_on_both_ends(value, bytewise):
     assert parameters.decode(told(message), bytewise) == (number, kind)
 
 
+def test_check_lists_what_a_file_sets_without_effect(tmp_path, capsys):
+    rows = {"MPC_XY_P": (0.8, REAL32), "CAL_MAG0_XOFF": (0.25, REAL32), "CAL_MAG0_YOFF": (0.0, REAL32)}
+    rows |= {"EKF2_AID_MASK": (24, INT32), "COM_OBL_ACT": (2, INT32)}
+    parameter_file.write(tmp_path / "a.params", ParameterFile(1, rows, PX4))
+    assert main(["check", str(tmp_path / "a.params")]) == 0
+    printed = capsys.readouterr().out
+    assert "5 parameters, 2 other than PX4's default are stored without effect here" in printed
+    assert "CAL_MAG0_XOFF     0.25, PX4's default 0" in printed
+    assert "EKF2_AID_MASK     24, PX4's default 0" in printed
+    assert "COM_OBL_ACT       does not exist: PX4 v1.14 has COM_OBL_RC_ACT" in printed
+    assert "MPC_XY_P" not in printed
+    assert "CAL_MAG0_YOFF" not in printed
+    (tmp_path / "bad.params").write_text("1 1 MPC_XY_P\n")
+    assert main(["check", str(tmp_path / "bad.params"), str(tmp_path / "a.params")]) == 1
+    captured = capsys.readouterr()
+    assert "bad.params" in captured.err
+    assert "a.params: 5 parameters" in captured.out
+
+
 # ---- another kind of autopilot, and the result of a load
 
 
@@ -182,14 +201,14 @@ def test_parameters_are_saved_compared_and_loaded(field, tmp_path, capsys):
     assert set(content.values) == set(NAMES)
     assert (content.system, content.stack) == (FIRST + 1, "PX4 Pro")
     assert main(["params", "diff", str(path), *one]) == 0
-    old = field.commanders[0].parameters.get("MPC_Z_VEL_MAX_UP")
-    field.commanders[0].parameters.set("MPC_Z_VEL_MAX_UP", 1.25)
+    old = field.commanders[0].parameters.get("MPC_LAND_ALT1")
+    field.commanders[0].parameters.set("MPC_LAND_ALT1", 1.25)
     capsys.readouterr()
     assert main(["params", "diff", str(path), *one]) == 1
-    assert capsys.readouterr().out.split() == [f"vehicle_{FIRST}", "MPC_Z_VEL_MAX_UP", "1.25", "file:", f"{old:g}"]
+    assert capsys.readouterr().out.split() == [f"vehicle_{FIRST}", "MPC_LAND_ALT1", "1.25", "file:", f"{old:g}"]
     assert main(["params", "load", str(path), *one]) == 0
-    assert f"MPC_Z_VEL_MAX_UP  {old:g}, was 1.25" in capsys.readouterr().out
-    assert field.commanders[0].parameters.get("MPC_Z_VEL_MAX_UP") == old
+    assert f"MPC_LAND_ALT1     {old:g}, was 1.25" in capsys.readouterr().out
+    assert field.commanders[0].parameters.get("MPC_LAND_ALT1") == old
     assert main(["params", "load", str(path), *vehicles(field, 2)]) == 1  # the second vehicle differs
     assert f"the file is of vehicle {FIRST + 1}, this is system {FIRST + 2}" in capsys.readouterr().err
     assert main(["params", "save", str(path), *vehicles(field, 2)]) == 2

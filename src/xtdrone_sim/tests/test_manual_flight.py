@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from xtdrone_control.autopilot import modes
+from xtdrone_control.autopilot.flight_tasks.collision_prevention import ObstacleMap
 from xtdrone_control.autopilot.state import FAILURE_OFF
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.rotation_kernels import rotate
@@ -146,3 +147,38 @@ def test_a_stopped_rotor_is_excluded_if_configured(failure_mode):
     assert pilot.view.setpoint["failed_rotors"] == (0b0010 if failure_mode else 0)
     assert (actuators[1] == 0.0) == bool(failure_mode)
     assert actuators[[0, 2, 3]].max() > 0.1
+
+
+def obstacle_distances(view, wall: float) -> list[int]:
+    """Return OBSTACLE_DISTANCE's distances (cm, every 5 degrees from north) to a wall east of ``wall`` m."""
+    found = []
+    for k in range(72):
+        east = math.sin(math.radians(5.0 * k))
+        metres = (wall - view.position[1]) / east if east > 1e-6 else math.inf
+        found.append(round(100.0 * metres) if metres < 20.0 else 2001)
+    return found
+
+
+@pytest.mark.parametrize("mode", [0, 3, 4])
+def test_position_mode_stops_before_a_wall(mode):
+    """CP_DIST: at full stick towards a wall; PX4's algorithm acts with MPC_POS_MODE 0 and 3, here also with 4."""
+    pilot = Pilot()
+    parameters = pilot.commander.parameters
+    parameters.set("MPC_POS_MODE", mode)
+    pilot.start(modes.POSCTL)
+    pilot.sticks = (0.0, 0.0, 0.8, 0.0)
+    pilot.run(5.0)
+    parameters.set("CP_DIST", 3.0)
+    obstacles = ObstacleMap(pilot.view, parameters.get)
+    wall = pilot.view.position[1] + 15.0
+    pilot.sticks = (1.0, 0.0, 0.0, 0.0)
+    path = []
+    for _ in range(100):
+        obstacles.add_directions(obstacle_distances(pilot.view, wall), 5.0, 0.0, (20.0, 2000.0), north=True)
+        path.append(pilot.run(0.1))
+    east = np.concatenate(path)[:, 1]
+    assert wall - east.max() > 2.7
+    assert wall - east[-1] == pytest.approx(3.0, abs=0.4)
+    pilot.run(7.0)  # no data any more
+    assert pilot.commander.mode is modes.AUTO_LOITER
+    assert wall - pilot.view.position[1] > 2.6

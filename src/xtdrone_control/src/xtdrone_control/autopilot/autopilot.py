@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.autopilot.control.attitude_control import attitude_control
-from xtdrone_control.autopilot.control.control_allocator import allocate, mixing_matrix
+from xtdrone_control.autopilot.control.control_allocator import allocate, mixing_matrix, to_motor_commands
 from xtdrone_control.autopilot.control.hover_thrust import estimate_hover_thrust, reset_hover_thrust
 from xtdrone_control.autopilot.control.land_detector import detect_landing
 from xtdrone_control.autopilot.control.position_control import (
@@ -206,6 +206,7 @@ def _control_vehicle(sensors, e, s, c, p, mix, unmix, rotors, dt):
         _control_attitude(c, s, e, p, dt)
         rate_control(c, e, p, dt, not (c.landing.landed or c.landing.maybe_landed))
         allocate(c, mix, unmix, rotors, int(p.mc_airmode))
+        to_motor_commands(c, rotors, p.thr_mdl_fac)
     if c.landing.landed:
         c.ground_z = e.position[2]
     detect_landing(c.landing, c, s, e, sensors, p, dt, climb_controlled)

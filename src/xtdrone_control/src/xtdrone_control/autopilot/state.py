@@ -466,6 +466,25 @@ FOLLOWED = np.dtype(  # follow_task: filtered motion of the target
     align=True,
 )
 
+OBSTACLE_BINS = 36  # directions of OBSTACLES, 10 degrees each, clockwise from the nose
+OBSTACLE_UNKNOWN = 65535.0  # a distance that is not known
+
+OBSTACLES = np.dtype(  # collision_prevention
+    [
+        ("distances", "f8", OBSTACLE_BINS),  # cm; OBSTACLE_UNKNOWN
+        ("ranges", "f8", OBSTACLE_BINS),  # cm, largest range of the sensor of each distance
+        ("times_us", "i8", OBSTACLE_BINS),  # arrival of each distance
+        ("covered", "i4", OBSTACLE_BINS),  # 1: a sensor has seen this direction
+        ("time_us", "i8"),  # arrival of the newest data
+        ("least", "f8"),  # cm, smallest and largest range of all sensors
+        ("largest", "f8"),
+        ("active_us", "i8"),  # begin of collision prevention; -1: off
+        ("warned_us", "i8"),  # last check for missing data
+        ("hold", "i4"),  # 1: data are missing, requests the hold mode
+    ],
+    align=True,
+)
+
 CONTROL = np.dtype(
     [
         ("takeoff", TAKEOFF),
@@ -507,6 +526,7 @@ CONTROL = np.dtype(
         ("brake_boost", "f8"),  # factor of the drag, raised while the sticks are centred
         ("hold_xy", "i4"),  # 1: the current position is held
         ("hold_z", "i4"),
+        ("obstacles", OBSTACLES),
         # flight_tasks: output, from which the position loop computes sp_*
         ("want_takeoff", "i4"),  # the task wants to leave the ground
         ("task_position", "f8", 3),

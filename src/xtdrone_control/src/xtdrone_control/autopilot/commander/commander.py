@@ -25,6 +25,7 @@ from xtdrone_control.autopilot.events import events
 from xtdrone_control.autopilot.events.announcements import CRITICAL, INFO, WARNING, Announcements
 from xtdrone_control.autopilot.events.events import Event
 from xtdrone_control.autopilot.modes import Mode
+from xtdrone_control.autopilot.navigator import rtl
 from xtdrone_control.autopilot.navigator.navigator import Navigator
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.autopilot.state import FAILURE_OFF, TASK_DESCEND, TASK_IDLE
@@ -89,8 +90,10 @@ class Commander(FlightCommands):
         self.parameters = parameters
         self.view = VehicleView(autopilot, index)
         self._receiver_failure = self.view.cell("failures", "rc_signal")
+        self._obstacle_hold = self.view.cell("control", "obstacles", "hold")
         get = parameters.get
         self._announcements = Announcements(self.view)
+        parameters.on_limit = self._tell_limit
         self.navigator = Navigator(self.view, parameters, self._announcements)
         self._home = HomePosition(self.view, self.navigator, get)
         self.navigator.mission.set_home = self.set_home
@@ -219,6 +222,9 @@ class Commander(FlightCommands):
     def warn(self, text: str) -> None:
         """Queue a warning, at most one a second."""
         self._announcements.warn(text)
+
+    def _tell_limit(self, text: str, event: str, value: float) -> None:
+        self.tell(CRITICAL, text, event, value, level=WARNING)
 
     # arming
 
@@ -439,7 +445,8 @@ class Commander(FlightCommands):
             self._announcements.tell(INFO, "Pilot took over using sticks", "failsafe_rc_override")
         self._active_mode = outcome.mode
         self._perform_action(outcome, before)
-        if self._active_mode is not mode_before and self._active_mode is modes.AUTO_RTL:
+        returns = self._active_mode is not mode_before and self._active_mode is modes.AUTO_RTL
+        if returns and self.parameters.get("RTL_TYPE") not in rtl.BY_MISSION:
             self._announcements.tell(INFO, "RTL HOME activated", "navigator_rtl_home_activated")
         reactivated = changed and not outcome.active
         must_stop = outcome.active and not before.active and self._active_mode is modes.AUTO_LOITER
@@ -641,12 +648,19 @@ class Commander(FlightCommands):
         """Advance the active mode."""
         if self._active_mode.sticks:
             self._steer()
+            self._hold_without_obstacles()
         following = self.navigator.update()
         # never during a failsafe: its modes have no successor. PX4's change() keeps a mode whose successor cannot be
         # flown, such as a takeoff without a global position
         if following is not None and self._can_choose(following):
             self._set_intended_mode(following)
             self._update_mode(changed=True)
+
+    def _hold_without_obstacles(self) -> None:
+        """Change to hold when collision prevention has had no data for long (PX4 ``CollisionPrevention``)."""
+        if self._obstacle_hold[0]:
+            self._obstacle_hold[0] = 0
+            self.request(modes.AUTO_LOITER)
 
     def _report_checks(self, flags: Flags) -> None:
         """Emit the arming checks as events when their result has changed."""

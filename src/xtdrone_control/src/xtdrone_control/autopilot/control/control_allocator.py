@@ -7,6 +7,8 @@ and ControlAllocationPseudoInverse scale it; saturation is resolved in PX4's ord
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -172,3 +174,13 @@ def allocate(c, mix, unmix, count, airmode):
     for i in range(count):
         u[i] = min(max(u[i], 0.0), 1.0)
     _note_unallocated(c, unmix, count)
+
+
+@kernel
+def to_motor_commands(c, count, factor):
+    """Convert thrusts in c.actuators to motor commands u: thrust = factor u^2 + (1 - factor) u (PX4 FunctionMotors)."""
+    if factor <= 0.0 or factor > 1.0:
+        return
+    half = (1.0 - factor) / (2.0 * factor)
+    for i in range(count):
+        c.actuators[i] = math.sqrt(half * half + c.actuators[i] / factor) - half

@@ -232,7 +232,25 @@ _CHECKS = (
     _check("check_estimator_gps_fix_too_low", "GPS fix too low"),
 )
 
+_CONTROL = (
+    _define("col_prev_unsup_frame", "Obstacle distances in frame {1} are not supported", "frame:uint8_t"),
+    _define("mc_pos_ctrl_tilt_set", "MPC_TILTMAX_AIR is too large, set to {1:.0}", "degrees:float"),
+    _define("mc_pos_ctrl_land_tilt_set", "MPC_TILTMAX_LND exceeds MPC_TILTMAX_AIR, set to {1:.0}", "degrees:float"),
+    _define("mc_pos_ctrl_cruise_set", "MPC_XY_CRUISE exceeds MPC_XY_VEL_MAX, set to {1:.0}", "speed:float"),
+    _define("mc_pos_ctrl_man_vel_set", "MPC_VEL_MANUAL exceeds MPC_XY_VEL_MAX, set to {1:.0}", "speed:float"),
+    _define("mc_pos_ctrl_man_vel_back_set", "MPC_VEL_MAN_BACK exceeds MPC_VEL_MANUAL, set to {1:.0}", "speed:float"),
+    _define("mc_pos_ctrl_man_vel_side_set", "MPC_VEL_MAN_SIDE exceeds MPC_VEL_MANUAL, set to {1:.0}", "speed:float"),
+    _define("mc_pos_ctrl_up_vel_set", "MPC_Z_V_AUTO_UP exceeds MPC_Z_VEL_MAX_UP, set to {1:.0}", "speed:float"),
+    _define("mc_pos_ctrl_down_vel_set", "MPC_Z_V_AUTO_DN exceeds MPC_Z_VEL_MAX_DN, set to {1:.0}", "speed:float"),
+    _define("mc_pos_ctrl_hover_thrust_set", "MPC_THR_HOVER is out of its limits, set to {1:.0}", "thrust:float"),
+)
+
 _NAVIGATOR = (
+    _define("navigator_rtl_mission_activated", "Return: the mission goes on to its landing"),
+    _define("navigator_rtl_mission_activated_rev", "Return: the mission is flown in reverse"),
+    _define("navigator_rtl_mission_activated_home", "Return: flying home"),
+    _define("mission_finished_rev", "Mission in reverse finished, landed"),
+    _define("mission_finished_rev_loiter", "Mission in reverse finished, holding"),
     _define("navigator_rtl_home_activated", "Return activated"),
     _define("orbit_radius_exceeded", "The orbit's radius is outside its limits"),
     _define("navigator_reposition_outside_geofence", "Reposition rejected: outside the geofence"),
@@ -309,5 +327,5 @@ _TRANSFER = (
 )
 
 CATALOGUE: dict[str, Definition] = {
-    definition.name: definition for definition in _COMMANDER + _CHECKS + _NAVIGATOR + _TRANSFER
+    definition.name: definition for definition in _COMMANDER + _CHECKS + _CONTROL + _NAVIGATOR + _TRANSFER
 }

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 
+from xtdrone_control.autopilot.flight_tasks.collision_prevention import start_prevention
 from xtdrone_control.autopilot.flight_tasks.motion_planning.moving_goal import add_goal_velocity, move_with_goal
 from xtdrone_control.autopilot.flight_tasks.motion_planning.smoothing import reset_smoothing
 from xtdrone_control.autopilot.flight_tasks.tasks.auto_tasks import descend_task, goto_task, land_task
@@ -87,6 +88,8 @@ def _start_task(c, s, e):
     c.unsmoothed_climb = 0.0
     c.leg_state = -1
     start_following(c.followed)
+    if s.task == TASK_STICKS:
+        start_prevention(c.obstacles, e.time_imu_us)
     for i in range(2):
         c.stick_acceleration[i] = 0.0
         c.goal_velocity[i] = 0.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 from xtdrone_control.autopilot.events.events import ERROR
 from xtdrone_control.autopilot.flight_tasks.auto_setpoint import CRITICAL, INFO, NAN, UNSET, Course
@@ -19,7 +20,10 @@ _NEEDS_TAKEOFF = (plan.TAKEOFF, plan.WAYPOINT, plan.LOITER_TIME, plan.LOITER_UNL
 _PAYLOAD_WAITS = (plan.GRIPPER, plan.WINCH)
 _LOITERS = (plan.LOITER_TIME, plan.LOITER_UNLIM, plan.LOITER_TO_ALT)
 _EPSILON = 1.1920929e-07  # PX4's FLT_EPSILON
+_WAITING = (plan.LOITER_TIME, plan.LOITER_UNLIM)
 _PRECISE = (1, 2)
+_NEVER_US = -(1 << 60)
+_LANDING_KEPT_US = 2_000_000  # after a landing's interruption, in which a return continues it
 _ROI_NONE, _ROI_NEXT, _ROI_LOCATION = 0, 1, 3  # MAV_ROI
 
 
@@ -30,6 +34,14 @@ class _Stage(enum.Enum):
     TAKEOFF = enum.auto()
     MOVE_TO_LAND = enum.auto()
     PRECISION_LAND = enum.auto()
+
+
+class Way(enum.Enum):
+    """How a mission is flown (PX4's mission execution modes)."""
+
+    NORMAL = enum.auto()
+    TO_LANDING = enum.auto()  # without waits and jumps
+    BACK = enum.auto()  # its positions in reverse order, as waypoints
 
 
 class Mission:
@@ -56,6 +68,8 @@ class Mission:
         self.returning = False
         self.set_home: Callable[[Vector | None], object] = lambda _location: None
         self._active = False
+        self._way = Way.NORMAL
+        self._left_us = _NEVER_US
         self._flown = False
         self._item: PlanItem | None = None
         self._target: Vector = (0.0, 0.0, 0.0)
@@ -74,8 +88,9 @@ class Mission:
 
     # control by the navigator
 
-    def activate(self) -> bool:
+    def activate(self, way: Way = Way.NORMAL) -> bool:
         """Start or resume the mission; return whether it has no item left to fly."""
+        self._turn(way)
         self._active = self._flown = True
         self.returning = False
         self.reached = -1
@@ -100,6 +115,7 @@ class Mission:
         if not self._active:
             return
         self._active = False
+        self._left_us = self._view.time_us
         self._stage = _Stage.ITEM
         self._landing.stop()
         self._payload.stop_with_mission()
@@ -108,10 +124,54 @@ class Mission:
         """Climb first when the next ``activate`` finds the vehicle below its item, as after a mode without a goal."""
         self._need_takeoff = True
 
+    def _turn(self, way: Way) -> None:
+        """Fly the mission in another way; a change of direction skips the current item."""
+        last = len(self.plans.mission) - 1
+        if way is Way.BACK and self._way is not Way.BACK:
+            self.plans.current = max(self.plans.current - 1, 0)
+        elif way is not Way.BACK and self._way is Way.BACK and self.plans.current < last:
+            self.plans.current += 1
+        self._way = way
+
+    def go_on(self, where: Way, *, closest: bool) -> bool:
+        """Fly on in the way ``where``, from the closest of its positions if ``closest``; home is one on the way back.
+
+        Returns:
+            Whether there is nothing left to fly.
+        """
+        self._turn(where)
+        if closest:
+            self.plans.current, self._past_end = self._closest(), False
+        return self.activate(where)
+
+    def go_to_landing(self) -> bool:
+        """Start or continue the landing that the mission has; return whether there is nothing left to fly."""
+        landing = self.landing_item()
+        assert landing is not None, "the navigator checks for it"
+        self._turn(Way.TO_LANDING)
+        self.plans.current, self._past_end = max(self.plans.current, landing[1]), False
+        return self.activate(Way.TO_LANDING)
+
+    def _closest(self) -> int:
+        """Return the index of the position that is closest to the vehicle; -1 for home, on the way back only."""
+        x, y, z = self._view.position
+        places = {i: self._locate(item) for i, item in enumerate(self.plans.mission) if item.has_position}
+        if self._way is Way.BACK and self._course.home is not None:
+            places[-1] = self._course.home.position
+        return min(places, key=lambda i: math.dist(places[i], (x, y, z)), default=0)
+
+    @property
+    def landing_in_progress(self) -> bool:
+        """Whether the mission is in its landing part, or was until two seconds ago."""
+        landing = self.landing_item()
+        recent = self._active or self._view.time_us - self._left_us <= _LANDING_KEPT_US
+        return recent and landing is not None and self.plans.current >= landing[1]
+
     def reset(self) -> None:
         """Rewind a mission that has been flown to its first item."""
         if self._flown:
             self._flown = self._past_end = False
+            self._way = Way.NORMAL
             self.plans.current = 0
             self._jumps.clear()
 
@@ -151,7 +211,7 @@ class Mission:
                 self.reached = self.plans.current
             if self._item.autocontinue or self._stage in (_Stage.TAKEOFF, _Stage.MOVE_TO_LAND):
                 if self._stage is _Stage.ITEM or self._stage is _Stage.PRECISION_LAND:
-                    self.plans.current += 1
+                    self.plans.current = self._following(self.plans.current)
                     self._stage = _Stage.ITEM
                 return not self._set_item()
             return False
@@ -159,18 +219,30 @@ class Mission:
         self._update_heading()
         return False
 
-    def landing_item(self) -> tuple[PlanItem, int] | None:
-        """Return the mission's landing item and the index at which its landing begins.
+    def _following(self, index: int) -> int:
+        """Return the index of the item after ``index``; on the way back that is a position, -1 after the first one."""
+        if self._way is not Way.BACK:
+            return index + 1
+        items = self.plans.mission
+        return next((i for i in range(index - 1, -1, -1) if items[i].has_position), -1)
 
-        None for a mission without a landing item that names a position.
+    def landing_item(self) -> tuple[PlanItem, int] | None:
+        """Return the first position of the mission's landing and the index at which the landing begins.
+
+        As in PX4 (``Mission::find_mission_land_start``) that is the position after DO_LAND_START, or the landing item
+        of a mission without one. None for a mission with neither.
         """
         items = self.plans.mission
         start = None
-        for i, item in enumerate(items):
+        for i, item in enumerate(items[1:], 1):
             if item.command == plan.LAND_START and start is None:
                 start = i
-            if item.command == plan.LAND and i > 0 and all(map(math.isfinite, (item.x, item.y, item.z))):
-                return item, i if start is None else start
+            if not item.has_position or not all(map(math.isfinite, (item.x, item.y, item.z))):
+                continue
+            if start is None and item.command == plan.LAND:
+                return item, i
+            if start is not None:
+                return item, start
         return None
 
     # access to the items
@@ -197,10 +269,24 @@ class Mission:
                 return None
             item = items[index]
             if item.command != plan.JUMP:
-                return index, item
-            index = self._jump(index, item, count_jumps)
+                return index, self._adapted(item)
+            index = self._jump(index, item, count_jumps) if self._way is Way.NORMAL else self._beside(index)
         self._tell(CRITICAL, "DO JUMP is cycling, giving up.", "mission_do_jump_cycle", level=ERROR)
         return None
+
+    def _beside(self, index: int) -> int:
+        return index - 1 if self._way is Way.BACK else index + 1
+
+    def _adapted(self, item: PlanItem) -> PlanItem:
+        """Return ``item`` as it is flown: without a wait on the way to a landing, as a waypoint on the way back."""
+        if self._way is Way.TO_LANDING and item.command == plan.DELAY:
+            return replace(item, params=(0.0, *item.params[1:]))
+        to_waypoint = self._way is Way.BACK or (self._way is Way.TO_LANDING and item.command in _WAITING)
+        if not to_waypoint or not item.has_position:
+            return item
+        radius = item.params[1] if item.command == plan.WAYPOINT else NAN
+        yaw = math.degrees(item.yaw)
+        return replace(item, command=plan.WAYPOINT, params=(0.0, radius, NAN, yaw), autocontinue=True)
 
     def _jump(self, index: int, item: PlanItem, count: bool) -> int:
         done = self._jumps.get(index, 0)
@@ -218,7 +304,8 @@ class Mission:
 
         A command at which a jump ends does not move the search: it goes on after the jump.
         """
-        for index in range(self.plans.current + 1, len(self.plans.mission)):
+        step, end = (-1, -1) if self._way is Way.BACK else (1, len(self.plans.mission))
+        for index in range(self.plans.current + step, end, step):
             found = self._read(index, count_jumps=False)
             if found is None or found[1].has_position:
                 return None if found is None else found[1]
@@ -246,7 +333,7 @@ class Mission:
         return True
 
     def _finish(self) -> None:
-        flown = self._item is not None
+        flown = self._item is not None or self._way is Way.BACK
         count = len(self.plans.mission)
         self._past_end = self._index >= count > 0
         self.plans.current = max(min(self.plans.current, count - 1), 0)
@@ -254,7 +341,11 @@ class Mission:
         landed = self._view.landed
         if flown:
             outcome, name = ("landed", "mission_finished") if landed else ("loitering", "mission_finished_loiter")
-            self._tell(INFO, f"Mission finished, {outcome}", name)
+            kind = "Mission"
+            if self._way is Way.BACK:
+                kind = "Reverse Mission"
+                name = "mission_finished_rev" if landed else "mission_finished_rev_loiter"
+            self._tell(INFO, f"{kind} finished, {outcome}", name)
         else:
             outcome, name = "loitering", "mission_not_valid_loiter"
             if landed:
@@ -275,7 +366,8 @@ class Mission:
     def _fly(self, item: PlanItem) -> None:
         position = self._locate(item)
         self._yaw = item.yaw if math.isfinite(item.yaw) else NAN
-        if self._stage is _Stage.ITEM and self._takeoff_first(item, position):
+        back = self._way is Way.BACK
+        if self._stage is _Stage.ITEM and not back and self._takeoff_first(item, position):
             self._take_off(position)
             return
         moved = self._stage is _Stage.MOVE_TO_LAND

@@ -16,11 +16,11 @@ from xtdrone_control.autopilot.modes import Mode
 from xtdrone_control.autopilot.navigator import feasibility, geofence, plan
 from xtdrone_control.autopilot.navigator.geofence import Fence
 from xtdrone_control.autopilot.navigator.gimbal_manager import NO_CONTROLLER
-from xtdrone_control.autopilot.navigator.mission import Mission
+from xtdrone_control.autopilot.navigator.mission import Mission, Way
 from xtdrone_control.autopilot.navigator.payload import Payload
 from xtdrone_control.autopilot.navigator.plan import PlanItem, Plans
 from xtdrone_control.autopilot.navigator.precision_landing import PrecisionLanding, from_angles
-from xtdrone_control.autopilot.navigator.rtl import Return
+from xtdrone_control.autopilot.navigator.rtl import MISSION_REVERSED, Return
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.autopilot.state import TASK_GOTO, TASK_IDLE, TASK_LAND
 from xtdrone_control.autopilot.vehicle_view import Vector, VehicleView
@@ -29,6 +29,7 @@ __all__ = ["Goal", "Home", "Navigator"]
 
 _NO_MISSION = "No valid mission available"
 _GPS = 1  # GF_SOURCE
+_TAKEOFF_MISSION = 1  # COM_TAKEOFF_ACT
 _GEOFENCE_WARNS = 1  # GF_ACTION
 _GROUND_SPEED = 1  # SPEED_TYPE
 _FLT_EPSILON = 2.0**-23
@@ -76,6 +77,7 @@ class Navigator:
         self.orbit = Orbit(self._course)
         self.follow_target = FollowTarget(self._course)
         self._mission_ended = False
+        self._return_way: Way | None = None  # of the mission in a return; None for a return without it
         self._checked: tuple[object, ...] = ()
         self._valid = False
         self._fence = Fence()
@@ -112,8 +114,9 @@ class Navigator:
 
     def activate(self, mode: Mode) -> None:
         """Start the AUTO mode ``mode`` on an armed vehicle."""
+        before = self._mode
         self._stop()
-        if mode is not self._mode:
+        if mode is not before:
             self._view.setpoint["climb_speed"] = self._view.setpoint["descend_speed"] = NAN
         if mode is modes.AUTO_RTL:
             self._course.cruising_speed = NAN
@@ -133,7 +136,7 @@ class Navigator:
         elif mode is modes.AUTO_PRECLAND:
             self.precision_landing.start(self._course.stopping_place())
         elif mode is modes.AUTO_RTL:
-            self._return.start()
+            self._start_return(before)
         elif mode is modes.ORBIT:
             self.orbit.start()
         else:
@@ -145,6 +148,38 @@ class Navigator:
         self.mission.reset()
         self._course.cruising_speed = NAN
 
+    def _start_return(self, before: Mode | None) -> None:
+        """Start a return from the AUTO mode ``before``, None for another mode.
+
+        RTL_TYPE 2 flies the mission on to its landing, or back if it has none (PX4 ``Navigator::run``).
+        """
+        if self._parameters.get("RTL_TYPE") != MISSION_REVERSED:
+            self._return.start()
+            return
+        mission, to_closest = self.mission, before is not modes.AUTO_MISSION
+        flyable = not self.mission_denial()
+        if flyable and mission.landing_item() is not None:
+            self._tell(INFO, "RTL Mission activated, continue mission", "navigator_rtl_mission_activated")
+            self._return_way = Way.TO_LANDING
+            if before is None:
+                mission.go_to_landing()
+            else:
+                mission.go_on(Way.TO_LANDING, closest=to_closest)
+        elif flyable and before not in (None, modes.AUTO_RTL):
+            self._tell(INFO, "RTL Mission activated, fly mission in reverse", "navigator_rtl_mission_activated_rev")
+            self._return_way = Way.BACK
+            if mission.go_on(Way.BACK, closest=to_closest):
+                self._return_home()
+        else:
+            self._tell(INFO, "RTL Mission activated, fly to home", "navigator_rtl_mission_activated_home")
+            self._return.start()
+
+    def _return_home(self) -> None:
+        """Return without the mission, after it has been flown back."""
+        self._return_way = None
+        self.mission.deactivate()
+        self._return.start()
+
     def deactivate(self) -> None:
         """Leave the AUTO modes."""
         self._stop()
@@ -153,6 +188,7 @@ class Navigator:
 
     def _stop(self) -> None:
         self.mission.deactivate()
+        self._return_way = None
         self.precision_landing.stop()
         self._course.landing = self._course.taking_off = False
 
@@ -169,10 +205,13 @@ class Navigator:
             return self._update_mission()
         if mode is modes.AUTO_FOLLOW_TARGET:
             self._follow_on()
+        if self._return_way is not None:
+            self._return_on(self._return_way)
+            return None
         if self._view.landed:
             return None
         if mode is modes.AUTO_TAKEOFF and self._course.at_height(self._course.goal[2]):
-            return modes.AUTO_LOITER
+            return self._after_takeoff()
         if mode is modes.AUTO_RTL:
             self._return.update()
         elif mode is modes.AUTO_PRECLAND:
@@ -181,11 +220,21 @@ class Navigator:
             self.orbit.update()
         return None
 
+    def _after_takeoff(self) -> Mode:
+        """Return the mode after a takeoff by COM_TAKEOFF_ACT: hold, or the mission if there is one."""
+        wants_mission = self._parameters.get("COM_TAKEOFF_ACT") == _TAKEOFF_MISSION
+        return modes.AUTO_MISSION if wants_mission and not self.mission_denial() else modes.AUTO_LOITER
+
     def _follow_on(self) -> None:
         self.follow_target.update()
         gimbal, pitch = self.payload.gimbal_manager, self.follow_target.camera_pitch()
         if gimbal.primary == NO_CONTROLLER and math.isfinite(pitch):  # no yaw: the vehicle faces the target
             gimbal.look((0.0, pitch, 0.0))
+
+    def _return_on(self, way: Way) -> None:
+        """Continue a return that flies the mission; after the way back return home."""
+        if self.mission.update() and way is Way.BACK:
+            self._return_home()
 
     def _update_mission(self) -> Mode | None:
         if self._mission_ended or self.mission.update():

@@ -1,4 +1,7 @@
-"""PX4's RTL mode: climb, return, descend, loiter and land at home, a rally point or the mission landing."""
+"""PX4's RTL mode: climb, return, descend, loiter and land at home, a rally point or the mission landing.
+
+The navigator flies the mission instead for RTL_TYPE 2.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +9,17 @@ import enum
 import math
 from dataclasses import dataclass
 
-from xtdrone_control.autopilot.flight_tasks.auto_setpoint import INFO, Course
+from xtdrone_control.autopilot.flight_tasks.auto_setpoint import INFO, NAN, Course
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.mission import Mission
 from xtdrone_control.autopilot.navigator.precision_landing import PrecisionLanding
 from xtdrone_control.autopilot.vehicle_view import Vector
 
 # RTL_TYPE
-_MISSION_LANDING, _MISSION_REVERSED, _CLOSEST = 1, 2, 3
+_MISSION_LANDING, MISSION_REVERSED, _CLOSEST = 1, 2, 3
+BY_MISSION = (_MISSION_LANDING, MISSION_REVERSED, _CLOSEST)
+_HOME_HEADING, _SAME_HEADING = 1, 2  # RTL_HDG_MD
+_AT_MISSION = "rtl_land_at_mission"
 _NEVER_US = 1 << 62
 
 
@@ -58,11 +64,14 @@ class Return:
         """Start the return at the current position; requires a home position."""
         self._to = self._choose()
         self._tell(INFO, f"RTL: landing at {self._to.name}.", self._to.event)
+        if self._to.event == _AT_MISSION and self._mission.landing_in_progress:
+            self._land()
+            return
         x, y, z = self._course.view.position
         height = min(self._to.position[2] - self._height(), z)
         self._phase = _Phase.CLIMB
         self._announce("climb to", "rtl_climb_to", height)
-        self._course.fly_to((x, y, height))
+        self._course.fly_to((x, y, height), self._home_heading())
 
     def update(self) -> None:
         """Advance to the next phase when the current one is complete; call at 10 Hz in flight."""
@@ -71,13 +80,14 @@ class Return:
         if self._phase is _Phase.CLIMB and self._course.at_height(goal):
             self._phase = _Phase.RETURN
             self._announce("return at", "rtl_return_at", goal)
-            self._course.fly_to((to[0], to[1], goal))
-            self._course.free_heading()
+            self._course.fly_to((to[0], to[1], goal), self._home_heading())
+            if self._get("RTL_HDG_MD") not in (_HOME_HEADING, _SAME_HEADING):
+                self._course.free_heading()
         elif self._phase is _Phase.RETURN and self._course.distance_to(to) < self._get("NAV_ACC_RAD"):
             self._phase = _Phase.DESCEND
             height = max(to[2] - self._get("RTL_DESCEND_ALT"), goal)
             self._announce("descend to", "rtl_descend_to", height)
-            self._course.fly_to((to[0], to[1], height))
+            self._course.fly_to((to[0], to[1], height), self._home_heading())
         elif self._phase is _Phase.DESCEND and self._course.at_height(goal):
             self._wait()
         if self._phase is _Phase.WAIT and self._course.view.time_us >= self._until_us:
@@ -103,6 +113,12 @@ class Return:
             self._landing.start(self._to.position, precise)
         else:
             self._course.land(self._to.position)
+            self._course.look(self._home_heading())
+
+    def _home_heading(self) -> float:
+        """Return the heading at home for RTL_HDG_MD 1, else NaN, which keeps the current one."""
+        home = self._course.home
+        return home.yaw if home is not None and self._get("RTL_HDG_MD") == _HOME_HEADING else NAN
 
     def _choose(self) -> _Destination:
         """Return the destination selected by RTL_TYPE (PX4 ``RTL::find_RTL_destination``)."""
@@ -111,11 +127,11 @@ class Return:
         kind = self._get("RTL_TYPE")
         best = _Destination(home.position, "home position", "rtl_land_at_home")
         landing = self._mission.landing_item()
-        if landing is not None and kind in (_MISSION_LANDING, _MISSION_REVERSED, _CLOSEST):
-            candidate = _Destination(self._local(landing[0], home.altitude), "mission landing", "rtl_land_at_mission")
+        if landing is not None and kind in (_MISSION_LANDING, MISSION_REVERSED, _CLOSEST):
+            candidate = _Destination(self._local(landing[0], home.altitude), "mission landing", _AT_MISSION)
             if kind != _CLOSEST or self._distance(candidate) < self._distance(best):
                 best = candidate
-        if kind == _MISSION_REVERSED:
+        if kind == MISSION_REVERSED:
             return best
         for item in self._mission.plans.items[plan.RALLY]:
             if item.command != plan.RALLY_POINT or not all(map(math.isfinite, (item.x, item.y, item.z))):

@@ -49,6 +49,8 @@ CHOICES: dict[str, dict[int, str]] = {
     },
     "COM_POSCTL_NAVL": {0: "altitude or manual control", 1: "land or descend"},
     "COM_RC_IN_MODE": {0: "radio", 1: "joystick", 2: "either", 3: "the first to arrive", 4: "none"},
+    "COM_TAKEOFF_ACT": {0: "hold", 1: "mission"},
+    "CP_GO_NO_DATA": _NO_YES,
     "EKF2_BARO_CTRL": _OFF_ON,
     "EKF2_EV_NOISE_MD": {0: "the larger of message and parameters", 1: "parameters only"},
     "EKF2_HGT_REF": {0: "barometer", 1: "GPS", 2: "range finder", 3: "vision"},
@@ -90,6 +92,7 @@ CHOICES: dict[str, dict[int, str]] = {
     },
     **{f"RC{number}_REV": {-1: "reversed", 1: "normal"} for number in range(1, 19)},
     "LTEST_MODE": {0: "moving", 1: "stationary"},
+    "RTL_HDG_MD": {0: "along the path", 1: "that of home", 2: "the current one"},
     "RTL_PLD_MD": {0: "no precision landing", 1: "if a target is visible", 2: "search for the target"},
     "RTL_TYPE": {
         0: "home or a rally point",

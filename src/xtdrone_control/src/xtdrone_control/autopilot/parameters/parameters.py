@@ -18,7 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from xtdrone_control.autopilot.parameters import former_parameters, inert_parameters, parameter_file
+from xtdrone_control.autopilot.parameters import (
+    dependent_parameters,
+    former_parameters,
+    inert_parameters,
+    parameter_file,
+)
 from xtdrone_control.autopilot.parameters.effective_parameters import KERNEL_ROWS, OTHER_ROWS, Row, channel_rows
 
 INT32 = 6  # MAV_PARAM_TYPE_INT32
@@ -133,13 +138,15 @@ class _Recent(dict[str, "int | float"]):
 class Parameters:
     """The parameters of one vehicle.
 
-    A value out of its sensible range is stored, with a warning, as PX4 does.
+    A value out of its sensible range is stored, with a warning, as PX4 does. A change may set other parameters, see
+    ``dependent_parameters``.
 
     Attributes:
         get: returns the value of a parameter by name, int or float by its type; raises ParameterError for an unknown
             name.
         changes: number of value changes.
         on_change: callback of the logger for every value change, with name and new value; may be None.
+        on_limit: callback for every parameter that has been lowered to the maximum set by another one.
     """
 
     def __init__(self, overrides: Mapping[str, float] | None = None, file: Path | None = None) -> None:
@@ -155,13 +162,16 @@ class Parameters:
         self._record: Any = None
         self._file = file
         self.on_change: Callable[[str, int | float], None] | None = None
+        self.on_limit: dependent_parameters.Notice = lambda _text, _event, _value: None
         self.changes = 0
+        self._adjusted: set[str] = set()
         self._defaults = {name: entry.default for name, entry in _TABLE.items()}
         self._values: dict[str, int | float] = dict(self._defaults)
         self._recent = _Recent(self._values)
         self.get: Callable[[str], int | float] = self._recent.__getitem__
         for name, value in (overrides or {}).items():
-            self.set(name, value)
+            self._store(name, value)
+        self._adjust()
         self._defaults = dict(self._values)
         self.load()
 
@@ -177,7 +187,7 @@ class Parameters:
         return value
 
     def set(self, name: str, value: float, kind: int | None = None) -> int | float:
-        """Store ``value``, update the attached record, and return the value in the parameter's type.
+        """Store ``value``, adjust the parameters that depend on it, and return ``value`` in the parameter's type.
 
         Args:
             name: PX4's name.
@@ -187,6 +197,23 @@ class Parameters:
         Raises:
             ParameterError: an unknown name, a type other than ``kind``, or a value that the type cannot hold.
         """
+        stored = self._store(name, value, kind)
+        if name in dependent_parameters.NAMES:
+            self._adjust()
+        return stored
+
+    def take_adjusted(self) -> list[str]:
+        """Return the parameters that have been changed by changes of others since the last call, sorted."""
+        names, self._adjusted = sorted(self._adjusted), set()
+        return names
+
+    def _adjust(self) -> None:
+        before = {name: self._values[name] for name in dependent_parameters.NAMES}
+        dependent_parameters.adjust(self.get, self._store, self.on_limit)
+        self._adjusted.update(name for name, value in before.items() if self._values[name] != value)
+
+    def _store(self, name: str, value: float, kind: int | None = None) -> int | float:
+        """Store ``value`` in the parameter and in the attached record; see ``set``."""
         entry = describe(name)
         if kind is not None and kind != entry.type:
             raise ParameterError(f"{name}: type {kind} is not allowed, its MAV_PARAM_TYPE is {entry.type}")
@@ -207,7 +234,7 @@ class Parameters:
     def reset(self) -> None:
         """Reset all parameters to the vehicle's defaults."""
         for name, value in self._defaults.items():
-            self.set(name, value)
+            self._store(name, value)
 
     def load(self) -> None:
         """Load the file, and reset parameters that it does not contain; do nothing without a file.
@@ -222,9 +249,10 @@ class Parameters:
                 _log.warning("parameter file %s: %s = %s is skipped, as the fleet sets it", self._file, name, value)
                 continue
             try:
-                self.set(name, value, kind)
+                self._store(name, value, kind)
             except ParameterError as error:
                 _log.warning("parameter file %s: skipped: %s", self._file, error)
+        self._adjust()
 
     def save(self) -> bool:
         """Write the values other than defaults to the file; return False on an error. Do nothing without a file."""

@@ -1,4 +1,4 @@
-"""Sensors received over MAVLink: external vision, motion capture, optical flow, range finders.
+"""Sensors received over MAVLink: external vision, motion capture, optical flow, range finders, obstacles around.
 
 Each message fills the vehicle's ``SENSORS`` record; the estimator decides whether to fuse it. Frames, covariances (NaN
 in the first element means none), NaN for unknown values and reset_counter are handled as in PX4 v1.14;
@@ -15,6 +15,8 @@ from typing import Any, ClassVar
 
 from xtdrone_control import frames
 from xtdrone_control.autopilot.commander.commander import CRITICAL
+from xtdrone_control.autopilot.events.events import ERROR
+from xtdrone_control.autopilot.flight_tasks.collision_prevention import FORWARD_FRAME, NORTH_FRAMES, ObstacleMap
 from xtdrone_control.autopilot.state import VISION_BODY, VISION_FRD, VISION_NED
 from xtdrone_control.mavlink.client_link import Link
 from xtdrone_control.mavlink.service_base import Service, Vehicle
@@ -34,6 +36,7 @@ _POSITION_VARIANCES, _YAW_VARIANCE = (0, 6, 11), 20
 _FACING_DOWN = 25  # MAV_SENSOR_ROTATION_PITCH_270
 _FLOW_RANGE = (0.08, 100.0)  # m, PX4's SENS_FLOW_MINHGT and SENS_FLOW_MAXHGT
 _QUALITY_UNKNOWN = -1
+_TEXT_INTERVAL_US = 1_000_000
 
 Vector = tuple[float, float, float]
 
@@ -72,12 +75,15 @@ class VisionService(Service):
         "ODOMETRY": "_odometry",
         "OPTICAL_FLOW_RAD": "_flow",
         "DISTANCE_SENSOR": "_distance",
+        "OBSTACLE_DISTANCE": "_obstacles",
     }
 
     def __init__(self, vehicle: Vehicle) -> None:
         """Register the service with ``vehicle``."""
         super().__init__(vehicle)
         self._sensors = vehicle.autopilot.sensors[vehicle.index]
+        self._map = ObstacleMap(vehicle.commander.view, vehicle.commander.parameters.get)
+        self._refused_us = -_TEXT_INTERVAL_US
 
     def _queue(self, apply: Callable[[Any], None], m: Any) -> None:
         self.vehicle.call_or_queue(lambda: apply(m))
@@ -96,6 +102,23 @@ class VisionService(Service):
 
     def _distance(self, _link: Link, m: Any) -> None:
         self._queue(self._apply_distance, m)
+
+    def _obstacles(self, _link: Link, m: Any) -> None:
+        if self._map.wanted:
+            self._queue(self._apply_obstacles, m)
+
+    def _apply_obstacles(self, m: Any) -> None:
+        if m.frame != FORWARD_FRAME and m.frame not in NORTH_FRAMES:
+            now_us = self.vehicle.autopilot.time_us
+            if now_us - self._refused_us >= _TEXT_INTERVAL_US:
+                self._refused_us = now_us
+                text = f"Obstacle message received in unsupported frame {m.frame}"
+                self.vehicle.commander.tell(CRITICAL, text, "col_prev_unsup_frame", m.frame, level=ERROR)
+            return
+        increment = m.increment_f if m.increment_f > 0.0 else float(m.increment)
+        limits = (float(m.min_distance), float(m.max_distance))
+        north = m.frame in NORTH_FRAMES
+        self._map.add_directions(m.distances, increment, m.angle_offset, limits, north=north)
 
     def _apply_vision_position(self, m: Any) -> None:
         finite = all(map(math.isfinite, (m.roll, m.pitch, m.yaw)))
@@ -153,6 +176,10 @@ class VisionService(Service):
 
     def _apply_distance(self, m: Any) -> None:
         if m.orientation != _FACING_DOWN:
+            if self._map.wanted:
+                limits = (m.min_distance * 0.01, m.max_distance * 0.01)
+                width, distance = m.horizontal_fov, m.current_distance * 0.01
+                self._map.add_sensor(m.orientation, m.quaternion, width, distance, limits)
             return
         quality = _QUALITY_UNKNOWN if m.signal_quality == 0 else 100 * (m.signal_quality - 1) // 99
         self._range(m.current_distance * 0.01, m.min_distance * 0.01, m.max_distance * 0.01, quality)

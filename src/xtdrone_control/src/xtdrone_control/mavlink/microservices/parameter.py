@@ -2,7 +2,11 @@
 
 As in PX4, a list starts with the hash, so that a ground station that has these values can stop the list by sending the
 hash back; then follow 20 parameters every 20 ms, and the hash again. A second request during a list restarts it.
-Unknown names and wrong types get no reply; values out of range are accepted. A written value is broadcast.
+Unknown names and wrong types get no reply; values out of range are accepted. A written value is broadcast, then the
+values that it changes in other parameters.
+
+A client that writes parameters without an effect here is told so once for each, in one text for all that it writes in a
+row.
 
 Clients outside the lockstep share those 20 parameters every 20 ms: there may be many of them, and a list costs far more
 than its request.
@@ -16,6 +20,8 @@ from typing import Any, ClassVar
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from xtdrone_control.autopilot.events.announcements import WARNING
+from xtdrone_control.autopilot.parameters import former_parameters
 from xtdrone_control.autopilot.parameters.parameters import FLOAT, INDEX, INT32, NAMES, ParameterError, describe
 from xtdrone_control.mavlink.client_link import Link
 from xtdrone_control.mavlink.service_base import NEVER_US, Service, Vehicle
@@ -27,6 +33,7 @@ _NO_INDEX = 0xFFFF
 _PARAM_VALUE = Format("PARAM_VALUE")
 _BURST = 20
 _BURST_PERIOD_US = 20_000
+_QUIET_US = 1_000_000  # after the last written parameter without effect, until the client is told
 
 
 class ParameterService(Service):
@@ -45,12 +52,16 @@ class ParameterService(Service):
         self._parameters = vehicle.commander.parameters
         self._lists: dict[Link, int] = {}  # index of the next parameter by link, the next to be served first
         self._participants: set[Link] = set()  # links of lockstep participants among them
+        self._told: dict[Link, set[str]] = {}  # parameters without effect that a link has been told of
+        self._untold: dict[Link, tuple[list[str], int]] = {}  # those that it has just written, and when it is told
 
     def update(self, now_us: int) -> None:
         """Send the next parameters of the running lists."""
         others = [link for link in self._lists if link not in self._participants]
         for link in [link for link in self._lists if link in self._participants] + others[:1]:
             self.send_part(link, now_us)
+        for link in [link for link, (_, due_us) in self._untold.items() if due_us <= now_us]:
+            self._tell_without_effect(link)
         self._schedule(now_us)
 
     @property
@@ -73,7 +84,8 @@ class ParameterService(Service):
             self._send_hash(link)
 
     def _schedule(self, now_us: int) -> None:
-        self.due_us = (now_us // _BURST_PERIOD_US + 1) * _BURST_PERIOD_US if self._lists else NEVER_US
+        part_us = (now_us // _BURST_PERIOD_US + 1) * _BURST_PERIOD_US if self._lists else NEVER_US
+        self.due_us = min([part_us, *(due_us for _, due_us in self._untold.values())])
 
     def _is_for_us(self, m: Any) -> bool:
         """Return whether ``m`` addresses this system: PX4 ignores broadcast parameter messages."""
@@ -114,16 +126,43 @@ class ParameterService(Service):
         if m.param_type == INT32:
             (value,) = struct.unpack("<i", struct.pack("<f", value))
         try:
-            self._parameters.set(m.param_id, value, m.param_type)
+            stored = self._parameters.set(m.param_id, value, m.param_type)
         except ParameterError as error:
             # no reply, as in PX4
             link.warn("parameter", f"parameter not set: {error}", self.vehicle.now_us)
             return
         self._parameters.save()
-        self._send_parameter(dict.fromkeys((link, *self.vehicle.clients())), m.param_id)
+        links = dict.fromkeys((link, *self.vehicle.clients()))
+        self._send_parameter(links, m.param_id, stored)
+        for name in self._parameters.take_adjusted():
+            self._send_parameter(links, name)
+        if not describe(m.param_id).has_effect:
+            self._note_without_effect(link, m.param_id)
 
-    def _send_parameter(self, links: Iterable[Link], name: str) -> None:
-        value: float = self._parameters.get(name)
+    def _note_without_effect(self, link: Link, name: str) -> None:
+        """Schedule a text on a written parameter without effect, unless the link has been told of it."""
+        told = self._told.setdefault(link, set())
+        if name in told:
+            return
+        told.add(name)
+        names, _ = self._untold.get(link, ([], 0))
+        self._untold[link] = [*names, name], self.vehicle.now_us + _QUIET_US
+        self._schedule(self.vehicle.now_us)
+
+    def _tell_without_effect(self, link: Link) -> None:
+        names, _ = self._untold.pop(link)
+        self._told = {known: told for known, told in self._told.items() if known.open}
+        if not link.open:
+            return
+        if len(names) == 1:
+            link.send_text(WARNING, f"{names[0]} stored, no effect here{former_parameters.hint(names[0])}")
+        else:
+            text = f"{len(names)} parameters stored, no effect here: ./xtdrone gcs check FILE lists them"
+            link.send_text(WARNING, text)
+
+    def _send_parameter(self, links: Iterable[Link], name: str, value: float | None = None) -> None:
+        """Send a parameter's current value, or ``value``, which it has just been given."""
+        value = self._parameters.get(name) if value is None else value
         kind = FLOAT
         if describe(name).type == INT32:
             kind = INT32

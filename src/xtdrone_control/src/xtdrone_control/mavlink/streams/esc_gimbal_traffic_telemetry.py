@@ -15,8 +15,9 @@ from xtdrone_control import frames
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.commander.manual_control import CHANNELS
+from xtdrone_control.autopilot.flight_tasks.collision_prevention import FORWARD_FRAME
 from xtdrone_control.autopilot.navigator import gimbal_manager
-from xtdrone_control.autopilot.state import TASK_GOTO, TASK_LAND
+from xtdrone_control.autopilot.state import OBSTACLE_BINS, TASK_GOTO, TASK_LAND
 from xtdrone_control.geodesy import projection
 from xtdrone_control.mavlink.streams.telemetry import EPOCH_US, Content, Telemetry, Values
 
@@ -66,6 +67,7 @@ GIMBAL_RANGE = (
     math.pi,
 )  # rad, limits of roll, pitch, yaw
 _LASER, _DOWNWARD = 0, 25  # MAV_DISTANCE_SENSOR, MAV_SENSOR_ORIENTATION
+_OBSTACLE_DISTANCES = 72  # in OBSTACLE_DISTANCE
 _FLOW_SPAN_US = 20_000
 _SENSOR_TIMEOUT_US = 500_000
 
@@ -86,7 +88,6 @@ SILENT = (
     "MAG_CAL_REPORT",
     "NAMED_VALUE_FLOAT",
     "NAV_CONTROLLER_OUTPUT",
-    "OBSTACLE_DISTANCE",
     "OPEN_DRONE_ID_BASIC_ID",
     "RAW_RPM",
     "SCALED_IMU2",
@@ -347,6 +348,18 @@ class VehicleTelemetry(Telemetry):
         goal = [*orbit.centre, float(self._setpoint["goal_position"][2])]
         latitude, longitude, altitude = self._global_position(goal)
         return self.time_us, radius, latitude, longitude, altitude, 0
+
+    def obstacle_distance(self) -> Values | None:
+        """Return OBSTACLE_DISTANCE: collision prevention's map, clockwise from the nose, while it is in use."""
+        found = self._control["obstacles"]
+        in_use = self._commander.armed and self._commander.mode is modes.POSCTL and found["active_us"] >= 0
+        if not in_use or self._commander.parameters.get("CP_DIST") <= 0.0:
+            return None
+        distances = [int(value) for value in found["distances"]]
+        distances += [_UINT16] * (_OBSTACLE_DISTANCES - len(distances))
+        least, largest = int(found["least"]), int(found["largest"])
+        time_us, width = int(found["time_us"]), 360.0 / OBSTACLE_BINS
+        return time_us, *distances, least, largest, 0, 0, width, 0.0, FORWARD_FRAME
 
     # air traffic
 

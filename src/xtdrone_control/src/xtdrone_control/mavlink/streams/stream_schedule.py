@@ -67,6 +67,7 @@ ONBOARD_RATES: dict[str, float] = {
 _GIMBAL_RATES = {"GIMBAL_DEVICE_ATTITUDE_STATUS": 1.0, "GIMBAL_MANAGER_STATUS": 0.5, "MOUNT_ORIENTATION": 10.0}
 
 _ORBIT_RATES = {"ORBIT_EXECUTION_STATUS": 5.0}  # sent in ORBIT
+_OBSTACLE_RATES = {"OBSTACLE_DISTANCE": 10.0}  # sent while collision prevention is in use
 
 GCS_RATES: dict[str, float] = {
     "HEARTBEAT": 1.0,
@@ -111,6 +112,7 @@ _OTHERS = (
     "GIMBAL_MANAGER_INFORMATION",
     *SILENT,
     *_ORBIT_RATES,
+    *_OBSTACLE_RATES,
 )
 FORMATS: dict[int, Format] = {
     f.number: f
@@ -136,8 +138,10 @@ def _scaled(rates: dict[str, float], limit: float) -> dict[str, float]:
 
 
 PAYLOAD_RATES: dict[str, float] = _scaled(ONBOARD_RATES, _PAYLOAD_BYTES)
-ONBOARD_RATES |= _GIMBAL_RATES | _ORBIT_RATES  # not on the payload link, whose scale they would change
-GCS_RATES |= _GIMBAL_RATES | _ORBIT_RATES | {"GIMBAL_DEVICE_ATTITUDE_STATUS": 0.5}
+ONBOARD_RATES |= (
+    _GIMBAL_RATES | _ORBIT_RATES | _OBSTACLE_RATES
+)  # not on the payload link, whose scale they would change
+GCS_RATES |= _GIMBAL_RATES | _ORBIT_RATES | {"GIMBAL_DEVICE_ATTITUDE_STATUS": 0.5, "OBSTACLE_DISTANCE": 1.0}
 
 
 def _allowed(interval_us: float) -> int:

@@ -11,15 +11,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from xtdrone_control.autopilot.parameters import former_parameters
 from xtdrone_control.autopilot.parameters.parameter_file import (
     SUFFIX,
     ParameterFile,
     ParameterFileError,
     Value,
+    as_float32,
     read,
     shown,
     write,
 )
+from xtdrone_control.autopilot.parameters.parameters import INDEX, describe
 from xtdrone_interaction.gcs.command_line.terminal_output import Display, print_errors
 
 from ..exchanges import parameters
@@ -156,6 +159,27 @@ def _save(arguments: argparse.Namespace) -> int:
         except OSError as error:
             results[name] = GcsError(f"{name}: {paths[name]} cannot be written: {error.strerror}")
     return display.results(peers, results, lambda name, found: f"{len(found.values)} parameters: {paths[name]}")
+
+
+def check_file(path: Path) -> bool:
+    """Print the parameters of a file that are stored without an effect in this simulation; return whether it is valid.
+
+    Only values other than PX4's defaults are listed: the others do what they do on a vehicle, nothing.
+    """
+    try:
+        values = read(path).values
+    except ParameterFileError as error:
+        print(error, file=sys.stderr)
+        return False
+    idle = {name: value for name, value in values.items() if name in INDEX and not describe(name).has_effect}
+    idle = {name: value for name, value in idle.items() if value[0] != as_float32(describe(name).default)}
+    print(f"{path}: {len(values)} parameters, {len(idle)} other than PX4's default are stored without effect here")
+    for name, value in idle.items():
+        print(f"{path}: {name:<16}  {shown(*value)}, PX4's default {shown(describe(name).default, value[1])}")
+    for name in values:
+        if name not in INDEX:
+            print(f"{path}: {name:<16}  does not exist{former_parameters.hint(name)}")
+    return True
 
 
 def add_to(add: Adder) -> None:

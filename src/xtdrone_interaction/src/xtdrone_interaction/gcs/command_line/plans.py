@@ -12,6 +12,7 @@ from pathlib import Path
 
 from xtdrone_control.autopilot.navigator import feasibility, geofence, plan
 from xtdrone_control.autopilot.navigator.feasibility import Situation
+from xtdrone_control.autopilot.parameters import parameter_file
 from xtdrone_control.geodesy import projection
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.plans.qgc_plan import Plan, PlanError
@@ -22,6 +23,7 @@ from ..exchanges.exchange import Exchange, Heartbeat
 from ..station import progress_of
 from ..vehicle_addresses import GcsError, Peer
 from .arguments import Adder, UsageError, run, select_named, select_vehicles
+from .parameters import check_file
 
 _FIRST_DISTANCE = 900.0  # m, PX4's default of MIS_DIST_1WP
 
@@ -223,9 +225,12 @@ def _clear(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    plans, wrong = _read_valid(find_files(arguments.files))
+    tables = [file for file in arguments.files if file.suffix == parameter_file.SUFFIX]
+    valid = [check_file(file) for file in tables]
+    files = [file for file in arguments.files if file not in tables]
+    plans, wrong = _read_valid(find_files(files)) if files else ({}, [])
     _name_foreign(plans)
-    status = 2 if wrong else 0
+    status = 0 if all(valid) and not wrong else 2
     for file, content in plans.items():
         said, good = problems(content)
         print(f"{file}: {_summary(content)}; {path_length(content):.0f} m of path")
@@ -249,5 +254,8 @@ def add_to(add: Adder) -> None:
         "--to", type=Path, default=Path(), metavar="FOLDER", help="folder to write to (default: here)"
     )
     add("clear", _clear, "clear the vehicles' missions, fences and rally points")
-    check = add("check", _check, "check plan files as PX4 does; no vehicle is needed", False)
-    check.add_argument("files", type=Path, nargs="+", metavar="FILE", help=files)
+    check = add(
+        "check", _check, "check plan files as PX4 does, list a .params file's parameters without effect; no vehicle is "
+        "needed", False
+    )  # fmt: skip
+    check.add_argument("files", type=Path, nargs="+", metavar="FILE", help=f"{files}; NAME.params")

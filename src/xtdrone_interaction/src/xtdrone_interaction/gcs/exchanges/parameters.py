@@ -14,6 +14,7 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.parameters import former_parameters
+from xtdrone_control.autopilot.parameters.dependent_parameters import in_order
 from xtdrone_control.autopilot.parameters.parameter_file import (
     LIMITS,
     REAL32,
@@ -285,7 +286,7 @@ def check(
         raise RefusalError(
             f"the vehicle has none of the file's parameters, for example {next(iter(content.values))}", True
         )
-    return changes, tuple(skipped)
+    return {name: changes[name] for name in in_order(changes)}, tuple(skipped)
 
 
 def load(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 
+from xtdrone_control.autopilot.flight_tasks.collision_prevention import prevent_collision
 from xtdrone_control.autopilot.flight_tasks.motion_planning.jerk_limited_velocity import follow, plan_axis
 from xtdrone_control.autopilot.flight_tasks.motion_planning.smoothing import reset_smoothing
 from xtdrone_control.autopilot.flight_tasks.tasks.auto_tasks import landing_speed
@@ -18,6 +19,7 @@ from xtdrone_control.rotation_kernels import constrain, yaw_of
 _NAN = math.nan
 _TAKEOFF_STICK = 0.3  # throttle stick above which a takeoff starts
 _BRAKE_TAU = 0.8  # s, time constant of the braking factor with centred sticks
+_LEAST_SPEED = 1e-3  # m/s, so that MPC_VEL_MANUAL may be 0
 _YAW_STILL = 0.001  # rad/s, below which the heading is held
 
 
@@ -35,8 +37,20 @@ def _stick_yaw(c, s, e, p, dt):
 
 
 @kernel
+def _unsmoothed(p):
+    """Return whether sticks command velocities without smoothing (MPC_POS_MODE 0), also the climb rate."""
+    return p.mpc_pos_mode < 0.5
+
+
+@kernel
+def _slow(speed, largest):
+    """Return whether a centred stick holds the place at ``speed``; a ``largest`` of 0 holds it at any."""
+    return largest <= 0.0 or speed < largest
+
+
+@kernel
 def _stick_height(c, s, e, p, dt):
-    """Command a jerk-limited climb rate by stick; a centred stick brakes, then holds the height."""
+    """Command a climb rate by stick, jerk-limited; a centred stick brakes, then holds the height."""
     wanted = -s.stick_z * (p.mpc_z_vel_max_up if s.stick_z > 0.0 else p.mpc_z_vel_max_dn)
     height = c.ground_z - e.position[2]
     if wanted > 0.0:
@@ -47,17 +61,20 @@ def _stick_height(c, s, e, p, dt):
         wanted = max(wanted, -(p.mpc_tko_speed + share * (p.mpc_z_vel_max_up - p.mpc_tko_speed)))
     if c.takeoff.state < TAKEOFF_RAMPUP:
         reset_smoothing(c.path, 2, e.position[2], 0.0, 0.0)
-    accel = p.mpc_acc_up_max if wanted < c.path.velocity[2] else p.mpc_acc_down_max
-    follow(c.path, 2, p.mpc_jerk_max, dt)
-    plan_axis(c.path, 2, wanted, accel, p.mpc_jerk_max)
+    if _unsmoothed(p):
+        reset_smoothing(c.path, 2, c.path.position[2], wanted, 0.0)
+    else:
+        accel = p.mpc_acc_up_max if wanted < c.path.velocity[2] else p.mpc_acc_down_max
+        follow(c.path, 2, p.mpc_jerk_max, dt)
+        plan_axis(c.path, 2, wanted, accel, p.mpc_jerk_max)
     still = wanted == 0.0 and abs(c.path.velocity[2]) < 1e-3
     if not still:
         c.hold_z = 0
-    elif not c.hold_z and abs(e.velocity[2]) < p.mpc_hold_max_z:
+    elif not c.hold_z and _slow(abs(e.velocity[2]), p.mpc_hold_max_z):
         c.hold_z = 1
         c.path.position[2] = e.position[2]
     c.task_velocity[2] = c.path.velocity[2]
-    c.task_acceleration[2] = c.path.acceleration[2]
+    c.task_acceleration[2] = _NAN if _unsmoothed(p) else c.path.acceleration[2]
     if c.hold_z:
         c.task_position[2] = c.path.position[2]
     c.want_takeoff = 1 if s.stick_z > _TAKEOFF_STICK else 0
@@ -75,6 +92,23 @@ def _heading_to_local(c, e, x, y):
 def _limit_to_unit(x, y):
     norm = max(math.hypot(x, y), 1.0)
     return x / norm, y / norm
+
+
+@kernel
+def _speed_at_full_stick(p):
+    return max(p.mpc_vel_manual, _LEAST_SPEED)
+
+
+@kernel
+def _stick_direction(s, p):
+    """Return the horizontal sticks (tuple, at most 1 long), shortened by the speeds backwards and sideways."""
+    x, y = _limit_to_unit(s.stick_x, s.stick_y)
+    forward = _speed_at_full_stick(p)
+    if p.mpc_vel_man_side >= 0.0:
+        y *= p.mpc_vel_man_side / forward
+    if x < 0.0 and p.mpc_vel_man_back >= 0.0:
+        x *= p.mpc_vel_man_back / forward
+    return x, y
 
 
 @kernel
@@ -101,14 +135,14 @@ def _drag(c, p, centred, dt):
     if speed < 1e-9:
         return 0.0, 0.0
     shaped = speed if speed > 1.0 else math.sqrt(speed)  # stronger below 1 m/s, to reach standstill
-    gain = 2.0 * p.mpc_acc_hor / p.mpc_vel_manual * c.brake_boost * shaped / speed
+    gain = 2.0 * p.mpc_acc_hor / _speed_at_full_stick(p) * c.brake_boost * shaped / speed
     return gain * c.path.velocity[0], gain * c.path.velocity[1]
 
 
 @kernel
 def _stick_accelerations(c, s, e, p, dt):
     """Integrate accelerations by stick to a velocity; hold the position at zero velocity (MPC_POS_MODE 4)."""
-    x, y = _limit_to_unit(s.stick_x, s.stick_y)
+    x, y = _stick_direction(s, p)
     x, y = _heading_to_local(c, e, x, y)
     step = p.mpc_jerk_max * dt
     most = 2.0 * p.mpc_acc_hor  # twice the mean acceleration, because of the drag
@@ -137,18 +171,28 @@ def _stick_accelerations(c, s, e, p, dt):
 
 
 @kernel
+def _collision_prevented(p):
+    return p.cp_dist > 0.0
+
+
+@kernel
 def _stick_velocities(c, s, e, p, dt):
-    """Command jerk-limited velocities by stick (MPC_POS_MODE other than 4)."""
-    x, y = _limit_to_unit(s.stick_x, s.stick_y)
-    x, y = _heading_to_local(c, e, x, y)
+    """Command velocities by stick, jerk-limited with MPC_POS_MODE 3, at once with 0."""
+    x, y = _stick_direction(s, p)
+    x, y = _heading_to_local(c, e, x * p.mpc_vel_manual, y * p.mpc_vel_manual)
+    if _collision_prevented(p):
+        x, y = prevent_collision(c.obstacles, e, p, x, y)
     for i in range(2):
+        wanted = x if i == 0 else y
+        if _unsmoothed(p):
+            reset_smoothing(c.path, i, c.path.position[i], wanted, 0.0)
+            continue
         follow(c.path, i, p.mpc_jerk_max, dt)
         c.task_acceleration[i] = c.path.acceleration[i]
-    plan_axis(c.path, 0, x * p.mpc_vel_manual, p.mpc_acc_hor, p.mpc_jerk_max)
-    plan_axis(c.path, 1, y * p.mpc_vel_manual, p.mpc_acc_hor, p.mpc_jerk_max)
+        plan_axis(c.path, i, wanted, p.mpc_acc_hor_max, p.mpc_jerk_max)
     if x != 0.0 or y != 0.0:
         c.hold_xy = 0
-    elif not c.hold_xy and math.hypot(e.velocity[0], e.velocity[1]) < p.mpc_hold_max_xy:
+    elif not c.hold_xy and _slow(math.hypot(e.velocity[0], e.velocity[1]), p.mpc_hold_max_xy):
         c.hold_xy = 1
         c.path.position[0], c.path.position[1] = e.position[0], e.position[1]
 
@@ -161,7 +205,8 @@ def sticks_task(c, s, e, p, dt):
         for i in range(2):
             reset_smoothing(c.path, i, e.position[i], 0.0, 0.0)
             c.stick_acceleration[i] = 0.0
-    if p.mpc_pos_mode >= 3.5:
+    # PX4 v1.14 prevents no collision with MPC_POS_MODE 4; here the sticks command velocities then, as with 3
+    if p.mpc_pos_mode >= 3.5 and not _collision_prevented(p):
         _stick_accelerations(c, s, e, p, dt)
     else:
         _stick_velocities(c, s, e, p, dt)
