@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from xtdrone_control.autopilot import modes
-from xtdrone_control.autopilot.flight_tasks.collision_prevention import ObstacleMap
+from xtdrone_control.autopilot.flight_tasks.obstacle_map import ObstacleMap
 from xtdrone_control.autopilot.state import FAILURE_OFF
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.rotation_kernels import rotate

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 from xtdrone_control import frames
 from xtdrone_control.autopilot.commander.commander import CRITICAL
 from xtdrone_control.autopilot.events.events import ERROR
-from xtdrone_control.autopilot.flight_tasks.collision_prevention import FORWARD_FRAME, NORTH_FRAMES, ObstacleMap
+from xtdrone_control.autopilot.flight_tasks.obstacle_map import FORWARD_FRAME, NORTH_FRAMES, ObstacleMap
 from xtdrone_control.autopilot.state import VISION_BODY, VISION_FRD, VISION_NED
 from xtdrone_control.mavlink.client_link import Link
 from xtdrone_control.mavlink.service_base import Service, Vehicle

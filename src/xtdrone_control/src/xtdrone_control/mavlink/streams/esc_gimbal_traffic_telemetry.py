@@ -15,7 +15,7 @@ from xtdrone_control import frames
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.commander.manual_control import CHANNELS
-from xtdrone_control.autopilot.flight_tasks.collision_prevention import FORWARD_FRAME
+from xtdrone_control.autopilot.flight_tasks.obstacle_map import FORWARD_FRAME
 from xtdrone_control.autopilot.navigator import gimbal_manager
 from xtdrone_control.autopilot.state import OBSTACLE_BINS, TASK_GOTO, TASK_LAND
 from xtdrone_control.geodesy import projection
