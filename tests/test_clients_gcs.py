@@ -79,7 +79,7 @@ def test_a_landed_vehicle_rejects_and_the_others_continue(until, capsys):
     assert gcs("goto", "0", "0", "6", "--spacing", "3") == 1
     caught = capsys.readouterr()
     assert [line.split(maxsplit=1)[1] for line in caught.out.splitlines()] == ["failed", "goes there", "goes there"]
-    assert f"vehicle_{VEHICLES[0]}: goto: the vehicle answers TEMPORARILY_REJECTED" in caught.err
+    assert f"vehicle_{VEHICLES[0]}: goto: the vehicle is on the ground and disarmed" in caught.err
     until(lambda states: all(math.dist(states[i].local, (0.0, 0.0, 6.0 + 3.0 * i)) < 1.0 for i in (1, 2)), "there")
 
 
