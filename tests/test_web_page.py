@@ -110,9 +110,15 @@ def test_a_click_into_the_view_selects_and_sends_there(station: StationPage, sta
         "(() => { const box = document.querySelector('[data-panel=scene].mount canvas').getBoundingClientRect();"
         " return [box.left, box.top]; })()"
     )
-    x, y = page.evaluate("station.view.screenPlace('iris_1')")
-    page.mouse.click(left + x, top + y)
-    station.until("station.selection.names.join() === 'iris_1'")
+
+    def is_selected() -> bool:
+        nonlocal x, y
+        x, y = page.evaluate("station.view.screenPlace('iris_1')")  # it is climbing
+        page.mouse.click(left + x, top + y)
+        return bool(page.evaluate("station.selection.names.join() === 'iris_1'"))
+
+    x = y = 0.0
+    poll(is_selected, "iris_1 is selected by a click")
     station.picture("vehicles")
     before = stack.pose(1).position
     page.click("[data-action=goto]")
