@@ -39,7 +39,9 @@ class _Connected(rospy.SubscribeListener):
 def main() -> None:
     """Run the scenario."""
     rospy.init_node("client")
-    state = rospy.wait_for_message(f"{NS}/state", State, LIMIT)
+    state = State()
+    while not state.connected:  # published before there is a connection, too
+        state = rospy.wait_for_message(f"{NS}/state", State, LIMIT)
     pose = rospy.wait_for_message(f"{NS}/local_position/pose", PoseStamped, LIMIT)
     imu = Imu(linear_acceleration_covariance=[-1.0] + [0.0] * 8)
     while imu.linear_acceleration_covariance[0] < 0.0:  # its first accelerations may arrive after this topic
