@@ -230,7 +230,7 @@ def test_a_bad_file_keeps_all_at_home(field, as_named, tmp_path, capsys):
     ("arguments", "message"),
     [
         (["upload", "{}/none.plan"], "none.plan: no such file or folder"),
-        (["upload", "{}"], "no .plan file is in this folder"),
+        (["upload", "{}"], "no .plan or .waypoints file is in this folder"),
         (["download"], "which vehicles?"),
         (["clear", "--fleet", "iris:0"], "1 to 250 vehicles in all are allowed"),
         (["clear", "--vehicle", "iris"], "'iris' is not allowed"),
@@ -262,12 +262,13 @@ def test_check_reports_the_other_files_beside_an_invalid_one(tmp_path, capsys):
     qgc_plan.write(tmp_path / "b.plan", Plan((waypoint(0), waypoint(1, command_=plan.TAKEOFF)), home=(*HOME, 0.0)))
     (tmp_path / "a.plan").write_text("{")
     (tmp_path / "d.waypoints").write_text("QGC WPL 120\n0\t0\t2\t177\t8\t1\t0\t0\t0\t0\t0\t1\n")
-    assert main(["check", str(tmp_path)]) == 2
+    assert main(["check", str(tmp_path), str(tmp_path / "none.plan")]) == 2
     said = capsys.readouterr()
     assert "c.plan: 9 items" in said.out
     assert "b.plan: 2 items" in said.out
     assert "takeoff not first waypoint item" in said.err
     assert "a.plan: is not JSON" in said.err
+    assert "none.plan: no such file or folder" in said.err
     assert "d.waypoints: Warning: item 1 jumps to item 9 of 1, where PX4 ends the mission" in said.err
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import base64
 import contextlib
+import errno
 import random
+import socket
 import types
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
@@ -20,6 +22,7 @@ import foxglove
 from tornado.httputil import HTTPHeaders
 from tornado.websocket import websocket_connect
 
+from xtdrone_interaction.bridges.foxglove import guarded_port
 from xtdrone_interaction.bridges.foxglove.guarded_port import GuardedPort, hidden_address
 from xtdrone_interaction.bridges.rosbridge.websocket_server import WebSocketServer
 from xtdrone_interaction.server_guard import ServerGuard, listed
@@ -305,6 +308,44 @@ def test_foxglove_s_port_passes_frames_of_any_size_and_ends_with_either_side() -
         inner.close()
 
     run(test)
+
+
+def request_is_answered(port: GuardedPort) -> bool:
+    with socket.create_connection(("127.0.0.1", port.port), 20.0) as client:
+        client.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        return client.recv(100).startswith(b"HTTP/1.1 426")
+
+
+def test_foxglove_s_port_accepts_clients_after_an_error_of_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
+    accept = socket.socket.accept
+    errors = [OSError(errno.EMFILE, "Too many open files"), OSError(errno.ECONNABORTED, "Connection aborted")]
+
+    def accept_later(listening: socket.socket) -> tuple[socket.socket, Any]:
+        if errors:
+            raise errors.pop()
+        return accept(listening)
+
+    monkeypatch.setattr(socket.socket, "accept", accept_later)
+    monkeypatch.setattr(guarded_port, "_RETRY", 0.0)
+    said: list[str] = []
+    port = GuardedPort(ServerGuard("here", "127.0.0.1"), "127.0.0.1", 0, said.append)
+    port.serve("127.0.0.1", 9)
+    assert request_is_answered(port)
+    port.close()
+    assert said == [f"port {port.port}: a client cannot be accepted: [Errno {errno.ECONNABORTED}] Connection aborted"]
+
+
+def test_the_oldest_silent_client_of_foxglove_s_port_yields(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guarded_port, "MAX_CLIENTS", 2)
+    port = GuardedPort(ServerGuard("here", "127.0.0.1"), "127.0.0.1", 0)
+    port.serve("127.0.0.1", 9)
+    first, second = (socket.create_connection(("127.0.0.1", port.port), 5.0) for _ in range(2))
+    with first, second:
+        assert request_is_answered(port)
+        assert first.recv(100) == b""
+        second.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        assert second.recv(100).startswith(b"HTTP/1.1 426")
+    port.close()
 
 
 def test_a_websocket_of_a_program_reaches_foxglove_s_server() -> None:

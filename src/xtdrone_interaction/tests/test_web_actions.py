@@ -80,7 +80,7 @@ class Station:
         monkeypatch.setattr(operator_actions, "hold", self._hold)
         self._instant = instant
         monkeypatch.setattr(operator_actions, "let_go", lambda *_: self.log.append("let go"))
-        monkeypatch.setattr(operator_actions, "LONGEST_HOLD", 0.05)
+        monkeypatch.setattr(operator_actions, "_LONGEST_ACTION", 0.05)
         self.context = StationContext("http://127.0.0.1:9", "/web_station")
         self.actions = OperatorActions(self.context)
         monkeypatch.setattr(self.actions, "_publisher", self)
@@ -208,7 +208,7 @@ def test_a_long_step_lets_other_actions_pass(monkeypatch: pytest.MonkeyPatch) ->
 def test_a_short_step_ends_before_the_next_action(monkeypatch: pytest.MonkeyPatch) -> None:
     async def test() -> None:
         station = Station(monkeypatch, Instant(7, 0.5, True))
-        monkeypatch.setattr(operator_actions, "LONGEST_HOLD", 5.0)
+        monkeypatch.setattr(operator_actions, "_LONGEST_ACTION", 5.0)
 
         async def pass_one_tick(*_: Any) -> None:
             await asyncio.sleep(0)
@@ -225,7 +225,7 @@ def test_a_short_step_ends_before_the_next_action(monkeypatch: pytest.MonkeyPatc
 def test_a_pause_waits_neither_for_a_step_nor_for_an_action(monkeypatch: pytest.MonkeyPatch) -> None:
     async def test() -> None:
         station = Station(monkeypatch, Instant(7, 0.5, True))
-        monkeypatch.setattr(operator_actions, "LONGEST_HOLD", 5.0)
+        monkeypatch.setattr(operator_actions, "_LONGEST_ACTION", 5.0)
         ended = asyncio.Event()
         waiting = [
             asyncio.ensure_future(station.do(Method("step", lambda *_: ended.wait(), "operate", "time"))),

@@ -206,6 +206,21 @@ def test_sockets_without_hello_lock_no_page_out(folder: Path) -> None:
     run(test)
 
 
+def test_a_socket_that_has_yielded_cannot_log_in(folder: Path) -> None:
+    async def test() -> None:
+        station = Station(folder)
+        await station.connect()
+        while not station.server.without_hello:
+            await asyncio.sleep(0)
+        socket = next(iter(station.server.without_hello))
+        socket._yield("no hello")
+        await socket.on_message(json.dumps({"id": 1, "method": "hello", "params": {"token": TOKENS.operate}}))
+        assert (station.server.sessions, station.server.open_sockets) == ({}, 0)
+        station.server.stop()
+
+    run(test)
+
+
 def test_a_late_hello_has_a_closing_code_of_its_own(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The page gives up after the code of a wrong token only."""
     monkeypatch.setattr(station_server, "_HELLO_LIMIT", 0.0)

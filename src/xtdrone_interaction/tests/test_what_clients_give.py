@@ -11,6 +11,7 @@ import types
 from pathlib import Path
 from typing import Any
 
+import genpy
 import pytest
 
 pytest.importorskip("rospy")
@@ -97,7 +98,7 @@ def rosbridge(registered: _Registered, told: list[Any], operate: bool = True) ->
     calls = types.SimpleNamespace(submit=lambda function, operation: function(operation))
     api = Rosapi(graph.read, services.type_of, _Master(), ["*"], lambda: (1, 2), operate)
     raw = types.SimpleNamespace(listen=lambda name, _: registered(name))
-    parts: dict[str, Any] = {"graph": graph, "raw": raw, "services": services, "calls": calls}
+    parts: dict[str, Any] = {"graph": graph, "raw": raw, "services": services, "calls": calls, "now": genpy.Time}
     bridge = Bridge(
         encoder=None, publications=publications, rosapi=api, serve=registered, call_limit=1.0, operate=operate, **parts
     )  # type: ignore[arg-type]
@@ -250,7 +251,9 @@ def test_a_file_with_a_token_is_the_user_s_alone(tmp_path: Path, monkeypatch: py
     assert chosen_token("") == ""
     for mode in (0o644, 0o640, 0o602, 0o610):
         file.chmod(mode)
-        with pytest.raises(TokenError, match=r"token_file: .* is not allowed, a file of yours of mode 600"):
+        with pytest.raises(
+            TokenError, match=r"token_file: .* is not allowed, a regular file of mode 600 that belongs to you"
+        ):
             chosen_token(str(file))
     file.chmod(0o600)
     for text in ("", "short", "with a space in", "t\u00f6ken-token-token"):

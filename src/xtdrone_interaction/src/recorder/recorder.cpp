@@ -8,7 +8,7 @@
 // Parameter ~buffer (MB, default 256, as in rosbag): size of the backlog of unwritten messages; messages beyond it are
 // dropped and counted. The recorder is no participant of the lockstep, so that no flight waits for a disk.
 //
-// When nothing more can be recorded, it tells so at once on ~warning (std_msgs/String), because the log may be on the
+// When it cannot record any more, it reports that at once on ~warning (std_msgs/String), because the log may be on the
 // same full disk, and stays until the end of the flight.
 //
 // SIGINT and SIGTERM end it. Exit status: 0; 1 if the bag cannot be written; 2 for invalid arguments.

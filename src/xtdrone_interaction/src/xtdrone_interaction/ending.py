@@ -10,8 +10,8 @@ import os
 import signal
 import sys
 import threading
+from collections.abc import Callable
 from types import FrameType
-from typing import Any
 
 LIMIT = 5.0
 """Wall time that a server has for its shutdown after a signal, s."""
@@ -37,7 +37,7 @@ def end_within_limit(name: str, limit: float = LIMIT) -> None:
         _precede(number, limit, end)
 
 
-def _precede(number: signal.Signals, limit: float, end: Any) -> None:
+def _precede(number: signal.Signals, limit: float, end: Callable[[], None]) -> None:
     former = signal.getsignal(number)
 
     def handle(received: int, frame: FrameType | None) -> None:

@@ -110,7 +110,8 @@ class ServerGuard:
         self._origins = {origin_text(origin) for origin in origins}
         self._names = {_plain(name) for name in (listening, *names) if _plain(name)}
         if self._open:
-            self._names |= {_plain(socket.gethostname()), f"{_plain(socket.gethostname())}.local"}
+            name = _plain(socket.gethostname())
+            self._names |= {name, f"{name}.local", _plain(socket.getfqdn())}
         self._own_page_only = own_page_only
         self._report = report
         self._reported: set[str] = set()

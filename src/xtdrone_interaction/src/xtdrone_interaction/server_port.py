@@ -22,7 +22,7 @@ _MOST_BODY = 1 << 16  # bytes
 
 
 class BoundedHTTPServer(HTTPServer):
-    """An HTTP server in which connections that ask for nothing, or slowly, lock nobody else out."""
+    """An HTTP server that stays available while idle or slow connections are open."""
 
     def initialize(self, *given: Any, **named: Any) -> None:
         """Set the limits."""
@@ -59,12 +59,12 @@ def check_not_running(name: str, address: str = "") -> None:
     master = rosgraph.Master(node)
     try:
         uri = str(master.lookupNode(node))
-    except rosgraph.MasterError:
+        if not answers(uri):
+            return
+        parameter = f"{node}/{address}" if address else ""
+        there = master.getParam(parameter) if parameter and master.hasParam(parameter) else ""
+    except (OSError, rosgraph.MasterError):  # without a master, rospy.init_node waits for it
         return
-    if not answers(uri):
-        return
-    parameter = f"{node}/{address}" if address else ""
-    there = master.getParam(parameter) if parameter and master.hasParam(parameter) else ""
     if isinstance(there, int):
         there = f"ws://{urlparse(uri).hostname}:{there}"
     where = f", at {there}" if there else ""

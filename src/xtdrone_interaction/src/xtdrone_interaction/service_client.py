@@ -13,6 +13,7 @@ import struct
 from collections.abc import Iterator
 from typing import Any
 
+import genpy
 import rosgraph.network
 
 CONNECTION_LIMIT = 3.0  # s for the connection and its headers
@@ -79,7 +80,7 @@ class ServiceConnection:
         try:
             with self._errors(CONNECTION_LIMIT):
                 _greet(self._sock, name, header)
-        except ServiceError:
+        except BaseException:
             self.close()
             raise
 
@@ -92,10 +93,20 @@ class ServiceConnection:
         self.close()
 
     def call(self, kind: Any, request: Any, limit: float | None) -> Any:
-        """Call the service and return its response; see ``call_service``."""
+        """Call the service and return its response; see ``call_service``.
+
+        Raises:
+            ServiceError: as there, or the response is malformed.
+        """
         content = io.BytesIO()
         request.serialize(content)
-        return kind._response_class().deserialize(self.call_with_bytes(content.getvalue(), limit))
+        response = self.call_with_bytes(content.getvalue(), limit)
+        try:
+            return kind._response_class().deserialize(response)
+        except genpy.DeserializationError as error:
+            raise ServiceError(
+                f"{self._name}: its response of {len(response)} bytes is no {kind._type}: {error}"
+            ) from error
 
     def call_with_bytes(self, request: bytes, limit: float | None) -> bytes:
         """Call the service with a serialised request and return the serialised response.

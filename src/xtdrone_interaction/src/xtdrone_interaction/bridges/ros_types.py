@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import functools
-import re
 from typing import Any
 
 import roslib.message
 
-_NAME = re.compile(r"[A-Za-z]\w*/[A-Za-z]\w*", re.ASCII)
+from xtdrone_interaction.topics.message_classes import TYPE_NAME
 
 
 class ServiceTypeError(ValueError):
@@ -22,7 +21,7 @@ def service_class(type_: str) -> Any:
     Raises:
         ServiceTypeError: malformed or unknown.
     """
-    if not _NAME.fullmatch(type_):
+    if not TYPE_NAME.fullmatch(type_):
         raise ServiceTypeError(f"type: {type_!r} is not allowed, a name such as std_srvs/Trigger")
     try:
         found = roslib.message.get_service_class(type_)

@@ -8,7 +8,6 @@ failure, and its lock admits one writer. The file exists only to continue a swee
 from __future__ import annotations
 
 import json
-import os
 import sqlite3
 import time
 from collections.abc import Iterable, Mapping, Set
@@ -20,6 +19,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from xtdrone_control.whole_file import replacing
 from xtdrone_interaction.command_options import OptionError
 
 FORMAT = 2  # of runs.sqlite; 1 was a folder of Parquet files
@@ -127,9 +127,8 @@ class Store:
         metadata = {METADATA: json.dumps(self._header)}
         schema = pa.schema([(name, _TYPES[kind]) for name, kind in types.items()], metadata)
         path = self.folder / _RESULTS
-        draft = path.with_name(path.name + ".new")
-        pq.write_table(pa.Table.from_pylist(rows, schema), draft, compression="zstd")
-        os.replace(draft, path)
+        with replacing(path) as draft:
+            pq.write_table(pa.Table.from_pylist(rows, schema), draft, compression="zstd")
         return path
 
 

@@ -20,7 +20,8 @@ import roslib.message
 
 from xtdrone_control.ros_codec import compile_class
 
-_TYPE = re.compile(r"[A-Za-z]\w*/[A-Za-z]\w*", re.ASCII)
+TYPE_NAME = re.compile(r"[A-Za-z]\w*/[A-Za-z]\w*", re.ASCII)
+"""Name of a message or service type."""
 _LONGEST_DEFINITION = 1_000_000  # characters
 _MOST_DYNAMIC = 200  # made classes that are kept; each is a module of its own
 
@@ -99,7 +100,7 @@ def decode(kind: type[Any], data: bytes) -> Any:
 
 
 def _installed(type_name: str) -> type[Any] | None:
-    if not isinstance(type_name, str) or not _TYPE.fullmatch(type_name):
+    if not isinstance(type_name, str) or not TYPE_NAME.fullmatch(type_name):
         raise MessageTypeError(f"type: {type_name!r} is not allowed, a name such as geometry_msgs/PoseStamped")
     try:
         found = roslib.message.get_message_class(type_name)

@@ -1,6 +1,6 @@
 """Names of topics, services and parameters that clients give: the one check before a name reaches rospy or the master.
 
-rospy retries a registration that the ROS master answers by a fault without end, and holds its locks meanwhile. A name
+rospy retries without end a registration that the ROS master answers with a fault, and holds its locks meanwhile. A name
 with a character that XML cannot contain has that answer: one client would stop the process for all.
 """
 

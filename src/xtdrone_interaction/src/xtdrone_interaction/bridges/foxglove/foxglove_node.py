@@ -136,7 +136,9 @@ class FoxgloveBridge:
         Raises:
             OSError, RuntimeError: it cannot be opened.
         """
-        self._port = GuardedPort(bridge_settings.guard_of(settings, NAME), settings.address, settings.port)
+        self._port = GuardedPort(
+            bridge_settings.guard_of(settings, NAME), settings.address, settings.port, rospy.logwarn
+        )
         self.port = self._port.port
         context = foxglove.Context()
         self._graph = bridge_settings.graph_of(settings)

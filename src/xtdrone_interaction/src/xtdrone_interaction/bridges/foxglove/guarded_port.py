@@ -14,6 +14,7 @@ import secrets
 import socket
 import threading
 import time
+from collections.abc import Callable, Iterator
 
 from tornado.httputil import HTTPHeaders, HTTPInputError
 from tornado.netutil import bind_sockets
@@ -21,6 +22,8 @@ from tornado.netutil import bind_sockets
 from xtdrone_interaction.server_guard import ServerGuard
 
 MAX_CLIENTS = 100
+"""Connected clients; beyond them the oldest whose request is not read yet yields."""
+_RETRY = 0.5  # s until the next attempt to accept a client
 _HEAD_LIMIT = 10.0  # s for a client's request
 _LONGEST_HEAD = 1 << 16  # bytes
 _PIPE = 1 << 20  # bytes passed on at a time
@@ -41,22 +44,27 @@ class GuardedPort:
         port: TCP port.
     """
 
-    def __init__(self, guard: ServerGuard, address: str, port: int) -> None:
+    def __init__(self, guard: ServerGuard, address: str, port: int, report: Callable[[str], None] = print) -> None:
         """Open the port.
 
         Args:
             guard: rules for the clients' requests.
             address: listening address.
             port: TCP port; 0: any free one.
+            report: logs that clients cannot be accepted; called once for each listening socket.
 
         Raises:
             OSError: it cannot be opened.
         """
         self._guard = guard
+        self._report = report
+        self._closed = threading.Event()
+        self._lock = threading.Lock()  # for the clients
         self._listening = bind_sockets(port, address, reuse_port=False)
         self.port = int(self._listening[0].getsockname()[1])
         self._inner = ("", 0)
         self._clients: set[socket.socket] = set()
+        self._waiting: dict[socket.socket, None] = {}  # clients whose request is not read yet, in order
 
     def serve(self, address: str, port: int) -> None:
         """Begin to pass connections on to a server at an address and TCP port of this machine."""
@@ -67,28 +75,74 @@ class GuardedPort:
 
     def close(self) -> None:
         """Close the port and all connections."""
-        for end in (*self._listening, *list(self._clients)):
+        self._closed.set()
+        with self._lock:
+            ends = (*self._listening, *self._clients)
+        for end in ends:
             _shut_down(end)
 
     def _accept(self, listening: socket.socket) -> None:
-        with listening, contextlib.suppress(OSError):  # the port is closed
-            while True:
-                client, _ = listening.accept()
-                if len(self._clients) >= MAX_CLIENTS:
-                    client.close()
+        is_reported = False
+        with listening:
+            while not self._closed.is_set():
+                try:
+                    client, _ = listening.accept()
+                except OSError as error:  # the port is closed, too many files are open, or the client has gone
+                    if not self._closed.wait(_RETRY) and not is_reported:
+                        is_reported = True
+                        self._report(f"port {self.port}: a client cannot be accepted: {error}")
                     continue
-                self._clients.add(client)
-                threading.Thread(target=self._serve, args=(client,), name="client", daemon=True).start()
+                self._admit(client)
+
+    def _admit(self, client: socket.socket) -> None:
+        if not self._make_room():
+            client.close()
+            return
+        with self._lock:
+            self._clients.add(client)
+            self._waiting[client] = None
+        try:
+            threading.Thread(target=self._serve, args=(client,), name="client", daemon=True).start()
+        except RuntimeError:  # the system has no further thread
+            self._forget(client)
+            client.close()
+
+    def _make_room(self) -> bool:
+        """Return whether a further client is allowed, if need be in place of the oldest that is waiting."""
+        with self._lock:
+            if len(self._clients) < MAX_CLIENTS:
+                return True
+            oldest = next(iter(self._waiting), None)
+        if oldest is None:
+            return False
+        self._forget(oldest)
+        _shut_down(oldest)
+        return True
+
+    def _forget(self, client: socket.socket) -> None:
+        with self._lock:
+            self._clients.discard(client)
+            self._waiting.pop(client, None)
 
     def _serve(self, client: socket.socket) -> None:
-        with client, contextlib.suppress(OSError):
-            head = _read_head(client)
-            status = self._refusal(head)
-            if status:
-                client.sendall(f"HTTP/1.1 {status}\r\n{_PLAIN}Content-Length: {len(status)}\r\n\r\n{status}".encode())
-            else:
-                self._connect(client, head)
-        self._clients.discard(client)
+        try:
+            with client, contextlib.suppress(OSError, RuntimeError):  # an end has broken off, or no thread is left
+                self._answer(client)
+        finally:
+            self._forget(client)
+
+    def _answer(self, client: socket.socket) -> None:
+        head = _read_head(client)
+        with self._lock:
+            has_yielded = client not in self._waiting
+            self._waiting.pop(client, None)
+        if has_yielded:
+            return
+        status = self._refusal(head)
+        if status:
+            client.sendall(f"HTTP/1.1 {status}\r\n{_PLAIN}Content-Length: {len(status)}\r\n\r\n{status}".encode())
+        else:
+            self._connect(client, head)
 
     def _refusal(self, head: bytes) -> str:
         """Return the status of a refused request, empty for a handshake that is allowed."""
@@ -134,19 +188,26 @@ def _read_head(client: socket.socket) -> bytes:
 
 def _pass_on(source: socket.socket, target: socket.socket) -> None:
     """Pass bytes on until an end closes, then close both."""
-    outlet, inlet = os.pipe()
     try:
-        with contextlib.suppress(OSError):  # the size is limited by the system
-            fcntl.fcntl(inlet, fcntl.F_SETPIPE_SZ, _PIPE)
-        with contextlib.suppress(OSError):  # an end has broken off
+        with contextlib.suppress(OSError), _pipe() as (outlet, inlet):  # an end has broken off, or no pipe is left
             while count := os.splice(source.fileno(), inlet, _PIPE):
                 while count:
                     count -= os.splice(outlet, target.fileno(), count)
     finally:
-        os.close(outlet)
-        os.close(inlet)
         _shut_down(source)
         _shut_down(target)
+
+
+@contextlib.contextmanager
+def _pipe() -> Iterator[tuple[int, int]]:
+    outlet, inlet = os.pipe()
+    try:
+        with contextlib.suppress(OSError):  # the size is limited by the system
+            fcntl.fcntl(inlet, fcntl.F_SETPIPE_SZ, _PIPE)
+        yield outlet, inlet
+    finally:
+        os.close(outlet)
+        os.close(inlet)
 
 
 def _shut_down(end: socket.socket) -> None:

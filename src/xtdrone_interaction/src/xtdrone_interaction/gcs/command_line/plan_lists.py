@@ -20,7 +20,7 @@ from ..exchanges.plans import KINDS
 from ..station import progress_of
 from ..vehicle_addresses import GcsError, Peer
 from .arguments import Adder, Runner, UsageError, run, select_vehicles
-from .plans import assign, find_files, owners, read_plans
+from .plans import assign, owners, read_plans
 
 
 def _store(kind: int, lists: dict[Peer, Items], arguments: argparse.Namespace, cleared: str = "") -> int:
@@ -40,7 +40,7 @@ def _store(kind: int, lists: dict[Peer, Items], arguments: argparse.Namespace, c
 
 
 def _upload(kind: int, arguments: argparse.Namespace) -> int:
-    content = read_plans(find_files(arguments.files))
+    content = read_plans(arguments.files)
     empty = [file for file, found in content.items() if not found.items(kind)]
     if empty:
         raise UsageError(f"{empty[0]}: no {KINDS[kind]} in it; 'clear' empties the vehicle's")

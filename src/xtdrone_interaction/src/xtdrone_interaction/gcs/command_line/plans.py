@@ -39,30 +39,27 @@ def _summary(content: Plan) -> str:
 # files
 
 
-def find_files(paths: Sequence[Path]) -> list[Path]:
-    """Return the plan files in ``paths``, files and folders.
-
-    Raises:
-        UsageError: a path does not exist, or a folder has no plan file.
-    """
+def _find_files(paths: Sequence[Path]) -> tuple[list[Path], list[str]]:
+    """Return the plan files in ``paths``, files and folders, and the errors of the other paths, one line each."""
     found: list[Path] = []
+    wrong = []
     for path in paths:
         if path.is_dir():
             inside = sorted(file for file in path.iterdir() if file.suffix in qgc_plan.SUFFIXES)
             if not inside:
-                raise UsageError(f"{path}: no {qgc_plan.SUFFIX} file is in this folder")
+                wrong.append(f"{path}: no {' or '.join(qgc_plan.SUFFIXES)} file is in this folder")
             found += inside
         elif path.exists():
             found.append(path)
         else:
-            raise UsageError(f"{path}: no such file or folder")
-    return found
+            wrong.append(f"{path}: no such file or folder")
+    return found, wrong
 
 
-def _read_valid(files: Sequence[Path]) -> tuple[dict[Path, Plan], list[str]]:
+def _read_valid(paths: Sequence[Path]) -> tuple[dict[Path, Plan], list[str]]:
     """Read plan files; return those that are valid, and the errors of the others, one line each."""
     plans: dict[Path, Plan] = {}
-    wrong = []
+    files, wrong = _find_files(paths)
     for file in files:
         try:
             content = qgc_plan.read(file)
@@ -76,13 +73,13 @@ def _read_valid(files: Sequence[Path]) -> tuple[dict[Path, Plan], list[str]]:
     return plans, wrong
 
 
-def read_plans(files: Sequence[Path]) -> dict[Path, Plan]:
-    """Read plan files that are sent together, or not at all.
+def read_plans(paths: Sequence[Path]) -> dict[Path, Plan]:
+    """Read the plan files in ``paths``, files and folders, that are sent together, or not at all.
 
     Raises:
-        UsageError: invalid files; one line each.
+        UsageError: missing or invalid files; one line each.
     """
-    plans, wrong = _read_valid(files)
+    plans, wrong = _read_valid(paths)
     if wrong:
         raise UsageError("\n".join(wrong))
     _name_foreign(plans)
@@ -178,7 +175,7 @@ def path_length(content: Plan) -> float:
 
 
 def _upload(arguments: argparse.Namespace) -> int:
-    content = read_plans(find_files(arguments.files))
+    content = read_plans(arguments.files)
     peers = select_vehicles(arguments) if arguments.vehicle else []
     plans = assign(content, [peer.name for peer in peers])
     peers = peers or owners(plans, arguments)
@@ -228,7 +225,7 @@ def _check(arguments: argparse.Namespace) -> int:
     tables = [file for file in arguments.files if file.suffix == parameter_file.SUFFIX]
     valid = [check_file(file) for file in tables]
     files = [file for file in arguments.files if file not in tables]
-    plans, wrong = _read_valid(find_files(files)) if files else ({}, [])
+    plans, wrong = _read_valid(files)
     _name_foreign(plans)
     status = 0 if all(valid) and not wrong else 2
     for file, content in plans.items():

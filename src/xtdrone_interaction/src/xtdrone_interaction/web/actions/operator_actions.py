@@ -25,8 +25,9 @@ from xtdrone_interaction.web.server.session import Session
 
 _KEPT = 10_000  # actions
 _KEPT_TEXT = 64 << 20  # characters of all of them
-LONGEST_HOLD = 3.0
-"""s of wall time that an action may let simulated time stand still; the simulator ends a hold after 5 s."""
+_LONGEST_ACTION = (
+    3.0  # s of wall time that an action may let simulated time stand still; the simulator ends a hold after 5 s
+)
 _SHORT_STEP = 0.2  # s of wall time that an action waits for the end of a step, to take effect after it
 
 
@@ -79,7 +80,7 @@ class OperatorActions:
             recorded = params if method.recorded is None else method.recorded(params)
             number = self._publish(method, session, recorded, instant)
             call = asyncio.ensure_future(invoke(method, session, params))
-            await asyncio.wait({call}, timeout=LONGEST_HOLD if instant.held else 0.0)
+            await asyncio.wait({call}, timeout=_LONGEST_ACTION if instant.held else 0.0)
             if instant.held and not call.done():
                 self._mark(LET_GO, number)
         finally:

@@ -68,7 +68,9 @@ def _token_in(file: str) -> str:
             status = os.fstat(opened.fileno())
             if not stat.S_ISREG(status.st_mode) or status.st_mode & 0o077 or status.st_uid not in (0, os.geteuid()):
                 mode = stat.filemode(status.st_mode)
-                raise TokenError(f"token_file: {file!r} ({mode}) is not allowed, a file of yours of mode 600")
+                raise TokenError(
+                    f"token_file: {file!r} ({mode}) is not allowed, a regular file of mode 600 that belongs to you"
+                )
             return opened.read(_MOST).decode("ascii", "replace").strip()
     except OSError as error:
         raise TokenError(f"token_file: {file!r} is not allowed, a readable file: {error.strerror}") from error

@@ -200,11 +200,10 @@ class _PageSocket(WebSocketHandler):
             raise HTTPError(503)
 
     def open(self, *_: str, **__: str) -> None:
-        self._hello_limit = self._server.loop.call_later(_HELLO_LIMIT, self._refuse, NO_HELLO, "no hello")
+        self._hello_limit = self._server.loop.call_later(_HELLO_LIMIT, self._yield, "no hello")
         if self._server.open_sockets >= MOST_SESSIONS:
             oldest = next(iter(self._server.without_hello), self)
-            oldest._refuse(NO_HELLO, "no hello, and others wait")
-            oldest._forget()
+            oldest._yield("no hello, and others wait")
             if oldest is self:
                 return
         self._server.open_sockets += 1
@@ -246,6 +245,8 @@ class _PageSocket(WebSocketHandler):
             self._calls -= 1
 
     def _greet(self, message: str | bytes) -> None:
+        if not self._counted:  # it has yielded, and its hello is late
+            return
         try:
             request = _request(message)
             params = checked_params(request.get("params"))
@@ -266,6 +267,10 @@ class _PageSocket(WebSocketHandler):
     def _refuse(self, code: int, reason: str) -> None:
         if self._session is None:
             super().close(code, reason)
+
+    def _yield(self, reason: str) -> None:
+        self._refuse(NO_HELLO, reason)
+        self._forget()
 
     def _forget(self) -> None:
         """Count this socket no longer; its connection may take longer to close."""
