@@ -91,6 +91,10 @@ def test_a_file_is_adjusted_as_a_whole(tmp_path):
     file.write_text("1\t1\tMPC_XY_CRUISE\t15.0\t9\n1\t1\tMPC_XY_VEL_MAX\t18.0\t9\n")
     assert values(Parameters(file=file), "MPC_XY_CRUISE", "MPC_XY_VEL_MAX") == [15.0, 18.0]
     assert values(Parameters({"MPC_XY_VEL_MAX": 1.5}), "MPC_XY_CRUISE", "MPC_VEL_MANUAL") == [1.5, 1.5]
+    p = Parameters({"MPC_XY_VEL_ALL": 5.0}, file)
+    assert p.take_adjusted() == []
+    p.load()
+    assert p.take_adjusted() == [], "no client has changed one"
 
 
 def test_a_files_parameters_can_be_set_one_by_one():

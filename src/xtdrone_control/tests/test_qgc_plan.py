@@ -232,6 +232,20 @@ def test_a_structure_scan_is_expanded_as_in_qgroundcontrol(order):
     assert east_of_north > 0.0  # clockwise: the camera looks to the right
 
 
+@pytest.mark.parametrize(
+    ("corners", "layers", "allowed"),
+    [
+        ([[47.0, 8.0]] * 3, 2, "at least 3 different corners"),
+        ([[47.0, 8.0], [47.0, 8.001]] + [[47.0, 8.0]] * 2, 2, "at least 3 different corners"),
+        ([[47.0, 8.0], [47.0, 8.001], [47.001, 8.0]] * 100, 1000, "at most 65534 mission items"),
+    ],
+)
+def test_a_structure_scan_without_an_area_or_of_too_many_items_is_refused(corners, layers, allowed):
+    scan = STRUCTURE | {"polygon": corners, "Layers": layers}
+    with pytest.raises(qgc_plan.PlanError, match=f"{allowed}$"):
+        qgc_plan.parse(drawn("mission", "items", value=[scan]))
+
+
 MISSION_PLANNER = """QGC WPL 110
 0\t1\t0\t16\t0\t0\t0\t0\t-35.3632621\t149.1652374\t584.080000\t1
 1\t0\t3\t22\t0.00000000\t0.00000000\t0.00000000\t0.00000000\t-35.36318\t149.16524\t20.000000\t1

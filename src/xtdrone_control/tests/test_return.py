@@ -313,3 +313,19 @@ def test_angles_to_a_place():
     place = from_angles(math.atan(0.5), math.atan(0.25), 8.0, (10.0, 20.0, -8.0), math.pi / 2)
     assert place == pytest.approx((8.0, 24.0, 0.0))
     assert math.isnan(from_angles(2.0, 0.0, 8.0, (0.0, 0.0, -8.0), 0.0)[0])
+
+
+def test_a_return_of_the_mission_is_announced_once_it_is_accepted(monkeypatch):
+    flight = flying()
+    flight.load(at(0, 0, 10), do(plan.SET_HOME, 0, 0, 0, 90.0), do(plan.RETURN))
+    headings = []
+    monkeypatch.setattr(flight.commander.navigator.mission, "set_home", lambda _location, yaw: headings.append(yaw))
+    monkeypatch.setattr(flight.commander, "_can_choose", lambda mode: mode is not modes.AUTO_RTL)
+    flight.commander.request(modes.AUTO_MISSION)
+    flight.follow()
+    flight.run(1.0)
+    assert headings == [pytest.approx(math.pi / 2.0)]
+    assert "Returning to launch" not in flight.texts()
+    monkeypatch.undo()
+    flight.run(1.0)
+    assert flight.texts().count("Returning to launch") == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import signal
 from collections.abc import Iterator
@@ -50,3 +51,37 @@ def test_an_exception_leaves_no_draft(tmp_path: Path) -> None:
     with pytest.raises(KeyError):
         fail()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_files_beside_are_kept_and_writers_do_not_share_a_draft(tmp_path: Path) -> None:
+    file, other = tmp_path / "a.plan", tmp_path / "a.plan.new"
+    other.write_text("the user's")
+    with replacing(file) as first, replacing(file) as second:
+        assert first.parent == tmp_path
+        assert len({first, second, other}) == 3
+        first.write_text("first")
+        second.write_text("second")
+    assert (file.read_text(), other.read_text()) == ("first", "the user's")
+    assert sorted(tmp_path.iterdir()) == [file, other]
+    assert file.stat().st_mode == other.stat().st_mode
+
+
+@pytest.mark.parametrize("exists", [True, False])
+def test_the_target_of_a_link_is_replaced(tmp_path: Path, exists: bool) -> None:
+    (tmp_path / "store").mkdir()
+    target, link = tmp_path / "store" / "a", tmp_path / "link"
+    if exists:
+        target.write_text("old")
+    link.symlink_to("store/a")
+    write_whole(link, "new")
+    assert link.is_symlink()
+    assert target.read_text() == "new"
+    assert list(target.parent.iterdir()) == [target]
+
+
+def test_a_pipe_is_written_to() -> None:
+    reading, writing = os.pipe()
+    write_whole(f"/dev/fd/{writing}", "text")
+    os.close(writing)
+    with open(reading, encoding="utf-8") as pipe:
+        assert pipe.read() == "text"

@@ -256,9 +256,12 @@ class Simulation:
         for index in self.world.lost:
             x, y, z = self.world.plant["position"][index].tolist()
             _log.error(
-                "simulator: %s is out of the world, because its motion was not finite or beyond all bounds: it stays "
-                "at (%.4g, %.4g, %.4g) m, without collisions, until it is reset",
-                *(self.names[index], x, y, z),
+                "simulator: %s is out of the world, because its motion was not finite, or beyond the limits: it "
+                "stays at (%.4g, %.4g, %.4g) m, without collisions, until it is reset",
+                self.names[index],
+                x,
+                y,
+                z,
             )
             if self.commanders:
                 self.commanders[index].arm_disarm(False, force=True)

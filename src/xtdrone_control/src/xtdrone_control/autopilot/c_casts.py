@@ -25,6 +25,16 @@ def to_byte(value: float) -> int:
     return to_int(value) & 0xFF
 
 
+def to_uint16(value: float) -> int:
+    """Return ``(uint16_t)value``, 0..65535: the low half of ``(int)value``."""
+    return to_int(value) & 0xFFFF
+
+
+def to_int16(value: float) -> int:
+    """Return ``(int16_t)value``, -32768..32767: the low half of ``(int)value``, with its sign."""
+    return (to_uint16(value) ^ 0x8000) - 0x8000
+
+
 def to_unsigned(value: float) -> int:
     """Return ``(uint32_t)value``, 0..2^32-1: the low half of a conversion to 64 bits."""
     return _cast(value, 64) & 0xFFFFFFFF

@@ -24,7 +24,7 @@ from xtdrone_control.autopilot.navigator.plan import FRAME_MISSION, Items, PlanI
 from xtdrone_control.bounded_file import MB, ContentError, load_json, read_text
 from xtdrone_control.mavlink.microservices import mission_items
 from xtdrone_control.plans import waypoint_file
-from xtdrone_control.plans.structure_scan import StructureScan
+from xtdrone_control.plans.structure_scan import StructureScan, different_corners
 from xtdrone_control.whole_file import write_whole
 
 SUFFIX = ".plan"
@@ -265,18 +265,26 @@ def _read_structure(entry: _Value) -> StructureScan:
     corners = entry.get("polygon").list("corner")
     if len(corners) < _LEAST_CORNERS:
         raise entry.get("polygon").not_allowed(f"at least {_LEAST_CORNERS} corners")
+    layers, most = entry.get("Layers").whole(0, _MOST_LAYERS), plan.CAPACITY[plan.MISSION]
+    if StructureScan.length(layers, len(corners)) > most:
+        raise PlanError(
+            f"{entry.where}: {layers} layers of {len(corners)} corners are not allowed, at most {most} mission items"
+        )
+    outline = tuple(_read_position(corner, 2)[:2] for corner in corners)
+    if different_corners(outline) < _LEAST_CORNERS:
+        raise entry.get("polygon").not_allowed(f"at least {_LEAST_CORNERS} different corners")
     camera = entry.get("CameraCalc")
 
     def height(name: str) -> float:
         return entry.get(name).number(-_FAR_ALTITUDE, _FAR_ALTITUDE)
 
     return StructureScan(
-        outline=tuple(_read_position(corner, 2)[:2] for corner in corners),
+        outline=outline,
         distance=camera.get("DistanceToSurface").number(0.0, _FAR_ALTITUDE),
         entrance=height("EntranceAltitude"),
         bottom=height("ScanBottomAlt"),
         top=height("StructureHeight"),
-        layers=entry.get("Layers").whole(0, _MOST_LAYERS),
+        layers=layers,
         layer_height=camera.get("AdjustedFootprintFrontal").number(0.0, _FAR_ALTITUDE),
         trigger_distance=camera.get("AdjustedFootprintSide").number(0.0, _FAR_ALTITUDE),
         pitch=entry.get("GimbalPitch").number(-180.0, 180.0),

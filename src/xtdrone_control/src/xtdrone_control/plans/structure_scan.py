@@ -27,7 +27,7 @@ class StructureScan:
     """A structure scan.
 
     Attributes:
-        outline: corners of the structure: latitude, longitude, degrees; at least three.
+        outline: corners of the structure: latitude, longitude, degrees; at least three different ones.
         distance: of the path from the outline, m.
         entrance: height of the first and the last waypoint, m above home.
         bottom, top: lower and upper end of the scan, m above home.
@@ -48,6 +48,11 @@ class StructureScan:
     trigger_distance: float
     pitch: float
     from_top: bool
+
+    @staticmethod
+    def length(layers: int, corners: int) -> int:
+        """Return the number of mission items of a scan."""
+        return layers * (corners + 3) + 4
 
     def items(self) -> list[PlanItem]:
         """Return the mission items of the scan."""
@@ -73,13 +78,21 @@ def _command(command: int, first: float = 0.0, *, now: float = 0.0, x: float = 0
 def _offset(outline: Sequence[Place], distance: float) -> list[Place]:
     """Return a clockwise polygon whose edges are ``distance`` (m) outside those of ``outline`` (degrees)."""
     origin = outline[0]
-    corners = [projection.project(*corner, *origin) for corner in outline]
-    corners = [b for a, b in pairwise([corners[-1], *corners]) if math.dist(a, b) > 1e-3]
+    corners = _different([projection.project(*corner, *origin) for corner in outline])
     if _doubled_area(corners) < 0.0:
         corners.reverse()
     edges = [_outside(a, b, distance) for a, b in pairwise([*corners, corners[0]])]
     moved = [_crossing(before, after) for before, after in pairwise([edges[-1], *edges])]
     return [projection.reproject(north, east, *origin) for north, east in moved]
+
+
+def different_corners(outline: Sequence[Place]) -> int:
+    """Return the number of corners (degrees) that are not where the one before is."""
+    return len(_different([projection.project(*corner, *outline[0]) for corner in outline]))
+
+
+def _different(corners: Sequence[Place]) -> list[Place]:
+    return [b for a, b in pairwise([corners[-1], *corners]) if math.dist(a, b) > 1e-3]
 
 
 def _doubled_area(corners: Sequence[Place]) -> float:

@@ -260,8 +260,8 @@ class Commander(FlightCommands):
         self._armed_us = self.view.time_us
         self._took_off = not self.view.landed
         self._was_landed = self.view.landed
-        if reason is ArmReason.COMMAND and self._home.enabled:
-            self._home.set_here()
+        if reason is ArmReason.COMMAND:
+            self._home.set_if_enabled()
         self._motors.apply(self.armed)
         number, words = reason.value
         self._announcements.tell(INFO, f"Armed by {words}", "commander_armed_by", number)
@@ -653,6 +653,8 @@ class Commander(FlightCommands):
         # never during a failsafe: its modes have no successor. PX4's change() keeps a mode whose successor cannot be
         # flown, such as a takeoff without a global position
         if following is not None and self._can_choose(following):
+            if following is modes.AUTO_RTL:
+                self._announcements.tell(INFO, "Returning to launch", "commander_rtl")
             self._set_intended_mode(following)
             self._update_mode(changed=True)
 
@@ -681,7 +683,7 @@ class Commander(FlightCommands):
             self._announcements.tell(INFO, "Landing detected", "commander_landing_detected")
         else:
             self._announcements.tell(INFO, "Takeoff detected", "commander_takeoff_detected")
-            self._home.take_off()
+            self._home.set_if_enabled()
 
     def _auto_disarm(self) -> bool:
         now = self.view.time_us

@@ -64,8 +64,8 @@ class HomePosition:
         self._navigator.home = Home(*location, view.to_local(*location), yaw % math.tau, view.time_us, manual=True)
         return True
 
-    def take_off(self) -> None:
-        """Set home at the detection of a takeoff."""
+    def set_if_enabled(self) -> None:
+        """Set home to the vehicle's position, as an arming command and a takeoff do, unless COM_HOME_EN forbids it."""
         if self.enabled:
             self.set_here()
 

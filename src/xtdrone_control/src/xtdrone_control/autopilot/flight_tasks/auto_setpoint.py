@@ -17,6 +17,7 @@ INFO, CRITICAL = 6, 2  # MAV_SEVERITY
 
 # MPC_YAW_MODE
 _TOWARDS_HOME, _AWAY_FROM_HOME, _ALONG_TRAJECTORY = 1, 2, 3
+FLT_EPSILON = 2.0**-23  # PX4's
 _BRAKING_DELAY = 0.6  # s
 _LEAST_SPEED = 0.3  # m/s, minimum velocity that defines a heading
 _LEAST_BRAKING = 2.0  # m/s^2, minimum of PX4's MPC_ACC_*; parameters may be out of range
@@ -107,6 +108,15 @@ class Course:
         setpoint["goal_radius"] = radius
         setpoint["cruise_speed"] = self.cruising_speed if math.isnan(speed) else speed
         self.view.start_task(TASK_GOTO)
+
+    def set_cruising_speed(self, speed: float, *, at_once: bool) -> None:
+        """Set the horizontal speed (m/s) of later goals, and of this one if ``at_once``.
+
+        A speed that is not positive, or NaN, restores MPC_XY_CRUISE.
+        """
+        self.cruising_speed = speed if speed > FLT_EPSILON else NAN
+        if at_once:
+            self.view.setpoint["cruise_speed"] = self.cruising_speed
 
     def lead_onward(self, onward: Vector) -> None:
         """Set the goal after the current one: passed through without a stop there, or NaN to stop; m, local NED."""

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from xtdrone_control.autopilot.events.events import ERROR
-from xtdrone_control.autopilot.flight_tasks.auto_setpoint import CRITICAL, INFO, NAN, UNSET, Course
+from xtdrone_control.autopilot.flight_tasks.auto_setpoint import CRITICAL, FLT_EPSILON, INFO, NAN, UNSET, Course
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.payload import Payload
 from xtdrone_control.autopilot.navigator.plan import PlanItem, Plans
@@ -18,9 +18,8 @@ from xtdrone_control.autopilot.vehicle_view import Vector
 _MAX_JUMPS = 10  # consecutive; more are treated as a cycle
 _NEEDS_TAKEOFF = (plan.TAKEOFF, plan.WAYPOINT, plan.LOITER_TIME, plan.LOITER_UNLIM)
 _PAYLOAD_WAITS = (plan.GRIPPER, plan.WINCH)
-_LOITERS = (plan.LOITER_TIME, plan.LOITER_UNLIM, plan.LOITER_TO_ALT)
-_EPSILON = 1.1920929e-07  # PX4's FLT_EPSILON
 _WAITING = (plan.LOITER_TIME, plan.LOITER_UNLIM)
+_LOITERS = (*_WAITING, plan.LOITER_TO_ALT)
 _PRECISE = (1, 2)
 _NEVER_US = -(1 << 60)
 _LANDING_KEPT_US = 2_000_000  # after a landing's interruption, in which a return continues it
@@ -51,8 +50,8 @@ class Mission:
         plans: mission, geofence and rally points.
         reached: index of the item reached last, -1 for none.
         returning: whether the mission has reached an item that commands a return, or has failed.
-        set_home: sets the home position to (latitude, longitude, altitude), degrees and m AMSL, or to the vehicle's
-            current position (None).
+        set_home: sets the home position to (latitude, longitude, altitude), degrees and m AMSL, with a heading, rad,
+            NaN if unknown; or to the vehicle's current position (None).
     """
 
     def __init__(self, course: Course, payload: Payload, landing: PrecisionLanding) -> None:
@@ -66,7 +65,7 @@ class Mission:
         self.plans = Plans()
         self.reached = -1
         self.returning = False
-        self.set_home: Callable[[Vector | None], object] = lambda _location: None
+        self.set_home: Callable[[Vector | None, float], object] = lambda _location, _yaw: None
         self._active = False
         self._way = Way.NORMAL
         self._left_us = _NEVER_US
@@ -395,7 +394,7 @@ class Mission:
 
         It brakes for an item that takes time, with a position or without (PX4 ``set_mission_items``, brake_for_hold).
         """
-        brakes = item.time_inside > _EPSILON or item.command in _PAYLOAD_WAITS
+        brakes = item.time_inside > FLT_EPSILON or item.command in _PAYLOAD_WAITS
         if not item.autocontinue or brakes or self._loitering:
             return UNSET
         following = self._next_position()
@@ -555,18 +554,13 @@ class Mission:
             return
         self._course.lead_onward(self._onward(item))
         if item.command == plan.CHANGE_SPEED:
-            self._change_speed(params[1])
+            self._course.set_cruising_speed(params[1], at_once=True)  # of whatever kind
         elif item.command == plan.SET_HOME:
-            self.set_home(None if params[0] == 1.0 else params[4:7])
+            self.set_home(None if params[0] == 1.0 else params[4:7], math.radians(params[3]))
         elif item.command == plan.RETURN:
             self.returning = True
         elif not self._payload.execute(item.command, params):
             self.set_roi(item)
-
-    def _change_speed(self, speed: float) -> None:
-        """Set the horizontal speed (m/s), of whatever kind, as PX4's navigator; the default if it is not positive."""
-        self._course.cruising_speed = speed if speed > _EPSILON else NAN
-        self._view.setpoint["cruise_speed"] = self._course.cruising_speed
 
     def set_roi(self, item: PlanItem) -> None:
         """Set or clear the region of interest of a DO_SET_ROI* item, a location or the next waypoint."""

@@ -32,7 +32,6 @@ _GPS = 1  # GF_SOURCE
 _TAKEOFF_MISSION = 1  # COM_TAKEOFF_ACT
 _GEOFENCE_WARNS = 1  # GF_ACTION
 _GROUND_SPEED = 1  # SPEED_TYPE
-_FLT_EPSILON = 2.0**-23
 
 
 @dataclass(frozen=True)
@@ -232,17 +231,17 @@ class Navigator:
             gimbal.look((0.0, pitch, 0.0))
 
     def _return_on(self, way: Way) -> None:
-        """Continue a return that flies the mission; after the way back return home."""
+        """Continue a return that flies the mission; after the way back return home.
+
+        A mission that commands a return on the way to its landing holds there, as in PX4, which is returning already.
+        """
         if self.mission.update() and way is Way.BACK:
             self._return_home()
 
     def _update_mission(self) -> Mode | None:
         if self._mission_ended or self.mission.update():
             return modes.AUTO_LOITER
-        if self.mission.returning:
-            self._tell(INFO, "Returning to launch", "commander_rtl")
-            return modes.AUTO_RTL
-        return None
+        return modes.AUTO_RTL if self.mission.returning else None
 
     # plans
 
@@ -450,11 +449,8 @@ class Navigator:
             kind: SPEED_TYPE, of which only ground speed is distinguished.
             speed: m/s; 0 or less, and NaN, restore MPC_XY_CRUISE.
         """
-        wanted = speed if speed > _FLT_EPSILON else NAN
-        self._course.cruising_speed = wanted
         at_once = c_casts.to_byte(kind + 0.5) == _GROUND_SPEED and speed > 0.0
-        if at_once or self._mode is modes.AUTO_MISSION:
-            self._view.setpoint["cruise_speed"] = wanted
+        self._course.set_cruising_speed(speed, at_once=at_once or self._mode is modes.AUTO_MISSION)
 
     def _start_takeoff(self) -> None:
         x, y, z = self._view.position

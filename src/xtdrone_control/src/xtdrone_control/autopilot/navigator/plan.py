@@ -10,6 +10,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from xtdrone_control.autopilot import c_casts
+
 # MAV_MISSION_TYPE
 MISSION, FENCE, RALLY = 0, 1, 2
 KINDS = (MISSION, FENCE, RALLY)
@@ -41,24 +43,12 @@ FRAME_MISSION = 2
 _YAW_COMMANDS = frozenset((WAYPOINT, LOITER_UNLIM, LOITER_TIME, LAND, TAKEOFF, VTOL_TAKEOFF, VTOL_LAND))
 
 
-def _integer(value: float, bits: int, signed: bool) -> int:
-    """Return a float converted to an integer of ``bits`` as PX4's SITL build does: to 32 bits, then cut."""
-    whole = int(value) if abs(value) < 2.0**31 else 0
-    found = whole & ((1 << bits) - 1)
-    return found - (1 << bits) if signed and found >> (bits - 1) else found
-
-
 def jump(params: Sequence[float]) -> tuple[int, int]:
     """Return index and repeat count of a DO_JUMP as PX4 stores them: -1 repeats, for example, become 65535.
 
     Source: PX4 ``MavlinkMissionManager::parse_mavlink_mission_item`` into int16 and uint16.
     """
-    return _integer(params[0], 16, True), _integer(params[1], 16, False)
-
-
-def unsigned(value: float) -> int:
-    """Return a float as PX4 stores it in a uint16, e.g. the precision of a landing or a polygon's number of corners."""
-    return _integer(value, 16, False)
+    return c_casts.to_int16(params[0]), c_casts.to_uint16(params[1])
 
 
 @dataclass(frozen=True, slots=True)

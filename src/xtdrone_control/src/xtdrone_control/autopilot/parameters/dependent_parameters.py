@@ -6,8 +6,9 @@ as they are not negative. Speeds and tilts beyond their own maximum parameter ar
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Iterable
+
+from xtdrone_control.autopilot.parameters.parameter_file import as_float32
 
 Value = int | float
 Notice = Callable[[str, str, float], None]
@@ -88,12 +89,6 @@ def in_order(names: Iterable[str]) -> list[str]:
     return sorted(names, key=lambda name: rank.get(name, len(rank)))
 
 
-def _single(value: float) -> float:
-    """Return ``value`` rounded to a 32-bit float, which PX4 stores."""
-    (rounded,) = struct.unpack("<f", struct.pack("<f", value))
-    return float(rounded)
-
-
 def by_response(setting: float) -> dict[str, float]:
     """Return the parameters that a SYS_VEHICLE_RESP of 0..1 stands for, by name."""
     x = setting * setting  # finer at the lower end
@@ -126,7 +121,7 @@ def adjust(get: Callable[[str], Value], store: Callable[[str, float], object], n
         notice: is told of each limit that has acted.
     """
     for name, value in _inputs(get).items():
-        store(name, _single(value))
+        store(name, as_float32(value))
     if int(get("MPC_POS_MODE")) not in _POSITION_MODES:
         store("MPC_POS_MODE", _POSITION_MODES[-1])
     if get("MPC_TILTMAX_AIR") > _SAFE_TILT:

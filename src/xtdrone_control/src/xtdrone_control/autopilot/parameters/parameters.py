@@ -173,6 +173,7 @@ class Parameters:
             self._store(name, value)
         self._adjust()
         self._defaults = dict(self._values)
+        self._adjusted.clear()
         self.load()
 
     def default(self, name: str) -> int | float:
@@ -253,6 +254,7 @@ class Parameters:
             except ParameterError as error:
                 _log.warning("parameter file %s: skipped: %s", self._file, error)
         self._adjust()
+        self._adjusted.clear()  # no client has asked: PX4 sends no values at boot or after a load
 
     def save(self) -> bool:
         """Write the values other than defaults to the file; return False on an error. Do nothing without a file."""

@@ -112,7 +112,7 @@ def from_command_int(number: int, params: tuple[float, ...], x: int, y: int, z: 
 
 def _message_id(command: Command) -> int:
     """Return param1 as the id of a message: ``(uint16_t)roundf(param1)``."""
-    return c_casts.nearest(command.params[0]) & 0xFFFF
+    return c_casts.to_uint16(c_casts.nearest(command.params[0]))
 
 
 class CommandHandler:
@@ -188,7 +188,8 @@ class CommandHandler:
         if action not in (0, 1):
             self._commander.say(CRITICAL, f"Unsupported ARM_DISARM param: {command.params[0]:.3f}")
             return None
-        # PX4 v1.14 checks a vehicle that a client arms in any case; here force helps to try out what cannot fly
+        # PX4 v1.14 checks a vehicle that a client arms in any case; here force arms without checks, for tests
+        # of vehicles that cannot fly
         return self._commander.arm_disarm(action == 1, c_casts.nearest(command.params[1]) == _FORCE)
 
     def _set_mode(self, command: Command, _link: Link) -> Result:

@@ -13,6 +13,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from xtdrone_control.autopilot import c_casts
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import FRAME_MISSION, PlanItem
 from xtdrone_control.autopilot.parameters.parameter_file import as_float32
@@ -138,9 +139,9 @@ def _converted(command: int, params: Params) -> Params:
         index, repeats = plan.jump(params)
         return float(index), float(repeats), c, d
     if command == plan.LAND:
-        return a, float(plan.unsigned(b)), c, d
+        return a, float(c_casts.to_uint16(b)), c, d
     if command in (plan.FENCE_INCLUSION, plan.FENCE_EXCLUSION):
-        return float(plan.unsigned(a + 0.5)), b, c, d
+        return float(c_casts.to_uint16(a + 0.5)), b, c, d
     return params
 
 

@@ -514,7 +514,10 @@ class Bodies:
         x, y, z = body.pose.position
         _log.warning(
             "simulator: %s is out of the world: it stays at (%.4g, %.4g, %.4g) m, without collisions, until a restart",
-            *(body.model.name, x, y, z),
+            body.model.name,
+            x,
+            y,
+            z,
         )
 
 
