@@ -23,8 +23,8 @@ Steps = Generator[None, None, bool]  # one step per call of the commander; retur
 
 _COMMAND = 241  # MAV_CMD_PREFLIGHT_CALIBRATION
 _STEP = 0.1  # s between two calls of update
-_ANSWER_FAILURE_TOO = ("gyro", "accel")  # cancelled, these end with the text of a failure as well
-_CANCELLABLE = (*_ANSWER_FAILURE_TOO, "mag", "airspeed")
+_FAIL_WHEN_CANCELLED = ("gyro", "accel")  # their cancellation is followed by the text of a failure
+_CANCELLABLE = (*_FAIL_WHEN_CANCELLED, "mag", "airspeed")
 _NO_SAMPLE_STEPS = 1000  # of 0.1 s, PX4's wait for one sample
 _GYRO_SAMPLES, _GYRO_MEDIAN, _GYRO_TRIES = 10, 9, 21  # 1 s, as 250 samples of PX4's simulated gyroscope
 _GYRO_LIMIT = math.radians(0.6)  # rad/s between mean and median
@@ -32,7 +32,7 @@ _LEVEL_US, _LEVEL_TRIES = 500_000, 50
 _LEVEL_MOTION, _LEVEL_LIMIT = math.radians(0.5), 0.8  # rad
 _BARO_STEPS = 30
 _FIX_2D = 2
-_FAILURES = {"baro": "GPS required for baro cal"}  # the others' failures are told by the sensor's name
+_FAILURES = {"baro": "GPS required for baro cal"}  # other texts name the sensor
 _AIRSPEED_US, _AIRSPEED_PAUSE_US = 30_000_000, 5_000_000
 _SIDES = {  # PX4's name of the side that points down, to the specific force in m/s^2, body FRD
     "back": (GRAVITY, 0.0, 0.0),
@@ -98,7 +98,7 @@ class SensorCalibration:
             return Result.DENIED
         self._steps = None
         self._fail("[cal] calibration cancelled")
-        if self._sensor in _ANSWER_FAILURE_TOO:
+        if self._sensor in _FAIL_WHEN_CANCELLED:
             self._fail(f"[cal] calibration failed: {self._sensor}")
         return Result.ACCEPTED
 
