@@ -282,16 +282,6 @@ def test_parameters_are_stored_and_recalled(tmp_path):
     assert served.command(245, 1)[0] == 1
 
 
-def test_sensors_that_need_no_movement_are_calibrated_at_once(served):
-    assert served.command(241) == (0, [])
-    assert served.command(241, 1) == (0, ["[cal] calibration started: 2 gyro", "[cal] calibration done: gyro"])
-    assert served.command(241, 0, 0, 1)[0] == 0
-    assert served.command(42006)[0] == 0
-    assert served.command(241, 0, 1)[0] == 3, "the magnetometer is turned by hand"
-    served.commander.armed = True
-    assert served.command(241)[0] == 1
-
-
 @pytest.mark.parametrize(("action", "result"), [(0, 0), (1, 0), (2, 2), (3, 2)])
 def test_reboot(served, action, result):
     assert served.command(246, action)[0] == result

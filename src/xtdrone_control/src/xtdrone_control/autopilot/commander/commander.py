@@ -21,6 +21,7 @@ from xtdrone_control.autopilot.commander.manual_control import ManualControl, Re
 from xtdrone_control.autopilot.commander.manual_flight import MANUAL_THRUST, ManualFlight
 from xtdrone_control.autopilot.commander.motors import ArmReason, MotorSwitch
 from xtdrone_control.autopilot.commander.offboard_setpoint import OffboardSetpoint
+from xtdrone_control.autopilot.commander.sensor_calibration import SensorCalibration
 from xtdrone_control.autopilot.events import events
 from xtdrone_control.autopilot.events.announcements import CRITICAL, INFO, WARNING, Announcements
 from xtdrone_control.autopilot.events.events import Event
@@ -44,7 +45,7 @@ _GRACE_US = 5_000_000  # after disarming in flight, during which arming skips th
 _CHECK_INTERVAL_US = 1_000_000
 _OVERRIDE_AUTO, _OVERRIDE_OFFBOARD = 1, 2  # COM_RC_OVERRIDE
 _THROTTLE_HIGH, _THROTTLE_LOW = 0.2, -0.8  # stick positions above which arming is denied, by kind of mode
-_STANDBY, _ACTIVE, _CRITICAL_STATE, _TERMINATED, _UNINIT = 3, 4, 5, 8, 0  # MAV_STATE
+_CALIBRATING, _STANDBY, _ACTIVE, _CRITICAL_STATE, _TERMINATED, _UNINIT = 2, 3, 4, 5, 8, 0  # MAV_STATE
 _GEAR_HEIGHT = 2.0  # m above home
 _MAVLINK_MOTORS, _MAVLINK_SERVOS = range(1, 13), range(33, 41)  # ACTUATOR_OUTPUT_FUNCTION
 _PX4_FUNCTIONS, _PX4_FIRST_MOTOR = 1000, 101  # offset of PX4's output functions, and the first motor's
@@ -67,6 +68,7 @@ class Commander(FlightCommands):
         navigator: AUTO modes.
         health: health monitoring.
         manual: manual control input.
+        calibration: calibration of the sensors; a vehicle cannot be armed while one runs.
         on_command: listener of received MAV_CMDs, used by the logger; None for no listener. Arguments: number,
             parameters 1 to 7, sender (system, component), MAV_RESULT or None for a command without an acknowledgement.
         open_log_stream: begins a stream of the vehicle's log and returns it, None while another one is open; the
@@ -94,6 +96,7 @@ class Commander(FlightCommands):
         get = parameters.get
         self._announcements = Announcements(self.view)
         parameters.on_limit = self._tell_limit
+        self.calibration = SensorCalibration(self.view, self._announcements)
         self.navigator = Navigator(self.view, parameters, self._announcements)
         self._home = HomePosition(self.view, self.navigator, get)
         self.navigator.mission.set_home = self.set_home
@@ -189,7 +192,7 @@ class Commander(FlightCommands):
         if self._motors.stopped or self._active_mode is modes.TERMINATION:
             return _TERMINATED
         if not self.armed:
-            return _STANDBY
+            return _CALIBRATING if self.calibration.running else _STANDBY
         return _CRITICAL_STATE if self.failsafe else _ACTIVE
 
     @property
@@ -209,7 +212,7 @@ class Commander(FlightCommands):
     @property
     def ready_to_arm(self) -> bool:
         """Whether arming would be accepted in the current mode."""
-        return not self.armed and not self.arming_denial()
+        return not self.armed and not self.calibration.running and not self.arming_denial()
 
     def say(self, severity: int, text: str) -> None:
         """Queue a text for the operator (``severity``: MAV_SEVERITY)."""
@@ -252,6 +255,9 @@ class Commander(FlightCommands):
             return False
         if not self.view.initialised:
             self._report_arming_rejection()
+            return False
+        if self.calibration.running:  # PX4's arming state is INIT, also for a forced arming
+            self.say(CRITICAL, "Transition denied: Init to Armed")
             return False
         in_grace = self.view.time_us - self._disarmed_us < _GRACE_US and not self.view.landed
         if not force and not in_grace and self._arming_rejected(reason):
@@ -629,6 +635,7 @@ class Commander(FlightCommands):
                 return
         else:
             self._checks.follow_innovations()
+            self.calibration.update()
         take_over = self._check_stick_override()
         self._update_mode(sticks=take_over, flags=flags)
         self._move_gear()

@@ -107,6 +107,7 @@ _COMMANDER = (
         "mode:uint32_t requested:navigation_mode_t",
         kind=WITH_CHECKS,
     ),
+    _define("commander_cal_cmd_denied", "Command {1} is denied during a calibration", "command:uint32_t"),
     _define("commander_rc_override", "Pilot took over with the sticks"),
     _define("failsafe_rc_override", "Pilot took over with the sticks, the failsafe has ended"),
     _define("commander_landing_current_pos", "Landing at the current position"),

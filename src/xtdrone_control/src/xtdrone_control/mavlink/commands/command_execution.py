@@ -15,7 +15,6 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot import c_casts
 from xtdrone_control.autopilot.commander.commander import CRITICAL, Result
-from xtdrone_control.autopilot.events.announcements import INFO
 from xtdrone_control.autopilot.navigator.gimbal_manager import GimbalManager
 from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.mavlink.client_link import Link
@@ -31,6 +30,7 @@ _FORCE = 21196
 _CHANGE_MODE_FLAG = 1  # MAV_DO_REPOSITION_FLAGS
 _RESET_CALIBRATION = 3  # of PREFLIGHT_STORAGE
 _BY_TEMPERATURE = 3  # PX4's PREFLIGHT_CALIBRATION_TEMPERATURE_CALIBRATION
+_QUICK_ACCEL = 4  # param5 of PREFLIGHT_CALIBRATION
 _GLOBAL = 0  # MAV_FRAME_GLOBAL: altitudes are AMSL
 _ROI = (
     mavlink.MAV_CMD_NAV_ROI,
@@ -113,6 +113,21 @@ def from_command_int(number: int, params: tuple[float, ...], x: int, y: int, z: 
 def _message_id(command: Command) -> int:
     """Return param1 as the id of a message: ``(uint16_t)roundf(param1)``."""
     return c_casts.to_uint16(c_casts.nearest(command.params[0]))
+
+
+def _sensor_to_calibrate(p: list[int]) -> str:
+    """Return the sensor that the parameters of PREFLIGHT_CALIBRATION name first, empty for none or another kind."""
+    choices = (
+        (p[0] == 1, "gyro"),
+        (p[1] == 1, "mag"),
+        (p[2] == 1, "baro"),
+        (p[3] in (1, 2), ""),  # a radio's
+        (p[4] == 1, "accel"),
+        (p[4] == 2, "level"),
+        (p[4] == _QUICK_ACCEL, ""),
+        (p[5] in (1, 2), "airspeed"),
+    )
+    return next((sensor for asked, sensor in choices if asked), "")
 
 
 class CommandHandler:
@@ -276,28 +291,40 @@ class CommandHandler:
     # before flight
 
     def _calibrate(self, command: Command, _link: Link) -> Result | None:
-        """Accept calibrations without movement of the vehicle: gyroscope, barometer, and the end of a radio's.
+        """Start the calibration that the first parameter that asks for one names, in PX4's order.
 
-        The first parameter that asks for a calibration decides, in PX4's order. The simulated sensors need no
-        calibration, so these complete immediately. Calibrations for which the operator turns the vehicle
-        (magnetometer, accelerometer, level) are unsupported.
+        A radio's calibration is unsupported. That of motor controllers is denied, as PX4 does while a battery is
+        connected. The quick one of the accelerometer (param5 4), for which PX4 sends no text, has no effect.
         """
+        p = [c_casts.to_int(value) for value in command.params]
+        calibration = self._commander.calibration
+        if calibration.running:
+            return calibration.answer(cancels=not any(p[:6]))
         if self._commander.armed:
             return Result.TEMPORARILY_REJECTED
-        p = [c_casts.to_int(value) for value in command.params]
         if p[0] != 1 and _BY_TEMPERATURE in (p[0], p[4], p[6]):
             return None  # of the events module, which does not run in PX4's simulator
-        sensor = "gyro" if p[0] == 1 else "baro" if p[2] == 1 and p[1] != 1 else ""
+        sensor = _sensor_to_calibrate(p)
         if sensor:
-            for text in (f"[cal] calibration started: 2 {sensor}", f"[cal] calibration done: {sensor}"):
-                self._commander.say(INFO, text)
+            calibration.start(sensor)
             return Result.ACCEPTED
-        by_hand = p[1] == 1 or p[4] in (1, 2, 4) or p[5] in (1, 2) or p[6] == 1
-        return Result.UNSUPPORTED if by_hand or p[3] != 0 else Result.ACCEPTED
+        if p[3] in (1, 2):
+            return Result.UNSUPPORTED
+        if p[4] == _QUICK_ACCEL:
+            return Result.ACCEPTED
+        if p[6] == 1:
+            self._commander.say(CRITICAL, "[cal] calibration failed: Disconnect battery and try again")
+            return Result.DENIED
+        return Result.ACCEPTED if p[3] == 0 else Result.UNSUPPORTED
 
     def _calibrate_heading(self, _command: Command, _link: Link) -> Result:
         """Accept a calibration of the magnetometer by a known heading; the simulated sensor needs none."""
-        return Result.TEMPORARILY_REJECTED if self._commander.armed else Result.ACCEPTED
+        return Result.TEMPORARILY_REJECTED if self._is_busy else Result.ACCEPTED
+
+    @property
+    def _is_busy(self) -> bool:
+        """Whether PX4 would reject work for its commander's thread: armed, or a calibration runs there."""
+        return self._commander.armed or self._commander.calibration.running
 
     def _autotune(self, _command: Command, _link: Link) -> Result:
         """Set MC_AT_START, as PX4's receiver does; the autotune module, run only with MC_AT_EN, is not simulated."""
@@ -306,7 +333,7 @@ class CommandHandler:
 
     def _storage(self, command: Command, _link: Link) -> Result | None:
         """Load (0), save (1) or reset (2, 4) the parameters; other numbers get no acknowledgement, as from PX4."""
-        if self._commander.armed:
+        if self._is_busy:
             return Result.TEMPORARILY_REJECTED
         parameters = self._commander.parameters
         action = c_casts.to_int(command.params[0])
