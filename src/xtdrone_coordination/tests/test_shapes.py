@@ -325,7 +325,7 @@ def test_an_array_larger_than_its_file_is_rejected(tmp_path: Path) -> None:
     file = tmp_path / "a.npy"
     np.save(file, np.zeros((9, 3)))
     file.write_bytes(file.read_bytes().replace(b"(9, 3), }" + b" " * 12, b"(9" + b"0" * 12 + b", 3), }"))
-    with pytest.raises(PatternError, match="ends before its 9000000000000 points"):
+    with pytest.raises(PatternError, match="has an array of another type or size"):
         Patterns(3).offsets(f"cloud:{file}")
 
 

@@ -59,7 +59,7 @@ def test_check_lists_what_a_file_sets_without_effect(tmp_path, capsys):
     assert "MPC_XY_P" not in printed
     assert "CAL_MAG0_YOFF" not in printed
     (tmp_path / "bad.params").write_text("1 1 MPC_XY_P\n")
-    assert main(["check", str(tmp_path / "bad.params"), str(tmp_path / "a.params")]) == 1
+    assert main(["check", str(tmp_path / "bad.params"), str(tmp_path / "a.params")]) == 2
     captured = capsys.readouterr()
     assert "bad.params" in captured.err
     assert "a.params: 5 parameters" in captured.out
