@@ -159,14 +159,12 @@ def _loaded(data: bytes, path: Path) -> list[tuple[str, Any]]:
         scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=pictures, process=False)
         order = {name: number for number, name in enumerate(scene.geometry)}
         placed = [(order[name], str(node), name, matrix) for node, (matrix, name) in _nodes(scene)]
-        found, triangles = [], 0
+        placed = [row for row in placed if hasattr(scene.geometry[row[2]], "faces")]  # not points or lines
+        # before they are copied for each node
+        _check_triangles(sum(len(scene.geometry[name].faces) for _, _, name, _ in placed), path)
+        found = []
         for _, _, name, matrix in sorted(placed, key=lambda row: row[:2]):
-            if not hasattr(scene.geometry[name], "faces"):  # points or lines
-                continue
             _check_corners(scene.geometry[name], name, path)
-            triangles += len(scene.geometry[name].faces)
-            if triangles > MOST_TRIANGLES:  # before they are copied for each node
-                raise SdfError(f"{path}: it has more than {MOST_TRIANGLES} triangles, with those of all its nodes")
             mesh = scene.geometry[name].copy()
             mesh.apply_transform(matrix)
             mesh.apply_scale(_metres(data) if kind == "dae" else 1.0)
