@@ -16,7 +16,6 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore", FutureWarning)  # the package announces a change in its next version
     mavsdk = pytest.importorskip("mavsdk")
     from mavsdk.action import ActionError
-    from mavsdk.calibration import CalibrationError
     from mavsdk.component_metadata import MetadataType
     from mavsdk.follow_me import Config, TargetLocation
     from mavsdk.geofence import FenceType, GeofenceData, Point, Polygon
@@ -158,23 +157,6 @@ def test_calibrations_that_need_no_movement(client):
         assert percents == sorted(percents)
         assert 20 in percents
         assert percents[-1] == 100
-
-
-def test_a_calibration_is_cancelled(client):
-    """The standing vehicle's lower side is measured first."""
-    calibration = client.drone.calibration
-
-    async def cancel_after_a_side() -> list[str]:
-        told = []
-        async for step in calibration.calibrate_accelerometer():
-            told.append(step.status_text)
-            if "down orientation detected" in step.status_text and told.count(step.status_text) == 1:
-                await calibration.cancel()
-        return told
-
-    with pytest.raises(CalibrationError, match="CANCELLED"):
-        client.run(cancel_after_a_side())
-    assert client.run(steps(calibration.calibrate_gyro())), "another one can follow"
 
 
 def test_metadata_of_events_and_parameters(client):
