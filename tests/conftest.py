@@ -75,12 +75,14 @@ class Ear:
     """A subscription that keeps every message.
 
     Attributes:
+        topic: the topic's name.
         messages: all so far.
     """
 
     def __init__(self, graph: Graph, topic: str, kind: type, queue_size: int | None = None) -> None:
         import rospy
 
+        self.topic = topic
         self.messages: list[Any] = []
         self._graph = graph
         self._subscriber = rospy.Subscriber(topic, kind, self._take, queue_size=queue_size, tcp_nodelay=True)
@@ -89,6 +91,10 @@ class Ear:
     def last(self) -> Any:
         """The newest message, None before the first."""
         return self.messages[-1] if self.messages else None
+
+    def is_connected(self) -> bool:
+        """Return whether a publisher's messages arrive."""
+        return self._subscriber.get_num_connections() > 0
 
     def since(self, count: int) -> list[Any]:
         """Return all messages after the first ``count``."""

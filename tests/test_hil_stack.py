@@ -11,11 +11,12 @@ import sys
 from collections.abc import Iterator
 
 import pytest
-from conftest import REPOSITORY, Graph, Stack, poll, wait_for_ports
+from conftest import REPOSITORY, START_LIMIT, Ear, Graph, Stack, poll, wait_for_ports
 
 pytest.importorskip("rospy")
 
 from geometry_msgs.msg import Pose, PoseStamped
+from mavros_msgs.msg import State
 from rosgraph_msgs.msg import Log
 
 FLEET = "iris:3"
@@ -38,9 +39,13 @@ def hears(stack: Stack, *texts: str) -> None:
     )
 
 
+def pose_of(stack: Stack, index: int) -> Ear:
+    return stack.graph.hear(f"/iris_{index}/mavros/local_position/pose", PoseStamped)
+
+
 def in_one_frame(stack: Stack, index: int) -> bool:
     """Return whether the vehicle's own position is its position in the world, unlike the origin of its PX4."""
-    pose = stack.graph.hear(f"/iris_{index}/mavros/local_position/pose", PoseStamped).last
+    pose = pose_of(stack, index).last
     truth = stack.pose(index)
     if pose is None or truth is None:
         return False
@@ -82,6 +87,9 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
         )
         poll(lambda: rosgraph.Master("/system_tests").hasParam("/lockstep/uri"), "roslaunch sets its parameters")
         stack.run("communication", "xtdrone_control", "multirotor_communication.py", "iris", "all")
+        for index in VEHICLES:  # now, while time stands still: it runs as fast as possible, without waiting for this node
+            for ear in (pose_of(stack, index), graph.hear(f"/iris_{index}/mavros/state", State)):
+                poll(ear.is_connected, f"{ear.topic} has a publisher", START_LIMIT)
         yield stack
     finally:
         stack.stop()

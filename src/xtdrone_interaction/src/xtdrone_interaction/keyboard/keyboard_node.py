@@ -51,6 +51,7 @@ from .terminal import ENDING, NoTerminalError, Signals, Terminal, TerminalGoneEr
 NAME = "multirotor_keyboard_control"
 _WIDTH = 80  # columns of the help without redrawing
 _MASTER_PERIOD = 2.0  # s between two checks of the master
+_NEW_MASTER = "a new ROS master: end this, start it again"
 _LEAVE_LIMIT = 3.0  # s for the master to unregister the node
 
 
@@ -114,7 +115,8 @@ class _VehicleMonitor:
 class _Monitor:
     """Monitors the visible vehicles and the ROS master.
 
-    A thread calls the master, because rospy waits for it, forever if it is gone.
+    Two threads call the master: rospy waits for it while it subscribes, forever if it is gone, and the other thread
+    reports just that.
 
     Attributes:
         trouble: short description of a problem with the master; empty for none.
@@ -126,8 +128,11 @@ class _Monitor:
         self._wanted: Sequence[str] = ()
         self._changed = threading.Event()
         self._ended = threading.Event()
-        rospy.on_shutdown(self._ended.set)
-        threading.Thread(target=self._run, name="lookout", daemon=True).start()
+        rospy.on_shutdown(self._end)
+        self._master = rosgraph.Master(rospy.get_name())
+        self._master_pid: int | None = None
+        threading.Thread(target=self._check_master, name="master", daemon=True).start()
+        threading.Thread(target=self._subscribe, name="subscriptions", daemon=True).start()
 
     def statuses(self, has_subscriber: Mapping[str, bool]) -> list[VehicleStatus]:
         """Return the states of the named vehicles, and monitor only these from now on."""
@@ -141,45 +146,45 @@ class _Monitor:
             for name, watch in watches.items()
         ]
 
-    def _run(self) -> None:
-        while not rospy.is_shutdown():
-            self._changed.wait(_MASTER_PERIOD)
-            self.trouble = _trouble_of_master()
-            if self.trouble:
-                self._ended.wait(_MASTER_PERIOD)
-            elif self._changed.is_set():
-                self._changed.clear()
-                self._watch(self._wanted)
+    def _end(self) -> None:
+        self._ended.set()
+        self._changed.set()
+
+    def _check_master(self) -> None:
+        while not self._ended.is_set():
+            self.trouble = self._trouble_of_master()
+            self._ended.wait(_MASTER_PERIOD)
+
+    def _trouble_of_master(self) -> str:
+        """Describe a problem with the ROS master; empty for none.
+
+        Without a master, existing connections survive but no new ones are made. A restarted master is another process,
+        or does not know this node; rospy registers with it only what it subscribes from then on.
+        """
+        try:
+            pid = self._master.getPid()
+            self._master_pid = self._master_pid or pid
+            self._master.lookupNode(rospy.get_name())
+        except rosgraph.MasterException:
+            return _NEW_MASTER
+        except (OSError, http.client.HTTPException, xmlrpc.client.Error):
+            return "no ROS master"
+        return "" if pid == self._master_pid else _NEW_MASTER
+
+    def _subscribe(self) -> None:
+        while self._changed.wait() and not self._ended.is_set():
+            self._changed.clear()
+            self._watch(self._wanted)
 
     def _watch(self, wanted: Sequence[str]) -> None:
-        """Subscribe to the wanted vehicles, until others are wanted or the master is gone: rospy would wait for it with
-        locks held that its shutdown needs."""
+        """Subscribe to the wanted vehicles, until others are wanted."""
         for name in set(self._watches).difference(wanted):
             self._watches.pop(name).close()
         for name in wanted:
             if self._changed.is_set():
                 return
-            if not rosgraph.is_master_online():
-                self._changed.set()  # retry when it is back
-                return
             if name not in self._watches:
                 self._watches[name] = _VehicleMonitor(name)
-
-
-def _trouble_of_master() -> str:
-    """Describe a problem with the ROS master; empty for none.
-
-    Without a master, existing connections survive but no new ones are made; a restarted master does not know this node,
-    and rospy does not register it again.
-    """
-    name = rospy.get_name()
-    try:
-        rosgraph.Master(name).lookupNode(name)
-    except rosgraph.MasterException:
-        return "a new ROS master: end this, start it again"
-    except (OSError, http.client.HTTPException, xmlrpc.client.Error):
-        return "no ROS master"
-    return ""
 
 
 class _LogCapture(logging.Handler):
