@@ -87,7 +87,8 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
         )
         poll(lambda: rosgraph.Master("/system_tests").hasParam("/lockstep/uri"), "roslaunch sets its parameters")
         stack.run("communication", "xtdrone_control", "multirotor_communication.py", "iris", "all")
-        for index in VEHICLES:  # now, while time stands still: it runs as fast as possible, without waiting for this node
+        # Now, while time stands still: later it runs as fast as possible and does not wait for this node.
+        for index in VEHICLES:
             for ear in (pose_of(stack, index), graph.hear(f"/iris_{index}/mavros/state", State)):
                 poll(ear.is_connected, f"{ear.topic} has a publisher", START_LIMIT)
         yield stack

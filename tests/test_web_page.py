@@ -79,6 +79,27 @@ def stack(starting: Stack, station: StationPage) -> Stack:
 
 
 @pytest.fixture(scope="module")
+def planned_path(graph: Graph) -> str:
+    """The topic of a latched path of 12 knots."""
+    publish_path(graph, PATH, 0.2)
+    return PATH
+
+
+def publish_path(graph: Graph, topic: str, climb: float) -> None:
+    """Publish a straight path along x that climbs by ``climb`` m a knot."""
+    spline = UniformSpline(0.0, 0.5, np.array([[float(n), 2.0, 3.0 + climb * n] for n in range(12)]))
+    graph.say_latched(topic, path_message(spline, rospy.Time.now(), "map"))
+
+
+def open_layers(station: StationPage) -> None:
+    """Open the list of layers in the 3D view, if it is closed."""
+    page = station.page
+    page.click("#stage-tabs [data-panel=scene]")
+    if not page.locator(".layer-rows").count():
+        page.click("[data-layers=list]")
+
+
+@pytest.fixture(scope="module")
 def actions(graph: Graph) -> Any:
     return graph.hear("/xtdrone/operator_actions", String)
 
@@ -178,11 +199,10 @@ def test_a_drawn_region_is_planned_and_uploaded(station: StationPage) -> None:
     page.click("#stage-tabs [data-panel=scene]")
 
 
-def test_a_lidar_s_cloud_and_a_planned_path_are_layers(station: StationPage, stack: Stack, graph: Graph) -> None:
+@pytest.mark.usefixtures("planned_path")
+def test_a_lidar_s_cloud_and_a_planned_path_are_layers(station: StationPage, stack: Stack) -> None:
     page = station.page
-    spline = UniformSpline(0.0, 0.5, np.array([[float(n), 2.0, 3.0 + 0.2 * n] for n in range(12)]))
-    graph.say_latched(PATH, path_message(spline, rospy.Time.now(), "map"))
-    page.click("[data-layers=list]")
+    open_layers(station)
     for topic in (CLOUD, PATH):
         page.check(f"[data-layer='{topic}']")
         station.until(f"station.view.layer('{topic}')?.count > 20")
@@ -200,8 +220,11 @@ def test_a_lidar_s_cloud_and_a_planned_path_are_layers(station: StationPage, sta
     station.until(f"station.view.layer('{CLOUD}') === undefined")
 
 
+@pytest.mark.usefixtures("planned_path")
 def test_a_layer_that_cannot_be_shown_says_why_and_the_others_go_on(station: StationPage, graph: Graph) -> None:
     page = station.page
+    open_layers(station)
+    page.check(f"[data-layer='{PATH}']")
     wrong = PointCloud2(height=1, width=100, point_step=12, data=bytes(12))
     graph.say_latched("/wrong/points", wrong)
     lost = Path(poses=[PoseStamped()])
@@ -214,26 +237,24 @@ def test_a_layer_that_cannot_be_shown_says_why_and_the_others_go_on(station: Sta
         page.check(f"[data-layer='{topic}']")
         page.wait_for_selector(f"[data-fault='{topic}']:has-text(\"{text}\")")
         page.uncheck(f"[data-layer='{topic}']")
-    assert page.evaluate(f"station.view.layer('{PATH}').count") > 20
-    page.click("[data-layers=list]")
+    station.until(f"station.view.layer('{PATH}')?.count > 20")
 
 
+@pytest.mark.usefixtures("planned_path")
 def test_a_stored_layer_comes_on_when_it_is_published(station: StationPage, graph: Graph) -> None:
     page, later = station.page, "/planned_later/path"
     layers = [{"name": later, "type": "nav_msgs/Path"}]
     page.evaluate("layers => localStorage.setItem('xtdrone-layers', JSON.stringify(layers))", layers)
     station.open()
-    page.click("[data-layers=list]")
+    open_layers(station)
     row = page.locator("label", has=page.locator(f"[data-layer='{later}']"))
     sync_api.expect(row).to_contain_text("not published yet")
     page.check(f"[data-layer='{PATH}']")  # another choice keeps it stored
-    spline = UniformSpline(0.0, 0.5, np.array([[float(n), 2.0, 3.0] for n in range(12)]))
-    graph.say_latched(later, path_message(spline, rospy.Time.now(), "map"))
+    publish_path(graph, later, 0.0)
     station.until(f"station.view.layer('{later}')?.count > 20")
     sync_api.expect(row).not_to_contain_text("not published yet")
     assert page.locator(f"[data-layer='{later}']").is_checked()
     assert {"name": later, "type": "nav_msgs/Path"} in page.evaluate("JSON.parse(localStorage['xtdrone-layers'])")
-    page.click("[data-layers=list]")
 
 
 def test_the_map_shows_what_a_search_has_seen(station: StationPage, graph: Graph) -> None:
