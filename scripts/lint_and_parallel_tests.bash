@@ -41,17 +41,22 @@ choose_workers() {
   fi
 }
 
-# Runs failed tests a second time, alone, because the machine may have been suspended. Tests that pass then are listed:
-# they are unstable and need a fix.
+readonly MOST_FILES_AGAIN=12 # more are not the machine's fault
+
+# Runs the tests. Without arguments, files with failed tests run a second time, one by one, because the machine may have
+# been suspended; whole files, because a test may build on those before it. Tests that pass then are listed: they are
+# unstable and need a fix.
 run_tests() {
-  local status=0 names workers=()
+  local status=0 names files workers=()
   (($# > 0)) || choose_workers
   # pybullet prints through C's buffer, which is flushed after pytest's last line unless it is line-buffered.
   stdbuf -oL python -m pytest "${workers[@]}" "$@" || status=$?
-  ((status == 1)) || return "$status"
-  names="$(python -m pytest --collect-only -q --last-failed "$@" 2>/dev/null | grep :: | head -n 20 || true)"
-  echo "== pytest: second run of the failed tests"
-  stdbuf -oL python -m pytest --last-failed "$@" || return
+  (($# == 0 && status == 1)) || return "$status"
+  names="$(python -m pytest --collect-only -q --last-failed 2>/dev/null | grep :: || true)"
+  mapfile -t files < <(sed 's/::.*//' <<<"$names" | sort -u)
+  ((${#files[@]} <= MOST_FILES_AGAIN)) || return "$status"
+  echo "== pytest: second run of the files with failed tests"
+  stdbuf -oL python -m pytest "${files[@]}" || return
   echo "== pytest: failed once and passed alone; unstable:"
   printf '%s\n' "$names"
 }
