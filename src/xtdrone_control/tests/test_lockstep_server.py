@@ -1070,6 +1070,27 @@ def test_a_topic_that_the_simulator_gives_up_is_not_waited_for(server):
     assert server.missing() == ""
 
 
+@pytest.mark.parametrize("joined_before", [False, True])
+def test_connections_that_end_before_they_are_reported_leave_nothing(server, joined_before):
+    """One report may have both ends of a short connection: a subscriber that comes and goes between two ticks."""
+    link = Link()
+    server.attach_host(link)
+    subscriptions = [["/models", "T"]] if joined_before else []
+    a = FakeParticipant(server, "/a", subscriptions=subscriptions)
+    joined(server, a)
+    for number in range(2, 100):
+        subscriber = "/a" if number % 2 else f"/echo_{number}"
+        link.news.append((None, [[number, "/models", subscriber, 1000, 0]], [number], {}))
+    link.news.append((None, [], [1], {}))
+    while link.news:
+        server.poll(0.0)
+    channels = server._channels
+    assert not channels._live
+    assert not channels._towards
+    assert not channels._host_end.outgoing.channels
+    assert not channels._host_end.outgoing.routes
+
+
 def test_port_in_use_raises(server):
     with pytest.raises(OSError, match="in use"):
         LockstepServer(port=int(server.uri.rsplit(":", 1)[1]))

@@ -133,6 +133,20 @@ def test_a_subscriber_that_needs_few_messages_gets_ten_a_second(monkeypatch: pyt
         end.close()
 
 
+def test_only_announced_connections_wait_to_be_counted() -> None:
+    """The counts of others have no reader: they would be kept for ever, like every subscriber of /clock."""
+    ends = socket.socketpair()
+    node = Node()
+    outlet = Outlet("/topic", transport_over(ends[0]), 1, node)
+    outlet(b"1")
+    assert not node.dirty
+    outlet.number = 3
+    outlet(b"2")
+    assert node.take_counts() == {3: 2}
+    for end in ends:
+        end.close()
+
+
 def published(message_class: type, message: object, monkeypatch: pytest.MonkeyPatch) -> bytes:
     """Return the messages that a subscriber receives for one message of its topic's first publisher."""
     ends = socket.socketpair()

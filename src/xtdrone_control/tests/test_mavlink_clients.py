@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import select
 import socket
 import time
+import weakref
 from collections import Counter
 from itertools import pairwise
 
@@ -190,6 +192,24 @@ def test_strangers_that_have_gone_are_not_counted_for_ever(world):
     assert len(port.sent) <= 257
     assert {1999, world.fleet[0].offboard_remote_port} <= set(port.sent)
     assert port.links == [port.default]
+
+
+def test_a_removed_client_is_freed_at_once(world, clients, monkeypatch):
+    """It neither waits for the garbage collector in a cycle nor remains in a table."""
+    wall = [time.monotonic()]
+    monkeypatch.setattr("xtdrone_control.mavlink.client_link.time.monotonic", lambda: wall[0])
+    links = weakref.WeakSet(world.server.ports[1].links[1:])
+    world.run(0.1)
+    assert len(links) == 3
+    assert all(link.streams.active for link in links)
+    wall[0] += 6.0
+    world.autopilot.time_us += 5_100_000
+    gc.disable()
+    try:
+        world.run(1.0, 20_000)
+        assert not links
+    finally:
+        gc.enable()
 
 
 def frames_of(kind, system=_SYSTEM):

@@ -174,6 +174,7 @@ class Link:
         """Close the link; later replies of services to the client are discarded."""
         self.open = False
         self._frames.clear()
+        self.streams.end()
 
     def heard(self, now_us: int, version: int) -> None:
         """Record a valid frame of MAVLink ``version`` from the client, and start its streams."""

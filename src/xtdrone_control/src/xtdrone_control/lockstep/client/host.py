@@ -85,8 +85,9 @@ class Host:
 
     def outlet_lost(self, outlet: Outlet) -> None:
         """Report with the next ``collect`` that a connection is closed; called in any thread."""
-        if self._outlets.pop(outlet.number, None) is not None:
-            self._lost.append(outlet.number)
+        with self._lock:
+            if self._outlets.pop(outlet.number, None) is not None:
+                self._lost.append(outlet.number)
 
     # ---- called by the server, see ``server.HostLink`` ----
 
@@ -99,10 +100,12 @@ class Host:
         # Counts before connections: a counted connection has then been reported before or is reported by this call.
         counts = self._node.take_counts()
         made, lost = [], []
-        while self._made:
-            made.append(self._made.popleft())
+        # Losses before connections: rospy's threads add both, and a lost connection has then been reported before or is
+        # reported by this call.
         while self._lost:
             lost.append(self._lost.popleft())
+        while self._made:
+            made.append(self._made.popleft())
         return declaration, made, lost, counts
 
     def counted(self, number: int, value: bool) -> None:

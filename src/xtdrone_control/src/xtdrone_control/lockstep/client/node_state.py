@@ -63,7 +63,7 @@ class Node:
         subscribers: The declared subscribers, in order of declaration.
         ends: The receiving ends by topic.
         reader: Reads the topic connections of a participant.
-        dirty: Outlets whose count has changed since it was last reported.
+        dirty: Announced outlets whose count has changed since it was last reported.
         digests: Digests of the published messages by topic; None if not requested.
         time_us: Simulation time of the current turn in microseconds.
         reset_hooks: Functions to call when simulation time was reset.
@@ -178,8 +178,7 @@ class Node:
             # Cleared before the count is read: a message that another thread is sending is either counted here or marks
             # the outlet dirty again.
             outlet.dirty = False
-            if outlet.number:
-                counts[outlet.number] = outlet.count
+            counts[outlet.number] = outlet.count
         return counts
 
     # ---- callbacks ----

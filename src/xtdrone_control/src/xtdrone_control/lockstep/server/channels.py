@@ -211,10 +211,10 @@ class Channels:
         Raises:
             ProtocolError: A connection is made twice, or there are too many.
         """
-        for number in peers.lost:
-            self._close_channel(publisher, number)
         for made in peers.made:
             self._make_channel(publisher, made)
+        for number in peers.lost:  # after those made: one report may have both ends of a short connection
+            self._close_channel(publisher, number)
 
     def add_participant(self, reader: Participant) -> None:
         """Open the channels to a participant that were made before it joined."""

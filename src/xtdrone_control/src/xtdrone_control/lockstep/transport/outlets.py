@@ -25,7 +25,7 @@ class Ledger(Protocol):
     """Records the connections and message counts of a process.
 
     Attributes:
-        dirty: Outlets whose count has changed since it was last reported.
+        dirty: Announced outlets whose count has changed since it was last reported.
         digests: Digests of the published messages by topic; None if not requested.
         time_us: Simulation time in microseconds, for the digests.
     """
@@ -109,7 +109,7 @@ class Outlet:
         self.count += 1
         transport.stat_num_msg += 1
         transport.stat_bytes += len(data)
-        if not self.dirty:
+        if self.number and not self.dirty:  # one that is not announced has no reader; its announcement has the count
             self.dirty = True
             self._ledger.dirty.append(self)
         return True

@@ -225,6 +225,16 @@ class Streams:
             self.active = False
             self._rebuild(0)
 
+    def end(self) -> None:
+        """Stop the streams for good and release them, so that the link of a removed client is freed at once.
+
+        The sources of the ``LINK_MESSAGES`` refer to the link: as a cycle it would wait for Python's collection of the
+        oldest garbage, which is delayed until a quarter of all objects is new.
+        """
+        self._changed = silent
+        self.stop()
+        self._streams = {HEARTBEAT.number: self._beat}
+
     def interval(self, number: int) -> int | None:
         """Return the interval of message ``number``, us; -1 if it is off, None if it is not a stream."""
         stream = self._streams.get(number)
