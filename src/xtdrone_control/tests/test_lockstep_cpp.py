@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from test_lockstep_nodes import PATIENCE, ROSMASTER, Graph, due_times, heavy, run, wait_until
+from test_lockstep_nodes import PATIENCE, Graph, due_times, heavy, run, wait_until
 
 from xtdrone_control import lockstep
 from xtdrone_control.lockstep import unix_sockets
@@ -41,8 +41,8 @@ NODE = shutil.which(
 )
 
 pytestmark = pytest.mark.skipif(
-    ROSMASTER is None or rospy is None or NODE is None,
-    reason="needs ROS 1 (rosmaster on PATH, rospy) and the built workspace (lockstep_test_node)",
+    rospy is None or NODE is None,
+    reason="needs ROS 1 (rosmaster, rospy) and the built workspace (lockstep_test_node)",
 )
 
 RATES = {"a": 50.0, "b": 30.0, "c": 20.0}
@@ -662,8 +662,7 @@ def test_node_started_first_waits_for_the_simulator(graph: MixedGraph) -> None:
 
 
 def test_missing_master_is_reported(graph: MixedGraph) -> None:
-    graph.processes["master"].kill()
-    graph.processes["master"].wait()
+    graph.ros_master.close()
     assert graph.start_cpp("alone", "alone").wait(PATIENCE) == 1
     assert f"no ROS master answers at {graph.env['ROS_MASTER_URI']}" in graph.output("alone")
 
