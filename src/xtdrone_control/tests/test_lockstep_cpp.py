@@ -175,15 +175,13 @@ class Node:
 class MixedGraph(Graph):
     """A graph that can start C++ nodes too."""
 
+    file = __file__
+
     def start_cpp(self, role: str, name: str, *arguments: str) -> subprocess.Popen:
         command = [str(NODE), role, name, *arguments]
-        self.processes[name] = self._popen(name, command, TRANSCRIPT=str(self.transcript_path(name)))
-        return self.processes[name]
-
-    def start(self, role: str, name: str, *arguments: str) -> subprocess.Popen:
-        command = [sys.executable, __file__, role, name, *arguments]
-        self.processes[name] = self._popen(name, command, TRANSCRIPT=str(self.transcript_path(name)))
-        return self.processes[name]
+        process = self._popen(name, command, TRANSCRIPT=str(self.transcript_path(name)))
+        self.processes[name] = process
+        return process
 
     def start_participants(self, server: LockstepServer, nodes: dict[str, Node]) -> None:
         for name in reversed(nodes):
@@ -688,7 +686,8 @@ def test_idle_participant_requires_a_name_and_a_rate(graph: MixedGraph, program:
     assert "usage" in done.stderr
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Run a Python node."""
     role, name, *rest = sys.argv[1:]
     if role == "participant":
         participant(name, float(rest[0]), int(rest[1]), rest[2:])
@@ -697,3 +696,7 @@ if __name__ == "__main__":
             function.__name__: function
             for function in (heavy, stamper, sender, reader, talker, listener, clock, rewinder)
         }[role](name, *rest)
+
+
+if __name__ == "__main__":
+    main()

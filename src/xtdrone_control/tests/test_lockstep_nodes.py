@@ -22,6 +22,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from forked_nodes import ForkedNode, fork_node
 from ros_master import RosMaster
 
 from xtdrone_control import lockstep
@@ -420,11 +421,17 @@ def recorder(name: str) -> None:
 
 
 class Graph:
-    """A separate ROS master and the processes started by a test."""
+    """A separate ROS master and the processes started by a test.
+
+    Attributes:
+        file: contains the nodes.
+    """
+
+    file = __file__
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.processes: dict[str, subprocess.Popen] = {}
+        self.processes: dict[str, subprocess.Popen | ForkedNode] = {}
         self.ros_master = RosMaster()
         self.env = {
             **os.environ,
@@ -445,11 +452,12 @@ class Graph:
 
     def start(
         self, role: str, name: str, *arguments: str, remap: list[str] | None = None, stdin: int | None = None
-    ) -> subprocess.Popen:
-        command = [sys.executable, __file__, role, name, *arguments, *(remap or [])]
-        transcript = str(self.transcript_path(name))
-        self.processes[name] = self._popen(name, command, stdin=stdin, TRANSCRIPT=transcript)
-        return self.processes[name]
+    ) -> ForkedNode:
+        environment = {**self.env, "TRANSCRIPT": str(self.transcript_path(name))}
+        with open(self.folder / f"{name}.out", "w") as out:
+            node = fork_node(self.file, [role, name, *arguments, *(remap or [])], environment, out, stdin)
+        self.processes[name] = node
+        return node
 
     def transcript_path(self, name: str) -> Path:
         return self.folder / f"{name}.transcript"
@@ -965,7 +973,8 @@ def test_node_started_first_waits_for_the_simulator(graph: Graph) -> None:
     server.close()
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Run a node."""
     role, name, *rest = sys.argv[1:]
     if role == "participant":
         participant(name, int(rest[0]), [peer for peer in rest[1:] if ":=" not in peer])
@@ -997,3 +1006,7 @@ if __name__ == "__main__":
             announcer,
         ]
         {function.__name__: function for function in roles}[role](name)
+
+
+if __name__ == "__main__":
+    main()
