@@ -11,6 +11,7 @@ from typing import Any
 from rich.console import Console
 
 from benchmarks.calibration import describe
+from xtdrone_control.whole_file import write_whole
 
 
 @contextmanager
@@ -38,7 +39,5 @@ def print_machine(results: dict[str, Any], console: Console) -> None:
 
 
 def write_results(results: dict[str, Any], path: Path) -> None:
-    """Replace the file atomically, so that it is complete at any time."""
-    part = path.with_name(path.name + ".part")
-    part.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
-    part.replace(path)
+    """Write the file, which is complete at any time."""
+    write_whole(path, json.dumps(results, indent=1) + "\n")

@@ -20,6 +20,7 @@ import uuid
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -69,6 +70,16 @@ def poll(condition: Callable[[], Any], what: str, limit: float = WALL_LIMIT) -> 
         assert time.monotonic() < end, f"{what}: not within {limit:g} s"
         time.sleep(_SLICE)
     return value
+
+
+def _listens(uri: str) -> bool:
+    """Return whether a node's process listens; the master also names nodes that were killed."""
+    address = urlsplit(uri)
+    try:
+        with socket.create_connection((address.hostname, address.port)):
+            return True
+    except OSError:
+        return False
 
 
 class Ear:
@@ -142,10 +153,25 @@ class Graph:
         rospy.init_node("system_tests", disable_signals=True)
 
     def hear(self, topic: str, kind: type, queue_size: int | None = None) -> Ear:
-        """Return the subscription to a topic."""
+        """Return the subscription to a topic, which is connected if a running node publishes the topic.
+
+        Else a simulation, which may run a hundred times as fast as time, would be far ahead of the first message.
+        """
         if topic not in self._ears:
             self._ears[topic] = Ear(self, topic, kind, queue_size)
+            if self._is_published(topic):
+                poll(self._ears[topic].is_connected, f"{topic} is connected")
         return self._ears[topic]
+
+    def _is_published(self, topic: str) -> bool:
+        import rosgraph
+
+        master = rosgraph.Master("/system_tests")
+        for name in dict(master.getSystemState()[0]).get(topic, []):
+            with contextlib.suppress(rosgraph.MasterError):  # it has unregistered since
+                if _listens(master.lookupNode(name)):
+                    return True
+        return False
 
     def say(self, topic: str, message: Any) -> None:
         """Publish a message as soon as there is a subscriber."""
@@ -353,12 +379,14 @@ class Stack:
             sim: limit of simulated time, s.
             wall: limit of wall time, s, for a simulation that stands still.
         """
-        begin, end = self.time, time.monotonic() + wall
+        begin, end = math.nan, time.monotonic() + wall
         with self.graph.changed:
             while True:
                 self._look()
                 if value := condition():
                     return value
+                if math.isnan(begin):  # only now: the condition may have subscribed to a topic
+                    begin = self.time
                 waited = self.time - begin
                 assert waited <= sim, f"{what}: not within {sim:g} s of simulated time; {self.described()}"
                 assert time.monotonic() < end, f"{what}: not within {wall:g} s of wall time; {self.described()}"

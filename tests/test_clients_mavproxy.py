@@ -1,4 +1,4 @@
-"""MAVProxy at its prompt, against the autopilot: one flight, tests in file order.
+"""MAVProxy at its prompt, against the autopilot, alone and then beside other clients: tests in file order.
 
 Its ``mode`` command is not used: with PX4's mode numbers MAVProxy and pymavlink do not agree on the arguments.
 """
@@ -52,11 +52,16 @@ class Prompt:
                 self._text += piece.decode(errors="replace")
                 self._changed.notify_all()
 
+    @property
+    def length(self) -> int:
+        """Number of characters written so far."""
+        with self._changed:
+            return len(self._text)
+
     def say(self, line: str, *answers: str) -> str:
         """Type a line, wait until all ``answers`` follow it, and return the output since then."""
         assert self._process.stdin is not None
-        with self._changed:
-            start = len(self._text)
+        start = self.length
         self._process.stdin.write(line + "\n")
         self._process.stdin.flush()
         return self.wait(*answers, start=start)
@@ -121,6 +126,50 @@ def test_it_arms_takes_off_and_flies_the_mission(prompt):
 def test_modes_by_command(prompt):
     prompt.say("long DO_SET_MODE 1 4 5", "Mode RTL")
     prompt.say("long DO_SET_MODE 1 4 3", "Mode LOITER")
+
+
+def test_four_clients_at_one_vehicle(core, prompt):
+    """Each works while the others do; one disconnects in flight, and another one connects."""
+    pytest.importorskip("mavsdk")
+    from pymavlink.dialects.v20 import common as mavlink
+    from test_clients_mavsdk import Client
+    from test_clients_pymavlink import Station
+
+    vehicle = core.vehicles[0]
+    system = vehicle.system_id
+    onboard = Client(f"udpin://127.0.0.1:{vehicle.offboard_remote_port}")
+    ground = Client(f"udpout://127.0.0.1:{vehicle.gcs_local_port}")
+    script = Station(core)
+    start = prompt.length
+    try:
+        script.until(lambda: (system, "HEARTBEAT") in script.last, "a heartbeat")
+        # one sets, all receive it
+        script.connection.mav.param_set_send(system, 1, b"MIS_TAKEOFF_ALT", 4.0, 9)
+        script.until(
+            lambda: getattr(script.last.get((system, "PARAM_VALUE")), "param_id", "") == "MIS_TAKEOFF_ALT", "its answer"
+        )
+        for client in (onboard, ground):
+            assert client.run(client.drone.param.get_param_float("MIS_TAKEOFF_ALT")) == 4.0
+        # one arms, another one takes off, all receive it
+        ground.until(ground.drone.telemetry.health(), lambda health: health.is_armable)
+        prompt.say("arm throttle", "COMPONENT_ARM_DISARM: ACCEPTED")
+        onboard.until(onboard.drone.telemetry.armed(), lambda armed: armed)
+        onboard.run(onboard.drone.action.takeoff())
+        ground.until(ground.drone.telemetry.position(), lambda position: position.relative_altitude_m > 3.0)
+        script.until(lambda: script.height(system) > 3.0, "the script sees it")
+        prompt.wait("Takeoff detected", start=start)
+        # one disconnects, the others stay
+        onboard.close()
+        assert script.command(system, mavlink.MAV_CMD_NAV_LAND) == 0
+        ground.until(ground.drone.telemetry.armed(), lambda armed: not armed)
+        prompt.wait("DISARMED", start=start)
+        # another one connects in its place
+        onboard = Client(f"udpin://127.0.0.1:{vehicle.offboard_remote_port}")
+        assert not onboard.until(onboard.drone.telemetry.in_air(), lambda in_air: not in_air)
+    finally:
+        script.close()
+        for client in (onboard, ground):
+            client.close()
 
 
 def test_the_core_lives(core):

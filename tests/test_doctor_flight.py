@@ -1,4 +1,4 @@
-"""``./xtdrone doctor`` beside running simulations: its findings, and no effect on the flight."""
+"""``./xtdrone doctor`` beside a running simulation: its findings. test_watched_flight.py: it has no effect."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import pytest
-from conftest import REPOSITORY, WALL_LIMIT, Graph, Stack, poll, wait_for_ports
+from conftest import WALL_LIMIT, Graph, Stack, poll, wait_for_ports
 
 pytest.importorskip("rospy")
 
@@ -24,10 +23,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from xtdrone_msgs.srv import Step
 
-from validation.replay.digest_comparison import compare, read_digests
-
 FLEET = "iris:2"
-HELLO = REPOSITORY / "src" / "xtdrone_control" / "examples" / "hello.py"
 INJECT_FAILURE, GPS, OFF = 420, 4.0, 1.0  # MAV_CMD_INJECT_FAILURE, FAILURE_UNIT_SENSOR_GPS, FAILURE_TYPE_OFF
 
 
@@ -98,48 +94,3 @@ def test_the_doctor_names_what_is_wrong_and_what_to_do(graph: Graph, tmp_path: P
         assert graph.call("/simulator/resume", Trigger).success
     finally:
         stack.stop()
-
-
-def test_a_flight_is_the_same_with_the_doctor(graph: Graph, tmp_path: Path) -> None:
-    files = []
-    for run in ("without", "with"):
-        folder = tmp_path / run
-        folder.mkdir()
-        graph.forget()
-        wait_for_ports("iris:1")
-        stack = Stack(graph, folder, "iris:1")
-        files.append(folder / "digest.jsonl")
-        try:
-            stack.launch(
-                "multi_vehicle.launch",
-                "vehicles:=iris:1",
-                "speed:=5",  # slow enough for several reports in the air
-                "participants:=/mavros,/drone_script",
-                f"digest:={files[-1]}",
-            )
-            poll(lambda: rosgraph.Master("/system_tests").hasParam("/lockstep/uri"), "roslaunch starts a simulator")
-            script = stack.start("script", [sys.executable, str(HELLO)])
-            reports = _beside(graph, script.process) if run == "with" else []
-            assert script.end() == 0, script.output
-        finally:
-            stack.stop()
-    assert any("OFFBOARD, armed" in report for report in reports), reports
-    first, second = map(read_digests, files)
-    # the last lines are written when the simulators are stopped
-    comparison = compare(first, second, min(first.end, second.end) // 1_000_000 * 1_000_000 - 1_000_000)
-    assert comparison.same, comparison
-    assert comparison.time > 20.0
-
-
-def _beside(graph: Graph, process: subprocess.Popen[bytes]) -> list[str]:
-    """Run the doctor repeatedly until a process has ended; return its reports."""
-    reports: list[str] = []
-
-    def look() -> None:
-        while process.poll() is None:
-            reports.append(doctor(graph)[1])
-
-    thread = threading.Thread(target=look)
-    thread.start()
-    thread.join(WALL_LIMIT)
-    return reports

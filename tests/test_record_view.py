@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import math
 import os
-import pickle
-import re
 import resource
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +21,7 @@ import yaml
 from conftest import Graph
 
 from xtdrone_interaction.rviz.films import record_view
-from xtdrone_interaction.rviz.films.film_options import film_settings
+from xtdrone_interaction.rviz.films.film_options import as_words, film_settings
 from xtdrone_interaction.rviz.films.view_nodes import CrashError
 
 NAMES = ("iris_0", "typhoon_h480_0", "iris_1")  # the second one has joints, which the bag does not contain
@@ -261,6 +259,18 @@ def test_a_film_whose_drawing_crashes_is_drawn_once_again(bag: Path, view: Path,
         assert out.with_suffix(".core").stat().st_size > 0
 
 
+def test_the_second_drawing_has_the_settings_of_the_first(tmp_path: Path) -> None:
+    (tmp_path / "flight.bag").touch()
+    words = f"search --bag {tmp_path}/flight.bag --fps 12.5 --faster 3 --size 640x480 --rough".split()
+    words += ["--from", "1.25", "--to", "7", "--world", "outdoor", "--frames", f"{tmp_path}/frames"]
+    for given in (words, words[:3]):
+        first = film_settings(given)
+        (tmp_path / "frames").mkdir(exist_ok=True)
+        (tmp_path / "frames" / "0.png").touch()  # of the first drawing
+        assert film_settings(as_words(first)) == replace(first, again=True)
+        shutil.rmtree(tmp_path / "frames")
+
+
 def test_a_film_whose_second_drawing_crashes_is_given_up(
     bag: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -272,8 +282,7 @@ def test_a_film_whose_second_drawing_crashes_is_given_up(
     drawn: list[bool] = []
 
     def draw(command: list[str]) -> int:
-        stored = re.findall(r"film_stored\('(.*)'\)", command[-1])[0]
-        settings = pickle.loads(base64.b64decode(stored))
+        settings = film_settings(command[command.index("record-view") + 1 :])
         drawn.append(settings.again)
         return record_view._run(settings)
 

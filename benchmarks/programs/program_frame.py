@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from xtdrone_control.whole_file import write_whole
+
 Row = dict[str, Any]
 
 
@@ -67,5 +69,5 @@ def run(
     except KeyboardInterrupt:
         return 130
     if arguments.json:
-        arguments.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+        write_whole(arguments.json, json.dumps(rows, indent=1) + "\n")
     return 0

@@ -17,6 +17,7 @@ from validation.compare_px4 import event_tolerances, flown_scripts, pictures, re
 from validation.compare_px4.event_tolerances import Match
 from validation.compare_px4.pilot import PilotError
 from validation.compare_px4.response_tolerances import Figure
+from xtdrone_control.whole_file import write_whole
 from xtdrone_interaction import command_options
 from xtdrone_interaction.command_options import OptionError
 from xtdrone_sim.descriptions import ModelError
@@ -60,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
     for flight in flights:
         pictures.save(theirs, ours, flight, folder)
     text = report(arguments.vehicle, figures, matches)
-    (folder / "report.txt").write_text(text)
+    write_whole(folder / "report.txt", text)
     print(text)
     print(f"pictures and tables: {folder}")
     return 1 if _outside(figures, matches) else 0

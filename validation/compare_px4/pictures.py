@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from validation.compare_px4.reference import Flight, Track
+from xtdrone_interaction.pictures.picture_style import save_figure
 
 _DPI = 130
 _REFERENCE, _OURS = "PX4 v1.14.3, recorded", "this autopilot"
@@ -105,8 +106,7 @@ def save(reference: Flight, ours: Flight, flight: str, folder: Path) -> Path:
     with plt.rc_context(_STYLE):
         figure = _draw(picture, parts)
         path = folder / f"{flight}.png"
-        figure.savefig(path, dpi=_DPI)
-        plt.close(figure)
+        save_figure(figure, path, dpi=_DPI)
     return path
 
 

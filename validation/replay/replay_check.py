@@ -28,6 +28,7 @@ from rich.table import Table
 from validation.replay.digest_comparison import Comparison, DigestError, Digests, compare, read_digests
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.settings import Settings, setting
+from xtdrone_control.whole_file import write_whole
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction import command_options
 from xtdrone_interaction.command_options import OptionError, patterns_setting, seed_setting, vehicles_setting
@@ -188,7 +189,7 @@ def run_check(settings: ReplaySettings, console: Console) -> int:
             console.print(f"{_flight_line(flight)}: {verdict(result)}", highlight=False, soft_wrap=True)
     _print_table(reference, rows, console)
     outcome = settings.folder / "replay.json"
-    outcome.write_text(json.dumps(outcome_data(settings, reference, rows), indent=2) + "\n", encoding="utf-8")
+    write_whole(outcome, json.dumps(outcome_data(settings, reference, rows), indent=2) + "\n")
     console.print(f"  {outcome}", highlight=False, soft_wrap=True)
     return 0 if all(result.same for _, result in rows) else 1
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from test_lockstep_nodes import PATIENCE, ROSMASTER, Graph, due_times, heavy, run, wait_until
+from test_lockstep_nodes import PATIENCE, Graph, due_times, heavy, run, wait_until
 
 from xtdrone_control import lockstep
 from xtdrone_control.lockstep import unix_sockets
@@ -41,8 +41,8 @@ NODE = shutil.which(
 )
 
 pytestmark = pytest.mark.skipif(
-    ROSMASTER is None or rospy is None or NODE is None,
-    reason="needs ROS 1 (rosmaster on PATH, rospy) and the built workspace (lockstep_test_node)",
+    rospy is None or NODE is None,
+    reason="needs ROS 1 (rosmaster, rospy) and the built workspace (lockstep_test_node)",
 )
 
 RATES = {"a": 50.0, "b": 30.0, "c": 20.0}
@@ -175,15 +175,13 @@ class Node:
 class MixedGraph(Graph):
     """A graph that can start C++ nodes too."""
 
+    file = __file__
+
     def start_cpp(self, role: str, name: str, *arguments: str) -> subprocess.Popen:
         command = [str(NODE), role, name, *arguments]
-        self.processes[name] = self._popen(name, command, TRANSCRIPT=str(self.transcript_path(name)))
-        return self.processes[name]
-
-    def start(self, role: str, name: str, *arguments: str) -> subprocess.Popen:
-        command = [sys.executable, __file__, role, name, *arguments]
-        self.processes[name] = self._popen(name, command, TRANSCRIPT=str(self.transcript_path(name)))
-        return self.processes[name]
+        process = self._popen(name, command, TRANSCRIPT=str(self.transcript_path(name)))
+        self.processes[name] = process
+        return process
 
     def start_participants(self, server: LockstepServer, nodes: dict[str, Node]) -> None:
         for name in reversed(nodes):
@@ -662,8 +660,7 @@ def test_node_started_first_waits_for_the_simulator(graph: MixedGraph) -> None:
 
 
 def test_missing_master_is_reported(graph: MixedGraph) -> None:
-    graph.processes["master"].kill()
-    graph.processes["master"].wait()
+    graph.ros_master.close()
     assert graph.start_cpp("alone", "alone").wait(PATIENCE) == 1
     assert f"no ROS master answers at {graph.env['ROS_MASTER_URI']}" in graph.output("alone")
 
@@ -689,7 +686,8 @@ def test_idle_participant_requires_a_name_and_a_rate(graph: MixedGraph, program:
     assert "usage" in done.stderr
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Run a Python node."""
     role, name, *rest = sys.argv[1:]
     if role == "participant":
         participant(name, float(rest[0]), int(rest[1]), rest[2:])
@@ -698,3 +696,7 @@ if __name__ == "__main__":
             function.__name__: function
             for function in (heavy, stamper, sender, reader, talker, listener, clock, rewinder)
         }[role](name, *rest)
+
+
+if __name__ == "__main__":
+    main()

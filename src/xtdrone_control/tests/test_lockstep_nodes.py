@@ -10,7 +10,6 @@ import itertools
 import logging
 import os
 import random
-import shutil
 import signal
 import socket
 import subprocess
@@ -23,12 +22,13 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from forked_nodes import ForkedNode, fork_node
+from ros_master import RosMaster
 
 from xtdrone_control import lockstep
 from xtdrone_control.lockstep.protocol import Schedule
 from xtdrone_control.lockstep.server import LockstepServer
 
-ROSMASTER = shutil.which("rosmaster")
 try:
     import rosgraph
     import rospy
@@ -39,9 +39,7 @@ try:
 except ImportError:
     rospy = None
 
-pytestmark = pytest.mark.skipif(
-    ROSMASTER is None or rospy is None, reason="needs ROS 1: rosmaster on PATH and rospy (apt install ros-core)"
-)
+pytestmark = pytest.mark.skipif(rospy is None, reason="needs ROS 1: rosmaster and rospy (apt install ros-core)")
 
 RATES = {"/a": 50.0, "/b": 30.0, "/c": 20.0}
 END_US = 1_500_000
@@ -423,46 +421,43 @@ def recorder(name: str) -> None:
 
 
 class Graph:
-    """A separate ROS master and the processes started by a test."""
+    """A separate ROS master and the processes started by a test.
+
+    Attributes:
+        file: contains the nodes.
+    """
+
+    file = __file__
 
     def __init__(self, folder: Path) -> None:
-        with socket.socket() as sock:
-            sock.bind(("127.0.0.1", 0))
-            port = sock.getsockname()[1]
         self.folder = folder
-        self.processes: dict[str, subprocess.Popen] = {}
+        self.processes: dict[str, subprocess.Popen | ForkedNode] = {}
+        self.ros_master = RosMaster()
         self.env = {
             **os.environ,
-            "ROS_MASTER_URI": f"http://127.0.0.1:{port}",
+            "ROS_MASTER_URI": self.ros_master.uri,
             "ROS_HOSTNAME": "127.0.0.1",
             "ROS_LOG_DIR": str(folder),
             "ROS_HOME": str(folder),
             "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
         }
-        self.processes["master"] = self._popen("master", [str(ROSMASTER), "--core", "-p", str(port)])
-        self.master = xmlrpc.client.ServerProxy(self.env["ROS_MASTER_URI"])
-        wait_until(self._master_answers, "the master answers")
+        self.master = xmlrpc.client.ServerProxy(self.ros_master.uri)
 
     def _popen(self, name: str, command: list[str], stdin: int | None = None, **env: str) -> subprocess.Popen:
         with open(self.folder / f"{name}.out", "w") as out:
             return subprocess.Popen(command, env={**self.env, **env}, stdin=stdin, stdout=out, stderr=subprocess.STDOUT)
-
-    def _master_answers(self) -> bool:
-        try:
-            return self.master.getPid("/test")[0] == 1
-        except OSError:
-            return False
 
     def set_param(self, name: str, value: object) -> None:
         self.master.setParam("/test", name, value)
 
     def start(
         self, role: str, name: str, *arguments: str, remap: list[str] | None = None, stdin: int | None = None
-    ) -> subprocess.Popen:
-        command = [sys.executable, __file__, role, name, *arguments, *(remap or [])]
-        transcript = str(self.transcript_path(name))
-        self.processes[name] = self._popen(name, command, stdin=stdin, TRANSCRIPT=transcript)
-        return self.processes[name]
+    ) -> ForkedNode:
+        environment = {**self.env, "TRANSCRIPT": str(self.transcript_path(name))}
+        with open(self.folder / f"{name}.out", "w") as out:
+            node = fork_node(self.file, [role, name, *arguments, *(remap or [])], environment, out, stdin)
+        self.processes[name] = node
+        return node
 
     def transcript_path(self, name: str) -> Path:
         return self.folder / f"{name}.transcript"
@@ -478,6 +473,7 @@ class Graph:
             process.kill()
         for process in self.processes.values():
             process.wait()
+        self.ros_master.close()
 
 
 def wait_until(condition: Callable[[], bool], what: str) -> None:
@@ -977,7 +973,8 @@ def test_node_started_first_waits_for_the_simulator(graph: Graph) -> None:
     server.close()
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Run a node."""
     role, name, *rest = sys.argv[1:]
     if role == "participant":
         participant(name, int(rest[0]), [peer for peer in rest[1:] if ":=" not in peer])
@@ -1009,3 +1006,7 @@ if __name__ == "__main__":
             announcer,
         ]
         {function.__name__: function for function in roles}[role](name)
+
+
+if __name__ == "__main__":
+    main()

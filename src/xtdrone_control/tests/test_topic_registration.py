@@ -14,11 +14,13 @@ import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from ros_master import RosMaster
 from test_lockstep_nodes import PATIENCE
 from test_lockstep_nodes import pytestmark as pytestmark
 
@@ -106,6 +108,22 @@ def subscribe(name: str) -> None:
     os._exit(0)
 
 
+def ask_again(name: str) -> None:
+    """Ask the master again for topics, and change the subscriptions before it answers."""
+    init_plain_node(name)
+    ends = {topic: rospy.Subscriber(topic, String) for topic in ("/t/again", "/t/gone", "/t/kept")}
+    rospy_internals.ask_master_again(ends)
+    sys.stdin.readline()
+    for topic in ("/t/again", "/t/gone"):
+        ends[topic].unregister()
+    for topic in ("/t/again", "/t/new"):
+        ends[topic] = rospy.Subscriber(topic, String)
+    print("changed", flush=True)
+    with rospy_internals._asking:
+        print("answered", flush=True)
+    sys.stdin.readline()
+
+
 def participate(name: str, role: str) -> None:
     """Take part in the lockstep with one end of a topic."""
     lockstep.init_node(name, rate=50.0)
@@ -124,6 +142,8 @@ class LateMaster(MasterHandler):
     Attributes:
         loses: Whether the first registration of a subscriber is answered with no publishers, and not kept.
         asked: Number of registrations by subscriber's name.
+        questions: Released when a subscriber registers a topic the second time.
+        may_answer: The second registration of a topic is computed and answered when this is set.
         on_subscriber: Called with a topic when the answer to its subscriber is computed and not yet sent.
     """
 
@@ -131,13 +151,21 @@ class LateMaster(MasterHandler):
         super().__init__(3)
         self.loses = loses
         self.asked: dict[str, int] = {}
+        self.questions = threading.Semaphore(0)
+        self.may_answer = threading.Event()
+        self.may_answer.set()
         self.on_subscriber: Callable[[str], None] = lambda _: None
         self._delays = random.Random(5)
+        self._registered: Counter[tuple[str, str]] = Counter()
 
     def registerSubscriber(self, name: str, topic: str, kind: str, uri: str) -> Any:  # noqa: N802 - XML-RPC's name
         if not topic.startswith(("/t/", "/from_")):
             return super().registerSubscriber(name, topic, kind, uri)
         self.asked[name] = self.asked.get(name, 0) + 1
+        self._registered[name, topic] += 1
+        if self._registered[name, topic] == 2:
+            self.questions.release()
+            self.may_answer.wait()
         if self.loses and self.asked[name] == 1:
             return 1, "", []
         answer = super().registerSubscriber(name, topic, kind, uri)
@@ -152,10 +180,7 @@ class Nodes:
 
     def __init__(self, loses: bool) -> None:
         self.master = LateMaster(loses)
-        self._server = rosgraph.xmlrpc.XmlRpcNode(0, self.master)
-        self._server.start()
-        while not self._server.uri:
-            time.sleep(0.001)
+        self._server = RosMaster(self.master)
         self.environment = {**os.environ, "ROS_MASTER_URI": self._server.uri, "ROS_IP": "127.0.0.1"}
         self.processes: list[subprocess.Popen[str]] = []
 
@@ -170,11 +195,12 @@ class Nodes:
         return self.start(sys.executable, __file__, *arguments)
 
     def stop(self) -> None:
+        self.master.may_answer.set()
         for process in self.processes:
             process.kill()
         for process in self.processes:
             process.communicate()
-        self._server.shutdown("over")
+        self._server.close()
 
 
 @pytest.fixture
@@ -247,6 +273,15 @@ def test_no_connection_is_lost_while_answers_are_late_and_threads_compute(nodes)
     assert [process.stdout.readline() for process in subscribers] == ["lost 0\n"] * 2
 
 
+def start_pair(nodes: Nodes, language: str) -> None:
+    """Start a node that publishes, and one in ``language`` that subscribes to it."""
+    nodes.start_python("participate", "a", "publishes")
+    if language == "cpp":
+        nodes.start(NODE, "participant", "b", "50", "0", "a", "b")
+    else:
+        nodes.start_python("participate", "b", "subscribes")
+
+
 @pytest.mark.parametrize("nodes", [True], indirect=True)
 @pytest.mark.parametrize("language", ["python", "cpp"])
 def test_lockstep_asks_the_master_again_for_a_connection_that_is_not_made(nodes, language, monkeypatch) -> None:
@@ -254,11 +289,7 @@ def test_lockstep_asks_the_master_again_for_a_connection_that_is_not_made(nodes,
     said: list[str] = []
     server = LockstepServer(hang_limit=PATIENCE, connect_limit=PATIENCE, log=lambda _, text: said.append(text))
     rosgraph.Master("/test", nodes.environment["ROS_MASTER_URI"]).setParam("/lockstep/uri", server.uri)
-    nodes.start_python("participate", "a", "publishes")
-    if language == "cpp":
-        nodes.start(NODE, "participant", "b", "50", "0", "a", "b")
-    else:
-        nodes.start_python("participate", "b", "subscribes")
+    start_pair(nodes, language)
     assert server.wait_for(["/a", "/b"], timeout=PATIENCE), server.missing(["/a", "/b"])
     assert nodes.master.asked["/b"] >= 2
     server.tick(0)
@@ -266,6 +297,37 @@ def test_lockstep_asks_the_master_again_for_a_connection_that_is_not_made(nodes,
     asked = "asking the master again for connections that are not made: /from_a from /a to /b"
     assert any(text.startswith(asked) for text in said)
     assert not any("continuing without it" in text for text in said)
+
+
+@pytest.mark.parametrize("nodes", [True], indirect=True)
+@pytest.mark.parametrize("language", ["python", "cpp"])
+def test_turns_do_not_wait_for_a_master_that_is_asked_again(nodes, language, monkeypatch) -> None:
+    monkeypatch.setattr(missing_connections, "ASK_PERIOD", 0.0)
+    nodes.master.may_answer.clear()
+    server = LockstepServer(hang_limit=20.0, connect_limit=0.2)  # the question precedes the end of the wait
+    rosgraph.Master("/test", nodes.environment["ROS_MASTER_URI"]).setParam("/lockstep/uri", server.uri)
+    start_pair(nodes, language)
+    assert server.wait_for(["/a", "/b"], timeout=PATIENCE), server.missing(["/a", "/b"])
+    assert nodes.master.questions.acquire(timeout=PATIENCE)
+    for tick in range(3):
+        server.tick(tick * 20_000)
+    assert "/b" in server.participants
+    nodes.master.may_answer.set()
+    server.close()
+
+
+def test_a_node_subscribes_and_unsubscribes_while_the_master_owes_an_answer(nodes) -> None:
+    nodes.master.may_answer.clear()
+    node = nodes.start_python("ask_again", "asker")
+    assert nodes.master.questions.acquire(timeout=PATIENCE)
+    node.stdin.write("\n")
+    node.stdin.flush()
+    assert node.stdout.readline() == "changed\n"
+    nodes.master.may_answer.set()
+    assert node.stdout.readline() == "answered\n"
+    _, subscribers, _ = rosgraph.Master("/test", nodes.environment["ROS_MASTER_URI"]).getSystemState()
+    asked = {topic for topic, names in subscribers if "/asker" in names and topic.startswith("/t/")}
+    assert asked == {"/t/again", "/t/kept", "/t/new"}
 
 
 def test_a_publisher_that_does_not_answer_is_asked_again(monkeypatch) -> None:
@@ -300,4 +362,5 @@ def test_registration_managers_are_found_while_topics_are_registered_together(mo
 
 
 if __name__ == "__main__":
-    {"publish": publish, "subscribe": subscribe, "participate": participate}[sys.argv[1]](*sys.argv[2:])
+    roles = {"publish": publish, "subscribe": subscribe, "ask_again": ask_again, "participate": participate}
+    roles[sys.argv[1]](*sys.argv[2:])

@@ -3,40 +3,29 @@
 from __future__ import annotations
 
 import os
-import shutil
-import socket
 import subprocess
-import time
 import xmlrpc.client
 from pathlib import Path
 
+from ros_master import RosMaster
+
 PATIENCE = 120.0  # s of wall time; bounds a broken run
-ROSMASTER = shutil.which("rosmaster")
 
 
 class Graph:
     """A ROS master for one test and the processes that it starts; the test plays the simulator."""
 
     def __init__(self, folder: Path) -> None:
-        with socket.socket() as sock:
-            sock.bind(("127.0.0.1", 0))
-            port = sock.getsockname()[1]
-        uri = f"http://127.0.0.1:{port}"
         self.folder = folder
-        self.env = {**os.environ, "ROS_MASTER_URI": uri, "ROS_HOSTNAME": "127.0.0.1", "ROS_HOME": str(folder)}
+        self.ros_master = RosMaster()
+        self.env = {
+            **os.environ,
+            "ROS_MASTER_URI": self.ros_master.uri,
+            "ROS_HOSTNAME": "127.0.0.1",
+            "ROS_HOME": str(folder),
+        }
         self.processes: list[subprocess.Popen] = []
-        self.start(str(ROSMASTER), "--core", "-p", str(port))
-        self.master = xmlrpc.client.ServerProxy(uri)
-        end = time.monotonic() + PATIENCE
-        while not self._answers():
-            assert time.monotonic() < end, "the master does not answer"
-            time.sleep(0.02)
-
-    def _answers(self) -> bool:
-        try:
-            return self.master.getPid("/test")[0] == 1
-        except OSError:
-            return False
+        self.master = xmlrpc.client.ServerProxy(self.ros_master.uri)
 
     def start(self, *command: str) -> subprocess.Popen:
         with open(self.folder / "output", "a") as out:
@@ -51,3 +40,4 @@ class Graph:
             process.kill()
         for process in self.processes:
             process.wait()
+        self.ros_master.close()

@@ -22,7 +22,7 @@ pytest.importorskip("xtdrone_native.follower_turn")
 import rospy
 from geometry_msgs.msg import PoseStamped, Twist, Vector3
 from mavros_msgs.msg import PositionTarget, State
-from ros_graph import PATIENCE, ROSMASTER, Graph
+from ros_graph import PATIENCE, Graph
 from std_msgs.msg import Float32MultiArray, Float64MultiArray, Int32MultiArray, String
 
 from xtdrone_control import lockstep
@@ -324,7 +324,6 @@ def flown(graph: Graph, *, compiled: bool) -> tuple[list[str], int]:
     return said.read_text().splitlines(), int(counted.read_text())
 
 
-@pytest.mark.skipif(ROSMASTER is None, reason="needs ROS 1 (rosmaster on PATH)")
 def test_publishes_what_python_publishes_in_a_graph(graph: Graph) -> None:
     python, python_turns = flown(graph, compiled=False)
     compiled, compiled_turns = flown(graph, compiled=True)

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
-import socket
 import subprocess
 import sys
 import threading
-import time
 import xmlrpc.client
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -18,6 +15,7 @@ from typing import Any
 
 import pytest
 import yaml
+from ros_master import RosMaster
 from search_world import REGION, World, person
 
 from xtdrone_control import lockstep
@@ -40,8 +38,7 @@ try:
 except ImportError:
     rospy = None
 
-ROSMASTER = shutil.which("rosmaster")
-pytestmark = pytest.mark.skipif(ROSMASTER is None or rospy is None, reason="needs ROS 1 and the built workspace")
+pytestmark = pytest.mark.skipif(rospy is None, reason="needs ROS 1 and the built workspace")
 
 NODE = Path(__file__).parents[1] / "nodes" / "search_mission.py"
 PATIENCE = 120.0  # s of wall time
@@ -163,26 +160,13 @@ def stage() -> None:
 
 @pytest.fixture
 def master(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[xmlrpc.client.ServerProxy]:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    monkeypatch.setenv("ROS_MASTER_URI", f"http://127.0.0.1:{port}")
+    ros_master = RosMaster()
+    monkeypatch.setenv("ROS_MASTER_URI", ros_master.uri)
     monkeypatch.setenv("ROS_HOSTNAME", "127.0.0.1")
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parent), *filter(None, sys.path)]))
-    process = _start(tmp_path, "master", str(ROSMASTER), "--core", "-p", str(port))
-    master = xmlrpc.client.ServerProxy(os.environ["ROS_MASTER_URI"])
-    end = time.monotonic() + PATIENCE
-    while True:
-        try:
-            if master.getPid("/test")[0] == 1:
-                break
-        except OSError:
-            assert time.monotonic() < end, "the master does not answer"
-            time.sleep(0.02)
-    yield master
-    process.kill()
-    process.wait()
+    yield xmlrpc.client.ServerProxy(ros_master.uri)
+    ros_master.close()
 
 
 def _start(folder: Path, name: str, *command: str) -> subprocess.Popen:

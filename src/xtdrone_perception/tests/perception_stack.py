@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
-import socket
 import subprocess
 import sys
 import time
@@ -13,9 +11,10 @@ import xmlrpc.client
 from collections.abc import Callable
 from pathlib import Path
 
+from ros_master import RosMaster
+
 from xtdrone_control.lockstep.server import LockstepServer
 
-ROSMASTER = shutil.which("rosmaster")
 PATIENCE = 120.0  # s of wall time
 
 
@@ -27,31 +26,21 @@ class Stack:
     """
 
     def __init__(self, folder: Path) -> None:
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = probe.getsockname()[1]
+        self._ros_master = RosMaster()
         self.folder = folder
         self.record = folder / "record"
         self.processes: dict[str, subprocess.Popen] = {}
         paths = [str(Path(__file__).parent), *(path for path in sys.path if path)]
         self.environment = {
             **os.environ,
-            "ROS_MASTER_URI": f"http://127.0.0.1:{port}",
+            "ROS_MASTER_URI": self._ros_master.uri,
             "ROS_HOSTNAME": "127.0.0.1",
             "ROS_LOG_DIR": str(folder),
             "PYTHONPATH": os.pathsep.join(paths),
         }
-        self.start("master", str(ROSMASTER), "--core", "-p", str(port))
-        self.master = xmlrpc.client.ServerProxy(self.environment["ROS_MASTER_URI"])
-        wait_until(self._answers, "the master answers")
+        self.master = xmlrpc.client.ServerProxy(self._ros_master.uri)
         self.server = LockstepServer(hang_limit=PATIENCE)
         self.set("/lockstep/uri", self.server.uri)
-
-    def _answers(self) -> bool:
-        try:
-            return self.master.getPid("/test")[0] == 1
-        except OSError:
-            return False
 
     def set(self, name: str, value: object) -> None:
         self.master.setParam("/test", name, value)
@@ -95,6 +84,7 @@ class Stack:
         for process in self.processes.values():
             process.kill()
             process.wait()
+        self._ros_master.close()
 
 
 def wait_until(condition: Callable[[], bool], what: str) -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
-import socket
 import subprocess
 import sys
 import time
@@ -15,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from ros_master import RosMaster
 
 from xtdrone_control.lockstep.server import LockstepServer
 
@@ -23,38 +22,27 @@ try:
 except ImportError:
     xtdrone_msgs = None
 
-ROSMASTER = shutil.which("rosmaster")
 PATIENCE = 120.0  # s of wall time for actions that take a few
 
-needs_ros = pytest.mark.skipif(ROSMASTER is None or xtdrone_msgs is None, reason="needs ROS 1 and the built workspace")
+needs_ros = pytest.mark.skipif(xtdrone_msgs is None, reason="needs ROS 1 and the built workspace")
 
 
 class Graph:
     """A ROS master for one test, and the processes that the test starts."""
 
     def __init__(self, folder: Path) -> None:
-        with socket.socket() as sock:
-            sock.bind(("127.0.0.1", 0))
-            port = sock.getsockname()[1]
         self.folder = folder
         self.processes: dict[str, subprocess.Popen] = {}
+        self.ros_master = RosMaster()
         self.env = {
             **os.environ,
-            "ROS_MASTER_URI": f"http://127.0.0.1:{port}",
+            "ROS_MASTER_URI": self.ros_master.uri,
             "ROS_HOSTNAME": "127.0.0.1",
             "ROS_LOG_DIR": str(folder),
             "ROS_HOME": str(folder),
             "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
         }
-        self.start("master", str(ROSMASTER), "--core", "-p", str(port))
-        self.master = xmlrpc.client.ServerProxy(self.env["ROS_MASTER_URI"])
-        wait_until(self._master_answers, "the master answers")
-
-    def _master_answers(self) -> bool:
-        try:
-            return self.master.getPid("/test")[0] == 1
-        except OSError:
-            return False
+        self.master = xmlrpc.client.ServerProxy(self.ros_master.uri)
 
     def set_param(self, name: str, value: object) -> None:
         self.master.setParam("/test", name, value)
@@ -77,6 +65,7 @@ class Graph:
             process.kill()
         for process in self.processes.values():
             process.wait()
+        self.ros_master.close()
 
 
 def wait_until(condition: Callable[[], bool], what: str) -> None:

@@ -14,6 +14,7 @@ from rich.table import Table
 
 from validation.soak.judging.verdict import MIB, UNITS, Outcome, Verdict
 from validation.soak.resource_samples import PROCESSES
+from xtdrone_control.whole_file import write_whole
 
 _TOP_WARNINGS = 40
 _QUOTED = 50  # maximum number of tracebacks and the like in the report
@@ -38,7 +39,7 @@ def write(outcome: Outcome, verdict: Verdict, folder: Path) -> None:
         "episodes": [asdict(stretch) for stretch in outcome.stretches],
     }
     text = json.dumps(_plain(content), indent=1, allow_nan=False)
-    (folder / "report.json").write_text(text + "\n", encoding="utf-8")
+    write_whole(folder / "report.json", text + "\n")
     if len(outcome.rows) > 1:
         draw(outcome, folder / "soak.png")
 
@@ -58,6 +59,8 @@ def draw(outcome: Outcome, path: Path) -> None:
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
+
+    from xtdrone_interaction.pictures.picture_style import save_figure
 
     resting = [row for row in outcome.rows if row["resting"]]
     figure, axes = plt.subplots(2, 2, figsize=(13, 8), sharex=True, layout="constrained")
@@ -87,8 +90,7 @@ def draw(outcome: Outcome, path: Path) -> None:
         f"Soak of {settings['n']} vehicles, seed {settings['seed']}: {outcome.hours:.2f} h simulated in "
         f"{outcome.wall / 3600:.2f} h; dots: between episodes, when nothing flies and no other node runs"
     )
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    save_figure(figure, path, dpi=110)
 
 
 def _column(rows: Sequence[Mapping[str, Any]], column: str, scale: float) -> tuple[list[float], list[float]]:

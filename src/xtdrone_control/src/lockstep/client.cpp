@@ -174,6 +174,13 @@ int connectLocally(const std::string& host, const std::string& port) {
   return -1;
 }
 
+/// Leave signals to the main thread, so that they end its waits.
+void blockSignals() {
+  sigset_t all;
+  sigfillset(&all);
+  pthread_sigmask(SIG_BLOCK, &all, nullptr);
+}
+
 nlohmann::json introduction(const std::string& name) {
   return {{"version", VERSION}, {"name", name}, {"pid", getpid()}, {"host", processNamespace()}};
 }
@@ -202,7 +209,12 @@ std::shared_ptr<detail::Inlet> Topics::inlet(const std::string& topic) const {
 Client::Client(std::string uri, Topics& topics, std::function<bool()> ending)
     : uri_(std::move(uri)), topics_(topics), ending_(std::move(ending)) {}
 
-Client::~Client() { close(); }
+Client::~Client() {
+  close();
+  if (asking_.joinable()) {
+    asking_.join();
+  }
+}
 
 void Client::connect() {
   const auto [host, port] = splitUri(uri_);
@@ -343,10 +355,7 @@ std::optional<Frame> Client::findFarewell() {
 }
 
 void Client::keepAlive() {
-  // Leave signals to the main thread, so that they end its waits.
-  sigset_t all;
-  sigfillset(&all);
-  pthread_sigmask(SIG_BLOCK, &all, nullptr);
+  blockSignals();
   const std::string frame = packEmpty(Kind::ALIVE);
   std::unique_lock<std::mutex> lock(send_mutex_);
   while (!ended_.wait_for(lock, ALIVE_PERIOD, [this] { return has_ended_; })) {
@@ -552,14 +561,24 @@ void Client::updatePeers(const nlohmann::json& content) {
     }
   }
   if (const auto found = content.find("missing"); found != content.end()) {
-    for (const auto& topic : *found) {
-      if (const auto subscription = findSubscription(topic.get<std::string>())) {
-        askMasterAgain(*subscription);
-      }
-    }
+    askMaster(found->get<std::vector<std::string>>());
   }
   // Remembered, as the next tick may have the same time as the last, or a later one.
   was_reset_ = was_reset_ || content.value("reset", false);
+}
+
+void Client::askMaster(std::vector<std::string> topics) {
+  if (topics.empty() || is_asking_.exchange(true)) {
+    return;
+  }
+  if (asking_.joinable()) {
+    asking_.join();  // it has ended
+  }
+  asking_ = std::thread([this, topics = std::move(topics)] {
+    blockSignals();
+    std::for_each(topics.begin(), topics.end(), askMasterAgain);
+    is_asking_ = false;
+  });
 }
 
 void Client::setParticipant(std::uint32_t number, bool value) {

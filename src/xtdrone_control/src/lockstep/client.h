@@ -42,7 +42,8 @@ struct Topics {
   std::shared_ptr<detail::Inlet> inlet(const std::string& topic) const;
 };
 
-/// The node's participation in a simulator's lockstep; used in the main thread, except for the keep-alive.
+/// The node's participation in a simulator's lockstep; used in the main thread, except for the keep-alive and questions
+/// to the master.
 class Client {
  public:
   /// @param ending  Returns whether the node is shutting down; the waker is woken when that changes.
@@ -103,6 +104,9 @@ class Client {
 
   void announce();
   void updatePeers(const nlohmann::json& content);
+  /// Ask the master again for publishers of topics, in a thread: turns do not wait for its answer. A question that is
+  /// under way is not repeated.
+  void askMaster(std::vector<std::string> topics);
   void setParticipant(std::uint32_t number, bool value);
   std::vector<Channel> lacking();
   void discardVoid();
@@ -133,6 +137,9 @@ class Client {
   std::condition_variable ended_;
   bool has_ended_ = false;
   std::thread keep_alive_;
+
+  std::atomic<bool> is_asking_{false};
+  std::thread asking_;
 };
 
 }  // namespace xtdrone_control::lockstep

@@ -78,28 +78,43 @@ inline std::vector<ros::TransportPublisherLinkPtr> linksOf(ros::Subscription& su
   return links;
 }
 
-/// Ask the master again for a topic's publishers, and connect to those that have no connection: the notification of one
-/// may have been lost, and roscpp does not repeat a request that a publisher has not answered.
-inline void askMasterAgain(ros::Subscription& subscription) {
+/// Ask the master again for the publishers of a topic that is subscribed to, and connect to those that have no
+/// connection: the notification of one may have been lost, and roscpp does not repeat a request that a publisher has
+/// not answered.
+///
+/// The master may take its time, and meanwhile another thread may unsubscribe from the topic, before the master
+/// registers it again here: it is unregistered then, and registered once more if it has been subscribed to in between.
+inline void askMasterAgain(const std::string& topic) {
   XmlRpc::XmlRpcValue request;
-  XmlRpc::XmlRpcValue response;
-  XmlRpc::XmlRpcValue publishers;
   request[0] = ros::this_node::getName();
-  request[1] = subscription.getName();
-  request[2] = subscription.datatype();
-  request[3] = ros::XMLRPCManager::instance()->getServerURI();
-  if (!ros::master::execute("registerSubscriber", request, response, publishers, false)) {
-    return;
+  request[1] = topic;
+  while (const ros::SubscriptionPtr asked = findSubscription(topic)) {
+    request[2] = asked->datatype();
+    request[3] = ros::XMLRPCManager::instance()->getServerURI();
+    XmlRpc::XmlRpcValue response;
+    XmlRpc::XmlRpcValue publishers;
+    if (!ros::master::execute("registerSubscriber", request, response, publishers, false)) {
+      return;
+    }
+    if (const ros::SubscriptionPtr kept = findSubscription(topic)) {
+      std::vector<std::string> uris;
+      for (int i = 0; i < publishers.size(); ++i) {
+        uris.push_back(publishers[i]);
+      }
+      // The answer may be older than the last notification, and roscpp closes connections to all publishers not named
+      // here.
+      for (const ros::TransportPublisherLinkPtr& link : linksOf(*kept)) {
+        uris.push_back(link->getPublisherXMLRPCURI());
+      }
+      kept->pubUpdate(uris);
+      return;
+    }
+    XmlRpc::XmlRpcValue end;
+    end[0] = request[0];
+    end[1] = request[1];
+    end[2] = request[3];
+    ros::master::execute("unregisterSubscriber", end, response, publishers, false);
   }
-  std::vector<std::string> uris;
-  for (int i = 0; i < publishers.size(); ++i) {
-    uris.push_back(publishers[i]);
-  }
-  // The answer may be older than the last notification, and roscpp closes connections to all publishers not named here.
-  for (const ros::TransportPublisherLinkPtr& link : linksOf(subscription)) {
-    uris.push_back(link->getPublisherXMLRPCURI());
-  }
-  subscription.pubUpdate(uris);
 }
 
 /// Return the connections to a topic's subscribers.

@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from xtdrone_control.settings import setting
+from xtdrone_control.shortened_text import shortened
 
 if TYPE_CHECKING:
     from tornado.httputil import HTTPHeaders
@@ -23,7 +24,6 @@ ANY = "*"
 _HOST = re.compile(r"(\[[0-9a-z:.%_-]+\]|[0-9a-z._-]+)(?::(\d{1,5}))?", re.ASCII)
 _ORIGIN = re.compile(rf"([a-z][a-z0-9+.-]*)://({_HOST.pattern})", re.ASCII)
 _OPAQUE = ("null", "file://")  # origins of pages opened as files, and of programs made of such pages
-_SHOWN = 200  # characters of a header quoted in a message
 _MOST_REPORTED = 100  # refused headers that are reported, once each
 
 
@@ -153,8 +153,7 @@ class ServerGuard:
         return is_loopback(page.host) or (address is not None and address.is_unspecified)  # http://0.0.0.0:8000
 
     def _refused(self, what: str, values: Sequence[str], fix: str) -> str:
-        text = ascii(values[0] if len(values) == 1 else list(values))
-        text = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+        text = shortened(ascii(values[0] if len(values) == 1 else list(values)))
         reason = f"{self._server}: the {what} {text} is refused; {fix}"
         if reason not in self._reported and len(self._reported) < _MOST_REPORTED:
             self._reported.add(reason)

@@ -156,7 +156,8 @@ class _Node:
 
     def __init__(self, wanted: dict[str, Any]) -> None:
         self._wanted = wanted
-        self._lock = threading.Lock()
+        self._printing = threading.Lock()
+        self._lock = threading.Lock()  # also held while the master is asked, unlike the other
         self._starting: dict[str, Any] = {}  # subscription by vehicle whose estimators have not started
 
     def run(self) -> int:
@@ -184,7 +185,7 @@ class _Node:
         return 0
 
     def _say(self, kind: str, **fields: Any) -> None:
-        with self._lock:
+        with self._printing:
             print(json.dumps({"kind": kind, **fields}), flush=True)
 
     def _on_text(self, message: Any, kind: str) -> None:

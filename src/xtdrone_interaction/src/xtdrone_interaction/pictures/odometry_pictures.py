@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from xtdrone_interaction.metrics.missions.odometry_errors import Trajectory, aligned, common, pairs
 from xtdrone_interaction.metrics.missions.slam_report import ShownFlight
-from xtdrone_interaction.pictures.picture_style import NamedFigure, panels
+from xtdrone_interaction.pictures.picture_style import NamedFigure, panels, save_figure
 from xtdrone_interaction.recording.recorded_flight import Recording
 from xtdrone_interaction.recording.series_in_bounded_memory import Array
 
@@ -66,5 +66,4 @@ def save_pictures(shown: ShownFlight, folder: Path) -> None:
         ("path", path(shown.found, shown.true, shown.name, shown.points)),
         ("drift", drift(shown.found, shown.true, shown.name)),
     ):
-        figure.savefig(folder / f"{name}.png", dpi=150)
-        plt.close(figure)
+        save_figure(figure, folder / f"{name}.png", dpi=150)

@@ -64,11 +64,28 @@ def save_figures(figures: Iterable[NamedFigure], folder: str | Path, dpi: int = 
     with plt.rc_context(STYLE):
         for name, title, figure in figures:
             path = Path(folder) / f"{_file_stem(name)}.png"
-            with replacing(path) as draft:
-                figure.savefig(draft, dpi=dpi, format="png")
-            plt.close(figure)
+            save_figure(figure, path, dpi=dpi)
             saved.append((title, path))
     return saved
+
+
+def save_figure(figure: Figure, path: Path, **options: Any) -> None:
+    """Write a figure to a file in the format of its suffix, and close it.
+
+    Args:
+        figure: the figure.
+        path: the file, which is whole or absent.
+        options: further arguments of ``Figure.savefig``, such as ``dpi``.
+
+    Raises:
+        ValueError: Matplotlib does not know the suffix.
+        OSError: see ``whole_file.replacing``.
+    """
+    try:
+        with replacing(path) as draft:
+            figure.savefig(draft, format=path.suffix[1:], **options)
+    finally:
+        plt.close(figure)
 
 
 def _file_stem(name: str) -> str:

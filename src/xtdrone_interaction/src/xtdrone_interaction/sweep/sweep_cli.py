@@ -22,6 +22,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from xtdrone_control.settings import Settings, setting
+from xtdrone_control.shortened_text import shortened
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction import cli, command_options
 from xtdrone_interaction.command_options import OptionError
@@ -252,8 +253,7 @@ def differences(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
 
 
 def _short(value: Any) -> str:
-    text = "none" if value is None else str(value)
-    return text if len(text) <= 40 else text[:37] + "..."
+    return "none" if value is None else shortened(str(value), 40)
 
 
 def _fly(

@@ -24,6 +24,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from xtdrone_interaction.command_options import OptionError
+from xtdrone_interaction.pictures.picture_style import save_figure
 from xtdrone_interaction.sweep.fly_one_run import FIGURES
 from xtdrone_interaction.sweep.result_store import METADATA
 
@@ -118,11 +119,9 @@ def save_picture(
     """
     shown = draw(read_results(file), figure, x, by)
     try:
-        shown.savefig(path, dpi=DPI)
+        save_figure(shown, path, dpi=DPI)
     except ValueError as error:
         raise OptionError(f"picture: {path}: {error}") from error
-    finally:
-        plt.close(shown)
 
 
 def _figure_name(results: Results, wanted: str | None) -> str:

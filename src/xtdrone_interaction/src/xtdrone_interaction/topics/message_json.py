@@ -19,6 +19,7 @@ from typing import Any
 import genmsg.msgs
 import genpy
 
+from xtdrone_control.shortened_text import shortened
 from xtdrone_interaction.topics.field_paths import FLOATS, INTEGERS, TIMES
 from xtdrone_interaction.topics.message_classes import class_of_field
 
@@ -150,9 +151,7 @@ def _shortened(write: Callable[[Any], Json], longest: int | None) -> Callable[[A
 
 
 def _refuse(path: str, value: Json, allowed: str) -> MessageJsonError:
-    text = repr(value)
-    shown = text if len(text) <= _MOST_SHOWN else text[:_MOST_SHOWN] + "..."
-    return MessageJsonError(f"{path or 'message'}: {shown} is not allowed, {allowed}")
+    return MessageJsonError(f"{path or 'message'}: {shortened(repr(value), _MOST_SHOWN)} is not allowed, {allowed}")
 
 
 def _read_message(kind: type[Any], value: Json, path: str, now: genpy.Time | None) -> Any:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import re
 
+from xtdrone_control.shortened_text import shortened
+
 LONGEST_NAME = 255
 """Characters of a name."""
 _NAME = re.compile(r"/?[A-Za-z]\w*(/\w+)*/?|(/\w+)+/?", re.ASCII)
@@ -32,7 +34,7 @@ def absolute_name(name: object, what: str) -> str:
         RosNameError: it is not a name.
     """
     if not isinstance(name, str) or len(name) > LONGEST_NAME or not _NAME.fullmatch(name):
-        shown = ascii(name)
-        shown = shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}..."
-        raise RosNameError(f"{what}: {shown} is not allowed, a name such as /iris_0/mavros/state")
+        raise RosNameError(
+            f"{what}: {shortened(ascii(name), _SHOWN)} is not allowed, a name such as /iris_0/mavros/state"
+        )
     return f"/{name.strip('/')}"

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from xtdrone_control.whole_file import write_whole
+
 
 class Stopwatch:
     """Durations by kind."""
@@ -46,4 +48,4 @@ def write_summaries(path: Path, stopwatches: Mapping[str, Stopwatch]) -> None:
         OSError: the file cannot be written.
     """
     text = json.dumps({vehicle: watch.summary() for vehicle, watch in stopwatches.items()}, indent=2)
-    path.write_text(text + "\n", encoding="utf-8")
+    write_whole(path, text + "\n")

@@ -194,15 +194,25 @@ def _register(manager: RegManager, registrations: Sequence[tuple[str, str, str]]
         manager: The node's registration manager.
         registrations: Name, type (URI of a service) and kind of each.
     """
+    return _request(manager, [(_CALLS[kind], name, what, manager.uri) for name, what, kind in registrations])
+
+
+def _request(manager: RegManager, calls: Sequence[tuple[str, ...]]) -> list[Any]:
+    """Call functions of the master in one request, and return its answers, None for those that failed.
+
+    Args:
+        manager: The node's registration manager.
+        calls: Name of each function and its arguments after the node's name.
+    """
     # A proxy of its own: with that of rospy, every other question to the master would wait for the answer.
-    calls = MultiCall(rospy.core.xmlrpcapi(manager.master_uri, cache=False))
-    for name, what, kind in registrations:
-        getattr(calls, _CALLS[kind])(rospy.get_name(), name, what, manager.uri)
+    request = MultiCall(rospy.core.xmlrpcapi(manager.master_uri, cache=False))
+    for function, *arguments in calls:
+        getattr(request, function)(rospy.get_name(), *arguments)
     try:
-        answers: Any = calls()
+        answers: Any = request()
         return [value if code == 1 else None for code, _, value in answers]
     except Exception:  # of the network, of HTTP or of XML-RPC
-        return [None] * len(registrations)
+        return [None] * len(calls)
 
 
 @contextlib.contextmanager
@@ -242,18 +252,37 @@ def ask_master_again(topics: Iterable[str]) -> None:
 
 def _ask(topics: Sequence[str]) -> None:
     try:
-        topic_manager = rospy.topics.get_topic_manager()
         for manager in _registration_managers():
             for begin in range(0, len(topics), _MOST_CALLS):
-                with topic_manager.lock:  # no topic that is unsubscribed meanwhile is registered again
-                    ends = [topic_manager.subs.get(name) for name in topics[begin : begin + _MOST_CALLS]]
-                    asked = [(end.resolved_name, end.type, Registration.SUB) for end in ends if end is not None]
-                    answers = _register(manager, asked)
-                for (name, _, _), publishers in zip(asked, answers, strict=True):
-                    if publishers:
-                        manager.publisher_update(name, publishers)
+                _register_again(manager, topics[begin : begin + _MOST_CALLS])
     finally:
         _asking.release()
+
+
+def _register_again(manager: RegManager, topics: Sequence[str]) -> None:
+    """Register those of the topics that are subscribed to, and connect to their publishers.
+
+    rospy's lock is not held meanwhile: with a master that does not answer, the node could not subscribe to anything. So
+    a topic may be unsubscribed before the master registers it again: it is unregistered then, and registered once more
+    if it has been subscribed to in between.
+    """
+    while asked := _subscribed(topics):
+        answers = _register(manager, asked)
+        kept = {name for name, _, _ in _subscribed(topics)}
+        for (name, _, _), publishers in zip(asked, answers, strict=True):
+            if publishers and name in kept:
+                manager.publisher_update(name, publishers)
+        topics = [name for name, _, _ in asked if name not in kept]
+        if topics:
+            _request(manager, [("unregisterSubscriber", name, manager.uri) for name in topics])
+
+
+def _subscribed(topics: Sequence[str]) -> list[tuple[str, str, str]]:
+    """Return name, type and kind of those of the topics that are subscribed to."""
+    manager = rospy.topics.get_topic_manager()
+    with manager.lock:
+        ends = [manager.subs[name] for name in topics if name in manager.subs]
+    return [(end.resolved_name, end.type, Registration.SUB) for end in ends]
 
 
 def _registration_managers() -> list[RegManager]:

@@ -7,7 +7,6 @@ import queue
 import sys
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, NoReturn
 
 import genpy
@@ -17,6 +16,7 @@ from mavros_msgs.msg import State
 
 from xtdrone_control.bounded_file import MOST_TEXT, ContentError, read_text
 from xtdrone_control.programs.plain_node import init_plain_node
+from xtdrone_control.whole_file import write_whole
 
 DEFAULT_NAMESPACE = "mavros"
 STANDARD = "-"
@@ -244,7 +244,7 @@ def write_file(name: str, text: str) -> None:
         sys.stdout.write(text)
         return
     try:
-        Path(name).write_text(text, encoding="utf-8", newline="")
+        write_whole(name, text)
     except OSError as error:
         _refuse_file(name, "written", error)
 

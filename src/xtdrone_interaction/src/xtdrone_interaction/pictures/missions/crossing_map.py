@@ -16,6 +16,7 @@ from matplotlib.collections import PatchCollection
 from matplotlib.patches import Circle, Polygon
 
 from xtdrone_interaction.metrics.clearance import Solid
+from xtdrone_interaction.pictures.picture_style import save_figure
 from xtdrone_interaction.recording.missions.crossing_record import CrossingRecord
 from xtdrone_interaction.recording.series_in_bounded_memory import Array
 from xtdrone_sim.shapes.pose_arithmetic import rotate
@@ -42,8 +43,7 @@ def save_crossing_map(record: CrossingRecord, solids: Sequence[Solid], file: Pat
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x, east (m)", ylabel="y, north (m)")
     axes.set_title("Paths over the ground (square: start, star: goal), and obstacles at their height")
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
-    figure.savefig(file, dpi=_DPI)
-    plt.close(figure)
+    save_figure(figure, file, dpi=_DPI)
     return file
 
 

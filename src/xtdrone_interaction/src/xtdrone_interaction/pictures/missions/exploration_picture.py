@@ -13,6 +13,7 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
 from xtdrone_interaction.metrics.missions.exploration_metrics import ENOUGH, Mask
+from xtdrone_interaction.pictures.picture_style import save_figure
 from xtdrone_interaction.recording.missions.exploration_record import ExplorationRecord
 from xtdrone_planning.exploration.floor_map import FloorMap
 from xtdrone_planning.exploration.settings import ExplorationSettings
@@ -58,6 +59,5 @@ def save_floor(
     curve.axhline(100.0 * ENOUGH, color="0.5", linewidth=0.8, linestyle="--")
     curve.set(xlabel="time (s)", ylabel="seen of the visible floor (%)", ylim=(0.0, 102.0))
     curve.grid(alpha=0.3)
-    figure.savefig(file, dpi=_DPI)
-    plt.close(figure)
+    save_figure(figure, file, dpi=_DPI)
     return file

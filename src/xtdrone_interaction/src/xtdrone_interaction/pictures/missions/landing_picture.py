@@ -13,6 +13,7 @@ from matplotlib import pyplot as plt
 from matplotlib.patches import Rectangle
 
 from xtdrone_interaction.landing.landing_accuracy import LandingRecord
+from xtdrone_interaction.pictures.picture_style import save_figure
 
 _DPI = 130
 _HALF = 0.7  # m, of the platform
@@ -51,6 +52,5 @@ def save_landing(record: LandingRecord, report: dict[str, Any], file: Path) -> P
     )
     deck.set_aspect("equal")
     deck.grid(alpha=0.3)
-    figure.savefig(file, dpi=_DPI)
-    plt.close(figure)
+    save_figure(figure, file, dpi=_DPI)
     return file

@@ -14,6 +14,7 @@ from matplotlib import pyplot as plt
 
 from xtdrone_interaction.metrics.clearance import Solid
 from xtdrone_interaction.pictures.missions.crossing_map import draw_solids
+from xtdrone_interaction.pictures.picture_style import save_figure
 
 Array = NDArray[np.float64]
 
@@ -49,8 +50,7 @@ def save_merged_map(single: Mapping[str, Array], merged: Array, solids: Sequence
     figure.colorbar(heights, ax=together, label="height (m)", shrink=0.8)
     low, high = _extent(shown)
     own.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    figure.savefig(file, dpi=_DPI)
-    plt.close(figure)
+    save_figure(figure, file, dpi=_DPI)
     return file
 
 

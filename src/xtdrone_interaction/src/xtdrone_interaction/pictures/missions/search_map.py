@@ -17,6 +17,7 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
 from shapely.geometry import MultiPolygon, Polygon
 
+from xtdrone_interaction.pictures.picture_style import save_figure
 from xtdrone_interaction.recording.missions.search_record import SearchRecord
 
 _DPI = 150
@@ -55,8 +56,7 @@ def save_map(
     axes.set(xlabel="x, east (m)", ylabel="y, north (m)", title=_title(record))
     axes.grid(alpha=0.3)
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
-    figure.savefig(file, dpi=_DPI, bbox_inches="tight")
-    plt.close(figure)
+    save_figure(figure, file, dpi=_DPI, bbox_inches="tight")
     return file
 
 

@@ -75,6 +75,11 @@ def _size(text: str) -> tuple[int, int]:
     return size
 
 
+def _frames(folder: Path | None, *, again: bool) -> Path | None:
+    """Return the folder of the frames, which the first drawing has made for the second."""
+    return folder if again or folder is None else command_options.new_folder(folder)
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.description = (
@@ -93,7 +98,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--world", metavar="WORLD",
         help="world to show with a bag, by name or file (default: the one that the bag's folder names)")  # fmt: skip
     add("--frames", type=Path, metavar="FOLDER", help="also write each frame as a PNG file into a new folder")
+    add("--again", action="store_true", help=argparse.SUPPRESS)
     add("--master", default="", metavar="PORT|URI", help="port or URI of the running flight (default: automatic)")
+
+
+def as_words(settings: FilmSettings) -> list[str]:
+    """Return the command line that draws the film of a bag a second time; see :func:`settings_of`."""
+    words = [
+        settings.view,
+        f"--bag={settings.bag}",
+        f"--out={settings.out}",
+        f"--fps={settings.fps!r}",
+        f"--faster={settings.faster!r}",
+        f"--size={settings.size[0]}x{settings.size[1]}",
+        f"--from={settings.begin!r}",
+        f"--to={settings.end!r}",
+        "--again",
+    ]
+    words += ["--rough"] * (not settings.antialiasing)
+    words += [f"--world={settings.world}"] * bool(settings.world)
+    return words + [f"--frames={settings.frames}"] * (settings.frames is not None)
 
 
 def parse(parser: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Namespace:
@@ -153,8 +177,9 @@ def settings_of(arguments: argparse.Namespace) -> FilmSettings:
         world=command_options.world(arguments.world) if arguments.world else "",
         size=arguments.size,
         out=out.resolve(),
-        frames=command_options.new_folder(arguments.frames) if arguments.frames else None,
+        frames=_frames(arguments.frames, again=arguments.again),
         master=arguments.master,
+        again=arguments.again,
     )
     if not settings.begin < settings.end:
         raise OptionError(f"from, to: {settings.begin:g} s is not before {settings.end:g} s")

@@ -11,10 +11,8 @@ is kept).
 from __future__ import annotations
 
 import argparse
-import base64
 import json
 import os
-import pickle
 import subprocess
 import sys
 import tempfile
@@ -29,7 +27,14 @@ from rich.console import Console
 from xtdrone_interaction import command_options, sim_cli
 from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.launching.supervised_launch import DemoError, Interrupted, defer_signals, raise_on_signals
-from xtdrone_interaction.rviz.films.film_options import FilmSettings, add_arguments, film_settings, parse, settings_of
+from xtdrone_interaction.rviz.films.film_options import (
+    FilmSettings,
+    add_arguments,
+    as_words,
+    film_settings,
+    parse,
+    settings_of,
+)
 from xtdrone_interaction.rviz.films.view_nodes import (
     DRAWER,
     CrashError,
@@ -104,13 +109,7 @@ def _film(settings: FilmSettings, console: Console) -> int:
 
 def _film_again(settings: FilmSettings) -> int:
     """Film in a new process, in which rospy can start again; return its exit status."""
-    stored = base64.b64encode(pickle.dumps(replace(settings, again=True))).decode()
-    return _fly([sys.executable, "-c", f"import {__name__} as film; film.film_stored({stored!r})"])
-
-
-def film_stored(stored: str) -> None:
-    """Film with settings of ``_film_again``, and end this process with the exit status."""
-    sys.exit(_run(pickle.loads(base64.b64decode(stored))))
+    return _fly([sys.executable, "-m", "xtdrone_interaction", "record-view", *as_words(settings)])
 
 
 def _fly(command: Sequence[str]) -> int:

@@ -61,6 +61,7 @@ class LayerRoom:
         self._lock = threading.Lock()
         self._cache: dict[tuple[str, int], Shown] = {}  # newest of each topic and number of points
         self._open: dict[Session, set[int]] = {}
+        self._listening = threading.Lock()  # also held while the master is asked, unlike the other
         self._subscribers: list[Any] = []
         self._takes_fleet = False
         fleet.watchers.append(self._on_vehicles)
@@ -126,7 +127,7 @@ class LayerRoom:
 
     def _listen_to_frames(self) -> None:
         self._frames.set_fleet(self._fleet.roster.vehicles)
-        with self._lock:
+        with self._listening:
             if self._open and not self._subscribers:
                 self._subscribers = [
                     rospy.Subscriber("/tf", TFMessage, self._frames.hear, queue_size=100, tcp_nodelay=True),
@@ -134,10 +135,11 @@ class LayerRoom:
                 ]
 
     def _stop_listening(self) -> None:
-        with self._lock:
+        with self._listening:
             if self._open:
                 return
             stopped, self._subscribers = self._subscribers, []
+        with self._lock:
             self._cache.clear()
         for subscriber in stopped:
             subscriber.unregister()

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from xtdrone_control.whole_file import write_whole
 from xtdrone_sim.worlds.people_meshes import names
 from xtdrone_sim.worlds.scenery.countryside_layout import CLEAR, LIGHTS, REGION, outdoor
 from xtdrone_sim.worlds.scenery.materials import SPLITS
@@ -40,7 +41,7 @@ def main() -> int:
         for name in ("region", "clear"):
             arguments[name] = tuple(arguments[name])
         world = outdoor(**arguments, skins=names() if skins is None else skins)
-        out.write_text(write_world(world), encoding="utf-8")
+        write_whole(out, write_world(world))
     except (ValueError, OSError) as error:
         print(f"scenery: {error}", file=sys.stderr)
         return 1

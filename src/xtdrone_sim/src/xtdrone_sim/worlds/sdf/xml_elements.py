@@ -14,16 +14,12 @@ from pathlib import Path
 from xml.parsers import expat
 
 from xtdrone_control.bounded_file import MB, MOST_DEPTH, MOST_VALUES
+from xtdrone_control.shortened_text import shortened
 from xtdrone_sim.worlds.sdf.world_records import SdfError
 
 _log = logging.getLogger("rosout.sdf")  # a child of ROS's logger: shown on screen and on /rosout in a ROS node
 LARGEST = 16 * MB  # maximum size of a file
 _BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
-
-
-def shortened(text: str, most: int = 200) -> str:
-    """Return a text for a message, with at most ``most`` characters and a mark if it is longer."""
-    return text if len(text) <= most else f"{text[:most]}..."
 
 
 @dataclass(eq=False)

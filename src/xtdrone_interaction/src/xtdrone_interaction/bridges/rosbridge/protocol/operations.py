@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from xtdrone_control.shortened_text import shortened
+
 COMPRESSIONS = ("none", "png", "cbor", "cbor-raw")
 LEVELS = ("none", "error", "warning", "info")
 """Levels of status messages; each includes those before it."""
@@ -139,8 +141,7 @@ class Operation:
 
 def shown(value: object) -> str:
     """Return a value for a message, truncated if long."""
-    text = repr(value)
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+    return shortened(repr(value), _SHOWN)
 
 
 def parse_operation(frame: str | bytes) -> Operation:

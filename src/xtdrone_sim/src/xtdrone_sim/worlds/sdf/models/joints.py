@@ -11,10 +11,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from xtdrone_control.rotation import Vector
+from xtdrone_control.shortened_text import shortened
 from xtdrone_sim.shapes.pose_arithmetic import compose, inverse, rotate
 from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.worlds.sdf.world_records import SdfJoint, SdfLink, SdfModel
-from xtdrone_sim.worlds.sdf.xml_elements import Element, shortened
+from xtdrone_sim.worlds.sdf.xml_elements import Element
 from xtdrone_sim.worlds.sdf.xml_poses import read_pose, write_pose
 
 MOVING = ("revolute", "continuous", "prismatic", "ball")
