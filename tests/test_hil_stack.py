@@ -83,7 +83,7 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
             "participants:=/iris_0/mavros,/iris_1/mavros,/communication",
             "mavros_nodes:=per_uav",
             "autopilot:=hil",
-            "fcu_url:=udp://:14540@127.0.0.1:14580",
+            "ports:=px4",
         )
         poll(lambda: rosgraph.Master("/system_tests").hasParam("/lockstep/uri"), "roslaunch sets its parameters")
         stack.run("communication", "xtdrone_control", "multirotor_communication.py", "iris", "all")

@@ -14,6 +14,8 @@ pytest.importorskip("playwright")
 from web_browser import needs_chromium, open_page
 from web_fleet_standin import FleetStandIn, fleet_standin
 
+from xtdrone_interaction.web.server import station_server
+
 pytestmark = needs_chromium
 COUNT = 100
 WORLD = REPOSITORY / "src" / "xtdrone_sim" / "worlds" / "outdoor.world"
@@ -52,6 +54,22 @@ def test_all_are_drawn_with_few_calls(page: Any) -> None:
     until(page, f"station.view.costs.calls <= {MOST_CALLS_OF_VEHICLES}")
     page.click("text=World")
     assert page.evaluate(f"station.view.screenPlace('iris_{COUNT - 1}')") is not None
+
+
+def test_a_page_whose_hello_was_late_connects_again(page: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(station_server, "_HELLO_LIMIT", 0.0)
+    page.evaluate(
+        "import('/station.js').then(({ Station }) => { window.codes = []; window.late = new Station();"
+        " window.WebSocket = class extends WebSocket { constructor(url) {"
+        " super(url); this.addEventListener('close', ({ code }) => codes.push(code)); } };"
+        " late.start(); })"
+    )
+    until(page, "window.codes?.length > 1")
+    assert not page.evaluate("late.connected")
+    monkeypatch.undo()
+    until(page, "late.connected")
+    assert set(page.evaluate("codes")) == {station_server.NO_HELLO}
+    page.evaluate("late.start = () => {}")
 
 
 def test_nothing_is_drawn_while_nothing_changes(page: Any, standin: FleetStandIn) -> None:

@@ -111,6 +111,8 @@ def test_a_mavlink_port_in_use_is_rejected(monkeypatch: pytest.MonkeyPatch, capf
         ("mavros:=elsewhere", 24541, ""),
         ("fcu_url:=udp://:25540@127.0.0.1:34580", 24541, ""),  # our layer has another port
         ("mavros:=true", 24541, "UDP 24541 of iris_1 is taken by another program (beside real MAVROS: mavros:=false)"),
+        ("ports:=px4", 14541, "UDP 14541 of iris_1 is taken"),
+        ("ports:=px4", 24541, ""),
         ("mavros_nodes:=per_uav", 24541, "UDP 24541 of iris_1 is taken"),
         ("mavros:=false", 34581, "UDP 34581 of iris_1 is taken by another program;"),  # the simulator's own
     ],

@@ -160,7 +160,10 @@ def test_a_listener_on_px4s_stock_port_is_told_the_ports_of_this_simulation() ->
             pytest.skip("port 14545 or 14585 is in use")
         [found] = mine()
         assert "listens on UDP 14545, PX4's stock port; no PX4 is at 14585" in found.text
-        assert "vehicle 5 at udpout://127.0.0.1:18575; listen on 14550" in found.remedy
+        assert (
+            "ports:=px4 mavros:=false, or connect to vehicle 5 at udpout://127.0.0.1:18575; listen on 14550"
+            in found.remedy
+        )
         assert "on 24545 in the place of MAVROS" in found.remedy
         assert _bound(stack, 14_585)
         assert mine() == []

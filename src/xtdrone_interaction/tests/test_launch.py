@@ -151,6 +151,8 @@ def test_a_signal_ends_all_of_it(launch_file: Path, number: int) -> None:
         (["nowhere"], "'nowhere' does not exist; a path, or one of bench, "),
         (["formation", "control:=foo"], "control_is_vel_or_accel"),
         (["simplified", "--instance", "1"], "simplified.launch has no 'instance'"),
+        (["multi_vehicle", "ports:=foo"], "ports: 'foo' is not allowed, xtdrone or px4"),
+        (["formation", "n:=11", "ports:=px4"], "vehicles: 11 with ports 'px4' are not allowed, 1 to 10"),
         (["multi_vehicle", "--instance", "8"], "'8' is not allowed, a whole number from 0 to 7"),
         (["multi_vehicle", "--instance", "1", "instance:=2"], "--instance 1 and instance:=2 contradict"),
     ],

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import errno
 import io
+import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+import rosbag
+import rospy
 from rich.console import Console
+from std_msgs.msg import String
 
 from xtdrone_control.whole_file import replacing
+from xtdrone_interaction.bags.ros1bag import BagFile
 from xtdrone_interaction.launching import supervised_launch
 from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
 
@@ -105,6 +111,28 @@ def test_what_ends_a_recording_is_shown_at_once_and_comes_first_at_the_end(
         for words in (warning, "recorder has died (SIGKILL) at 3.0 s", "the table", "report.json: No space left")
     ]
     assert places == sorted(places), lines
+
+
+@pytest.mark.parametrize("limit", ["unlimited", "2"])  # in 512 bytes
+def test_a_bag_without_an_index_keeps_its_messages_also_on_a_full_disk(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, limit: str
+) -> None:
+    bag, active, program = tmp_path / "flight.bag", tmp_path / "flight.bag.active", tmp_path / "rosbag"
+    with rosbag.Bag(str(tmp_path / "whole.bag"), "w", chunk_threshold=1000) as whole:
+        for second in range(1, 100):
+            whole.write("/notes", String("word " * 20), rospy.Time(second))
+        whole.flush()
+        shutil.copy(whole.filename, active)
+    recorded = active.read_bytes()
+    program.write_text(f'#!/bin/sh\ntrap "" XFSZ\nulimit -f {limit}\nexec {shutil.which("rosbag")} "$@"\n')
+    program.chmod(0o700)
+    monkeypatch.setattr(supervised_launch.shutil, "which", lambda _: str(program))
+    supervised_launch._mend_bag(bag, dict(os.environ))
+    file = BagFile(bag)
+    assert sum(len(batch.time) for batch in file.batches()) >= 90
+    assert bool(file.notes) is (limit != "unlimited")  # notes on a missing index
+    assert limit == "unlimited" or bag.read_bytes() == recorded
+    assert {path.name for path in tmp_path.iterdir()} == {"flight.bag", "whole.bag", "rosbag"}
 
 
 @pytest.mark.parametrize(("home", "moved"), [("/proc/self", True), ("", False)])

@@ -19,6 +19,7 @@ from xtdrone_control.fleet import (
     INSTANCE_STEP,
     MAX_INSTANCE,
     MAX_VEHICLES,
+    XTDRONE,
     FleetError,
     Vehicle,
     check_instance,
@@ -375,13 +376,14 @@ def _udp_ports(vehicle: Vehicle, with_mavros: bool) -> tuple[int, ...]:
     return (*local, vehicle.offboard_remote_port) if with_mavros else local
 
 
-def take_instance(fleet: str, wanted: int | None, *, with_mavros: bool = True) -> int:
+def take_instance(fleet: str, wanted: int | None, *, with_mavros: bool = True, ports: str = XTDRONE) -> int:
     """Reserve an instance whose ports are free, and return its number.
 
     Args:
         fleet: vehicles of the instance, as ``iris:9``.
         wanted: number; None for the first free one.
         with_mavros: see ``check_vehicle_ports``.
+        ports: of the offboard links, see ``parse_fleet``.
 
     Raises:
         OptionError: the instance is not free, or none is.
@@ -390,11 +392,12 @@ def take_instance(fleet: str, wanted: int | None, *, with_mavros: bool = True) -
     if wanted is not None:
         if not _take(f"instance-{wanted}"):
             raise OptionError(f"instance: {wanted} flies already; another one of 0 to {MAX_INSTANCE} may be free")
-        check_vehicle_ports(parse_fleet(fleet, wanted), with_mavros=with_mavros)
+        check_vehicle_ports(parse_fleet(fleet, wanted, ports), with_mavros=with_mavros)
         return wanted
     for instance in range(MAX_INSTANCE + 1):
-        ports = [port for vehicle in parse_fleet(fleet, instance) for port in _udp_ports(vehicle, with_mavros)]
-        if not any(_taken(port, socket.SOCK_DGRAM) for port in ports) and _take(f"instance-{instance}"):
+        vehicles = parse_fleet(fleet, instance, ports)
+        needed = [number for vehicle in vehicles for number in _udp_ports(vehicle, with_mavros)]
+        if not any(_taken(number, socket.SOCK_DGRAM) for number in needed) and _take(f"instance-{instance}"):
             return instance
     raise OptionError(f"port: the UDP ports of each instance from 0 to {MAX_INSTANCE} are taken by other programs")
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
 from xtdrone_control.autopilot.commander.commander import Commander
@@ -102,7 +103,7 @@ class Simulation:
         self._poses = [*poses, *[StartPose(0.0, 0.0)] * reserve]
         self._seed = seed
         self._rows = rows
-        self._instance = fleet[0].instance
+        self._instance, self._ports = fleet[0].instance, fleet[0].ports
         self.effects = Effects(effects) if effects else None
         self.actors = actors_of(model.actors)
         self._solid_people = solid_people
@@ -163,7 +164,8 @@ class Simulation:
     @property
     def local_ports(self) -> list[int]:
         """UDP ports of the autopilots' MAVLink, those of free places included."""
-        places = [Vehicle("place", index, number, self._instance) for index, number in enumerate(self._ids)]
+        numbers = enumerate(self._ids)
+        places = [Vehicle("place", index, one, self._instance, ports=self._ports) for index, one in numbers]
         return [
             port for one in places for port in (one.offboard_local_port, one.gcs_local_port, one.payload_local_port)
         ]
@@ -191,7 +193,8 @@ class Simulation:
             raise ValueError(
                 f"no place is free: {len(self.vehicles)} vehicles are in the simulation; reserve:=N keeps N more places"
             )
-        vehicle = vehicle_named(name, self._ids[free[0]], self._instance, model)
+        named = vehicle_named(name, self._ids[free[0]], self._instance, model)
+        vehicle = replace(named, ports=self._ports)
         index, description = free[0], load_vehicle(vehicle.model)
         place = pose or start_poses([*self.fleet, vehicle], self._rows)[-1]
         names = self.names

@@ -3,7 +3,7 @@
 A fleet is described as ``"iris:9"`` or ``"iris:3,typhoon_h480:2"``, or by a fleet file.
 """
 
-from .fleet_as_text import fleet_text, parse_fleet, place_ids, read_fleet_file, split_name, vehicle_named
+from .fleet_as_text import fleet_text, parse_fleet, place_ids, read_fleet_file, split_name, vehicle_named, with_ports
 from .spawned_by_launch import SPAWNED, spawned_fleet, unused_ports
 from .start_places import spawn_grid, start_pose, start_poses, with_poses
 from .vehicle import (
@@ -12,10 +12,14 @@ from .vehicle import (
     INSTANCE_STEP,
     MAX_INSTANCE,
     MAX_VEHICLES,
+    OFFBOARD_PORTS,
+    PX4,
+    XTDRONE,
     FleetError,
     StartPose,
     Vehicle,
     check_instance,
+    check_ports,
     instance_port,
 )
 
@@ -25,11 +29,15 @@ __all__ = [
     "INSTANCE_STEP",
     "MAX_INSTANCE",
     "MAX_VEHICLES",
+    "OFFBOARD_PORTS",
+    "PX4",
     "SPAWNED",
+    "XTDRONE",
     "FleetError",
     "StartPose",
     "Vehicle",
     "check_instance",
+    "check_ports",
     "fleet_text",
     "instance_port",
     "parse_fleet",
@@ -42,5 +50,6 @@ __all__ = [
     "start_poses",
     "unused_ports",
     "vehicle_named",
+    "with_ports",
     "with_poses",
 ]

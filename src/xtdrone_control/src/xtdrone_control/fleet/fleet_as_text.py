@@ -6,13 +6,23 @@ import json
 import re
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from xtdrone_control.bounded_file import ContentError, load_yaml, read_text
 
 from .start_places import start_pose
-from .vehicle import MAX_VEHICLES, FleetError, StartPose, Vehicle, check_instance
+from .vehicle import (
+    MAX_VEHICLES,
+    OFFBOARD_PORTS,
+    XTDRONE,
+    FleetError,
+    StartPose,
+    Vehicle,
+    check_instance,
+    check_ports,
+)
 
 _KEYS = ("name", "type", "model", "pose", "id")
 _TYPE = r"[a-z][a-z0-9_]*"
@@ -21,18 +31,40 @@ _MOST_INDEX = 9999
 _MOST_NAME = 64  # characters of a type or name
 
 
-def parse_fleet(text: str, instance: int = 0) -> tuple[Vehicle, ...]:
+def parse_fleet(text: str, instance: int = 0, ports: str = XTDRONE) -> tuple[Vehicle, ...]:
     """Return the vehicles that ``text`` describes, in order of their ids.
 
     Args:
         text: comma-separated ``type:count``, as ``"iris:9"``, where ``type`` alone means one; or the YAML list of a
             fleet file, see :func:`read_fleet_file`.
         instance: number of the simulation on this machine, which offsets the ports.
+        ports: those of the offboard links, a key of ``OFFBOARD_PORTS``.
 
     Raises:
-        FleetError: a malformed entry, a total not in 1..250, a type or name given twice, or an invalid instance.
+        FleetError: a malformed entry, a total not in 1..250 or too large for ``ports``, a type or name given twice, or
+            an invalid instance or ``ports``.
     """
     check_instance(instance)
+    check_ports(ports)
+    return with_ports(_parsed(text, instance), ports)
+
+
+def with_ports(fleet: Sequence[Vehicle], ports: str) -> tuple[Vehicle, ...]:
+    """Return the fleet with offboard links on ``ports``, a key of ``OFFBOARD_PORTS``.
+
+    Raises:
+        FleetError: there are too many vehicles for these ports, or an id is too high for them.
+    """
+    most = OFFBOARD_PORTS[ports].vehicles
+    if len(fleet) > most:
+        raise FleetError(f"vehicles: {len(fleet)} with ports {ports!r} are not allowed, 1 to {most}")
+    for vehicle in fleet:
+        if vehicle.id >= most:
+            raise FleetError(f"id: {vehicle.id} of {vehicle.name} with ports {ports!r} is not allowed, 0 to {most - 1}")
+    return tuple(replace(vehicle, ports=ports) for vehicle in fleet)
+
+
+def _parsed(text: str, instance: int) -> tuple[Vehicle, ...]:
     if not _is_list(text):
         return _counted(text, instance)
     try:
@@ -63,8 +95,7 @@ def fleet_text(fleet: Sequence[Vehicle]) -> str:
     """Return the shortest text that ``parse_fleet`` reads as this fleet."""
     counts = Counter(vehicle.type for vehicle in fleet)
     short = ",".join(f"{kind}:{count}" for kind, count in counts.items())
-    instance = fleet[0].instance if fleet else 0
-    if fleet and parse_fleet(short, instance) == tuple(fleet):
+    if fleet and parse_fleet(short, fleet[0].instance, fleet[0].ports) == tuple(fleet):
         return short
     return json.dumps([_entry(vehicle) for vehicle in fleet])
 
@@ -73,13 +104,14 @@ def place_ids(fleet: Sequence[Vehicle], reserve: int) -> list[int]:
     """Return the id of each vehicle slot: those of the fleet, then the lowest free ones for ``reserve`` more vehicles.
 
     Raises:
-        FleetError: ``reserve`` is negative, or there would be more than 250 slots.
+        FleetError: ``reserve`` is negative, or there would be more slots than the fleet's ports are for.
     """
     ids = [vehicle.id for vehicle in fleet]
-    most = MAX_VEHICLES - len(fleet)
+    highest = OFFBOARD_PORTS[fleet[0].ports].vehicles if fleet else MAX_VEHICLES
+    most = highest - len(fleet)
     if not 0 <= reserve <= most:
         raise FleetError(f"reserve: {reserve} is not allowed, 0 to {most} beside {len(fleet)} vehicles")
-    return ids + [number for number in range(MAX_VEHICLES) if number not in ids][:reserve]
+    return ids + [number for number in range(highest) if number not in ids][:reserve]
 
 
 def vehicle_named(name: str, vehicle_id: int, instance: int, model: str = "", pose: StartPose | None = None) -> Vehicle:

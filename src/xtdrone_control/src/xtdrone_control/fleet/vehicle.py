@@ -4,6 +4,8 @@ The name of a vehicle is ``<type>_<index in its type>``; its id counts over all 
 id and ports. Its model, the description of its body and sensors, has the name of its type unless another one is given:
 upstream's ``iris_stereo_camera`` flies as ``iris_0``.
 
+The offboard link has upstream's ports, or those of PX4's own simulations: ``OFFBOARD_PORTS``.
+
 Several simulations can run side by side on one machine as *instances*: the ports of instance N are N times
 ``INSTANCE_STEP`` higher than those of instance 0, which are upstream's. MAVLink system ids are the same in all of them.
 """
@@ -18,8 +20,6 @@ COMMAND_TOPICS = ("cmd", *(f"cmd_{kind}_{frame}" for kind in ("pose", "vel", "ac
 
 MAX_VEHICLES = 250  # MAVLink system ids are 1..255; ground stations use 255
 
-_OFFBOARD_LOCAL_PORT = 34580  # the autopilot's end of the offboard link
-_OFFBOARD_REMOTE_PORT = 24540  # MAVROS's end
 _GCS_LOCAL_PORT = 18570
 _PAYLOAD_LOCAL_PORT = 14280
 _PAYLOAD_REMOTE_PORT = 14030
@@ -30,6 +30,28 @@ INSTANCE_STEP = 540
 """Offset of the ports between instances; the ports of 250 vehicles in each instance never collide."""
 
 MAX_INSTANCE = 7
+
+
+class OffboardPorts(NamedTuple):
+    """UDP ports of the offboard links of a fleet in instance 0; those of vehicle i are i higher.
+
+    Attributes:
+        local: the autopilot's end.
+        remote: the end of MAVROS, or of another program on board.
+        vehicles: the largest number of vehicles.
+    """
+
+    local: int
+    remote: int
+    vehicles: int
+
+
+XTDRONE, PX4 = "xtdrone", "px4"
+OFFBOARD_PORTS = {
+    XTDRONE: OffboardPorts(34580, 24540, MAX_VEHICLES),
+    PX4: OffboardPorts(14580, 14540, GCS_REMOTE_PORT - 14540),  # the next one would have the ground station's
+}
+"""By the names of the argument ``ports``: upstream XTDrone's, and those of PX4's ``px4-rc.mavlink``."""
 
 
 class FleetError(ValueError):
@@ -51,6 +73,17 @@ def check_instance(value: object) -> int:
     if isinstance(value, bool) or not (text.isascii() and text.isdecimal() and int(text) <= MAX_INSTANCE):
         raise FleetError(f"instance: {value!r} is not allowed, a whole number from 0 to {MAX_INSTANCE}")
     return int(text)
+
+
+def check_ports(value: object) -> str:
+    """Return the name of the offboard links' ports, a key of ``OFFBOARD_PORTS``.
+
+    Raises:
+        FleetError: another value.
+    """
+    if not (isinstance(value, str) and value in OFFBOARD_PORTS):
+        raise FleetError(f"ports: {repr(value)[:40]} is not allowed, {' or '.join(OFFBOARD_PORTS)}")
+    return value
 
 
 class StartPose(NamedTuple):
@@ -84,6 +117,7 @@ class Vehicle:
         instance: number of the simulation on this machine.
         model: name of its description, or a YAML file; empty: that of its type.
         pose: start pose; None for its place on the spawn grid.
+        ports: those of its offboard link, a key of ``OFFBOARD_PORTS``.
     """
 
     type: str
@@ -92,6 +126,7 @@ class Vehicle:
     instance: int = 0
     model: str = ""
     pose: StartPose | None = None
+    ports: str = XTDRONE
 
     def __post_init__(self) -> None:
         if not self.model:
@@ -110,12 +145,12 @@ class Vehicle:
     @property
     def offboard_local_port(self) -> int:
         """UDP port that the autopilot binds for the offboard link."""
-        return instance_port(_OFFBOARD_LOCAL_PORT + self.id, self.instance)
+        return instance_port(OFFBOARD_PORTS[self.ports].local + self.id, self.instance)
 
     @property
     def offboard_remote_port(self) -> int:
         """UDP port that MAVROS binds for the offboard link."""
-        return instance_port(_OFFBOARD_REMOTE_PORT + self.id, self.instance)
+        return instance_port(OFFBOARD_PORTS[self.ports].remote + self.id, self.instance)
 
     @property
     def gcs_local_port(self) -> int:

@@ -6,9 +6,9 @@ Private parameters, besides those of ``mavros/launch/px4_config.yaml``:
   numbered as in upstream XTDrone.
 - ``~fcu_host`` (127.0.0.1): host that runs the fleet's autopilots, a name or an IPv4 address.
 - ``~bind_host`` (127.0.0.1 if the autopilots run on this machine, otherwise 0.0.0.0): local address for their MAVLink.
-- ``~fleet_url``: both ends of the first vehicle's link in the form of MAVROS's ``fcu_url``; replaces upstream's ports
-  and the two parameters above. Each further vehicle's ports are one higher. ``udp://:14540@127.0.0.1:14580`` matches
-  PX4 instances started by PX4's own scripts.
+- ``~fleet_url``: both ends of the first vehicle's link in the form of MAVROS's ``fcu_url``; replaces the ports of
+  ``/xtdrone/ports`` and the two parameters above. Each further vehicle's ports are one higher.
+- ``/xtdrone/ports`` (xtdrone): px4 for the ports of PX4's own scripts, ``udp://:14540@127.0.0.1:14580``.
 - ``~vehicle``: serve only this vehicle of the fleet, e.g. ``iris_0``; topics are in the node's own namespace. With one
   node per vehicle, named ``/iris_0/mavros`` and so on, this is how real MAVROS is started for a fleet.
 - ``~wait_for_vehicle`` (false): wait until ``~vehicle`` has joined the simulation.
@@ -37,7 +37,7 @@ import rospy
 from xtdrone_msgs.srv import GetReadiness, GetReadinessResponse
 
 from xtdrone_control import lockstep
-from xtdrone_control.fleet import FleetError, Vehicle, check_instance, parse_fleet
+from xtdrone_control.fleet import XTDRONE, FleetError, Vehicle, check_instance, check_ports, parse_fleet
 from xtdrone_control.mavros import left_out
 from xtdrone_control.mavros.feeds import Publisher
 from xtdrone_control.mavros.lib.plugin_settings import Params
@@ -145,7 +145,9 @@ class LockstepRos:
             yield
 
 
-def connections(settings: Mapping[str, Any], fleet: str, node_name: str, instance: object = 0) -> list[Connection]:
+def connections(
+    settings: Mapping[str, Any], fleet: str, node_name: str, instance: object = 0, ports: object = XTDRONE
+) -> list[Connection]:
     """Return the connections to serve.
 
     Args:
@@ -153,9 +155,10 @@ def connections(settings: Mapping[str, Any], fleet: str, node_name: str, instanc
         fleet: the value of ``/xtdrone/fleet``, or empty.
         node_name: the node's resolved name, e.g. ``/iris_0/mavros``.
         instance: the value of ``/xtdrone/instance``; shifts the fleet's default ports, not those of an explicit URL.
+        ports: the value of ``/xtdrone/ports``; likewise.
 
     Raises:
-        FleetError: no fleet is given, or it is invalid, or ``instance`` is out of range.
+        FleetError: no fleet is given, or it is invalid, or ``instance`` or ``ports`` is not allowed.
         LinkError: a malformed ``fcu_url`` or ``fleet_url``, or an unreachable ``fcu_host``.
         ParamError: a setting has the wrong type.
     """
@@ -169,7 +172,7 @@ def connections(settings: Mapping[str, Any], fleet: str, node_name: str, instanc
     text = params.get("fleet", fleet)
     if not text:
         raise FleetError("vehicles: none are named; set /xtdrone/fleet, e.g. to iris:9, or fcu_url for a single one")
-    vehicles = parse_fleet(text, check_instance(instance))
+    vehicles = parse_fleet(text, check_instance(instance), check_ports(ports))
     only = params.get("vehicle", "")
     if not only:
         return _fleet_connections(params, vehicles)
@@ -330,7 +333,8 @@ def main() -> int:
     try:
         settings = rospy.get_param("~", {})
         fleet = _fleet(settings)
-        vehicles = connections(settings, fleet, rospy.get_name(), rospy.get_param("/xtdrone/instance", 0))
+        instance, ports = rospy.get_param("/xtdrone/instance", 0), rospy.get_param("/xtdrone/ports", XTDRONE)
+        vehicles = connections(settings, fleet, rospy.get_name(), instance, ports)
         with lockstep.registering_together():
             node = MavrosNode(vehicles, settings)
     except rospy.ROSInterruptException:

@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-from xtdrone_control.fleet import GCS_REMOTE_PORT, MAX_INSTANCE, Vehicle, parse_fleet
+from xtdrone_control.fleet import GCS_REMOTE_PORT, MAX_INSTANCE, OFFBOARD_PORTS, PX4, Vehicle, parse_fleet
 from xtdrone_interaction.doctor.findings import Finding, listed
 
 _OURS = ("simulator.py", "mavros_node.py", "simplified_simulator")
 _REQUIREMENT = re.compile(r"^\s*(?P<name>[A-Za-z0-9_.-]+)\s*==\s*(?P<version>[^\s;#]+)")
 _PACKAGES_LIMIT = 20.0  # s
-_STOCK_REMOTE, _STOCK_LOCAL = 14540, 14580  # a program's and PX4's end of the offboard link of PX4's own simulations
-_STOCK_VEHICLES = 10  # PX4's simulations give each further vehicle the next port, up to 14549
+_STOCK = OFFBOARD_PORTS[PX4]
 
 
 @dataclass(frozen=True)
@@ -83,19 +82,20 @@ def examine_ports(holders: Mapping[int, Mapping[int, Holder]]) -> list[Finding]:
 def examine_stock_ports() -> list[Finding]:
     """Return the programs that listen where a PX4 with its stock ports would send, while no such PX4 runs."""
     taken = _udp_sockets()
-    waiting = [i for i in range(_STOCK_VEHICLES) if _STOCK_REMOTE + i in taken and _STOCK_LOCAL + i not in taken]
-    owners = _owners({taken[_STOCK_REMOTE + i] for i in waiting})
-    return [_stock_finding(i, owners.get(taken[_STOCK_REMOTE + i], Holder(0, ""))) for i in waiting]
+    waiting = [i for i in range(_STOCK.vehicles) if _STOCK.remote + i in taken and _STOCK.local + i not in taken]
+    owners = _owners({taken[_STOCK.remote + i] for i in waiting})
+    return [_stock_finding(i, owners.get(taken[_STOCK.remote + i], Holder(0, ""))) for i in waiting]
 
 
 def _stock_finding(number: int, holder: Holder) -> Finding:
     vehicle = Vehicle("iris", number, number)
     return Finding(
         "ports",
-        f"{holder} listens on UDP {_STOCK_REMOTE + number}, PX4's stock port; no PX4 is at {_STOCK_LOCAL + number}: "
+        f"{holder} listens on UDP {_STOCK.remote + number}, PX4's stock port; no PX4 is at {_STOCK.local + number}: "
         "simulations here have upstream XTDrone's ports",
-        f"connect to vehicle {number} at udpout://127.0.0.1:{vehicle.gcs_local_port}; listen on {GCS_REMOTE_PORT} as a "
-        f"ground station, or with mavros:=false on {vehicle.offboard_remote_port} in the place of MAVROS",
+        f"start the simulation with ports:=px4 mavros:=false, or connect to vehicle {number} at "
+        f"udpout://127.0.0.1:{vehicle.gcs_local_port}; listen on {GCS_REMOTE_PORT} as a ground station, or with "
+        f"mavros:=false on {vehicle.offboard_remote_port} in the place of MAVROS",
     )
 
 

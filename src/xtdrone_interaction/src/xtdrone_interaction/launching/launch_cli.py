@@ -101,7 +101,7 @@ def _prepare(words: argparse.Namespace) -> tuple[LaunchFile, Launch]:
     vehicles = file.vehicles
     instance = vehicles[0].instance if vehicles else 0
     if file.has_mavlink:
-        command_options.take_instance(file.fleet, instance, with_mavros=file.has_mavros)
+        command_options.take_instance(file.fleet, instance, with_mavros=file.has_mavros, ports=file.ports)
     port = instance_port(settings.master_port, instance) if settings.master_port else None
     number = master_port(port, use_running=words.use_master)
     out = command_options.results_folder(words.out)

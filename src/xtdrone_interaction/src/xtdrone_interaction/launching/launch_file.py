@@ -8,7 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.fleet import SPAWNED, Vehicle, check_instance, fleet_text, parse_fleet, spawned_fleet
+from xtdrone_control.fleet import (
+    SPAWNED,
+    XTDRONE,
+    Vehicle,
+    check_instance,
+    check_ports,
+    fleet_text,
+    parse_fleet,
+    spawned_fleet,
+)
 from xtdrone_interaction.command_options import OptionError, repository
 from xtdrone_interaction.monitoring.ended_nodes import SIMULATOR
 
@@ -53,6 +62,15 @@ class LaunchFile:
         return check_instance(self.parameters.get("/xtdrone/instance", 0))
 
     @property
+    def ports(self) -> str:
+        """The ports of the vehicles' offboard links, see ``parse_fleet``.
+
+        Raises:
+            FleetError: they are not allowed.
+        """
+        return check_ports(self.parameters.get("/xtdrone/ports", XTDRONE))
+
+    @property
     def vehicles(self) -> tuple[Vehicle, ...]:
         """The vehicles of the simulator.
 
@@ -61,7 +79,7 @@ class LaunchFile:
         """
         if not (self.has_simulator and self.fleet):
             return ()
-        return parse_fleet(self.fleet, self._instance)
+        return parse_fleet(self.fleet, self._instance, self.ports)
 
     def of_simulator(self, name: str) -> Any:
         """Return a private parameter of the simulator, None if it is not set."""

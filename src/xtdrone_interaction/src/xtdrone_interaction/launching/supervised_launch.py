@@ -13,6 +13,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -569,13 +570,12 @@ def _mend_bag(bag: Path, environment: dict[str, str]) -> None:
     program = shutil.which("rosbag")
     if not active.is_file() or program is None:
         return
-    command = [program, "reindex", "-q", str(active)]
-    done = subprocess.run(command, env=environment, check=False, capture_output=True, timeout=300)
-    original = active.with_suffix(".orig.active")
-    if (done.returncode != 0 or done.stderr) and original.is_file():
-        original.replace(active)
+    with contextlib.suppress(OSError, subprocess.TimeoutExpired), tempfile.TemporaryDirectory(dir=bag.parent) as folder:
+        command = [program, "reindex", "-q", "--output-dir", folder, str(active)]  # a copy: the disk may be full
+        done = subprocess.run(command, env=environment, check=False, capture_output=True, timeout=300)
+        if done.returncode == 0 and not done.stderr:
+            Path(folder, active.name).replace(active)
     active.replace(bag)
-    original.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager

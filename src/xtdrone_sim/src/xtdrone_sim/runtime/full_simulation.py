@@ -13,7 +13,17 @@ import rospy
 import yaml
 from gazebo_msgs.msg import ModelStates
 
-from xtdrone_control.fleet import MAX_VEHICLES, StartPose, Vehicle, check_instance, fleet_text, parse_fleet, with_poses
+from xtdrone_control.fleet import (
+    MAX_VEHICLES,
+    XTDRONE,
+    StartPose,
+    Vehicle,
+    check_instance,
+    check_ports,
+    fleet_text,
+    parse_fleet,
+    with_poses,
+)
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.mavlink.mavlink_server import MavlinkServer
 from xtdrone_control.rotation import Vector
@@ -47,9 +57,10 @@ class FullSettings(NodeSettings):
     """Parameters of the full simulator.
 
     Attributes:
-        fleet: vehicles (``~fleet`` or ``/xtdrone/fleet``), on the ports of instance ``/xtdrone/instance``, at the start
-            poses of the fleet or of ``~poses`` (a YAML list of [x, y, z, roll, pitch, yaw], m and rad ENU); with
-            ``~spawned`` those that XTDrone's launch files spawn, see ``launched_vehicles.read_launched``.
+        fleet: vehicles (``~fleet`` or ``/xtdrone/fleet``), on the ports of instance ``/xtdrone/instance`` and of
+            ``/xtdrone/ports`` (a key of ``fleet.OFFBOARD_PORTS``), at the start poses of the fleet or of ``~poses``
+            (a YAML list of [x, y, z, roll, pitch, yaw], m and rad ENU); with ``~spawned`` those that XTDrone's launch
+            files spawn, see ``launched_vehicles.read_launched``.
         effects: forces and torques added to the vehicles in this order (``~effects``: a list, or its YAML as text; each
             entry ``FILE.py:NAME``, ``module:NAME`` or ``{FILE.py:NAME: {ARGUMENT: VALUE, ...}}``).
         robots: ground robots (``~robots``, see ``listing.parse_robots``).
@@ -95,23 +106,24 @@ def read_settings() -> FullSettings:
         ValueError: a parameter is not allowed.
     """
     instance = check_instance(rospy.get_param("/xtdrone/instance", 0))
+    ports = check_ports(rospy.get_param("/xtdrone/ports", XTDRONE))
     if rospy.get_param("~spawned", False):
-        fleet = _spawned(instance)
+        fleet = _spawned(instance, ports)
     else:
         text = str(rospy.get_param("~fleet", rospy.get_param("/xtdrone/fleet", "iris:1")))
-        fleet = with_poses(parse_fleet(text, instance), str(rospy.get_param("~poses", "")))
+        fleet = with_poses(parse_fleet(text, instance, ports), str(rospy.get_param("~poses", "")))
     robots = parse_robots(str(rospy.get_param("~robots", "")))
     return FullSettings.from_parameters(rospy.get_param, fleet=fleet, effects=_effects("~effects"), robots=robots)
 
 
-def _spawned(instance: int) -> tuple[Vehicle, ...]:
+def _spawned(instance: int, ports: str) -> tuple[Vehicle, ...]:
     """Return the vehicles of the launch; add its MAVROS nodes to ``~participants`` and look its world up.
 
     Raises:
         FleetError, ModelError: the vehicles or the world are not allowed.
     """
     rospy.delete_param("~spawned")  # a later launch on this master may define its vehicles in another way
-    launched = read_launched(rospy.get_param("/"), instance)
+    launched = read_launched(rospy.get_param("/"), instance, ports)
     for warning in launched.warnings:
         rospy.logwarn("simulator: %s", warning)
     others = [name for name in str(rospy.get_param("~participants", "")).split(",") if name]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.fleet import SPAWNED, FleetError, Vehicle, spawned_fleet, unused_ports
+from xtdrone_control.fleet import SPAWNED, XTDRONE, FleetError, Vehicle, spawned_fleet, unused_ports, with_ports
 from xtdrone_control.mavros.link.autopilot_links import FcuUrl, LinkError, parse_fcu_url
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.package_files import PACKAGE
@@ -38,18 +38,19 @@ class Launched:
     warnings: tuple[str, ...]
 
 
-def read_launched(parameters: Mapping[str, Any], instance: int = 0) -> Launched:
+def read_launched(parameters: Mapping[str, Any], instance: int = 0, ports: str = XTDRONE) -> Launched:
     """Return the vehicles and MAVROS nodes that the parameters of a launch describe.
 
     Args:
         parameters: the whole tree of the parameter server.
         instance: number of the simulation on this machine.
+        ports: of the offboard links, a key of ``fleet.OFFBOARD_PORTS``.
 
     Raises:
         FleetError: the vehicles are not allowed, or two MAVROS nodes have the same local port.
     """
     groups = _subtree(parameters, SPAWNED)
-    fleet = spawned_fleet(groups, instance)
+    fleet = with_ports(spawned_fleet(groups, instance), ports)
     nodes = dict(_launched_nodes(parameters, set(_subtree(parameters, LAUNCHED_MAVROS)), ""))
     urls = {name: url for name, settings in sorted(nodes.items()) if (url := _url(settings)) is not None}
     _check_local_ports(urls)
