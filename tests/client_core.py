@@ -1,7 +1,8 @@
 """The simulation core with its MAVLink server, without ROS; the tests with real clients connect to it.
 
-``client_core.py COUNT FIRST SPEED [LOGS [TYPE]]``: COUNT vehicles of TYPE (iris) from global index FIRST on (which
-fixes system ids and ports), at SPEED times real time (0: as fast as possible), flight logs below the folder LOGS.
+``client_core.py COUNT FIRST SPEED [LOGS [TYPE [PORTS]]]``: COUNT vehicles of TYPE (iris) from global index FIRST on
+(which fixes system ids and ports), at SPEED times real time (0: as fast as possible), flight logs below the folder
+LOGS, offboard links on PORTS (xtdrone, px4).
 Writes ``ready`` when it runs, and ends when its standard input does.
 """
 
@@ -13,7 +14,7 @@ import time
 from functools import partial
 from pathlib import Path
 
-from xtdrone_control.fleet import Vehicle
+from xtdrone_control.fleet import XTDRONE, Vehicle, with_ports
 from xtdrone_control.mavlink.mavlink_server import MavlinkServer
 from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot
 from xtdrone_sim.runtime.requests.pacing import Pacer
@@ -22,9 +23,9 @@ from xtdrone_sim.simulation import Simulation
 CHUNK_US = 8000  # simulated time between two polls of the sockets
 
 
-def main(count: int, first: int, speed: float, logs: str = "", kind: str = "iris") -> None:
+def main(count: int, first: int, speed: float, logs: str = "", kind: str = "iris", ports: str = XTDRONE) -> None:
     """Run until standard input ends."""
-    fleet = tuple(Vehicle(kind, i, first + i) for i in range(count))
+    fleet = with_ports([Vehicle(kind, i, first + i) for i in range(count)], ports)
     simulation = Simulation(fleet, seed=1, autopilots=partial(BuiltinAutopilot, logs=Path(logs) if logs else None))
     server = MavlinkServer(fleet, simulation.autopilot, simulation.commanders)
     pacer = Pacer(speed)

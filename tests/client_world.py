@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from xtdrone_control.fleet import Vehicle
+from xtdrone_control.fleet import XTDRONE, Vehicle
 
 CORE = Path(__file__).with_name("client_core.py")
 START_LIMIT = 180.0  # s of wall time for the core to start: it may have to compile its kernels
@@ -23,7 +23,15 @@ class Core:
         logs: folder with flight logs.
     """
 
-    def __init__(self, first: int, logs: Path, count: int = 1, speed: float = 5.0, kind: str = "iris") -> None:
+    def __init__(
+        self,
+        first: int,
+        logs: Path,
+        count: int = 1,
+        speed: float = 5.0,
+        kind: str = "iris",
+        ports: str = XTDRONE,
+    ) -> None:
         """Start it and wait until it runs.
 
         Args:
@@ -32,13 +40,14 @@ class Core:
             count: number of vehicles.
             speed: simulated seconds a second of wall time.
             kind: vehicle type.
+            ports: of the offboard links.
         """
-        self.vehicles = [Vehicle(kind, i, first + i) for i in range(count)]
+        self.vehicles = [Vehicle(kind, i, first + i, ports=ports) for i in range(count)]
         self.logs = logs
         self._output = logs / "core.log"
         with self._output.open("wb") as output:
             self._process = subprocess.Popen(
-                [sys.executable, str(CORE), str(count), str(first), str(speed), str(logs), kind],
+                [sys.executable, str(CORE), str(count), str(first), str(speed), str(logs), kind, ports],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=output,

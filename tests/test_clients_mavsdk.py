@@ -12,6 +12,8 @@ from typing import Any, TypeVar
 import pytest
 from client_world import CLIENT_LIMIT, Core, free_port
 
+from xtdrone_control.fleet import PX4
+
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", FutureWarning)  # the package announces a change in its next version
     mavsdk = pytest.importorskip("mavsdk")
@@ -24,7 +26,7 @@ with warnings.catch_warnings():
     from mavsdk.param import ParamError
     from mavsdk.telemetry import FlightMode, LandedState
 
-FIRST = 130
+FIRST = 6  # with PX4's stock ports, for at most ten vehicles
 HOME = (47.397742, 8.545594)  # degrees; the world's origin
 NAN = math.nan
 
@@ -70,14 +72,14 @@ async def first(stream: AsyncIterator[T], condition: Callable[[T], bool]) -> T:
 
 @pytest.fixture(scope="module")
 def core(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Core]:
-    core = Core(FIRST, tmp_path_factory.mktemp("mavsdk"))
+    core = Core(FIRST, tmp_path_factory.mktemp("mavsdk"), ports=PX4)
     yield core
     core.close()
 
 
 @pytest.fixture(scope="module")
 def client(core: Core) -> Iterator[Client]:
-    client = Client(f"udpin://127.0.0.1:{core.vehicles[0].offboard_remote_port}")
+    client = Client(f"udpin://127.0.0.1:{14540 + FIRST}")
     yield client
     client.close()
 

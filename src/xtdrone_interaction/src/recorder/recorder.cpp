@@ -177,7 +177,7 @@ class Recorder {
     std::error_code unknown;
     const auto space = std::filesystem::space(active_, unknown);
     const bool enough = unknown || space.available >= kMinSpace;
-    if (!enough && has_space_) warn("less than 1024 MB of disk are free");
+    if (!enough && has_space_) warn(std::to_string(space.available >> 20) + " MB of disk are free, fewer than 1024");
     return has_space_ = enough;
   }
 
