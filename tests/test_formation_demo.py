@@ -26,7 +26,6 @@ from xtdrone_interaction.command_options import OptionError, check_vehicle_ports
 from xtdrone_interaction.recording.missions.formation_record import FormationRecord, read_formation
 
 FLEET = "iris:6"
-FEW = ("--n", "2", "--patterns", "origin")  # of flights that are stopped
 FLIGHT_LIMIT = 600.0  # s of wall time
 START_LIMIT = 180.0
 PAPER_TOPOLOGY = [  # section 5.1: row i marks the UAVs that UAV i listens to; by the rule, for origin and T in order
@@ -151,7 +150,7 @@ def test_a_stopped_flight_leaves_nothing_running(tmp_path: Path, number: int) ->
     """
     out = tmp_path / "out"
     slow = ["--speed", "2"] if number == signal.SIGINT else []  # it still flies when the second has been rejected
-    demo = subprocess.Popen(_command(out, *FEW, *slow), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    demo = subprocess.Popen(_command(out, *slow), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         if number == signal.SIGINT:
             _wait_for_event(out / "events.jsonl", "start", demo)
@@ -182,7 +181,7 @@ def _check_second_is_refused(out: Path) -> None:
 
 def test_a_killed_simulator_ends_the_demo_with_a_message(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    demo = subprocess.Popen(_command(out, *FEW), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    demo = subprocess.Popen(_command(out), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     try:
         _wait_for_event(out / "events.jsonl", "armed", demo)
         for entry in Path("/proc").iterdir():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+import sys
 import xmlrpc.client
 from pathlib import Path
 
@@ -23,6 +24,7 @@ class Graph:
             "ROS_MASTER_URI": self.ros_master.uri,
             "ROS_HOSTNAME": "127.0.0.1",
             "ROS_HOME": str(folder),
+            "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
         }
         self.processes: list[subprocess.Popen] = []
         self.master = xmlrpc.client.ServerProxy(self.ros_master.uri)

@@ -192,8 +192,7 @@ def test_rejects_wrong_arguments_as_the_python_node(graph: Graph) -> None:
 
 @needs_ros
 def test_a_missing_master_is_reported(graph: Graph) -> None:
-    graph.processes[0].kill()
-    graph.processes[0].wait()
+    graph.ros_master.close()
     done = graph.run(str(PROGRAMS["avoid_cpp"]), "iris", "9", "vel")
     assert done.returncode == 1
     assert f"no ROS master at {graph.env['ROS_MASTER_URI']}" in done.stderr

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from forked_nodes import ForkedNode, fork_node
 from ros_master import RosMaster
 
 from xtdrone_control.lockstep.server import LockstepServer
@@ -32,7 +33,7 @@ class Graph:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.processes: dict[str, subprocess.Popen] = {}
+        self.processes: dict[str, subprocess.Popen | ForkedNode] = {}
         self.ros_master = RosMaster()
         self.env = {
             **os.environ,
@@ -47,15 +48,18 @@ class Graph:
     def set_param(self, name: str, value: object) -> None:
         self.master.setParam("/test", name, value)
 
-    def start(self, name: str, *command: str, stdin: int | None = None) -> subprocess.Popen:
+    def start(self, name: str, *command: str) -> subprocess.Popen:
         with open(self.folder / f"{name}.out", "w") as out:
-            self.processes[name] = subprocess.Popen(
-                command, env=self.env, stdin=stdin, stdout=out, stderr=subprocess.STDOUT
-            )
-        return self.processes[name]
+            process = subprocess.Popen(command, env=self.env, stdout=out, stderr=subprocess.STDOUT)
+        self.processes[name] = process
+        return process
 
-    def role(self, file: str, name: str, *arguments: str, stdin: int | None = None) -> subprocess.Popen:
-        return self.start(name, sys.executable, file, name, *arguments, stdin=stdin)
+    def role(self, file: str, name: str, *arguments: str, stdin: int | None = None) -> ForkedNode:
+        """Run ``main()`` of a test file as a node."""
+        with open(self.folder / f"{name}.out", "w") as out:
+            node = fork_node(file, [name, *arguments], self.env, out, stdin)
+        self.processes[name] = node
+        return node
 
     def output(self) -> str:
         return "\n".join(f"{path.name}: {path.read_text()[-1500:]}" for path in self.folder.glob("*.out"))

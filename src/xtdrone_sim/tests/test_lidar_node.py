@@ -261,5 +261,10 @@ def test_invalid_parameters_are_reported(parameters: dict[str, Any], words: str)
         LidarSettings.from_parameters(lambda name, default: parameters.get(name[1:], default))
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Run a node."""
     {"teller": teller, "taker": taker, "inviter": inviter, "watcher": watcher}[sys.argv[1]](*sys.argv[2:])
+
+
+if __name__ == "__main__":
+    main()

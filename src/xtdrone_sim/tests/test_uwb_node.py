@@ -219,5 +219,10 @@ def test_a_fleet_without_sensors_is_reported(graph: Graph) -> None:
     assert "no vehicle of 'iris:2' has a UWB sensor" in graph.output()
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Run a node."""
     {"teller": teller, "taker": taker, "inviter": inviter, "watcher": watcher}[sys.argv[1]](*sys.argv[2:])
+
+
+if __name__ == "__main__":
+    main()

@@ -310,5 +310,10 @@ def test_a_wrong_camera_ends_the_node(graph: Graph) -> None:
     assert "no vehicle has one with colours" in (graph.folder / "video.out").read_text()
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Run a node."""
     {"teller": teller}[sys.argv[1]](*sys.argv[2:])
+
+
+if __name__ == "__main__":
+    main()
