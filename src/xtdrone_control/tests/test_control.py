@@ -8,9 +8,19 @@ import numpy as np
 import pytest
 
 from xtdrone_control import rotation_kernels as rotation
+from xtdrone_control.autopilot.autopilot import Autopilot, RotorLayout
 from xtdrone_control.autopilot.control import attitude_control, control_allocator, position_control
+from xtdrone_control.autopilot.estimator.angular_velocity import update_angular_velocity
 from xtdrone_control.autopilot.parameters.parameters import PARAMS, Parameters
-from xtdrone_control.autopilot.state import CONTROL, ESTIMATOR, MAX_ROTORS
+from xtdrone_control.autopilot.state import (
+    CONTROL,
+    ESTIMATOR,
+    MAX_ROTORS,
+    SENSORS,
+    TAKEOFF_FLIGHT,
+    TASK_ATTITUDE,
+    TASK_RATES,
+)
 
 IRIS = np.array([[0.13, 0.22, -0.023], [-0.13, -0.20, -0.023], [0.13, -0.22, -0.023], [-0.13, 0.20, -0.023]])
 MOMENTS = 0.06 * np.array([1.0, 1.0, -1.0, -1.0])
@@ -239,3 +249,72 @@ def test_a_new_hover_thrust_changes_nothing_at_once(parts):
         c["velocity_integral"] = before
         thrusts.append(c["sp_thrust_vector"][2])
     assert thrusts[0] == pytest.approx(thrusts[1])
+
+
+@pytest.mark.parametrize("frequency", [2.0, 20.0, 60.0])
+def test_rates_are_filtered_as_by_a_butterworth_of_second_order(parts, frequency):
+    """PX4's LowPassFilter2p: 1 / sqrt(1 + (w / w_c)^4), where w = tan(pi f dt) of the bilinear transform."""
+    _, e, p = parts
+    s, dt = np.zeros(1, SENSORS)[0], 0.004
+    times = dt * np.arange(1000)
+    rates = []
+    for gyro in np.cos(2.0 * math.pi * frequency * times):
+        s["gyro"] = gyro
+        update_angular_velocity(e, s, p, dt)
+        rates.append(e["rates"][0])
+    wave = np.exp(-2j * math.pi * frequency * times[500:])
+    gain = 2.0 * abs(np.mean(np.array(rates[500:]) * wave))
+    warped = math.tan(math.pi * frequency * dt) / math.tan(math.pi * p["imu_gyro_cutoff"] * dt)
+    assert gain == pytest.approx(1.0 / math.sqrt(1.0 + warped**4), rel=0.01)
+
+
+def test_rates_without_a_cutoff_are_the_gyro_s(parts):
+    _, e, p = parts
+    s = np.zeros(1, SENSORS)[0]
+    p["imu_gyro_cutoff"] = 0.0
+    s["gyro"], e["gyro_bias"] = (0.1, -0.2, 0.3), 0.01
+    update_angular_velocity(e, s, p, 0.004)
+    np.testing.assert_allclose(e["rates"], (0.09, -0.21, 0.29))
+
+
+def test_derivative_of_the_velocity_is_low_passed_and_survives_resets(parts):
+    """PX4's BlockDerivative: after n runs of a ramp 1 - (1 + 2 pi f dt)^-n of its slope."""
+    c, e, p = parts
+    dt, slope = 0.012, np.array([1.0, -2.0, 0.5])
+    for _ in range(10):
+        e["velocity"] += slope * dt
+        position_control.differentiate_velocity(c, e, p, dt)
+    share = 1.0 - (1.0 + 2.0 * math.pi * p["mpc_veld_lp"] * dt) ** -10
+    np.testing.assert_allclose(c["velocity_dot"], share * slope)
+    c["last_velocity"], e["velocity"] = math.nan, 50.0
+    position_control.differentiate_velocity(c, e, p, dt)
+    assert np.all(np.abs(c["velocity_dot"]) < 2.0)
+
+
+def flying(task):
+    """Return an autopilot at rest in the air with the ``task``."""
+    autopilot = Autopilot([RotorLayout(IRIS, MOMENTS)], None)
+    Parameters({}).write_to(autopilot.params[0])
+    autopilot.sensors["accel"], autopilot.sensors["time_us"] = (0.0, 0.0, -9.80665), 4000
+    autopilot.estimator["initialised"] = 1
+    autopilot.control["landing"]["landed"] = 0
+    autopilot.control["takeoff"]["state"] = TAKEOFF_FLIGHT
+    goal = autopilot.setpoint
+    goal["armed"], goal["task"], goal["thrust"], goal["attitude_q"] = 1, task, 0.5, (1.0, 0.0, 0.0, 0.0)
+    for _ in range(3):
+        autopilot.step()
+    return autopilot
+
+
+@pytest.mark.parametrize(("task", "delay"), [(TASK_RATES, 0), (TASK_ATTITUDE, 1)])
+def test_setpoints_act_in_px4_s_order(task, delay):
+    """Commanded rates act at once; an attitude one step later, as rate control runs on each gyro sample first."""
+    autopilot = flying(task)
+    before = autopilot.control["actuators"].copy()
+    autopilot.setpoint["rates"] = (0.5, 0.0, 0.0)
+    autopilot.setpoint["attitude_q"] = rotation.from_euler(0.1, 0.0, 0.0)
+    changed = []
+    for _ in range(3):
+        autopilot.step()
+        changed.append(not np.allclose(autopilot.control["actuators"], before))
+    assert changed.index(True) == delay

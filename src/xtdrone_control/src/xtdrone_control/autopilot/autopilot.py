@@ -18,6 +18,7 @@ from xtdrone_control.autopilot.control.control_allocator import allocate, mixing
 from xtdrone_control.autopilot.control.hover_thrust import estimate_hover_thrust, reset_hover_thrust
 from xtdrone_control.autopilot.control.land_detector import detect_landing
 from xtdrone_control.autopilot.control.position_control import (
+    differentiate_velocity,
     position_loop,
     start_loops,
     thrust_to_attitude,
@@ -26,6 +27,7 @@ from xtdrone_control.autopilot.control.position_control import (
 )
 from xtdrone_control.autopilot.control.rate_control import rate_control
 from xtdrone_control.autopilot.control.takeoff import update_ramp, update_takeoff
+from xtdrone_control.autopilot.estimator.angular_velocity import update_angular_velocity
 from xtdrone_control.autopilot.estimator.ekf import update as update_estimator
 from xtdrone_control.autopilot.estimator.vibration import update_vibration
 from xtdrone_control.autopilot.flight_tasks.estimator_resets import follow_resets
@@ -141,8 +143,8 @@ def _control_position(c, e, p, dt):
 
 
 @kernel
-def _control_attitude(c, s, e, p, dt):
-    """Update c.sp_rates from the attitude setpoint, and c.sp_thrust for tasks without a position loop."""
+def _apply_commanded_rates(c, s, e, p):
+    """Update c.sp_rates and c.sp_thrust by tasks that command body rates."""
     if s.task == TASK_ACRO:
         stick_rates(c, s, p)
     elif s.task == TASK_RATES:
@@ -150,7 +152,12 @@ def _control_attitude(c, s, e, p, dt):
         for i in range(3):
             # an axis without a setpoint keeps its current rate
             c.sp_rates[i] = e.rates[i] if math.isnan(s.rates[i]) else s.rates[i]
-    elif s.task == TASK_ATTITUDE:
+
+
+@kernel
+def _control_attitude(c, s, e, p, dt):
+    """Update c.sp_rates from the attitude setpoint, and c.sp_thrust for tasks without a position loop."""
+    if s.task == TASK_ATTITUDE:
         c.sp_thrust = min(max(s.thrust, 0.0), 1.0)
         for i in range(4):
             c.sp_q[i] = s.attitude_q[i]
@@ -159,7 +166,7 @@ def _control_attitude(c, s, e, p, dt):
     elif s.task == TASK_MANUAL:
         stick_attitude(c, s, e, p, dt)
         attitude_control(c, e, p)
-    else:
+    elif s.task != TASK_ACRO and s.task != TASK_RATES:
         attitude_control(c, e, p)
         return
     x, y, z = rotate(e.q, 0.0, 0.0, -c.sp_thrust)
@@ -179,6 +186,7 @@ def _run_slow_loops(c, s, e, p, dt, climb_controlled):
     if c.tick % POSITION_STEPS != 0:
         return
     slow = dt * POSITION_STEPS
+    differentiate_velocity(c, e, p, slow)
     wants_takeoff = c.want_takeoff == 1 and s.task != TASK_IDLE
     update_takeoff(c.takeoff, c, s.armed, p, wants_takeoff, s.task != TASK_IDLE and not climb_controlled)
     if not s.armed:
@@ -190,23 +198,38 @@ def _run_slow_loops(c, s, e, p, dt, climb_controlled):
 
 
 @kernel
-def _control_vehicle(sensors, e, s, c, p, mix, unmix, rotors, dt):
-    climb_controlled = _controls_climb_rate(s.task)
-    c.armed_time = c.armed_time + dt if s.armed else 0.0
-    follow_resets(c.path, c.resets_seen, e.resets, e.shifts)
-    _run_slow_loops(c, s, e, p, dt, climb_controlled)
-    c.tick += 1
-    update_throttle_limits(c, p, s.armed, dt)
+def _is_idle(c, s):
+    return s.task == TASK_IDLE or c.takeoff.state < TAKEOFF_RAMPUP
+
+
+@kernel
+def _drive_motors(e, s, c, p, mix, unmix, rotors, dt):
+    """Run rate control and allocation on this step's rates and the setpoints of the previous step."""
     if not s.armed:
         _stop_motors(c, p)
-    elif s.task == TASK_IDLE or c.takeoff.state < TAKEOFF_RAMPUP:
-        _hold_on_ground(c, e)
+    elif _is_idle(c, s):
+        _zero_thrust(c)
         allocate(c, mix, unmix, rotors, 0)
     else:
-        _control_attitude(c, s, e, p, dt)
+        _apply_commanded_rates(c, s, e, p)
         rate_control(c, e, p, dt, not (c.landing.landed or c.landing.maybe_landed))
         allocate(c, mix, unmix, rotors, int(p.mc_airmode))
         to_motor_commands(c, rotors, p.thr_mdl_fac)
+
+
+@kernel
+def _control_vehicle(sensors, e, s, c, p, dt):
+    """Run flight task, position control and attitude control, whose setpoints act in the next step."""
+    climb_controlled = _controls_climb_rate(s.task)
+    c.armed_time = c.armed_time + dt if s.armed else 0.0
+    follow_resets(c.path, c.last_velocity, c.resets_seen, e.resets, e.shifts)
+    update_throttle_limits(c, p, s.armed, dt)
+    if s.armed and not _is_idle(c, s):
+        _control_attitude(c, s, e, p, dt)
+    _run_slow_loops(c, s, e, p, dt, climb_controlled)
+    c.tick += 1
+    if s.armed and _is_idle(c, s):
+        _hold_on_ground(c, e)
     if c.landing.landed:
         c.ground_z = e.position[2]
     detect_landing(c.landing, c, s, e, sensors, p, dt, climb_controlled)
@@ -214,14 +237,23 @@ def _control_vehicle(sensors, e, s, c, p, mix, unmix, rotors, dt):
 
 @kernel
 def step_vehicle(sensors, estimator, setpoint, control, params, mix, unmix, rotors, dt, work):
-    """Advance one vehicle by one step; see ``step_all``. Before its first sample it does nothing."""
+    """Advance one vehicle by one step; see ``step_all``. Before its first sample it does nothing.
+
+    The order is PX4's: each gyro sample first runs rate control and allocation (work queue rate_ctrl), with the rate
+    setpoint of the previous step; then the estimator publishes the attitude, on which attitude control runs, and last
+    the position for position control (EKF2.cpp, nav_and_controllers). So a new attitude setpoint acts two steps later.
+    """
     if sensors.time_us == 0:
         return
     update_vibration(estimator.vibration, sensors, dt)
+    if estimator.initialised:
+        if not sensors.imu_missing:
+            update_angular_velocity(estimator, sensors, params, dt)
+        _drive_motors(estimator, setpoint, control, params, mix, unmix, rotors, dt)
     estimator.in_air = not control.landing.landed
     update_estimator(estimator, sensors, params, dt, work)
     if estimator.initialised:
-        _control_vehicle(sensors, estimator, setpoint, control, params, mix, unmix, rotors, dt)
+        _control_vehicle(sensors, estimator, setpoint, control, params, dt)
 
 
 @kernel

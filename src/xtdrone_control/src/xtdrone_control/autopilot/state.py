@@ -264,11 +264,11 @@ ESTIMATOR = np.dtype(
         ("accel_bias", "f8", 3),  # m/s^2, body
         ("mag_bias", "f8", 3),  # gauss, body
         ("P", "f8", (N_STATES, N_STATES)),
-        # ekf: filtered outputs for control
+        # angular_velocity
+        ("rates_memory", "f8", (2, 3)),  # rad/s, of the filter of rates
         ("rates", "f8", 3),  # rad/s, body, bias-corrected and filtered for control
         ("angular_acceleration", "f8", 3),  # rad/s^2, body, filtered
-        ("acceleration", "f8", 3),  # m/s^2, local, gravity removed
-        ("velocity_dot", "f8", 3),  # m/s^2, local, filtered derivative of velocity for control
+        ("acceleration", "f8", 3),  # ekf: m/s^2, local, gravity removed
         # aiding: validity, 0 or 1, updated at 25 Hz
         ("attitude_valid", "i4"),  # attitude usable
         ("velocity_valid", "i4"),  # horizontal velocity usable
@@ -503,6 +503,8 @@ CONTROL = np.dtype(
         # autopilot and position_control
         ("hover_thrust", "f8"),  # 0..1, thrust in use for 1 g: MPC_THR_HOVER, or the estimate in flight
         # position_control, rate_control and control_allocator
+        ("last_velocity", "f8", 3),  # m/s, local, at the last run of the position loop; NaN after a reset
+        ("velocity_dot", "f8", 3),  # m/s^2, local, filtered derivative of velocity
         ("velocity_integral", "f8", 3),  # m/s^2
         ("rate_integral", "f8", 3),  # normalised torque
         ("saturation_pos", "i4", 3),  # 1: the torque about this axis cannot rise

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 
+from xtdrone_control.autopilot.low_pass_filters import first_order_gain
 from xtdrone_control.geodesy.projection import GRAVITY
 from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation_kernels import constrain, from_axes, yaw_of
@@ -30,6 +31,16 @@ def _limit_horizontal(first_x, first_y, second_x, second_y, limit):
     along = ux * first_x + uy * first_y
     share = -along + math.sqrt(along * along - n1 * n1 + limit * limit)
     return first_x + ux * share, first_y + uy * share
+
+
+@kernel
+def differentiate_velocity(c, e, p, dt):
+    """Update c.velocity_dot, low-passed by MPC_VELD_LP, ``dt`` s after the last call (PX4 BlockDerivative)."""
+    gain = first_order_gain(p.mpc_veld_lp, dt)
+    for i in range(3):
+        slope = 0.0 if math.isnan(c.last_velocity[i]) else (e.velocity[i] - c.last_velocity[i]) / dt
+        c.velocity_dot[i] += gain * (slope - c.velocity_dot[i])
+        c.last_velocity[i] = e.velocity[i]
 
 
 @kernel
@@ -85,9 +96,9 @@ def velocity_loop(c, e, p, dt, tilt_max, thrust_min):
     error_x = c.sp_velocity[0] - e.velocity[0]
     error_y = c.sp_velocity[1] - e.velocity[1]
     error_z = c.sp_velocity[2] - e.velocity[2]
-    accel_x = error_x * p.mpc_xy_vel_p_acc + integral[0] - e.velocity_dot[0] * p.mpc_xy_vel_d_acc
-    accel_y = error_y * p.mpc_xy_vel_p_acc + integral[1] - e.velocity_dot[1] * p.mpc_xy_vel_d_acc
-    accel_z = error_z * p.mpc_z_vel_p_acc + integral[2] - e.velocity_dot[2] * p.mpc_z_vel_d_acc
+    accel_x = error_x * p.mpc_xy_vel_p_acc + integral[0] - c.velocity_dot[0] * p.mpc_xy_vel_d_acc
+    accel_y = error_y * p.mpc_xy_vel_p_acc + integral[1] - c.velocity_dot[1] * p.mpc_xy_vel_d_acc
+    accel_z = error_z * p.mpc_z_vel_p_acc + integral[2] - c.velocity_dot[2] * p.mpc_z_vel_d_acc
     c.sp_acceleration[0] = _add_ignoring_nan(c.sp_acceleration[0], accel_x)
     c.sp_acceleration[1] = _add_ignoring_nan(c.sp_acceleration[1], accel_y)
     c.sp_acceleration[2] = _add_ignoring_nan(c.sp_acceleration[2], accel_z)

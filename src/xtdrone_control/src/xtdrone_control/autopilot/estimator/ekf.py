@@ -133,8 +133,8 @@ def _first_covariance(e, p):
 
 
 @kernel
-def propagate(e, s, p, dt):
-    """Propagate the nominal state by one IMU sample, and update the filtered rates for the controllers."""
+def propagate(e, s, dt):
+    """Propagate the nominal state by one IMU sample."""
     gx = s.gyro[0] - e.gyro_bias[0]
     gy = s.gyro[1] - e.gyro_bias[1]
     gz = s.gyro[2] - e.gyro_bias[2]
@@ -153,7 +153,6 @@ def propagate(e, s, p, dt):
         e.velocity[i] = before + e.acceleration[i] * dt
         e.position[i] += 0.5 * (before + e.velocity[i]) * dt
     _accumulate(e.increments, (gx, gy, gz), (ax, ay, az), dt)
-    _filter_for_control(e, gx, gy, gz, p, dt)
 
 
 @kernel
@@ -162,26 +161,6 @@ def _accumulate(increments, rates, force, dt):
         increments.angle[i] += rates[i] * dt
         increments.velocity[i] += force[i] * dt
     increments.time += dt
-
-
-@kernel
-def _low_pass(cutoff_hz, dt):
-    """Return the gain of a discrete first-order low-pass (PX4's AlphaFilter); 1 (no filtering) for 0 Hz."""
-    step = 2.0 * math.pi * cutoff_hz * dt
-    return step / (1.0 + step) if cutoff_hz > 0.0 else 1.0
-
-
-@kernel
-def _filter_for_control(e, gx, gy, gz, p, dt):
-    rate_gain = _low_pass(p.imu_gyro_cutoff, dt)
-    accel_gain = _low_pass(p.imu_dgyro_cutoff, dt)
-    velocity_gain = _low_pass(p.mpc_veld_lp, dt)
-    raw = (gx, gy, gz)
-    for i in range(3):
-        before = e.rates[i]
-        e.rates[i] += rate_gain * (raw[i] - before)
-        e.angular_acceleration[i] += accel_gain * ((e.rates[i] - before) / dt - e.angular_acceleration[i])
-        e.velocity_dot[i] += velocity_gain * (e.acceleration[i] - e.velocity_dot[i])
 
 
 @kernel
@@ -271,7 +250,7 @@ def update(e, s, p, dt, work):
     """
     if update_imu_time(e, s):
         if e.initialised:
-            propagate(e, s, p, dt)
+            propagate(e, s, dt)
             if e.increments.time >= COVARIANCE_PERIOD - 1e-9:
                 predict_covariance(e, p)
         else:

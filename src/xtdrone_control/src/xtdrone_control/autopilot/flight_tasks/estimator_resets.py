@@ -6,16 +6,19 @@ and OFFBOARD setpoints are not shifted; the vehicle flies to them on its smoothe
 
 from __future__ import annotations
 
+import math
+
 from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation_kernels import wrap_pi
 
 
 @kernel
-def follow_resets(path, seen, resets, shifts):
-    """Shift the smoothed path by the estimator's resets since the last call.
+def follow_resets(path, last_velocity, seen, resets, shifts):
+    """Shift the smoothed path by the estimator's resets since the last call; restart the velocity's derivative.
 
     Args:
         path: ``PATH`` record.
+        last_velocity: m/s, local, shape (3,), set to NaN by a reset of the velocity.
         seen: ``RESETS`` record of the resets already applied.
         resets: ``RESETS`` record of the estimator.
         shifts: its ``SHIFTS`` record.
@@ -31,12 +34,14 @@ def follow_resets(path, seen, resets, shifts):
         seen.vxy = resets.vxy
         for i in range(2):
             path.velocity[i] += shifts.vxy[i]
+            last_velocity[i] = math.nan
     if seen.z != resets.z:
         seen.z = resets.z
         path.position[2] += shifts.z
     if seen.vz != resets.vz:
         seen.vz = resets.vz
         path.velocity[2] += shifts.vz
+        last_velocity[2] = math.nan
     if seen.heading != resets.heading:
         seen.heading = resets.heading
         path.yaw = wrap_pi(path.yaw + shifts.heading)

@@ -210,7 +210,7 @@ def _local_position(m: np.ndarray, s: Samples) -> None:
     m["x"], m["y"], m["z"] = np.moveaxis(e["position"], -1, 0)
     m["vx"], m["vy"], m["vz"] = np.moveaxis(e["velocity"], -1, 0)
     m["z_deriv"] = e["velocity"][..., 2]
-    m["ax"], m["ay"], m["az"] = np.moveaxis(e["velocity_dot"], -1, 0)
+    m["ax"], m["ay"], m["az"] = np.moveaxis(e["acceleration"], -1, 0)
     m["heading"] = s.heading
     m["heading_good_for_control"] = e["heading_aligned"] | e["vision_yaw_used"]
     for part in ("xy", "z", "vxy", "vz", "heading"):
