@@ -9,6 +9,7 @@ import pytest
 
 from xtdrone_control import rotation_kernels as rotation
 from xtdrone_control.autopilot.control import attitude_control, control_allocator, position_control
+from xtdrone_control.autopilot.control.control_allocator import RotorLayout
 from xtdrone_control.autopilot.parameters.parameters import PARAMS, Parameters
 from xtdrone_control.autopilot.state import CONTROL, ESTIMATOR, MAX_ROTORS
 
@@ -25,21 +26,21 @@ def parts():
     return control[0], estimate[0], params[0]
 
 
-def allocate(torque, thrust, positions=IRIS, moments=MOMENTS, failed=0, airmode=0):
+def allocate(torque, thrust, positions=IRIS, moments=MOMENTS, failed=0, airmode=0, method=2):
     control = np.zeros(1, CONTROL)
     control["sp_torque"] = torque
     control["sp_thrust"] = thrust
     count = len(positions)
     mix, unmix = np.zeros((4, MAX_ROTORS)), np.zeros((4, MAX_ROTORS))
-    mixer = control_allocator.mixing_matrix(positions, moments, failed)
+    mixer = control_allocator.mixing_matrix(RotorLayout(positions, moments), failed)
     mix[:, :count], unmix[:, :count] = mixer.T, np.linalg.pinv(mixer)
-    control_allocator.allocate(control[0], mix, unmix, count, airmode)
+    control_allocator.allocate(control[0], mix, unmix, count, airmode, method)
     return control[0]
 
 
 def produced(control, positions=IRIS, moments=MOMENTS):
     """Return roll, pitch and yaw torque and the thrust of motor commands, the thrust in units of its command."""
-    return control_allocator.effectiveness(positions, moments) @ control["actuators"][: len(positions)]
+    return control_allocator.effectiveness(RotorLayout(positions, moments)) @ control["actuators"][: len(positions)]
 
 
 def clear(c):
@@ -59,14 +60,14 @@ def test_each_axis_raises_the_right_motors(torque, raised):
 
 
 def test_torques_are_produced_exactly_without_saturation():
-    mix = control_allocator.mixing_matrix(IRIS, MOMENTS)
+    mix = control_allocator.mixing_matrix(RotorLayout(IRIS, MOMENTS))
     effectiveness = np.stack([-IRIS[:, 1], IRIS[:, 0], MOMENTS, np.ones(4)])
     product = effectiveness @ mix
     assert np.all(np.abs(product - np.diag(np.diag(product))) < 1e-9)
 
 
 def test_saturation_gives_up_yaw_before_roll():
-    mix = control_allocator.mixing_matrix(IRIS, MOMENTS)
+    mix = control_allocator.mixing_matrix(RotorLayout(IRIS, MOMENTS))
     control = allocate((0.2, 0.0, 0.9), 0.8)
     u = control["actuators"][:4]
     assert u.max() <= 1.0
@@ -91,12 +92,12 @@ def test_motor_commands_by_the_thrust_model(factor):
 @pytest.mark.parametrize("count", [3, MAX_ROTORS + 1])
 def test_rotor_counts_are_limited(count):
     with pytest.raises(ValueError, match=str(count)):
-        control_allocator.mixing_matrix(np.ones((count, 3)), np.ones(count))
+        control_allocator.mixing_matrix(RotorLayout(np.ones((count, 3)), np.ones(count)))
 
 
 def test_uncontrollable_rotors_are_rejected():
     with pytest.raises(ValueError, match="cannot control all four axes"):
-        control_allocator.mixing_matrix(IRIS, np.zeros(4))
+        control_allocator.mixing_matrix(RotorLayout(IRIS, np.zeros(4)))
 
 
 def test_hover_results_in_level_attitude_and_hover_thrust(parts):
