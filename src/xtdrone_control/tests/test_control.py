@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from xtdrone_control import rotation_kernels as rotation
+from xtdrone_control.autopilot.autopilot import Autopilot
 from xtdrone_control.autopilot.control import attitude_control, control_allocator, position_control
 from xtdrone_control.autopilot.control.control_allocator import RotorLayout
+from xtdrone_control.autopilot.estimator.sample_correction import correct_samples
+from xtdrone_control.autopilot.parameters.derived_records import geometry_parameters
 from xtdrone_control.autopilot.parameters.parameters import PARAMS, Parameters
-from xtdrone_control.autopilot.state import CONTROL, ESTIMATOR, MAX_ROTORS
+from xtdrone_control.autopilot.state import CONTROL, ESTIMATOR, MAX_ROTORS, SENSORS
 
 IRIS = np.array([[0.13, 0.22, -0.023], [-0.13, -0.20, -0.023], [0.13, -0.22, -0.023], [-0.13, 0.20, -0.023]])
 MOMENTS = 0.06 * np.array([1.0, 1.0, -1.0, -1.0])
@@ -240,3 +243,41 @@ def test_a_new_hover_thrust_changes_nothing_at_once(parts):
         c["velocity_integral"] = before
         thrusts.append(c["sp_thrust_vector"][2])
     assert thrusts[0] == pytest.approx(thrusts[1])
+
+
+def test_rotors_by_parameter_act_while_disarmed():
+    autopilot = Autopilot([RotorLayout(IRIS, MOMENTS)], None)
+    parameters = Parameters(geometry_parameters(IRIS, MOMENTS))
+    parameters.write_to(autopilot.params[0])
+    own = autopilot.mix.copy()
+    autopilot.update_mixers()
+    np.testing.assert_array_equal(autopilot.mix, own)
+    parameters.set("CA_ROTOR0_PX", 0.3)
+    autopilot.setpoint["armed"] = 1
+    autopilot.update_mixers()
+    np.testing.assert_array_equal(autopilot.mix, own)
+    autopilot.setpoint["armed"] = 0
+    autopilot.update_mixers()
+    assert not np.array_equal(autopilot.mix, own)
+    for name in ("CA_ROTOR0_PX", "CA_ROTOR1_PX"):  # no longer controllable: the last mixer stays
+        parameters.set(name, 0.0)
+    for rotor in range(4):
+        parameters.set(f"CA_ROTOR{rotor}_KM", 0.0)
+    last = autopilot.mix.copy()
+    autopilot.update_mixers()
+    np.testing.assert_array_equal(autopilot.mix, last)
+    parameters.set("CA_ROTOR_COUNT", 0)
+    autopilot.update_mixers()
+    np.testing.assert_array_equal(autopilot.mix, own)
+
+
+def test_samples_are_corrected_by_calibration_and_mount():
+    sensors, params = np.zeros(1, SENSORS), np.zeros(1, PARAMS)
+    changes = {"CAL_GYRO0_XOFF": 0.1, "CAL_ACC0_ZSCALE": 0.5, "CAL_MAG0_XODIAG": 0.25, "SENS_BOARD_ROT": 2}
+    Parameters(changes).write_to(params[0])
+    sensors["gyro"], sensors["accel"], sensors["mag"] = (0.3, 0.0, 0.2), (1.0, 2.0, -10.0), (0.2, 0.4, 0.0)
+    sensors["mag_fresh"] = 1
+    correct_samples(sensors[0], params["correction"][0])
+    np.testing.assert_allclose(sensors["gyro"][0], (0.0, 0.2, 0.2), atol=1e-12)  # turned by 90 deg about down
+    np.testing.assert_allclose(sensors["accel"][0], (-2.0, 1.0, -5.0), atol=1e-12)
+    np.testing.assert_allclose(sensors["mag"][0], (-0.45, 0.3, 0.0), atol=1e-12)
