@@ -25,8 +25,9 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
 from benchmarks.programs.program_frame import Column, Row, run
-from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot, RotorLayout
+from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
 from xtdrone_control.autopilot.commander.commander import Commander
+from xtdrone_control.autopilot.control.control_allocator import RotorLayout
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.geodesy.datum import Datum

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from xtdrone_control import rotation_kernels as rotation
-from xtdrone_control.autopilot.autopilot import Autopilot, RotorLayout
+from xtdrone_control.autopilot.autopilot import Autopilot
 from xtdrone_control.autopilot.control import attitude_control, control_allocator, position_control
+from xtdrone_control.autopilot.control.control_allocator import RotorLayout
 from xtdrone_control.autopilot.estimator.angular_velocity import update_angular_velocity
+from xtdrone_control.autopilot.estimator.sample_correction import correct_samples
+from xtdrone_control.autopilot.parameters.derived_records import geometry_parameters
 from xtdrone_control.autopilot.parameters.parameters import PARAMS, Parameters
 from xtdrone_control.autopilot.state import (
     CONTROL,
@@ -35,21 +38,21 @@ def parts():
     return control[0], estimate[0], params[0]
 
 
-def allocate(torque, thrust, positions=IRIS, moments=MOMENTS, failed=0, airmode=0):
+def allocate(torque, thrust, positions=IRIS, moments=MOMENTS, failed=0, airmode=0, method=2):
     control = np.zeros(1, CONTROL)
     control["sp_torque"] = torque
     control["sp_thrust"] = thrust
     count = len(positions)
     mix, unmix = np.zeros((4, MAX_ROTORS)), np.zeros((4, MAX_ROTORS))
-    mixer = control_allocator.mixing_matrix(positions, moments, failed)
+    mixer = control_allocator.mixing_matrix(RotorLayout(positions, moments), failed)
     mix[:, :count], unmix[:, :count] = mixer.T, np.linalg.pinv(mixer)
-    control_allocator.allocate(control[0], mix, unmix, count, airmode)
+    control_allocator.allocate(control[0], mix, unmix, count, airmode, method)
     return control[0]
 
 
 def produced(control, positions=IRIS, moments=MOMENTS):
     """Return roll, pitch and yaw torque and the thrust of motor commands, the thrust in units of its command."""
-    return control_allocator.effectiveness(positions, moments) @ control["actuators"][: len(positions)]
+    return control_allocator.effectiveness(RotorLayout(positions, moments)) @ control["actuators"][: len(positions)]
 
 
 def clear(c):
@@ -69,14 +72,14 @@ def test_each_axis_raises_the_right_motors(torque, raised):
 
 
 def test_torques_are_produced_exactly_without_saturation():
-    mix = control_allocator.mixing_matrix(IRIS, MOMENTS)
+    mix = control_allocator.mixing_matrix(RotorLayout(IRIS, MOMENTS))
     effectiveness = np.stack([-IRIS[:, 1], IRIS[:, 0], MOMENTS, np.ones(4)])
     product = effectiveness @ mix
     assert np.all(np.abs(product - np.diag(np.diag(product))) < 1e-9)
 
 
 def test_saturation_gives_up_yaw_before_roll():
-    mix = control_allocator.mixing_matrix(IRIS, MOMENTS)
+    mix = control_allocator.mixing_matrix(RotorLayout(IRIS, MOMENTS))
     control = allocate((0.2, 0.0, 0.9), 0.8)
     u = control["actuators"][:4]
     assert u.max() <= 1.0
@@ -101,12 +104,12 @@ def test_motor_commands_by_the_thrust_model(factor):
 @pytest.mark.parametrize("count", [3, MAX_ROTORS + 1])
 def test_rotor_counts_are_limited(count):
     with pytest.raises(ValueError, match=str(count)):
-        control_allocator.mixing_matrix(np.ones((count, 3)), np.ones(count))
+        control_allocator.mixing_matrix(RotorLayout(np.ones((count, 3)), np.ones(count)))
 
 
 def test_uncontrollable_rotors_are_rejected():
     with pytest.raises(ValueError, match="cannot control all four axes"):
-        control_allocator.mixing_matrix(IRIS, np.zeros(4))
+        control_allocator.mixing_matrix(RotorLayout(IRIS, np.zeros(4)))
 
 
 def test_hover_results_in_level_attitude_and_hover_thrust(parts):
@@ -318,3 +321,41 @@ def test_setpoints_act_in_px4_s_order(task, delay):
         autopilot.step()
         changed.append(not np.allclose(autopilot.control["actuators"], before))
     assert changed.index(True) == delay
+
+
+def test_rotors_by_parameter_act_while_disarmed():
+    autopilot = Autopilot([RotorLayout(IRIS, MOMENTS)], None)
+    parameters = Parameters(geometry_parameters(IRIS, MOMENTS))
+    parameters.write_to(autopilot.params[0])
+    own = autopilot.mix.copy()
+    autopilot.update_mixers()
+    np.testing.assert_array_equal(autopilot.mix, own)
+    parameters.set("CA_ROTOR0_PX", 0.3)
+    autopilot.setpoint["armed"] = 1
+    autopilot.update_mixers()
+    np.testing.assert_array_equal(autopilot.mix, own)
+    autopilot.setpoint["armed"] = 0
+    autopilot.update_mixers()
+    assert not np.array_equal(autopilot.mix, own)
+    for name in ("CA_ROTOR0_PX", "CA_ROTOR1_PX"):  # no longer controllable: the last mixer stays
+        parameters.set(name, 0.0)
+    for rotor in range(4):
+        parameters.set(f"CA_ROTOR{rotor}_KM", 0.0)
+    last = autopilot.mix.copy()
+    autopilot.update_mixers()
+    np.testing.assert_array_equal(autopilot.mix, last)
+    parameters.set("CA_ROTOR_COUNT", 0)
+    autopilot.update_mixers()
+    np.testing.assert_array_equal(autopilot.mix, own)
+
+
+def test_samples_are_corrected_by_calibration_and_mount():
+    sensors, params = np.zeros(1, SENSORS), np.zeros(1, PARAMS)
+    changes = {"CAL_GYRO0_XOFF": 0.1, "CAL_ACC0_ZSCALE": 0.5, "CAL_MAG0_XODIAG": 0.25, "SENS_BOARD_ROT": 2}
+    Parameters(changes).write_to(params[0])
+    sensors["gyro"], sensors["accel"], sensors["mag"] = (0.3, 0.0, 0.2), (1.0, 2.0, -10.0), (0.2, 0.4, 0.0)
+    sensors["mag_fresh"] = 1
+    correct_samples(sensors[0], params["correction"][0])
+    np.testing.assert_allclose(sensors["gyro"][0], (0.0, 0.2, 0.2), atol=1e-12)  # turned by 90 deg about down
+    np.testing.assert_allclose(sensors["accel"][0], (-2.0, 1.0, -5.0), atol=1e-12)
+    np.testing.assert_allclose(sensors["mag"][0], (-0.45, 0.3, 0.0), atol=1e-12)

@@ -28,7 +28,7 @@ from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
 _PACKAGE = Path(events.__file__).parents[2]
 _SOURCES = [path for part in ("autopilot", "mavlink") for path in (_PACKAGE / part).rglob("*.py")]
 _EVENT_NAME = re.compile(
-    r"(commander|check|failsafe|rtl|logger|navigator_(rtl|takeoff|reposition|mis|mission)|mavlink_mission|mc_pos_ctrl|"
+    r"(commander|check|failsafe|rtl|logger|navigator_(rtl|takeoff|reposition|mis|mission)|mavlink_mission|mc_pos_ctrl|ekf2|"
     r"col_prev)_[a-z0-9_]+|"
     r"mission_(finished|not_valid|takeoff|do_jump|index)[a-z_]*|orbit_radius_exceeded"
 )

@@ -12,9 +12,10 @@ from service_fakes import SYSTEM, Served
 from xtdrone_native.mavlink_wire import Outbox
 
 from xtdrone_control.autopilot import modes
-from xtdrone_control.autopilot.autopilot import Autopilot, RotorLayout
+from xtdrone_control.autopilot.autopilot import Autopilot
 from xtdrone_control.autopilot.commander.commander import Result
 from xtdrone_control.autopilot.commander.manual_control import ManualControl
+from xtdrone_control.autopilot.control.control_allocator import RotorLayout
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.autopilot.parameters.parameters import Parameters

@@ -9,8 +9,9 @@ import threading
 
 import numpy as np
 
-from xtdrone_control.autopilot.autopilot import Autopilot, RotorLayout
+from xtdrone_control.autopilot.autopilot import Autopilot
 from xtdrone_control.autopilot.commander.commander import Commander
+from xtdrone_control.autopilot.control.control_allocator import RotorLayout
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.geodesy.datum import Datum

@@ -47,17 +47,17 @@ def test_a_value_is_the_same_on_both_ends(value, bytewise):
 
 
 def test_check_lists_what_a_file_sets_without_effect(tmp_path, capsys):
-    rows = {"MPC_XY_P": (0.8, REAL32), "CAL_MAG0_XOFF": (0.25, REAL32), "CAL_MAG0_YOFF": (0.0, REAL32)}
-    rows |= {"EKF2_AID_MASK": (24, INT32), "COM_OBL_ACT": (2, INT32)}
+    rows = {"MPC_XY_P": (0.8, REAL32), "CAL_MAG0_XCOMP": (0.25, REAL32), "CAL_MAG0_YCOMP": (0.0, REAL32)}
+    rows |= {"SENS_IMU_MODE": (0, INT32), "COM_OBL_ACT": (2, INT32)}
     parameter_file.write(tmp_path / "a.params", ParameterFile(1, rows, PX4))
     assert main(["check", str(tmp_path / "a.params")]) == 0
     printed = capsys.readouterr().out
     assert "5 parameters, 2 other than PX4's default are stored without effect here" in printed
-    assert "CAL_MAG0_XOFF     0.25, PX4's default 0" in printed
-    assert "EKF2_AID_MASK     24, PX4's default 0" in printed
+    assert "CAL_MAG0_XCOMP    0.25, PX4's default 0" in printed
+    assert "SENS_IMU_MODE     0, PX4's default 1" in printed
     assert "COM_OBL_ACT       does not exist: PX4 v1.14 has COM_OBL_RC_ACT" in printed
     assert "MPC_XY_P" not in printed
-    assert "CAL_MAG0_YOFF" not in printed
+    assert "CAL_MAG0_YCOMP" not in printed
     (tmp_path / "bad.params").write_text("1 1 MPC_XY_P\n")
     assert main(["check", str(tmp_path / "bad.params"), str(tmp_path / "a.params")]) == 2
     captured = capsys.readouterr()

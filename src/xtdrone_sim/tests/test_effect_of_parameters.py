@@ -87,6 +87,10 @@ BRANCHES: dict[str, Branch] = {
     "EKF2_MIN_RNG": Branch(samples=RANGE),
     "EKF2_TERR_NOISE": Branch(samples=RANGE),
     "EKF2_RNG_GATE": Branch({"EKF2_RNG_CTRL": 2}, RANGE | {"range_distance+": 0.6}, LATER),
+    **{f"EKF2_EV_{name}": Branch(VISION_ONLY, VISION) for name in ("DELAY", "POS_X", "POS_Y", "POS_Z")},
+    **{f"EKF2_OF_{name}": Branch(FLOW_ONLY, FLOW) for name in ("DELAY", "POS_X", "POS_Y", "POS_Z")},
+    **{f"EKF2_RNG_{name}": Branch(samples=RANGE) for name in ("DELAY", "POS_X", "POS_Y", "POS_Z")},
+    "MPC_ALT_MODE": Branch({"MPC_HOLD_MAX_XY": 20.0, "MPC_HOLD_MAX_Z": 0.0}, RANGE),
     "MPC_ACC_HOR_MAX": Branch({"MPC_POS_MODE": 3}),
     "MPC_HOLD_MAX_XY": Branch({"MPC_POS_MODE": 3}),
     "FLW_TGT_ALT_M": Branch(samples=RANGE),
@@ -109,7 +113,7 @@ VALUES: dict[str, list[float]] = {
     "LNDMC_ROT_MAX": [0.0],
     "LNDMC_XY_VEL_MAX": [0.0],
 }
-SAME: dict[str, set[int]] = {"EKF2_MAG_TYPE": {1}}  # choices that mean the same as the default
+SAME: dict[str, set[int]] = {"EKF2_MAG_TYPE": {1}, "CA_METHOD": {1}}  # choices that mean the same as the default
 
 
 # ---- the flight

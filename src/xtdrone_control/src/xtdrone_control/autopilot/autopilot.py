@@ -6,15 +6,20 @@ write ``setpoint``; the motor commands are in ``control["actuators"]``.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.autopilot.control.attitude_control import attitude_control
-from xtdrone_control.autopilot.control.control_allocator import allocate, mixing_matrix, to_motor_commands
+from xtdrone_control.autopilot.control.control_allocator import (
+    RotorLayout,
+    allocate,
+    mixing_matrix,
+    to_motor_commands,
+)
 from xtdrone_control.autopilot.control.hover_thrust import estimate_hover_thrust, reset_hover_thrust
 from xtdrone_control.autopilot.control.land_detector import detect_landing
 from xtdrone_control.autopilot.control.position_control import (
@@ -29,6 +34,7 @@ from xtdrone_control.autopilot.control.rate_control import rate_control
 from xtdrone_control.autopilot.control.takeoff import update_ramp, update_takeoff
 from xtdrone_control.autopilot.estimator.angular_velocity import update_angular_velocity
 from xtdrone_control.autopilot.estimator.ekf import update as update_estimator
+from xtdrone_control.autopilot.estimator.sample_correction import correct_samples
 from xtdrone_control.autopilot.estimator.vibration import update_vibration
 from xtdrone_control.autopilot.flight_tasks.estimator_resets import follow_resets
 from xtdrone_control.autopilot.flight_tasks.flight_tasks import generate_setpoint
@@ -68,14 +74,6 @@ POSITION_STEPS = 3  # steps per run of position control: 83 Hz, the rate of PX4'
 _MIXER_PERIOD_US = 20_000
 _NO_THRUST = 100.0  # m/s^2 downwards, which leaves no thrust
 _TILT_SLEW = 0.2  # rad/s, slew rate of the tilt limit
-
-
-@dataclass(frozen=True)
-class RotorLayout:
-    """Rotor positions (n, 3), m, body FRD, and moment-to-thrust ratios (n,), m, positive for counter-clockwise."""
-
-    positions: NDArray[np.float64]
-    moment_ratios: NDArray[np.float64]
 
 
 @kernel
@@ -209,11 +207,11 @@ def _drive_motors(e, s, c, p, mix, unmix, rotors, dt):
         _stop_motors(c, p)
     elif _is_idle(c, s):
         _zero_thrust(c)
-        allocate(c, mix, unmix, rotors, 0)
+        allocate(c, mix, unmix, rotors, 0, int(p.ca_method))
     else:
         _apply_commanded_rates(c, s, e, p)
         rate_control(c, e, p, dt, not (c.landing.landed or c.landing.maybe_landed))
-        allocate(c, mix, unmix, rotors, int(p.mc_airmode))
+        allocate(c, mix, unmix, rotors, int(p.mc_airmode), int(p.ca_method))
         to_motor_commands(c, rotors, p.thr_mdl_fac)
 
 
@@ -245,6 +243,7 @@ def step_vehicle(sensors, estimator, setpoint, control, params, mix, unmix, roto
     """
     if sensors.time_us == 0:
         return
+    correct_samples(sensors, params.correction)
     update_vibration(estimator.vibration, sensors, dt)
     if estimator.initialised:
         if not sensors.imu_missing:
@@ -315,8 +314,9 @@ class Autopilot:
         self.mix = np.zeros((self.count, 4, MAX_ROTORS))
         self.unmix = np.zeros((self.count, 4, MAX_ROTORS))
         self.rotors = np.array([len(layout.positions) for layout in layouts], np.int64)
-        for i in range(self.count):
-            self._set_mixer(i)
+        self._geometry = np.zeros(self.count, np.int64)  # changes of the rotors' geometry that the mixers follow
+        for i, layout in enumerate(layouts):
+            self._set_mixer(i, layout)
         self._work = np.zeros((2, N_STATES))
 
     def _initialise_records(self, which: slice) -> None:
@@ -356,10 +356,9 @@ class Autopilot:
             layout: its rotors.
         """
         self._layouts[index] = layout
-        self.rotors[index] = len(layout.positions)
         self.failed_rotors[index] = 0
-        self.mix[index] = self.unmix[index] = 0.0
-        self._set_mixer(index)
+        self._geometry[index] = 0
+        self._set_mixer(index, layout)
         self.sensors[index] = np.zeros(1, SENSORS)[0]
         self.reboot(index)
 
@@ -367,19 +366,41 @@ class Autopilot:
         """Return the number of rotors of vehicle ``index``."""
         return int(self.rotors[index])
 
-    def _set_mixer(self, i: int) -> None:
-        """Compute the mixer of vehicle ``i`` for its working rotors."""
-        layout, rotors = self._layouts[i], self.rotors[i]
-        mix = mixing_matrix(layout.positions, layout.moment_ratios, int(self.failed_rotors[i]))
-        self.mix[i, :, :rotors] = mix.T
-        self.unmix[i, :, :rotors] = np.linalg.pinv(mix)
+    def _set_mixer(self, i: int, layout: RotorLayout) -> None:
+        """Compute the mixer of vehicle ``i`` for its working rotors.
 
-    def _update_mixers(self) -> None:
-        """Recompute the mixers of vehicles whose set of failed rotors has changed."""
-        failed = self.setpoint["failed_rotors"]
-        for i in np.flatnonzero(failed != self.failed_rotors):
+        Raises:
+            ValueError: see ``mixing_matrix``.
+        """
+        mix = mixing_matrix(layout, int(self.failed_rotors[i]))
+        count = len(layout.positions)
+        self.rotors[i] = count
+        self.mix[i] = self.unmix[i] = 0.0
+        self.mix[i, :, :count] = mix.T
+        self.unmix[i, :, :count] = np.linalg.pinv(mix)
+
+    def _layout(self, i: int) -> RotorLayout:
+        """Return the rotors of vehicle ``i`` by its parameters, or its own if these describe none."""
+        rotors = self.params["rotors"][i]
+        count = int(rotors["count"])
+        if count == 0:
+            return self._layouts[i]
+        return RotorLayout(
+            *(rotors[field][:count].copy() for field in ("positions", "moment_ratios", "axes", "thrusts"))
+        )
+
+    def update_mixers(self) -> None:
+        """Recompute the mixers of vehicles whose failed rotors or, while disarmed, whose CA_ROTOR* have changed.
+
+        Rotors that cannot fly, as between two changes of parameters that belong together, leave the mixer as it is.
+        """
+        failed, changes = self.setpoint["failed_rotors"], self.params["rotors"]["changes"]
+        moved = (changes != self._geometry) & (self.setpoint["armed"] == 0)
+        for i in np.flatnonzero(moved | (failed != self.failed_rotors)):
             self.failed_rotors[i] = failed[i]
-            self._set_mixer(i)
+            self._geometry[i] = changes[i]
+            with contextlib.suppress(ValueError):
+                self._set_mixer(i, self._layout(i))
 
     def start_control(self, which: slice = slice(None)) -> None:
         """Initialise hover thrust and tilt limit of the vehicles ``which`` from their parameters."""
@@ -391,7 +412,7 @@ class Autopilot:
         """Advance every vehicle by ``STEP_US`` with the samples in ``sensors``."""
         self.time_us += STEP_US
         if self.time_us % _MIXER_PERIOD_US == 0:
-            self._update_mixers()
+            self.update_mixers()
         step_all(
             self.sensors,
             self.estimator,

@@ -40,6 +40,11 @@ def to_unsigned(value: float) -> int:
     return _cast(value, 64) & 0xFFFFFFFF
 
 
+def low_32(value: int) -> int:
+    """Return the low 32 bits of ``value``, with their sign."""
+    return ((value & 0xFFFFFFFF) ^ 0x80000000) - 0x80000000
+
+
 def nearest(value: float) -> int:
     """Return ``lroundf(value)``: halves away from zero, -2^63 for NaN and values out of range."""
     return _cast(math.copysign(math.floor(abs(value) + 0.5), value) if math.isfinite(value) else value, 64)

@@ -528,6 +528,8 @@ CONTROL = np.dtype(
         ("brake_boost", "f8"),  # factor of the drag, raised while the sticks are centred
         ("hold_xy", "i4"),  # 1: the current position is held
         ("hold_z", "i4"),
+        ("over_ground", "i4"),  # 1: the held height is that above ground
+        ("held_height", "f8"),  # m above ground
         ("obstacles", OBSTACLES),
         # flight_tasks: output, from which the position loop computes sp_*
         ("want_takeoff", "i4"),  # the task wants to leave the ground

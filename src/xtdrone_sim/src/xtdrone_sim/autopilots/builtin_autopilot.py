@@ -14,6 +14,7 @@ from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.logger.logger import Logger
 from xtdrone_control.autopilot.logger.mavlink_log_pieces import LogStream
 from xtdrone_control.autopilot.navigator.plan import Plans
+from xtdrone_control.autopilot.parameters.derived_records import geometry_parameters
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.geodesy.datum import Datum
@@ -168,8 +169,12 @@ class BuiltinAutopilot:
         self.commanders: list[Commander] = []
 
     def _load_parameters(self, vehicle: Vehicle, model: VehicleModel, folder: Path | None) -> Parameters:
+        layout = model.rotor_layout
+        rotors = geometry_parameters(layout.positions, layout.moment_ratios)
         own = {"EKF2_MAG_DECL": self._declination, "MAV_SYS_ID": vehicle.system_id}
-        return Parameters({**model.parameters, **own}, None if folder is None else folder / f"{vehicle.name}.params")
+        return Parameters(
+            {**rotors, **model.parameters, **own}, None if folder is None else folder / f"{vehicle.name}.params"
+        )
 
     def begin(self, world: World, time_us: int) -> None:
         """Boot all autopilots; changed parameters, missions, geofences and rally points are kept."""
@@ -270,6 +275,7 @@ class BuiltinAutopilot:
     def _follow_step(self) -> None:
         beat = self.autopilot.time_us % COMMANDER_PERIOD_US == 0
         if beat:
+            self.autopilot.update_mixers()
             self._batteries.update(self.autopilot.time_us)
             for index, commander in enumerate(self.commanders):
                 if index in self._absent:

@@ -213,6 +213,7 @@ def sample_vehicle(own, s, v, m, b, fast, slow, down, below, step, time_us, fiel
     s.mag_fresh = 0
     s.baro_fresh = 0
     s.gps_fresh = 0
+    s.imu_missing = 0
     _imu(s, v, m, b, fast[k], gravity, dt)
     if k % MAG_EVERY:
         return

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from xtdrone_control.autopilot.autopilot import RotorLayout
+from xtdrone_control.autopilot.control.control_allocator import RotorLayout
 from xtdrone_control.autopilot.state import MAX_ROTORS
 from xtdrone_sim.descriptions import ModelError, find, folders, read_description
 from xtdrone_sim.package_files import MODELS

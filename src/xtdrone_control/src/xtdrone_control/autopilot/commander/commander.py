@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from xtdrone_control.autopilot import modes
+from xtdrone_control.autopilot.c_casts import low_32
 from xtdrone_control.autopilot.commander.failsafe import Action, Failsafe, Flags, Outcome, can_run
 from xtdrone_control.autopilot.commander.flight_commands import FlightCommands, Result
 from xtdrone_control.autopilot.commander.health_and_arming_checks.arming_checks import ArmingChecks
@@ -44,6 +45,7 @@ _REJECTION_INTERVAL_US = 1_000_000
 _GRACE_US = 5_000_000  # after disarming in flight, during which arming skips the checks
 _CHECK_INTERVAL_US = 1_000_000
 _OVERRIDE_AUTO, _OVERRIDE_OFFBOARD = 1, 2  # COM_RC_OVERRIDE
+_LOW_32 = 0xFFFFFFFF
 _THROTTLE_HIGH, _THROTTLE_LOW = 0.2, -0.8  # stick positions above which arming is denied, by kind of mode
 _CALIBRATING, _STANDBY, _ACTIVE, _CRITICAL_STATE, _TERMINATED, _UNINIT = 2, 3, 4, 5, 8, 0  # MAV_STATE
 _GEAR_HEIGHT = 2.0  # m above home
@@ -76,7 +78,6 @@ class Commander(FlightCommands):
         rebooting: a reboot was requested; the owner of the commander performs it.
         gear_up: whether a retractable landing gear should be up.
         armed: whether the vehicle is armed; its motors run unless killed or terminated.
-        flights: number of completed cycles of arming and disarming.
     """
 
     def __init__(self, vehicle: Vehicle, autopilot: Autopilot, parameters: Parameters, index: int) -> None:
@@ -113,7 +114,6 @@ class Commander(FlightCommands):
         self.rebooting = False
         self.armed = False
         self.gear_up = False
-        self.flights = 0
         self._mode = modes.AUTO_LOITER  # requested
         self._mode_after_disarming = modes.AUTO_LOITER
         self._mode_chosen = False  # whether any mode has been requested yet
@@ -123,6 +123,7 @@ class Commander(FlightCommands):
         self._armed_us = 0
         self._disarmed_us = _NEVER_US
         self._took_off = False
+        self._takeoff_us: int | None = None  # of the first takeoff since the arming
         self._was_landed = True
         self._landed_us = 0
         self._last_rejection_us = _NEVER_US
@@ -317,7 +318,7 @@ class Commander(FlightCommands):
 
     def _disarm(self, reason: ArmReason) -> None:
         self.armed = False
-        self.flights += 1
+        self._count_flight()
         self._disarmed_us = self.view.time_us
         self._motors.apply(self.armed)
         self.navigator.end_flight()
@@ -327,6 +328,18 @@ class Commander(FlightCommands):
         self._announcements.tell(INFO, f"Disarmed by {words}", "commander_disarmed_by", number)
         self._mode = self._mode_after_disarming
         self._update_mode()
+
+    def _count_flight(self) -> None:
+        """Add the flight and its time to the parameters that count them, as PX4's commander and land detector do."""
+        parameters, get = self.parameters, self.parameters.get
+        parameters.set("COM_FLIGHT_UUID", low_32(int(get("COM_FLIGHT_UUID")) + 1))
+        if self._takeoff_us is not None:
+            total = (int(get("LND_FLIGHT_T_HI")) << 32) | (int(get("LND_FLIGHT_T_LO")) & _LOW_32)
+            total += self.view.time_us - self._takeoff_us
+            parameters.set("LND_FLIGHT_T_HI", low_32(total >> 32))
+            parameters.set("LND_FLIGHT_T_LO", low_32(total))
+            self._takeoff_us = None
+        parameters.save()
 
     # kill and termination
 
@@ -686,6 +699,8 @@ class Commander(FlightCommands):
         self._was_landed = landed
         self._took_off = True
         self._landed_us = self.view.time_us
+        if self._takeoff_us is None and not landed:
+            self._takeoff_us = self.view.time_us
         if landed:
             self._announcements.tell(INFO, "Landing detected", "commander_landing_detected")
         else:

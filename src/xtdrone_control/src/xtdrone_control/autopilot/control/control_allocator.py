@@ -8,6 +8,7 @@ and ControlAllocationPseudoInverse scale it; saturation is resolved in PX4's ord
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,46 +19,68 @@ from xtdrone_control.kernel import kernel
 _LEAST_SHARE = 0.1  # minimum hover thrust of a rotor, relative to the mean, that leaves room for torques
 
 
-def effectiveness(positions: NDArray[np.float64], moment_ratios: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the effectiveness of each rotor's thrust, shape (4, n): roll, pitch and yaw torque, and upward thrust.
+@dataclass(frozen=True)
+class RotorLayout:
+    """Rotors as the control allocation knows them.
 
-    Args:
-        positions: (n, 3) rotor positions, m, body FRD, relative to the centre of mass.
-        moment_ratios: (n,) torque about body z per thrust, m (CA_ROTORn_KM). As in PX4, positive for a rotor that turns
-            counter-clockwise seen from above and whose reaction turns the body clockwise.
+    Attributes:
+        positions: (n, 3) m, body FRD, relative to the centre of mass.
+        moment_ratios: (n,) torque about the thrust's axis per thrust, m (CA_ROTORn_KM). As in PX4, positive for a rotor
+            that turns counter-clockwise seen from above and whose reaction turns the body clockwise.
+        axes: (n, 3) directions of the thrust, body FRD; None: all upwards.
+        thrusts: (n,) thrust at full command, any unit; None: all the same.
+    """
+
+    positions: NDArray[np.float64]
+    moment_ratios: NDArray[np.float64]
+    axes: NDArray[np.float64] | None = None
+    thrusts: NDArray[np.float64] | None = None
+
+
+def effectiveness(layout: RotorLayout) -> NDArray[np.float64]:
+    """Return the effectiveness of each rotor, shape (4, n) or more: roll, pitch and yaw torque, and upward thrust.
+
+    Rows of horizontal thrust, which the rotors shall not give, follow if any rotor is tilted. A rotor without a
+    direction has no effect.
 
     Raises:
         ValueError: fewer than 4 or more than ``MAX_ROTORS`` rotors, or the rotors cannot control all four axes.
     """
-    count = len(positions)
+    count = len(layout.positions)
     if not 4 <= count <= MAX_ROTORS:
         raise ValueError(f"rotors: {count} is not allowed, 4 to {MAX_ROTORS}")
-    # thrust along -z: torque = r x (0, 0, -1) + km (0, 0, 1)
-    matrix = np.stack([-positions[:, 1], positions[:, 0], moment_ratios, np.ones(count)])
-    if np.linalg.matrix_rank(matrix) < 4:
+    axes = np.tile((0.0, 0.0, -1.0), (count, 1)) if layout.axes is None else layout.axes
+    lengths = np.linalg.norm(axes, axis=1, keepdims=True)
+    axes = np.divide(axes, lengths, out=np.zeros_like(axes), where=lengths > 0.0)
+    (px, py, pz), (ax, ay, az) = layout.positions.T, axes.T
+    km = layout.moment_ratios
+    torques = [py * az - pz * ay - km * ax, pz * ax - px * az - km * ay, px * ay - py * ax - km * az]
+    matrix = np.stack([*torques, -az, *(row for row in (ax, ay) if np.any(row))])
+    if layout.thrusts is not None and np.any(layout.thrusts):
+        matrix = matrix * (layout.thrusts / np.max(layout.thrusts))
+    if np.linalg.matrix_rank(matrix[:4]) < 4:
         raise ValueError("rotors: the arrangement cannot control all four axes")
     return matrix
 
 
-def mixing_matrix(
-    positions: NDArray[np.float64], moment_ratios: NDArray[np.float64], failed: int = 0
-) -> NDArray[np.float64]:
+def mixing_matrix(layout: RotorLayout, failed: int = 0) -> NDArray[np.float64]:
     """Return the mixer, shape (n, 4): columns roll, pitch, yaw torque and collective thrust to motor commands.
 
     Args:
-        positions: see ``effectiveness``.
-        moment_ratios: see ``effectiveness``.
+        layout: see ``effectiveness``.
         failed: bit i is set for a failed rotor i. The others replace it if they can hover and control all four axes;
             otherwise yaw is not controlled.
 
     Raises:
         ValueError: see ``effectiveness``.
     """
-    matrix = effectiveness(positions, moment_ratios)
-    works = np.flatnonzero([not failed >> i & 1 for i in range(len(positions))])
-    mix = np.zeros((len(positions), 4))
-    axes = np.array([0, 1, 2, 3] if _hovers(matrix[:, works]) else [0, 1, 3])
-    mix[np.ix_(works, axes)] = np.linalg.pinv(matrix[axes][:, works])
+    matrix = effectiveness(layout)
+    count = len(layout.positions)
+    works = np.flatnonzero([not failed >> i & 1 for i in range(count)])
+    mix = np.zeros((count, 4))
+    axes = np.array([0, 1, 2, 3] if _hovers(matrix[:4, works]) else [0, 1, 3])
+    used = matrix[[*axes, *range(4, len(matrix))]][:, works]
+    mix[np.ix_(works, axes)] = np.linalg.pinv(used)[:, : len(axes)]
     mix[:, 3] = np.maximum(mix[:, 3], 0.0)  # no rotor can produce downward thrust
     _scale(mix[works], mix)
     mix[np.abs(mix) < 1e-3] = 0.0
@@ -145,7 +168,7 @@ def _note_unallocated(c, unmix, count):
 
 
 @kernel
-def allocate(c, mix, unmix, count, airmode):
+def allocate(c, mix, unmix, count, airmode, method):
     """Update c.actuators (0..1) and the saturation flags from c.sp_torque and c.sp_thrust.
 
     Args:
@@ -154,11 +177,15 @@ def allocate(c, mix, unmix, count, airmode):
         unmix: (4, MAX_ROTORS) pseudo-inverse of the mixer: motor commands to torques and thrust.
         count: number of rotors.
         airmode: MC_AIRMODE: to reach the torques, thrust may 0 only fall, 1 rise for roll and pitch, 2 also for yaw.
+        method: CA_METHOD: 0 clips the commands instead.
     """
     u = c.actuators
     for i in range(count):
         u[i] = mix[0, i] * c.sp_torque[0] + mix[1, i] * c.sp_torque[1] + mix[3, i] * c.sp_thrust
-    if airmode == 2:
+    if method == 0:
+        for i in range(count):
+            u[i] += mix[2, i] * c.sp_torque[2]
+    elif airmode == 2:
         for i in range(count):
             u[i] += mix[2, i] * c.sp_torque[2]
         _desaturate(u, mix[3], count, 0.0, 1.0, False)

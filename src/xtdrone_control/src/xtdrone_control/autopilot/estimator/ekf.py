@@ -7,8 +7,9 @@ The nominal state is propagated with every IMU sample, the covariance every ``CO
 increments, as in PX4's EKF2. Measurements are fused sequentially as scalars, each with an innovation gate: ``fusion``
 has the measurement updates, the modules of ``aiding`` select the sensors to fuse.
 
-Parameters have the names and meaning of PX4 v1.14's EKF2. Differences: measurements are fused on arrival, without the
-EKF2_*_DELAY parameters; one filter runs per vehicle, not one per IMU; wind, drag, sideslip and airspeed are not
+Parameters have the names and meaning of PX4 v1.14's EKF2. Differences: measurements are fused on arrival, extrapolated
+over EKF2_*_DELAY beyond the defaults, by which the simulated sensors are late; the state is that of the body's origin,
+not of the inertial sensor; one filter runs per vehicle, not one per IMU; wind, drag, sideslip and airspeed are not
 modelled; the magnetometer is fused as a heading with an estimated bias, not as three axes; GPS drift on the ground is
 not checked (EKF2_GPS_CHECK bits 32 to 256).
 """
@@ -29,6 +30,7 @@ COVARIANCE_PERIOD = 0.012  # s; PX4: EKF2_PREDICT_US = 10 ms, rounded up to whol
 ALIGNMENT_SAMPLES = 100  # IMU samples averaged at rest before the first attitude
 _LONGEST_ALIGNMENT = 500  # IMU samples after which alignment ends without a magnetometer
 _MIN_MAG_SAMPLES = 5
+_GYRO_BIAS, _ACCEL_BIAS = 1, 2  # EKF2_IMU_CTRL
 _LEAST_FORCE, _LARGEST_FORCE = 0.8 * GRAVITY, 1.2 * GRAVITY  # m/s^2 of a vehicle at rest (PX4: Ekf::initialiseTilt)
 _MOST_ROTATION = math.radians(15.0)  # rad/s, likewise
 
@@ -133,14 +135,28 @@ def _first_covariance(e, p):
 
 
 @kernel
-def propagate(e, s, dt):
+def _force_by_lever(e, p, wx, wy, wz):
+    """Return the specific force (3-tuple, body) that an inertial sensor away from the origin measures by rotation."""
+    x, y, z = p.ekf2_imu_pos_x, p.ekf2_imu_pos_y, p.ekf2_imu_pos_z
+    ux, uy, uz = wy * z - wz * y, wz * x - wx * z, wx * y - wy * x
+    dx, dy, dz = e.angular_acceleration[0], e.angular_acceleration[1], e.angular_acceleration[2]
+    return (
+        dy * z - dz * y + wy * uz - wz * uy,
+        dz * x - dx * z + wz * ux - wx * uz,
+        dx * y - dy * x + wx * uy - wy * ux,
+    )
+
+
+@kernel
+def propagate(e, s, p, dt):
     """Propagate the nominal state by one IMU sample."""
     gx = s.gyro[0] - e.gyro_bias[0]
     gy = s.gyro[1] - e.gyro_bias[1]
     gz = s.gyro[2] - e.gyro_bias[2]
-    ax = s.accel[0] - e.accel_bias[0]
-    ay = s.accel[1] - e.accel_bias[1]
-    az = s.accel[2] - e.accel_bias[2]
+    lx, ly, lz = _force_by_lever(e, p, gx, gy, gz)
+    ax = s.accel[0] - e.accel_bias[0] - lx
+    ay = s.accel[1] - e.accel_bias[1] - ly
+    az = s.accel[2] - e.accel_bias[2] - lz
     # rotate the specific force by the mid-step attitude, so that a constant rate causes no bias
     half = exponential(0.5 * gx * dt, 0.5 * gy * dt, 0.5 * gz * dt)
     middle = multiply(e.q, half)
@@ -235,6 +251,20 @@ def _limit_biases(e, p):
     for i in range(3):
         e.accel_bias[i] = constrain(e.accel_bias[i], -p.ekf2_abl_lim, p.ekf2_abl_lim)
         e.gyro_bias[i] = constrain(e.gyro_bias[i], -p.ekf2_gyr_b_lim, p.ekf2_gyr_b_lim)
+    estimated = int(p.ekf2_imu_ctrl)
+    if not estimated & _GYRO_BIAS:
+        _exclude(e.gyro_bias, e.P, BG)
+    if not estimated & _ACCEL_BIAS:
+        _exclude(e.accel_bias, e.P, BA)
+
+
+@kernel
+def _exclude(bias, P, first):
+    """Remove a bias from the estimate: it is 0, and known."""
+    for i in range(3):
+        bias[i] = 0.0
+        for j in range(N_STATES):
+            P[first + i, j] = P[j, first + i] = 0.0
 
 
 @kernel
@@ -250,7 +280,7 @@ def update(e, s, p, dt, work):
     """
     if update_imu_time(e, s):
         if e.initialised:
-            propagate(e, s, dt)
+            propagate(e, s, p, dt)
             if e.increments.time >= COVARIANCE_PERIOD - 1e-9:
                 predict_covariance(e, p)
         else:

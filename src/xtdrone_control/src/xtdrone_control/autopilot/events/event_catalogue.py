@@ -235,6 +235,15 @@ _CHECKS = (
 
 _CONTROL = (
     _define("col_prev_unsup_frame", "Obstacle distances in frame {1} are not supported", "frame:uint8_t"),
+    *(
+        _define(f"ekf2_aid_mask_{part}", f"Use {name} instead of EKF2_AID_MASK, set to {{1:.0}}", "value:float")
+        for part, name in (
+            ("gps", "EKF2_GPS_CTRL"),
+            ("opt_flow", "EKF2_OF_CTRL"),
+            ("ev", "EKF2_EV_CTRL"),
+            ("imu", "EKF2_IMU_CTRL"),
+        )
+    ),
     _define("mc_pos_ctrl_tilt_set", "MPC_TILTMAX_AIR is too large, set to {1:.0}", "degrees:float"),
     _define("mc_pos_ctrl_land_tilt_set", "MPC_TILTMAX_LND exceeds MPC_TILTMAX_AIR, set to {1:.0}", "degrees:float"),
     _define("mc_pos_ctrl_cruise_set", "MPC_XY_CRUISE exceeds MPC_XY_VEL_MAX, set to {1:.0}", "speed:float"),

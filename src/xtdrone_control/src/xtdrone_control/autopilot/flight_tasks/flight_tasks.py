@@ -84,6 +84,7 @@ def _start_task(c, s, e):
     c.braking = 0
     c.hold_xy = 0
     c.hold_z = 0
+    c.over_ground = 0
     c.brake_boost = 1.0
     c.unsmoothed_climb = 0.0
     c.leg_state = -1

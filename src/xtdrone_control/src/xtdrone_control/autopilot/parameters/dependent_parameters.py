@@ -67,8 +67,27 @@ _LIMITS = (
     ),
 )
 
+# bits of EKF2_AID_MASK, in groups: the bits that each sets or clears in the parameter of today, text and event
+_FORMER_BITS = (
+    ("EKF2_GPS_CTRL", {1: 0, 128: 0}, "Use EKF2_GPS_CTRL instead", "ekf2_aid_mask_gps"),
+    ("EKF2_OF_CTRL", {2: 1}, "Use EKF2_OF_CTRL instead", "ekf2_aid_mask_opt_flow"),
+    (
+        "EKF2_EV_CTRL",
+        {8: 3, 16: 8, 256: 4},
+        "EKF2 EV use EKF2_EV_CTRL instead of EKF2_AID_MASK",
+        "ekf2_aid_mask_ev",
+    ),
+    (
+        "EKF2_IMU_CTRL",
+        {4: -3},
+        "EKF2 IMU accel bias inhibit use EKF2_IMU_CTRL instead of EKF2_AID_MASK",
+        "ekf2_aid_mask_imu",
+    ),
+)
+
 NAMES = frozenset(
     (
+        "EKF2_AID_MASK", *(row[0] for row in _FORMER_BITS),
         "SYS_VEHICLE_RESP", "MPC_XY_VEL_ALL", "MPC_Z_VEL_ALL", "MPC_MAN_Y_TAU", "MPC_TILTMAX_AIR", "MPC_POS_MODE",
         "MPC_THR_HOVER", "MPC_THR_MIN", "MPC_THR_MAX", *_RESPONSE, *_HORIZONTAL, *_OWN_SPEEDS, *_VERTICAL,
         *(name for row in _LIMITS for name in row[:2]),
@@ -112,6 +131,22 @@ def _inputs(get: Callable[[str], Value]) -> dict[str, float]:
     return found
 
 
+def _follow_former_bits(get: Callable[[str], Value], store: Callable[[str, float], object], notice: Notice) -> None:
+    """Move the bits of EKF2_AID_MASK to the parameters that replace it, after PX4's ``EKF2::VerifyParams``.
+
+    A row's number is or-ed into the parameter; a negative one is and-ed.
+    """
+    for name, bits, text, event in _FORMER_BITS:
+        given = [bit for bit in bits if int(get("EKF2_AID_MASK")) & bit]
+        if not given:
+            continue
+        for bit in given:
+            value, change = int(get(name)), bits[bit]
+            store(name, value | change if change >= 0 else value & change)
+        store("EKF2_AID_MASK", int(get("EKF2_AID_MASK")) & ~sum(given))
+        notice(text, event, float(get("EKF2_AID_MASK")))
+
+
 def adjust(get: Callable[[str], Value], store: Callable[[str, float], object], notice: Notice) -> None:
     """Set the parameters that the three inputs stand for, and lower those beyond their maximum.
 
@@ -122,6 +157,7 @@ def adjust(get: Callable[[str], Value], store: Callable[[str, float], object], n
     """
     for name, value in _inputs(get).items():
         store(name, as_float32(value))
+    _follow_former_bits(get, store, notice)
     if int(get("MPC_POS_MODE")) not in _POSITION_MODES:
         store("MPC_POS_MODE", _POSITION_MODES[-1])
     if get("MPC_TILTMAX_AIR") > _SAFE_TILT:

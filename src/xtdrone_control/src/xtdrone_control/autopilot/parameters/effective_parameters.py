@@ -8,6 +8,10 @@ rotors, sensors), which are not parameters of the autopilot.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+
+from xtdrone_control.autopilot.parameters.derived_records import DEVICES, SLOTS
+from xtdrone_control.autopilot.state import MAX_ROTORS
 
 Row = tuple[str, float, float, float, str, str]
 """Name, default, minimum, maximum, unit, text; an int as default makes the parameter an INT32."""
@@ -84,6 +88,25 @@ KERNEL_ROWS: tuple[Row, ...] = (
         "us",
         "time without aiding after which the position is invalid",
     ),
+    ("EKF2_IMU_CTRL", 3, 0, 7, "", "bits of estimated sensor errors: 1 gyroscope bias, 2 accelerometer bias"),
+    ("EKF2_BARO_DELAY", 0.0, 0.0, 300.0, "ms", "delay of the pressure altitude"),
+    ("EKF2_EV_DELAY", 0.0, 0.0, 300.0, "ms", "delay of vision"),
+    ("EKF2_GPS_DELAY", 110.0, 0.0, 300.0, "ms", "delay of GPS, of which the simulated receiver has 110 ms"),
+    ("EKF2_OF_DELAY", 20.0, 0.0, 300.0, "ms", "delay of optical flow, of which the simulated camera has 20 ms"),
+    ("EKF2_RNG_DELAY", 5.0, 0.0, 300.0, "ms", "delay of the range finder, of which the simulated one has 5 ms"),
+    *(
+        (f"EKF2_{sensor}_POS_{axis}", 0.0, -_INF, _INF, "m", f"{axis.lower()} of the {words}, body FRD")
+        for sensor, words in (
+            ("EV", "vision system"),
+            ("GPS", "GPS antenna"),
+            ("IMU", "inertial sensor"),
+            ("OF", "flow camera"),
+            ("RNG", "range finder"),
+        )
+        for axis in "XYZ"
+    ),
+    ("CA_METHOD", 2, 0, 2, "", "saturated motors: 0 clip, 1 and 2 give up thrust for roll and pitch, and yaw for both"),
+    ("MPC_ALT_MODE", 0, 0, 2, "", "height held by stick: 0 altitude, 1 above ground, 2 above ground at standstill"),
     ("MPC_XY_P", 0.95, 0.0, 2.0, "1/s", "horizontal velocity per position error"),
     ("MPC_XY_VEL_P_ACC", 1.8, 1.2, 5.0, "1/s", "acceleration per horizontal velocity error"),
     ("MPC_XY_VEL_I_ACC", 0.4, 0.0, 60.0, "1/s^2", "acceleration per integrated horizontal velocity error"),
@@ -348,12 +371,55 @@ OTHER_ROWS: tuple[Row, ...] = (
         "",
         "0 or more: sets accelerations, jerks, tilt and yaw rate, from gentle (0) to brisk (1)",
     ),
+    ("BAT1_SOURCE", 0, -1, 2, "", "battery status: 0 of the simulated battery; otherwise none"),
+    ("CA_ROTOR_COUNT", 0, 0, 12, "", "number of rotors, at most 8; 0: the vehicle's own geometry"),
+    ("COM_FLIGHT_UUID", 0, 0, _INF, "", "number of flights, counted at each disarming"),
+    ("EKF2_AID_MASK", 0, 0, 511, "", "former bits, which set EKF2_EV_CTRL, EKF2_OF_CTRL and EKF2_IMU_CTRL"),
+    ("LND_FLIGHT_T_HI", 0, -_INF, _INF, "", "total flight time in us, upper 32 bits, added up at each disarming"),
+    ("LND_FLIGHT_T_LO", 0, -_INF, _INF, "", "total flight time in us, lower 32 bits"),
+    ("SENS_BOARD_ROT", 0, -1, 40, "", "rotation of the sensors in the body, MAV_SENSOR_ORIENTATION"),
+    *((f"SENS_BOARD_{axis}_OFF", 0.0, -_INF, _INF, "deg", f"{turn} of the sensors, in addition to SENS_BOARD_ROT")
+      for axis, turn in (("X", "roll"), ("Y", "pitch"), ("Z", "yaw"))),
+    *((f"SYS_HAS_{sensor}", 1, 0, 1, "", f"0: the {words} is not used")
+      for sensor, words in (("BARO", "barometer"), ("GPS", "GPS receiver"), ("MAG", "magnetometer"))),
     ("COM_TAKEOFF_ACT", 0, 0, 1, "", "after a takeoff: 0 hold, 1 mission"),
     ("RTL_HDG_MD", 0, 0, 2, "", "heading of a return: 0 along the path, 1 that of home, 2 the current one"),
 )  # fmt: skip
 
 
-def channel_rows() -> tuple[Row, ...]:
+def numbered_rows() -> tuple[Row, ...]:
+    """Return the rows of all radio channels, sensors and rotors."""
+    return (*_channel_rows(), *_calibration_rows(), *_rotor_rows())
+
+
+def _calibration_rows() -> Iterator[Row]:
+    """Yield the calibration of inertial sensors and magnetometers; see ``derived_records``."""
+    for sensor, slots in SLOTS.items():
+        unit = {"ACC": "m/s^2", "GYRO": "rad/s", "MAG": "gauss"}[sensor]
+        for slot in range(slots):
+            prefix = f"CAL_{sensor}{slot}_"
+            device = DEVICES[sensor] if slot == 0 else 0
+            yield f"{prefix}ID", device, -_INF, _INF, "", "device id of the calibrated sensor"
+            yield f"{prefix}PRIO", -1, -1, 100, "", "0: the sensor is not used"
+            for axis in "XYZ":
+                yield f"{prefix}{axis}OFF", 0.0, -_INF, _INF, unit, f"offset in {axis.lower()}, subtracted"
+                if sensor != "GYRO":
+                    yield f"{prefix}{axis}SCALE", 1.0, 0.1, 3.0, "", f"factor in {axis.lower()}, after the offset"
+                if sensor == "MAG":
+                    yield f"{prefix}{axis}ODIAG", 0.0, -_INF, _INF, "", "factor on another axis: x xy, y xz, z yz"
+
+
+def _rotor_rows() -> Iterator[Row]:
+    for rotor in range(MAX_ROTORS):
+        for axis, direction in (("X", 0.0), ("Y", 0.0), ("Z", -1.0)):
+            name, words = f"CA_ROTOR{rotor}", f"{axis.lower()} of rotor {rotor}'s"
+            yield f"{name}_A{axis}", direction, -100.0, 100.0, "", f"{words} thrust direction, body FRD"
+            yield f"{name}_P{axis}", 0.0, -100.0, 100.0, "m", f"{words} position, body FRD"
+        yield f"CA_ROTOR{rotor}_CT", 6.5, 0.0, 100.0, "", f"thrust of rotor {rotor}, relative to the others"
+        yield f"CA_ROTOR{rotor}_KM", 0.05, -1.0, 1.0, "", f"torque per thrust of rotor {rotor}, counter-clockwise"
+
+
+def _channel_rows() -> tuple[Row, ...]:
     """Return the calibration of the 18 radio channels."""
     rows: list[Row] = []
     for number in range(1, 19):

@@ -9,6 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from xtdrone_control.autopilot.parameters.derived_records import SLOTS
+from xtdrone_control.autopilot.state import MAX_ROTORS
+
 Row = tuple[str, float, float, float, str]
 """Name, default, minimum, maximum, unit; an int as default makes the parameter an INT32."""
 
@@ -16,7 +19,6 @@ _INF = math.inf
 
 _ROWS: tuple[Row, ...] = (
     ("ASPD_SCALE_1", 1.0, 0.5, 2.0, ""),
-    ("BAT1_SOURCE", 0, -1, 2, ""),
     ("BAT_N_CELLS", 3, -_INF, _INF, ""),
     ("BAT_V_CHARGED", 4.05, -_INF, _INF, ""),
     ("BAT_V_EMPTY", 3.6, -_INF, _INF, ""),
@@ -27,7 +29,6 @@ _ROWS: tuple[Row, ...] = (
     ("CAL_MAG_COMP_TYP", 0, 0, 3, ""),
     ("CAL_MAG_SIDES", 63, 0, 63, ""),
     ("CA_AIRFRAME", 0, 0, 14, ""),
-    ("CA_METHOD", 2, 0, 2, ""),
     ("CBRK_AIRSPD_CHK", 0, 0, 162128, ""),
     ("CBRK_BUZZER", 0, 0, 782097, ""),
     ("CBRK_IO_SAFETY", 22027, 0, 22027, ""),
@@ -46,7 +47,6 @@ _ROWS: tuple[Row, ...] = (
     ("COM_ARM_MAG_STR", 2, 0, 2, ""),
     ("COM_ARM_SDCARD", 1, 0, 2, ""),
     ("COM_CPU_MAX", 95.0, -1.0, 100.0, "%"),
-    ("COM_FLIGHT_UUID", 0, 0, _INF, ""),
     ("COM_FLT_PROFILE", 0, 0, 300, ""),
     ("COM_FORCE_SAFETY", 0, 0, 1, ""),
     ("COM_HLDL_LOSS_T", 120, 60, 3600, "s"),
@@ -65,12 +65,10 @@ _ROWS: tuple[Row, ...] = (
     ("EKF2_ABL_ACCLIM", 25.0, 20.0, 200.0, "m/s^2"),
     ("EKF2_ABL_GYRLIM", 3.0, 2.0, 20.0, "rad/s"),
     ("EKF2_ABL_TAU", 0.5, 0.1, 1.0, "s"),
-    ("EKF2_AID_MASK", 0, 0, 511, ""),
     ("EKF2_ARSP_THR", 0.0, 0.0, _INF, "m/s"),
     ("EKF2_ASPD_MAX", 20.0, 5.0, 50.0, "m/s"),
     ("EKF2_ASP_DELAY", 100.0, 0.0, 300.0, "ms"),
     ("EKF2_AVEL_DELAY", 5.0, 0.0, 300.0, "ms"),
-    ("EKF2_BARO_DELAY", 0.0, 0.0, 300.0, "ms"),
     ("EKF2_BCOEF_X", 100.0, 0.0, 200.0, "kg/m^2"),
     ("EKF2_BCOEF_Y", 100.0, 0.0, 200.0, "kg/m^2"),
     ("EKF2_BETA_GATE", 5.0, 1.0, _INF, "SD"),
@@ -79,23 +77,11 @@ _ROWS: tuple[Row, ...] = (
     ("EKF2_DRAG_CTRL", 0, 0, 1, ""),
     ("EKF2_DRAG_NOISE", 2.5, 0.5, 10.0, "(m/s^2)^2"),
     ("EKF2_EAS_NOISE", 1.4, 0.5, 5.0, "m/s"),
-    ("EKF2_EV_DELAY", 0.0, 0.0, 300.0, "ms"),
-    ("EKF2_EV_POS_X", 0.0, -_INF, _INF, "m"),
-    ("EKF2_EV_POS_Y", 0.0, -_INF, _INF, "m"),
-    ("EKF2_EV_POS_Z", 0.0, -_INF, _INF, "m"),
     ("EKF2_FUSE_BETA", 0, 0, 1, ""),
     ("EKF2_GND_EFF_DZ", 4.0, 0.0, 10.0, "m"),
     ("EKF2_GND_MAX_HGT", 0.5, 0.0, 5.0, "m"),
-    ("EKF2_GPS_DELAY", 110.0, 0.0, 300.0, "ms"),
-    ("EKF2_GPS_POS_X", 0.0, -_INF, _INF, "m"),
-    ("EKF2_GPS_POS_Y", 0.0, -_INF, _INF, "m"),
-    ("EKF2_GPS_POS_Z", 0.0, -_INF, _INF, "m"),
     ("EKF2_GRAV_NOISE", 1.0, 0.1, 10.0, "m/s^2"),
     ("EKF2_GSF_TAS", 15.0, 0.0, 100.0, "m/s"),
-    ("EKF2_IMU_CTRL", 3, 0, 7, ""),
-    ("EKF2_IMU_POS_X", 0.0, -_INF, _INF, "m"),
-    ("EKF2_IMU_POS_Y", 0.0, -_INF, _INF, "m"),
-    ("EKF2_IMU_POS_Z", 0.0, -_INF, _INF, "m"),
     ("EKF2_MAG_ACCLIM", 0.5, 0.0, 5.0, "m/s^2"),
     ("EKF2_MAG_DELAY", 0.0, 0.0, 300.0, "ms"),
     ("EKF2_MAG_E_NOISE", 0.001, 0.0, 0.1, "gauss/s"),
@@ -103,10 +89,6 @@ _ROWS: tuple[Row, ...] = (
     ("EKF2_MAG_YAWLIM", 0.2, 0.0, 1.0, "rad/s"),
     ("EKF2_MCOEF", 0.15, 0.0, 1.0, "1/s"),
     ("EKF2_MULTI_IMU", 0, 0, 4, ""),
-    ("EKF2_OF_DELAY", 20.0, 0.0, 300.0, "ms"),
-    ("EKF2_OF_POS_X", 0.0, -_INF, _INF, "m"),
-    ("EKF2_OF_POS_Y", 0.0, -_INF, _INF, "m"),
-    ("EKF2_OF_POS_Z", 0.0, -_INF, _INF, "m"),
     ("EKF2_OF_QMIN_GND", 0, 0, 255, ""),
     ("EKF2_PCOEF_XN", 0.0, -0.5, 0.5, ""),
     ("EKF2_PCOEF_XP", 0.0, -0.5, 0.5, ""),
@@ -117,12 +99,8 @@ _ROWS: tuple[Row, ...] = (
     ("EKF2_REQ_HDRIFT", 0.1, 0.1, 1.0, "m/s"),
     ("EKF2_REQ_VDRIFT", 0.2, 0.1, 1.5, "m/s"),
     ("EKF2_RNG_A_IGATE", 1.0, 0.1, 5.0, "SD"),
-    ("EKF2_RNG_DELAY", 5.0, 0.0, 300.0, "ms"),
     ("EKF2_RNG_K_GATE", 1.0, 0.1, 5.0, "SD"),
     ("EKF2_RNG_PITCH", 0.0, -0.75, 0.75, "rad"),
-    ("EKF2_RNG_POS_X", 0.0, -_INF, _INF, "m"),
-    ("EKF2_RNG_POS_Y", 0.0, -_INF, _INF, "m"),
-    ("EKF2_RNG_POS_Z", 0.0, -_INF, _INF, "m"),
     ("EKF2_RNG_QLTY_T", 1.0, 0.1, 5.0, "s"),
     ("EKF2_SEL_ERR_RED", 0.2, -_INF, _INF, ""),
     ("EKF2_SEL_IMU_ACC", 1.0, -_INF, _INF, "m/s^2"),
@@ -163,8 +141,6 @@ _ROWS: tuple[Row, ...] = (
     ("IMU_INTEG_RATE", 200, 100, 1000, "Hz"),
     ("LNDMC_ALT_GND", 2.0, -1.0, _INF, "m"),
     ("LNDMC_ALT_MAX", -1.0, -1.0, 10000.0, "m"),
-    ("LND_FLIGHT_T_HI", 0, 0, _INF, ""),
-    ("LND_FLIGHT_T_LO", 0, 0, _INF, ""),
     ("MAV_FWDEXTSP", 1, 0, 1, ""),
     ("MAV_HASH_CHK_EN", 1, 0, 1, ""),
     ("MAV_HB_FORW_EN", 1, 0, 1, ""),
@@ -181,7 +157,6 @@ _ROWS: tuple[Row, ...] = (
     ("MIS_MNT_YAW_CTL", 0, 0, 1, ""),
     ("MNT_MODE_IN", -1, -1, 4, ""),
     ("MOT_SLEW_MAX", 0.0, 0.0, _INF, "s/(1000*PWM)"),
-    ("MPC_ALT_MODE", 0, 0, 2, ""),
     ("MPC_LAND_ALT3", 1.0, 0.0, 122.0, "m"),
     ("MPC_LAND_RADIUS", 1000.0, 0.0, _INF, "m"),
     ("MPC_LAND_RC_HELP", 0, 0, 1, ""),
@@ -209,10 +184,6 @@ _ROWS: tuple[Row, ...] = (
     ("SDLOG_UUID", 1, 0, 1, ""),
     ("SENS_BARO_QNH", 1013.25, 500.0, 1500.0, "hPa"),
     ("SENS_BARO_RATE", 20.0, 1.0, 200.0, "Hz"),
-    ("SENS_BOARD_ROT", 0, -1, 40, ""),
-    ("SENS_BOARD_X_OFF", 0.0, -_INF, _INF, "deg"),
-    ("SENS_BOARD_Y_OFF", 0.0, -_INF, _INF, "deg"),
-    ("SENS_BOARD_Z_OFF", 0.0, -_INF, _INF, "deg"),
     ("SENS_DPRES_OFF", 0.0, -_INF, _INF, ""),
     ("SENS_EN_BAROSIM", 0, 0, 1, ""),
     ("SENS_EN_GPSSIM", 0, 0, 1, ""),
@@ -239,9 +210,6 @@ _ROWS: tuple[Row, ...] = (
     ("SYS_CAL_TMAX", 10, -_INF, _INF, "degC"),
     ("SYS_CAL_TMIN", 5, -_INF, _INF, "degC"),
     ("SYS_FAC_CAL_MODE", 0, 0, 2, ""),
-    ("SYS_HAS_BARO", 1, 0, 1, ""),
-    ("SYS_HAS_GPS", 1, 0, 1, ""),
-    ("SYS_HAS_MAG", 1, 0, 1, ""),
     ("SYS_HAS_NUM_DIST", 0, 0, 4, ""),
     ("SYS_HITL", 0, -1, 2, ""),
     ("SYS_MC_EST_GROUP", 2, 1, 3, ""),
@@ -254,9 +222,8 @@ _ROWS: tuple[Row, ...] = (
     ("WV_YRATE_MAX", 90.0, 0.0, 120.0, "deg/s"),
 )  # fmt: skip
 
-_CALIBRATED = {"ACC": 3, "GYRO": 3, "MAG": 2}  # sensor instances in SITL
 _SLOTS = 4  # sensor instances with PX4 parameters
-_ROTATION = (-1, -1, 40, "")
+_ROTORS = 12
 _MAIN_OUTPUTS = 16
 _RADIO_SWITCHES = (
     "ACRO_SW", "AUX1", "AUX2", "AUX3", "AUX4", "AUX5", "AUX6", "ENG_MOT", "FAILSAFE", "FLAPS", "GEAR_SW", "MAN_SW",
@@ -265,36 +232,25 @@ _RADIO_SWITCHES = (
 
 
 def _calibration_rows() -> Iterator[Row]:
-    """Yield the calibration parameters of inertial sensors, magnetometers and barometers."""
-    for sensor in ("ACC", "BARO", "GYRO", "MAG"):
-        for slot in range(_SLOTS):
-            yield f"CAL_{sensor}{slot}_ID", 0, -_INF, _INF, ""
-    for sensor, count in _CALIBRATED.items():
-        for slot in range(count):
-            yield f"CAL_{sensor}{slot}_PRIO", -1, -1, 100, ""
-            yield f"CAL_{sensor}{slot}_ROT", *_ROTATION
-            yield from _axis_rows(sensor, slot)
-    for slot in (2, 3):
-        yield f"CAL_MAG{slot}_ROT", *_ROTATION
-
-
-def _axis_rows(sensor: str, slot: int) -> Iterator[Row]:
-    unit = {"ACC": "m/s^2", "GYRO": "rad/s", "MAG": "gauss"}[sensor]
-    for axis in "XYZ":
-        yield f"CAL_{sensor}{slot}_{axis}OFF", 0.0, -_INF, _INF, unit
-        if sensor != "GYRO":
-            yield f"CAL_{sensor}{slot}_{axis}SCALE", 1.0, 0.1, 3.0, ""
-        if sensor == "MAG":
+    """Yield what the simulated sensors lack: further instances, mounts of their own, and currents beside them."""
+    for slot in range(_SLOTS):
+        yield f"CAL_BARO{slot}_ID", 0, -_INF, _INF, ""
+        for sensor, slots in SLOTS.items():
+            if slot >= slots:
+                yield f"CAL_{sensor}{slot}_ID", 0, -_INF, _INF, ""
+            if slot < slots or sensor == "MAG":
+                yield f"CAL_{sensor}{slot}_ROT", -1, -1, 40, ""
+    for slot in range(SLOTS["MAG"]):
+        for axis in "XYZ":
             yield f"CAL_MAG{slot}_{axis}COMP", 0.0, -_INF, _INF, ""
-            yield f"CAL_MAG{slot}_{axis}ODIAG", 0.0, -_INF, _INF, ""
 
 
 def _allocation_rows() -> Iterator[Row]:
-    """Yield rotor geometry and slew rates; here the vehicle's description defines the geometry instead."""
-    yield "CA_ROTOR_COUNT", 0, 0, 12, ""
+    """Yield rotors that no vehicle has, and slew rates."""
     yield "CA_R_REV", 0, 0, 4095, ""
-    for rotor in range(12):
+    for rotor in range(_ROTORS):
         yield f"CA_R{rotor}_SLEW", 0.0, 0.0, 10.0, "s"
+    for rotor in range(MAX_ROTORS, _ROTORS):
         for axis, direction in (("X", 0.0), ("Y", 0.0), ("Z", -1.0)):
             yield f"CA_ROTOR{rotor}_A{axis}", direction, -100.0, 100.0, ""
             yield f"CA_ROTOR{rotor}_P{axis}", 0.0, -100.0, 100.0, "m"

@@ -21,7 +21,7 @@ from xtdrone_control.autopilot.events import events
 from xtdrone_control.autopilot.events.event_catalogue import CATALOGUE, ENUM_TYPES, Definition
 from xtdrone_control.autopilot.events.event_texts import ACTIONS, CAUSES, MODES
 from xtdrone_control.autopilot.events.events import event_id
-from xtdrone_control.autopilot.parameters.parameter_choices import AT_START, BITS, CHOICES, FIXED
+from xtdrone_control.autopilot.parameters.parameter_choices import AT_START, BITS, CHOICES, FIXED, VOLATILE
 from xtdrone_control.autopilot.parameters.parameters import INT32, NAMES, Parameter, Parameters, describe
 
 GENERAL, PARAMETER, EVENTS = 0, 1, 4  # COMP_METADATA_TYPE
@@ -187,6 +187,8 @@ def _parameter(entry: Parameter, default: float) -> dict[str, Any]:
         found["decimalPlaces"] = max(_decimals(default), _decimals(entry.minimum), 2)
     if entry.name in AT_START:
         found["rebootRequired"] = True
+    if entry.name in VOLATILE:
+        found["volatile"] = True
     if entry.name in FIXED:
         found["readOnly"] = True
     if entry.name in CHOICES:

@@ -25,7 +25,9 @@ _CHANNEL = {0: "none", **{number: f"channel {number}" for number in range(1, 19)
 
 CHOICES: dict[str, dict[int, str]] = {
     "BAT1_N_CELLS": {number: f"{number}S" for number in range(1, 17)},
+    "CA_METHOD": {0: "clip", 1: "give up thrust and yaw", 2: "give up thrust and yaw"},
     "CA_FAILURE_MODE": {0: "failed motors are ignored", 1: "failed motors are removed from the mixer"},
+    "BAT1_SOURCE": {-1: "none", 0: "the simulated battery", 1: "none", 2: "none"},
     "CBRK_FLIGHTTERM": {0: "terminate beyond the attitude limits", 121_212: "warn only"},
     "CBRK_SUPPLY_CHK": {0: "check the battery", 894_281: "skip the battery check"},
     "COM_ACT_FAIL_ACT": {0: "warning", 1: "hold", 2: "land", 3: "return", 4: "terminate"},
@@ -72,6 +74,7 @@ CHOICES: dict[str, dict[int, str]] = {
         4: "both or neither",
     },
     "MC_AIRMODE": {0: "off", 1: "roll and pitch", 2: "roll, pitch and yaw"},
+    "MPC_ALT_MODE": {0: "altitude", 1: "above ground", 2: "above ground at standstill"},
     "MPC_POS_MODE": {0: "velocity", 3: "smoothed velocity", 4: "acceleration"},
     "MPC_THR_CURVE": {0: "hover at the middle", 1: "linear"},
     "MPC_USE_HTE": _OFF_ON,
@@ -108,6 +111,7 @@ CHOICES: dict[str, dict[int, str]] = {
         4: "from the first arming until shutdown",
     },
     "SYS_FAILURE_EN": _OFF_ON,
+    **{f"SYS_HAS_{sensor}": _NO_YES for sensor in ("BARO", "GPS", "MAG")},
 }  # fmt: skip
 
 # labels by bit number
@@ -118,10 +122,13 @@ BITS: dict[str, dict[int, str]] = {
     "EKF2_GPS_CHECK": {0: "satellites", 1: "dilution of precision", 2: "horizontal error", 3: "vertical error",
                        4: "speed error"},
     "EKF2_GPS_CTRL": {0: "horizontal position", 1: "altitude", 2: "velocity"},
+    "EKF2_IMU_CTRL": {0: "gyroscope bias", 1: "accelerometer bias"},
     "EKF2_MAG_CHECK": {0: "strength of the field"},
 }  # fmt: skip
 
 # parameters that take effect only at start
 AT_START = frozenset({"EKF2_ABIAS_INIT", "EKF2_ANGERR_INIT", "EKF2_GBIAS_INIT"})
+# parameters that change by themselves, which the hash of all parameters leaves out
+VOLATILE = frozenset({"COM_FLIGHT_UUID", "LND_FLIGHT_T_HI", "LND_FLIGHT_T_LO"})
 # parameters set by the fleet, which cannot be changed
 FIXED = frozenset({"MAV_COMP_ID", "MAV_SYS_ID"})

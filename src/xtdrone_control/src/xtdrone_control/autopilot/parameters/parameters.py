@@ -1,8 +1,8 @@
 """The autopilot's parameters: names, types and defaults of PX4 v1.14.
 
-Kernels read the ``PARAMS`` record, which has one float64 field per kernel parameter, with its name in lower case. All
-other code reads ``Parameters``. The tables are in ``effective_parameters`` (parameters that the autopilot reads) and
-``inert_parameters`` (stored without effect).
+Kernels read the ``PARAMS`` record, which has one float64 field per kernel parameter, with its name in lower case, and
+the records of ``derived_records``. All other code reads ``Parameters``. The tables are in ``effective_parameters``
+(parameters that the autopilot reads) and ``inert_parameters`` (stored without effect).
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ from xtdrone_control.autopilot.parameters import (
     inert_parameters,
     parameter_file,
 )
-from xtdrone_control.autopilot.parameters.effective_parameters import KERNEL_ROWS, OTHER_ROWS, Row, channel_rows
+from xtdrone_control.autopilot.parameters.derived_records import DERIVED
+from xtdrone_control.autopilot.parameters.effective_parameters import KERNEL_ROWS, OTHER_ROWS, Row, numbered_rows
+from xtdrone_control.autopilot.parameters.parameter_choices import VOLATILE
 
 INT32 = 6  # MAV_PARAM_TYPE_INT32
 FLOAT = 9  # MAV_PARAM_TYPE_REAL32
@@ -73,7 +75,7 @@ def _parameter(row: Row) -> Parameter:
 
 def _table() -> dict[str, Parameter]:
     """Return every parameter by name, sorted as PX4 lists them."""
-    table = {row[0]: _parameter(row) for row in KERNEL_ROWS + OTHER_ROWS + channel_rows()}
+    table = {row[0]: _parameter(row) for row in KERNEL_ROWS + OTHER_ROWS + numbered_rows()}
     for row in inert_parameters.rows():
         table[row[0]] = replace(_parameter((*row, "stored, without effect in this simulation")), has_effect=False)
     return dict(sorted(table.items()))
@@ -84,7 +86,10 @@ _FIELDS: dict[str, str] = {row[0]: row[0].lower() for row in KERNEL_ROWS}
 
 NAMES: tuple[str, ...] = tuple(_TABLE)  # sorted
 INDEX: dict[str, int] = {name: index for index, name in enumerate(NAMES)}  # as PARAM_VALUE.param_index
-PARAMS = np.dtype([(field, "f8") for field in _FIELDS.values()], align=True)
+PARAMS = np.dtype(
+    [*((field, "f8") for field in _FIELDS.values()), *((field, kind) for field, kind, _, _ in DERIVED)], align=True
+)
+_WRITERS = {name: (field, write) for field, _, write, names in DERIVED for name in names}
 
 
 def _unknown(name: str) -> ParameterError:
@@ -224,13 +229,20 @@ class Parameters:
         changed = stored != self._values[name]
         self._values[name] = stored
         self._recent.pop(name, None)
-        if self._record is not None and name in _FIELDS:
-            self._record[_FIELDS[name]] = stored
+        if self._record is not None:
+            self._write(name, stored)
         if changed:
             self.changes += 1
             if self.on_change is not None:
                 self.on_change(name, stored)
         return stored
+
+    def _write(self, name: str, stored: float) -> None:
+        if name in _FIELDS:
+            self._record[_FIELDS[name]] = stored
+        elif name in _WRITERS:
+            field, write = _WRITERS[name]
+            write(self.get, self._record[field])
 
     def reset(self) -> None:
         """Reset all parameters to the vehicle's defaults."""
@@ -276,11 +288,18 @@ class Parameters:
         self._record = record
         for name, field in _FIELDS.items():
             record[field] = self._values[name]
+        for field, _, write, _ in DERIVED:
+            write(self.get, record[field])
 
     def hash(self) -> int:
-        """Return PX4's CRC-32 over all names and values, with which a ground station validates its cached list."""
+        """Return PX4's CRC-32 over names and values, with which a ground station validates its cached list.
+
+        Parameters that change by themselves are left out.
+        """
         crc = 0
         for name in NAMES:
+            if name in VOLATILE:
+                continue
             value = self._values[name]
             data = name.encode() + pack("<i" if isinstance(value, int) else "<f", value)
             # PX4 starts from 0 and does not invert; zlib inverts before and after

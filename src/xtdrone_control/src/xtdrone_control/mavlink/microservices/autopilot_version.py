@@ -59,7 +59,8 @@ class VersionService(Service):
     def _flight_information(self, link: Link) -> None:
         commander = self.vehicle.commander
         now_ms, armed_us = self.vehicle.now_us // 1000, commander.armed_since_us
-        link.send_message(mavlink.MAVLink_flight_information_message(now_ms, armed_us, armed_us, commander.flights))
+        flight = int(commander.parameters.get("COM_FLIGHT_UUID"))
+        link.send_message(mavlink.MAVLink_flight_information_message(now_ms, armed_us, armed_us, flight))
 
     def _storage_information(self, link: Link) -> None:
         now_ms = self.vehicle.now_us // 1000

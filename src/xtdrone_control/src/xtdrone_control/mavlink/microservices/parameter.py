@@ -21,7 +21,6 @@ from typing import Any, ClassVar
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.events.announcements import WARNING
-from xtdrone_control.autopilot.parameters import former_parameters
 from xtdrone_control.autopilot.parameters.parameters import FLOAT, INDEX, INT32, NAMES, ParameterError, describe
 from xtdrone_control.mavlink.client_link import Link
 from xtdrone_control.mavlink.service_base import NEVER_US, Service, Vehicle
@@ -155,7 +154,7 @@ class ParameterService(Service):
         if not link.open:
             return
         if len(names) == 1:
-            link.send_text(WARNING, f"{names[0]} stored, no effect here{former_parameters.hint(names[0])}")
+            link.send_text(WARNING, f"{names[0]} stored, no effect here")
         else:
             text = f"{len(names)} parameters stored, no effect here: ./xtdrone gcs check FILE lists them"
             link.send_text(WARNING, text)

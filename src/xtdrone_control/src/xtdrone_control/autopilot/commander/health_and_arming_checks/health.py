@@ -100,7 +100,8 @@ class Health:
         """
         view = self._view
         now_us = view.time_us
-        self.battery.update(now_us, self._voltage[0], self._current[0], self._thrust[0], armed)
+        voltage = self._voltage[0] if int(self._get("BAT1_SOURCE")) == 0 else 0.0
+        self.battery.update(now_us, voltage, self._current[0], self._thrust[0], armed)
         warning = self.battery.warning if self.battery.connected else 0
         self._warning = max(warning, self._warning) if armed else warning  # in flight the level never improves
         self.detector.update(now_us, flown.attitude_control, armed)

@@ -73,11 +73,34 @@ def _stick_height(c, s, e, p, dt):
     elif not c.hold_z and _slow(abs(e.velocity[2]), p.mpc_hold_max_z):
         c.hold_z = 1
         c.path.position[2] = e.position[2]
+    _hold_over_ground(c, s, e, p)
     c.task_velocity[2] = c.path.velocity[2]
     c.task_acceleration[2] = _NAN if _unsmoothed(p) else c.path.acceleration[2]
     if c.hold_z:
         c.task_position[2] = c.path.position[2]
     c.want_takeoff = 1 if s.stick_z > _TAKEOFF_STICK else 0
+
+
+@kernel
+def _hold_over_ground(c, s, e, p):
+    """Change the held height by MPC_ALT_MODE to follow the ground below."""
+    follows = c.hold_z and e.terrain_valid and _wants_ground(c, s, e, p)
+    if not follows:
+        c.over_ground = 0
+        return
+    if not c.over_ground:
+        c.over_ground = 1
+        c.held_height = e.terrain - c.path.position[2]
+    c.path.position[2] = e.terrain - c.held_height
+
+
+@kernel
+def _wants_ground(c, s, e, p):
+    """Return whether MPC_ALT_MODE asks for the height above ground: 1 always, 2 while the vehicle stands."""
+    mode = int(p.mpc_alt_mode)
+    limit = p.mpc_hold_max_xy if c.over_ground else 0.5 * p.mpc_hold_max_xy
+    stands = s.stick_x == 0.0 and s.stick_y == 0.0 and math.hypot(e.velocity[0], e.velocity[1]) <= limit
+    return mode == 1 or (mode == 2 and stands)
 
 
 @kernel

@@ -11,6 +11,7 @@ import math
 from xtdrone_control.autopilot.estimator.aiding.horizontal_aiding import (
     mark_located,
 )
+from xtdrone_control.autopilot.estimator.aiding.mounting import to_origin
 from xtdrone_control.autopilot.estimator.aiding.source_timeouts import AIDING_US, VISION_STOP_US, is_recent, stop_vision
 from xtdrone_control.autopilot.estimator.aiding.sources.height_control import (
     OFFSET_GAIN,
@@ -52,13 +53,14 @@ def process_vision(e, s, p, work):
     _vision_yaw(e, s, p, control, jumped, work)
     turned = jumped or had_yaw != e.vision_yaw_used
     q = _vision_rotation(e, s)
-    _vision_velocity(e, s, p, control, jumped, q, work)
-    _vision_position(e, s, p, control, turned, q, work)
+    shift, extra = to_origin(e, s, p.ekf2_ev_pos_x, p.ekf2_ev_pos_y, p.ekf2_ev_pos_z, p.ekf2_ev_delay * 1e-3)
+    _vision_velocity(e, s, p, control, jumped, q, extra, work)
+    _vision_position(e, s, p, control, turned, q, shift, work)
     if control & _EV_HEIGHT and not math.isnan(s.vision_position[2]):
         if jumped:
             e.height_used[HEIGHT_VISION] = 0
         variance = _vision_variance(s.vision_position_variance[2], p.ekf2_evp_noise, p)
-        down = s.vision_position[2]
+        down = s.vision_position[2] + shift[2]
         e.innovation.vision_pos[2] = down + e.height_offset[HEIGHT_VISION] - e.position[2]
         e.test_ratio.vision_hgt = fuse_height(e, s, p, HEIGHT_VISION, down, variance, p.ekf2_evp_gate, work)
 
@@ -87,7 +89,8 @@ def _vision_yaw(e, s, p, control, jumped, work):
         e.vision_yaw_used = 0
         return
     variance = _vision_variance(s.vision_yaw_variance, p.ekf2_eva_noise, p)
-    innovation = wrap_pi(yaw_of(s.vision_q) - yaw_of(e.q))
+    turn = (s.gyro[2] - e.gyro_bias[2]) * p.ekf2_ev_delay * 1e-3
+    innovation = wrap_pi(yaw_of(s.vision_q) + turn - yaw_of(e.q))
     e.innovation.vision_yaw = innovation
     if e.vision_yaw_used and not jumped:
         _fuse_vision_yaw(e, s, p, innovation, variance, work)
@@ -113,7 +116,7 @@ def _fuse_vision_yaw(e, s, p, innovation, variance, work):
 
 
 @kernel
-def _vision_velocity(e, s, p, control, jumped, q, work):
+def _vision_velocity(e, s, p, control, jumped, q, extra, work):
     v = s.vision_velocity
     in_frame = s.vision_velocity_frame == VISION_BODY or e.heading_aligned or e.vision_yaw_used
     if not control & _EV_VELOCITY or math.isnan(v[0] + v[1] + v[2]) or not in_frame:
@@ -125,6 +128,7 @@ def _vision_velocity(e, s, p, control, jumped, q, work):
     elif s.vision_velocity_frame == VISION_NED:
         rotation = (1.0, 0.0, 0.0, 0.0)
     x, y, z = rotate(rotation, v[0], v[1], v[2])
+    x, y, z = x + extra[0], y + extra[1], z + extra[2]
     measured = (x, y, z)
     variances = _rotated_variances(s.vision_velocity_variance, rotation, p.ekf2_evv_noise, p)
     if not e.vision_velocity_used or jumped:
@@ -166,7 +170,7 @@ def _rotated_variances(given, q, noise, p):
 
 
 @kernel
-def _vision_position(e, s, p, control, jumped, q, work):
+def _vision_position(e, s, p, control, jumped, q, shift, work):
     position = s.vision_position
     in_frame = s.vision_frame == VISION_FRD or e.heading_aligned
     if not control & _EV_POSITION or math.isnan(position[0] + position[1]) or not in_frame:
@@ -174,6 +178,7 @@ def _vision_position(e, s, p, control, jumped, q, work):
         return
     down = 0.0 if math.isnan(position[2]) else position[2]
     north, east, _ = rotate(q, position[0], position[1], down)
+    north, east = north + shift[0], east + shift[1]
     variances = _rotated_variances(s.vision_position_variance, q, p.ekf2_evp_noise, p)
     variance = max(variances[0], variances[1])
     if e.gps_used:

@@ -7,6 +7,7 @@ import math
 from xtdrone_control.autopilot.estimator.aiding.horizontal_aiding import (
     mark_located,
 )
+from xtdrone_control.autopilot.estimator.aiding.mounting import to_origin
 from xtdrone_control.autopilot.estimator.aiding.source_timeouts import HEIGHT_RESET_US, RESET_US, is_recent
 from xtdrone_control.autopilot.estimator.aiding.sources.range_control import (
     LEAST_TERRAIN_VARIANCE,
@@ -15,7 +16,9 @@ from xtdrone_control.autopilot.estimator.aiding.sources.range_control import (
 )
 from xtdrone_control.autopilot.estimator.fusion import fuse_flow, reset_position, reset_velocity
 from xtdrone_control.kernel import kernel
-from xtdrone_control.rotation_kernels import constrain, yaw_of
+from xtdrone_control.rotation_kernels import constrain, rotate, yaw_of
+
+_DELAY = 20.0  # ms, of the simulated camera (EKF2_OF_DELAY's default)
 
 
 @kernel
@@ -26,13 +29,17 @@ def process_flow(e, s, p, work):
     known = is_recent(s.time_us, e.time_terrain_fuse_us, HEIGHT_RESET_US)
     if not int(p.ekf2_of_ctrl) or not e.flow_good or not known or tilt_cosine(e) < LEVEL_COSINE:
         return
-    hagl = max(e.terrain - e.position[2], p.ekf2_min_rng)
+    lag = (p.ekf2_of_delay - _DELAY) * 1e-3
+    shift, extra = to_origin(e, s, p.ekf2_of_pos_x, p.ekf2_of_pos_y, p.ekf2_of_pos_z, lag)
+    hagl = max(e.terrain - e.position[2] + shift[2], p.ekf2_min_rng)
     share = (s.flow_quality - p.ekf2_of_qmin) / max(255.0 - p.ekf2_of_qmin, 1.0)
     noise = p.ekf2_of_n_max + (p.ekf2_of_n_min - p.ekf2_of_n_max) * constrain(share, 0.0, 1.0)
     gx, gy = s.flow_gyro[0], s.flow_gyro[1]
     if math.isnan(gx) or math.isnan(gy):
         gx, gy = e.rates[0], e.rates[1]
-    x, y = s.flow_rate[0] - gx, s.flow_rate[1] - gy
+    reach = hagl / tilt_cosine(e)
+    forward, right, _ = rotate((e.q[0], -e.q[1], -e.q[2], -e.q[3]), extra[0], extra[1], extra[2])
+    x, y = s.flow_rate[0] - gx - right / reach, s.flow_rate[1] - gy + forward / reach
     speed_error = (x * x + y * y) * e.terrain_variance / (hagl * hagl)
     if not e.flow_used:
         _start_flow(e, s, x, y, hagl, noise)

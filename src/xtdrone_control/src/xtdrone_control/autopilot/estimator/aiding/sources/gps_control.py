@@ -8,6 +8,7 @@ from xtdrone_control.autopilot.estimator.aiding.horizontal_aiding import (
     mark_located,
     other_horizontal_aiding,
 )
+from xtdrone_control.autopilot.estimator.aiding.mounting import to_origin
 from xtdrone_control.autopilot.estimator.aiding.source_timeouts import RESET_US, is_recent
 from xtdrone_control.autopilot.estimator.aiding.sources.height_control import fuse_height
 from xtdrone_control.autopilot.estimator.fusion import (
@@ -24,6 +25,8 @@ from xtdrone_control.kernel import kernel
 
 # EKF2_GPS_CHECK
 _CHECK_SATELLITES, _CHECK_PDOP, _CHECK_EPH, _CHECK_EPV, _CHECK_SPEED = 1, 2, 4, 8, 16
+
+_DELAY = 110.0  # ms, of the simulated receiver (EKF2_GPS_DELAY's default)
 
 # EKF2_GPS_CTRL
 _GPS_POSITION, _GPS_ALTITUDE, _GPS_VELOCITY = 1, 2, 4
@@ -64,24 +67,28 @@ def process_gps(e, s, p, work):
     if not e.origin.set:
         _set_origin(e.origin, e, s)
     horizontal = control & (_GPS_POSITION | _GPS_VELOCITY)
+    lag = (p.ekf2_gps_delay - _DELAY) * 1e-3
+    shift, extra = to_origin(e, s, p.ekf2_gps_pos_x, p.ekf2_gps_pos_y, p.ekf2_gps_pos_z, lag)
     if control & _GPS_ALTITUDE:
-        down = e.origin.alt - s.gps_alt
+        down = e.origin.alt - s.gps_alt + shift[2]
         variance = max(1.5 * p.ekf2_gps_p_noise, s.gps_epv) ** 2
         e.innovation.pos[2] = down + e.height_offset[HEIGHT_GPS] - e.position[2]
         e.test_ratio.gps_hgt = fuse_height(e, s, p, HEIGHT_GPS, down, variance, p.ekf2_gps_p_gate, work)
     if not horizontal:
         return
     north, east = _project(s.gps_lat, s.gps_lon, e.origin.lat, e.origin.lon)
+    north, east = north + shift[0], east + shift[1]
+    velocity = (s.gps_vel[0] + extra[0], s.gps_vel[1] + extra[1], s.gps_vel[2] + extra[2])
     if not e.gps_used:
         e.gps_used = 1
         e.time_gps_fuse_us = s.time_us
         if not other_horizontal_aiding(e) and not (e.located and e.position_valid):
-            _reset_to_gps(e, s, p, north, east)
+            _reset_to_gps(e, s, p, north, east, velocity)
             return
-    _fuse_gps_velocity(e, s, p, control, work)
+    _fuse_gps_velocity(e, s, p, control, velocity, work)
     _fuse_gps_position(e, s, p, control, north, east, work)
     if not is_recent(s.time_us, e.time_gps_fuse_us, RESET_US):
-        _reset_to_gps(e, s, p, north, east)
+        _reset_to_gps(e, s, p, north, east, velocity)
 
 
 @kernel
@@ -98,13 +105,13 @@ def _set_origin(origin, e, s):
 
 
 @kernel
-def _fuse_gps_velocity(e, s, p, control, work):
+def _fuse_gps_velocity(e, s, p, control, velocity, work):
     e.test_ratio.vel = 0.0
     if not control & _GPS_VELOCITY:
         return
     variance = max(p.ekf2_gps_v_noise, s.gps_speed_accuracy) ** 2
     for i in range(3):
-        e.innovation.vel[i] = s.gps_vel[i] - e.velocity[i]
+        e.innovation.vel[i] = velocity[i] - e.velocity[i]
         ratio = fuse_state(e, VEL + i, e.innovation.vel[i], variance, p.ekf2_gps_v_gate, work)
         e.test_ratio.vel = max(e.test_ratio.vel, ratio)
     if e.test_ratio.vel <= 1.0:
@@ -127,12 +134,12 @@ def _fuse_gps_position(e, s, p, control, north, east, work):
 
 
 @kernel
-def _reset_to_gps(e, s, p, north, east):
+def _reset_to_gps(e, s, p, north, east, velocity):
     """Reset the horizontal state and the vertical velocity to a GPS fix."""
     variance = max(p.ekf2_gps_v_noise, s.gps_speed_accuracy) ** 2
     reset_position(e, north, east, max(p.ekf2_gps_p_noise, s.gps_eph) ** 2)
     if int(p.ekf2_gps_ctrl) & _GPS_VELOCITY:
-        reset_velocity(e, s.gps_vel[0], s.gps_vel[1], variance)
-        reset_vertical_velocity(e, s.gps_vel[2], variance)
+        reset_velocity(e, velocity[0], velocity[1], variance)
+        reset_vertical_velocity(e, velocity[2], variance)
     mark_located(e, s)
     e.time_gps_fuse_us = s.time_us

@@ -83,5 +83,5 @@ def process_baro(e, s, p, work):
     # wait for the height reference, which would otherwise reset the height
     if not e.altitude_valid and not is_reference and s.time_us - e.time_aligned_us < _BARO_START_US:
         return
-    down = e.origin.alt - s.baro_alt
+    down = e.origin.alt - s.baro_alt + e.velocity[2] * p.ekf2_baro_delay * 1e-3
     e.test_ratio.baro = fuse_height(e, s, p, HEIGHT_BARO, down, p.ekf2_baro_noise**2, p.ekf2_baro_gate, work)

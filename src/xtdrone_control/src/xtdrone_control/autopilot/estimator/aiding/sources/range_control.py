@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from xtdrone_control.autopilot.estimator.aiding.mounting import to_origin
 from xtdrone_control.autopilot.estimator.aiding.source_timeouts import HEIGHT_RESET_US, is_recent
 from xtdrone_control.autopilot.estimator.aiding.sources.height_control import fuse_height
 from xtdrone_control.autopilot.state import HEIGHT_RANGE
@@ -11,6 +12,7 @@ from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation_kernels import constrain
 
 LEAST_TERRAIN_VARIANCE = 1e-4  # m^2
+_DELAY = 5.0  # ms, of the simulated sensor (EKF2_RNG_DELAY's default)
 _TERRAIN_RATE = 0.01  # s, PX4's filter period, for which EKF2_TERR_NOISE is defined
 LEVEL_COSINE = 0.7  # of the largest tilt at which range and flow are fused (PX4: 45 deg)
 
@@ -31,7 +33,9 @@ def process_range(e, s, p, work):
     e.range_good = usable
     if not usable or cosine < LEVEL_COSINE:
         return
-    hagl = max(s.range_distance * cosine, p.ekf2_min_rng)
+    lag = (p.ekf2_rng_delay - _DELAY) * 1e-3
+    shift, _ = to_origin(e, s, p.ekf2_rng_pos_x, p.ekf2_rng_pos_y, p.ekf2_rng_pos_z, lag)
+    hagl = max(s.range_distance * cosine - shift[2], p.ekf2_min_rng)
     variance = (p.ekf2_rng_noise**2 + (p.ekf2_rng_sfe * s.range_distance) ** 2) * cosine * cosine
     _fuse_terrain(e, s, p, hagl, variance, since)
     is_reference = int(p.ekf2_hgt_ref) == HEIGHT_RANGE
