@@ -148,7 +148,7 @@ def test_no_speed_makes_no_time():
 
 @pytest.mark.parametrize("reference", [-1, 4, 1_000_000_000])
 def test_a_height_reference_that_does_not_exist(reference):
-    places = np.array([(0.1, 0.1), (-0.1, -0.1), (0.1, -0.1), (-0.1, 0.1)])
+    places = np.array([(0.1, 0.1, 0.0), (-0.1, -0.1, 0.0), (0.1, -0.1, 0.0), (-0.1, 0.1, 0.0)])
     layout = RotorLayout(places, np.array([0.05, 0.05, -0.05, -0.05]))
     autopilot = Autopilot([layout], Datum(*ORIGIN))
     Parameters({"EKF2_HGT_REF": reference}).write_to(autopilot.params[0])
