@@ -81,7 +81,8 @@ class Prompt:
 
 @pytest.fixture(scope="module")
 def core(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Core]:
-    core = Core(FIRST, tmp_path_factory.mktemp("mavproxy_core"))
+    # PX4 forgets a mission transfer after 5 s of simulated time, and MAVProxy never asks for its start again.
+    core = Core(FIRST, tmp_path_factory.mktemp("mavproxy_core"), speed=2.0)
     yield core
     core.close()
 

@@ -175,13 +175,15 @@ class Node:
 class MixedGraph(Graph):
     """A graph that can start C++ nodes too."""
 
-    file = __file__
-
     def start_cpp(self, role: str, name: str, *arguments: str) -> subprocess.Popen:
         command = [str(NODE), role, name, *arguments]
-        process = self._popen(name, command, TRANSCRIPT=str(self.transcript_path(name)))
-        self.processes[name] = process
-        return process
+        self.processes[name] = self._popen(name, command, TRANSCRIPT=str(self.transcript_path(name)))
+        return self.processes[name]
+
+    def start(self, role: str, name: str, *arguments: str) -> subprocess.Popen:
+        command = [sys.executable, __file__, role, name, *arguments]
+        self.processes[name] = self._popen(name, command, TRANSCRIPT=str(self.transcript_path(name)))
+        return self.processes[name]
 
     def start_participants(self, server: LockstepServer, nodes: dict[str, Node]) -> None:
         for name in reversed(nodes):
@@ -686,8 +688,7 @@ def test_idle_participant_requires_a_name_and_a_rate(graph: MixedGraph, program:
     assert "usage" in done.stderr
 
 
-def main() -> None:
-    """Run a Python node."""
+if __name__ == "__main__":
     role, name, *rest = sys.argv[1:]
     if role == "participant":
         participant(name, float(rest[0]), int(rest[1]), rest[2:])
@@ -696,7 +697,3 @@ def main() -> None:
             function.__name__: function
             for function in (heavy, stamper, sender, reader, talker, listener, clock, rewinder)
         }[role](name, *rest)
-
-
-if __name__ == "__main__":
-    main()

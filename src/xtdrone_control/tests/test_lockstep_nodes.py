@@ -22,7 +22,6 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from forked_nodes import ForkedNode, fork_node
 from ros_master import RosMaster
 
 from xtdrone_control import lockstep
@@ -421,17 +420,11 @@ def recorder(name: str) -> None:
 
 
 class Graph:
-    """A separate ROS master and the processes started by a test.
-
-    Attributes:
-        file: contains the nodes.
-    """
-
-    file = __file__
+    """A separate ROS master and the processes started by a test."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.processes: dict[str, subprocess.Popen | ForkedNode] = {}
+        self.processes: dict[str, subprocess.Popen] = {}
         self.ros_master = RosMaster()
         self.env = {
             **os.environ,
@@ -452,12 +445,11 @@ class Graph:
 
     def start(
         self, role: str, name: str, *arguments: str, remap: list[str] | None = None, stdin: int | None = None
-    ) -> ForkedNode:
-        environment = {**self.env, "TRANSCRIPT": str(self.transcript_path(name))}
-        with open(self.folder / f"{name}.out", "w") as out:
-            node = fork_node(self.file, [role, name, *arguments, *(remap or [])], environment, out, stdin)
-        self.processes[name] = node
-        return node
+    ) -> subprocess.Popen:
+        command = [sys.executable, __file__, role, name, *arguments, *(remap or [])]
+        transcript = str(self.transcript_path(name))
+        self.processes[name] = self._popen(name, command, stdin=stdin, TRANSCRIPT=transcript)
+        return self.processes[name]
 
     def transcript_path(self, name: str) -> Path:
         return self.folder / f"{name}.transcript"
@@ -973,8 +965,7 @@ def test_node_started_first_waits_for_the_simulator(graph: Graph) -> None:
     server.close()
 
 
-def main() -> None:
-    """Run a node."""
+if __name__ == "__main__":
     role, name, *rest = sys.argv[1:]
     if role == "participant":
         participant(name, int(rest[0]), [peer for peer in rest[1:] if ":=" not in peer])
@@ -1006,7 +997,3 @@ def main() -> None:
             announcer,
         ]
         {function.__name__: function for function in roles}[role](name)
-
-
-if __name__ == "__main__":
-    main()

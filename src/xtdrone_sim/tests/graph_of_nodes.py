@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from forked_nodes import ForkedNode, fork_node
 from ros_master import RosMaster
 
 from xtdrone_control.lockstep.server import LockstepServer
@@ -33,7 +32,7 @@ class Graph:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.processes: dict[str, subprocess.Popen | ForkedNode] = {}
+        self.processes: dict[str, subprocess.Popen] = {}
         self.ros_master = RosMaster()
         self.env = {
             **os.environ,
@@ -48,18 +47,16 @@ class Graph:
     def set_param(self, name: str, value: object) -> None:
         self.master.setParam("/test", name, value)
 
-    def start(self, name: str, *command: str) -> subprocess.Popen:
+    def start(self, name: str, *command: str, stdin: int | None = None) -> subprocess.Popen:
         with open(self.folder / f"{name}.out", "w") as out:
-            process = subprocess.Popen(command, env=self.env, stdout=out, stderr=subprocess.STDOUT)
-        self.processes[name] = process
-        return process
+            self.processes[name] = subprocess.Popen(
+                command, env=self.env, stdin=stdin, stdout=out, stderr=subprocess.STDOUT
+            )
+        return self.processes[name]
 
-    def role(self, file: str, name: str, *arguments: str, stdin: int | None = None) -> ForkedNode:
-        """Run ``main()`` of a test file as a node."""
-        with open(self.folder / f"{name}.out", "w") as out:
-            node = fork_node(file, [name, *arguments], self.env, out, stdin)
-        self.processes[name] = node
-        return node
+    def role(self, file: str, name: str, *arguments: str, stdin: int | None = None) -> subprocess.Popen:
+        """Run a test file as a node."""
+        return self.start(name, sys.executable, file, name, *arguments, stdin=stdin)
 
     def output(self) -> str:
         return "\n".join(f"{path.name}: {path.read_text()[-1500:]}" for path in self.folder.glob("*.out"))
