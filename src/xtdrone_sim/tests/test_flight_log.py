@@ -210,8 +210,9 @@ def test_parameters(flight, log):
     parameters = flight.commander.parameters
     assert log.initial_parameters["MPC_XY_CRUISE"] == 5.0
     assert log.initial_parameters["SDLOG_MODE"] == 1
-    ((time_us, name, value),) = log.changed_parameters
+    (time_us, name, value), *counted = log.changed_parameters
     assert (name, value) == ("MPC_XY_CRUISE", 4.0)
+    assert {name for _, name, _ in counted} <= {"COM_FLIGHT_UUID", "LND_FLIGHT_T_LO", "LND_FLIGHT_T_HI"}  # at disarming
     assert 0 <= time_us - CHANGED_US <= 1
     for name, value in log.get_default_parameters(1).items():
         assert value == pytest.approx(parameters.default(name))
