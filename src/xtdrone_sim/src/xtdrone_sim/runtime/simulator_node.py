@@ -534,7 +534,7 @@ def _exempt_set_up_from_garbage_collection() -> None:
     alive. Counting the set-up's, megabytes of garbage would wait for it, and it would stop the node for a moment.
     """
     gc.freeze()
-    gc.collect()  # counts those alive anew
+    gc.collect()  # resets that number to what is alive without the set-up
 
 
 def run_node(make: Callable[[], tuple[NodeSettings, SimulatorBackend]], arguments: Sequence[str]) -> int:
