@@ -62,31 +62,33 @@ from xtdrone_planning.safety.settings import SafetySettings
 from xtdrone_planning.swarm.settings import AgreementSettings
 from xtdrone_planning.trajectories.local_trajectory import TrajectorySettings
 from xtdrone_sim.air.body_drag import BodyDragSettings
-from xtdrone_sim.air.downwash import DownwashSettings
 from xtdrone_sim.air.dryden import DrydenSettings
-from xtdrone_sim.air.ground_effect import GroundSettings
-from xtdrone_sim.air.wind_region import RegionSettings
+from xtdrone_sim.air.rotor_wakes import DownwashSettings, GroundSettings
+from xtdrone_sim.air.wind import RegionSettings
 from xtdrone_sim.cameras.camera_node import CameraSettings
 from xtdrone_sim.lidars.lidar_node import LidarSettings
-from xtdrone_sim.robots.boat_dynamics import BoatLimits, HullSettings
-from xtdrone_sim.robots.robot_model import BodySettings, PlatformSettings
-from xtdrone_sim.robots.waves import WaveSettings
-from xtdrone_sim.robots.wheel_drives import AckermannLimits, DifferentialLimits, DriveLimits
 from xtdrone_sim.runtime.full_simulation import FullSettings
 from xtdrone_sim.runtime.simulator_node import NodeSettings
 from xtdrone_sim.tf.vehicle_tf_node import TfSettings
+from xtdrone_sim.topics.world_map import FloorPlanSettings
 from xtdrone_sim.uwb.uwb_node import UwbSettings
-from xtdrone_sim.vehicles.mounts.body_sensors import BodySensor
-from xtdrone_sim.vehicles.mounts.imu_mounts import ImuMount
+from xtdrone_sim.vehicles.mounts.body_sensors import BodySensor, ImuMount, UwbMount
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount
-from xtdrone_sim.vehicles.mounts.uwb_mounts import UwbMount
 from xtdrone_sim.video.video_node import VideoSettings
-from xtdrone_sim.worlds.floor_plan import FloorPlanSettings
 from xtdrone_sim.worlds.generated.city import CitySettings
-from xtdrone_sim.worlds.generated.countryside_settings import CountrysideSettings
 from xtdrone_sim.worlds.generated.forest import ForestSettings
 from xtdrone_sim.worlds.generated.indoor import IndoorSettings
 from xtdrone_sim.worlds.generated.maze import MazeSettings
+from xtdrone_sim.worlds.robots.robot_model import BodySettings, PlatformSettings
+from xtdrone_sim.worlds.robots.robot_settings import (
+    AckermannLimits,
+    BoatLimits,
+    DifferentialLimits,
+    DriveLimits,
+    HullSettings,
+    WaveSettings,
+)
+from xtdrone_sim.worlds.scenery.countryside_layout import CountrysideSettings
 from xtdrone_swarm.simplified.simplified_node import SimplifiedSettings
 
 PAGE = Path(__file__).parents[1] / "docs" / "settings.md"

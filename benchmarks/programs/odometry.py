@@ -17,6 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.programs.program_frame import Column, Row, run
+from xtdrone_control.poses import Pose
 from xtdrone_control.settings import check_range
 from xtdrone_perception.slam.deskewing import motion_of
 from xtdrone_perception.slam.lidar_odometry import LidarOdometry, RegistrationOptions
@@ -28,14 +29,12 @@ from xtdrone_planning.mapping.voxel_grid import MapSettings
 from xtdrone_planning.octree.global_map import GlobalMap
 from xtdrone_planning.octree.octree_map import OctreeSettings
 from xtdrone_sim.lidars.lidar_messages import scan_message
-from xtdrone_sim.lidars.lidars_of_fleet import Lidar
 from xtdrone_sim.lidars.scan_measurement import begin_us, cast_scan, end_us, measured
 from xtdrone_sim.lidars.scene_history import SceneHistory
-from xtdrone_sim.rays.scene import RayScene
-from xtdrone_sim.shapes.visual import Pose
+from xtdrone_sim.rays.scene import RayScene, SceneAt
+from xtdrone_sim.vehicles.mounts.fleet_sensor import Lidar
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount
 from xtdrone_sim.worlds.catalogue import load_world
-from xtdrone_sim.worlds.scene_at import SceneAt
 
 KINDS = ("odometry", "local_map", "octree")
 

@@ -16,16 +16,15 @@ import numpy as np
 
 from benchmarks.programs.program_frame import Column, Row, run
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import check_range
 from xtdrone_sim.lidars.lidar_messages import scan_message
-from xtdrone_sim.lidars.lidars_of_fleet import Lidar
 from xtdrone_sim.lidars.scan_measurement import begin_us, cast_scan, end_us, measured
 from xtdrone_sim.lidars.scene_history import SceneHistory
-from xtdrone_sim.rays.scene import RayScene
-from xtdrone_sim.shapes.visual import Pose
+from xtdrone_sim.rays.scene import ActorState, RayScene, SceneAt
+from xtdrone_sim.vehicles.mounts.fleet_sensor import Lidar
 from xtdrone_sim.vehicles.mounts.lidar_mounts import KINDS, LidarMount
-from xtdrone_sim.worlds.scene_at import ActorState, SceneAt
 from xtdrone_sim.worlds.sdf import load_world_file
 
 _RATE = 10.0  # Hz

@@ -16,12 +16,12 @@ from typing import Any
 
 from benchmarks.programs.program_frame import Column, Row, run
 from xtdrone_control.cameras.pinhole import Pinhole
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import check_range
 from xtdrone_sim.cameras.drawn_scene import DrawnScene, View
 from xtdrone_sim.cameras.rendering.renderer import BACKENDS, Renderer, RendererError
-from xtdrone_sim.shapes.visual import Pose
-from xtdrone_sim.worlds.scene_at import ActorState, SceneAt
+from xtdrone_sim.rays.scene import ActorState, SceneAt
 from xtdrone_sim.worlds.sdf import load_world_file
 
 _HEIGHT = 20.0  # m, of the camera

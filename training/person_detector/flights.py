@@ -26,11 +26,11 @@ import numpy as np
 from evaluate import SETTINGS, detector_of
 from make_data import REGION, Scene, View, people_of
 
+from xtdrone_control.poses import Pose, rotate
 from xtdrone_control.rotation import from_euler
 from xtdrone_coordination.search.people.candidates import Candidate, Evidence, Sighting, nearest
 from xtdrone_coordination.search.search_settings import MissionSettings
-from xtdrone_sim.shapes.pose_arithmetic import rotate
-from xtdrone_sim.shapes.visual import Mesh, Pose, Visual
+from xtdrone_sim.shapes.visual import Mesh, Visual
 from xtdrone_sim.worlds import people_meshes
 from xtdrone_sim.worlds.scenery import Ground, outdoor
 from xtdrone_sim.worlds.sdf import SdfWorld

@@ -20,8 +20,8 @@ from validation.compare_px4.response_tolerances import Figure
 from xtdrone_control.whole_file import write_whole
 from xtdrone_interaction import command_options
 from xtdrone_interaction.command_options import OptionError
+from xtdrone_sim.data_files import data_path
 from xtdrone_sim.descriptions import ModelError
-from xtdrone_sim.package_files import CONFIG
 
 _MARK = {True: "within", False: "OUTSIDE"}
 
@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Fly, draw, print, and return the exit status."""
     try:
-        command_options.one_of_files("vehicle type", arguments.vehicle, CONFIG / "vehicles")
+        command_options.one_of_files("vehicle type", arguments.vehicle, data_path("config/vehicles"))
         folder = command_options.new_folder(arguments.out or Path("runs") / time.strftime("px4-%Y%m%d-%H%M%S"))
     except OptionError as error:
         print(f"xtdrone: {error}", file=sys.stderr)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from xtdrone_control.poses import Pose
 from xtdrone_interaction.metrics.map_accuracy import map_accuracy
 from xtdrone_interaction.metrics.missions.map_report import joined, read_map, together
 from xtdrone_interaction.metrics.missions.odometry_errors import Trajectory
@@ -16,7 +17,7 @@ from xtdrone_interaction.metrics.true_surfaces import Sight, TrueWorld
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_sim.rays.surface_points import distances_from, points_on
 from xtdrone_sim.rays.surfaces import of_shape, of_triangles
-from xtdrone_sim.shapes.visual import Box, Cylinder, Pose, Sphere
+from xtdrone_sim.shapes.visual import Box, Cylinder, Sphere
 
 TURN = (np.cos(0.3), 0.0, np.sin(0.3) * 0.6, np.sin(0.3) * 0.8)
 AT = Pose((4.0, -3.0, 30.0), TURN)

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from xtdrone_sim.shapes.visual import Pose
+from xtdrone_control.poses import Pose
 from xtdrone_sim.worlds.actors import STANDING, TURN_RATE, Actors
 from xtdrone_sim.worlds.sdf import SdfActor, Trajectory, Waypoint
 

@@ -14,9 +14,8 @@ from scipy.signal import welch
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.settings import SettingError
 from xtdrone_sim.air import AIR, BodyDrag, Downwash, Dryden, GroundEffect, WindField, WindRegion
-from xtdrone_sim.air.downwash import wake_speed
 from xtdrone_sim.air.dryden import intensities
-from xtdrone_sim.air.ground_effect import thrust_ratio
+from xtdrone_sim.air.rotor_wakes import thrust_ratio, wake_speed
 from xtdrone_sim.air.wind import DENSITY, add_wind
 from xtdrone_sim.effects import EffectError, load_effects
 from xtdrone_sim.physics.vehicle_dynamics import PLANT, rotor_wrench

@@ -11,8 +11,9 @@ from test_estimator_flights import UNSET, Flight
 
 from xtdrone_control.autopilot import modes
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler
-from xtdrone_sim.shapes.visual import Box, Collision, Pose
+from xtdrone_sim.shapes.visual import Box, Collision
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.worlds import people_meshes
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel

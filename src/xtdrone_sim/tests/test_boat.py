@@ -9,16 +9,17 @@ import numpy as np
 import pytest
 
 from xtdrone_control.fleet import StartPose
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler, to_euler
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.physics.world_environment import load_world
-from xtdrone_sim.robots.boat_dynamics import DENSITY, Boat, BoatLimits, HullSettings
-from xtdrone_sim.robots.robot_model import BoatModel, load_robot
-from xtdrone_sim.robots.robot_urdf import urdf_of
-from xtdrone_sim.robots.waves import GRAVITY, WaveSettings, water_at
-from xtdrone_sim.shapes.visual import Pose
+from xtdrone_sim.robots.boat_dynamics import Boat, water_at
+from xtdrone_sim.robots.wheel_drives import drive_of
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
+from xtdrone_sim.worlds.catalogue import load_world
+from xtdrone_sim.worlds.robots.robot_model import BoatModel, load_robot
+from xtdrone_sim.worlds.robots.robot_settings import DENSITY, GRAVITY, BoatLimits, HullSettings, WaveSettings
+from xtdrone_sim.worlds.robots.robot_urdf import urdf_of
 
 DT = 0.004
 FREE = BoatLimits(
@@ -179,7 +180,7 @@ def test_a_vehicle_stays_on_deck_in_waves() -> None:
     assert model.platform is not None
     start = StartPose(0.1, -0.1, model.platform.height + 0.1)
     world = World(load_world("empty"), [load_vehicle("iris")], [start], DT)
-    boat, alone = model.drive(Pose()), model.drive(Pose())
+    boat, alone = drive_of(model, Pose()), drive_of(model, Pose())
     world.add_model(0, model.model("boat_0", Pose()), Pose(), boat)
     assert world.overlaps(0) == []  # the hull extends below the plane z = 0
     for _ in range(round(8.0 / DT)):

@@ -11,20 +11,18 @@ import numpy as np
 import pytest
 
 from xtdrone_control.fleet import StartPose, parse_fleet
+from xtdrone_control.poses import Pose, compose
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.physics.bodies.mass_of_models import mass_of
 from xtdrone_sim.physics.vehicle_dynamics import ASLEEP, FREE, TOUCHING
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.physics.world_environment import (
-    load_world,
-)
 from xtdrone_sim.physics.wrenches import Wrench
-from xtdrone_sim.shapes.pose_arithmetic import compose
-from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Pose
+from xtdrone_sim.shapes.visual import Box, Collision, Cylinder
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.vehicles.urdf import Inertial
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
+from xtdrone_sim.worlds.catalogue import load_world
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel, read_model
+from xtdrone_sim.worlds.urdf import Inertial
 
 DT = 0.004
 G = 9.8

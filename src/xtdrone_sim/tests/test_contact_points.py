@@ -9,9 +9,7 @@ import pytest
 
 from xtdrone_control.autopilot import modes
 from xtdrone_control.fleet import StartPose, parse_fleet
-from xtdrone_sim.physics.contacts.contact_points import (
-    GROUND,
-)
+from xtdrone_sim.physics.contacts.bullet_contacts import GROUND
 from xtdrone_sim.simulation import Simulation
 
 

@@ -17,15 +17,15 @@ from PIL import Image
 
 from xtdrone_control.fleet import FleetError
 from xtdrone_control.fleet.fleet_as_text import read_fleet_file
+from xtdrone_sim.data_files import data_path
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.lidars.ray_patterns import PatternError, read_pattern
-from xtdrone_sim.package_files import CONFIG
 from xtdrone_sim.shapes.triangles import MeshError, read_obj
-from xtdrone_sim.vehicles.urdf import UrdfError, read_urdf
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.worlds.sdf import SdfError, load_world_file
 from xtdrone_sim.worlds.sdf.geometries.heightmaps import read_heightmap
 from xtdrone_sim.worlds.sdf.geometries.mesh_files import MOST_NODES, check_wavefront, read_mesh
+from xtdrone_sim.worlds.urdf import UrdfError, read_urdf
 
 DIGITS = b"9" * 5000
 WORDS = (
@@ -98,10 +98,10 @@ READERS: dict[str, tuple[Callable[[Path], object], bytes, type[Exception] | tupl
     "vehicle.urdf": (read_urdf, URDF, UrdfError),
     "vehicle.yaml": (lambda path: load_vehicle(str(path)), OWN, ModelError),
     "whole.yaml": (
-        lambda path: load_vehicle(str(path)), (CONFIG / "vehicles" / "iris.yaml").read_bytes(), ModelError,
+        lambda path: load_vehicle(str(path)), (data_path("config/vehicles/iris.yaml")).read_bytes(), ModelError,
     ),
     "world.yaml": (
-        lambda path: load_world_file(str(path)), (CONFIG / "worlds" / "empty.yaml").read_bytes() + MODELS,
+        lambda path: load_world_file(str(path)), (data_path("config/worlds/empty.yaml")).read_bytes() + MODELS,
         (ModelError, SdfError),
     ),
     "world.world": (lambda path: load_world_file(str(path)), SDF, (ModelError, SdfError)),
@@ -183,7 +183,7 @@ def test_unknown_fields_and_values_of_a_vehicle_are_named(tmp_path: Path, line: 
 
 
 def test_all_vehicles_and_worlds_of_the_package_are_read() -> None:
-    for path in (CONFIG / "vehicles").glob("*.yaml"):
+    for path in data_path("config/vehicles").glob("*.yaml"):
         load_vehicle(path.stem)
-    for path in (CONFIG / "worlds").glob("*.yaml"):
+    for path in data_path("config/worlds").glob("*.yaml"):
         load_world_file(path.stem)

@@ -15,19 +15,18 @@ import rospy
 from sensor_msgs.msg import PointField
 
 from xtdrone_control.cameras.pinhole import Pinhole
+from xtdrone_control.poses import Pose, compose, rotate
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.cameras.camera_messages import measured, messages, noise_of, topics_of
 from xtdrone_sim.cameras.cameras_of_fleet import Camera, cameras_of
 from xtdrone_sim.cameras.drawn_scene import DrawnScene, View
 from xtdrone_sim.cameras.rendering import Renderer, RendererError
-from xtdrone_sim.rays.scene import RayScene
-from xtdrone_sim.shapes.pose_arithmetic import compose, rotate
-from xtdrone_sim.shapes.visual import Box, Pose, Sphere, Visual
+from xtdrone_sim.rays.scene import RayScene, SceneAt
+from xtdrone_sim.shapes.visual import Box, Sphere, Visual
 from xtdrone_sim.tf.vehicle_frames import RobotFrames
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import MountError, read_cameras
 from xtdrone_sim.vehicles.vehicle_model import CameraMount, load_vehicle
-from xtdrone_sim.worlds.generated import generate
-from xtdrone_sim.worlds.scene_at import SceneAt
+from xtdrone_sim.worlds.catalogue import generate
 
 EYE = "eye::link"
 STAMP = rospy.Time(3, 500_000_000)

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from xtdrone_control.cameras.pinhole import Pinhole
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.cameras.drawn_scene import DrawnScene, SceneAt, View, ground_level
 from xtdrone_sim.cameras.rendering import Renderer
-from xtdrone_sim.shapes.visual import Box, Geometry, Pose, Visual
+from xtdrone_sim.shapes.visual import Box, Geometry, Visual
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel, load_world_file
 
 EYE = "camera::link"

@@ -13,11 +13,9 @@ from xtdrone_control.autopilot import modes
 from xtdrone_control.fleet import StartPose, parse_fleet
 from xtdrone_sim.effects import EffectError, Effects, load_effects
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.physics.world_environment import (
-    load_world,
-)
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
+from xtdrone_sim.worlds.catalogue import load_world
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 DT = 0.004

@@ -14,12 +14,12 @@ import pytest
 
 from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.cameras.camera_worker import DrawingError, DrawingProcess, Drawn
 from xtdrone_sim.cameras.cameras_of_fleet import Exposures, cameras_of, turn_rate
 from xtdrone_sim.cameras.drawn_scene import View
-from xtdrone_sim.shapes.visual import Pose
-from xtdrone_sim.worlds.scene_at import SceneAt
+from xtdrone_sim.rays.scene import SceneAt
 
 LINK = "typhoon_h480_0::cgo3_camera_link"
 VIEW = View(LINK, Pinhole.of_view(64, 36, 2.0), 0.1, 500.0)

@@ -15,8 +15,7 @@ from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.physics.vehicle_dynamics import TOUCHING
 from xtdrone_sim.shapes.visual import Box
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.worlds.catalogue import find_world, is_known, known_names, load_world
-from xtdrone_sim.worlds.generated import KINDS, UPSTREAM, generate
+from xtdrone_sim.worlds.catalogue import KINDS, UPSTREAM, find_world, generate, is_known, known_names, load_world
 from xtdrone_sim.worlds.generated.forest import least_distance, places
 from xtdrone_sim.worlds.generated.indoor import IndoorSettings, floor_plan
 from xtdrone_sim.worlds.generated.maze import passages

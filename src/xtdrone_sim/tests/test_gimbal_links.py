@@ -12,14 +12,12 @@ import pytest
 from xtdrone_control.autopilot import modes
 from xtdrone_control.cameras.camera_pose import camera_link_pose, mount_orientation
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_control.poses import Pose, compose, rotate
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.physics.vehicle_dynamics import PLANT
-from xtdrone_sim.shapes.pose_arithmetic import compose, rotate
-from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.vehicles.gimbal_joints import Gimbals
-from xtdrone_sim.vehicles.landing_gear import LandingGears
+from xtdrone_sim.vehicles.gimbals_and_landing_gears import Gimbals, LandingGears
 from xtdrone_sim.vehicles.link_poses import Links
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 

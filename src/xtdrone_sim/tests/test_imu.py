@@ -11,10 +11,10 @@ import pytest
 from xtdrone_control.autopilot import modes
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.rotation_kernels import rotate_inverse
-from xtdrone_sim.sensors.additional_imus import Imu
 from xtdrone_sim.simulation import Simulation
+from xtdrone_sim.topics.imu_topics import Imu
+from xtdrone_sim.vehicles.mounts.body_sensors import ImuMount, read_imus
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import MountError
-from xtdrone_sim.vehicles.mounts.imu_mounts import ImuMount, read_imus
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
 STILL = np.zeros(3)

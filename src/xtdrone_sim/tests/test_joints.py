@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,6 @@ import pytest
 
 from xtdrone_control.fleet import StartPose
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.physics.world_environment import WorldModel
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.worlds.sdf import SdfWorld, read_world, write_world
 
@@ -40,7 +40,7 @@ def model(inside: str, pose: str = "0 0 5 0 0 0") -> SdfWorld:
 
 
 def simulation(read: SdfWorld) -> World:
-    values = WorldModel(read.datum, read.gravity, np.zeros(3), 0.0, np.zeros(3), 1.0, 0.0, read.models, (), read.joints)
+    values = replace(read, wind=(0.0, 0.0, 0.0), friction=1.0, restitution=0.0)
     return World(values, [load_vehicle("iris")], [StartPose(50.0, 0.0)], DT)
 
 

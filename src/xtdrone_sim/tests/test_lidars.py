@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.lidars.ray_patterns import PatternError, rays_of, read_pattern
 from xtdrone_sim.lidars.scan_measurement import begin_us, cast_scan, end_us, measured
 from xtdrone_sim.lidars.scene_history import SceneHistory
-from xtdrone_sim.rays.scene import Hits, RayScene
-from xtdrone_sim.shapes.visual import Box, Pose, Visual
+from xtdrone_sim.rays.scene import Hits, RayScene, SceneAt
+from xtdrone_sim.shapes.visual import Box, Visual
 from xtdrone_sim.tf.vehicle_frames import RobotFrames
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import MountError
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount, read_lidars
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds.scene_at import SceneAt
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
 
 LINK = "iris_0::base_link"
@@ -238,7 +238,7 @@ def test_dropouts_bias_resolution_and_limits():
 def test_messages_have_the_scan_s_times_and_limits_and_points_only_where_there_is_a_return():
     pytest.importorskip("rospy")
     from xtdrone_sim.lidars.lidar_messages import POINT, scan_message
-    from xtdrone_sim.lidars.lidars_of_fleet import Lidar
+    from xtdrone_sim.vehicles.mounts.fleet_sensor import Lidar
 
     mount = LidarMount(kind="scan", samples=5, angle_min=-1.0, angle_max=1.0, rate=3.0, frame_id="laser")
     rays = rays_of(mount, 2)

@@ -10,8 +10,8 @@ pytest.importorskip("rospy")
 
 from gazebo_msgs.msg import ModelStates
 
-from xtdrone_sim.topics import live_states
-from xtdrone_sim.topics.live_states import PERIOD, STANDING_PERIOD, LiveStates
+from xtdrone_control import lockstep
+from xtdrone_sim.topics.model_states import PERIOD, STANDING_PERIOD, LiveStates
 
 
 class Topic:
@@ -35,7 +35,7 @@ class Bench:
         self.now = 0.0
         self.topic = Topic()
         self.made = 0
-        monkeypatch.setattr(live_states.lockstep, "UncountedPublisher", lambda *_, **__: self.topic)
+        monkeypatch.setattr(lockstep, "UncountedPublisher", lambda *_, **__: self.topic)
         self.live = LiveStates(self._states, lambda: self.now)
 
     def _states(self) -> ModelStates:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from xtdrone_control.settings import SettingError, Settings
-from xtdrone_sim.sensors.measurement_times import Due, rate_setting, time_us
+from xtdrone_sim.sensors.sensor_nodes import Due, rate_setting, time_us
 
 RATES = st.floats(0.1, 50.0)
 

@@ -10,9 +10,10 @@ import pytest
 
 from xtdrone_control.autopilot import modes
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_sim.robots.robot_model import load_robot
-from xtdrone_sim.shapes.visual import Pose
+from xtdrone_control.poses import Pose
+from xtdrone_sim.robots.wheel_drives import drive_of
 from xtdrone_sim.simulation import Simulation
+from xtdrone_sim.worlds.robots.robot_model import load_robot
 
 STEP_US = 20_000
 OBSERVED_US = 100_000  # period of the camera
@@ -30,7 +31,7 @@ class Landing:
         kind, pose = load_robot("ugv"), Pose((2.0, 3.0, 0.0))
         assert kind.platform is not None
         self.height = kind.platform.height
-        self.robot = kind.drive(pose)
+        self.robot = drive_of(kind, pose)
         self.simulation.world.add_model(0, kind.model("ugv_0", pose), pose, self.robot)
         self.command = (speed, turn)
         self.rng = np.random.default_rng(seed)

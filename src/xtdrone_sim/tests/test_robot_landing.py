@@ -9,9 +9,10 @@ import pytest
 
 from xtdrone_control.autopilot import modes
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_sim.robots.robot_model import load_robot
-from xtdrone_sim.shapes.visual import Pose
+from xtdrone_control.poses import Pose
+from xtdrone_sim.robots.wheel_drives import drive_of
 from xtdrone_sim.simulation import Simulation
+from xtdrone_sim.worlds.robots.robot_model import load_robot
 
 UNSET = (math.nan, math.nan, math.nan)
 STEP_US = 20_000
@@ -27,7 +28,7 @@ class Scene:
         kind, pose = load_robot("ugv"), Pose((2.0, 3.0, 0.0))
         assert kind.platform is not None
         self.height = kind.platform.height
-        self.robot = kind.drive(pose)
+        self.robot = drive_of(kind, pose)
         self.simulation.world.add_model(0, kind.model("ugv_0", pose), pose, self.robot)
         self.speed = 0.0
 

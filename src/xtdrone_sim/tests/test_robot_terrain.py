@@ -12,21 +12,21 @@ from test_robots import DT, drive
 from test_terrain_and_models import ramp, yaml_world
 
 from xtdrone_control.fleet import StartPose, parse_fleet
+from xtdrone_control.poses import Pose, compose, inverse
 from xtdrone_control.rotation import from_euler, rotate
 from xtdrone_sim.physics.contacts.start_collisions import StartError, check_height
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.physics.world_environment import load_world
 from xtdrone_sim.rays.solid_ground import SolidGround, shapes_of
-from xtdrone_sim.robots.list_of_robots import parse_robots
-from xtdrone_sim.robots.robot_model import load_robot
-from xtdrone_sim.robots.robot_urdf import urdf_of, wheel_frames, wheel_joints
-from xtdrone_sim.robots.wheel_drives import Drive
-from xtdrone_sim.shapes.pose_arithmetic import compose, inverse
-from xtdrone_sim.shapes.visual import Box, Pose
+from xtdrone_sim.robots.wheel_drives import Drive, drive_of
+from xtdrone_sim.shapes.visual import Box
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.vehicles.urdf import read_urdf
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
+from xtdrone_sim.worlds.catalogue import load_world
+from xtdrone_sim.worlds.robots.list_of_robots import parse_robots
+from xtdrone_sim.worlds.robots.robot_model import load_robot
+from xtdrone_sim.worlds.robots.robot_urdf import urdf_of, wheel_frames, wheel_joints
 from xtdrone_sim.worlds.sdf import load_world_file
+from xtdrone_sim.worlds.urdf import read_urdf
 
 
 def slope(angle: float) -> SolidGround:
@@ -49,7 +49,7 @@ def axis(robot: Drive) -> tuple[float, ...]:
 @pytest.mark.parametrize(("kind", "yaw"), [("ugv", 0.0), ("ugv", 0.6), ("car", -0.4)])
 def test_a_robot_stands_on_the_plane_of_a_ramp(kind: str, yaw: float) -> None:
     angle = 0.25
-    robot = load_robot(kind).drive(Pose((-4.0, 0.0, 0.0), from_euler(0.0, 0.0, yaw)), slope(angle))
+    robot = drive_of(load_robot(kind), Pose((-4.0, 0.0, 0.0), from_euler(0.0, 0.0, yaw)), slope(angle))
     drive(robot, 12.0, 1.0, 0.0)
     state = robot.state
     assert state.x > 4.5
@@ -67,7 +67,7 @@ def test_a_robot_stands_on_the_plane_of_a_ramp(kind: str, yaw: float) -> None:
 
 
 def test_a_slope_beyond_the_limit_stops_it_and_it_drives_back() -> None:
-    robot = load_robot("ugv").drive(Pose(), slope(0.5))
+    robot = drive_of(load_robot("ugv"), Pose(), slope(0.5))
     drive(robot, 8.0, 1.0, 0.0)
     assert robot.state.speed == 0.0
     # its castors are 0.48 m ahead and behind: the front ones are as far up the slope as the tilt allows
@@ -79,7 +79,7 @@ def test_a_slope_beyond_the_limit_stops_it_and_it_drives_back() -> None:
 
 
 def test_a_low_step_is_climbed_and_a_high_one_is_not() -> None:
-    low, high = (load_robot("ugv").drive(Pose(), step(height)) for height in (0.05, 0.07))
+    low, high = (drive_of(load_robot("ugv"), Pose(), step(height)) for height in (0.05, 0.07))
     for robot in (low, high):
         drive(robot, 6.0, 1.0, 0.0)
     assert low.state.z == pytest.approx(0.05)
@@ -92,7 +92,7 @@ def test_a_low_step_is_climbed_and_a_high_one_is_not() -> None:
 
 def test_level_ground_changes_no_bit() -> None:
     pose = Pose((-20.0, 0.0, 0.0), from_euler(0.0, 0.0, 0.3))
-    alone, there = load_robot("ugv").drive(pose), load_robot("ugv").drive(pose, step(0.3))
+    alone, there = drive_of(load_robot("ugv"), pose), drive_of(load_robot("ugv"), pose, step(0.3))
     for robot in (alone, there):
         drive(robot, 3.0, 1.3, 0.4)
     assert alone.state == there.state
@@ -110,7 +110,7 @@ def hill(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 def test_a_robot_drives_up_a_heightmap(hill: str) -> None:
     ground = SolidGround(shapes_of(load_world_file(hill).models))
     assert ground.has_terrain
-    robot = load_robot("car").drive(Pose((5.0, -20.0, 1.5), from_euler(0.0, 0.0, 0.5 * math.pi)), ground)
+    robot = drive_of(load_robot("car"), Pose((5.0, -20.0, 1.5), from_euler(0.0, 0.0, 0.5 * math.pi)), ground)
     for _ in range(3):
         drive(robot, 4.0, 2.0, 0.0)
         state = robot.state
@@ -148,7 +148,7 @@ def test_a_pose_may_have_a_height() -> None:
 @pytest.mark.parametrize("kind", ["ugv", "car"])
 def test_the_urdf_has_the_joints_of_the_joint_states(kind: str, tmp_path: Path) -> None:
     model = load_robot(kind)
-    robot = model.drive(Pose())
+    robot = drive_of(model, Pose())
     drive(robot, 1.0, 1.0, 0.3)
     path = tmp_path / "robot.urdf"
     path.write_text(urdf_of("r", model))
@@ -171,7 +171,7 @@ def test_in_the_world_a_robot_climbs_as_alone_and_a_vehicle_rides_along(kind: st
     model = load_world(hill)
     ground = SolidGround(shapes_of(model.models))
     robot, start = load_robot(kind), Pose((1.0, -20.0, 1.5), from_euler(0.0, 0.0, 1.3))
-    there, alone = robot.drive(start, ground), robot.drive(start, ground)
+    there, alone = drive_of(robot, start, ground), drive_of(robot, start, ground)
     deck = robot.platform
     assert deck is not None
     x, y, z = compose(there.state.pose, Pose((robot.body.ahead, 0.0, deck.height + 0.01))).position

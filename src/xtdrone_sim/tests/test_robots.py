@@ -9,20 +9,18 @@ import numpy as np
 import pytest
 
 from xtdrone_control.fleet import StartPose
+from xtdrone_control.poses import Pose, compose
 from xtdrone_control.rotation import from_euler, yaw_of
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.physics.world_environment import (
-    load_world,
-)
-from xtdrone_sim.rays.scene import RayScene
-from xtdrone_sim.robots.list_of_robots import parse_robots
-from xtdrone_sim.robots.robot_model import load_robot, robot_types
-from xtdrone_sim.robots.wheel_drives import Ackermann, AckermannLimits, Differential, DifferentialLimits, Drive
-from xtdrone_sim.shapes.pose_arithmetic import compose
-from xtdrone_sim.shapes.visual import Box, Collision, Pose
+from xtdrone_sim.rays.scene import RayScene, SceneAt
+from xtdrone_sim.robots.wheel_drives import Ackermann, Differential, Drive, drive_of
+from xtdrone_sim.shapes.visual import Box, Collision
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds.scene_at import SceneAt
+from xtdrone_sim.worlds.catalogue import load_world
+from xtdrone_sim.worlds.robots.list_of_robots import parse_robots
+from xtdrone_sim.worlds.robots.robot_model import load_robot, robot_types
+from xtdrone_sim.worlds.robots.robot_settings import AckermannLimits, DifferentialLimits
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
 
 DT = 0.004
@@ -161,7 +159,7 @@ class Scene:
         self.first = len(models)
         for number, (kind, pose) in enumerate(robots.items()):
             robot = load_robot(kind.rstrip("0123456789"))
-            self.drives.append(robot.drive(pose))
+            self.drives.append(drive_of(robot, pose))
             self.world.add_model(self.first + number, robot.model(kind, pose), pose, self.drives[-1])
 
     def run(self, seconds: float, *commands: tuple[float, float]) -> None:
@@ -174,7 +172,7 @@ class Scene:
 
 def test_in_the_world_a_robot_moves_as_alone_to_the_last_bit() -> None:
     pose = Pose((10.0, 0.0, 0.0), from_euler(0.0, 0.0, 0.5))
-    scene, alone = Scene({"ugv": pose}, StartPose(0.0, 0.0)), load_robot("ugv").drive(pose)
+    scene, alone = Scene({"ugv": pose}, StartPose(0.0, 0.0)), drive_of(load_robot("ugv"), pose)
     scene.run(3.0, (1.5, 0.6))
     drive(alone, 3.0, 1.5, 0.6)
     assert scene.drives[0].state == alone.state
@@ -282,7 +280,7 @@ def test_the_packages_robots_are_possible() -> None:
         model = load_robot(kind).model("x_0", Pose((1.0, 2.0, 0.0)))
         low = min(shape.pose.position[2] - 0.5 * shape.geometry.size[2] for shape in model.links[0].collisions)  # type: ignore[union-attr]
         assert low > 0.04  # above the ground
-    assert isinstance(load_robot("car").drive(Pose()), Ackermann)
+    assert isinstance(drive_of(load_robot("car"), Pose()), Ackermann)
 
 
 @pytest.mark.parametrize(

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from xtdrone_control.poses import Pose, compose
 from xtdrone_control.rotation import from_euler
-from xtdrone_sim.package_files import MODELS
-from xtdrone_sim.shapes.pose_arithmetic import compose
-from xtdrone_sim.shapes.visual import Box, Mesh, Pose
+from xtdrone_sim.data_files import data_path
+from xtdrone_sim.shapes.visual import Box, Mesh
 from xtdrone_sim.worlds.scenery import Ground, is_free, outdoor
 from xtdrone_sim.worlds.scenery import __main__ as program
 from xtdrone_sim.worlds.scenery.scenery_objects import HIGHEST
@@ -135,7 +135,7 @@ def test_all_files_are_there(scene: SdfWorld) -> None:
     textures, meshes = colours_and_files(scene)
     for path in (*textures, *meshes):
         assert path.is_file()
-        assert path.is_relative_to(MODELS / "scenery")
+        assert path.is_relative_to(data_path("models/scenery"))
 
 
 @pytest.mark.parametrize(

@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler
+from xtdrone_sim.data_files import data_path
 from xtdrone_sim.descriptions import ModelError
-from xtdrone_sim.package_files import CONFIG, MODELS
-from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Mesh, Pose, Sphere, Visual
-from xtdrone_sim.vehicles.urdf import Inertial, UrdfError, parse_urdf, read_urdf
+from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Mesh, Sphere, Visual
 from xtdrone_sim.worlds.actors import Actors
 from xtdrone_sim.worlds.sdf import (
     Light,
@@ -34,9 +34,10 @@ from xtdrone_sim.worlds.sdf import (
     write_world,
 )
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
+from xtdrone_sim.worlds.urdf import Inertial, UrdfError, parse_urdf, read_urdf
 
-CONE = MODELS / "scenery" / "meshes" / "cone_0.obj"
-GRASS = MODELS / "scenery" / "textures" / "grass_0.jpg"
+CONE = data_path("models/scenery/meshes/cone_0.obj")
+GRASS = data_path("models/scenery/textures/grass_0.jpg")
 FILE = Path("/nowhere/test.world")
 
 
@@ -492,7 +493,7 @@ def test_included_models_and_worlds(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_names_mean_files() -> None:
-    assert world_file("empty") == CONFIG / "worlds" / "empty.yaml"
+    assert world_file("empty") == data_path("config/worlds/empty.yaml")
     assert world_file("outdoor").name == "outdoor.world"
     assert load_world_file("outdoor").models
     with pytest.raises(ModelError, match="'mars' is not known; there are empty, outdoor"):

@@ -20,7 +20,7 @@ from xtdrone_control.rotation import from_euler, yaw_of
 from xtdrone_sim.cameras.camera_worker import DrawingProcess, Drawn
 from xtdrone_sim.cameras.drawn_scene import View
 from xtdrone_sim.cameras.shutter import RecentScenes, exposure_times, mean_of, middle_us
-from xtdrone_sim.topics.scene_messages import scene_of
+from xtdrone_sim.rays.live_rays import scene_of
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import CameraMount, MountError, read_cameras
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 

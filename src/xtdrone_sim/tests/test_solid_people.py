@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.physics.bodies.solid_people import RADIUS
 from xtdrone_sim.physics.contacts.start_collisions import StartError
-from xtdrone_sim.robots.robot_model import load_robot
-from xtdrone_sim.shapes.visual import Pose
+from xtdrone_sim.robots.wheel_drives import drive_of
 from xtdrone_sim.simulation import Simulation
+from xtdrone_sim.worlds.robots.robot_model import load_robot
 
 WORLD = """<sdf version="1.6"><world name="w">
 <actor name="walker"><pose>0 0 0 0 0 0</pose><skin><filename>adam</filename></skin>
@@ -77,7 +78,7 @@ def test_a_robot_stops_before_a_person(world):
     simulation = simulated(world, [(0.0, -5.0, 0.0)], solid_people=True)
     robot = load_robot("ugv")
     start = Pose((-4.0, 9.0, 0.0), from_euler(0.0, 0.0, 0.0))
-    drive = robot.drive(start)
+    drive = drive_of(robot, start)
     simulation.world.add_model(9, robot.model("ugv_0", start), start, drive)
     for _ in range(1000):
         drive.command(1.0, 0.0)

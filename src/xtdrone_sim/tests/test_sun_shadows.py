@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from xtdrone_control.cameras.pinhole import Pinhole
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.cameras.drawn_scene import DrawnScene, View
 from xtdrone_sim.cameras.rendering import Renderer, RendererError
-from xtdrone_sim.shapes.visual import Box, Collision, Pose, Visual
+from xtdrone_sim.rays.scene import SceneAt
+from xtdrone_sim.shapes.visual import Box, Collision, Visual
 from xtdrone_sim.worlds.catalogue import load_world
-from xtdrone_sim.worlds.scene_at import SceneAt
 from xtdrone_sim.worlds.sdf import Light, SdfLink, SdfModel, read_world, world_file
 
 EYE = "eye::link"

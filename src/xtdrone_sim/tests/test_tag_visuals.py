@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
+from xtdrone_control.poses import Pose
 from xtdrone_control.settings import SettingError
 from xtdrone_control.tag_boards import LANDING, Tag, TagBoard
-from xtdrone_sim.package_files import MODELS as PACKAGE_MODELS
-from xtdrone_sim.robots.tag_visuals import BLACK, cells_of, model, plate
-from xtdrone_sim.shapes.visual import Pose
+from xtdrone_sim.data_files import data_path
+from xtdrone_sim.worlds.robots.tag_visuals import BLACK, cells_of, model, plate
 from xtdrone_sim.worlds.sdf import read_world
 from xtdrone_sim.worlds.sdf.world_writer import write_model
 
@@ -61,9 +61,9 @@ def model_text(name: str) -> str:
 @pytest.mark.parametrize("name", MODELS)
 def test_the_shipped_models_are_these_boards(name: str) -> None:
     """Run as a program, this file writes the models."""
-    assert (PACKAGE_MODELS / name / "model.sdf").read_text(encoding="utf-8") == model_text(name)
+    assert (data_path("models") / name / "model.sdf").read_text(encoding="utf-8") == model_text(name)
     world = f"<sdf version='1.6'><world name='w'><include><uri>model://{name}</uri></include></world></sdf>"
-    [there] = read_world(world, PACKAGE_MODELS / "w.world").models
+    [there] = read_world(world, data_path("models") / "w.world").models
     assert there.static
     assert len(there.links[0].visuals) > 20
 
@@ -81,5 +81,5 @@ def test_tags_without_room_are_refused() -> None:
 
 if __name__ == "__main__":
     for shipped in MODELS:
-        (PACKAGE_MODELS / shipped).mkdir(exist_ok=True)
-        (PACKAGE_MODELS / shipped / "model.sdf").write_text(model_text(shipped), encoding="utf-8")
+        (data_path("models") / shipped).mkdir(exist_ok=True)
+        (data_path("models") / shipped / "model.sdf").write_text(model_text(shipped), encoding="utf-8")

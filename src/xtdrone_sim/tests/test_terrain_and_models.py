@@ -11,15 +11,14 @@ import trimesh
 from PIL import Image
 
 from xtdrone_control.fleet import StartPose
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.cameras.drawn_scene import ground_level
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.physics.world_environment import (
-    load_world,
-)
 from xtdrone_sim.rays.scene import RayScene
-from xtdrone_sim.shapes.visual import Mesh, Pose
+from xtdrone_sim.shapes.visual import Mesh
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
+from xtdrone_sim.worlds.catalogue import load_world
 from xtdrone_sim.worlds.sdf import SdfError, SdfWorld, load_world_file, read_world, write_world
 from xtdrone_sim.worlds.sdf.geometries import heightmaps
 from xtdrone_sim.worlds.sdf.geometries.heightmaps import read_heightmap

@@ -13,15 +13,15 @@ import yaml
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.state import FAILURE_OFF
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_control.poses import Pose, compose, inverse, rotate
 from xtdrone_control.rotation import from_euler
+from xtdrone_sim.data_files import data_path
 from xtdrone_sim.descriptions import ModelError, available, read_description
-from xtdrone_sim.package_files import CONFIG
-from xtdrone_sim.shapes.pose_arithmetic import compose, inverse, rotate
-from xtdrone_sim.shapes.visual import Box, Cylinder, Pose
+from xtdrone_sim.shapes.visual import Box, Cylinder
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.tf.vehicle_frames import RobotFrames
-from xtdrone_sim.vehicles.urdf import UrdfError, parse_urdf
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
+from xtdrone_sim.worlds.urdf import UrdfError, parse_urdf
 
 TYPHOON = "typhoon_h480"
 DUMB_BELL = """<robot name="dumb-bell">
@@ -124,14 +124,14 @@ def test_typhoon_is_fitted_as_upstream():
         np.testing.assert_allclose(model.urdf.joint(f"rotor_{i}_joint").pose.position, place)
 
 
-@pytest.mark.parametrize("name", sorted(path.stem for path in (CONFIG / "vehicles").glob("*.yaml")))
+@pytest.mark.parametrize("name", sorted(path.stem for path in data_path("config/vehicles").glob("*.yaml")))
 def test_every_vehicle_of_the_package_can_be_loaded(name):
     model = load_vehicle(name)
     assert model.urdf.root == "base_link"
     assert model.urdf.moving[0].visuals
 
 
-@pytest.mark.parametrize("name", sorted(path.stem for path in (CONFIG / "vehicles").glob("*.yaml")))
+@pytest.mark.parametrize("name", sorted(path.stem for path in data_path("config/vehicles").glob("*.yaml")))
 def test_inertias_are_complete_as_other_readers_of_urdf_want_them(name):
     for inertia in ElementTree.fromstring(load_vehicle(name).urdf.text or "<robot/>").iter("inertia"):
         assert set(inertia.attrib) == {"ixx", "ixy", "ixz", "iyy", "iyz", "izz"}
@@ -163,7 +163,7 @@ def write(folder: Path, name: str, changes: dict) -> None:
 
 
 def test_a_copy_with_longer_arms(own_folder):
-    urdf = (CONFIG.parent / "models" / TYPHOON / f"{TYPHOON}.urdf").read_text()
+    urdf = (data_path(f"models/{TYPHOON}") / f"{TYPHOON}.urdf").read_text()
     (own_folder / "wide.urdf").write_text(urdf.replace("0.0019 0.2427 0.122", "0.0019 0.35 0.122"))
     rotors = read_description("vehicles", TYPHOON)["rotors"]
     rotors[1]["position"][1] = 0.35

@@ -7,10 +7,21 @@ from pathlib import Path
 from typing import Any
 
 from xtdrone_control.bounded_file import ContentError, load_yaml, read_text
-from xtdrone_sim.package_files import CONFIG
-from xtdrone_sim.vehicles.upstream_models import not_simulated
+from xtdrone_sim.data_files import data_folders
 
 VEHICLES_VARIABLE = "XTDRONE_VEHICLES"  # environment: folders with user-defined vehicles, separated by colons
+
+_NOT_SIMULATED = {
+    "rover": "a ground vehicle",
+    "rover_with_lidar_stereo": "a ground vehicle with lidar and stereo cameras",
+    "catvehicle": "a ground vehicle",
+    "plane": "a fixed-wing aircraft",
+    "plane_gimbal": "a fixed-wing aircraft",
+    "standard_vtol": "a VTOL aircraft",
+    "tiltrotor": "a VTOL aircraft",
+    "tailsitter": "a VTOL aircraft",
+}
+"""XTDrone's vehicles that do not exist here, with the reason."""
 
 
 class ModelError(ValueError):
@@ -28,7 +39,7 @@ def folders(kind: str) -> list[Path]:
     for folder in folders:
         if not folder.is_dir():
             raise ModelError(f"environment variable {VEHICLES_VARIABLE}: {str(folder)!r} is not a folder")
-    return [*folders, CONFIG / kind]
+    return [*folders, *data_folders(f"config/{kind}")]
 
 
 def available(kind: str) -> list[str]:
@@ -55,8 +66,9 @@ def find(kind: str, name: str, above: tuple[Path, ...] = ()) -> Path:
             return path
     if paths:
         raise ModelError(f"{above[-1]}: extends: {name!r} is not allowed, it refers back to {paths[-1]}")
-    reason = not_simulated(name) if kind == "vehicles" else ""
-    raise ModelError(f"{kind}: {name!r} is not known{reason and f', {reason}'}; there are {', '.join(available(kind))}")
+    known = _NOT_SIMULATED.get(name) if kind == "vehicles" else None
+    reason = f", {known} is not simulated" if known else ""
+    raise ModelError(f"{kind}: {name!r} is not known{reason}; there are {', '.join(available(kind))}")
 
 
 def read_description(kind: str, name: str) -> dict[str, Any]:

@@ -20,14 +20,13 @@ from xtdrone_sim.autopilots.builtin_autopilot import AutopilotFactory, BuiltinAu
 from xtdrone_sim.physics.bodies.solid_people import SolidPeople
 from xtdrone_sim.physics.contacts.start_collisions import StartError
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.physics.world_environment import load_world
 from xtdrone_sim.sensors.sensor_models import Sensors
 from xtdrone_sim.sensors.vehicles_and_people_below import Others
 from xtdrone_sim.steps_in_free_flight import FreeFlight
-from xtdrone_sim.vehicles.gimbal_joints import Gimbals
-from xtdrone_sim.vehicles.landing_gear import LandingGears
+from xtdrone_sim.vehicles.gimbals_and_landing_gears import Gimbals, LandingGears
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
 from xtdrone_sim.worlds.actors import actors_of
+from xtdrone_sim.worlds.catalogue import load_world
 
 from .effects import Effect, Effects
 

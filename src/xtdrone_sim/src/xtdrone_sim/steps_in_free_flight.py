@@ -22,9 +22,9 @@ from xtdrone_control.autopilot.autopilot import step_vehicle as control
 from xtdrone_control.autopilot.state import N_STATES
 from xtdrone_sim.kernel import kernel, kernel_for_threads, kernel_that_allocates
 from xtdrone_sim.physics.contacts.contact_states import (
+    CHECK_STEPS,
     sort_contacts,
 )
-from xtdrone_sim.physics.contacts.free_or_bullet import CHECK_STEPS
 from xtdrone_sim.physics.vehicle_dynamics import ASLEEP, TOUCHING, rotor_lag
 from xtdrone_sim.physics.vehicle_dynamics import step_vehicle as move
 from xtdrone_sim.physics.world import World
@@ -169,7 +169,7 @@ class FreeFlight:
         self._below = self.sensors.below.arrays
         world, sensors, a, model = self._world, self.sensors, self._autopilot, self._world.model
         records = (
-            world.plant, world.models, model.magnetic_field, sensors.place, model.gravity, world.time_step,
+            world.plant, world.models, world.magnetic_field, sensors.place, model.gravity, world.time_step,
             *sensors.noise, self._below,
             a.sensors, a.estimator, a.setpoint, a.control, a.params, a.mix, a.unmix, a.rotors,
         )  # fmt: skip

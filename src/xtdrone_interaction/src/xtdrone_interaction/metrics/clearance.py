@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_sim.shapes.pose_arithmetic import compose
-from xtdrone_sim.shapes.visual import Box, Cylinder, Mesh, Pose, Sphere
+from xtdrone_control.poses import Pose, compose
+from xtdrone_sim.shapes.visual import Box, Cylinder, Mesh, Sphere
 from xtdrone_sim.worlds.sdf import SdfModel
 
 Array = NDArray[np.float64]

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_interaction.metrics.map_accuracy import map_accuracy
 from xtdrone_interaction.metrics.missions.odometry_errors import Trajectory
-from xtdrone_sim.lidars.lidars_of_fleet import lidars_of
 from xtdrone_sim.rays.scene import RayScene
 from xtdrone_sim.rays.surface_points import distances_from, points_on
+from xtdrone_sim.vehicles.mounts.fleet_sensor import lidars_of
 from xtdrone_sim.worlds.catalogue import load_world
 
 Array = NDArray[np.float64]

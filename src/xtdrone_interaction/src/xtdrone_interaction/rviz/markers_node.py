@@ -20,6 +20,7 @@ from xtdrone_msgs.msg import ObjectsOnGround, SceneModels
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import Vehicle
+from xtdrone_control.poses import Pose
 from xtdrone_control.programs.node_command_line import check_no_arguments, needed_fleet
 from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction.formation.distances import offsets_from_message
@@ -27,7 +28,6 @@ from xtdrone_interaction.formation.shared_topics_and_names import PATTERN_TOPIC,
 from xtdrone_interaction.rviz.markers import TRAIL, SwarmMarkers, ground_view
 from xtdrone_interaction.rviz.view_configurations import FOR_MARKERS
 from xtdrone_interaction.rviz.world_markers import WorldMarkers
-from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.worlds.sdf import load_world_file, read_world
 

@@ -25,10 +25,10 @@ from PIL import Image
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
-from xtdrone_sim.cached_files import cached_folder
-from xtdrone_sim.shapes.pose_arithmetic import compose
+from xtdrone_control.poses import Pose, compose
+from xtdrone_sim.data_files import cached_folder
 from xtdrone_sim.shapes.triangles import triangles_of, write_obj
-from xtdrone_sim.shapes.visual import Box, Colour, Cylinder, Geometry, Mesh, Pose, Sphere, Visual
+from xtdrone_sim.shapes.visual import Box, Colour, Cylinder, Geometry, Mesh, Sphere, Visual
 from xtdrone_sim.worlds import people_meshes
 from xtdrone_sim.worlds.people_meshes import Person
 from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld

@@ -3,12 +3,11 @@
 Each class is an effect of ``xtdrone_sim.effects``, known in the list of effects by its name in ``AIR``.
 """
 
+from xtdrone_sim.air.rotor_wakes import Downwash, GroundEffect
+from xtdrone_sim.air.wind import WindField, WindRegion
+
 from .body_drag import BodyDrag
-from .downwash import Downwash
 from .dryden import Dryden
-from .ground_effect import GroundEffect
-from .wind_field import WindField
-from .wind_region import WindRegion
 
 AIR = {
     "dryden": Dryden,

@@ -20,10 +20,8 @@ from xtdrone_control.fleet import Vehicle
 from xtdrone_control.geodesy.datum import Datum
 from xtdrone_sim.physics.battery_and_motor_currents import Batteries
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.physics.world_environment import (
-    WorldModel,
-)
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
+from xtdrone_sim.worlds.sdf import SdfWorld
 
 COMMANDER_PERIOD_US = 100_000
 
@@ -105,7 +103,7 @@ class AutopilotFactory(Protocol):
         self,
         fleet: tuple[Vehicle, ...],
         models: Sequence[VehicleModel],
-        world: WorldModel,
+        world: SdfWorld,
         datum: Datum | None,
         reserve: int = 0,
     ) -> AutopilotBackend:
@@ -130,7 +128,7 @@ class BuiltinAutopilot:
         self,
         fleet: tuple[Vehicle, ...],
         models: Sequence[VehicleModel],
-        world: WorldModel,
+        world: SdfWorld,
         datum: Datum | None,
         reserve: int = 0,
         params: Path | None = None,

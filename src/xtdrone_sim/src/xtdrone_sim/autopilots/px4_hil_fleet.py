@@ -32,10 +32,8 @@ from xtdrone_control.geodesy.datum import Datum
 from xtdrone_sim.autopilots.px4_hil_link import HilLink, Log
 from xtdrone_sim.autopilots.px4_hil_messages import Frames
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.physics.world_environment import (
-    WorldModel,
-)
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
+from xtdrone_sim.worlds.sdf import SdfWorld
 
 DISARMED_LIMIT = 1.0
 """Longest wait for the answer of a disarmed PX4, wall s; the same as in Gazebo's plugin."""
@@ -61,7 +59,7 @@ class Hil:
         self,
         fleet: tuple[Vehicle, ...],
         models: Sequence[VehicleModel],
-        world: WorldModel,
+        world: SdfWorld,
         datum: Datum | None,
         reserve: int = 0,
         *,

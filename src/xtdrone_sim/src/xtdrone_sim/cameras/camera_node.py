@@ -39,10 +39,9 @@ from xtdrone_sim.cameras.cameras_of_fleet import MOST_TURNS, Camera, Exposures, 
 from xtdrone_sim.cameras.drawn_scene import View
 from xtdrone_sim.cameras.rendering import BACKENDS
 from xtdrone_sim.cameras.shutter import RecentScenes, exposure_times, middle_us
-from xtdrone_sim.early_parameters import private_parameters
-from xtdrone_sim.sensors.measurement_times import rate_setting
-from xtdrone_sim.topics.scene_messages import scene_of
-from xtdrone_sim.worlds.scene_at import SceneAt
+from xtdrone_sim.rays.live_rays import scene_of
+from xtdrone_sim.rays.scene import SceneAt
+from xtdrone_sim.sensors.sensor_nodes import private_parameters, rate_setting
 
 USAGE = "cameras.py"
 MOST_LATENCY = 10.0  # s

@@ -19,7 +19,7 @@ from xtdrone_control.fleet import parse_fleet
 from xtdrone_sim.cameras.drawn_scene import DrawnScene, View
 from xtdrone_sim.cameras.rendering import Renderer, RendererError
 from xtdrone_sim.cameras.shutter import mean_of
-from xtdrone_sim.worlds.scene_at import SceneAt
+from xtdrone_sim.rays.scene import SceneAt
 from xtdrone_sim.worlds.sdf import load_world_file, read_world, world_file
 
 _NAMES = {"egl": "pybullet's EGL renderer", "tiny": "pybullet's TinyRenderer"}

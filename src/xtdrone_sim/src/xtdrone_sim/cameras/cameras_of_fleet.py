@@ -9,10 +9,9 @@ from fractions import Fraction
 
 from xtdrone_control.cameras import drawing_of
 from xtdrone_control.fleet import Vehicle
+from xtdrone_control.poses import Pose, compose
 from xtdrone_control.settings import check_range
 from xtdrone_sim.cameras.drawn_scene import View
-from xtdrone_sim.shapes.pose_arithmetic import compose
-from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.vehicles.vehicle_model import CameraMount, load_vehicle
 
 LEAST_TURNS = 10.0  # Hz, minimum rate of the node's turns, which take and publish the images

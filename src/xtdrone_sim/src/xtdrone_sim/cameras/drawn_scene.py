@@ -7,13 +7,13 @@ from dataclasses import dataclass, field, replace
 
 from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.fleet import Vehicle
+from xtdrone_control.poses import OPTICAL_FRAME, Pose, compose
 from xtdrone_sim.cameras.rendering import Picture, Renderer
 from xtdrone_sim.cameras.sun_shadows import SunShadows, darkened
-from xtdrone_sim.shapes.pose_arithmetic import OPTICAL_FRAME, compose
-from xtdrone_sim.shapes.visual import Box, Mesh, Pose, Visual
+from xtdrone_sim.rays.scene import ActorState, SceneAt
+from xtdrone_sim.shapes.visual import Box, Mesh, Visual
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.worlds import people_meshes
-from xtdrone_sim.worlds.scene_at import ActorState, SceneAt
 from xtdrone_sim.worlds.sdf import SdfActor, SdfModel, SdfWorld
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
 

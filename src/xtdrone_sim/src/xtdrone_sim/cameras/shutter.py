@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from xtdrone_msgs.msg import SceneState
 
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import Quaternion, Vector
-from xtdrone_sim.shapes.visual import Pose
+from xtdrone_sim.rays.scene import ActorState, SceneAt
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import CameraMount
-from xtdrone_sim.worlds.scene_at import ActorState, SceneAt
 
 _MARGIN_US = 100_000  # several periods of the scenes
 

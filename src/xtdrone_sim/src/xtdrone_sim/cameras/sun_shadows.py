@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.fleet import Vehicle
-from xtdrone_sim.rays.scene import RayScene
+from xtdrone_control.poses import Pose
+from xtdrone_sim.rays.scene import RayScene, SceneAt
 from xtdrone_sim.shapes.triangles import rotation_matrix
-from xtdrone_sim.shapes.visual import Pose
-from xtdrone_sim.worlds.scene_at import SceneAt
 from xtdrone_sim.worlds.sdf import Light, SdfModel, SdfWorld
 
 _REACH = 300.0  # m from the camera to a surface, and from there to the object that casts a shadow

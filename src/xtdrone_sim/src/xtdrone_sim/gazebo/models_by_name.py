@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from xtdrone_sim.gazebo.frames import STANDING, State, in_world, part_of
+from xtdrone_control.poses import Pose, compose, conjugate, inverse, rotate
 from xtdrone_sim.gazebo.request_limits import (
     MOST_ADDED,
     MOST_WRENCHES,
@@ -17,14 +17,13 @@ from xtdrone_sim.gazebo.request_limits import (
     check_wrench,
     unknown,
 )
+from xtdrone_sim.gazebo.states import STANDING, State, in_world, part_of
 from xtdrone_sim.physics.bodies.movable_bodies import MOST_PAIRS, Drive
 from xtdrone_sim.physics.vehicle_dynamics import LOST
 from xtdrone_sim.physics.wrenches import Wrench
-from xtdrone_sim.shapes.pose_arithmetic import compose, conjugate, inverse, rotate
-from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.simulation import Simulation
+from xtdrone_sim.topics.actor_topics import ActorTopics
 from xtdrone_sim.vehicles.link_poses import Links
-from xtdrone_sim.worlds.actor_topics import ActorTopics
 from xtdrone_sim.worlds.sdf import SdfJoint, SdfLink, SdfModel
 
 Change = Callable[[], str]

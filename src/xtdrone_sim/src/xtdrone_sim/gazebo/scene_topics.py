@@ -8,8 +8,8 @@ from gazebo_msgs.msg import LinkStates, ModelStates
 from xtdrone_msgs.msg import SceneModels, SceneState
 
 from xtdrone_control import lockstep
-from xtdrone_sim.gazebo.message_conversion import pose_message, twist_message
 from xtdrone_sim.gazebo.models_by_name import Models
+from xtdrone_sim.gazebo.states import pose_message, twist_message
 from xtdrone_sim.worlds.sdf import load_world_file, write_world
 
 TOPIC = "/xtdrone/models"

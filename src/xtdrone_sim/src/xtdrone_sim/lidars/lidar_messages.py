@@ -9,8 +9,8 @@ from rospy import Time
 from sensor_msgs.msg import LaserScan, PointCloud2, PointField
 
 from xtdrone_sim.kernel import kernel_for_threads
-from xtdrone_sim.lidars.lidars_of_fleet import Lidar
 from xtdrone_sim.lidars.scan_measurement import Scan, begin_us
+from xtdrone_sim.vehicles.mounts.fleet_sensor import Lidar
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount
 
 POINT = np.dtype(

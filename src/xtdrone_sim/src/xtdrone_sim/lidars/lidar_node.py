@@ -36,18 +36,15 @@ from xtdrone_control.fleet import Vehicle
 from xtdrone_control.lockstep.deferred_work import Deferred
 from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments, fleet_of
 from xtdrone_control.settings import Settings, setting
-from xtdrone_sim.early_parameters import private_parameters
 from xtdrone_sim.lidars.lidar_messages import scan_message
-from xtdrone_sim.lidars.lidars_of_fleet import Lidar, lidars_of
 from xtdrone_sim.lidars.ray_patterns import read_pattern
 from xtdrone_sim.lidars.scan_measurement import Motion, Scan, begin_us, cast_scan, end_us, measured
 from xtdrone_sim.lidars.scene_history import SceneHistory
-from xtdrone_sim.rays.live_rays import LiveRays
-from xtdrone_sim.sensors.measurement_times import Due, rate_setting
-from xtdrone_sim.sensors.ranging_failures import RangingFailure
-from xtdrone_sim.topics.failure_services import FailureServices
+from xtdrone_sim.rays.live_rays import LiveRays, scene_of
+from xtdrone_sim.sensors.ranging_failures import FailureServices, RangingFailure
+from xtdrone_sim.sensors.sensor_nodes import Due, private_parameters, rate_setting
 from xtdrone_sim.topics.fleet_changes import FleetChanges, vehicles_may_join
-from xtdrone_sim.topics.scene_messages import scene_of
+from xtdrone_sim.vehicles.mounts.fleet_sensor import Lidar, lidars_of
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LEAST_RATE, MOST_RATE, ROSETTE, LidarMount
 
 USAGE = "lidars.py"

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.poses import Pose
 from xtdrone_sim.lidars.ray_patterns import Rays, rays_of
 from xtdrone_sim.rays.casting import PLACE, place_rays
 from xtdrone_sim.rays.scene import Hits, Layout, cast
 from xtdrone_sim.rays.tree import NOTHING
-from xtdrone_sim.sensors.measurement_times import time_us
-from xtdrone_sim.shapes.visual import Pose
+from xtdrone_sim.sensors.sensor_nodes import time_us
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount
 
 WHITE = 100.0

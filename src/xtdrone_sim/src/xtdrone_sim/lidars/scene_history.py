@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_sim.lidars.scan_measurement import Motion, link_places
-from xtdrone_sim.rays.scene import Layout, RayScene
-from xtdrone_sim.worlds.scene_at import SceneAt
+from xtdrone_sim.rays.scene import Layout, RayScene, SceneAt
 
 _MARGIN_US = 100_000  # several periods of the scenes
 

@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.frames import to_xyzw
+from xtdrone_control.poses import Pose, compose, conjugate, inverse, rotate
 from xtdrone_control.rotation import Quaternion, Vector, multiply
 from xtdrone_sim.physics.bodies.movable_bodies import Body
 from xtdrone_sim.physics.quiet_pybullet import BulletClient, pybullet
-from xtdrone_sim.shapes.pose_arithmetic import compose, conjugate, inverse, rotate
-from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.worlds.sdf.world_records import SdfJoint
 
 _HALF = 0.25  # m from a hinge's anchor to the points of its axis

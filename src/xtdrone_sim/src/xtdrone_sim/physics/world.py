@@ -15,27 +15,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.fleet import StartPose
-from xtdrone_control.frames import to_xyzw
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import Quaternion, Vector
 from xtdrone_sim.effects import Effects, drive_rotors, integrate_all
 from xtdrone_sim.physics import vehicle_dynamics as dynamics
 from xtdrone_sim.physics import wrenches
 from xtdrone_sim.physics.bodies.movable_bodies import Bodies, Drive
 from xtdrone_sim.physics.bodies.obstacles import Obstacles
-from xtdrone_sim.physics.contacts.contact_points import GROUND, Contact
+from xtdrone_sim.physics.contacts.bullet_contacts import Contact, contact_points, create_ground, create_vehicle
 from xtdrone_sim.physics.contacts.contact_states import (
-    sort_contacts,
-)
-from xtdrone_sim.physics.contacts.free_or_bullet import (
     CHECK_STEPS,
     FAR,
     NEAR,
-    mark_near,
-    stay_free,
-)
-from xtdrone_sim.physics.contacts.sleeping import (
     REST_SPEED,
     let_sleep,
+    mark_near,
+    sort_contacts,
+    stay_free,
 )
 from xtdrone_sim.physics.contacts.start_collisions import body_pose, check_starts
 from xtdrone_sim.physics.joints import Joint, swapped
@@ -50,10 +46,8 @@ from xtdrone_sim.physics.vehicle_dynamics import (
     PLANT,
     TOUCHING,
 )
-from xtdrone_sim.physics.world_environment import WorldModel
-from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.vehicles.vehicle_model import MODEL, VehicleModel
-from xtdrone_sim.worlds.sdf import SdfModel
+from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld
 
 _NO_BODY = -1  # of an absent place
 
@@ -74,6 +68,7 @@ class World:
         time_step: s.
         bodies: movable models, by number.
         wrenches: forces and torques by request.
+        magnetic_field: (3,) gauss, ENU.
         lost: vehicles taken out of the world because their state was impossible; emptied by its reader.
         collisions: pairs that have collided since the start, lower index first: vehicles, and from n on the models by
             number: those of the world in its order, then added ones.
@@ -81,7 +76,7 @@ class World:
 
     def __init__(
         self,
-        model: WorldModel,
+        model: SdfWorld,
         vehicles: Sequence[VehicleModel],
         poses: Sequence[StartPose],
         time_step: float,
@@ -110,6 +105,7 @@ class World:
             self.models[i] = vehicle.record
         for v, m, pose in zip(self.plant, self.models, poses, strict=True):
             v["position"], v["q"] = body_pose(pose, float(m["box"][2]))
+        self.magnetic_field = np.array(model.magnetic_field)
         self.set_wind(model.wind)
         self.plant["contact"] = TOUCHING
         for i in absent:
@@ -132,11 +128,9 @@ class World:
         client = self._bullet
         client.setTimeStep(self.time_step)
         client.setGravity(0.0, 0.0, 0.0)
-        ground = client.createCollisionShape(pybullet.GEOM_PLANE)
-        self._ground = client.createMultiBody(0.0, ground)
-        client.changeDynamics(self._ground, -1, lateralFriction=self.model.friction, restitution=self.model.restitution)
+        self._ground = create_ground(client, self.model)
         self._bodies = [
-            _NO_BODY if v["contact"] == ABSENT else self._create_body(v, m)
+            _NO_BODY if v["contact"] == ABSENT else create_vehicle(client, self.model, v, m)
             for v, m in zip(self.plant, self.models, strict=True)
         ]
         self._index_of = {body: i for i, body in enumerate(self._bodies) if body != _NO_BODY}
@@ -179,28 +173,6 @@ class World:
             self.joints.pop(name).remove()
         if gone:
             self._tie()
-
-    def _create_body(self, v: np.void, m: np.void) -> int:
-        """Return Bullet's body of a vehicle, at its current pose."""
-        client = self._bullet
-        shape = client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=(0.5 * m["box"]).tolist())
-        body = client.createMultiBody(
-            float(m["mass"]),
-            shape,
-            basePosition=v["position"].tolist(),
-            baseOrientation=to_xyzw(v["q"].tolist()),
-        )
-        client.changeDynamics(
-            body,
-            -1,
-            localInertiaDiagonal=m["inertia"].tolist(),
-            linearDamping=0.0,
-            angularDamping=0.0,
-            lateralFriction=self.model.friction,
-            restitution=self.model.restitution,
-            activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
-        )
-        return int(body)
 
     def set_wind(self, velocity: Sequence[float] | NDArray[np.float64]) -> None:
         """Set the wind at all vehicles, m/s, ENU, and at those that join later."""
@@ -271,7 +243,7 @@ class World:
 
     def _restore_body(self, i: int) -> None:
         """Create Bullet's body of vehicle ``i``, which has none."""
-        self._bodies[i] = self._create_body(self.plant[i], self.models[i])
+        self._bodies[i] = create_vehicle(self._bullet, self.model, self.plant[i], self.models[i])
         self._index_of[self._bodies[i]] = i
 
     def remove_vehicle(self, i: int) -> None:
@@ -556,7 +528,8 @@ class World:
             weight = float(m["mass"]) * gravity
             position = v["position"].tolist()
             apply_force(self._bodies[i], -1, (fx, fy, fz - weight), position, pybullet.WORLD_FRAME)
-            apply_torque(self._bodies[i], -1, self._world_torque(v), pybullet.WORLD_FRAME)
+            torque = dynamics.rotate(v["q"], *v["torque"].tolist())
+            apply_torque(self._bodies[i], -1, torque, pybullet.WORLD_FRAME)
         if self.bodies.awake:
             for joint in self.joints.values():
                 joint.push(dt)
@@ -598,10 +571,6 @@ class World:
         self._touching.remove(i)
         self._remove_body(i)
 
-    @staticmethod
-    def _world_torque(v: np.void) -> tuple[float, float, float]:
-        return dynamics.rotate(v["q"], *v["torque"].tolist())
-
     def _note_collisions(self) -> None:
         """Record the collisions; called only while contacts other than with the ground are possible."""
         for point in self._bullet.getContactPoints():
@@ -616,18 +585,7 @@ class World:
         """Return the contact points of vehicle ``i`` in the last step that Bullet integrated; none in free flight."""
         if self.plant["contact"][i] not in (TOUCHING, ASLEEP):
             return []
-        found = []
-        for point in self._bullet.getContactPoints(self._bodies[i]):
-            if point[8] > 0.0:
-                continue
-            is_first = point[1] == self._bodies[i]
-            sign = 1.0 if is_first else -1.0  # the normal points from the second body to the first
-            normal = sign * np.array(point[7])
-            friction = sign * (point[10] * np.array(point[11]) + point[12] * np.array(point[13]))
-            other = self._index_of.get(point[2] if is_first else point[1], GROUND)
-            place = np.array(point[5 if is_first else 6])
-            found.append(Contact(other, place, normal, point[9] * normal + friction, -float(point[8])))
-        return found
+        return contact_points(self._bullet, self._bodies[i], self._index_of)
 
     def close(self) -> None:
         """Disconnect from Bullet."""

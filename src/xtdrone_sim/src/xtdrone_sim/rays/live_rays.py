@@ -1,14 +1,16 @@
-"""The scene of a node's rays, kept up to date with the models added and deleted in the running simulation."""
+"""The scene of a node's rays, kept up to date with the messages of the running simulation."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import rospy
-from xtdrone_msgs.msg import SceneModels
+from geometry_msgs.msg import Pose as PoseMessage
+from xtdrone_msgs.msg import SceneModels, SceneState
 
 from xtdrone_control.fleet import Vehicle
-from xtdrone_sim.rays.scene import RayScene
+from xtdrone_control.poses import Pose
+from xtdrone_sim.rays.scene import ActorState, RayScene, SceneAt
 from xtdrone_sim.worlds.sdf import load_world_file, read_world, world_file
 
 
@@ -83,3 +85,18 @@ class LiveRays:
             if self._models is not None:
                 self._change(self._rays, self._models)
         return self._rays
+
+
+def scene_of(message: SceneState) -> SceneAt:
+    """Return the poses of a message."""
+    links = {name: _pose(pose) for name, pose in zip(message.links, message.poses, strict=True)}
+    actors = {
+        name: ActorState(_pose(pose), phase)
+        for name, pose, phase in zip(message.actors, message.actor_poses, message.actor_phases, strict=True)
+    }
+    return SceneAt(links, actors)
+
+
+def _pose(message: PoseMessage) -> Pose:
+    p, q = message.position, message.orientation
+    return Pose((p.x, p.y, p.z), (q.w, q.x, q.y, q.z))

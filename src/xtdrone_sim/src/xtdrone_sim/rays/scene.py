@@ -8,21 +8,47 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.fleet import Vehicle
+from xtdrone_control.poses import Pose, compose
 from xtdrone_sim.rays.casting import PLACE, THING, cast_rays
 from xtdrone_sim.rays.surfaces import of_triangles, seen, seen_of, surfaces_of
 from xtdrone_sim.rays.tree import NOTHING, SURFACE, Trees, build, joined
-from xtdrone_sim.shapes.pose_arithmetic import compose
-from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.worlds import people_meshes
-from xtdrone_sim.worlds.scene_at import ActorState, SceneAt
 from xtdrone_sim.worlds.sdf import SdfActor, SdfModel
+
+
+@dataclass(frozen=True)
+class ActorState:
+    """State of an actor.
+
+    Attributes:
+        pose: point between its feet, x ahead, world.
+        phase: phase of its walk, cycles; negative: it stands.
+    """
+
+    pose: Pose
+    phase: float = -1.0
+
+
+@dataclass(frozen=True)
+class SceneAt:
+    """Poses of all moving objects at one time.
+
+    Attributes:
+        links: pose in the world by Gazebo's name of the link (model::link).
+        actors: states by name.
+    """
+
+    links: Mapping[str, Pose]
+    actors: Mapping[str, ActorState]
+
 
 GROUND = "ground_plane"
 MOST_TRIANGLES = 2_000_000

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.poses import Pose, compose
 from xtdrone_sim.rays.scene import RayScene
-from xtdrone_sim.shapes.pose_arithmetic import compose
-from xtdrone_sim.shapes.visual import Collision, Geometry, Mesh, Pose
+from xtdrone_sim.shapes.visual import Collision, Geometry, Mesh
 from xtdrone_sim.worlds.sdf.geometries.heightmaps import is_terrain
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
 from xtdrone_sim.worlds.sdf.world_records import SdfLink, SdfModel

@@ -4,7 +4,8 @@ The hull is divided into columns. Each displaces the water up to the surface abo
 where the surface is inclined, pushes it with the pressure gradient of the wave, -g times the slope (Froude and Krylov;
 J. N. Newman, Marine Hydrodynamics, MIT Press 1977, 6.18). A hull accelerates some water with it (added mass), so that
 with the added mass c m, heave in still water has the period 2 pi sqrt((1 + c) T / g) for a box of draught T. Drag is
-linear and quadratic in the velocity against the water, along each of the hull's axes.
+linear and quadratic in the velocity against the water, along each of the hull's axes. A particle at the surface of a
+wave of amplitude a moves on a circle of radius a; its horizontal acceleration is -g times the slope (6.2-6.3).
 
 The origin is the centre of the hull at the waterline of its weight, and the centre of mass. The thrusters push along
 the hull, at the height of the origin. Objects on deck add no weight.
@@ -18,16 +19,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import Vector, from_euler, yaw_of
 from xtdrone_control.rotation_kernels import integrate, rotate, rotate_inverse
-from xtdrone_control.settings import SettingError, Settings, setting
+from xtdrone_control.settings import SettingError
 from xtdrone_sim.kernel import kernel
-from xtdrone_sim.robots.waves import GRAVITY, WaveSettings, water_at
-from xtdrone_sim.robots.wheel_drives import Joint
-from xtdrone_sim.shapes.visual import Pose
-
-DENSITY = 1000.0
-"""Of fresh water, kg/m^3."""
+from xtdrone_sim.worlds.robots.robot_settings import DENSITY, GRAVITY, BoatLimits, HullSettings, Joint, WaveSettings
 
 STATE = np.dtype(
     [("position", "f8", 3), ("q", "f8", 4), ("velocity", "f8", 3), ("rates", "f8", 3)]
@@ -39,80 +36,34 @@ _REST = 1e-3  # m/s and rad/s below which a boat on still water rests
 _NEVER = -1
 
 
-@dataclass(frozen=True)
-class HullSettings(Settings):
-    """Hull of a boat, a box."""
+@kernel
+def water_at(waves, x, y, time):
+    """Return the water's surface at a place.
 
-    length: float = setting(3.0, low=0.05, high=100.0, unit="m", text="along its x")
-    width: float = setting(1.6, low=0.05, high=30.0, unit="m", text="along its y")
-    depth: float = setting(0.6, low=0.05, high=20.0, unit="m", text="from its bottom to its top")
-    mass: float = setting(800.0, low=0.01, high=1e7, unit="kg", text="which gives its draught")
-    colour: tuple[float, float, float] = setting((0.75, 0.3, 0.15), low=0.0, high=1.0, text="red, green, blue")
+    Args:
+        waves: (n,) ``WAVE``.
+        x, y: m, map.
+        time: s.
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        most = DENSITY * self.length * self.width * self.depth
-        if self.mass > 0.95 * most:
-            raise SettingError("mass", self.mass, f"at most {0.95 * most:.6g} kg: its box displaces {most:.6g} kg")
-        draught, middle = self.draught, 0.5 * self.draught
-        least = (draught - middle) * 12.0 * draught
-        for name, side in (("width", self.width), ("length", self.length)):
-            if side**2 <= least:  # KB + BM - KG, with the centre of mass at the waterline
-                raise SettingError(name, side, f"more than {math.sqrt(least):.3g} m: it would capsize")
-
-    @property
-    def draught(self) -> float:
-        """Draught in still water, m."""
-        return self.mass / (DENSITY * self.length * self.width)
-
-    @property
-    def inertia(self) -> Vector:
-        """Moments of inertia about its axes, kg m^2: those of a box."""
-        x, y, z = self.length**2, self.width**2, self.depth**2
-        return self.mass * (y + z) / 12.0, self.mass * (x + z) / 12.0, self.mass * (x + y) / 12.0
-
-
-@dataclass(frozen=True)
-class BoatLimits(Settings):
-    """Thrusters and drag of a boat; forces of the drag are those at 1 m/s or 1 rad/s."""
-
-    thrust: float = setting(
-        250.0, low=0.0, high=1e6, unit="N", text="largest force of each thruster in either direction"
-    )
-    apart: float = setting(1.2, low=0.01, high=30.0, unit="m", text="distance of the two thrusters")
-    speed: float = setting(3.0, low=0.01, high=50.0, unit="m/s", text="largest speed, forwards and backwards")
-    turn_rate: float = setting(0.8, low=0.01, high=10.0, unit="rad/s", text="largest yaw rate")
-    linear_drag: tuple[float, float, float] = setting(
-        (40.0, 400.0, 2000.0), low=0.0, high=1e7, unit="N", text="linear drag along, across, up"
-    )
-    quadratic_drag: tuple[float, float, float] = setting(
-        (40.0, 600.0, 1000.0), low=0.0, high=1e7, unit="N", text="quadratic drag along, across, up"
-    )
-    turning_drag: tuple[float, float, float] = setting(
-        (400.0, 1500.0, 500.0), low=0.0, high=1e8, unit="N m", text="drag of roll, pitch and yaw, linear"
-    )
-    added_mass: tuple[float, float, float] = setting(
-        (0.1, 0.6, 1.0), low=0.0, high=10.0, text="added mass along, across, up, as a multiple of the mass"
-    )
-    timeout: float = setting(
-        0.5, low=0.0, high=3600.0, unit="s", text="time without a command after which the thrusters stop; 0: never"
-    )
-
-
-def check_step(hull: HullSettings, limits: BoatLimits, dt: float) -> None:
-    """Raise SettingError if steps of ``dt``, s, are too long for buoyancy or drag, so that the motion would blow up."""
-    least = DENSITY * hull.length * hull.width * GRAVITY * dt**2
-    if hull.mass < least:
-        raise SettingError("hull mass", hull.mass, f"at least {least:.3g} kg: with less, steps of {dt} s are too long")
-    pairs = zip(limits.linear_drag, limits.quadratic_drag, strict=True)
-    drags = [linear + quadratic * limits.speed for linear, quadratic in pairs]
-    masses = [hull.mass * (1.0 + share) for share in limits.added_mass]
-    kinds = ("linear_drag and quadratic_drag", drags, masses), ("turning_drag", limits.turning_drag, hull.inertia)
-    for name, drag, inertia in kinds:
-        most = [each / dt for each in inertia]
-        if any(each > limit for each, limit in zip(drag, most, strict=True)):
-            text = ", ".join(f"{each:.3g}" for each in most)
-            raise SettingError(f"limits {name}", list(drag), f"at most {text} at the largest speed in steps of {dt} s")
+    Returns:
+        Height above the still water, m; the water's velocity there (3 numbers), m/s; and its acceleration (3), m/s^2.
+    """
+    height, u, v, w, ax, ay, az = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(waves.shape[0]):
+        one = waves[k]
+        angle = one.kx * x + one.ky * y - one.frequency * time + one.phase
+        c, s = one.amplitude * math.cos(angle), one.amplitude * math.sin(angle)
+        number = math.sqrt(one.kx * one.kx + one.ky * one.ky)
+        east, north = one.kx / number, one.ky / number
+        speed, push = one.frequency * c, one.frequency * one.frequency * s
+        height += c
+        u += east * speed
+        v += north * speed
+        w += one.frequency * s
+        ax += east * push
+        ay += north * push
+        az -= one.frequency * one.frequency * c
+    return height, u, v, w, ax, ay, az
 
 
 @kernel
@@ -210,7 +161,7 @@ def advance(boats, waves, level, time, mass, hull, draught, added, linear, quadr
 
     Args:
         boats: (1,) ``STATE``, updated.
-        waves: (n,) ``waves.WAVE``.
+        waves: (n,) ``robot_settings.WAVE``.
         level: of the still water, m, map.
         time: at the beginning, s.
         mass: kg.

@@ -38,19 +38,18 @@ from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import lockstep
 from xtdrone_control.frames import to_xyzw
+from xtdrone_control.poses import Pose, compose, inverse
 from xtdrone_sim.gazebo.models_by_name import Models
 from xtdrone_sim.gazebo.scene_topics import ModelTopics
 from xtdrone_sim.physics.contacts.start_collisions import StartError, check_height
 from xtdrone_sim.rays.solid_ground import SolidGround, shapes_of
 from xtdrone_sim.robots.boat_dynamics import Boat
-from xtdrone_sim.robots.list_of_robots import Robot
-from xtdrone_sim.robots.robot_model import LINK, BoatModel
-from xtdrone_sim.robots.robot_urdf import urdf_of, wheel_frames
-from xtdrone_sim.robots.wheel_drives import Drive
-from xtdrone_sim.shapes.pose_arithmetic import compose, inverse
-from xtdrone_sim.shapes.visual import Pose
+from xtdrone_sim.robots.wheel_drives import Drive, drive_of
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.topics.link_topics import PERIOD_US
+from xtdrone_sim.worlds.robots.list_of_robots import Robot
+from xtdrone_sim.worlds.robots.robot_model import LINK, BoatModel
+from xtdrone_sim.worlds.robots.robot_urdf import urdf_of, wheel_frames
 
 _WARNING_PERIOD = 5.0  # wall s between two equal warnings
 _TOLERANCE = 0.01  # m of overlap at the start
@@ -103,7 +102,7 @@ class RobotTopics:
             is_boat = isinstance(robot.model, BoatModel)
             has_terrain = ground is not None and ground.has_terrain and not is_boat
             start = _on_terrain(robot, ground) if has_terrain and ground is not None else robot.pose
-            drive = robot.model.drive(start, None if ground is None or ground.is_level else ground)
+            drive = drive_of(robot.model, start, None if ground is None or ground.is_level else ground)
             if isinstance(drive, Boat):
                 start = drive.state.pose
                 drive.follow_clock(lambda: self._simulation.time_us * 1e-6)

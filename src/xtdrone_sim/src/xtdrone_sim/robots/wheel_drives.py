@@ -11,12 +11,13 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
+from xtdrone_control.poses import Pose, conjugate
 from xtdrone_control.rotation import Vector, from_euler, multiply, yaw_of
-from xtdrone_control.settings import SettingError, Settings, setting
+from xtdrone_control.settings import SettingError
+from xtdrone_sim.robots.boat_dynamics import Boat
 from xtdrone_sim.robots.wheels_on_uneven_ground import (
     STEP,
     Footprint,
@@ -28,18 +29,11 @@ from xtdrone_sim.robots.wheels_on_uneven_ground import (
     places,
     stand_on,
 )
-from xtdrone_sim.shapes.pose_arithmetic import conjugate
-from xtdrone_sim.shapes.visual import Pose
+from xtdrone_sim.worlds.robots.robot_model import AnyRobot, BoatModel, RobotModel
+from xtdrone_sim.worlds.robots.robot_settings import AckermannLimits, DifferentialLimits, DriveLimits, Joint
 
 _NEVER = -1
-
-
-class Joint(NamedTuple):
-    """State of a joint: name, angle, rad, and rate, rad/s."""
-
-    name: str
-    angle: float
-    rate: float
+_CASTORS = 0.4  # of the body's length, before and behind its middle
 
 
 @dataclass(frozen=True)
@@ -74,45 +68,6 @@ class DriveState:
     def pose(self) -> Pose:
         """Pose of the origin in the world."""
         return Pose((self.x, self.y, self.z), from_euler(self.roll, self.pitch, self.yaw))
-
-
-@dataclass(frozen=True, kw_only=True)
-class DriveLimits(Settings):
-    """Wheels and limits of a robot."""
-
-    wheel_radius: float = setting(0.15, low=0.01, high=2.0, unit="m", text="of the driven wheels")
-    track: float = setting(0.8, low=0.05, high=10.0, unit="m", text="distance of left and right wheels")
-    speed: float = setting(2.0, low=0.01, high=50.0, unit="m/s", text="largest speed, forwards and backwards")
-    acceleration: float = setting(2.0, low=0.01, high=50.0, unit="m/s^2", text="largest change of the speed")
-    slope: float = setting(0.35, low=0.0, high=0.7, unit="rad", text="steepest slope; a steeper one stops the robot")
-    timeout: float = setting(
-        0.5, low=0.0, high=3600.0, unit="s", text="time without a command after which the robot stops; 0: never"
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class DifferentialLimits(DriveLimits):
-    """Limits of a differential drive."""
-
-    turn_rate: float = setting(2.0, low=0.01, high=50.0, unit="rad/s", text="largest yaw rate")
-    turn_acceleration: float = setting(6.0, low=0.01, high=500.0, unit="rad/s^2", text="largest change of the yaw rate")
-
-
-@dataclass(frozen=True, kw_only=True)
-class AckermannLimits(DriveLimits):
-    """Limits of a car."""
-
-    wheelbase: float = setting(2.62, low=0.1, high=20.0, unit="m", text="distance of front and rear axle")
-    steering: float = setting(0.52, low=0.01, high=1.4, unit="rad", text="largest angle of a front wheel in the middle")
-    steering_rate: float = setting(1.0, low=0.01, high=50.0, unit="rad/s", text="largest change of the steering angle")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.wheelbase / math.tan(self.steering) <= 0.5 * self.track:
-            most = math.atan(2.0 * self.wheelbase / self.track)
-            raise SettingError(
-                "steering", self.steering, f"below {most:.3f} rad: the inner wheel would turn on the spot"
-            )
 
 
 class Drive(ABC):
@@ -328,6 +283,35 @@ class Ackermann(Drive):
             found.append(Joint(f"{name}_steering_joint", angle, 0.0))
             found.append(Joint(f"{name}_wheel_joint", turned, rate))
         return found
+
+
+def drive_of(model: AnyRobot, pose: Pose, ground: Ground | None = None) -> Drive | Boat:
+    """Return the drive of a robot at rest.
+
+    Args:
+        model: type of the robot.
+        pose: its start; of a boat, only position and heading are used.
+        ground: ground of wheels, if it is not level.
+    """
+    if isinstance(model, BoatModel):
+        return Boat(model.hull, model.limits, model.waves, pose)
+    drive: Drive
+    if isinstance(model.limits, AckermannLimits):
+        drive = Ackermann(model.limits, pose)
+    else:
+        drive = Differential(model.limits, pose)
+    if ground is not None:
+        drive.stand_on(ground, feet_of(model))
+    return drive
+
+
+def feet_of(model: RobotModel) -> Footprint:
+    """Return the contact points with the ground: the wheels; of a robot with two, also castors in front and behind."""
+    side = 0.5 * model.limits.track
+    if isinstance(model.limits, AckermannLimits):
+        return Footprint(0.0, model.limits.wheelbase, side)
+    half = _CASTORS * model.body.length
+    return Footprint(model.body.ahead - half, model.body.ahead + half, side)
 
 
 def _spin(old: DriveState, new: DriveState, dt: float) -> Vector:

@@ -36,20 +36,20 @@ from xtdrone_sim.gazebo.models_by_name import Models
 from xtdrone_sim.gazebo.scene_topics import ModelTopics
 from xtdrone_sim.gazebo.services.model_services import GazeboServices
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT
-from xtdrone_sim.robots.list_of_robots import Robot, parse_robots
 from xtdrone_sim.robots.robot_topics import RobotTopics
 from xtdrone_sim.runtime.launched_vehicles import launched_world, read_launched
 from xtdrone_sim.runtime.requests.mailbox import Mailbox
 from xtdrone_sim.runtime.simulator_interface import HEAD_START, Idle, index_of
 from xtdrone_sim.runtime.simulator_node import NodeSettings, close_all, log, run_node
 from xtdrone_sim.simulation import Simulation
+from xtdrone_sim.topics.actor_topics import ActorTopics
 from xtdrone_sim.topics.contact_topics import ContactTopics
 from xtdrone_sim.topics.fleet_changes import FleetTopic
 from xtdrone_sim.topics.imu_topics import ImuTopics
 from xtdrone_sim.topics.link_topics import LinkTopics
 from xtdrone_sim.topics.model_states import ModelStatesMessage
-from xtdrone_sim.worlds.actor_topics import ActorTopics
 from xtdrone_sim.worlds.catalogue import find_world
+from xtdrone_sim.worlds.robots.list_of_robots import Robot, parse_robots
 
 
 @dataclass(frozen=True, kw_only=True)

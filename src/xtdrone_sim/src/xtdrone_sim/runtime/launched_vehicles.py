@@ -10,15 +10,15 @@ from typing import Any
 
 from xtdrone_control.fleet import SPAWNED, XTDRONE, FleetError, Vehicle, spawned_fleet, unused_ports, with_ports
 from xtdrone_control.mavros.link.autopilot_links import FcuUrl, LinkError, parse_fcu_url
+from xtdrone_sim.data_files import data_path
 from xtdrone_sim.descriptions import ModelError
-from xtdrone_sim.package_files import PACKAGE
-from xtdrone_sim.worlds.generated import UPSTREAM, is_generated
+from xtdrone_sim.worlds.catalogue import UPSTREAM, is_generated
 
 LAUNCHED_MAVROS = "/xtdrone/launched_mavros"
 """Parameter with a key for each MAVROS node that was launched; the node has the same key as ``KEY``."""
 KEY = "launch_key"
 
-_WORLDS = PACKAGE / "stand_ins" / "mavlink_sitl_gazebo" / "worlds"
+_WORLDS = data_path("stand_ins/mavlink_sitl_gazebo/worlds")
 _WORLDS_VARIABLE = "GAZEBO_RESOURCE_PATH"  # environment: folders, separated by colons
 _WORLD_ENDINGS = (".world", ".sdf")
 

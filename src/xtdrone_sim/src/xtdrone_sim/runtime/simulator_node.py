@@ -33,11 +33,10 @@ from xtdrone_sim.runtime.requests.control_services import Services
 from xtdrone_sim.runtime.requests.mailbox import Mailbox
 from xtdrone_sim.runtime.requests.pacing import Pacer
 from xtdrone_sim.runtime.requests.simulation_control import Control, Reset
-from xtdrone_sim.runtime.requests.vehicle_services import VehicleServices
-from xtdrone_sim.runtime.requests.wind_service import WindService
+from xtdrone_sim.runtime.requests.vehicle_services import VehicleServices, WindService
 from xtdrone_sim.runtime.simulator_interface import SimulatorBackend
 from xtdrone_sim.sensors.ground_truth import GroundTruth
-from xtdrone_sim.topics.live_states import LiveStates
+from xtdrone_sim.topics.model_states import LiveStates
 
 _CHUNK_US = 20_000  # longest simulated time between two polls of sockets and pace
 _SLICE = 0.1  # s; longest single wait, so that a shutdown is noticed

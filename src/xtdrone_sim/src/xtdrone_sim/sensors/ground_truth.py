@@ -19,7 +19,7 @@ from geometry_msgs.msg import Pose, Twist, Vector3
 from nav_msgs.msg import Odometry
 
 from xtdrone_control import lockstep
-from xtdrone_sim.shapes.pose_arithmetic import conjugate, rotate
+from xtdrone_control.poses import conjugate, rotate
 
 
 def topic(name: str) -> str:

@@ -7,16 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.poses import Pose, compose
 from xtdrone_control.rotation_arrays import rotate_inverse
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.rays.casting import PLACE, THING
-from xtdrone_sim.rays.scene import RayScene
+from xtdrone_sim.rays.scene import RayScene, SceneAt
 from xtdrone_sim.rays.tree import NODE, NOTHING, SURFACE
 from xtdrone_sim.sensors.vehicles_and_people_below import Others
-from xtdrone_sim.shapes.pose_arithmetic import compose
-from xtdrone_sim.shapes.visual import Pose
-from xtdrone_sim.worlds.scene_at import SceneAt
 
 _NOTHING = np.zeros(0, NODE), np.zeros(0, SURFACE), np.zeros(0, THING), np.zeros(0, PLACE)
 

@@ -358,7 +358,7 @@ class Sensors:
             self.below.arrays,
             step,
             time_us,
-            world.model.magnetic_field,
+            world.magnetic_field,
             self.place,
             world.model.gravity,
             world.time_step,

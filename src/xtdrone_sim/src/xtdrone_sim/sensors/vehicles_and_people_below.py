@@ -8,16 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.fleet import Vehicle
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.shapes.visual import Pose
-from xtdrone_sim.vehicles.gimbal_joints import Gimbals
-from xtdrone_sim.vehicles.landing_gear import LandingGears
+from xtdrone_sim.rays.scene import ActorState, SceneAt
+from xtdrone_sim.vehicles.gimbals_and_landing_gears import Gimbals, LandingGears
 from xtdrone_sim.vehicles.link_poses import Links
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
 from xtdrone_sim.worlds.actors import Actors
-from xtdrone_sim.worlds.scene_at import ActorState, SceneAt
 from xtdrone_sim.worlds.sdf import SdfActor
 
 _MARGIN = 1.0  # m around a vehicle's collision box, within which all of its links are

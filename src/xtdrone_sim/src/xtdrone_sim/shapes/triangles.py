@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from xtdrone_control.bounded_file import MB, read_bytes
 from xtdrone_control.cameras import camera_pose
-from xtdrone_sim.shapes.visual import Box, Cylinder, Geometry, Mesh, Pose, Sphere
+from xtdrone_control.poses import Pose
+from xtdrone_sim.shapes.visual import Box, Cylinder, Geometry, Mesh, Sphere
 
 _AROUND = 24  # corners per circle
 _RINGS = 12  # from pole to pole of a sphere

@@ -8,7 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from xtdrone_control.rotation import Quaternion, Vector
+from xtdrone_control.poses import Pose
+from xtdrone_control.rotation import Vector
 
 Colour = tuple[float, float, float, float]
 
@@ -44,14 +45,6 @@ class Mesh:
 
 
 Geometry = Box | Cylinder | Sphere | Mesh
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Position and orientation in the parent frame."""
-
-    position: Vector = (0.0, 0.0, 0.0)
-    orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,7 @@ from gazebo_msgs.msg import ContactsState, ContactState
 from geometry_msgs.msg import Vector3, Wrench
 
 from xtdrone_control import lockstep
-from xtdrone_sim.physics.contacts.contact_points import (
-    GROUND,
-    Contact,
-)
+from xtdrone_sim.physics.contacts.bullet_contacts import GROUND, Contact
 from xtdrone_sim.simulation import Simulation
 
 PERIOD_US = 20_000

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from xtdrone_control.fleet import Vehicle
+from xtdrone_sim.vehicles.mounts.body_sensors import UwbMount
 from xtdrone_sim.vehicles.mounts.fleet_sensor import FleetSensor, sensors_of
-from xtdrone_sim.vehicles.mounts.uwb_mounts import UwbMount
 
 Antenna = FleetSensor[UwbMount]
 

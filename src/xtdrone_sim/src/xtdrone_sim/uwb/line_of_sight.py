@@ -8,12 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.poses import Pose
 from xtdrone_sim.lidars.scan_measurement import link_places
 from xtdrone_sim.rays.casting import between
-from xtdrone_sim.rays.scene import Layout, RayScene, cast
+from xtdrone_sim.rays.scene import Layout, RayScene, SceneAt, cast
 from xtdrone_sim.rays.tree import NOTHING
-from xtdrone_sim.shapes.visual import Pose
-from xtdrone_sim.worlds.scene_at import SceneAt
 
 Array = NDArray[np.float64]
 

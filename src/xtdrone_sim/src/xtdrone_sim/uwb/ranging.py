@@ -19,9 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation_arrays import rotate_inverse
-from xtdrone_sim.shapes.visual import Pose
-from xtdrone_sim.vehicles.mounts.uwb_mounts import SIGHT_BIASED, SIGHT_NEEDED, UwbMount
+from xtdrone_sim.vehicles.mounts.body_sensors import SIGHT_BIASED, SIGHT_NEEDED, UwbMount
 
 Array = NDArray[np.float64]
 

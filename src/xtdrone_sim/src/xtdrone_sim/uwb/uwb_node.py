@@ -31,22 +31,19 @@ from xtdrone_msgs.msg import RelativeRanges, SceneModels, SceneState
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import Vehicle
+from xtdrone_control.poses import Pose, compose
 from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments, fleet_of
 from xtdrone_control.settings import Settings
-from xtdrone_sim.early_parameters import private_parameters
-from xtdrone_sim.rays.live_rays import LiveRays
-from xtdrone_sim.sensors.measurement_times import Due, rate_setting, time_us
-from xtdrone_sim.shapes.pose_arithmetic import compose
-from xtdrone_sim.shapes.visual import Pose
-from xtdrone_sim.topics.failure_services import FailureServices
+from xtdrone_sim.rays.live_rays import LiveRays, scene_of
+from xtdrone_sim.rays.scene import SceneAt
+from xtdrone_sim.sensors.ranging_failures import FailureServices
+from xtdrone_sim.sensors.sensor_nodes import Due, private_parameters, rate_setting, time_us
 from xtdrone_sim.topics.fleet_changes import FleetChanges, vehicles_may_join
-from xtdrone_sim.topics.scene_messages import scene_of
 from xtdrone_sim.uwb.antennas import Antenna, antennas_of, neighbours_of
 from xtdrone_sim.uwb.line_of_sight import Moment, Sights
 from xtdrone_sim.uwb.ranging import Neighbours, measured, seen_from
 from xtdrone_sim.uwb.uwb_messages import ranges_message
-from xtdrone_sim.vehicles.mounts.uwb_mounts import LEAST_RATE, MOST_RATE, SIGHT_IGNORED
-from xtdrone_sim.worlds.scene_at import SceneAt
+from xtdrone_sim.vehicles.mounts.body_sensors import LEAST_RATE, MOST_RATE, SIGHT_IGNORED
 
 USAGE = "uwb.py"
 TURNS = 50.0  # Hz, rate of /xtdrone/scene

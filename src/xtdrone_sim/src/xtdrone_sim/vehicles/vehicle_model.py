@@ -17,9 +17,10 @@ import numpy as np
 
 from xtdrone_control.autopilot.control.control_allocator import RotorLayout
 from xtdrone_control.autopilot.state import MAX_ROTORS
+from xtdrone_sim.data_files import data_folders
 from xtdrone_sim.descriptions import ModelError, find, folders, read_description
-from xtdrone_sim.package_files import MODELS
 from xtdrone_sim.shapes.visual import Box, Collision, Visual
+from xtdrone_sim.vehicles.mounts.body_sensors import ImuMount, UwbMount, read_imus, read_uwb
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import (
     CameraMount,
     GimbalMount,
@@ -28,10 +29,8 @@ from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import (
     read_gimbal,
     read_landing_gear,
 )
-from xtdrone_sim.vehicles.mounts.imu_mounts import ImuMount, read_imus
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount, read_lidars
-from xtdrone_sim.vehicles.mounts.uwb_mounts import UwbMount, read_uwb
-from xtdrone_sim.vehicles.urdf import Description, Joint, Link, UrdfError, read_urdf
+from xtdrone_sim.worlds.urdf import Description, Joint, Link, UrdfError, read_urdf
 
 MODEL = np.dtype(
     [
@@ -257,7 +256,7 @@ def _description(description: dict[str, Any], folder: Path) -> Description:
         size = description.get("collision_box") or (1.0, 1.0, 1.0)  # an invalid box is rejected with the body
         box = Box((float(size[0]), float(size[1]), float(size[2])))
         return Description("vehicle", (Link("base_link", (Visual(box),), (Collision(box),)),))
-    places = [folder, *folders("vehicles")[:-1], MODELS]
+    places = list(dict.fromkeys([folder, *folders("vehicles"), *data_folders("models")]))
     for place in places:
         path = place / str(name)
         if os.path.isfile(path):  # false for a name that the file system rejects, too

@@ -15,10 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import rospkg
 
 from xtdrone_control.settings import check_choice
-from xtdrone_sim.cached_files import cached_folder
+from xtdrone_sim.data_files import cached_folder, data_path
 from xtdrone_sim.shapes.visual import Mesh, Visual
 
 SPLITS = ("train", "test")
@@ -84,8 +83,7 @@ class Person:
 
 def models_folder() -> Path:
     """Return the folder with the people's bodies and textures."""
-    source = Path(__file__).resolve().parents[3] / "models"
-    return (source if source.is_dir() else Path(rospkg.RosPack().get_path("xtdrone_sim")) / "models") / "people"
+    return data_path("models/people")
 
 
 def names(split: str | None = None) -> list[str]:

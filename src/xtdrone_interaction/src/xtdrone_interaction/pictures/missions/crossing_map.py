@@ -15,11 +15,11 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
 from matplotlib.patches import Circle, Polygon
 
+from xtdrone_control.poses import rotate
 from xtdrone_interaction.metrics.clearance import Solid
 from xtdrone_interaction.pictures.picture_style import save_figure
 from xtdrone_interaction.recording.missions.crossing_record import CrossingRecord
 from xtdrone_interaction.recording.series_in_bounded_memory import Array
-from xtdrone_sim.shapes.pose_arithmetic import rotate
 from xtdrone_sim.shapes.visual import Box, Cylinder
 
 _DPI = 130

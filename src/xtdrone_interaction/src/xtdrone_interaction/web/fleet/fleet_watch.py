@@ -19,7 +19,7 @@ from xtdrone_interaction.web.fleet.model_states_bytes import ModelRows, Truncate
 from xtdrone_interaction.web.fleet.roster import Roster
 from xtdrone_interaction.web.server.methods import Method, Params
 from xtdrone_interaction.web.server.session import Session
-from xtdrone_sim.topics.live_states import TOPIC as LIVE_STATES
+from xtdrone_sim.topics.model_states import TOPIC as LIVE_STATES
 
 _OTHER_STATES = "/gazebo/model_states"  # without a simulator of this project, as when a bag is played
 _CONNECT_LIMIT = 1.5  # s of wall time after which live states are searched for elsewhere

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from xtdrone_control.poses import Pose, compose
 from xtdrone_interaction.web.server.methods import CallError
-from xtdrone_sim.shapes.pose_arithmetic import compose
 from xtdrone_sim.shapes.triangles import triangles_of
-from xtdrone_sim.shapes.visual import Box, Cylinder, Geometry, Mesh, Pose, Visual
+from xtdrone_sim.shapes.visual import Box, Cylinder, Geometry, Mesh, Visual
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
 
 _MOST_TRIANGLES = 200_000

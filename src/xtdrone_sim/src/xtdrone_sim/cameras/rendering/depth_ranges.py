@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.cameras.pinhole import Pinhole
+from xtdrone_control.poses import Pose
 from xtdrone_sim.shapes.triangles import rotation_matrix
-from xtdrone_sim.shapes.visual import Pose
 
 SPLIT = 2.0  # m; nearer surfaces are drawn in a separate image
 

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.frames import to_xyzw
+from xtdrone_control.poses import Pose
 from xtdrone_control.settings import check_range
 from xtdrone_sim.cameras.rendering.backends import BACKENDS, Backend, RendererError
 from xtdrone_sim.cameras.rendering.depth_ranges import Extents
 from xtdrone_sim.physics.quiet_pybullet import pybullet
 from xtdrone_sim.shapes.triangles import Triangles, joined, rotation_matrix, triangles_of, write_obj
-from xtdrone_sim.shapes.visual import Colour, Geometry, Pose, Visual
+from xtdrone_sim.shapes.visual import Colour, Geometry, Visual
 from xtdrone_sim.worlds.sdf import Light
 
 __all__ = ["BACKENDS", "Light", "Picture", "Renderer", "RendererError"]

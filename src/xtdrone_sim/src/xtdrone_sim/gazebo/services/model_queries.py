@@ -10,14 +10,13 @@ from gazebo_msgs import srv
 from gazebo_msgs.msg import LinkState
 from std_msgs.msg import Header
 
-from xtdrone_sim.gazebo.frames import seen_from
-from xtdrone_sim.gazebo.message_conversion import pose_message, twist_message
+from xtdrone_control.poses import Pose
 from xtdrone_sim.gazebo.models_by_name import Models
 from xtdrone_sim.gazebo.request_limits import RequestError, unknown
-from xtdrone_sim.shapes.visual import Pose
+from xtdrone_sim.gazebo.states import pose_message, seen_from, twist_message
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.vehicles.urdf import Inertial
 from xtdrone_sim.worlds.sdf.world_records import DEFAULT_INERTIAL
+from xtdrone_sim.worlds.urdf import Inertial
 
 
 class Queries:

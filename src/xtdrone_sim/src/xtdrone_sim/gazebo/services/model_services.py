@@ -41,13 +41,13 @@ from gazebo_msgs.msg import LinkState, ModelState, ModelStates
 from xtdrone_control import lockstep
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_sim.gazebo.joints import set_joints
-from xtdrone_sim.gazebo.message_conversion import microseconds, read_pose, read_state, read_wrench
 from xtdrone_sim.gazebo.models_by_name import Change, Models
+from xtdrone_sim.gazebo.models_in_requests import model_of_urdf
 from xtdrone_sim.gazebo.request_limits import LONGEST_TEXT, RequestError
 from xtdrone_sim.gazebo.scene_topics import ModelTopics
 from xtdrone_sim.gazebo.services.model_queries import Queries
 from xtdrone_sim.gazebo.services.refused_services import advertise_refused
-from xtdrone_sim.gazebo.urdf_models import model_of_urdf
+from xtdrone_sim.gazebo.states import microseconds, read_pose, read_state, read_wrench
 from xtdrone_sim.runtime.requests.mailbox import ClosedError, Mailbox
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.worlds.sdf import SdfError, SdfModel, read_model

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.poses import Pose, compose, rotate
 from xtdrone_control.rotation import Quaternion
-from xtdrone_sim.shapes.pose_arithmetic import compose, rotate
-from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.worlds.sdf.world_records import DEFAULT_INERTIAL, SdfModel
 
 Array = NDArray[np.float64]

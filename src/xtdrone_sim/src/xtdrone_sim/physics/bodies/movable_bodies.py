@@ -19,18 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.frames import to_xyzw
+from xtdrone_control.poses import Pose, compose, inverse, rotate
 from xtdrone_control.rotation import Vector
 from xtdrone_sim.kernel import kernel
 from xtdrone_sim.physics.bodies.mass_of_models import mass_of
 from xtdrone_sim.physics.bodies.obstacles import shape_array
-from xtdrone_sim.physics.contacts.sleeping import (
-    REST_SPEED,
-    REST_STEPS,
-)
+from xtdrone_sim.physics.contacts.contact_states import REST_SPEED, REST_STEPS
 from xtdrone_sim.physics.quiet_pybullet import BulletClient, pybullet
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT, FREE, TOUCHING
-from xtdrone_sim.shapes.pose_arithmetic import compose, inverse, rotate
-from xtdrone_sim.shapes.visual import Geometry, Pose
+from xtdrone_sim.shapes.visual import Geometry
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
 from xtdrone_sim.worlds.sdf.models.rigid_links import MOST_SHAPES
 from xtdrone_sim.worlds.sdf.world_records import SdfModel

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.frames import to_xyzw
+from xtdrone_control.poses import Pose, compose
 from xtdrone_sim.kernel import kernel
 from xtdrone_sim.physics.quiet_pybullet import BulletClient, pybullet
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT, FREE, TOUCHING
-from xtdrone_sim.shapes.pose_arithmetic import compose
-from xtdrone_sim.shapes.visual import Box, Cylinder, Geometry, Mesh, Pose, Sphere
+from xtdrone_sim.shapes.visual import Box, Cylinder, Geometry, Mesh, Sphere
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
 from xtdrone_sim.worlds.sdf.world_records import SdfModel
 

@@ -8,10 +8,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import Vector, from_euler
 from xtdrone_sim.physics.contacts.start_collisions import StartError
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.shapes.visual import Collision, Cylinder, Pose
+from xtdrone_sim.shapes.visual import Collision, Cylinder
 from xtdrone_sim.worlds import people_meshes
 from xtdrone_sim.worlds.actors import FASTEST, Actors, ActorState
 from xtdrone_sim.worlds.sdf import SdfActor, SdfLink, SdfModel

@@ -1,1 +1,1 @@
-"""Contacts of vehicles: nearness to obstacles, sleep, and contact points."""
+"""Contacts of vehicles: which of them Bullet integrates, sleep, friction, contact points, and free start poses."""

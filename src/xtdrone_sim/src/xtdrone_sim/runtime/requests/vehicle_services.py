@@ -22,6 +22,8 @@ from xtdrone_msgs.srv import (
     RemoveVehicleResponse,
     ResetVehicle,
     ResetVehicleResponse,
+    SetWind,
+    SetWindResponse,
 )
 
 from xtdrone_control.fleet import StartPose, start_pose
@@ -126,3 +128,32 @@ def _pose(numbers: Sequence[float]) -> StartPose | None:
 def caller_of(request: Any) -> str:
     """Return the name of the node that calls a service."""
     return str(request._connection_header["callerid"])
+
+
+class WindService:
+    """Advertises the service."""
+
+    def __init__(self, control: Control, mailbox: Mailbox, backend: SimulatorBackend) -> None:
+        """Advertise the service.
+
+        Args:
+            control: makes changes between ticks.
+            mailbox: passes requests to the simulator's thread.
+            backend: the simulated vehicles.
+        """
+        self._control, self._mailbox, self._backend = control, mailbox, backend
+        rospy.Service("~set_wind", SetWind, self._on_set_wind)
+
+    def _on_set_wind(self, request: Any) -> SetWindResponse:
+        x, y, z = request.velocity.x, request.velocity.y, request.velocity.z
+
+        def make() -> str:
+            self._backend.set_wind((x, y, z))
+            return f"the wind is ({x:g}, {y:g}, {z:g}) m/s"
+
+        def ask() -> str:
+            change = Change("change of the wind", make)
+            put = self._mailbox.put(lambda answer: self._control.ask_change(change, caller_of(request), answer))
+            return str(put.result())
+
+        return SetWindResponse(*answered(ask))

@@ -1,4 +1,4 @@
-"""A ranging sensor of one vehicle of a fleet: the names of its topic, its frame and its link."""
+"""Ranging sensors of a fleet's vehicles: lidars and UWB antennas, with the names of their topics, frames and links."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 from xtdrone_control.fleet import Vehicle
+from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
 
 
@@ -69,3 +70,15 @@ def sensors_of(
     """
     models = {kind: carried(load_vehicle(kind)) for kind in dict.fromkeys(vehicle.model for vehicle in fleet)}
     return tuple(FleetSensor(vehicle.name, link, mount) for vehicle in fleet for link, mount in models[vehicle.model])
+
+
+Lidar = FleetSensor[LidarMount]
+
+
+def lidars_of(fleet: Sequence[Vehicle]) -> tuple[Lidar, ...]:
+    """Return all lidars of a fleet, vehicle by vehicle.
+
+    Raises:
+        ModelError: a vehicle type cannot be used.
+    """
+    return sensors_of(fleet, lambda model: [(mount.link, mount) for mount in model.lidars])

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import Vector, from_euler
 from xtdrone_control.settings import SettingError, Settings, setting
-from xtdrone_sim.shapes.visual import Pose
+from xtdrone_sim.vehicles.mounts.body_sensors import read_list
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import MountError, check_sensor_name
-from xtdrone_sim.vehicles.mounts.sensor_lists import read_list
-from xtdrone_sim.vehicles.urdf import Description
+from xtdrone_sim.worlds.urdf import Description
 
 KINDS = ("scan", "spinning", "pattern")
 ROSETTE = "rosette"

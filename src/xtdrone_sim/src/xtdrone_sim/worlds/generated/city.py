@@ -7,14 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from xtdrone_control.poses import Pose
 from xtdrone_control.settings import Settings, setting
-from xtdrone_sim.shapes.visual import Box, Colour, Pose, Visual
+from xtdrone_sim.shapes.visual import Box, Colour, Visual
 from xtdrone_sim.worlds.scenery import assets, scenery_objects
-from xtdrone_sim.worlds.scenery.free_ground import Rectangle
 from xtdrone_sim.worlds.scenery.materials import Kit
+from xtdrone_sim.worlds.scenery.start_area_and_ground import START, Places, Rectangle, box, ground, placed, solid, world
 from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld
-
-from .start_area_and_ground import START, Places, box, ground, placed, solid, world
 
 _GLASS: Colour = (0.2, 0.27, 0.34, 1.0)
 _ASPHALT: Colour = (0.27, 0.27, 0.29, 1.0)

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from xtdrone_control.poses import Pose
 from xtdrone_control.settings import Settings, setting
-from xtdrone_sim.shapes.visual import Cylinder, Pose, Visual
+from xtdrone_sim.shapes.visual import Cylinder, Visual
 from xtdrone_sim.worlds.scenery import scenery_objects
 from xtdrone_sim.worlds.scenery.materials import Kit
 from xtdrone_sim.worlds.scenery.scenery_objects import Thing
+from xtdrone_sim.worlds.scenery.start_area_and_ground import START, ground, placed, solid, world
 from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld
-
-from .start_area_and_ground import START, ground, placed, solid, world
 
 _TRIES = 30  # candidates around each tree (R. Bridson, "Fast Poisson disk sampling in arbitrary dimensions", 2007)
 _FILLED = 0.635  # trees per square of the minimum distance that the sampling reaches, measured

@@ -13,13 +13,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from xtdrone_control.poses import Pose
 from xtdrone_control.settings import SettingError, Settings, setting
-from xtdrone_sim.shapes.visual import Colour, Cylinder, Pose, Visual
-from xtdrone_sim.worlds.scenery.free_ground import Rectangle
+from xtdrone_sim.shapes.visual import Colour, Cylinder, Visual
 from xtdrone_sim.worlds.scenery.materials import Kit
+from xtdrone_sim.worlds.scenery.start_area_and_ground import BESIDE, START, Places, Rectangle, box, ground, solid, world
 from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld
-
-from .start_area_and_ground import BESIDE, START, Places, box, ground, solid, world
 
 _WALL: Colour = (0.88, 0.87, 0.83, 1.0)
 _FLOOR: Colour = (0.6, 0.5, 0.42, 1.0)

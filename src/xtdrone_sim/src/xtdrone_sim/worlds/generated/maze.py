@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.shapes.visual import Colour, Visual
+from xtdrone_sim.worlds.scenery.start_area_and_ground import BESIDE, START, box, ground, solid, world
 from xtdrone_sim.worlds.sdf import SdfWorld
-
-from .start_area_and_ground import BESIDE, START, box, ground, solid, world
 
 _WALL: Colour = (0.82, 0.78, 0.7, 1.0)
 _MARK: Colour = (0.75, 0.25, 0.2, 1.0)

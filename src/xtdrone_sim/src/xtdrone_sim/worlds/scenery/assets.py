@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from xtdrone_sim.package_files import MODELS
+from xtdrone_sim.data_files import data_path
 from xtdrone_sim.worlds.scenery import scenery_meshes, textures
 from xtdrone_sim.worlds.scenery.scenery_meshes import Triangles
 from xtdrone_sim.worlds.scenery.textures import Picture
 
-FOLDER = MODELS / "scenery"
+FOLDER = data_path("models/scenery")
 
 # generator, size in pixels, number of textures
 _TEXTURES: dict[str, tuple[Callable[[int, np.random.Generator], Picture], int, int]] = {

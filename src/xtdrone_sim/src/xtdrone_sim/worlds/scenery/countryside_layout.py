@@ -9,13 +9,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import Settings, check_range, setting
-from xtdrone_sim.shapes.visual import Mesh, Pose, Visual
+from xtdrone_sim.shapes.visual import Mesh, Visual
+from xtdrone_sim.worlds.people_meshes import names
 from xtdrone_sim.worlds.scenery import assets, scenery_objects
-from xtdrone_sim.worlds.scenery.free_ground import Ground, Rectangle
 from xtdrone_sim.worlds.scenery.materials import SPLITS, Kit
 from xtdrone_sim.worlds.scenery.scenery_objects import Thing
+from xtdrone_sim.worlds.scenery.start_area_and_ground import Ground, Rectangle
 from xtdrone_sim.worlds.sdf import (
     Light,
     SdfActor,
@@ -356,3 +358,33 @@ def _waypoint(time: float, place: tuple[float, float], heading: float) -> Waypoi
 def is_free(world: SdfWorld, x: float, y: float, radius: float) -> bool:
     """Return whether only ground is within ``radius`` m of (x, y), m ENU, at any height; see ``free_ground.Ground``."""
     return Ground(world).is_free(x, y, radius)
+
+
+@dataclass(frozen=True)
+class CountrysideSettings(Settings):
+    """Options of a countryside."""
+
+    seed: int = setting(0, low=0, text="of all random choices")
+    length: float = setting(100.0, low=30.0, high=1000.0, unit="m", text="along x, from -10 m on")
+    width: float = setting(60.0, low=30.0, high=1000.0, unit="m", text="along y, from -10 m on")
+    persons: int = setting(1, low=0, high=100, text="number of persons")
+    walking: bool = setting(False, text="persons walk instead of standing")
+    objects: float = setting(1.0, low=0.0, high=3.0, text="factor on the number of things")
+    light: str = setting("noon", choices=LIGHTS, text="time of day and weather")
+
+
+def countryside(settings: CountrysideSettings) -> SdfWorld:
+    """Generate the countryside of a seed.
+
+    Raises:
+        ValueError: a person has no free place.
+    """
+    return outdoor(
+        settings.seed,
+        region=(-10.0, -10.0, settings.length - 10.0, settings.width - 10.0),
+        persons=settings.persons,
+        walking=settings.walking,
+        skins=names(),
+        objects=settings.objects,
+        light=settings.light,
+    )

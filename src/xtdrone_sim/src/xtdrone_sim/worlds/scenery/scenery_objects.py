@@ -9,8 +9,9 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler
-from xtdrone_sim.shapes.visual import Box, Collision, Colour, Cylinder, Geometry, Mesh, Pose, Sphere, Visual
+from xtdrone_sim.shapes.visual import Box, Collision, Colour, Cylinder, Geometry, Mesh, Sphere, Visual
 from xtdrone_sim.worlds.scenery import assets
 from xtdrone_sim.worlds.scenery.materials import Kit
 

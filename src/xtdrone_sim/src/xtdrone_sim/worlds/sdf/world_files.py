@@ -11,14 +11,14 @@ from typing import Any
 
 from xtdrone_control.bounded_file import read_bytes
 from xtdrone_control.geodesy.datum import Datum
+from xtdrone_sim.data_files import data_path
 from xtdrone_sim.descriptions import ModelError, available, read_description
-from xtdrone_sim.package_files import CONFIG, PACKAGE
 from xtdrone_sim.worlds.sdf.models.yaml_models import read_models
 from xtdrone_sim.worlds.sdf.world_reader import parse_model, parse_world
 from xtdrone_sim.worlds.sdf.world_records import SdfError, SdfModel, SdfWorld
 from xtdrone_sim.worlds.sdf.xml_elements import LARGEST, Element
 
-WORLDS = PACKAGE / "worlds"
+WORLDS = data_path("worlds")
 
 MODELS = "models"
 """Field of a YAML file with the list of the world's models."""
@@ -56,7 +56,7 @@ def world_file(name: str) -> Path:
         path = Path(name).expanduser().absolute()
     if path is None:
         _check_known(name)
-        path = CONFIG / "worlds" / f"{name}.yaml"
+        path = data_path(f"config/worlds/{name}.yaml")
     return path
 
 

@@ -12,7 +12,8 @@ from typing import Any
 
 from xtdrone_control.bounded_file import read_bytes
 from xtdrone_control.geodesy.datum import Datum
-from xtdrone_sim.shapes.visual import Collision, Pose, Visual
+from xtdrone_control.poses import Pose
+from xtdrone_sim.shapes.visual import Collision, Visual
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import is_plane, read_collisions, read_visuals
 from xtdrone_sim.worlds.sdf.models.joints import WORLD, divide, read_joint, read_joint_of_world
 from xtdrone_sim.worlds.sdf.models.model_uris import model_folders, resolve
@@ -27,11 +28,7 @@ from xtdrone_sim.worlds.sdf.world_records import (
     Trajectory,
     Waypoint,
 )
-from xtdrone_sim.worlds.sdf.xml_elements import LARGEST, Element, parse
-from xtdrone_sim.worlds.sdf.xml_poses import (
-    pose_of,
-    read_pose,
-)
+from xtdrone_sim.worlds.sdf.xml_elements import LARGEST, Element, parse, pose_of, read_pose
 
 EXTENDS = "xtdrone:extends"
 DECLINATION = "xtdrone:declination"

@@ -6,10 +6,11 @@ import math
 from dataclasses import dataclass, field
 
 from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import Vector
 from xtdrone_sim.descriptions import ModelError
-from xtdrone_sim.shapes.visual import Collision, Pose, Visual
-from xtdrone_sim.vehicles.urdf import Inertial
+from xtdrone_sim.shapes.visual import Collision, Visual
+from xtdrone_sim.worlds.urdf import Inertial
 
 
 class SdfError(ModelError):

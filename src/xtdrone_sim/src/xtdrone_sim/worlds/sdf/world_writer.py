@@ -6,16 +6,14 @@ from collections.abc import Iterable
 from decimal import Decimal
 from xml.sax.saxutils import escape, quoteattr
 
-from xtdrone_sim.shapes.visual import Pose
-from xtdrone_sim.vehicles.urdf import Inertial
+from xtdrone_control.poses import Pose
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import write_collision, write_visual
 from xtdrone_sim.worlds.sdf.models.joints import write_joint
 from xtdrone_sim.worlds.sdf.models.rigid_links import INERTIA
 from xtdrone_sim.worlds.sdf.world_reader import DECLINATION, GROUND, SPEED
 from xtdrone_sim.worlds.sdf.world_records import SdfActor, SdfLink, SdfModel, SdfWorld, Trajectory
-from xtdrone_sim.worlds.sdf.xml_poses import (
-    write_pose,
-)
+from xtdrone_sim.worlds.sdf.xml_elements import write_pose
+from xtdrone_sim.worlds.urdf import Inertial
 
 
 def write_world(world: SdfWorld) -> str:

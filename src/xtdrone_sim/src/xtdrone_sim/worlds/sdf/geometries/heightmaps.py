@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from xtdrone_control.bounded_file import MB, read_bytes
 from xtdrone_control.rotation import Vector
-from xtdrone_sim.cached_files import cached_folder
+from xtdrone_sim.data_files import cached_folder
 from xtdrone_sim.worlds.sdf.world_records import SdfError
 
 LARGEST_PICTURE = 32 * MB

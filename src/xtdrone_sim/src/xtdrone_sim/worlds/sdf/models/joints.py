@@ -10,13 +10,11 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
+from xtdrone_control.poses import Pose, compose, inverse, rotate
 from xtdrone_control.rotation import Vector
 from xtdrone_control.shortened_text import shortened
-from xtdrone_sim.shapes.pose_arithmetic import compose, inverse, rotate
-from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.worlds.sdf.world_records import SdfJoint, SdfLink, SdfModel
-from xtdrone_sim.worlds.sdf.xml_elements import Element
-from xtdrone_sim.worlds.sdf.xml_poses import read_pose, write_pose
+from xtdrone_sim.worlds.sdf.xml_elements import Element, read_pose, write_pose
 
 MOVING = ("revolute", "continuous", "prismatic", "ball")
 """Types of joints that move; a continuous one is a revolute one without limits."""

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from xtdrone_control.shortened_text import shortened
-from xtdrone_sim.package_files import MODELS, PACKAGE
-from xtdrone_sim.vehicles.urdf import LONGEST_URI
+from xtdrone_sim.data_files import PACKAGES, data_folders, package_folder
 from xtdrone_sim.worlds.sdf.world_records import SdfError
 from xtdrone_sim.worlds.sdf.xml_elements import Element
+from xtdrone_sim.worlds.urdf import LONGEST_URI
 
 _VARIABLES = ("XTDRONE_MODELS", "GAZEBO_MODEL_PATH")
 
@@ -27,7 +27,7 @@ def model_folders(folder: Path) -> Iterator[Path]:
         for name in os.environ.get(variable, "").split(":"):
             if name:
                 yield Path(name).expanduser()
-    yield MODELS
+    yield from data_folders("models")
 
 
 def resolve(element: Element) -> Path:
@@ -55,7 +55,11 @@ def resolve(element: Element) -> Path:
                 return (folder / rest).absolute()
         raise element.error(f"{uri!r} is in none of {', '.join(dict.fromkeys(map(str, folders)))} (XTDRONE_MODELS)")
     if kind == "package":
-        path = _package(element, uri, rest)
+        name, _, inner = rest.partition("/")
+        try:
+            path = package_folder(name) / inner
+        except LookupError as error:
+            raise element.error(f"{uri!r}: {error.args[0]}") from error
     elif kind in {"", "file"}:
         path = (beside / rest).absolute()
     else:
@@ -65,21 +69,10 @@ def resolve(element: Element) -> Path:
     return path
 
 
-def _package(element: Element, uri: str, rest: str) -> Path:
-    name, _, inner = rest.partition("/")
-    if name == "xtdrone_sim":
-        return PACKAGE / inner
-    import rospkg  # needed for other packages only
-
-    try:
-        return Path(rospkg.RosPack().get_path(name)) / inner
-    except rospkg.ResourceNotFound as error:
-        raise element.error(f"{uri!r}: no ROS package {name!r} is found") from error
-
-
 def uri_of(path: Path) -> str:
     """Return a URI that ``resolve`` maps back to a file, independent of the current folder."""
     path = path.absolute()
-    if path.is_relative_to(PACKAGE):
-        return f"package://xtdrone_sim/{path.relative_to(PACKAGE)}"
+    for name in PACKAGES:
+        if path.is_relative_to(package_folder(name)):
+            return f"package://{name}/{path.relative_to(package_folder(name))}"
     return f"file://{path}"

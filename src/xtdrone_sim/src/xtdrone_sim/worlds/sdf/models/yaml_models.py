@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import Vector, from_euler
-from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Geometry, Mesh, Pose, Sphere, Visual
-from xtdrone_sim.vehicles.urdf import Inertial
+from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Geometry, Mesh, Sphere, Visual
 from xtdrone_sim.worlds.sdf.geometries.heightmaps import read_heightmap
 from xtdrone_sim.worlds.sdf.geometries.materials import GREY
 from xtdrone_sim.worlds.sdf.geometries.mesh_files import MeshPart, check_wavefront, read_mesh
@@ -17,6 +17,7 @@ from xtdrone_sim.worlds.sdf.models.model_uris import resolve
 from xtdrone_sim.worlds.sdf.models.rigid_links import MOST_SHAPES
 from xtdrone_sim.worlds.sdf.world_records import SdfError, SdfLink, SdfModel
 from xtdrone_sim.worlds.sdf.xml_elements import Element, File
+from xtdrone_sim.worlds.urdf import Inertial
 
 SHAPES = ("box", "cylinder", "sphere", "mesh", "heightmap")
 MOST_MODELS = 10_000

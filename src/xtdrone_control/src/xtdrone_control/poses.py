@@ -1,12 +1,21 @@
-"""Arithmetic of ``visual.Pose``: unit quaternions (w, x, y, z), positions in metres."""
+"""Poses and their arithmetic: unit quaternions (w, x, y, z), positions in metres."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from xtdrone_control.cameras.camera_pose import LINK_FROM_OPTICAL
 from xtdrone_control.rotation import Quaternion, Vector, multiply
-from xtdrone_sim.shapes.visual import Pose
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Position and orientation in the parent frame."""
+
+    position: Vector = (0.0, 0.0, 0.0)
+    orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
+
 
 OPTICAL_FRAME = Pose(orientation=LINK_FROM_OPTICAL)
 """The optical frame of a camera in its link."""

@@ -7,13 +7,55 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from xtdrone_control.poses import Pose, compose
 from xtdrone_control.rotation import from_euler
-from xtdrone_sim.shapes.visual import Box, Collision, Colour, Mesh, Pose, Visual
+from xtdrone_sim.shapes.visual import Box, Collision, Colour, Mesh, Visual
 from xtdrone_sim.worlds.scenery import assets
-from xtdrone_sim.worlds.scenery.free_ground import Rectangle
 from xtdrone_sim.worlds.scenery.scenery_objects import Thing
 from xtdrone_sim.worlds.sdf import Light, SdfLink, SdfModel, SdfWorld, load_world_file
+from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
+
+Rectangle = tuple[float, float, float, float]
+"""x0, y0, x1, y1, m."""
+
+_FLAT = 0.05  # m, height below which a shape counts as ground
+
+
+class Ground:
+    """The free ground of a world: without visuals or collisions on or above it."""
+
+    def __init__(self, world: SdfWorld) -> None:
+        """Store the bounding rectangles, along x and y, of all shapes of ``world``."""
+        boxes = []
+        for model in world.models:
+            for link in model.links:
+                frame = compose(model.pose, link.pose)
+                shapes = [(v.geometry, v.pose) for v in link.visuals] + [(c.geometry, c.pose) for c in link.collisions]
+                for geometry, pose in shapes:
+                    low, high = box_of(geometry, compose(frame, pose))
+                    if high[2] > _FLAT:
+                        boxes.append((low[0], low[1], high[0], high[1]))
+        self._boxes: NDArray[np.float64] = np.array(boxes, float).reshape(-1, 4)
+
+    def is_free(self, x: float, y: float, radius: float) -> bool:
+        """Return whether the ground within ``radius`` m of (x, y) is free."""
+        boxes = self._boxes
+        dx = np.maximum(np.maximum(boxes[:, 0] - x, x - boxes[:, 2]), 0.0)
+        dy = np.maximum(np.maximum(boxes[:, 1] - y, y - boxes[:, 3]), 0.0)
+        return not bool(np.any(dx * dx + dy * dy <= radius * radius))
+
+    def is_free_way(self, start: tuple[float, float], end: tuple[float, float], radius: float) -> bool:
+        """Return whether the line between two points is free, sampled every ``radius``, m."""
+        pieces = max(1, math.ceil(math.dist(start, end) / radius))
+        return all(
+            self.is_free(
+                start[0] + (end[0] - start[0]) * k / pieces, start[1] + (end[1] - start[1]) * k / pieces, radius
+            )
+            for k in range(pieces + 1)
+        )
+
 
 START: Rectangle = (-3.0, -3.0, 18.0, 13.0)
 """x0, y0, x1, y1, m: empty in every world, so that the fleet's spawn grid is free."""

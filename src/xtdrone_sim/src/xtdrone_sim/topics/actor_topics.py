@@ -21,8 +21,8 @@ from ros_actor_cmd_pose_plugin_msgs.msg import ActorMotion
 from xtdrone_msgs.msg import SceneState
 
 from xtdrone_control import lockstep
+from xtdrone_control.poses import Pose as VisualPose
 from xtdrone_control.rotation import yaw_of
-from xtdrone_sim.shapes.visual import Pose as VisualPose
 from xtdrone_sim.worlds.actors import Actors, ActorState
 
 _WARNING_PERIOD = 5.0  # wall s between two equal warnings

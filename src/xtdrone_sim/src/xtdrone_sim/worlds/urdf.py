@@ -24,21 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.bounded_file import MB, MOST_VALUES, ContentError, read_text
+from xtdrone_control.poses import Pose, compose, rotate
 from xtdrone_control.rotation import from_euler
-from xtdrone_sim.package_files import PACKAGE
-from xtdrone_sim.shapes.pose_arithmetic import compose, rotate
-from xtdrone_sim.shapes.visual import (
-    Box,
-    Collision,
-    Colour,
-    Cylinder,
-    Geometry,
-    Mesh,
-    Pose,
-    Sphere,
-    Vector,
-    Visual,
-)
+from xtdrone_sim.data_files import package_folder
+from xtdrone_sim.shapes.visual import Box, Collision, Colour, Cylinder, Geometry, Mesh, Sphere, Vector, Visual
 
 FIXED, REVOLUTE, CONTINUOUS = "fixed", "revolute", "continuous"
 _LARGEST = 16 * MB
@@ -219,14 +208,10 @@ def resolve(uri: str, folder: Path) -> Path:
     if scheme != "package":
         raise UrdfError(f"{uri!r} is not allowed, package://PACKAGE/..., file:///... or a path from the URDF's folder")
     package, _, path = rest.partition("/")
-    if package == "xtdrone_sim":
-        return PACKAGE / path
-    import rospkg  # needed for other packages only
-
     try:
-        return Path(rospkg.RosPack().get_path(package)) / path
-    except rospkg.ResourceNotFound as error:
-        raise UrdfError(f"{uri!r}: no ROS package {package!r} on ROS_PACKAGE_PATH") from error
+        return package_folder(package) / path
+    except LookupError as error:
+        raise UrdfError(f"{uri!r}: {error.args[0]}") from error
 
 
 def read_urdf(path: Path) -> Description:

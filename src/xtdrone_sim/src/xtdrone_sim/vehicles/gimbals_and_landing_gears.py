@@ -1,9 +1,13 @@
-"""Gimbals: joints that stabilise the direction of a camera against the motion of the body.
+"""Moving joints of vehicles: gimbals, and landing gears that are raised in flight out of the camera's view.
 
-A gimbal rotates about the body's z (yaw), then x (roll), then y (pitch). The commanded direction slews to a new
-setpoint at a limited rate; the joints move to the angles that point the camera in this direction for any attitude of
-the body, within their limits and speeds. The camera's direction is roll, pitch, yaw as in MAVLink: from the level frame
-along the vehicle's heading by yaw (positive to the right), pitch (positive up), roll (positive to the right).
+A gimbal stabilises the direction of a camera against the motion of the body. It rotates about the body's z (yaw), then
+x (roll), then y (pitch). The commanded direction slews to a new setpoint at a limited rate; the joints move to the
+angles that point the camera in this direction for any attitude of the body, within their limits and speeds. The
+camera's direction is roll, pitch, yaw as in MAVLink: from the level frame along the vehicle's heading by yaw (positive
+to the right), pitch (positive up), roll (positive to the right).
+
+The autopilot commands the position of a landing gear (PX4: raised in AUTO modes more than 2 m above home). Its joints
+move at the speed of the slowest. Contact with the ground is that of the vehicle's collision box, independent of it.
 """
 
 from __future__ import annotations
@@ -20,7 +24,7 @@ from xtdrone_sim.kernel import kernel
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
 
 YAW, ROLL, PITCH = range(3)  # joints, from the body outwards
-_REPORT_STEPS = 5  # steps between two exchanges with the autopilot: 50 Hz
+_STEPS = 5  # steps between two exchanges with the autopilot: 50 Hz
 _LEVEL = 1e-6  # rad of roll below which the order of rotations does not matter
 
 GIMBAL = np.dtype(
@@ -172,7 +176,7 @@ class Gimbals:
             commanders: one per vehicle; empty for external autopilots.
             dt: s.
         """
-        exchange = bool(commanders) and steps % _REPORT_STEPS == 0
+        exchange = bool(commanders) and steps % _STEPS == 0
         if exchange:
             for i in self._fitted:
                 self.records["wanted"][i] = commanders[i].navigator.payload.gimbal
@@ -192,3 +196,62 @@ def _fit(record: np.void, model: VehicleModel) -> None:
     for k, (joint, sign) in enumerate(zip(gimbal.joints, gimbal.signs, strict=True)):
         record["lower"][k], record["upper"][k] = sorted((sign * joint.lower, sign * joint.upper))
         record["speed"][k] = joint.velocity
+
+
+GEAR = np.dtype(
+    [
+        ("raised", "f8"),  # 0 down, 1 up
+        ("rate", "f8"),  # 1/s, rate of ``raised``
+        ("speed", "f8"),  # 1/s, maximum rate; 0: no landing gear
+    ],
+    align=True,
+)
+
+
+class LandingGears:
+    """The landing gears of a fleet.
+
+    Attributes:
+        records: (n,) ``GEAR``.
+        any: whether a vehicle has one.
+    """
+
+    def __init__(self, models: Sequence[VehicleModel]) -> None:
+        """Create the landing gears, lowered.
+
+        Args:
+            models: one per vehicle.
+        """
+        self.records = np.zeros(len(models), GEAR)
+        for index, model in enumerate(models):
+            self.fit(index, model)
+
+    def fit(self, index: int, model: VehicleModel | None) -> None:
+        """Fit the vehicle ``index`` with the landing gear of a model, lowered; None removes it."""
+        joints = () if model is None else model.landing_gear
+        self.records[index] = np.zeros(1, GEAR)[0]
+        self.records[index]["speed"] = min((joint.velocity / joint.upper for joint in joints), default=0.0)
+        self._fitted: list[int] = np.flatnonzero(self.records["speed"]).tolist()
+        self.any = bool(self._fitted)
+
+    def reset(self, index: int) -> None:
+        """Lower the landing gear of vehicle ``index`` at once."""
+        self.records[index]["raised"] = self.records[index]["rate"] = 0.0
+
+    def step(self, steps: int, commanders: Sequence[Commander], dt: float) -> None:
+        """Advance by one step.
+
+        Args:
+            steps: number of this step.
+            commanders: one per vehicle; empty for external autopilots: the gears stay down.
+            dt: s.
+        """
+        if steps % _STEPS or not commanders:
+            return
+        for i in self._fitted:
+            gear = self.records[i]
+            before = float(gear["raised"])
+            change = float(gear["speed"]) * dt * _STEPS
+            raised = min(before + change, 1.0) if commanders[i].gear_up else max(before - change, 0.0)
+            gear["raised"] = raised
+            gear["rate"] = (raised - before) / (dt * _STEPS)

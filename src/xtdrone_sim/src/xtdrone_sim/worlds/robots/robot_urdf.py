@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 from xml.etree import ElementTree
 
+from xtdrone_control.poses import Pose, from_axis_angle
 from xtdrone_control.rotation import Vector, to_euler
-from xtdrone_sim.robots.robot_model import LINK, AnyRobot, BoatModel
-from xtdrone_sim.robots.wheel_drives import Joint
-from xtdrone_sim.shapes.pose_arithmetic import from_axis_angle
-from xtdrone_sim.shapes.visual import Box, Cylinder, Pose, Visual
+from xtdrone_sim.shapes.visual import Box, Cylinder, Visual
+from xtdrone_sim.worlds.robots.robot_model import LINK, AnyRobot, BoatModel
+from xtdrone_sim.worlds.robots.robot_settings import Joint
 
 _UP, _LEFT = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
 

@@ -1,16 +1,15 @@
-"""Models described by URDF, for spawn_urdf_model."""
+"""Models that requests describe, by URDF or SDF, and the limits of their shapes."""
 
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
+from xtdrone_control.poses import Pose, compose
 from xtdrone_sim.gazebo.request_limits import RequestError
-from xtdrone_sim.package_files import PACKAGE
-from xtdrone_sim.shapes.pose_arithmetic import compose
-from xtdrone_sim.shapes.visual import Pose
-from xtdrone_sim.vehicles.urdf import Description, Inertial, UrdfError, parse_urdf
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
 from xtdrone_sim.worlds.sdf.models.rigid_links import is_possible
+from xtdrone_sim.worlds.urdf import Description, Inertial, UrdfError, parse_urdf
 
 _STATIC = re.compile(r"<static>\s*(true|1)\s*</static>")
 
@@ -22,7 +21,7 @@ def model_of_urdf(text: str) -> SdfModel:
         RequestError: the URDF is invalid, or names a file outside ROS packages.
     """
     try:
-        description = parse_urdf(text, PACKAGE / "model_xml", is_foreign=True)
+        description = parse_urdf(text, Path("model_xml"), is_foreign=True)
         mass, centre, inertia = description.mass() if _has_mass(description) else (0.0, None, None)
     except UrdfError as error:
         raise RequestError(f"model_xml: {error}") from error

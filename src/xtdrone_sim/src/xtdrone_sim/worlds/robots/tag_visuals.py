@@ -10,10 +10,10 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.poses import Pose, compose
 from xtdrone_control.settings import SettingError
 from xtdrone_control.tag_boards import Tag, TagBoard
-from xtdrone_sim.shapes.pose_arithmetic import compose
-from xtdrone_sim.shapes.visual import Box, Collision, Pose, Visual
+from xtdrone_sim.shapes.visual import Box, Collision, Visual
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
 
 CELLS = 8  # of a tag of 36h11 along its edge, with the black border

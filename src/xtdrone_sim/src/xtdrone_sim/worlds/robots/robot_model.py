@@ -7,20 +7,25 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from xtdrone_control.autopilot.autopilot import STEP_US
 from xtdrone_control.bounded_file import ContentError
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_control.tag_boards import TagBoard, boards_of
 from xtdrone_sim.descriptions import ModelError, available, read_description
-from xtdrone_sim.robots import tag_visuals
-from xtdrone_sim.robots.boat_dynamics import Boat, BoatLimits, HullSettings, check_step
-from xtdrone_sim.robots.waves import WaveSettings
-from xtdrone_sim.robots.wheel_drives import Ackermann, AckermannLimits, Differential, DifferentialLimits, Drive
-from xtdrone_sim.robots.wheels_on_uneven_ground import Footprint, Ground
-from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Pose, Visual
-from xtdrone_sim.vehicles.urdf import Inertial
+from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Visual
+from xtdrone_sim.worlds.robots import tag_visuals
+from xtdrone_sim.worlds.robots.robot_settings import (
+    STEP,
+    AckermannLimits,
+    BoatLimits,
+    DifferentialLimits,
+    HullSettings,
+    WaveSettings,
+    check_step,
+)
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
+from xtdrone_sim.worlds.urdf import Inertial
 
 LINK = "base_link"
 DRIVES = ("differential", "ackermann", "boat")
@@ -31,7 +36,6 @@ _LEAST_CLEARANCE = 0.05  # m: bodies do not touch the ground; Bullet does not si
 _HEAVY = 1e5  # kg and kg m^2: so large that Bullet's solver moves the bodies that touch the robot, as its motors would
 _TYRE = (0.08, 0.08, 0.08, 1.0)
 _MARK = (0.8, 0.1, 0.1, 1.0)
-_CASTORS = 0.4  # of the body's length, before and behind its middle
 _PLATE = 0.04  # m, thickness of a platform
 
 
@@ -101,26 +105,6 @@ class RobotModel:
     def ahead(self) -> float:
         """Distance of the platform's centre ahead of the origin, m."""
         return self.body.ahead
-
-    def drive(self, pose: Pose, ground: Ground | None = None) -> Drive:
-        """Return the drive at a pose, on ``ground`` if that is not level."""
-        drive: Drive
-        if isinstance(self.limits, AckermannLimits):
-            drive = Ackermann(self.limits, pose)
-        else:
-            drive = Differential(self.limits, pose)
-        if ground is not None:
-            drive.stand_on(ground, self.feet)
-        return drive
-
-    @property
-    def feet(self) -> Footprint:
-        """Contact points with the ground: the wheels; of a robot with two of them, also castors in front and behind."""
-        side = 0.5 * self.limits.track
-        if isinstance(self.limits, AckermannLimits):
-            return Footprint(0.0, self.limits.wheelbase, side)
-        half = _CASTORS * self.body.length
-        return Footprint(self.body.ahead - half, self.body.ahead + half, side)
 
     def model(self, name: str, pose: Pose, *, wheels: bool = True) -> SdfModel:
         """Return its model in the world: one link with body, platform and, if wanted, wheels."""
@@ -192,10 +176,6 @@ class BoatModel:
     ahead = 0.0
     """Distance of the platform's centre ahead of the origin, m."""
     wheels: tuple[()] = ()
-
-    def drive(self, pose: Pose, ground: Ground | None = None) -> Boat:
-        """Return the boat at the position and heading of a pose, at rest; ``ground`` is not used."""
-        return Boat(self.hull, self.limits, self.waves, pose)
 
     def model(self, name: str, pose: Pose, *, wheels: bool = True) -> SdfModel:
         """Return its model in the world: one link with hull, bow, thrusters and platform."""
@@ -274,7 +254,7 @@ def _checked_boat(given: Mapping[str, object]) -> BoatModel:
     limits = BoatLimits.from_mapping(given.get("limits", {}), "limits")
     hull = HullSettings.from_mapping(given.get("hull", {}), "hull")
     waves = WaveSettings.from_mapping(given.get("waves", {}), "waves")
-    check_step(hull, limits, STEP_US * 1e-6)
+    check_step(hull, limits, STEP)
     deck = given.get("platform")
     platform = None if deck is None else PlatformSettings.from_mapping(deck, "platform")
     top = hull.depth - hull.draught + _PLATE

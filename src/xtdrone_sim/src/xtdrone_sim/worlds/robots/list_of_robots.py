@@ -6,10 +6,10 @@ import re
 from typing import Any, NamedTuple
 
 from xtdrone_control.bounded_file import ContentError, load_yaml
+from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import SettingError, check_range
-from xtdrone_sim.robots.robot_model import AnyRobot, load_robot
-from xtdrone_sim.shapes.visual import Pose
+from xtdrone_sim.worlds.robots.robot_model import AnyRobot, load_robot
 
 MOST_ROBOTS = 50
 
