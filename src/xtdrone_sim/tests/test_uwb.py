@@ -14,11 +14,11 @@ from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.rays.scene import RayScene, SceneAt
 from xtdrone_sim.shapes.visual import Box, Visual
 from xtdrone_sim.tf.vehicle_frames import RobotFrames
-from xtdrone_sim.uwb.antennas import Antenna, antennas_of, neighbours_of
 from xtdrone_sim.uwb.line_of_sight import Moment, Sights
-from xtdrone_sim.uwb.ranging import Neighbours, measured, seen_from
+from xtdrone_sim.uwb.ranging import Neighbours, measured, neighbours_of, seen_from
 from xtdrone_sim.vehicles.mounts.body_sensors import UwbMount, read_uwb
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import MountError
+from xtdrone_sim.vehicles.mounts.fleet_sensor import Antenna, antennas_of
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
 

@@ -20,10 +20,9 @@ for an image only when its publication is due. Cameras without subscribers take 
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import rospy
 from std_srvs.srv import SetBool, SetBoolResponse
@@ -31,7 +30,7 @@ from xtdrone_msgs.msg import SceneModels, SceneState
 
 from xtdrone_control import lockstep
 from xtdrone_control.lockstep.deferred_work import Deferred
-from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments, fleet_of
+from xtdrone_control.programs.node_command_line import ArgumentError
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.cameras.camera_messages import COSTLY, messages, topics_of
 from xtdrone_sim.cameras.camera_worker import Changes, DrawingProcess, Drawn
@@ -41,7 +40,7 @@ from xtdrone_sim.cameras.rendering import BACKENDS
 from xtdrone_sim.cameras.shutter import RecentScenes, exposure_times, middle_us
 from xtdrone_sim.rays.live_rays import scene_of
 from xtdrone_sim.rays.scene import SceneAt
-from xtdrone_sim.sensors.sensor_nodes import private_parameters, rate_setting
+from xtdrone_sim.sensors.sensor_nodes import rate_setting, read_start, run
 
 USAGE = "cameras.py"
 MOST_LATENCY = 10.0  # s
@@ -66,22 +65,6 @@ class CameraSettings(Settings):
     def rates(self, cameras: Sequence[Camera]) -> list[float]:
         """Return each camera's rate, Hz."""
         return [self.rate or camera.mount.rate for camera in cameras]
-
-
-class Drawer(Protocol):
-    """Draws images; see ``camera_worker.DrawingProcess``."""
-
-    ended: int
-    last_end: str
-
-    def draw(self, scenes: Sequence[SceneAt], view: View) -> bytes | None:
-        """Return the rows of an image, the mean of those of the scenes; None if it is lost."""
-
-    def change(self, changes: Changes) -> None:
-        """Use other models for the next images."""
-
-    def close(self) -> None:
-        """End the drawing."""
 
 
 class _Shot(NamedTuple):
@@ -127,14 +110,14 @@ class CameraNode:
         self._recent = RecentScenes(max((camera.mount.exposure for camera in cameras), default=0.0), scene_of)
         self._last: dict[int, rospy.Time] = {}  # stamp of each camera's latest image
         self._under_way: set[int] = set()
-        self._drawer: Drawer | None = None
+        self._drawer: DrawingProcess | None = None
         self._deferred = Deferred(1, wait=lockstep.is_active())
         self._changes: Changes | None = None
         lockstep.Subscriber("/xtdrone/scene", SceneState, self._take_scene, queue_size=1)
         lockstep.Subscriber("/xtdrone/models", SceneModels, self._take_models)
         lockstep.add_reset_hook(self._restart)
 
-    def begin(self, drawer: Drawer) -> None:
+    def begin(self, drawer: DrawingProcess) -> None:
         """Start taking images with ``drawer``, which the node closes."""
         self._drawer = drawer
         if self._changes is not None:
@@ -248,12 +231,8 @@ def main(arguments: Sequence[str]) -> None:
         ArgumentError: an argument or parameter is not allowed.
         DrawingError: images cannot be drawn.
     """
-    check_no_arguments(arguments)
-    parameters = private_parameters(_NAME, sys.argv)
-    text = str(parameters.get("fleet") or rospy.get_param("/xtdrone/fleet", "typhoon_h480"))
-    fleet = fleet_of(text) or ()
+    text, fleet, settings = read_start(_NAME, CameraSettings, "typhoon_h480", arguments)
     try:
-        settings = CameraSettings.from_parameters(lambda name, default: parameters.get(name[1:], default))
         cameras = cameras_of(fleet)
         turns = turn_rate(settings.rates(cameras))
     except ValueError as error:
@@ -262,10 +241,8 @@ def main(arguments: Sequence[str]) -> None:
         raise ArgumentError(f"/xtdrone/fleet: no vehicle of {text!r} has a camera")
     lockstep.init_node(_NAME, rate=turns)
     node = CameraNode(cameras, settings, turns)
-    try:
-        lockstep.start()  # returns when the simulator is running and has set the world
-        world = str(rospy.get_param("~world", rospy.get_param("/xtdrone/world", "empty")))
+
+    def begin(world: str) -> None:
         node.begin(DrawingProcess(Drawn(world, text, settings.backend, settings.shadows)))
-        lockstep.spin(node.step)
-    finally:
-        node.close()
+
+    run(begin, node.step, node.close)

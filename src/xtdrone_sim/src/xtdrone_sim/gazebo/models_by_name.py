@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from xtdrone_control.poses import Pose, compose, conjugate, inverse, rotate
-from xtdrone_sim.gazebo.request_limits import (
-    MOST_ADDED,
-    MOST_WRENCHES,
-    RequestError,
-    check_model,
-    check_name,
-    check_wrench,
-    unknown,
-)
+from xtdrone_sim.gazebo.models_in_requests import check_model
+from xtdrone_sim.gazebo.request_limits import MOST_ADDED, MOST_WRENCHES, RequestError, check_name, check_wrench, unknown
 from xtdrone_sim.gazebo.states import STANDING, State, in_world, part_of
 from xtdrone_sim.physics.bodies.movable_bodies import MOST_PAIRS, Drive
 from xtdrone_sim.physics.vehicle_dynamics import LOST
@@ -428,6 +422,53 @@ class Models:
             return f"{self._simulation.world.wrenches.clear(target)} wrenches on {name} are removed"
 
         return release
+
+    def setting_joints(self, name: str, joints: Sequence[str], positions: Sequence[float]) -> Change:
+        """Return the change that sets joints of a vehicle, from whose positions their drives continue to move them.
+
+        Args:
+            name: of the vehicle.
+            joints: names of joints of its gimbal and landing gear, whose joints move together.
+            positions: rad, as many as joints.
+
+        Raises:
+            RequestError: a joint cannot be set, or a position is outside its limits.
+        """
+        vehicle = self.vehicle(name)
+        if vehicle is None:
+            self.find("model_name", name)
+            raise RequestError(f"model_name: {name!r} has no joints that can be set")
+        if len(joints) != len(positions):
+            raise RequestError(f"joint_positions: {len(positions)} are not allowed for {len(joints)} joint_names")
+        turns = [self._joint_setting(vehicle, joint, value) for joint, value in zip(joints, positions, strict=True)]
+
+        def set_joints() -> str:
+            for turn in turns:
+                turn()
+            return f"joints of {name} are set: {', '.join(joints) or 'none'}"
+
+        return set_joints
+
+    def _joint_setting(self, vehicle: int, name: str, value: float) -> Callable[[], None]:
+        model = self._simulation.models[vehicle]
+        joints = list(model.gimbal.joints) if model.gimbal is not None else []
+        settable = [*joints, *model.landing_gear]
+        joint = next((one for one in settable if one.name == name), None)
+        if joint is None:
+            known = ", ".join(one.name for one in settable) or "none"
+            raise RequestError(f"joint_names: {name!r} cannot be set; joints that can are {known}")
+        if not (math.isfinite(value) and joint.lower <= value <= joint.upper):
+            raise RequestError(f"{name}: {value:g} rad is not allowed, {joint.lower:g} to {joint.upper:g} rad")
+
+        def turn() -> None:
+            if joint in joints:
+                number = joints.index(joint)
+                assert model.gimbal is not None
+                self._simulation.gimbals.records["joint"][vehicle, number] = model.gimbal.signs[number] * value
+            else:
+                self._simulation.landing_gears.records["raised"][vehicle] = value / joint.upper
+
+        return turn
 
     def _pushed(self, name: str) -> tuple[int, Sequence[float]]:
         """Return the target of a wrench, see ``Wrench``, and its centre of mass in the world."""

@@ -5,12 +5,17 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
+
 from xtdrone_control.poses import Pose, compose
-from xtdrone_sim.gazebo.request_limits import RequestError
-from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
+from xtdrone_sim.gazebo.request_limits import FARTHEST, RequestError, check_vector
+from xtdrone_sim.worlds.sdf import SdfError, SdfLink, SdfModel, read_model
+from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
 from xtdrone_sim.worlds.sdf.models.rigid_links import is_possible
 from xtdrone_sim.worlds.urdf import Description, Inertial, UrdfError, parse_urdf
 
+MOST_SHAPES = 256  # of a model
+_SIZES = (1e-3, 1e4)  # m, longest side of a shape
 _STATIC = re.compile(r"<static>\s*(true|1)\s*</static>")
 
 
@@ -50,3 +55,39 @@ def _pose_of(description: Description, name: str) -> Pose:
     while (joint := description.holder(name)) is not None:
         pose, name = compose(joint.pose, pose), joint.parent
     return pose
+
+
+def model_of_sdf(text: str) -> SdfModel:
+    """Return the model of an SDF.
+
+    Raises:
+        RequestError: the SDF is invalid.
+    """
+    try:
+        return read_model(text, "model_xml")
+    except SdfError as error:
+        raise RequestError(str(error)) from error
+
+
+def check_model(model: SdfModel) -> None:
+    """Check the number and the size of a model's shapes.
+
+    Raises:
+        RequestError: there are too many, one is too small or large, or a mesh cannot be read.
+    """
+    count = sum(len(link.visuals) + len(link.collisions) for link in model.links)
+    if not 0 < count <= MOST_SHAPES:
+        raise RequestError(f"model_xml: {count} visuals and collisions are not allowed, 1 to {MOST_SHAPES}")
+    low, high = _SIZES
+    for link in model.links:
+        shapes = [(shape.geometry, shape.pose) for shape in link.collisions]
+        for geometry, pose in shapes + [(shape.geometry, shape.pose) for shape in link.visuals]:
+            try:
+                lowest, highest = box_of(geometry, pose)
+            except SdfError as error:
+                raise RequestError(f"model_xml: {error}") from error
+            longest = float(np.max(np.asarray(highest) - np.asarray(lowest)))
+            if not low <= longest <= high:
+                words = f"a shape {longest:g} m long is not allowed, {low:g} to {high:g} m"
+                raise RequestError(f"model_xml: link {link.name!r}: {words}")
+        check_vector(f"model_xml: link {link.name!r}: position", link.pose.position, FARTHEST)

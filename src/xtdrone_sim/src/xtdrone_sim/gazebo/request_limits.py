@@ -6,11 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 
-import numpy as np
-
 from xtdrone_control.rotation import Quaternion, Vector
-from xtdrone_sim.worlds.sdf import SdfError, SdfModel
-from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
 
 FARTHEST = 1e5  # m, along each axis
 FASTEST = 1e3  # m/s and rad/s
@@ -19,9 +15,7 @@ HARDEST = 1e4  # m/s^2, of a body by the force of a request
 HARDEST_TURN = 1e5  # rad/s^2, of a body by the torque of a request
 MOST_WRENCHES = 1000  # that act now or later
 LONGEST_TEXT = 1 << 20  # characters of a model's description
-MOST_SHAPES = 256  # of a model
 MOST_ADDED = 500  # models added by requests at one time
-_SIZES = (1e-3, 1e4)  # m, longest side of a shape
 _WORST_LENGTH = 0.1  # by which the length of a quaternion may differ from 1
 _NAME = re.compile(r"[A-Za-z0-9_.+\-]{1,100}")
 _RESERVED = ("world", "map", "ground_plane")
@@ -96,30 +90,6 @@ def check_name(what: str, name: str) -> str:
             f"{what}: {shown!r} is not allowed, 1 to 100 letters, digits and _ . + -, other than {', '.join(_RESERVED)}"
         )
     return name
-
-
-def check_model(model: SdfModel) -> None:
-    """Check the number and the size of a model's shapes.
-
-    Raises:
-        RequestError: there are too many, one is too small or large, or a mesh cannot be read.
-    """
-    count = sum(len(link.visuals) + len(link.collisions) for link in model.links)
-    if not 0 < count <= MOST_SHAPES:
-        raise RequestError(f"model_xml: {count} visuals and collisions are not allowed, 1 to {MOST_SHAPES}")
-    low, high = _SIZES
-    for link in model.links:
-        shapes = [(shape.geometry, shape.pose) for shape in link.collisions]
-        for geometry, pose in shapes + [(shape.geometry, shape.pose) for shape in link.visuals]:
-            try:
-                lowest, highest = box_of(geometry, pose)
-            except SdfError as error:
-                raise RequestError(f"model_xml: {error}") from error
-            longest = float(np.max(np.asarray(highest) - np.asarray(lowest)))
-            if not low <= longest <= high:
-                words = f"a shape {longest:g} m long is not allowed, {low:g} to {high:g} m"
-                raise RequestError(f"model_xml: link {link.name!r}: {words}")
-        check_vector(f"model_xml: link {link.name!r}: position", link.pose.position, FARTHEST)
 
 
 def unknown(what: str, name: str, known: Sequence[str]) -> RequestError:

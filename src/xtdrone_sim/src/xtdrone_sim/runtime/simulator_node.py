@@ -6,12 +6,14 @@ import contextlib
 import gc
 import logging
 import select
+import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import rosgraph
 import rosgraph.names
@@ -27,13 +29,12 @@ from xtdrone_control.programs.plain_node import init_plain_node
 from xtdrone_control.programs.under_roslaunch import announce, end_launch
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.runtime.digest_file import DigestFile
-from xtdrone_sim.runtime.end_by_signal import Stop
 from xtdrone_sim.runtime.other_simulator import obstacle, ready_words, stale_uri
 from xtdrone_sim.runtime.requests.control_services import Services
 from xtdrone_sim.runtime.requests.mailbox import Mailbox
 from xtdrone_sim.runtime.requests.pacing import Pacer
 from xtdrone_sim.runtime.requests.simulation_control import Control, Reset
-from xtdrone_sim.runtime.requests.vehicle_services import VehicleServices, WindService
+from xtdrone_sim.runtime.requests.vehicle_services import VehicleServices
 from xtdrone_sim.runtime.simulator_interface import SimulatorBackend
 from xtdrone_sim.sensors.ground_truth import GroundTruth
 from xtdrone_sim.topics.model_states import LiveStates
@@ -151,6 +152,27 @@ class _Tick:
     is_counted: bool
 
 
+class Stop:
+    """Records requests to shut down. The node's ``init_node`` needs ``disable_signals=True``.
+
+    rospy's own handler unregisters the node's topics within the signal, interrupting the main thread. If that was
+    inside a log call, which reads a parameter from the master, it deadlocks on the lock of the master's proxy.
+    """
+
+    def __init__(self) -> None:
+        """Install the handler of SIGINT and SIGTERM."""
+        self._signalled = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._note)
+
+    def requested(self) -> bool:
+        """Return whether a signal has arrived or ROS is shutting down."""
+        return self._signalled or rospy.is_shutdown()
+
+    def _note(self, *_: Any) -> None:
+        self._signalled = True
+
+
 class SimulatorNode:
     """Runs a back end on the ROS graph until the simulation ends."""
 
@@ -213,7 +235,6 @@ class SimulatorNode:
             model_names=lambda: list(backend.model_states().name),
         )
         self._vehicle_services = VehicleServices(self._control, self._mailbox, backend, self._follow_vehicles)
-        self._wind_service = WindService(self._control, self._mailbox, backend)
         backend.open(self._server, self._mailbox, self._serve)
         self._poll = select.epoll()
         for descriptor in (self._mailbox.fileno(), self._server.fileno(), *backend.descriptors):

@@ -1,15 +1,61 @@
-"""The frame of the nodes that measure for a whole fleet: their parameters, and the times of their measurements."""
+"""The frame of the nodes that measure for a whole fleet: parameters, times of measurements, and the run."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar
 
 import rosgraph
+import rospy
 import yaml
 
 from xtdrone_control import lockstep
-from xtdrone_control.settings import setting
+from xtdrone_control.fleet import Vehicle
+from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments, fleet_of
+from xtdrone_control.settings import Settings, setting
+
+_Declared = TypeVar("_Declared", bound=Settings)
+
+
+def read_start(
+    name: str, kind: type[_Declared], fleet: str, arguments: Sequence[str]
+) -> tuple[str, tuple[Vehicle, ...], _Declared]:
+    """Return the text of the fleet, its vehicles, and the settings of a node that is not registered yet.
+
+    Args:
+        name: name of the node.
+        kind: class of its private parameters.
+        fleet: fleet without ``/xtdrone/fleet``.
+        arguments: its arguments, none of which is allowed.
+
+    Raises:
+        ArgumentError: an argument or parameter is not allowed.
+    """
+    check_no_arguments(arguments)
+    given = private_parameters(name, sys.argv)
+    text = str(given.get("fleet") or rospy.get_param("/xtdrone/fleet", fleet))
+    try:
+        settings = kind.from_parameters(lambda key, default: given.get(key[1:], default))
+        return text, fleet_of(text) or (), settings
+    except ValueError as error:
+        raise ArgumentError(str(error)) from error
+
+
+def run(begin: Callable[[str], None], step: Callable[[], None], close: Callable[[], None]) -> None:
+    """Run a node in the lockstep until shutdown.
+
+    Args:
+        begin: called with the name or file of the world when the simulator is running.
+        step: called in each turn.
+        close: called at the end.
+    """
+    try:
+        lockstep.start()  # returns when the simulator is running and has set the world
+        begin(str(rospy.get_param("~world", rospy.get_param("/xtdrone/world", "empty"))))
+        lockstep.spin(step)
+    finally:
+        close()
 
 
 def private_parameters(name: str, arguments: Sequence[str]) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from xtdrone_control.poses import Pose
 from xtdrone_control.rotation_arrays import rotate_inverse
 from xtdrone_sim.vehicles.mounts.body_sensors import SIGHT_BIASED, SIGHT_NEEDED, UwbMount
+from xtdrone_sim.vehicles.mounts.fleet_sensor import Antenna
 
 Array = NDArray[np.float64]
 
@@ -47,6 +48,25 @@ class Neighbours:
     def deviations(self, mount: UwbMount) -> Array:
         """Return the declared standard deviation (n,) of each range, m."""
         return np.where(self.blocked, math.hypot(mount.noise, mount.blocked_noise), mount.noise)
+
+
+def neighbours_of(own: int, antennas: Sequence[Antenna]) -> tuple[int, ...]:
+    """Return the antennas that an antenna measures: for each other vehicle, the one of the same name, else its first.
+
+    Args:
+        own: index of the measuring antenna.
+        antennas: of a fleet, vehicle by vehicle.
+
+    Returns:
+        Indices, in the fleet's order.
+    """
+    chosen: dict[str, int] = {}
+    for k, antenna in enumerate(antennas):
+        if antenna.vehicle == antennas[own].vehicle:
+            continue
+        if antenna.vehicle not in chosen or antenna.mount.name == antennas[own].mount.name:
+            chosen[antenna.vehicle] = k
+    return tuple(chosen.values())
 
 
 def seen_from(sensor: Pose, positions: Array, range_max: float) -> Neighbours:

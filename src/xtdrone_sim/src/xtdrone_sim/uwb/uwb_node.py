@@ -20,35 +20,29 @@ is measured from its first scene on.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import rospy
-from xtdrone_msgs.msg import RelativeRanges, SceneModels, SceneState
+from xtdrone_msgs.msg import RelativeRange, RelativeRanges, SceneState
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.poses import Pose, compose
-from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments, fleet_of
 from xtdrone_control.settings import Settings
-from xtdrone_sim.rays.live_rays import LiveRays, scene_of
+from xtdrone_sim.rays.live_rays import scene_of
 from xtdrone_sim.rays.scene import SceneAt
-from xtdrone_sim.sensors.ranging_failures import FailureServices
-from xtdrone_sim.sensors.sensor_nodes import Due, private_parameters, rate_setting, time_us
-from xtdrone_sim.topics.fleet_changes import FleetChanges, vehicles_may_join
-from xtdrone_sim.uwb.antennas import Antenna, antennas_of, neighbours_of
+from xtdrone_sim.sensors.ranging_node import RangingNode, Station, run_ranging_node
+from xtdrone_sim.sensors.sensor_nodes import Due, rate_setting, time_us
 from xtdrone_sim.uwb.line_of_sight import Moment, Sights
-from xtdrone_sim.uwb.ranging import Neighbours, measured, seen_from
-from xtdrone_sim.uwb.uwb_messages import ranges_message
+from xtdrone_sim.uwb.ranging import Neighbours, measured, neighbours_of, seen_from
 from xtdrone_sim.vehicles.mounts.body_sensors import LEAST_RATE, MOST_RATE, SIGHT_IGNORED
+from xtdrone_sim.vehicles.mounts.fleet_sensor import Antenna, antennas_of
 
 USAGE = "uwb.py"
-TURNS = 50.0  # Hz, rate of /xtdrone/scene
 
-_NAME = "uwb"
 _NOWHERE = (math.nan, math.nan, math.nan)
 
 
@@ -69,22 +63,16 @@ class _Measured(NamedTuple):
 
 
 @dataclass(eq=False)
-class _Sensor:
-    """A sensor with its topic, its measurements that are due, the latest one, and its neighbours.
+class _Station(Station):
+    """A sensor with its neighbours.
 
     Attributes:
-        joins: whether its vehicle has joined in flight and has not been in a scene yet.
         first: neighbours at the sensor's start, whose places in the measurement are kept even if they leave.
         joined: neighbours that have joined since.
     """
 
-    antenna: Antenna
-    publisher: lockstep.Publisher
-    due: Due
-    joins: bool
     first: tuple[Antenna, ...] = ()
     joined: tuple[Antenna, ...] = ()
-    last: _Measured | None = None
 
     @property
     def others(self) -> tuple[Antenna, ...]:
@@ -92,44 +80,29 @@ class _Sensor:
         return (*self.first, *self.joined)
 
 
-class UwbNode:
+class UwbNode(RangingNode[_Station]):
     """Measures and publishes ranges, turn by turn."""
 
+    name = "uwb"
+    kind = "UWB sensor"
+    find = staticmethod(antennas_of)
+
     def __init__(self, fleet: Sequence[Vehicle], settings: UwbSettings) -> None:
-        """Advertise topics and services.
-
-        Args:
-            fleet: all vehicles, whose UWB sensors are served.
-            settings: see ``UwbSettings``.
-
-        Raises:
-            ValueError: a vehicle type cannot be used.
-        """
+        """Advertise topics and services; see ``RangingNode``."""
         self._settings = settings
-        self._sensors: list[_Sensor] = []
-        self._failures = FailureServices()
-        self._rays = LiveRays(_NAME)
         self._scenes: list[tuple[int, SceneAt]] = []  # the last two, with their times in microseconds
-        self._serve(antennas_of(fleet), joins=False)
-        lockstep.Subscriber("/xtdrone/scene", SceneState, self._take_scene)
-        lockstep.Subscriber("/xtdrone/models", SceneModels, self._rays.change)
-        self._changes = FleetChanges(fleet, self._join, self._leave)
-        lockstep.add_reset_hook(self._restart)
+        super().__init__(fleet)
 
-    def begin(self, world: str) -> None:
-        """Start measuring in a world, given by name or file."""
-        self._rays.begin(world, self._changes.fleet)
-
-    def _serve(self, antennas: Sequence[Antenna], *, joins: bool) -> None:
+    def _serve(self, sensors: Sequence[Antenna], *, joins: bool) -> None:
         new = []
-        for antenna in antennas:
+        for antenna in sensors:
             rate = self._settings.rate or antenna.mount.rate
             one = replace(antenna, mount=replace(antenna.mount, rate=rate))
             self._failures.add(one.topic)
-            new.append(_Sensor(one, lockstep.Publisher(one.topic, RelativeRanges), Due(rate), joins))
-        self._sensors += new
-        there = [sensor.antenna for sensor in self._sensors]
-        for k, sensor in enumerate(self._sensors):
+            new.append(_Station(one, lockstep.Publisher(one.topic, RelativeRanges), Due(rate), joins))
+        self._stations += new
+        there = [station.sensor for station in self._stations]
+        for k, sensor in enumerate(self._stations):
             found = [there[other] for other in neighbours_of(k, there)]
             if sensor in new:
                 sensor.first = tuple(found)
@@ -142,19 +115,10 @@ class UwbNode:
             sensor.first = tuple(first)
             sensor.joined = tuple(other for other in found if other.vehicle not in known)
 
-    def _join(self, vehicle: Vehicle) -> None:
-        antennas = antennas_of([vehicle])
-        self._rays.add_vehicle(vehicle)
-        self._serve(antennas, joins=True)
-
     def _leave(self, vehicle: Vehicle) -> None:
-        self._rays.remove_vehicle(vehicle)
-        for sensor in [sensor for sensor in self._sensors if sensor.antenna.vehicle == vehicle.name]:
-            self._sensors.remove(sensor)
-            self._failures.remove(sensor.antenna.topic)
-            sensor.publisher.unregister()
-        for sensor in self._sensors:
-            sensor.joined = tuple(other for other in sensor.joined if other.vehicle != vehicle.name)
+        super()._leave(vehicle)
+        for station in self._stations:
+            station.joined = tuple(other for other in station.joined if other.vehicle != vehicle.name)
 
     def _take_scene(self, message: SceneState) -> None:
         now_us = message.header.stamp.to_nsec() // 1000
@@ -162,44 +126,34 @@ class UwbNode:
             self._scenes = [*self._scenes[-1:], (now_us, scene_of(message))]
 
     def _restart(self) -> None:
-        """Discard the state from before a reset of simulated time, except failures."""
         self._scenes.clear()
-        for sensor in self._sensors:
-            sensor.due.restart()
-            sensor.last = None
+        super()._restart()
+
+    def _first_us(self, station: _Station) -> int | None:
+        link = station.sensor.link
+        return next((time for time, scene in self._scenes if not station.joins or link in scene.links), None)
 
     def step(self) -> None:
         """Publish the measurements between the last two scenes."""
-        due: dict[int, list[_Sensor]] = {}
-        for sensor in self._sensors:
-            first_us = self._first_us(sensor)
-            if first_us is None:
-                continue
-            sensor.joins = False
-            for number in sensor.due.numbers(first_us, self._scenes[-1][0]):
-                if sensor.publisher.get_num_connections() and self._failures[sensor.antenna.topic].kind != "off":
-                    due.setdefault(time_us(sensor.antenna.mount.rate, number), []).append(sensor)
-        for now_us, sensors in sorted(due.items(), key=lambda item: item[0]):
-            self._measure(now_us, sensors)
+        due: dict[int, list[_Station]] = {}
+        for station, number in self._due(self._scenes[-1][0] if self._scenes else 0):
+            due.setdefault(time_us(station.sensor.mount.rate, number), []).append(station)
+        for now_us, stations in sorted(due.items(), key=lambda item: item[0]):
+            self._measure(now_us, stations)
 
-    def _first_us(self, sensor: _Sensor) -> int | None:
-        """Return the time of the first scene that a sensor can use, microseconds; None without one."""
-        link = sensor.antenna.link
-        return next((time for time, scene in self._scenes if not sensor.joins or link in scene.links), None)
-
-    def _measure(self, now_us: int, sensors: Sequence[_Sensor]) -> None:
+    def _measure(self, now_us: int, stations: Sequence[_Station]) -> None:
         """Publish the sensors' measurements at one time."""
         (first_us, before), (last_us, after) = self._scenes[0], self._scenes[-1]
         moment = Moment(before, after, (now_us - first_us) / (last_us - first_us) if last_us > first_us else 0.0)
-        poses = {one.antenna.topic: _placed(moment.pose(one.antenna.link), one.antenna) for one in self._sensors}
+        poses = {one.sensor.topic: _placed(moment.pose(one.sensor.link), one.sensor) for one in self._stations}
         heard = {topic: pose.position for topic, pose in poses.items() if pose and self._failures[topic].kind != "off"}
         sights: Sights | None = None
-        for sensor in sensors:
-            pose, mount = poses[sensor.antenna.topic], sensor.antenna.mount
+        for station in stations:
+            pose, mount = poses[station.sensor.topic], station.sensor.mount
             if pose is None:
-                rospy.logwarn_throttle(10.0, f"/xtdrone/scene has no {sensor.antenna.link}: no ranges")
+                rospy.logwarn_throttle(10.0, f"/xtdrone/scene has no {station.sensor.link}: no ranges")
                 continue
-            places = [heard.get(other.topic, _NOWHERE) for other in sensor.others]
+            places = [heard.get(other.topic, _NOWHERE) for other in station.others]
             positions = np.array(places).reshape(-1, 3)
             true = seen_from(pose, positions, mount.range_max)
             if mount.line_of_sight != SIGHT_IGNORED and true.heard.any():
@@ -207,32 +161,52 @@ class UwbNode:
                 if rays is None:
                     continue
                 sights = sights or Sights(rays, moment)
-                _look(sensor, sights, np.array(pose.position), positions, true)
-            self._publish(sensor, now_us, true)
+                _look(station, sights, np.array(pose.position), positions, true)
+            self._publish(station, now_us, true)
 
-    def _publish(self, sensor: _Sensor, now_us: int, true: Neighbours) -> None:
-        antenna, failure = sensor.antenna, self._failures[sensor.antenna.topic]
-        if failure.kind != "frozen" or sensor.last is None:
+    def _publish(self, station: _Station, now_us: int, true: Neighbours) -> None:
+        antenna, failure = station.sensor, self._failure(station)
+        if failure.kind != "frozen" or station.last is None:
             number = round(now_us * 1e-6 * antenna.mount.rate)
-            joined = [other.vehicle for other in sensor.joined]
+            joined = [other.vehicle for other in station.joined]
             seen = measured(antenna.mount, antenna.vehicle, number, true, failure.bias, failure.dropouts, joined)
-            sensor.last = _Measured(sensor.others, seen)
-        sensor.publisher.publish(ranges_message(antenna, sensor.last.others, now_us, sensor.last.seen))
-
-    def close(self) -> None:
-        """End the services."""
-        self._failures.close()
+            station.last = _Measured(station.others, seen)
+        station.publisher.publish(ranges_message(antenna, station.last.others, now_us, station.last.seen))
 
 
-def _look(sensor: _Sensor, sights: Sights, position: np.ndarray, positions: np.ndarray, true: Neighbours) -> None:
+def _look(station: _Station, sights: Sights, position: np.ndarray, positions: np.ndarray, true: Neighbours) -> None:
     """Set ``blocked`` for the neighbours without line of sight."""
     heard = np.flatnonzero(true.heard)
-    names = [sensor.others[other].vehicle for other in heard]
-    true.blocked[heard] = sights.blocked(sensor.antenna.vehicle, position, names, positions[heard])
+    names = [station.others[other].vehicle for other in heard]
+    true.blocked[heard] = sights.blocked(station.sensor.vehicle, position, names, positions[heard])
 
 
 def _placed(body: Pose | None, antenna: Antenna) -> Pose | None:
     return None if body is None else compose(body, antenna.mount.pose)
+
+
+def ranges_message(sensor: Antenna, others: Sequence[Antenna], time_us: int, seen: Neighbours) -> RelativeRanges:
+    """Return the message of a measurement.
+
+    Args:
+        sensor: the measuring sensor.
+        others: its n neighbours.
+        time_us: simulated time of the measurement, microseconds.
+        seen: the measurement.
+    """
+    message = RelativeRanges(vehicle=sensor.vehicle)
+    message.header.stamp, message.header.frame_id = rospy.Time(0, time_us * 1000), sensor.frame_id
+    deviations = seen.deviations(sensor.mount)
+    for k, other in enumerate(others):
+        if not seen.heard[k]:
+            continue
+        measured = RelativeRange(vehicle=other.vehicle, frame_id=other.frame_id, line_of_sight=not seen.blocked[k])
+        measured.range, measured.range_std = float(seen.ranges[k]), float(deviations[k])
+        if sensor.mount.bearing:
+            measured.has_bearing, measured.bearing_std = True, sensor.mount.bearing_noise
+            measured.azimuth, measured.elevation = float(seen.azimuths[k]), float(seen.elevations[k])
+        message.ranges.append(measured)
+    return message
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -241,22 +215,4 @@ def main(arguments: Sequence[str]) -> None:
     Raises:
         ArgumentError: an argument or parameter is not allowed.
     """
-    check_no_arguments(arguments)
-    parameters: dict[str, Any] = private_parameters(_NAME, sys.argv)
-    text = str(parameters.get("fleet") or rospy.get_param("/xtdrone/fleet", "iris_uwb:2"))
-    fleet = fleet_of(text) or ()
-    try:
-        settings = UwbSettings.from_parameters(lambda name, default: parameters.get(name[1:], default))
-        antennas = antennas_of(fleet)
-    except ValueError as error:
-        raise ArgumentError(str(error)) from error
-    if not antennas and not vehicles_may_join():
-        raise ArgumentError(f"/xtdrone/fleet: no vehicle of {text!r} has a UWB sensor")
-    lockstep.init_node(_NAME, rate=TURNS)
-    node = UwbNode(fleet, settings)
-    try:
-        lockstep.start()  # returns when the simulator is running and has set the world
-        node.begin(str(rospy.get_param("~world", rospy.get_param("/xtdrone/world", "empty"))))
-        lockstep.spin(node.step)
-    finally:
-        node.close()
+    run_ranging_node(UwbNode, UwbSettings, "iris_uwb:2", arguments)

@@ -32,6 +32,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future
+from functools import partial
 from typing import Any, NamedTuple
 
 import rospy
@@ -40,20 +41,37 @@ from gazebo_msgs.msg import LinkState, ModelState, ModelStates
 
 from xtdrone_control import lockstep
 from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_sim.gazebo.joints import set_joints
 from xtdrone_sim.gazebo.models_by_name import Change, Models
-from xtdrone_sim.gazebo.models_in_requests import model_of_urdf
+from xtdrone_sim.gazebo.models_in_requests import model_of_sdf, model_of_urdf
 from xtdrone_sim.gazebo.request_limits import LONGEST_TEXT, RequestError
 from xtdrone_sim.gazebo.scene_topics import ModelTopics
 from xtdrone_sim.gazebo.services.model_queries import Queries
-from xtdrone_sim.gazebo.services.refused_services import advertise_refused
 from xtdrone_sim.gazebo.states import microseconds, read_pose, read_state, read_wrench
 from xtdrone_sim.runtime.requests.mailbox import ClosedError, Mailbox
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.worlds.sdf import SdfError, SdfModel, read_model
+from xtdrone_sim.worlds.sdf import SdfModel
 
 _WARNING_PERIOD = 5.0  # wall s between two equal warnings
 _HOLD_STEPS = 125  # s for which a model or disarmed vehicle is held where /gazebo/set_model_states has put it
+
+_JOINTS = (
+    "joints of vehicles are moved by their autopilots (gimbal: mavros/mount_control/command, landing gear: no command) "
+    "and set by /gazebo/set_model_configuration"
+)
+_LIGHT = "the world has one sun, which is that of the world file (docs/worlds.md)"
+_MASS = "mass and inertia are those of a vehicle's or a model's description; delete the model and spawn another one"
+
+REFUSED = {
+    "apply_joint_effort": (srv.ApplyJointEffort, f"joints have no efforts here: {_JOINTS}"),
+    "clear_joint_forces": (srv.JointRequest, f"joints have no efforts here: {_JOINTS}"),
+    "get_joint_properties": (srv.GetJointProperties, "angles and rates of joints are on /VEHICLE/joint_states"),
+    "set_joint_properties": (srv.SetJointProperties, f"joints have no engine parameters here: {_JOINTS}"),
+    "set_link_properties": (srv.SetLinkProperties, _MASS),
+    "get_light_properties": (srv.GetLightProperties, _LIGHT),
+    "set_light_properties": (srv.SetLightProperties, _LIGHT),
+    "delete_light": (srv.DeleteLight, _LIGHT),
+}
+"""Type and reason by the name of the service below /gazebo."""
 
 Plan = Callable[[], Change]
 """Checks a request against the current state, and returns the change; raises RequestError."""
@@ -104,7 +122,8 @@ class GazeboServices:
         queries = Queries(self._simulation, self._models)
         for name, kind, query in queries.table():
             rospy.Service(f"/gazebo/{name}", kind, lambda request, query=query: self._in_thread(query, request))
-        advertise_refused()
+        for name, (kind, reason) in REFUSED.items():
+            rospy.Service(f"/gazebo/{name}", kind, partial(_refuse, kind, f"/gazebo/{name} is not supported: {reason}"))
         lockstep.Subscriber("/gazebo/set_model_state", ModelState, self._on_model_state)
         lockstep.Subscriber("/gazebo/set_model_states", ModelStates, self._on_model_states)
         lockstep.Subscriber("/gazebo/set_link_state", LinkState, self._on_link_state)
@@ -184,7 +203,7 @@ class GazeboServices:
         return srv.SetLinkStateResponse(*self._change(request, lambda: self._link_state(request.link_state)))
 
     def _spawn_sdf(self, request: Any) -> srv.SpawnModelResponse:
-        return self._spawn(request, _model_of_sdf)
+        return self._spawn(request, model_of_sdf)
 
     def _spawn_urdf(self, request: Any) -> srv.SpawnModelResponse:
         return self._spawn(request, model_of_urdf)
@@ -225,11 +244,7 @@ class GazeboServices:
 
     def _set_configuration(self, request: Any) -> srv.SetModelConfigurationResponse:
         def plan() -> Change:
-            vehicle = self._models.vehicle(request.model_name)
-            if vehicle is None:
-                self._models.find("model_name", request.model_name)
-                raise RequestError(f"model_name: {request.model_name!r} has no joints that can be set")
-            return set_joints(self._simulation, vehicle, request.joint_names, request.joint_positions)
+            return self._models.setting_joints(request.model_name, request.joint_names, request.joint_positions)
 
         return srv.SetModelConfigurationResponse(*self._change(request, plan))
 
@@ -278,13 +293,10 @@ class GazeboServices:
         return self._models.moving_link(state.link_name, wanted, state.reference_frame)
 
 
-def _model_of_sdf(text: str) -> SdfModel:
-    """Return the model of an SDF.
-
-    Raises:
-        RequestError: the SDF is invalid.
-    """
-    try:
-        return read_model(text, "model_xml")
-    except SdfError as error:
-        raise RequestError(str(error)) from error
+def _refuse(kind: Any, text: str, _request: Any) -> Any:
+    """Answer a request of a service that is not supported."""
+    response = kind._response_class()
+    if not hasattr(response, "success"):
+        raise rospy.ServiceException(text)
+    response.success, response.status_message = False, text
+    return response

@@ -1,9 +1,10 @@
-"""Services that change single vehicles of the running simulation.
+"""Services that change single vehicles, or the wind, of the running simulation.
 
 ==============================  ==========================  ==========================================================
 /simulator/reset_vehicle        xtdrone_msgs/ResetVehicle   return to the start or a given pose, as after a reboot
 /simulator/add_vehicle          xtdrone_msgs/AddVehicle     join at a free place; ``reserve`` keeps places free
 /simulator/remove_vehicle       xtdrone_msgs/RemoveVehicle  leave, in flight or not; the place is then free
+/simulator/set_wind             xtdrone_msgs/SetWind        change the world's wind
 ==============================  ==========================  ==========================================================
 
 rospy calls the handlers in its own threads; each change is made in the simulator's thread, between two ticks.
@@ -54,6 +55,7 @@ class VehicleServices:
         rospy.Service("~reset_vehicle", ResetVehicle, self._on_reset)
         rospy.Service("~add_vehicle", AddVehicle, self._on_add)
         rospy.Service("~remove_vehicle", RemoveVehicle, self._on_remove)
+        rospy.Service("~set_wind", SetWind, self._on_set_wind)
 
     def reset_vehicle(self, name: str, pose: StartPose | None, caller: str) -> str:
         """Reset a vehicle; see ``SimulatorBackend.reset_vehicle``.
@@ -112,6 +114,15 @@ class VehicleServices:
     def _on_remove(self, request: Any) -> RemoveVehicleResponse:
         return RemoveVehicleResponse(*answered(lambda: self.remove_vehicle(request.name, caller_of(request))))
 
+    def _on_set_wind(self, request: Any) -> SetWindResponse:
+        x, y, z = request.velocity.x, request.velocity.y, request.velocity.z
+
+        def make() -> str:
+            self._backend.set_wind((x, y, z))
+            return f"the wind is ({x:g}, {y:g}, {z:g}) m/s"
+
+        return SetWindResponse(*answered(lambda: self._ask(Change("change of the wind", make), caller_of(request))))
+
 
 def answered(act: Callable[[], str]) -> tuple[bool, str]:
     """Return whether a change was made, and a description of it or the reason why not."""
@@ -128,32 +139,3 @@ def _pose(numbers: Sequence[float]) -> StartPose | None:
 def caller_of(request: Any) -> str:
     """Return the name of the node that calls a service."""
     return str(request._connection_header["callerid"])
-
-
-class WindService:
-    """Advertises the service."""
-
-    def __init__(self, control: Control, mailbox: Mailbox, backend: SimulatorBackend) -> None:
-        """Advertise the service.
-
-        Args:
-            control: makes changes between ticks.
-            mailbox: passes requests to the simulator's thread.
-            backend: the simulated vehicles.
-        """
-        self._control, self._mailbox, self._backend = control, mailbox, backend
-        rospy.Service("~set_wind", SetWind, self._on_set_wind)
-
-    def _on_set_wind(self, request: Any) -> SetWindResponse:
-        x, y, z = request.velocity.x, request.velocity.y, request.velocity.z
-
-        def make() -> str:
-            self._backend.set_wind((x, y, z))
-            return f"the wind is ({x:g}, {y:g}, {z:g}) m/s"
-
-        def ask() -> str:
-            change = Change("change of the wind", make)
-            put = self._mailbox.put(lambda answer: self._control.ask_change(change, caller_of(request), answer))
-            return str(put.result())
-
-        return SetWindResponse(*answered(ask))

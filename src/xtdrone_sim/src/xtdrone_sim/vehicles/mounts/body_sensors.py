@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler
@@ -16,68 +16,15 @@ from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import MountError, check_sensor_name
 
 
-class _Mounted(Protocol):
-    """Interface of the sensors in a list."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def frame(self) -> str: ...
-
-
-_Mount = TypeVar("_Mount", bound=_Mounted)
-_Declared = TypeVar("_Declared", bound=Settings)
-
-
-def read_list(entries: Any, kind: str, read: Callable[[Mapping[str, Any], str], _Mount]) -> tuple[_Mount, ...]:
-    """Return the sensors of a list.
-
-    Args:
-        entries: content of the list; None for none.
-        kind: name of the list.
-        read: reads an entry; its second argument is the place for messages, such as ``imus, number 2``.
-
-    Raises:
-        MountError: not a list of mappings, an invalid entry, or a name or frame given twice.
-    """
-    if not isinstance(entries or [], list):
-        raise MountError(f"{kind}: {entries!r} is not allowed, a list")
-    mounts = tuple(_read(entry, f"{kind}, number {i}", read) for i, entry in enumerate(entries or [], start=1))
-    for what, values in (("name", [m.name for m in mounts]), ("frame_id", [m.frame for m in mounts])):
-        for value in values:
-            if values.count(value) > 1:
-                raise MountError(f"{kind}: {what} {value!r} is given {values.count(value)} times")
-    return mounts
-
-
-def reader(cls: type[_Declared]) -> Callable[[Mapping[str, Any], str], _Declared]:
-    """Return a function that reads an entry of declared fields."""
-
-    def read(entry: Mapping[str, Any], where: str) -> _Declared:
-        try:
-            return cls.from_mapping(entry, where)
-        except ValueError as error:
-            raise MountError(str(error)) from error
-
-    return read
-
-
-def _read(entry: Any, where: str, read: Callable[[Mapping[str, Any], str], _Mount]) -> _Mount:
-    if not isinstance(entry, Mapping):
-        raise MountError(f"{where}: {entry!r} is not allowed, a mapping")
-    return read(entry, where)
-
-
 @dataclass(frozen=True)
 class BodySensor(Settings):
-    """A sensor on the body of a vehicle; each kind has a ``name`` of its own."""
+    """A sensor on a link of a vehicle, its body unless a kind has a setting for it; each kind has its own name."""
 
     name: str = setting("", check=check_sensor_name, text="the topic is ``/VEHICLE/NAME``")
     frame_id: str = setting("", text="its frame, x ahead, ``VEHICLE/`` is prefixed; empty: NAME_frame")
-    position: tuple[float, float, float] = setting((0.0, 0.0, 0.0), low=-10.0, high=10.0, unit="m", text="in the body")
+    position: tuple[float, float, float] = setting((0.0, 0.0, 0.0), low=-10.0, high=10.0, unit="m", text="in its link")
     rpy: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.0), low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad", text="roll, pitch, yaw in the body"
+        (0.0, 0.0, 0.0), low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad", text="roll, pitch, yaw in its link"
     )
 
     @property
@@ -87,11 +34,48 @@ class BodySensor(Settings):
 
     @property
     def pose(self) -> Pose:
-        """Pose in the body."""
+        """Pose in its link."""
         return Pose(self.position, from_euler(*self.rpy))
 
 
-MOST_RATE = 250.0
+Mount = TypeVar("Mount", bound=BodySensor)
+
+
+def read_list(
+    entries: Any, kind: str, mount: type[Mount], prepare: Callable[[Mapping[str, Any], str], Mapping[str, Any]] | None
+) -> tuple[Mount, ...]:
+    """Return the sensors of a list.
+
+    Args:
+        entries: content of the list; None for none.
+        kind: name of the list.
+        mount: class of its entries.
+        prepare: returns the values of an entry; its second argument is the place for messages, such as ``imus, number
+            2``. None: they are those of the entry.
+
+    Raises:
+        MountError: not a list of mappings, an invalid entry, or a name or frame given twice.
+    """
+    if not isinstance(entries or [], list):
+        raise MountError(f"{kind}: {entries!r} is not allowed, a list")
+    mounts = []
+    for number, entry in enumerate(entries or [], start=1):
+        where = f"{kind}, number {number}"
+        if not isinstance(entry, Mapping):
+            raise MountError(f"{where}: {entry!r} is not allowed, a mapping")
+        try:
+            mounts.append(mount.from_mapping(prepare(entry, where) if prepare else entry, where))
+        except ValueError as error:
+            text = str(error)
+            raise MountError(text if text.startswith(where) else f"{where}: {text}") from error
+    for what, values in (("name", [m.name for m in mounts]), ("frame_id", [m.frame for m in mounts])):
+        for value in values:
+            if values.count(value) > 1:
+                raise MountError(f"{kind}: {what} {value!r} is given {values.count(value)} times")
+    return tuple(mounts)
+
+
+FASTEST_IMU = 250.0
 """Hz: one sample for each step of the simulation."""
 
 
@@ -100,14 +84,14 @@ class ImuMount(BodySensor):
     """An IMU: an entry of the list ``imus:``. Noise densities are those of data sheets."""
 
     name: str = setting("imu_gazebo", check=check_sensor_name, text="the topic is ``/VEHICLE/NAME``, sensor_msgs/Imu")
-    rate: float = setting(MOST_RATE, low=1.0, high=MOST_RATE, unit="Hz", text="samples per simulated second")
+    rate: float = setting(FASTEST_IMU, low=1.0, high=FASTEST_IMU, unit="Hz", text="samples per simulated second")
     gyro_noise: float = setting(0.0, low=0.0, high=1.0, unit="rad/s/√Hz", text="noise density of the gyroscope")
     gyro_walk: float = setting(0.0, low=0.0, high=1.0, unit="rad/s²/√Hz", text="random walk of its bias")
     gyro_bias: float = setting(0.0, low=0.0, high=1.0, unit="rad/s", text="standard deviation of its first bias")
     accel_noise: float = setting(0.0, low=0.0, high=10.0, unit="m/s²/√Hz", text="noise density of the accelerometer")
     accel_walk: float = setting(0.0, low=0.0, high=10.0, unit="m/s³/√Hz", text="random walk of its bias")
     accel_bias: float = setting(0.0, low=0.0, high=10.0, unit="m/s²", text="standard deviation of its first bias")
-    seed: int = setting(0, low=0, high=2**31 - 1, text="of the noise, together with vehicle and name")
+    seed: int = setting(0, low=0, high=2**31 - 1, text="seed of the noise, together with vehicle and name")
 
 
 def read_imus(imus: Any) -> tuple[ImuMount, ...]:
@@ -119,10 +103,10 @@ def read_imus(imus: Any) -> tuple[ImuMount, ...]:
     Raises:
         MountError: an unknown or invalid field, or a name or frame given twice.
     """
-    return read_list(imus, "imus", reader(ImuMount))
+    return read_list(imus, "imus", ImuMount, None)
 
 
-LEAST_RATE, MOST_RATE = 0.1, 50.0  # Hz
+LEAST_RATE, MOST_RATE = 0.1, 50.0  # Hz, of lidars and UWB sensors
 SIGHT_NEEDED, SIGHT_BIASED, SIGHT_IGNORED = "needed", "biased", "ignored"
 
 
@@ -156,7 +140,7 @@ class UwbMount(BodySensor):
     bearing_noise: float = setting(
         0.05, low=0.0, high=math.pi, unit="rad", text="standard deviation of azimuth and of elevation, white"
     )
-    seed: int = setting(0, low=0, high=2**31 - 1, text="of all random numbers, together with vehicle and name")
+    seed: int = setting(0, low=0, high=2**31 - 1, text="seed of all random numbers, together with vehicle and name")
 
 
 def read_uwb(sensors: Any) -> tuple[UwbMount, ...]:
@@ -168,4 +152,4 @@ def read_uwb(sensors: Any) -> tuple[UwbMount, ...]:
     Raises:
         MountError: an unknown or invalid field, or a name or frame given twice.
     """
-    return read_list(sensors, "uwb", reader(UwbMount))
+    return read_list(sensors, "uwb", UwbMount, None)

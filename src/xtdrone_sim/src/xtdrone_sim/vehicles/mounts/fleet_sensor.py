@@ -4,30 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Generic
 
 from xtdrone_control.fleet import Vehicle
+from xtdrone_sim.vehicles.mounts.body_sensors import Mount, UwbMount
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
 
 
-class _Mounted(Protocol):
-    """The names in the description of a sensor."""
-
-    @property
-    def name(self) -> str:
-        """Name in the topic."""
-
-    @property
-    def frame(self) -> str:
-        """Name of its frame without ``VEHICLE/``."""
-
-
-_Mount = TypeVar("_Mount", bound=_Mounted)
-
-
 @dataclass(frozen=True)
-class FleetSensor(Generic[_Mount]):
+class FleetSensor(Generic[Mount]):
     """A sensor of one vehicle.
 
     Attributes:
@@ -38,7 +24,7 @@ class FleetSensor(Generic[_Mount]):
 
     vehicle: str
     carrier: str
-    mount: _Mount
+    mount: Mount
 
     @property
     def topic(self) -> str:
@@ -57,8 +43,8 @@ class FleetSensor(Generic[_Mount]):
 
 
 def sensors_of(
-    fleet: Sequence[Vehicle], carried: Callable[[VehicleModel], Sequence[tuple[str, _Mount]]]
-) -> tuple[FleetSensor[_Mount], ...]:
+    fleet: Sequence[Vehicle], carried: Callable[[VehicleModel], Sequence[tuple[str, Mount]]]
+) -> tuple[FleetSensor[Mount], ...]:
     """Return all sensors of a kind of a fleet, vehicle by vehicle.
 
     Args:
@@ -73,6 +59,7 @@ def sensors_of(
 
 
 Lidar = FleetSensor[LidarMount]
+Antenna = FleetSensor[UwbMount]
 
 
 def lidars_of(fleet: Sequence[Vehicle]) -> tuple[Lidar, ...]:
@@ -82,3 +69,12 @@ def lidars_of(fleet: Sequence[Vehicle]) -> tuple[Lidar, ...]:
         ModelError: a vehicle type cannot be used.
     """
     return sensors_of(fleet, lambda model: [(mount.link, mount) for mount in model.lidars])
+
+
+def antennas_of(fleet: Sequence[Vehicle]) -> tuple[Antenna, ...]:
+    """Return all UWB sensors of a fleet, vehicle by vehicle.
+
+    Raises:
+        ModelError: a vehicle type cannot be used.
+    """
+    return sensors_of(fleet, lambda model: [(model.urdf.root, mount) for mount in model.uwb])

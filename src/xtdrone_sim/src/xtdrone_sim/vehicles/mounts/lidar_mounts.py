@@ -8,22 +8,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.poses import Pose
-from xtdrone_control.rotation import Vector, from_euler
-from xtdrone_control.settings import SettingError, Settings, setting
-from xtdrone_sim.vehicles.mounts.body_sensors import read_list
+from xtdrone_control.settings import SettingError, setting
+from xtdrone_sim.vehicles.mounts.body_sensors import LEAST_RATE, MOST_RATE, BodySensor, read_list
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import MountError, check_sensor_name
 from xtdrone_sim.worlds.urdf import Description
 
 KINDS = ("scan", "spinning", "pattern")
 ROSETTE = "rosette"
-LEAST_RATE, MOST_RATE = 0.1, 50.0  # Hz
 MOST_RAYS = 1_000_000
 """Largest number of rays of one scan."""
 
 
 @dataclass(frozen=True)
-class LidarMount(Settings):
+class LidarMount(BodySensor):
     """A lidar on a link of a vehicle: an entry of the list ``lidars:``."""
 
     name: str = setting("scan", check=check_sensor_name, text="the topic is ``/VEHICLE/NAME``")
@@ -33,11 +30,6 @@ class LidarMount(Settings):
         choices=KINDS,
         text="scan: one plane, LaserScan; spinning: several planes, PointCloud2; pattern: PointCloud2 of directions "
         "that do not repeat",
-    )
-    frame_id: str = setting("", text="its frame, x ahead, ``VEHICLE/`` is prefixed; empty: NAME_frame")
-    position: tuple[float, float, float] = setting((0.0, 0.0, 0.0), low=-10.0, high=10.0, unit="m", text="in the link")
-    rpy: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.0), low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad", text="roll, pitch, yaw in the link"
     )
     rate: float = setting(10.0, low=LEAST_RATE, high=MOST_RATE, unit="Hz", text="scans per simulated second")
     samples: int = setting(512, low=1, high=MOST_RAYS, text="rays of a plane; of a pattern, rays of a scan")
@@ -67,7 +59,7 @@ class LidarMount(Settings):
     noise: float = setting(0.0, low=0.0, high=10.0, unit="m", text="standard deviation of a range, white")
     resolution: float = setting(0.0, low=0.0, high=10.0, unit="m", text="ranges are multiples of it; 0: any")
     dropouts: float = setting(0.0, low=0.0, high=1.0, text="share of the returns that are lost at random")
-    seed: int = setting(0, low=0, high=2**31 - 1, text="of noise and dropouts, together with vehicle and name")
+    seed: int = setting(0, low=0, high=2**31 - 1, text="seed of noise and dropouts, together with vehicle and name")
     skew: bool = setting(
         True, text="cast each ray from the lidar's pose at the ray's time; false: all at the beginning of the scan"
     )
@@ -90,20 +82,9 @@ class LidarMount(Settings):
             )
 
     @property
-    def frame(self) -> str:
-        """Name of its frame without ``VEHICLE/``."""
-        return self.frame_id or f"{self.name.replace('/', '_')}_frame"
-
-    @property
     def pattern_file(self) -> Path:
         """The file of its pattern."""
         return Path(self.pattern)
-
-    @property
-    def pose(self) -> Pose:
-        """Pose in the link."""
-        place: Vector = self.position
-        return Pose(place, from_euler(*self.rpy))
 
     @property
     def duration(self) -> float:
@@ -122,29 +103,17 @@ def read_lidars(lidars: Any, urdf: Description, folder: Path) -> tuple[LidarMoun
     Raises:
         MountError: missing, unknown or invalid field, unknown link, missing file, or duplicate name or frame.
     """
-    return read_list(lidars, "lidars", lambda entry, where: _lidar(entry, where, urdf, folder))
 
+    def prepare(entry: Mapping[str, Any], where: str) -> Mapping[str, Any]:
+        if "name" not in entry:
+            raise MountError(f"{where}: field 'name' is missing")
+        urdf.link(entry.get("link", LidarMount.link))
+        pattern = entry.get("pattern", ROSETTE)
+        if not isinstance(pattern, str) or pattern == ROSETTE:
+            return entry
+        file = folder / Path(pattern).expanduser()
+        if not file.is_file():
+            raise MountError(f"{where}: pattern: {file} is not a file; {ROSETTE}, or a CSV file, is allowed")
+        return {**entry, "pattern": str(file)}
 
-def _lidar(entry: Mapping[str, Any], where: str, urdf: Description, folder: Path) -> LidarMount:
-    if "name" not in entry:
-        raise MountError(f"{where}: field 'name' is missing")
-    where = f"{where} ({entry['name']})"
-    given = dict(entry)
-    known = LidarMount.__dataclass_fields__
-    for name in given:
-        if name not in known:
-            raise MountError(f"{where}: field {name!r} is not known; there are {', '.join(known)}")
-    pattern = given.get("pattern", ROSETTE)
-    if isinstance(pattern, str) and pattern != ROSETTE:
-        given["pattern"] = str(folder / Path(pattern).expanduser())
-        if not Path(given["pattern"]).is_file():
-            raise MountError(
-                f"{where}: pattern: {given['pattern']} is not a file; {ROSETTE}, or a CSV file, is allowed"
-            )
-    try:
-        mount = LidarMount.from_mapping(given, where)
-        urdf.link(mount.link)
-    except ValueError as error:
-        text = str(error)
-        raise MountError(text if text.startswith(where) else f"{where}: {text}") from error
-    return mount
+    return read_list(lidars, "lidars", LidarMount, prepare)
