@@ -29,7 +29,7 @@ from xtdrone_planning.mapping.voxel_grid import MapSettings
 from xtdrone_planning.octree.global_map import GlobalMap
 from xtdrone_planning.octree.octree_map import OctreeSettings
 from xtdrone_sim.lidars.lidar_messages import scan_message
-from xtdrone_sim.lidars.scan_measurement import begin_us, cast_scan, end_us, measured
+from xtdrone_sim.lidars.scan_measurement import begin_us, cast_scan, end_us, measure_scan
 from xtdrone_sim.lidars.scene_history import SceneHistory
 from xtdrone_sim.rays.scene import RayScene, SceneAt
 from xtdrone_sim.vehicles.mounts.fleet_sensor import Lidar
@@ -67,7 +67,9 @@ def _clouds(rings: int) -> list[Any]:
         motion = history.motion(scene, f"{_NAME}::base_link", begin_us(mount, number), end_us(mount, number))
         assert motion is not None
         rays, hits = cast_scan(mount, number, motion, -1)
-        clouds.append(scan_message(Lidar(_NAME, mount.link, mount), number, measured(mount, _NAME, number, rays, hits)))
+        clouds.append(
+            scan_message(Lidar(_NAME, mount.link, mount), number, measure_scan(mount, _NAME, number, rays, hits))
+        )
         if len(clouds) == _SCANS:
             break
     return clouds

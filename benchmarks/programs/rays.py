@@ -20,7 +20,7 @@ from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import check_range
 from xtdrone_sim.lidars.lidar_messages import scan_message
-from xtdrone_sim.lidars.scan_measurement import begin_us, cast_scan, end_us, measured
+from xtdrone_sim.lidars.scan_measurement import begin_us, cast_scan, end_us, measure_scan
 from xtdrone_sim.lidars.scene_history import SceneHistory
 from xtdrone_sim.rays.scene import ActorState, RayScene, SceneAt
 from xtdrone_sim.vehicles.mounts.fleet_sensor import Lidar
@@ -62,7 +62,7 @@ def measure(lidars: int, kind: str, seconds: float) -> dict[str, Any]:
             assert motion is not None
             rays, hits = cast_scan(mount, number, motion, scene.number(vehicle.name))
             scan_message(
-                Lidar(vehicle.name, mount.link, mount), number, measured(mount, vehicle.name, number, rays, hits)
+                Lidar(vehicle.name, mount.link, mount), number, measure_scan(mount, vehicle.name, number, rays, hits)
             )
         if number:  # the first scan loads the kernels
             used, waited, cast = used + time.thread_time() - cpu, waited + time.perf_counter() - wall, cast + 1

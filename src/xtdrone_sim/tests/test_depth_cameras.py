@@ -17,7 +17,7 @@ from sensor_msgs.msg import PointField
 from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.poses import Pose, compose, rotate
 from xtdrone_control.rotation import from_euler
-from xtdrone_sim.cameras.camera_messages import measured, messages, noise_of, topics_of
+from xtdrone_sim.cameras.camera_messages import measure_depths, messages, noise_of, topics_of
 from xtdrone_sim.cameras.cameras_of_fleet import Camera, cameras_of
 from xtdrone_sim.cameras.drawn_scene import DrawnScene, View
 from xtdrone_sim.cameras.rendering import Renderer, RendererError
@@ -156,11 +156,11 @@ def test_noise_grows_with_the_square_and_repeats_for_its_time() -> None:
     camera = made_camera(noise=0.004, pinhole=Pinhole.of_view(320, 240, 1.0))
     for depth in (1.0, 3.0, 6.0):
         plane = np.full((240, 320), depth, np.float32)
-        values = measured(camera.mount, plane, noise_of(camera, STAMP))
+        values = measure_depths(camera.mount, plane, noise_of(camera, STAMP))
         assert values.std() == pytest.approx(0.004 * depth * depth, rel=0.02)
         assert values.mean() == pytest.approx(depth, abs=0.001 * depth * depth)
-        np.testing.assert_array_equal(values, measured(camera.mount, plane, noise_of(camera, STAMP)))
-        assert (values != measured(camera.mount, plane, noise_of(camera, rospy.Time(4)))).any()
+        np.testing.assert_array_equal(values, measure_depths(camera.mount, plane, noise_of(camera, STAMP)))
+        assert (values != measure_depths(camera.mount, plane, noise_of(camera, rospy.Time(4)))).any()
 
 
 def test_a_stereo_pair_has_its_baseline_in_the_right_matrix() -> None:

@@ -13,7 +13,7 @@ from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.lidars.ray_patterns import PatternError, rays_of, read_pattern
-from xtdrone_sim.lidars.scan_measurement import begin_us, cast_scan, end_us, measured
+from xtdrone_sim.lidars.scan_measurement import begin_us, cast_scan, end_us, measure_scan
 from xtdrone_sim.lidars.scene_history import SceneHistory
 from xtdrone_sim.rays.scene import Hits, RayScene, SceneAt
 from xtdrone_sim.shapes.visual import Box, Visual
@@ -203,10 +203,10 @@ def flat(n: int = 20_000, distance: float = 10.0) -> Hits:
 def test_noise_has_its_deviation_and_depends_on_seed_vehicle_name_and_scan_only():
     mount = LidarMount(samples=20_000, noise=0.05)
     rays = rays_of(mount, 0)
-    one = measured(mount, "iris_0", 4, rays, flat())
+    one = measure_scan(mount, "iris_0", 4, rays, flat())
     assert one.ranges.mean() == pytest.approx(10.0, abs=4 * 0.05 / math.sqrt(20_000))
     assert one.ranges.std() == pytest.approx(0.05, rel=0.03)
-    np.testing.assert_array_equal(measured(mount, "iris_0", 4, rays, flat()).ranges, one.ranges)
+    np.testing.assert_array_equal(measure_scan(mount, "iris_0", 4, rays, flat()).ranges, one.ranges)
     others = [
         (mount, "iris_1", 4),
         (mount, "iris_0", 5),
@@ -214,20 +214,20 @@ def test_noise_has_its_deviation_and_depends_on_seed_vehicle_name_and_scan_only(
         (replace(mount, name="b"), "iris_0", 4),
     ]
     for changed, vehicle, number in others:
-        other = measured(changed, vehicle, number, rays, flat())
+        other = measure_scan(changed, vehicle, number, rays, flat())
         assert abs(np.corrcoef(one.ranges, other.ranges)[0, 1]) < 0.05
 
 
 def test_dropouts_bias_resolution_and_limits():
     mount = LidarMount(samples=20_000, dropouts=0.2, range_max=10.4)
     rays = rays_of(mount, 0)
-    lost = np.isinf(measured(mount, "iris_0", 0, rays, flat(), lost=0.5).ranges).mean()
+    lost = np.isinf(measure_scan(mount, "iris_0", 0, rays, flat(), lost=0.5).ranges).mean()
     assert lost == pytest.approx(1.0 - 0.8 * 0.5, abs=0.02)
     coarse = replace(mount, dropouts=0.0, resolution=0.25)
-    assert set(measured(coarse, "iris_0", 0, rays, flat(distance=10.1)).ranges) == {10.0}
-    assert set(measured(coarse, "iris_0", 0, rays, flat(distance=9.0), bias=1.0).ranges) == {10.0}
-    assert set(measured(coarse, "iris_0", 0, rays, flat(distance=10.0), bias=1.0).ranges) == {math.inf}
-    near = measured(coarse, "iris_0", 0, rays, flat(distance=0.1))
+    assert set(measure_scan(coarse, "iris_0", 0, rays, flat(distance=10.1)).ranges) == {10.0}
+    assert set(measure_scan(coarse, "iris_0", 0, rays, flat(distance=9.0), bias=1.0).ranges) == {10.0}
+    assert set(measure_scan(coarse, "iris_0", 0, rays, flat(distance=10.0), bias=1.0).ranges) == {math.inf}
+    near = measure_scan(coarse, "iris_0", 0, rays, flat(distance=0.1))
     assert set(near.ranges) == {-math.inf}
     assert not near.intensities.any()
 
@@ -243,7 +243,7 @@ def test_messages_have_the_scan_s_times_and_limits_and_points_only_where_there_i
     mount = LidarMount(kind="scan", samples=5, angle_min=-1.0, angle_max=1.0, rate=3.0, frame_id="laser")
     rays = rays_of(mount, 2)
     hits = Hits(np.array([10.0, 0.1, 31.0, 20.0, 12.5]), np.ones(5, int), np.array([1.0, 1.0, 1.0, 0.5, 0.25]))
-    message = scan_message(Lidar("iris_0", mount.link, mount), 2, measured(mount, "iris_0", 2, rays, hits))
+    message = scan_message(Lidar("iris_0", mount.link, mount), 2, measure_scan(mount, "iris_0", 2, rays, hits))
     assert message.header.frame_id == "iris_0/laser"
     assert message.header.stamp.to_nsec() == 666_667_000
     assert message.ranges == [10.0, -math.inf, math.inf, 20.0, 12.5]
@@ -253,7 +253,7 @@ def test_messages_have_the_scan_s_times_and_limits_and_points_only_where_there_i
     turn = replace(mount, kind="spinning", channels=2, samples=2, vertical_min=-0.5, vertical_max=0.5)
     rays = rays_of(turn, 0)
     hits = Hits(np.array([10.0, np.inf, 20.0, 30.0]), np.ones(4, int), np.ones(4))
-    cloud = scan_message(Lidar("iris_0", turn.link, turn), 0, measured(turn, "iris_0", 0, rays, hits))
+    cloud = scan_message(Lidar("iris_0", turn.link, turn), 0, measure_scan(turn, "iris_0", 0, rays, hits))
     points = np.frombuffer(cloud.data, POINT)
     assert (cloud.width, cloud.height, cloud.point_step, cloud.row_step) == (3, 1, 22, 66)
     assert [(field.name, field.offset) for field in cloud.fields][-2:] == [("ring", 16), ("time", 18)]

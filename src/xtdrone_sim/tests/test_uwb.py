@@ -15,7 +15,7 @@ from xtdrone_sim.rays.scene import RayScene, SceneAt
 from xtdrone_sim.shapes.visual import Box, Visual
 from xtdrone_sim.tf.vehicle_frames import RobotFrames
 from xtdrone_sim.uwb.line_of_sight import Moment, Sights
-from xtdrone_sim.uwb.ranging import Neighbours, measured, neighbours_of, seen_from
+from xtdrone_sim.uwb.ranging import Neighbours, find_neighbours, measure_ranges, neighbours_of
 from xtdrone_sim.vehicles.mounts.body_sensors import UwbMount, read_uwb
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import MountError
 from xtdrone_sim.vehicles.mounts.fleet_sensor import Antenna, antennas_of
@@ -91,7 +91,7 @@ def test_range_and_bearing_of_any_pose():
         q = from_euler(*generator.uniform(-3.0, 3.0, 3))
         sensor = Pose(tuple(generator.normal(0.0, 5.0, 3)), q)
         others = generator.normal(0.0, 5.0, (4, 3))
-        seen = seen_from(sensor, others, 8.0)
+        seen = find_neighbours(sensor, others, 8.0)
         for k, other in enumerate(others):
             x, y, z = rotate_inverse(q, *(other - sensor.position))
             assert seen.ranges[k] == pytest.approx(math.dist(other, sensor.position))
@@ -102,7 +102,7 @@ def test_range_and_bearing_of_any_pose():
 
 def test_a_perfect_sensor_measures_the_truth():
     true = truth()
-    seen = measured(UwbMount(noise=0.0, bearing_noise=0.0), "a", 0, true)
+    seen = measure_ranges(UwbMount(noise=0.0, bearing_noise=0.0), "a", 0, true)
     for field in ("ranges", "heard"):
         np.testing.assert_array_equal(getattr(seen, field), getattr(true, field))
     for field in ("azimuths", "elevations"):
@@ -114,7 +114,7 @@ def test_a_perfect_sensor_measures_the_truth():
 
 def test_noise_has_its_mean_and_deviation_and_repeats():
     mount = UwbMount(noise=0.2, bias=0.3, bearing_noise=0.1, seed=5)
-    seen = measured(mount, "a", 7, truth())
+    seen = measure_ranges(mount, "a", 7, truth())
     error = 1.0 / math.sqrt(N)  # of a mean, in standard deviations
     assert seen.ranges.mean() == pytest.approx(12.3, abs=4.0 * 0.2 * error)
     assert seen.ranges.std() == pytest.approx(0.2, rel=3.0 * error)
@@ -124,14 +124,14 @@ def test_noise_has_its_mean_and_deviation_and_repeats():
         assert angles.mean() == pytest.approx(mean, abs=4.0 * 0.1 * error)
         assert angles.std() == pytest.approx(0.1, rel=3.0 * error)
     assert abs(np.corrcoef(seen.ranges, seen.azimuths)[0, 1]) < 4.0 * error
-    np.testing.assert_array_equal(measured(mount, "a", 7, truth()).ranges, seen.ranges)
-    for other in (measured(mount, "a", 8, truth()), measured(mount, "b", 7, truth())):
+    np.testing.assert_array_equal(measure_ranges(mount, "a", 7, truth()).ranges, seen.ranges)
+    for other in (measure_ranges(mount, "a", 8, truth()), measure_ranges(mount, "b", 7, truth())):
         assert abs(np.corrcoef(other.ranges, seen.ranges)[0, 1]) < 4.0 * error
     np.testing.assert_array_equal(seen.deviations(mount), 0.2)
 
 
 def test_outliers_have_their_share_and_an_exponential_excess():
-    seen = measured(UwbMount(noise=0.0, outliers=0.1, outlier_excess=2.0), "a", 0, truth())
+    seen = measure_ranges(UwbMount(noise=0.0, outliers=0.1, outlier_excess=2.0), "a", 0, truth())
     excess = seen.ranges[seen.ranges > 12.0] - 12.0
     assert len(excess) / N == pytest.approx(0.1, abs=4.0 * math.sqrt(0.1 * 0.9 / N))
     assert excess.mean() == pytest.approx(2.0, abs=4.0 * 2.0 / math.sqrt(len(excess)))
@@ -140,10 +140,10 @@ def test_outliers_have_their_share_and_an_exponential_excess():
 
 
 def test_dropouts_of_file_and_failure_are_independent():
-    seen = measured(UwbMount(dropouts=0.2), "a", 0, truth(), lost=0.5)
+    seen = measure_ranges(UwbMount(dropouts=0.2), "a", 0, truth(), lost=0.5)
     assert seen.heard.mean() == pytest.approx(0.4, abs=4.0 * math.sqrt(0.4 * 0.6 / N))
-    assert not measured(UwbMount(), "a", 0, truth(10), lost=1.0).heard.any()
-    assert measured(UwbMount(), "a", 0, truth(10)).heard.all()
+    assert not measure_ranges(UwbMount(), "a", 0, truth(10), lost=1.0).heard.any()
+    assert measure_ranges(UwbMount(), "a", 0, truth(10)).heard.all()
 
 
 def test_a_blocked_range_is_lost_longer_or_the_same():
@@ -153,7 +153,7 @@ def test_a_blocked_range_is_lost_longer_or_the_same():
         ("ignored", True, 12.0, 0.1),
     ):
         mount = UwbMount(noise=0.1, line_of_sight=sight, blocked_bias=1.5, blocked_noise=math.sqrt(0.24))
-        seen = measured(mount, "a", 0, truth(blocked=True))
+        seen = measure_ranges(mount, "a", 0, truth(blocked=True))
         assert (seen.heard == heard).all()
         assert seen.ranges.mean() == pytest.approx(mean, abs=0.02)
         assert seen.ranges.std() == pytest.approx(deviation, rel=0.03)

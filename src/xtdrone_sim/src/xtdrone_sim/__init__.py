@@ -1,0 +1,1 @@
+"""A simulator of multirotors, robots and people in lockstep with ROS nodes."""

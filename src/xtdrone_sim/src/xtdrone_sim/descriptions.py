@@ -101,13 +101,13 @@ def _read(kind: str, path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
     below = below if below.is_absolute() else path.parent / below
     if below in above:
         raise ModelError(f"{path}: extends: {base!r} is not allowed, it refers back to {below}")
-    return _merged(_read(kind, below, above), description)
+    return _merge(_read(kind, below, above), description)
 
 
-def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+def _merge(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
     """Return ``base`` with the values of ``changes``; mappings are merged recursively."""
     merged = dict(base)
     for key, value in changes.items():
         both = isinstance(value, dict) and isinstance(base.get(key), dict)
-        merged[key] = _merged(base[key], value) if both else value
+        merged[key] = _merge(base[key], value) if both else value
     return merged

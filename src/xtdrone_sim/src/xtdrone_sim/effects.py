@@ -185,14 +185,14 @@ class Effects:
         try:
             reset(self._models, self._step_us * 1e-6, random)
         except Exception as error:
-            raise EffectError(f"effect {name}: reset() has failed: {_described(error)}") from error
+            raise EffectError(f"effect {name}: reset() has failed: {_describe(error)}") from error
 
     def _call(self, name: str, effect: Effect, plant: NDArray[Any], armed: NDArray[np.int32]) -> None:
         time = self._time_us * 1e-6
         try:
             effect(time, self._vehicles, self._models, self._force, self._torque)
         except Exception as error:
-            raise EffectError(f"effect {name}: failed at {time:.3f} s: {_described(error)}") from error
+            raise EffectError(f"effect {name}: failed at {time:.3f} s: {_describe(error)}") from error
         bad = add_wrench(plant, armed, self._force, self._torque)
         if bad >= 0:
             raise EffectError(f"effect {name}: force or torque on vehicle {bad} is not finite at {time:.3f} s")
@@ -226,14 +226,14 @@ def _load_effect(entry: object, what: str) -> Effect:
     try:
         found: Any = AIR[place] if place in AIR else getattr(import_user_module(path), name)
     except (Exception, SystemExit) as error:  # from the user's file
-        raise EffectError(f"{what}: {place} cannot be loaded: {_described(error)}") from error
+        raise EffectError(f"{what}: {place} cannot be loaded: {_describe(error)}") from error
     if arguments is None and not inspect.isclass(found):
         effect: Effect = found
         return effect
     try:
         made: Effect = found(**(arguments or {}))
     except Exception as error:
-        raise EffectError(f"{what}: {place} with arguments {dict(arguments or {})}: {_described(error)}") from error
+        raise EffectError(f"{what}: {place} with arguments {dict(arguments or {})}: {_describe(error)}") from error
     return made
 
 
@@ -275,6 +275,6 @@ def _read_only(array: NDArray[Any]) -> NDArray[Any]:
     return view
 
 
-def _described(error: BaseException) -> str:
+def _describe(error: BaseException) -> str:
     lines = str(error).strip().splitlines()
     return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__

@@ -89,7 +89,7 @@ _reproject = kernel(projection.reproject)
 
 
 @kernel
-def _limited(value, low, high):
+def _limit(value, low, high):
     """Return ``value`` clamped to ``low``..``high`` and rounded to an integer; 0 for NaN."""
     if math.isnan(value):
         return 0
@@ -155,16 +155,16 @@ def _fill_sensor(m, s, time_us):
 @kernel
 def _fill_gps(m, s, time_us):
     m.time_usec = EPOCH_US + time_us
-    m.lat = _limited(s.gps_lat * 1e7, -900000000.0, 900000000.0)
-    m.lon = _limited(s.gps_lon * 1e7, -1800000000.0, 1800000000.0)
-    m.alt = _limited(s.gps_alt * 1e3, -2147483648.0, 2147483647.0)
-    m.eph = _limited(s.gps_eph * 1e2, 1.0, _UINT16)
-    m.epv = _limited(s.gps_epv * 1e2, 1.0, _UINT16)
+    m.lat = _limit(s.gps_lat * 1e7, -900000000.0, 900000000.0)
+    m.lon = _limit(s.gps_lon * 1e7, -1800000000.0, 1800000000.0)
+    m.alt = _limit(s.gps_alt * 1e3, -2147483648.0, 2147483647.0)
+    m.eph = _limit(s.gps_eph * 1e2, 1.0, _UINT16)
+    m.epv = _limit(s.gps_epv * 1e2, 1.0, _UINT16)
     speed = math.hypot(s.gps_vel[0], s.gps_vel[1])
-    m.vel = _limited(speed * 1e2, 0.0, _UINT16 - 1)
+    m.vel = _limit(speed * 1e2, 0.0, _UINT16 - 1)
     for i in range(3):
-        m.velocity[i] = _limited(s.gps_vel[i] * 1e2, -_INT16, _INT16)
-    m.cog = _limited(math.degrees(math.atan2(s.gps_vel[1], s.gps_vel[0])) % 360.0 * 1e2, 0.0, 36000.0) % 36000
+        m.velocity[i] = _limit(s.gps_vel[i] * 1e2, -_INT16, _INT16)
+    m.cog = _limit(math.degrees(math.atan2(s.gps_vel[1], s.gps_vel[0])) % 360.0 * 1e2, 0.0, 36000.0) % 36000
     m.fix_type = s.gps_fix
     m.satellites_visible = s.gps_satellites
 
@@ -181,18 +181,18 @@ def _fill_truth(m, v, time_us, place):
     m.q[3] = root * (w - z)
     m.rates[0], m.rates[1], m.rates[2] = v.rates[0], -v.rates[1], -v.rates[2]
     latitude, longitude = _reproject(v.position[1], v.position[0], place[0], place[1])
-    m.lat = _limited(latitude * 1e7, -900000000.0, 900000000.0)
-    m.lon = _limited(longitude * 1e7, -1800000000.0, 1800000000.0)
-    m.alt = _limited((place[2] + v.position[2]) * 1e3, -2147483648.0, 2147483647.0)
+    m.lat = _limit(latitude * 1e7, -900000000.0, 900000000.0)
+    m.lon = _limit(longitude * 1e7, -1800000000.0, 1800000000.0)
+    m.alt = _limit((place[2] + v.position[2]) * 1e3, -2147483648.0, 2147483647.0)
     airspeed = 0.0
     for i in range(3):
         airspeed += (v.velocity[i] - v.wind[i]) ** 2
-    m.ind_airspeed = m.true_airspeed = _limited(math.sqrt(airspeed) * 1e2, 0.0, _UINT16)
+    m.ind_airspeed = m.true_airspeed = _limit(math.sqrt(airspeed) * 1e2, 0.0, _UINT16)
     for i in range(3):
         enu = 1 - i if i < 2 else 2
         sign = 1.0 if i < 2 else -1.0
-        m.velocity[i] = _limited(sign * v.velocity[enu] * 1e2, -_INT16, _INT16)
-        m.acceleration[i] = _limited(sign * v.acceleration[enu] * 1e3, -_INT16, _INT16)
+        m.velocity[i] = _limit(sign * v.velocity[enu] * 1e2, -_INT16, _INT16)
+        m.acceleration[i] = _limit(sign * v.acceleration[enu] * 1e3, -_INT16, _INT16)
 
 
 @kernel

@@ -91,7 +91,7 @@ def messages(camera: Camera, stamp: rospy.Time, pictures: Sequence[bytes], wante
     mount, pinhole = camera.mount, camera.mount.pinhole
     depth = None
     if mount.has_depth and {"depth/image_raw", "depth/points"} & set(wanted):
-        depth = measured(mount, _depths(pinhole, pictures[0]), noise_of(camera, stamp))
+        depth = measure_depths(mount, _depths(pinhole, pictures[0]), noise_of(camera, stamp))
     colours = Exposure(camera, stamp, pictures)
     made: dict[str, Any] = {}
     for topic in wanted:
@@ -106,7 +106,7 @@ def messages(camera: Camera, stamp: rospy.Time, pictures: Sequence[bytes], wante
             assert depth is not None
             message = _depth_image(depth, mount.encoding)
         elif what == "compressed":
-            message = compressed(colours.raw(eye))
+            message = compress(colours.raw(eye))
         else:
             message = _image(colours.rectified(eye) if what == "image_rect_color" else colours.raw(eye))
         message.header.stamp = stamp
@@ -115,7 +115,7 @@ def messages(camera: Camera, stamp: rospy.Time, pictures: Sequence[bytes], wante
     return made
 
 
-def compressed(picture: NDArray[np.uint8]) -> CompressedImage:
+def compress(picture: NDArray[np.uint8]) -> CompressedImage:
     """Return an image (height, width, 3) RGB as JPEG, with the format that image_transport writes and reads."""
     cv2 = opencv()
     options = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
@@ -133,7 +133,7 @@ def _depths(pinhole: Pinhole, picture: bytes) -> NDArray[np.float32]:
     return np.frombuffer(picture, np.float32, size, 3 * size).reshape(pinhole.height, pinhole.width)
 
 
-def measured(mount: CameraMount, depth: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
+def measure_depths(mount: CameraMount, depth: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
     """Return depths (height, width), m, as the camera measures them: with noise, NaN outside its range."""
     seen = (depth >= mount.range_min) & (depth <= mount.range_max)
     out = np.where(seen, depth, np.float32(np.nan))

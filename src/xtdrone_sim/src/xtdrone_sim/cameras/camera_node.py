@@ -161,7 +161,7 @@ class CameraNode:
             return
         stamp = self._scene.header.stamp
         for camera in self._exposures.due(now_us):
-            if camera in self._frozen or not self._heard(camera) or self._last.get(camera) == stamp:
+            if camera in self._frozen or not self._has_subscribers(camera) or self._last.get(camera) == stamp:
                 continue
             self._last[camera] = stamp
             if camera in self._under_way and not lockstep.is_active():
@@ -191,7 +191,7 @@ class CameraNode:
             pictures.append(picture)
         return pictures
 
-    def _heard(self, camera: int) -> bool:
+    def _has_subscribers(self, camera: int) -> bool:
         return any(publisher.get_num_connections() > 0 for publisher in self._publishers[camera].values())
 
     def _publish(self, shot: _Shot, pictures: list[bytes] | None) -> None:

@@ -180,13 +180,13 @@ def _serve(connection: Connection) -> None:
                 continue
             moments, view = order
             try:
-                answer = ("", _exposed(scene, moments, view))
+                answer = ("", _expose(scene, moments, view))
             except ValueError as error:
                 answer = (str(error), b"")
             connection.send(answer)
 
 
-def _exposed(scene: DrawnScene, moments: Sequence[SceneAt], view: View) -> bytes:
+def _expose(scene: DrawnScene, moments: Sequence[SceneAt], view: View) -> bytes:
     """Return the drawn images as bytes, see ``DrawingProcess.draw``."""
     pictures = [
         scene.draw(at, replace(view, depth=view.depth and k == len(moments) // 2)) for k, at in enumerate(moments)

@@ -9,7 +9,7 @@ from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.poses import OPTICAL_FRAME, Pose, compose
 from xtdrone_sim.cameras.rendering import Picture, Renderer
-from xtdrone_sim.cameras.sun_shadows import SunShadows, darkened
+from xtdrone_sim.cameras.sun_shadows import SunShadows, darken
 from xtdrone_sim.rays.scene import ActorState, SceneAt
 from xtdrone_sim.shapes.visual import Box, Mesh, Visual
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
@@ -201,7 +201,7 @@ class DrawnScene:
         if self._shadows is None or picture.depth is None:
             return picture
         reached = self._shadows.reached(scene, view.pinhole, camera, picture.depth)
-        shaded = darkened(picture.rgb, reached, self._light)
+        shaded = darken(picture.rgb, reached, self._light)
         return replace(picture, rgb=shaded, depth=picture.depth if view.depth else None)
 
     def _put_back(self, scene: SceneAt) -> None:

@@ -37,28 +37,28 @@ class Exposure:
         """Return the image of the left or only camera, 0, or of the right one, 1."""
         return self._picture(eye, rectified=False)
 
-    def rectified(self, eye: int) -> Colours:
+    def rectify(self, eye: int) -> Colours:
         """Return the same image as seen by the pinhole; without a lens, the image itself."""
         return self._picture(eye, rectified=self._camera.mount.lens is not None)
 
-    def _picture(self, eye: int, *, rectified: bool) -> Colours:
-        key = (eye, rectified)
+    def _picture(self, eye: int, *, rectify: bool) -> Colours:
+        key = (eye, rectify)
         if key not in self._made:
             mount = self._camera.mount
-            noise = noise_of(self._camera, self._stamp, 1 + eye + 2 * rectified)
-            self._made[key] = grainy(self._seen(eye, rectified), mount.image_noise, noise)
+            noise = noise_of(self._camera, self._stamp, 1 + eye + 2 * rectify)
+            self._made[key] = grainy(self._seen(eye, rectify), mount.image_noise, noise)
         return self._made[key]
 
-    def _seen(self, eye: int, rectified: bool) -> Colours:
+    def _seen(self, eye: int, rectify: bool) -> Colours:
         """Return an image without noise."""
         mount = self._camera.mount
-        if mount.lens is None or (rectified and mount.has_depth):
+        if mount.lens is None or (rectify and mount.has_depth):
             return pixels_of(mount.pinhole, self._pictures[eye])
         drawing = drawing_of(mount.lens)
         first = eye * len(drawing.faces) + mount.has_depth
         faces = self._pictures[first : first + len(drawing.faces)]
         sheet = np.concatenate([pixels_of(drawing.pinhole, face) for face in faces])
-        return without_lens(mount.lens, sheet) if rectified else through_lens(mount.lens, sheet)
+        return without_lens(mount.lens, sheet) if rectify else through_lens(mount.lens, sheet)
 
 
 def pixels_of(pinhole: Pinhole, picture: bytes) -> Colours:

@@ -62,7 +62,7 @@ class RecentScenes:
         for earlier, later in pairwise(self._kept):
             if earlier[0] <= time_us < later[0]:
                 part = (time_us - earlier[0]) / (later[0] - earlier[0])
-                return between(self._of(*earlier), self._of(*later), part) if part > 0.0 else self._of(*earlier)
+                return interpolate(self._of(*earlier), self._of(*later), part) if part > 0.0 else self._of(*earlier)
         return self._of(*(self._kept[0] if time_us < self._kept[0][0] else self._kept[-1]))
 
     def _of(self, time_us: int, scene: SceneState) -> SceneAt:
@@ -89,29 +89,29 @@ def middle_us(mount: CameraMount, closed_us: int) -> int:
     return closed_us - round(0.5e6 * mount.exposure)
 
 
-def between(before: SceneAt, after: SceneAt, part: float) -> SceneAt:
+def interpolate(before: SceneAt, after: SceneAt, part: float) -> SceneAt:
     """Return the poses at the fraction ``part``, 0 to 1, between one scene and the next.
 
     Links and actors that are in only one of the scenes keep their poses there.
     """
-    links = {name: _between(before.links.get(name, pose), pose, part) for name, pose in after.links.items()}
+    links = {name: _interpolate(before.links.get(name, pose), pose, part) for name, pose in after.links.items()}
     links |= {name: pose for name, pose in before.links.items() if name not in links}
     actors = {
-        name: ActorState(_between(before.actors.get(name, state).pose, state.pose, part), state.phase)
+        name: ActorState(_interpolate(before.actors.get(name, state).pose, state.pose, part), state.phase)
         for name, state in after.actors.items()
     }
     return SceneAt(links, actors)
 
 
-def _between(before: Pose, after: Pose, part: float) -> Pose:
+def _interpolate(before: Pose, after: Pose, part: float) -> Pose:
     if before == after:
         return after
     x, y, z = (a + part * (b - a) for a, b in zip(before.position, after.position, strict=True))
     place: Vector = (x, y, z)
-    return Pose(place, _turned(before.orientation, after.orientation, part))
+    return Pose(place, _turn(before.orientation, after.orientation, part))
 
 
-def _turned(before: Quaternion, after: Quaternion, part: float) -> Quaternion:
+def _turn(before: Quaternion, after: Quaternion, part: float) -> Quaternion:
     """Return the orientation between two that differ little, by their normalised mean."""
     same = sum(a * b for a, b in zip(before, after, strict=True)) >= 0.0
     w, x, y, z = ((1.0 - part) * a + (part if same else -part) * b for a, b in zip(before, after, strict=True))

@@ -61,7 +61,7 @@ class SunShadows:
         return reached
 
 
-def darkened(rgb: NDArray[np.uint8], reached: NDArray[np.bool_], light: Light) -> NDArray[np.uint8]:
+def darken(rgb: NDArray[np.uint8], reached: NDArray[np.bool_], light: Light) -> NDArray[np.uint8]:
     """Return an image in which pixels that the sun does not reach have only the skylight.
 
     Args:

@@ -243,7 +243,7 @@ class Models:
             return place_actor
         if number is None:
             raise unknown("model_name", name, self.present[1:])
-        parts = self._joined(number)
+        parts = self._find_joined(number)
         if len(parts) > 1 or self._joints_of({name}):
             self._check_loose(name, parts)
 
@@ -266,7 +266,7 @@ class Models:
         joints = self._simulation.world.model.joints
         return [joint for joint in joints if joint.parent in names or joint.child in names]
 
-    def _joined(self, number: int) -> list[int]:
+    def _find_joined(self, number: int) -> list[int]:
         """Return the numbers of a model and of those that joints connect to it."""
         names = {self.names[number]}
         if number < self.first_actor:
@@ -361,7 +361,7 @@ class Models:
         if number is None:
             raise unknown("model_name", name, self.present)
         actor = self.actor(name)
-        parts = self._joined(number) if actor is None else [number]
+        parts = self._find_joined(number) if actor is None else [number]
 
         def delete() -> str:
             for part in parts:
@@ -389,7 +389,7 @@ class Models:
         Raises:
             RequestError: the body or the frame does not exist, the body cannot move, or the wrench is too strong.
         """
-        target, centre = self._pushed(name)
+        target, centre = self._find_pushed(name)
         axes = self.find("reference_frame", frame, frame=True)
         force = np.array(rotate(axes.pose.orientation, wrench.velocity))
         torque = np.array(rotate(axes.pose.orientation, wrench.spin))
@@ -416,7 +416,7 @@ class Models:
         Raises:
             RequestError: the body does not exist or cannot move.
         """
-        target, _ = self._pushed(name)
+        target, _ = self._find_pushed(name)
 
         def release() -> str:
             return f"{self._simulation.world.wrenches.clear(target)} wrenches on {name} are removed"
@@ -470,7 +470,7 @@ class Models:
 
         return turn
 
-    def _pushed(self, name: str) -> tuple[int, Sequence[float]]:
+    def _find_pushed(self, name: str) -> tuple[int, Sequence[float]]:
         """Return the target of a wrench, see ``Wrench``, and its centre of mass in the world."""
         self.find("body_name", name)
         base, part = self._split(name)

@@ -32,7 +32,7 @@ STANDING = State()
 """At rest at the origin of the world."""
 
 
-def seen_from(state: State, frame: State) -> State:
+def relative_to(state: State, frame: State) -> State:
     """Return a state, given in the world, relative to a frame and in its axes."""
     back = conjugate(frame.pose.orientation)
     return State(

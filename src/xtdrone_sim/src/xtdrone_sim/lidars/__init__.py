@@ -1,0 +1,1 @@
+"""Lidars: ray patterns, scans and their messages, and the node."""

@@ -36,7 +36,7 @@ from xtdrone_control.lockstep.deferred_work import Deferred
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.lidars.lidar_messages import scan_message
 from xtdrone_sim.lidars.ray_patterns import read_pattern
-from xtdrone_sim.lidars.scan_measurement import Motion, Scan, begin_us, cast_scan, end_us, measured
+from xtdrone_sim.lidars.scan_measurement import Motion, Scan, begin_us, cast_scan, end_us, measure_scan
 from xtdrone_sim.lidars.scene_history import SceneHistory
 from xtdrone_sim.rays.live_rays import scene_of
 from xtdrone_sim.sensors.ranging_failures import RangingFailure
@@ -63,7 +63,7 @@ class LidarSettings(Settings):
     )
     skew: bool = setting(True, text="false: all lidars cast all rays at the beginning of the scan")
 
-    def applied(self, mount: LidarMount) -> LidarMount:
+    def apply_to(self, mount: LidarMount) -> LidarMount:
         """Return a lidar with these settings."""
         return replace(mount, rate=self.rate or mount.rate, skew=mount.skew and self.skew)
 
@@ -82,10 +82,10 @@ class _Shot(NamedTuple):
     number: int
 
 
-def _scanned(lidar: Lidar, number: int, motion: Motion, own: int, failure: RangingFailure) -> _Done:
+def _scan(lidar: Lidar, number: int, motion: Motion, own: int, failure: RangingFailure) -> _Done:
     """Cast and measure a scan; called in a thread of its own."""
     rays, hits = cast_scan(lidar.mount, number, motion, own)
-    scan = measured(lidar.mount, lidar.vehicle, number, rays, hits, failure.bias, failure.dropouts)
+    scan = measure_scan(lidar.mount, lidar.vehicle, number, rays, hits, failure.bias, failure.dropouts)
     return _Done(scan, scan_message(lidar, number, scan))
 
 
@@ -118,7 +118,7 @@ class LidarNode(RangingNode[Station]):
 
     def _serve(self, sensors: Sequence[Lidar], *, joins: bool) -> None:
         for lidar in sensors:
-            lidar = replace(lidar, mount=self._settings.applied(lidar.mount))
+            lidar = replace(lidar, mount=self._settings.apply_to(lidar.mount))
             publisher = lockstep.Publisher(lidar.topic, LaserScan if lidar.mount.kind == "scan" else PointCloud2)
             self._failures.add(lidar.topic)
             self._history.reach_back(round(1e6 * lidar.mount.duration))
@@ -157,7 +157,7 @@ class LidarNode(RangingNode[Station]):
             return
         own, failure = rays.number(lidar.vehicle), self._failure(station)
         shot = _Shot(station, number)
-        self._deferred.put(shot, now_us + self._latency_us, _scanned, lidar, number, motion, own, failure)
+        self._deferred.put(shot, now_us + self._latency_us, _scan, lidar, number, motion, own, failure)
 
     def _publish(self, shot: _Shot, done: _Done) -> None:
         station = shot.station

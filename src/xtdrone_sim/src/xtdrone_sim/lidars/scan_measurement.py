@@ -103,7 +103,7 @@ def cast_scan(mount: LidarMount, number: int, motion: Motion, own: int = NOTHING
     return rays, cast(motion.layout, motion.places, segments, shares, origins, directions, mount.range_max, own)
 
 
-def measured(
+def measure_scan(
     mount: LidarMount, vehicle: str, number: int, rays: Rays, hits: Hits, bias: float = 0.0, lost: float = 0.0
 ) -> Scan:
     """Return the measurement of hits: with noise, dropouts, resolution and limits of range.

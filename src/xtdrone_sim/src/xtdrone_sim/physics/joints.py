@@ -216,7 +216,7 @@ def _rate_to(gap: float, dt: float, *, upper: bool) -> float:
     return gap / dt * (_RETURN if is_beyond else 1.0)
 
 
-def swapped(joint: SdfJoint) -> SdfJoint:
+def swap_ends(joint: SdfJoint) -> SdfJoint:
     """Return the same joint with parent and child exchanged."""
     x, y, z = joint.axis
     return replace(joint, parent=joint.child, child=joint.parent, axis=(-x, -y, -z))

@@ -34,7 +34,7 @@ from xtdrone_sim.physics.contacts.contact_states import (
     stay_free,
 )
 from xtdrone_sim.physics.contacts.start_collisions import body_pose, check_starts
-from xtdrone_sim.physics.joints import Joint, swapped
+from xtdrone_sim.physics.joints import Joint, swap_ends
 from xtdrone_sim.physics.quiet_pybullet import connect, pybullet
 from xtdrone_sim.physics.vehicle_dynamics import (
     ABSENT,
@@ -52,7 +52,7 @@ from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld
 _NO_BODY = -1  # of an absent place
 
 
-def _absent() -> np.void:
+def _absent_record() -> np.void:
     """Return the record of a place without a vehicle."""
     record = np.zeros(1, PLANT)[0]
     record["q"][0], record["contact"] = 1.0, ABSENT
@@ -109,7 +109,7 @@ class World:
         self.set_wind(model.wind)
         self.plant["contact"] = TOUCHING
         for i in absent:
-            self.plant[i] = _absent()
+            self.plant[i] = _absent_record()
         self._wanted = self.plant["contact"].copy()
         self._steps = 0
         self._checked = -1  # step before which the contact states have been updated
@@ -150,7 +150,7 @@ class World:
             if child is not None:
                 self.joints[one.name] = Joint(self._bullet, one, parent, child)
             elif parent is not None:
-                self.joints[one.name] = Joint(self._bullet, swapped(one), None, parent)
+                self.joints[one.name] = Joint(self._bullet, swap_ends(one), None, parent)
         self._tie()
         self.bodies.before_removal = self._disconnect
 
@@ -251,7 +251,7 @@ class World:
         v, m = self.plant[i].copy(), self.models[i]
         self._remove_body(i)
         self.collisions = {pair for pair in self.collisions if i not in pair}
-        self.plant[i] = _absent()
+        self.plant[i] = _absent_record()
         distances = np.linalg.norm(self.plant["position"] - v["position"], axis=1)
         near = distances < self.models["radius"] + m["radius"] + NEAR
         for j in np.flatnonzero(near & (self.plant["contact"] == ASLEEP)).tolist():
@@ -349,7 +349,7 @@ class World:
         self._steps += steps
 
     def _sort_contacts(self, armed: NDArray[np.int32]) -> None:
-        if not self._changed_contacts(armed):
+        if not self._count_changed_contacts(armed):
             return
         contact = self.plant["contact"]
         for i in np.flatnonzero(self._wanted != contact):
@@ -363,7 +363,7 @@ class World:
         contact[:] = self._wanted
         self._update_touching()
 
-    def _changed_contacts(self, armed: NDArray[np.int32]) -> int:
+    def _count_changed_contacts(self, armed: NDArray[np.int32]) -> int:
         """Fill ``_wanted`` with the contact state of each vehicle; return the number of changes."""
         plant, models, wanted = self.plant, self.models, self._wanted
         if not self.has_obstacles:

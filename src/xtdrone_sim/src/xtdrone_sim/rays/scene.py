@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.poses import Pose, compose
 from xtdrone_sim.rays.casting import PLACE, THING, cast_rays
-from xtdrone_sim.rays.surfaces import of_triangles, seen, seen_of, surfaces_of
-from xtdrone_sim.rays.tree import NOTHING, SURFACE, Trees, build, joined
+from xtdrone_sim.rays.surfaces import of_triangles, surfaces_of, visible_shapes, visible_shapes_of
+from xtdrone_sim.rays.tree import NOTHING, SURFACE, Trees, build, join_trees
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.worlds import people_meshes
 from xtdrone_sim.worlds.sdf import SdfActor, SdfModel
@@ -108,7 +108,7 @@ class RayScene:
         self.owners = [GROUND]
         self._numbers = {GROUND: 0}
         self._models = {model.name: model for model in models}
-        self._surfaces = {model.name: self._placed(model) for model in models}
+        self._surfaces = {model.name: self._place_surfaces(model) for model in models}
         self._homes = links_of(models)
         self._loose: set[str] = set()  # models of the file whose links have trees of their own
         self._deleted: frozenset[str] = frozenset()
@@ -127,8 +127,8 @@ class RayScene:
             self.owners.append(owner)
         return self._numbers[owner]
 
-    def _placed(self, model: SdfModel) -> NDArray[np.void]:
-        shapes = [(geometry, compose(model.pose, pose)) for geometry, pose in seen_of(model)]
+    def _place_surfaces(self, model: SdfModel) -> NDArray[np.void]:
+        shapes = [(geometry, compose(model.pose, pose)) for geometry, pose in visible_shapes_of(model)]
         return surfaces_of(shapes, self.number(model.name))
 
     def _check_size(self) -> None:
@@ -147,7 +147,7 @@ class RayScene:
             for link in moving[vehicle.model]:
                 part = vehicle.model, link.name
                 if part not in self._parts:
-                    self._parts[part] = surfaces_of(seen(link.visuals, link.collisions), 0)
+                    self._parts[part] = surfaces_of(visible_shapes(link.visuals, link.collisions), 0)
                 if len(self._parts[part]):
                     self._trees[f"{vehicle.name}::{link.name}"] = [build(self._parts[part])]
             self.number(vehicle.name)
@@ -208,7 +208,7 @@ class RayScene:
 
     def _loosen(self, model: SdfModel) -> None:
         for link in model.links:
-            surfaces = surfaces_of(seen(link.visuals, link.collisions), 0)
+            surfaces = surfaces_of(visible_shapes(link.visuals, link.collisions), 0)
             if len(surfaces):
                 self._trees[f"{model.name}::{link.name}"] = [build(surfaces)]
         self.number(model.name)
@@ -234,7 +234,7 @@ class RayScene:
                 if id(tree) not in shared:
                     shared[id(tree)] = len(trees)
                     trees.append(tree)
-        together, roots = joined(trees)
+        together, roots = join_trees(trees)
         things = np.zeros(1 + len(self._trees), THING)
         things["owner"][0], things["radius"][0] = NOTHING, math.inf
         for k, (name, own) in enumerate(self._trees.items(), start=1):

@@ -17,19 +17,19 @@ from xtdrone_sim.worlds.sdf.world_records import SdfModel
 _OPAQUE = 0.5  # minimum opacity of a visual that rays see
 
 
-def seen(visuals: Sequence[Visual], collisions: Sequence[Collision] = ()) -> list[tuple[Geometry, Pose]]:
+def visible_shapes(visuals: Sequence[Visual], collisions: Sequence[Collision] = ()) -> list[tuple[Geometry, Pose]]:
     """Return the shapes of a link that rays hit: its opaque visuals, or without visuals its collision shapes."""
     if visuals:
         return [(visual.geometry, visual.pose) for visual in visuals if visual.colour[3] >= _OPAQUE]
     return [(collision.geometry, collision.pose) for collision in collisions]
 
 
-def seen_of(model: SdfModel) -> list[tuple[Geometry, Pose]]:
+def visible_shapes_of(model: SdfModel) -> list[tuple[Geometry, Pose]]:
     """Return the shapes of a model that rays hit, with poses in its frame; see ``seen``."""
     return [
         (geometry, compose(link.pose, pose))
         for link in model.links
-        for geometry, pose in seen(link.visuals, link.collisions)
+        for geometry, pose in visible_shapes(link.visuals, link.collisions)
     ]
 
 

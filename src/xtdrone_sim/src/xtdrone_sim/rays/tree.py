@@ -191,7 +191,7 @@ def build(surfaces: NDArray[np.void]) -> Trees:
     return Trees(nodes[:made].copy(), surfaces[order])
 
 
-def joined(trees: list[Trees]) -> tuple[Trees, list[int]]:
+def join_trees(trees: list[Trees]) -> tuple[Trees, list[int]]:
     """Return trees in one set of arrays, and the root of each; -1 for one without nodes."""
     nodes, surfaces, roots = [], [], []
     node_count = surface_count = 0
@@ -250,7 +250,7 @@ def _triangle(s, ox, oy, oz, dx, dy, dz):
 
 
 @kernel
-def _turned(s, x, y, z):
+def _rotate(s, x, y, z):
     """Return a vector of the tree's frame in a shape's frame."""
     return (
         s.b[0] * x + s.b[1] * y + s.b[2] * z,
@@ -289,8 +289,8 @@ def _round(a, b, c):
 @kernel
 def _solid(s, ox, oy, oz, dx, dy, dz):
     """Return the distance at which a ray hits a box, sphere or cylinder, from outside or inside."""
-    x, y, z = _turned(s, ox - s.a[0], oy - s.a[1], oz - s.a[2])
-    u, v, w = _turned(s, dx, dy, dz)
+    x, y, z = _rotate(s, ox - s.a[0], oy - s.a[1], oz - s.a[2])
+    u, v, w = _rotate(s, dx, dy, dz)
     if s.kind == BOX:
         near, far = _slab(x, u, s.size[0], -math.inf, math.inf)
         near, far = _slab(y, v, s.size[1], near, far)
@@ -325,7 +325,7 @@ def normal_at(s, x, y, z):
         nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
         length = math.sqrt(nx * nx + ny * ny + nz * nz)
         return (nx / length, ny / length, nz / length) if length > 0.0 else (0.0, 0.0, 0.0)
-    px, py, pz = _turned(s, x - s.a[0], y - s.a[1], z - s.a[2])
+    px, py, pz = _rotate(s, x - s.a[0], y - s.a[1], z - s.a[2])
     if s.kind == SPHERE:
         return (x - s.a[0]) / s.size[0], (y - s.a[1]) / s.size[0], (z - s.a[2]) / s.size[0]
     nx, ny, nz = 0.0, 0.0, 0.0

@@ -1,0 +1,1 @@
+"""Robots in the simulation: drives of wheels and boats, and topics."""

@@ -24,7 +24,7 @@ from xtdrone_sim.robots.wheels_on_uneven_ground import (
     Ground,
     Heights,
     Stand,
-    followed,
+    follow,
     heights_below,
     places,
     stand_on,
@@ -120,7 +120,7 @@ class Drive(ABC):
         for name, value in (("linear.x", linear), ("angular.z", angular)):
             if not math.isfinite(value):
                 raise SettingError(name, value, "a finite number")
-        self._linear, self._angular = _clipped(linear, self.limits.speed), angular
+        self._linear, self._angular = _clip(linear, self.limits.speed), angular
         self._left_us = round(self.limits.timeout * 1e6) if self.limits.timeout else _NEVER
 
     @property
@@ -146,7 +146,7 @@ class Drive(ABC):
                 self._left_us, self._linear = _NEVER, 0.0
                 self._stop_turning()
         old = self.state
-        self._next = new = self._moved(dt)
+        self._next = new = self._move(dt)
         pace = ((new.x - old.x) / dt, (new.y - old.y) / dt, (new.z - old.z) / dt)
         return new.pose, pace, _spin(old, new, dt)
 
@@ -158,11 +158,11 @@ class Drive(ABC):
         """Stop at once where the robot is, instead of the step that was proposed last."""
         self.state = replace(self.state, speed=0.0, rate=0.0)
 
-    def _moved(self, dt: float) -> DriveState:
+    def _move(self, dt: float) -> DriveState:
         old = self.state
         change = self.limits.acceleration * dt
-        speed = old.speed + _clipped(self._linear - old.speed, change)
-        steering, rate = self._turned(old, speed, dt)
+        speed = old.speed + _clip(self._linear - old.speed, change)
+        steering, rate = self._turn(old, speed, dt)
         half = 0.5 * rate * dt
         way = speed * dt * (math.sin(half) / half if half else 1.0)  # the chord of the arc
         way *= math.cos(old.pitch)
@@ -182,14 +182,14 @@ class Drive(ABC):
             old.pitch,
             old.heights,
         )
-        return new if self._ground is None else self._rolled(old, new, self._ground)
+        return new if self._ground is None else self._roll(old, new, self._ground)
 
-    def _rolled(self, old: DriveState, new: DriveState, ground: Ground) -> DriveState:
+    def _roll(self, old: DriveState, new: DriveState, ground: Ground) -> DriveState:
         """Return ``new`` on the ground, or the current state at rest if the slope or step there is too large."""
         before, after = (places(one.x, one.y, one.yaw, self._feet) for one in (old, new))
         ways = np.hypot(*(after - before).T).tolist()
         below = heights_below(ground, after, old.heights)
-        heights = followed(old.heights, below, ways, STEP * self.limits.wheel_radius)
+        heights = follow(old.heights, below, ways, STEP * self.limits.wheel_radius)
         if heights is not None:
             stands = self._standing(new, heights)
             tilts = [Stand(0.0, one.roll, one.pitch).tilt for one in (old, stands)]
@@ -209,7 +209,7 @@ class Drive(ABC):
         ]
 
     @abstractmethod
-    def _turned(self, old: DriveState, speed: float, dt: float) -> tuple[float, float]:
+    def _turn(self, old: DriveState, speed: float, dt: float) -> tuple[float, float]:
         """Return the steering angle and the yaw rate of a step."""
 
     @abstractmethod
@@ -233,9 +233,9 @@ class Differential(Drive):
         self.limits: DifferentialLimits = limits
         super().__init__(pose)
 
-    def _turned(self, old: DriveState, speed: float, dt: float) -> tuple[float, float]:
-        wanted = _clipped(self._angular, self.limits.turn_rate)
-        return 0.0, old.rate + _clipped(wanted - old.rate, self.limits.turn_acceleration * dt)
+    def _turn(self, old: DriveState, speed: float, dt: float) -> tuple[float, float]:
+        wanted = _clip(self._angular, self.limits.turn_rate)
+        return 0.0, old.rate + _clip(wanted - old.rate, self.limits.turn_acceleration * dt)
 
     def _turns(self) -> bool:
         return self._angular != 0.0
@@ -256,13 +256,13 @@ class Ackermann(Drive):
         self.limits: AckermannLimits = limits
         super().__init__(pose)
 
-    def _turned(self, old: DriveState, speed: float, dt: float) -> tuple[float, float]:
-        wanted = _clipped(self._angular, self.limits.steering)
-        steering = old.steering + _clipped(wanted - old.steering, self.limits.steering_rate * dt)
+    def _turn(self, old: DriveState, speed: float, dt: float) -> tuple[float, float]:
+        wanted = _clip(self._angular, self.limits.steering)
+        steering = old.steering + _clip(wanted - old.steering, self.limits.steering_rate * dt)
         return steering, speed * math.tan(steering) / self.limits.wheelbase
 
     def _turns(self) -> bool:
-        return _clipped(self._angular, self.limits.steering) != self.state.steering
+        return _clip(self._angular, self.limits.steering) != self.state.steering
 
     def _stop_turning(self) -> None:
         """Keep the steering angle after the timeout, like a car without a driver."""
@@ -323,5 +323,5 @@ def _spin(old: DriveState, new: DriveState, dt: float) -> Vector:
     return (scale * x, scale * y, scale * z)
 
 
-def _clipped(value: float, most: float) -> float:
+def _clip(value: float, most: float) -> float:
     return max(-most, min(most, value))

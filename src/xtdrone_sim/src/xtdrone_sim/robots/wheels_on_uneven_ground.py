@@ -65,7 +65,7 @@ def heights_below(ground: Ground, at: Array, last: Sequence[float]) -> Heights:
     return a, b, c, d
 
 
-def followed(last: Heights, ground: Heights, ways: Sequence[float], step: float) -> Heights | None:
+def follow(last: Heights, ground: Heights, ways: Sequence[float], step: float) -> Heights | None:
     """Return the heights of the wheels after they have rolled on; None in front of a step that is too high or too deep.
 
     Args:

@@ -1,0 +1,1 @@
+"""Sensors of the autopilots and their failures, ground truth, and the frame of sensor nodes."""

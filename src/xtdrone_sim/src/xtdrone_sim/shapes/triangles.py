@@ -76,7 +76,7 @@ def triangles_of(geometry: Geometry) -> Triangles:
         return _cylinder(geometry)
     if isinstance(geometry, Sphere):
         return _sphere(geometry)
-    return _scaled(read_obj(geometry.path), geometry)
+    return _scale(read_obj(geometry.path), geometry)
 
 
 def joined(parts: Iterable[Triangles]) -> Triangles:
@@ -169,7 +169,7 @@ def _sphere(sphere: Sphere) -> Triangles:
     return _grid(radius * out, out, np.stack([u, v], axis=2))
 
 
-def _scaled(mesh: Triangles, geometry: Mesh) -> Triangles:
+def _scale(mesh: Triangles, geometry: Mesh) -> Triangles:
     scale = np.asarray(geometry.scale, float)
     if np.all(scale == 1.0):
         return mesh

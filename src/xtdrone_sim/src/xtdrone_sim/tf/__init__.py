@@ -1,0 +1,1 @@
+"""TF frames of the vehicles, and the node that publishes them."""

@@ -63,9 +63,9 @@ class RobotFrames:
 
     def at_rest(self) -> list[Frame]:
         """Return the frames of moving joints, with all joints at 0."""
-        return self.turned(dict.fromkeys(self._turning, 0.0))
+        return self.at_angles(dict.fromkeys(self._turning, 0.0))
 
-    def turned(self, angles: Mapping[str, float]) -> list[Frame]:
+    def at_angles(self, angles: Mapping[str, float]) -> list[Frame]:
         """Return the frames of moving joints.
 
         Args:

@@ -118,7 +118,7 @@ class RobotTf:
 
     def _on_joints(self, frames: RobotFrames, message: JointState) -> None:
         self._told.add(frames)
-        self._place(frames.turned(dict(zip(message.name, message.position, strict=True))), message.header.stamp)
+        self._place(frames.at_angles(dict(zip(message.name, message.position, strict=True))), message.header.stamp)
 
     def _place(self, frames: Iterable[Frame], stamp: rospy.Time) -> None:
         for frame in frames:

@@ -46,7 +46,7 @@ class Sights:
         """Place all objects."""
         self._rays = rays
         self._share = moment.share
-        self._layout, self._places = _placed(rays, (moment.before, moment.after))
+        self._layout, self._places = _place(rays, (moment.before, moment.after))
 
     def blocked(self, own: str, position: Array, others: Sequence[str], positions: Array) -> NDArray[np.bool_]:
         """Return whether an object other than the two vehicles is between an antenna and each of the others.
@@ -70,7 +70,7 @@ class Sights:
         return blocked
 
 
-def _placed(rays: RayScene, scenes: Sequence[SceneAt]) -> tuple[Layout, NDArray[np.void]]:
+def _place(rays: RayScene, scenes: Sequence[SceneAt]) -> tuple[Layout, NDArray[np.void]]:
     """Return layout and places of scenes, recomputed if a model that begins to move has changed the layout."""
     while True:
         layout = rays.layout

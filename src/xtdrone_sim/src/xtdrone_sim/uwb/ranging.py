@@ -69,7 +69,7 @@ def neighbours_of(own: int, antennas: Sequence[Antenna]) -> tuple[int, ...]:
     return tuple(chosen.values())
 
 
-def seen_from(sensor: Pose, positions: Array, range_max: float) -> Neighbours:
+def find_neighbours(sensor: Pose, positions: Array, range_max: float) -> Neighbours:
     """Return the true ranges and bearings of neighbours, all with line of sight.
 
     Args:
@@ -84,7 +84,7 @@ def seen_from(sensor: Pose, positions: Array, range_max: float) -> Neighbours:
     return Neighbours(ranges, azimuths, elevations, np.zeros(len(ranges), bool), ranges <= range_max)
 
 
-def measured(
+def measure_ranges(
     mount: UwbMount,
     vehicle: str,
     number: int,

@@ -37,7 +37,7 @@ from xtdrone_sim.rays.scene import SceneAt
 from xtdrone_sim.sensors.ranging_node import RangingNode, Station, run_ranging_node
 from xtdrone_sim.sensors.sensor_nodes import Due, rate_setting, time_us
 from xtdrone_sim.uwb.line_of_sight import Moment, Sights
-from xtdrone_sim.uwb.ranging import Neighbours, measured, neighbours_of, seen_from
+from xtdrone_sim.uwb.ranging import Neighbours, find_neighbours, measure_ranges, neighbours_of
 from xtdrone_sim.vehicles.mounts.body_sensors import LEAST_RATE, MOST_RATE, SIGHT_IGNORED
 from xtdrone_sim.vehicles.mounts.fleet_sensor import Antenna, antennas_of
 
@@ -145,7 +145,7 @@ class UwbNode(RangingNode[_Station]):
         """Publish the sensors' measurements at one time."""
         (first_us, before), (last_us, after) = self._scenes[0], self._scenes[-1]
         moment = Moment(before, after, (now_us - first_us) / (last_us - first_us) if last_us > first_us else 0.0)
-        poses = {one.sensor.topic: _placed(moment.pose(one.sensor.link), one.sensor) for one in self._stations}
+        poses = {one.sensor.topic: _place(moment.pose(one.sensor.link), one.sensor) for one in self._stations}
         heard = {topic: pose.position for topic, pose in poses.items() if pose and self._failures[topic].kind != "off"}
         sights: Sights | None = None
         for station in stations:
@@ -155,7 +155,7 @@ class UwbNode(RangingNode[_Station]):
                 continue
             places = [heard.get(other.topic, _NOWHERE) for other in station.others]
             positions = np.array(places).reshape(-1, 3)
-            true = seen_from(pose, positions, mount.range_max)
+            true = find_neighbours(pose, positions, mount.range_max)
             if mount.line_of_sight != SIGHT_IGNORED and true.heard.any():
                 rays = self._rays.scene()
                 if rays is None:
@@ -169,7 +169,7 @@ class UwbNode(RangingNode[_Station]):
         if failure.kind != "frozen" or station.last is None:
             number = round(now_us * 1e-6 * antenna.mount.rate)
             joined = [other.vehicle for other in station.joined]
-            seen = measured(antenna.mount, antenna.vehicle, number, true, failure.bias, failure.dropouts, joined)
+            seen = measure_ranges(antenna.mount, antenna.vehicle, number, true, failure.bias, failure.dropouts, joined)
             station.last = _Measured(station.others, seen)
         station.publisher.publish(ranges_message(antenna, station.last.others, now_us, station.last.seen))
 
@@ -181,7 +181,7 @@ def _look(station: _Station, sights: Sights, position: np.ndarray, positions: np
     true.blocked[heard] = sights.blocked(station.sensor.vehicle, position, names, positions[heard])
 
 
-def _placed(body: Pose | None, antenna: Antenna) -> Pose | None:
+def _place(body: Pose | None, antenna: Antenna) -> Pose | None:
     return None if body is None else compose(body, antenna.mount.pose)
 
 
@@ -200,12 +200,12 @@ def ranges_message(sensor: Antenna, others: Sequence[Antenna], time_us: int, see
     for k, other in enumerate(others):
         if not seen.heard[k]:
             continue
-        measured = RelativeRange(vehicle=other.vehicle, frame_id=other.frame_id, line_of_sight=not seen.blocked[k])
-        measured.range, measured.range_std = float(seen.ranges[k]), float(deviations[k])
+        one = RelativeRange(vehicle=other.vehicle, frame_id=other.frame_id, line_of_sight=not seen.blocked[k])
+        one.range, one.range_std = float(seen.ranges[k]), float(deviations[k])
         if sensor.mount.bearing:
-            measured.has_bearing, measured.bearing_std = True, sensor.mount.bearing_noise
-            measured.azimuth, measured.elevation = float(seen.azimuths[k]), float(seen.elevations[k])
-        message.ranges.append(measured)
+            one.has_bearing, one.bearing_std = True, sensor.mount.bearing_noise
+            one.azimuth, one.elevation = float(seen.azimuths[k]), float(seen.elevations[k])
+        message.ranges.append(one)
     return message
 
 

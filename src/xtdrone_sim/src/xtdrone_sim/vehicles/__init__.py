@@ -1,0 +1,1 @@
+"""Vehicle types by YAML and URDF, and their moving joints and links."""

@@ -283,8 +283,8 @@ def _positive(description: dict[str, Any], field: str) -> float:
 
 
 def _fill_body(record: np.void, description: dict[str, Any], urdf: Description) -> None:
-    record["mass"] = _weighed(urdf)[0] if description["mass"] == URDF else _positive(description, "mass")
-    inertia = _weighed(urdf)[1] if description["inertia"] == URDF else description["inertia"]
+    record["mass"] = _weigh(urdf)[0] if description["mass"] == URDF else _positive(description, "mass")
+    inertia = _weigh(urdf)[1] if description["inertia"] == URDF else description["inertia"]
     for field, source, given in (
         ("inertia", "inertia", inertia),
         ("box", "collision_box", description["collision_box"]),
@@ -300,7 +300,7 @@ def _fill_body(record: np.void, description: dict[str, Any], urdf: Description) 
     record["linear_drag"] = drag
 
 
-def _weighed(urdf: Description) -> tuple[float, list[float]]:
+def _weigh(urdf: Description) -> tuple[float, list[float]]:
     """Return mass, kg, and principal inertia, kg m^2, of the URDF's links.
 
     Raises:

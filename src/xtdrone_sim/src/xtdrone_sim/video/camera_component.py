@@ -66,7 +66,7 @@ class CameraComponent:
         )
         return [self._packed(reply) for reply in (acknowledgement, *replies)]
 
-    def _addressed(self, message: Any) -> bool:
+    def _address(self, message: Any) -> bool:
         own = message.target_system == self._stream.system and message.target_component == self._stream.component
         to_all = message.target_system in (0, self._stream.system) and message.target_component == 0
         return own or (to_all and message.command in self._older)
@@ -115,7 +115,7 @@ class CameraComponent:
     def _stream_status(self) -> Any:
         return mavlink.MAVLink_video_stream_status_message(1, *self._values())
 
-    def _packed(self, message: Any) -> bytes:
+    def _pack(self, message: Any) -> bytes:
         frame = bytes(message.pack(self._mav))
         self._mav.seq = (self._mav.seq + 1) % 256
         return frame

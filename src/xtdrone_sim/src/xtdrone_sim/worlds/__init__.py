@@ -1,0 +1,1 @@
+"""Worlds: their files, generators, scenery, people and types of robots."""

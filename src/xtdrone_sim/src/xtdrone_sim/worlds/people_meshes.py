@@ -155,7 +155,7 @@ def load(name: str) -> Person:
         OSError: the cache folder (``$XDG_CACHE_HOME``, else ``~/.cache``) cannot be written.
     """
     body = read(name)
-    folder = _cached(name, body)
+    folder = _cache(name, body)
     texture = models_folder() / f"{name}.png"
     postures = [
         (Visual(Mesh(folder / _file(pose)), colour=(1.0, 1.0, 1.0, 1.0), texture=texture),)
@@ -168,7 +168,7 @@ def _file(pose: int) -> str:
     return f"walk_{pose - 1:02d}.obj" if pose else "standing.obj"
 
 
-def _cached(name: str, body: Body) -> Path:
+def _cache(name: str, body: Body) -> Path:
     """Return the folder with a person's Wavefront files."""
     digest = hashlib.sha256(_FORMAT + (models_folder() / f"{name}.npz").read_bytes()).hexdigest()[:16]
 

@@ -272,12 +272,12 @@ class _Reader:
         links = [self._link(element) for element in self._robot.findall("link")]
         joints = [self._joint(element) for element in self._robot.findall("joint")]
         ordered = self._tree(links, joints)
-        return Description(name, *ordered, text if self._is_foreign else _URI.sub(self._found, text))
+        return Description(name, *ordered, text if self._is_foreign else _URI.sub(self._resolve_match, text))
 
     def _fail(self, where: str, problem: str) -> UrdfError:
         return UrdfError(f"{self._path}: {where}: {problem}")
 
-    def _found(self, match: re.Match[str]) -> str:
+    def _resolve_match(self, match: re.Match[str]) -> str:
         """Return a ``filename=...`` that does not depend on the folder of the URDF."""
         uri = match["uri"]
         known = uri if uri.startswith("package://") else f"file://{resolve(uri, self._path.parent).resolve()}"
@@ -345,10 +345,10 @@ class _Reader:
     def _link(self, element: Element) -> Link:
         name = self._name(element, "link")
         where = f"link {name!r}"
-        visuals = tuple(self._visual(part, place) for part, place in _numbered(element, "visual", where))
+        visuals = tuple(self._visual(part, place) for part, place in _number(element, "visual", where))
         collisions = tuple(
             Collision(self._geometry(part, place), self._origin(part, place))
-            for part, place in _numbered(element, "collision", where)
+            for part, place in _number(element, "collision", where)
         )
         inertial = element.find("inertial")
         return Link(name, visuals, collisions, None if inertial is None else self._inertial(inertial, where))
@@ -493,7 +493,7 @@ def _list(names: Iterable[str]) -> str:
     return ", ".join(shown[:20]) + (", ..." if len(shown) > 20 else "")
 
 
-def _numbered(element: Element, tag: str, where: str) -> Iterator[tuple[Element, str]]:
+def _number(element: Element, tag: str, where: str) -> Iterator[tuple[Element, str]]:
     """Yield the elements with a tag and their names for messages."""
     for number, part in enumerate(element.findall(tag), start=1):
         yield part, f"{where}, {tag} {number}"

@@ -1,0 +1,1 @@
+"""Gazebo's services on models."""

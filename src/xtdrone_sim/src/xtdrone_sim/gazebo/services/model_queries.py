@@ -13,7 +13,7 @@ from std_msgs.msg import Header
 from xtdrone_control.poses import Pose
 from xtdrone_sim.gazebo.models_by_name import Models
 from xtdrone_sim.gazebo.request_limits import RequestError, unknown
-from xtdrone_sim.gazebo.states import pose_message, seen_from, twist_message
+from xtdrone_sim.gazebo.states import pose_message, relative_to, twist_message
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.worlds.sdf.world_records import DEFAULT_INERTIAL
 from xtdrone_sim.worlds.urdf import Inertial
@@ -46,7 +46,7 @@ class Queries:
             if "::" in name and self._models.model(name) is None:
                 raise RequestError(f"model_name: {name!r} is a link, get_link_state returns its state")
             state = self._models.find("model_name", name)
-            seen = seen_from(state, self._models.find("relative_entity_name", frame, frame=True))
+            seen = relative_to(state, self._models.find("relative_entity_name", frame, frame=True))
         except RequestError as error:
             return srv.GetModelStateResponse(success=False, status_message=str(error))
         now_us = self._simulation.time_us
@@ -57,7 +57,7 @@ class Queries:
         name, frame = request.link_name, request.reference_frame
         try:
             state = self._models.find_link("link_name", name)
-            seen = seen_from(state, self._models.find("reference_frame", frame, frame=True))
+            seen = relative_to(state, self._models.find("reference_frame", frame, frame=True))
         except RequestError as error:
             return srv.GetLinkStateResponse(LinkState(), False, str(error))
         found = LinkState(name, pose_message(seen.pose), twist_message(seen), frame)

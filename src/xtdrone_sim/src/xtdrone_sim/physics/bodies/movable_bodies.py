@@ -232,7 +232,7 @@ class Bodies:
         Raises:
             SdfError: a mesh file cannot be read.
         """
-        body, placed = _described(model, pose, drive)
+        body, placed = _describe(model, pose, drive)
         start = compose(pose, body.frame)
         mass = body.mass
         body.shapes = shapes = [
@@ -268,7 +268,7 @@ class Bodies:
             number: its number if it is in the world already.
         """
         there = None if number is None else self.by_number.get(number)
-        first = there or _described(model, pose, None)[0]
+        first = there or _describe(model, pose, None)[0]
         others = [body for body in self.by_number.values() if body is not there and body.shapes]
         places = np.array([body.pose.position for body in others]).reshape(-1, 3)
         reaches = np.array([body.reach for body in others])
@@ -518,7 +518,7 @@ class Bodies:
         )
 
 
-def _described(model: SdfModel, pose: Pose, drive: Drive | None) -> tuple[Body, list[tuple[Geometry, Pose]]]:
+def _describe(model: SdfModel, pose: Pose, drive: Drive | None) -> tuple[Body, list[tuple[Geometry, Pose]]]:
     """Return the body of a model at a pose without shapes in Bullet, and its shapes with their poses in its frame.
 
     Raises:

@@ -12,7 +12,7 @@ from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.shapes.visual import Box, Colour, Visual
 from xtdrone_sim.worlds.scenery import assets, scenery_objects
 from xtdrone_sim.worlds.scenery.materials import Kit
-from xtdrone_sim.worlds.scenery.start_area_and_ground import START, Places, Rectangle, box, ground, placed, solid, world
+from xtdrone_sim.worlds.scenery.start_area_and_ground import START, Places, Rectangle, box, ground, place, solid, world
 from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld
 
 _GLASS: Colour = (0.2, 0.27, 0.34, 1.0)
@@ -28,12 +28,12 @@ _KERB = 0.06  # m, thickness of the pavement; only visible, since the ground is 
 class CitySettings(Settings):
     """Options of a city."""
 
-    seed: int = setting(0, low=0, text="of all random choices")
+    seed: int = setting(0, low=0, text="seed of all random choices")
     columns: int = setting(4, low=1, high=20, text="blocks along x")
     rows: int = setting(4, low=1, high=20, text="blocks along y")
     block: float = setting(30.0, low=26.0, high=200.0, unit="m", text="side of a block")
     street: float = setting(10.0, low=4.0, high=40.0, unit="m", text="width of a street")
-    height: float = setting(18.0, low=3.0, high=120.0, unit="m", text="of the highest buildings")
+    height: float = setting(18.0, low=3.0, high=120.0, unit="m", text="height of the highest buildings")
     trees: float = setting(2.0, low=0.0, high=20.0, text="trees for each block")
     cars: float = setting(2.0, low=0.0, high=20.0, text="parked cars for each block")
 
@@ -117,7 +117,7 @@ def _along_streets(kit: Kit, x0: float, y0: float, settings: CitySettings, squar
                 thing = _slender(kit)
             if places.is_free(x, y, 2.6 if kind == "car" else 1.0, 0.5):
                 places.occupy(x, y, 2.6 if kind == "car" else 1.0)
-                models.append(placed(f"{kind}_{len(models)}", thing, x, y, yaw))
+                models.append(place(f"{kind}_{len(models)}", thing, x, y, yaw))
     return models
 
 

@@ -13,7 +13,7 @@ from xtdrone_sim.shapes.visual import Cylinder, Visual
 from xtdrone_sim.worlds.scenery import scenery_objects
 from xtdrone_sim.worlds.scenery.materials import Kit
 from xtdrone_sim.worlds.scenery.scenery_objects import Thing
-from xtdrone_sim.worlds.scenery.start_area_and_ground import START, ground, placed, solid, world
+from xtdrone_sim.worlds.scenery.start_area_and_ground import START, ground, place, solid, world
 from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld
 
 _TRIES = 30  # candidates around each tree (R. Bridson, "Fast Poisson disk sampling in arbitrary dimensions", 2007)
@@ -25,7 +25,7 @@ _HIGHEST = 9.0  # m
 class ForestSettings(Settings):
     """Options of a forest."""
 
-    seed: int = setting(0, low=0, text="of all random choices")
+    seed: int = setting(0, low=0, text="seed of all random choices")
     density: float = setting(0.04, low=0.001, high=0.5, unit="1/m²", text="trees per square metre")
     length: float = setting(70.0, low=25.0, high=400.0, unit="m", text="along x, from 10 m behind the start area on")
     width: float = setting(60.0, low=25.0, high=400.0, unit="m", text="along y, around the start area")
@@ -96,4 +96,4 @@ def _tree(kit: Kit, number: int, x: float, y: float, settings: ForestSettings) -
         trunk = Visual(Cylinder(radius, height), Pose((x, y, round(0.5 * height, 4))), kit.brown())
         return solid(f"tree_{number}", [trunk])
     thing: Thing = scenery_objects.conifer(kit) if kit.rng.uniform() < 0.5 else scenery_objects.leafy_tree(kit)
-    return placed(f"tree_{number}", thing, x, y, kit.uniform(-math.pi, math.pi))
+    return place(f"tree_{number}", thing, x, y, kit.uniform(-math.pi, math.pi))

@@ -31,12 +31,12 @@ _DOOR_SPACE = 0.9  # m, radius that furniture leaves free on both sides of a doo
 class IndoorSettings(Settings):
     """Options of a building."""
 
-    seed: int = setting(0, low=0, text="of all random choices")
+    seed: int = setting(0, low=0, text="seed of all random choices")
     length: float = setting(24.0, low=8.0, high=200.0, unit="m", text="along x")
     width: float = setting(16.0, low=6.0, high=200.0, unit="m", text="along y")
     room: float = setting(5.0, low=2.5, high=50.0, unit="m", text="mean length of rooms along the corridor")
     corridor: float = setting(2.0, low=1.2, high=10.0, unit="m", text="width of the corridors")
-    height: float = setting(2.8, low=2.2, high=12.0, unit="m", text="of the walls")
+    height: float = setting(2.8, low=2.2, high=12.0, unit="m", text="height of the walls")
     wall: float = setting(0.15, low=0.05, high=0.6, unit="m", text="thickness of the walls")
     door: float = setting(1.0, low=0.7, high=4.0, unit="m", text="width of the doors")
     lintel: float = setting(2.1, low=1.8, high=12.0, unit="m", text="height of the doors")
@@ -203,7 +203,7 @@ def _furniture(settings: IndoorSettings, plan: Plan, corner: tuple[float, float]
             place = places.take(radius, 0.3)
             if place is not None:
                 x, y = corner[0] + place[0], corner[1] + place[1]
-                moved = [_moved(shape, x, y) for shape in shapes]
+                moved = [_move(shape, x, y) for shape in shapes]
                 models.append(solid(f"{kind}_{len(models)}", moved))
     return models
 
@@ -232,6 +232,6 @@ def _piece_of_furniture(kit: Kit, settings: IndoorSettings) -> tuple[str, float,
     return "box", 0.5 * math.hypot(side, side), [box((side, side, side), (0.0, 0.0, 0.5 * side), colour)]
 
 
-def _moved(shape: Visual, x: float, y: float) -> Visual:
+def _move(shape: Visual, x: float, y: float) -> Visual:
     a, b, c = shape.pose.position
     return Visual(shape.geometry, Pose((round(a + x, 4), round(b + y, 4), c)), shape.colour, shape.texture)

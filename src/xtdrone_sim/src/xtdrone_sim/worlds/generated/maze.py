@@ -21,11 +21,11 @@ _MARK: Colour = (0.75, 0.25, 0.2, 1.0)
 class MazeSettings(Settings):
     """Options of a maze."""
 
-    seed: int = setting(0, low=0, text="of all random choices")
+    seed: int = setting(0, low=0, text="seed of all random choices")
     columns: int = setting(8, low=1, high=60, text="cells along x")
     rows: int = setting(8, low=1, high=60, text="cells along y")
     cell: float = setting(3.0, low=1.0, high=30.0, unit="m", text="side of a cell, from wall to wall")
-    height: float = setting(3.0, low=0.5, high=20.0, unit="m", text="of the walls")
+    height: float = setting(3.0, low=0.5, high=20.0, unit="m", text="height of the walls")
     wall: float = setting(0.15, low=0.02, high=1.0, unit="m", text="thickness of the walls")
     loops: float = setting(0.0, low=0.0, high=1.0, text="share of the inner walls left out in addition")
 

@@ -48,7 +48,7 @@ def parse_robots(text: str) -> tuple[Robot, ...]:
     """
     if not text.strip():
         return ()
-    entries = _listed(text) if text.lstrip().startswith("[") else _counted(text)
+    entries = _read_list(text) if text.lstrip().startswith("[") else _read_counts(text)
     if len(entries) > MOST_ROBOTS:
         raise SettingError("robots", text[:60], f"at most {MOST_ROBOTS} robots")
     models: dict[str, AnyRobot] = {}
@@ -65,7 +65,7 @@ def parse_robots(text: str) -> tuple[Robot, ...]:
     return tuple(robots)
 
 
-def _counted(text: str) -> list[dict[str, Any]]:
+def _read_counts(text: str) -> list[dict[str, Any]]:
     entries: list[dict[str, Any]] = []
     counts: dict[str, int] = {}
     for part in text.split(","):
@@ -78,7 +78,7 @@ def _counted(text: str) -> list[dict[str, Any]]:
     return entries
 
 
-def _listed(text: str) -> list[dict[str, Any]]:
+def _read_list(text: str) -> list[dict[str, Any]]:
     try:
         entries = load_yaml(text)
     except ContentError as error:

@@ -43,11 +43,13 @@ _PLATE = 0.04  # m, thickness of a platform
 class BodySettings(Settings):
     """Body of a robot, a box."""
 
-    length: float = setting(1.2, low=0.05, high=20.0, unit="m", text="along its x")
-    width: float = setting(0.8, low=0.05, high=20.0, unit="m", text="along its y")
-    height: float = setting(0.35, low=0.02, high=10.0, unit="m", text="of its top above the ground")
-    clearance: float = setting(0.1, low=_LEAST_CLEARANCE, high=5.0, unit="m", text="of its bottom above the ground")
-    ahead: float = setting(0.0, low=-10.0, high=10.0, unit="m", text="distance of its middle ahead of the driven axle")
+    length: float = setting(1.2, low=0.05, high=20.0, unit="m", text="length along x")
+    width: float = setting(0.8, low=0.05, high=20.0, unit="m", text="width along y")
+    height: float = setting(0.35, low=0.02, high=10.0, unit="m", text="height of the top above the ground")
+    clearance: float = setting(
+        0.1, low=_LEAST_CLEARANCE, high=5.0, unit="m", text="height of the bottom above the ground"
+    )
+    ahead: float = setting(0.0, low=-10.0, high=10.0, unit="m", text="distance of the middle ahead of the driven axle")
     colour: tuple[float, float, float] = setting((0.3, 0.3, 0.3), low=0.0, high=1.0, text="red, green, blue")
 
     def __post_init__(self) -> None:
@@ -60,9 +62,9 @@ class BodySettings(Settings):
 class PlatformSettings(Settings):
     """Platform above a robot's body, on which vehicles land."""
 
-    length: float = setting(1.4, low=0.1, high=50.0, unit="m", text="along its x")
-    width: float = setting(1.4, low=0.1, high=50.0, unit="m", text="along its y")
-    height: float = setting(0.5, low=0.1, high=20.0, unit="m", text="of its top above the ground")
+    length: float = setting(1.4, low=0.1, high=50.0, unit="m", text="length along x")
+    width: float = setting(1.4, low=0.1, high=50.0, unit="m", text="width along y")
+    height: float = setting(0.5, low=0.1, high=20.0, unit="m", text="height of the top above the ground")
     colour: tuple[float, float, float] = setting((0.85, 0.85, 0.8), low=0.0, high=1.0, text="red, green, blue")
     tags: str = setting(
         "",
@@ -245,12 +247,12 @@ def load_robot(name: str) -> AnyRobot:
         if field not in known:
             raise ModelError(f"robot {name}: field {str(field)[:60]!r} is not known; there are {', '.join(known)}")
     try:
-        return _checked_boat(given) if given.get("drive") == "boat" else _checked(given)
+        return _read_boat(given) if given.get("drive") == "boat" else _read_wheeled(given)
     except SettingError as error:
         raise ModelError(f"robot {name}: {error}") from error
 
 
-def _checked_boat(given: Mapping[str, object]) -> BoatModel:
+def _read_boat(given: Mapping[str, object]) -> BoatModel:
     limits = BoatLimits.from_mapping(given.get("limits", {}), "limits")
     hull = HullSettings.from_mapping(given.get("hull", {}), "hull")
     waves = WaveSettings.from_mapping(given.get("waves", {}), "waves")
@@ -265,7 +267,7 @@ def _checked_boat(given: Mapping[str, object]) -> BoatModel:
     return BoatModel(limits, hull, waves, platform)
 
 
-def _checked(given: Mapping[str, object]) -> RobotModel:
+def _read_wheeled(given: Mapping[str, object]) -> RobotModel:
     kind = given.get("drive")
     if kind not in DRIVES:
         raise SettingError("drive", kind, f"{', '.join(DRIVES[:-1])} or {DRIVES[-1]}")

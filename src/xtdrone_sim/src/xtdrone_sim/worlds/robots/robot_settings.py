@@ -40,7 +40,7 @@ class Joint(NamedTuple):
 class DriveLimits(Settings):
     """Wheels and limits of a robot."""
 
-    wheel_radius: float = setting(0.15, low=0.01, high=2.0, unit="m", text="of the driven wheels")
+    wheel_radius: float = setting(0.15, low=0.01, high=2.0, unit="m", text="radius of the driven wheels")
     track: float = setting(0.8, low=0.05, high=10.0, unit="m", text="distance of left and right wheels")
     speed: float = setting(2.0, low=0.01, high=50.0, unit="m/s", text="largest speed, forwards and backwards")
     acceleration: float = setting(2.0, low=0.01, high=50.0, unit="m/s^2", text="largest change of the speed")
@@ -79,10 +79,10 @@ class AckermannLimits(DriveLimits):
 class HullSettings(Settings):
     """Hull of a boat, a box."""
 
-    length: float = setting(3.0, low=0.05, high=100.0, unit="m", text="along its x")
-    width: float = setting(1.6, low=0.05, high=30.0, unit="m", text="along its y")
-    depth: float = setting(0.6, low=0.05, high=20.0, unit="m", text="from its bottom to its top")
-    mass: float = setting(800.0, low=0.01, high=1e7, unit="kg", text="which gives its draught")
+    length: float = setting(3.0, low=0.05, high=100.0, unit="m", text="length along x")
+    width: float = setting(1.6, low=0.05, high=30.0, unit="m", text="width along y")
+    depth: float = setting(0.6, low=0.05, high=20.0, unit="m", text="height from bottom to top")
+    mass: float = setting(800.0, low=0.01, high=1e7, unit="kg", text="mass, which gives the draught")
     colour: tuple[float, float, float] = setting((0.75, 0.3, 0.15), low=0.0, high=1.0, text="red, green, blue")
 
     def __post_init__(self) -> None:
@@ -157,9 +157,13 @@ class WaveSettings(Settings):
 
     level: float = setting(0.0, low=-1000.0, high=1000.0, unit="m", text="height of the still water in the map")
     amplitude: float = setting(
-        0.0, low=0.0, high=10.0, unit="m", text="of the wave, or of one with the energy of all waves; 0: still water"
+        0.0,
+        low=0.0,
+        high=10.0,
+        unit="m",
+        text="wave height above still water, of one wave with the energy of all; 0: still water",
     )
-    period: float = setting(4.0, low=0.5, high=30.0, unit="s", text="of the wave, or the middle period of several")
+    period: float = setting(4.0, low=0.5, high=30.0, unit="s", text="wave period; of several waves, the middle one")
     direction: float = setting(
         0.0, low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad", text="direction of travel, from east counter-clockwise"
     )
@@ -167,7 +171,7 @@ class WaveSettings(Settings):
         0.3, low=0.0, high=1.5, unit="rad", text="largest deviation of the direction of one of several waves"
     )
     count: int = setting(1, low=1, high=50, text="number of waves: 1 is regular, more are irregular")
-    seed: int = setting(0, low=0, high=2**31 - 1, text="of periods, directions and phases of several waves")
+    seed: int = setting(0, low=0, high=2**31 - 1, text="seed of periods, directions and phases of several waves")
 
     def __post_init__(self) -> None:
         super().__post_init__()

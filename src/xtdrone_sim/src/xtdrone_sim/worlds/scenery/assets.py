@@ -65,14 +65,14 @@ def _car_glass(name: str) -> Triangles:
 def _car_wheels(name: str) -> Triangles:
     body, _, width = _CARS[name]
     base = 0.62 * body[1][0]
-    wheel = scenery_meshes.revolved([(0.33, -0.12), (0.33, 0.12)], 10)
+    wheel = scenery_meshes.revolve([(0.33, -0.12), (0.33, 0.12)], 10)
     turned = Triangles(wheel.corners[:, :, [0, 2, 1]] * np.array([1.0, -1.0, 1.0]), wheel.texture)
     places = [(x, y, 0.33) for x in (-base, base) for y in (-0.44 * width, 0.44 * width)]
-    return scenery_meshes.join(*(scenery_meshes.moved(turned, place) for place in places))
+    return scenery_meshes.join(*(scenery_meshes.move(turned, place) for place in places))
 
 
 def _gable(_rng: np.random.Generator) -> Triangles:
-    return scenery_meshes.mapped(scenery_meshes.prism([(-0.5, 0.0), (0.5, 0.0), (0.0, 1.0)], 1.0).corners, 0.5)
+    return scenery_meshes.map_texture(scenery_meshes.prism([(-0.5, 0.0), (0.5, 0.0), (0.0, 1.0)], 1.0).corners, 0.5)
 
 
 def _hip(_rng: np.random.Generator) -> Triangles:
@@ -91,7 +91,7 @@ _MESHES: dict[str, tuple[Callable[[np.random.Generator], Triangles], int]] = {
     "ground": (lambda _: scenery_meshes.grid(4, 4), 1),
     "gable": (_gable, 1),
     "hip": (_hip, 1),
-    "cone": (lambda _: scenery_meshes.revolved([(1.0, 0.0), (0.0, 1.0)], 14), 1),
+    "cone": (lambda _: scenery_meshes.revolve([(1.0, 0.0), (0.0, 1.0)], 14), 1),
     "triangle": (lambda _: scenery_meshes.prism([(-0.5, 0.0), (0.5, 0.0), (0.0, 0.866)], 1.0), 1),
     **{f"car_{name}_body": (lambda _, name=name: _car_body(name), 1) for name in _CARS},  # type: ignore[misc]
     **{f"car_{name}_glass": (lambda _, name=name: _car_glass(name), 1) for name in _CARS},  # type: ignore[misc]

@@ -364,7 +364,7 @@ def is_free(world: SdfWorld, x: float, y: float, radius: float) -> bool:
 class CountrysideSettings(Settings):
     """Options of a countryside."""
 
-    seed: int = setting(0, low=0, text="of all random choices")
+    seed: int = setting(0, low=0, text="seed of all random choices")
     length: float = setting(100.0, low=30.0, high=1000.0, unit="m", text="along x, from -10 m on")
     width: float = setting(60.0, low=30.0, high=1000.0, unit="m", text="along y, from -10 m on")
     persons: int = setting(1, low=0, high=100, text="number of persons")

@@ -35,12 +35,12 @@ def join(*parts: Triangles) -> Triangles:
     return Triangles(np.concatenate([p.corners for p in parts]), np.concatenate([p.texture for p in parts]))
 
 
-def moved(mesh: Triangles, offset: Sequence[float], scale: Sequence[float] = (1.0, 1.0, 1.0)) -> Triangles:
+def move(mesh: Triangles, offset: Sequence[float], scale: Sequence[float] = (1.0, 1.0, 1.0)) -> Triangles:
     """Return the mesh scaled, then translated, m."""
     return Triangles(mesh.corners * np.asarray(scale) + np.asarray(offset), mesh.texture)
 
 
-def mapped(corners: Array, size: float = 1.0) -> Triangles:
+def map_texture(corners: Array, size: float = 1.0) -> Triangles:
     """Return triangles with the texture projected along the main direction of each, repeating every ``size`` m."""
     normal = np.abs(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
     axis = np.argmax(normal, axis=1)
@@ -55,7 +55,7 @@ def polyhedron(points: Sequence[Sequence[float]], faces: Sequence[Sequence[int]]
     """Return a polyhedron of flat faces, lists of point indices counter-clockwise seen from outside."""
     p = np.asarray(points, float)
     triangles = [(f[0], f[i], f[i + 1]) for f in faces for i in range(1, len(f) - 1)]
-    return mapped(p[np.array(triangles)], size)
+    return map_texture(p[np.array(triangles)], size)
 
 
 def cuboid(low: Sequence[float], high: Sequence[float]) -> Triangles:
@@ -80,7 +80,7 @@ def prism(profile: Sequence[tuple[float, float]], width: float) -> Triangles:
     return polyhedron(points, faces)
 
 
-def revolved(outline: Sequence[tuple[float, float]], sides: int) -> Triangles:
+def revolve(outline: Sequence[tuple[float, float]], sides: int) -> Triangles:
     """Return an outline (radius, z), from bottom to top, revolved about z."""
     angle = np.arange(sides) * (2.0 * math.pi / sides)
     rings = [np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full(sides, z)]) for r, z in outline]
@@ -113,17 +113,17 @@ def ball(divisions: int, roughness: float, rng: np.random.Generator) -> Triangle
     # equal displacement of a point in all its triangles
     points, inverse = np.unique(np.round(corners.reshape(-1, 3), 6), axis=0, return_inverse=True)
     push = 1.0 + roughness * rng.uniform(-1.0, 1.0, len(points))
-    return mapped((points * push[:, None])[inverse.reshape(-1)].reshape(-1, 3, 3))
+    return map_texture((points * push[:, None])[inverse.reshape(-1)].reshape(-1, 3, 3))
 
 
 def crown(blobs: int, rng: np.random.Generator) -> Triangles:
     """Return a tree's crown, radius and half height approximately 1, of several rough balls."""
-    parts = [moved(ball(2, 0.16, rng), (0.0, 0.0, 0.0), (0.72, 0.72, 0.8))]
+    parts = [move(ball(2, 0.16, rng), (0.0, 0.0, 0.0), (0.72, 0.72, 0.8))]
     for k in range(blobs):
         angle = 2.0 * math.pi * (k + rng.uniform(0.0, 0.6)) / blobs
         size = rng.uniform(0.38, 0.58)
         place = (0.55 * math.cos(angle), 0.55 * math.sin(angle), rng.uniform(-0.35, 0.45))
-        parts.append(moved(ball(1, 0.18, rng), place, (size, size, size)))
+        parts.append(move(ball(1, 0.18, rng), place, (size, size, size)))
     return join(*parts)
 
 
@@ -134,7 +134,7 @@ def conifer(tiers: int, rng: np.random.Generator) -> Triangles:
         low = k / (tiers + 0.6)
         radius = (1.0 - 0.8 * k / tiers) * rng.uniform(0.92, 1.08)
         height = 1.0 - low if k == tiers - 1 else 1.7 / (tiers + 0.6)
-        cone = revolved([(radius, low), (0.0, low + height)], 9)
+        cone = revolve([(radius, low), (0.0, low + height)], 9)
         jitter = rng.uniform(0.9, 1.1, (*cone.corners.shape[:1], 1, 1))
         parts.append(
             Triangles(cone.corners * np.concatenate([jitter, jitter, np.ones_like(jitter)], axis=2), cone.texture)
@@ -151,7 +151,7 @@ def blob(rng: np.random.Generator) -> Triangles:
     )  # fmt: skip
     edge = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(sides)])
     nearer = np.roll(edge, -1, axis=0)
-    return mapped(np.stack([np.zeros_like(edge), edge, nearer], axis=1), 2.0)
+    return map_texture(np.stack([np.zeros_like(edge), edge, nearer], axis=1), 2.0)
 
 
 def grid(cells: int, times: int) -> Triangles:

@@ -81,7 +81,7 @@ def solid(name: str, shapes: Iterable[Visual], ghosts: Iterable[Visual] = ()) ->
     return SdfModel(name, links=(SdfLink("link", visuals=(*shapes, *ghosts), collisions=collisions),))
 
 
-def placed(name: str, thing: Thing, x: float, y: float, yaw: float) -> SdfModel:
+def place(name: str, thing: Thing, x: float, y: float, yaw: float) -> SdfModel:
     """Return an object of the scenery at a place, m, turned by ``yaw``, rad."""
     link = SdfLink("link", visuals=thing.visuals, collisions=thing.collisions)
     return SdfModel(name, Pose((round(x, 3), round(y, 3), 0.0), from_euler(0.0, 0.0, round(yaw, 3))), True, (link,))

@@ -22,10 +22,10 @@ def write_world(world: SdfWorld) -> str:
         "<?xml version='1.0'?>",
         "<sdf version='1.7' xmlns:xtdrone='urn:xtdrone'>",
         f"  <world name={quoteattr(world.name)}>",
-        *_indented(_write_surroundings(world), 4),
-        *_indented((line for model in world.models for line in _write_model(model)), 4),
-        *_indented((line for joint in world.joints for line in write_joint(joint)), 4),
-        *_indented((line for actor in world.actors for line in _write_actor(actor)), 4),
+        *_indent(_write_surroundings(world), 4),
+        *_indent((line for model in world.models for line in _write_model(model)), 4),
+        *_indent((line for joint in world.joints for line in write_joint(joint)), 4),
+        *_indent((line for actor in world.actors for line in _write_actor(actor)), 4),
         "  </world>",
         "</sdf>",
         "",
@@ -35,11 +35,11 @@ def write_world(world: SdfWorld) -> str:
 
 def write_model(model: SdfModel) -> str:
     """Write a model as SDF 1.7, as the file model.sdf of a folder with its name."""
-    lines = ["<?xml version='1.0'?>", "<sdf version='1.7'>", *_indented(_write_model(model), 2), "</sdf>", ""]
+    lines = ["<?xml version='1.0'?>", "<sdf version='1.7'>", *_indent(_write_model(model), 2), "</sdf>", ""]
     return "\n".join(lines)
 
 
-def _indented(lines: Iterable[str], by: int) -> list[str]:
+def _indent(lines: Iterable[str], by: int) -> list[str]:
     return [" " * by + line for line in lines]
 
 
@@ -84,7 +84,7 @@ def _write_model(model: SdfModel) -> list[str]:
         f"<model name={quoteattr(model.name)}>",
         f"  <static>{_flag(model.static)}</static>",
         *_write_pose(model.pose),
-        *_indented((line for link in model.links for line in _write_link(link)), 2),
+        *_indent((line for link in model.links for line in _write_link(link)), 2),
         "</model>",
     ]
 
@@ -98,7 +98,7 @@ def _write_link(link: SdfLink) -> list[str]:
     shapes += [line for k, shape in enumerate(link.collisions) for line in write_collision(shape, f"collision_{k}")]
     mass = [] if link.inertial is None else _write_inertial(link.inertial)
     weight = [] if link.gravity else ["<gravity>false</gravity>"]
-    inside = _indented([*mass, *weight, *shapes], 2)
+    inside = _indent([*mass, *weight, *shapes], 2)
     return [f"<link name={quoteattr(link.name)}>", *_write_pose(link.pose), *inside, "</link>"]
 
 
@@ -111,7 +111,7 @@ def _write_inertial(inertial: Inertial) -> list[str]:
 
 def _write_actor(actor: SdfActor) -> list[str]:
     skin = [f"  <skin><filename>{escape(actor.skin)}</filename></skin>"] if actor.skin else []
-    script = [] if actor.trajectory is None else _indented(_write_script(actor.trajectory), 2)
+    script = [] if actor.trajectory is None else _indent(_write_script(actor.trajectory), 2)
     return [
         f"<actor name={quoteattr(actor.name)}>",
         *skin,

@@ -86,11 +86,11 @@ def _heights(data: bytes, path: Path) -> Array:
     values = values[:, :, 0] if values.ndim == 3 else values
     if min(values.shape) < 2:
         raise SdfError(f"{path}: it has {values.shape[1]} x {values.shape[0]} pixels, at least 2 x 2 are needed")
-    values = _reduced(_reduced(values[::-1]).T).T
+    values = _reduce(_reduce(values[::-1]).T).T
     return values / max(float(values.max()), 1e-9)
 
 
-def _reduced(values: Array) -> Array:
+def _reduce(values: Array) -> Array:
     """Return ``MOST_POINTS`` rows at most, at equal distances from the first to the last, linear between pixels."""
     if len(values) <= MOST_POINTS:
         return values

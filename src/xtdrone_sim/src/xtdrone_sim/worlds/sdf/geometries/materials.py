@@ -33,7 +33,7 @@ _COLOURS = {
 }
 
 
-def painted(visual: Visual, material: Element) -> Visual:
+def paint(visual: Visual, material: Element) -> Visual:
     """Return a visual with the colour and the texture of a <material>, unchanged without either.
 
     Raises:

@@ -93,7 +93,7 @@ def _parts_in(folder: Path) -> tuple[MeshPart, ...]:
 
 def _convert(data: bytes, path: Path, submesh: str, centred: bool, folder: Path) -> None:
     """Write the parts of a mesh file into ``folder``."""
-    meshes = _loaded(data, path)
+    meshes = _load(data, path)
     if submesh:
         meshes = [(name, mesh) for name, mesh in meshes if submesh in name]
         if not meshes:
@@ -146,7 +146,7 @@ def _count_faces(path: Path, _modified: int, _size: int) -> int:
     return read_bytes(path, LARGEST_MESH).count(b"\nf ")
 
 
-def _loaded(data: bytes, path: Path) -> list[tuple[str, Any]]:
+def _load(data: bytes, path: Path) -> list[tuple[str, Any]]:
     """Return names and triangles of a file, transformed to its root and scaled to metres."""
     import trimesh  # takes half a second; few worlds have such meshes
 
@@ -303,7 +303,7 @@ def _wavefront(meshes: Sequence[Any], middle: NDArray[np.float64]) -> Iterator[s
 # extruded polygons
 
 
-def extruded(outlines: Sequence[Sequence[tuple[float, float]]], height: float) -> Path:
+def extrude(outlines: Sequence[Sequence[tuple[float, float]]], height: float) -> Path:
     """Return the Wavefront file of a polygon extruded from z = 0.
 
     Args:

@@ -14,13 +14,13 @@ from xtdrone_control.bounded_file import read_text
 from xtdrone_control.poses import Pose, compose, rotate
 from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Geometry, Mesh, Sphere, Visual
 from xtdrone_sim.worlds.sdf.geometries.heightmaps import read_heightmap
-from xtdrone_sim.worlds.sdf.geometries.materials import GREY, painted, write_material
+from xtdrone_sim.worlds.sdf.geometries.materials import GREY, paint, write_material
 from xtdrone_sim.worlds.sdf.geometries.mesh_files import (
     ENDINGS,
     LARGEST_MESH,
     MeshPart,
     check_wavefront,
-    extruded,
+    extrude,
     read_mesh,
 )
 from xtdrone_sim.worlds.sdf.models.model_uris import ForbiddenError, resolve, uri_of
@@ -61,7 +61,7 @@ def read_visuals(element: Element) -> list[Visual]:
     for geometry, part in _read_shapes(element.required("geometry")):
         visual = _of_part(Visual(geometry, pose, GREY), part)
         if material is not None:
-            visual = painted(visual, material)
+            visual = paint(visual, material)
         visuals.append(replace(visual, colour=(*visual.colour[:3], visual.colour[3] * opacity)))
     return visuals
 
@@ -132,7 +132,7 @@ def _read_polyline(geometry: Element) -> Geometry | None:
         outlines.append([(x, y) for x, y in corners])
         height = line.required("height").number(1e-6, 1e4)
     try:
-        return Mesh(extruded(outlines, height))
+        return Mesh(extrude(outlines, height))
     except ValueError as error:
         geometry.children[0].warn_ignored(f"is left out: {error}")
         return None

@@ -1,0 +1,1 @@
+"""Models in SDF and YAML files: URIs, links as rigid bodies, joints."""
