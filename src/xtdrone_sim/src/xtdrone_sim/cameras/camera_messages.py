@@ -101,14 +101,14 @@ def messages(camera: Camera, stamp: rospy.Time, pictures: Sequence[bytes], wante
             message: Any = camera_info(camera, right=eye == 1, rectified=part == "depth")
         elif what == "points":
             assert depth is not None
-            message = cloud(pinhole, depth, colours.rectified(0) if mount.kind == "rgbd" else None)
+            message = cloud(pinhole, depth, colours.rectify(0) if mount.kind == "rgbd" else None)
         elif part == "depth":
             assert depth is not None
             message = _depth_image(depth, mount.encoding)
         elif what == "compressed":
             message = compress(colours.raw(eye))
         else:
-            message = _image(colours.rectified(eye) if what == "image_rect_color" else colours.raw(eye))
+            message = _image(colours.rectify(eye) if what == "image_rect_color" else colours.raw(eye))
         message.header.stamp = stamp
         message.header.frame_id = camera.frame_id
         made[topic] = message

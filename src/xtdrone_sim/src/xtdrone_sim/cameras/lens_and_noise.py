@@ -35,11 +35,11 @@ class Exposure:
 
     def raw(self, eye: int) -> Colours:
         """Return the image of the left or only camera, 0, or of the right one, 1."""
-        return self._picture(eye, rectified=False)
+        return self._picture(eye, rectify=False)
 
     def rectify(self, eye: int) -> Colours:
         """Return the same image as seen by the pinhole; without a lens, the image itself."""
-        return self._picture(eye, rectified=self._camera.mount.lens is not None)
+        return self._picture(eye, rectify=self._camera.mount.lens is not None)
 
     def _picture(self, eye: int, *, rectify: bool) -> Colours:
         key = (eye, rectify)

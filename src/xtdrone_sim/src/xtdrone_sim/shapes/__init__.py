@@ -1,1 +1,1 @@
-"""Shapes for images, rays and physics: visuals, triangles, and arithmetic on their poses."""
+"""Shapes for images, rays and physics: visuals, collision shapes and triangles."""

@@ -45,7 +45,7 @@ class CameraComponent:
 
     def heartbeat(self) -> bytes:
         """Return the next HEARTBEAT as a frame."""
-        return self._packed(
+        return self._pack(
             mavlink.MAVLink_heartbeat_message(
                 mavlink.MAV_TYPE_CAMERA, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
             )
@@ -58,15 +58,15 @@ class CameraComponent:
             message: any message, as decoded by pymavlink.
             time: simulated time, s.
         """
-        if message.get_type() != "COMMAND_LONG" or not self._addressed(message):
+        if message.get_type() != "COMMAND_LONG" or not self._is_addressed(message):
             return []
         result, replies = self._execute(message, time)
         acknowledgement = mavlink.MAVLink_command_ack_message(
             message.command, result, 0, 0, message.get_srcSystem(), message.get_srcComponent()
         )
-        return [self._packed(reply) for reply in (acknowledgement, *replies)]
+        return [self._pack(reply) for reply in (acknowledgement, *replies)]
 
-    def _address(self, message: Any) -> bool:
+    def _is_addressed(self, message: Any) -> bool:
         own = message.target_system == self._stream.system and message.target_component == self._stream.component
         to_all = message.target_system in (0, self._stream.system) and message.target_component == 0
         return own or (to_all and message.command in self._older)

@@ -55,7 +55,7 @@ class VideoSettings(Settings):
     port: int = setting(
         0, low=0, high=65535, text="UDP port of the first video, the others follow; 0: 5600 + 540 N for instance N"
     )
-    bitrate: int = setting(2_000_000, low=50_000, high=100_000_000, unit="bit/s", text="frame rate of each video")
+    bitrate: int = setting(2_000_000, low=50_000, high=100_000_000, unit="bit/s", text="data rate of each video")
     cameras: str = setting("", text="VEHICLE/CAMERA of each video, comma-separated; empty: each vehicle's first")
     sdp: str = setting("", text="folder for VEHICLE_CAMERA.sdp, which ffplay and VLC open; empty: none")
 

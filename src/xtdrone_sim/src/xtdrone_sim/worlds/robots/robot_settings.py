@@ -161,7 +161,7 @@ class WaveSettings(Settings):
         low=0.0,
         high=10.0,
         unit="m",
-        text="wave height above still water, of one wave with the energy of all; 0: still water",
+        text="amplitude of the wave, or of one with the energy of all waves; 0: still water",
     )
     period: float = setting(4.0, low=0.5, high=30.0, unit="s", text="wave period; of several waves, the middle one")
     direction: float = setting(
