@@ -16,7 +16,7 @@ from xtdrone_control.rotation_kernels import rotate, rotate_inverse
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.kernel import kernel
 
-from .wind import DENSITY, FurtherWind
+from .wind import DENSITY
 
 
 @dataclass(frozen=True)
@@ -58,9 +58,9 @@ class BodyDrag:
             SettingError: a value is not allowed.
         """
         self.settings = BodyDragSettings(**values)
-        self._winds: Sequence[FurtherWind] = ()
+        self._winds: Sequence[Any] = ()
 
-    def feel(self, winds: Sequence[FurtherWind]) -> None:
+    def feel(self, winds: Sequence[Any]) -> None:
         """Include these winds from now on."""
         self._winds = tuple(winds)
 

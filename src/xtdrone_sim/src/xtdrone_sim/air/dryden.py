@@ -154,7 +154,7 @@ class Dryden:
 
     @property
     def winds(self) -> NDArray[Any]:
-        """See ``wind.FurtherWind``."""
+        """The same, for later effects; see ``wind``."""
         return self.gusts
 
     def reset(self, models: NDArray[Any], time_step: float, random: np.random.Generator) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,14 +19,6 @@ from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_sim.kernel import kernel
 
 DENSITY = 1.225  # kg/m^3, standard atmosphere at sea level
-
-
-class FurtherWind(Protocol):
-    """An effect that is a wind."""
-
-    @property
-    def winds(self) -> NDArray[Any]:
-        """Wind at each vehicle in the latest step, (N, 3) m/s ENU."""
 
 
 @kernel

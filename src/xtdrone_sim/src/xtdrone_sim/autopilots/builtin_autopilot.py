@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Protocol
@@ -96,26 +96,10 @@ class AutopilotBackend(Protocol):
         """Release all resources."""
 
 
-class AutopilotFactory(Protocol):
-    """Creates the autopilot back end of a fleet."""
-
-    def __call__(
-        self,
-        fleet: tuple[Vehicle, ...],
-        models: Sequence[VehicleModel],
-        world: SdfWorld,
-        datum: Datum | None,
-        reserve: int = 0,
-    ) -> AutopilotBackend:
-        """Create the back end; ``begin`` boots its autopilots.
-
-        Args:
-            fleet: the vehicles, in order of their global index.
-            models: one per vehicle.
-            world: the world in which they fly.
-            datum: shared origin of all local frames; None: each starts at the vehicle's first GPS fix.
-            reserve: number of further, absent places.
-        """
+AutopilotFactory = Callable[
+    [tuple[Vehicle, ...], Sequence[VehicleModel], SdfWorld, Datum | None, int], AutopilotBackend
+]
+"""Creates the autopilot back end of a fleet, whose ``begin`` boots its autopilots; see ``BuiltinAutopilot``."""
 
 
 class BuiltinAutopilot:
@@ -139,7 +123,11 @@ class BuiltinAutopilot:
         """Create parameters and plans of the vehicles, which survive a restart.
 
         Args:
-            fleet, models, world, datum, reserve: see ``AutopilotFactory``.
+            fleet: the vehicles, in order of their global index.
+            models: one per vehicle.
+            world: the world in which they fly.
+            datum: shared origin of all local frames; None: each starts at the vehicle's first GPS fix.
+            reserve: number of further, absent places.
             params: folder that stores changed parameters between runs, one file ``<vehicle>.params`` per vehicle;
                 None: every run starts with the defaults.
             logs: folder for the flight logs; None disables logging.

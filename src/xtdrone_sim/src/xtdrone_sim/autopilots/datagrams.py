@@ -36,11 +36,7 @@ class Datagrams:
     """Receives the datagrams of all participants before the barrier opens, and routes the autopilots' links to them."""
 
     def __init__(
-        self,
-        mavlink: MavlinkServer,
-        server: LockstepServer,
-        warn: Callable[[str], None],
-        idle: Callable[[float], None],
+        self, mavlink: MavlinkServer, server: LockstepServer, warn: Callable[[str], None], idle: Callable[[float], None]
     ) -> None:
         """Start with no datagram lost.
 

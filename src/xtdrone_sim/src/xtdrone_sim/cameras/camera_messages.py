@@ -31,42 +31,24 @@ from xtdrone_sim.cameras.cameras_of_fleet import Camera
 from xtdrone_sim.cameras.lens_and_noise import Exposure, noise_of, opencv
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import CameraMount
 
-COSTLY = frozenset(
-    {
-        "depth/points",
-        "image_raw/compressed",
-        "color/image_raw/compressed",
-        "left/image_raw/compressed",
-        "right/image_raw/compressed",
-        "image_rect_color",
-        "color/image_rect_color",
-        "left/image_rect_color",
-        "right/image_rect_color",
-    }
-)
-"""Topics whose messages are created only for subscribers."""
+COSTLY = ("depth/points", "image_raw/compressed", "image_rect_color")
+"""Ends of the topics whose messages are created only for subscribers."""
 
 _QUALITY = 80  # JPEG, default of compressed_image_transport
 
-_MESSAGES: dict[str, dict[str, type]] = {
-    "rgb": {"image_raw": Image, "image_raw/compressed": CompressedImage, "camera_info": CameraInfo},
-    "depth": {"depth/image_raw": Image, "depth/camera_info": CameraInfo, "depth/points": PointCloud2},
-    "rgbd": {
-        "depth/image_raw": Image,
-        "depth/camera_info": CameraInfo,
-        "depth/points": PointCloud2,
-        "color/image_raw": Image,
-        "color/image_raw/compressed": CompressedImage,
-        "color/camera_info": CameraInfo,
-    },
-    "stereo": {
-        "left/image_raw": Image,
-        "left/image_raw/compressed": CompressedImage,
-        "left/camera_info": CameraInfo,
-        "right/image_raw": Image,
-        "right/image_raw/compressed": CompressedImage,
-        "right/camera_info": CameraInfo,
-    },
+_IMAGE: dict[str, type] = {"image_raw": Image, "image_raw/compressed": CompressedImage, "camera_info": CameraInfo}
+_DEPTH: dict[str, type] = {"depth/image_raw": Image, "depth/camera_info": CameraInfo, "depth/points": PointCloud2}
+
+
+def _below(part: str) -> dict[str, type]:
+    return {f"{part}/{topic}": kind for topic, kind in _IMAGE.items()}
+
+
+_MESSAGES = {
+    "rgb": _IMAGE,
+    "depth": _DEPTH,
+    "rgbd": _DEPTH | _below("color"),
+    "stereo": _below("left") | _below("right"),
 }
 
 

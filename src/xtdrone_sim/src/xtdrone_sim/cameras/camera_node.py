@@ -207,7 +207,9 @@ class CameraNode:
         if shot.camera in self._frozen:
             return
         publishers = self._publishers[shot.camera]
-        wanted = [topic for topic, one in publishers.items() if topic not in COSTLY or one.get_num_connections() > 0]
+        wanted = [
+            topic for topic, one in publishers.items() if not topic.endswith(COSTLY) or one.get_num_connections() > 0
+        ]
         for topic, message in messages(camera, shot.stamp, pictures, wanted).items():
             publishers[topic].publish(message)
 

@@ -36,16 +36,7 @@ from xtdrone_sim.physics.contacts.contact_states import (
 from xtdrone_sim.physics.contacts.start_collisions import body_pose, check_starts
 from xtdrone_sim.physics.joints import Joint, swap_ends
 from xtdrone_sim.physics.quiet_pybullet import connect, pybullet
-from xtdrone_sim.physics.vehicle_dynamics import (
-    ABSENT,
-    ASLEEP,
-    FARTHEST,
-    FASTEST_TURN,
-    LEAVING,
-    LOST,
-    PLANT,
-    TOUCHING,
-)
+from xtdrone_sim.physics.vehicle_dynamics import ABSENT, ASLEEP, FARTHEST, FASTEST_TURN, LEAVING, LOST, PLANT, TOUCHING
 from xtdrone_sim.vehicles.vehicle_model import MODEL, VehicleModel
 from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld
 

@@ -271,13 +271,7 @@ class RayScene:
         return None if name.partition("::")[0] in self._deleted else self._homes.get(name)
 
     def cast(
-        self,
-        origins: Array,
-        directions: Array,
-        most: float,
-        *,
-        scene: SceneAt | None = None,
-        skip: int = NOTHING,
+        self, origins: Array, directions: Array, most: float, *, scene: SceneAt | None = None, skip: int = NOTHING
     ) -> Hits:
         """Return the hits of rays at one time; ``casting.cast_rays`` casts each at its own.
 

@@ -17,11 +17,11 @@ import numpy as np
 from xtdrone_control.poses import Pose, conjugate
 from xtdrone_control.rotation import Vector, from_euler, multiply, yaw_of
 from xtdrone_control.settings import SettingError
+from xtdrone_sim.rays.solid_ground import SolidGround
 from xtdrone_sim.robots.boat_dynamics import Boat
 from xtdrone_sim.robots.wheels_on_uneven_ground import (
     STEP,
     Footprint,
-    Ground,
     Heights,
     Stand,
     follow,
@@ -84,11 +84,11 @@ class Drive(ABC):
     def __init__(self, pose: Pose = Pose()) -> None:  # noqa: B008, immutable
         """Place the robot at rest at a pose, of which only position and yaw are used."""
         self.state = DriveState()
-        self._ground: Ground | None = None
+        self._ground: SolidGround | None = None
         self._feet = Footprint(-1.0, 1.0, 1.0)
         self.place(pose)
 
-    def stand_on(self, ground: Ground, feet: Footprint) -> None:
+    def stand_on(self, ground: SolidGround, feet: Footprint) -> None:
         """Follow ground that need not be level, from the current position on.
 
         Args:
@@ -184,7 +184,7 @@ class Drive(ABC):
         )
         return new if self._ground is None else self._roll(old, new, self._ground)
 
-    def _roll(self, old: DriveState, new: DriveState, ground: Ground) -> DriveState:
+    def _roll(self, old: DriveState, new: DriveState, ground: SolidGround) -> DriveState:
         """Return ``new`` on the ground, or the current state at rest if the slope or step there is too large."""
         before, after = (places(one.x, one.y, one.yaw, self._feet) for one in (old, new))
         ways = np.hypot(*(after - before).T).tolist()
@@ -285,7 +285,7 @@ class Ackermann(Drive):
         return found
 
 
-def drive_of(model: AnyRobot, pose: Pose, ground: Ground | None = None) -> Drive | Boat:
+def drive_of(model: AnyRobot, pose: Pose, ground: SolidGround | None = None) -> Drive | Boat:
     """Return the drive of a robot at rest.
 
     Args:

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from xtdrone_sim.rays.solid_ground import SolidGround
 
 STEP = 0.3
 """Largest step that wheels climb or descend, in wheel radii."""
@@ -22,13 +24,6 @@ REACH = 0.3  # m above a wheel's last height from which the ground is searched d
 
 Array = NDArray[np.float64]
 Heights = tuple[float, float, float, float]
-
-
-class Ground(Protocol):
-    """Ground for wheels; see ``rays.solid_ground.SolidGround``."""
-
-    def heights(self, points: Array) -> Array:
-        """Return the height (n,), m, of the highest surface not above each of ``points`` (n, 3), m, map."""
 
 
 class Footprint(NamedTuple):
@@ -59,7 +54,7 @@ def places(x: float, y: float, yaw: float, feet: Footprint) -> Array:
     return np.array([(x + c * u - s * v, y + s * u + c * v) for u, v in own])
 
 
-def heights_below(ground: Ground, at: Array, last: Sequence[float]) -> Heights:
+def heights_below(ground: SolidGround, at: Array, last: Sequence[float]) -> Heights:
     """Return the heights of the ground below wheels at ``at`` (4, 2), whose last heights were ``last``, m."""
     a, b, c, d = ground.heights(np.column_stack([at, np.array(last) + REACH])).tolist()
     return a, b, c, d

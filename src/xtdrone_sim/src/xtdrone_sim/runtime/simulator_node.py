@@ -86,8 +86,7 @@ class NodeSettings(Settings):
     paused: bool = setting(False, text="start paused")
     until: float = setting(0.0, low=0.0, high=1e9, unit="s", text="simulated time at which the node ends, 0 for never")
     lockstep: bool = setting(
-        True,
-        text="offer the lockstep; without it the simulator does not wait for nodes, which run on /clock",
+        True, text="offer the lockstep; without it the simulator does not wait for nodes, which run on /clock"
     )
     participants: int | tuple[str, ...] = setting(
         0,

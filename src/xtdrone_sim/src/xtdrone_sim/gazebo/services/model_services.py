@@ -108,17 +108,18 @@ class GazeboServices:
             mailbox: passes requests to the simulator's thread.
         """
         self._mailbox = mailbox
-        for name, kind, handler in (
-            ("set_model_state", srv.SetModelState, self._set_model_state),
-            ("set_link_state", srv.SetLinkState, self._set_link_state),
-            ("spawn_sdf_model", srv.SpawnModel, self._spawn_sdf),
-            ("spawn_urdf_model", srv.SpawnModel, self._spawn_urdf),
-            ("delete_model", srv.DeleteModel, self._delete),
-            ("apply_body_wrench", srv.ApplyBodyWrench, self._apply_wrench),
-            ("clear_body_wrenches", srv.BodyRequest, self._clear_wrenches),
-            ("set_model_configuration", srv.SetModelConfiguration, self._set_configuration),
-        ):
-            rospy.Service(f"/gazebo/{name}", kind, handler)
+        changes: tuple[tuple[str, Any, Callable[[Any], Change]], ...] = (
+            ("set_model_state", srv.SetModelState, lambda request: self._model_state(request.model_state)),
+            ("set_link_state", srv.SetLinkState, lambda request: self._link_state(request.link_state)),
+            ("delete_model", srv.DeleteModel, lambda request: self._models.deleting(request.model_name)),
+            ("apply_body_wrench", srv.ApplyBodyWrench, self._wrench),
+            ("set_model_configuration", srv.SetModelConfiguration, self._configuration),
+        )
+        for name, kind, plan in changes:
+            rospy.Service(f"/gazebo/{name}", kind, partial(self._serve, kind, plan))
+        rospy.Service("/gazebo/spawn_sdf_model", srv.SpawnModel, partial(self._spawn, model_of_sdf))
+        rospy.Service("/gazebo/spawn_urdf_model", srv.SpawnModel, partial(self._spawn, model_of_urdf))
+        rospy.Service("/gazebo/clear_body_wrenches", srv.BodyRequest, self._clear_wrenches)
         queries = Queries(self._simulation, self._models)
         for name, kind, query in queries.table():
             rospy.Service(f"/gazebo/{name}", kind, lambda request, query=query: self._in_thread(query, request))
@@ -196,19 +197,11 @@ class GazeboServices:
             self._topics.announce()
         return text
 
-    def _set_model_state(self, request: Any) -> srv.SetModelStateResponse:
-        return srv.SetModelStateResponse(*self._change(request, lambda: self._model_state(request.model_state)))
+    def _serve(self, kind: Any, plan: Callable[[Any], Change], request: Any) -> Any:
+        """Return the response of a service whose requests ``plan`` checks."""
+        return kind._response_class(*self._change(request, lambda: plan(request)))
 
-    def _set_link_state(self, request: Any) -> srv.SetLinkStateResponse:
-        return srv.SetLinkStateResponse(*self._change(request, lambda: self._link_state(request.link_state)))
-
-    def _spawn_sdf(self, request: Any) -> srv.SpawnModelResponse:
-        return self._spawn(request, model_of_sdf)
-
-    def _spawn_urdf(self, request: Any) -> srv.SpawnModelResponse:
-        return self._spawn(request, model_of_urdf)
-
-    def _spawn(self, request: Any, read: Callable[[str], SdfModel]) -> srv.SpawnModelResponse:
+    def _spawn(self, read: Callable[[str], SdfModel], request: Any) -> srv.SpawnModelResponse:
         try:
             if len(request.model_xml) > LONGEST_TEXT:
                 many = len(request.model_xml)
@@ -217,24 +210,17 @@ class GazeboServices:
         except RequestError as error:
             return srv.SpawnModelResponse(False, str(error))
 
-        def plan() -> Change:
+        def plan(request: Any) -> Change:
             return self._models.adding(request.model_name, model, pose, request.reference_frame)
 
-        return srv.SpawnModelResponse(*self._change(request, plan))
+        return self._serve(srv.SpawnModel, plan, request)
 
-    def _delete(self, request: Any) -> srv.DeleteModelResponse:
-        return srv.DeleteModelResponse(*self._change(request, lambda: self._models.deleting(request.model_name)))
-
-    def _apply_wrench(self, request: Any) -> srv.ApplyBodyWrenchResponse:
-        def plan() -> Change:
-            begin = max(microseconds(request.start_time), self._simulation.time_us)
-            duration = microseconds(request.duration)
-            # Gazebo applies a wrench of no duration in one step.
-            end = None if duration < 0 else begin + (duration or self._simulation.step_us)
-            wrench = read_wrench(request)
-            return self._models.pushing(request.body_name, request.reference_frame, wrench, begin, end)
-
-        return srv.ApplyBodyWrenchResponse(*self._change(request, plan))
+    def _wrench(self, request: Any) -> Change:
+        begin = max(microseconds(request.start_time), self._simulation.time_us)
+        duration = microseconds(request.duration)
+        # Gazebo applies a wrench of no duration in one step.
+        end = None if duration < 0 else begin + (duration or self._simulation.step_us)
+        return self._models.pushing(request.body_name, request.reference_frame, read_wrench(request), begin, end)
 
     def _clear_wrenches(self, request: Any) -> srv.BodyRequestResponse:
         success, text = self._change(request, lambda: self._models.releasing(request.body_name))
@@ -242,11 +228,8 @@ class GazeboServices:
             raise rospy.ServiceException(text)
         return srv.BodyRequestResponse()
 
-    def _set_configuration(self, request: Any) -> srv.SetModelConfigurationResponse:
-        def plan() -> Change:
-            return self._models.setting_joints(request.model_name, request.joint_names, request.joint_positions)
-
-        return srv.SetModelConfigurationResponse(*self._change(request, plan))
+    def _configuration(self, request: Any) -> Change:
+        return self._models.setting_joints(request.model_name, request.joint_names, request.joint_positions)
 
     # messages, dispatched in the simulator's thread
 

@@ -8,17 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from threading import Thread
 
 LONGEST_HOLD = 5.0
 """Wall s after which a hold ends in any case."""
-
-
-class Connection(Protocol):
-    """Connection of a holder, such as the thread in which rospy serves it."""
-
-    def is_alive(self) -> bool:
-        """Return whether the connection is open."""
 
 
 @dataclass(frozen=True)
@@ -27,11 +20,11 @@ class Holder:
 
     Attributes:
         name: of its node.
-        connection: identifies the hold, which ends when it is no longer alive.
+        connection: thread in which rospy serves the caller; the hold ends with it.
     """
 
     name: str
-    connection: Connection
+    connection: Thread
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,11 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any
 
+from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_sim.runtime.requests.holds import HoldAnswer, Holder, Holds
 from xtdrone_sim.runtime.requests.mailbox import ClosedError
 from xtdrone_sim.runtime.requests.pacing import Pacer, SpeedMeter
-from xtdrone_sim.runtime.requests.slow_participants import Barrier, SlowParticipants
+from xtdrone_sim.runtime.requests.slow_participants import SlowParticipants
 from xtdrone_sim.runtime.requests.stepping import Goal, Outcome, StepError, Stepper
 
 PATIENCE = 10.0
@@ -148,7 +149,7 @@ class Control:
     def __init__(
         self,
         pacer: Pacer,
-        barrier: Barrier,
+        barrier: LockstepServer,
         now_us: Callable[[], int],
         *,
         paused: bool = False,

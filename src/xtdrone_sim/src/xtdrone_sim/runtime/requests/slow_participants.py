@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from typing import Protocol
+from collections.abc import Callable
+
+from xtdrone_control.lockstep.server import LockstepServer
 
 _REPORTED = 0.5  # wall s of waiting for a participant after which the status names it
 _FIRST_WARNING = 5.0  # wall s of waiting after which the log names it
@@ -11,32 +12,10 @@ _WARNING_PERIOD = 30.0  # wall s between two such warnings
 _ALIVE_LIMIT = 3.0  # wall s since the last keep-alive, sent every second, within which a process counts as alive
 
 
-class Participant(Protocol):
-    """The view of a lockstep participant that ``Control`` needs, see ``LockstepServer.participants``."""
-
-    waiting: bool
-    asked: float
-
-    @property
-    def heard(self) -> float:
-        """Monotonic wall time in seconds at which data was last received from it."""
-
-
-class Barrier(Protocol):
-    """The view of the lockstep server that ``Control`` needs."""
-
-    @property
-    def participants(self) -> Mapping[str, Participant]:
-        """Participants by node name."""
-
-    def missing(self, expected: int | Iterable[str] = 0) -> str:
-        """Return a text that names the missing participants; "" for none."""
-
-
 class SlowParticipants:
     """The participants for which the barrier has waited too long."""
 
-    def __init__(self, barrier: Barrier, hang_limit: float, warn: Callable[[str], None]) -> None:
+    def __init__(self, barrier: LockstepServer, hang_limit: float, warn: Callable[[str], None]) -> None:
         """Watch the participants of ``barrier``.
 
         Args:

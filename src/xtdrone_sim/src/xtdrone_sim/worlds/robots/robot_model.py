@@ -67,8 +67,7 @@ class PlatformSettings(Settings):
     height: float = setting(0.5, low=0.1, high=20.0, unit="m", text="height of the top above the ground")
     colour: tuple[float, float, float] = setting((0.85, 0.85, 0.8), low=0.0, high=1.0, text="red, green, blue")
     tags: str = setting(
-        "",
-        text="AprilTags on a white top instead of colour and cross: landing, or a YAML file, see docs/tags.md",
+        "", text="AprilTags on a white top instead of colour and cross: landing, or a YAML file, see docs/tags.md"
     )
 
     @property
@@ -110,26 +109,12 @@ class RobotModel:
 
     def model(self, name: str, pose: Pose, *, wheels: bool = True) -> SdfModel:
         """Return its model in the world: one link with body, platform and, if wanted, wheels."""
-        body, deck = self.body, self.platform
+        body = self.body
         trunk = Box((body.length, body.width, round(body.height - body.clearance, 6)))
         place = Pose((body.ahead, 0.0, 0.5 * (body.height + body.clearance)))
         visuals, collisions = [Visual(trunk, place, (*body.colour, 1.0))], [Collision(trunk, place)]
-        if deck is not None:
-            plate = Box((deck.length, deck.width, _PLATE))
-            top = Pose((body.ahead, 0.0, deck.height - 0.5 * _PLATE))
-            collisions.append(Collision(plate, top))
-            visuals += _deck(deck, body.ahead)
-            post = deck.height - _PLATE - body.height
-            if post > 0.0:
-                visuals.append(Visual(Cylinder(0.06, post), Pose((body.ahead, 0.0, body.height + 0.5 * post)), _TYRE))
-        inertial = Inertial(_HEAVY, Pose(), (_HEAVY, _HEAVY, _HEAVY, 0.0, 0.0, 0.0))
-        link = SdfLink(
-            LINK,
-            visuals=(*visuals, *(self._wheels() if wheels else ())),
-            collisions=tuple(collisions),
-            inertial=inertial,
-        )
-        return SdfModel(name, pose, False, (link,))
+        _add_platform(self.platform, self.ahead, body.height, 0.06, visuals, collisions)
+        return _model(name, pose, [*visuals, *(self._wheels() if wheels else ())], collisions)
 
     @property
     def wheels(self) -> list[tuple[str, float, float, bool]]:
@@ -192,19 +177,60 @@ class BoatModel:
         for side in (0.5, -0.5):
             pod = Pose((-0.5 * hull.length, side * self.limits.apart, 0.0))
             visuals.append(Visual(Box((0.08 * hull.length, 0.1 * hull.width, hull.depth)), pod, _TYRE))
-        if self.platform is not None:
-            plate = Box((self.platform.length, self.platform.width, _PLATE))
-            collisions.append(Collision(plate, Pose((0.0, 0.0, self.platform.height - 0.5 * _PLATE))))
-            visuals += _deck(self.platform, 0.0)
-            post = self.platform.height - _PLATE - top
-            if post > 0.0:
-                visuals.append(Visual(Cylinder(0.08, post), Pose((0.0, 0.0, top + 0.5 * post)), _TYRE))
-        inertial = Inertial(_HEAVY, Pose(), (_HEAVY, _HEAVY, _HEAVY, 0.0, 0.0, 0.0))
-        link = SdfLink(LINK, visuals=tuple(visuals), collisions=tuple(collisions), inertial=inertial)
-        return SdfModel(name, pose, False, (link,))
+        _add_platform(self.platform, self.ahead, top, 0.08, visuals, collisions)
+        return _model(name, pose, visuals, collisions)
 
 
 AnyRobot = RobotModel | BoatModel
+
+
+def _model(name: str, pose: Pose, visuals: list[Visual], collisions: list[Collision]) -> SdfModel:
+    """Return a robot's model, one link."""
+    inertial = Inertial(_HEAVY, Pose(), (_HEAVY, _HEAVY, _HEAVY, 0.0, 0.0, 0.0))
+    link = SdfLink(LINK, visuals=tuple(visuals), collisions=tuple(collisions), inertial=inertial)
+    return SdfModel(name, pose, False, (link,))
+
+
+def _add_platform(
+    deck: PlatformSettings | None,
+    ahead: float,
+    top: float,
+    radius: float,
+    visuals: list[Visual],
+    collisions: list[Collision],
+) -> None:
+    """Add a platform and the post that carries it.
+
+    Args:
+        deck: the platform; None: nothing is added.
+        ahead: distance of its centre ahead of the origin, m.
+        top: height of the robot's body, m.
+        radius: radius of the post, m.
+        visuals, collisions: shapes of the robot, appended to.
+    """
+    if deck is None:
+        return
+    collisions.append(Collision(Box((deck.length, deck.width, _PLATE)), Pose((ahead, 0.0, deck.height - 0.5 * _PLATE))))
+    visuals += _deck(deck, ahead)
+    post = deck.height - _PLATE - top
+    if post > 0.0:
+        visuals.append(Visual(Cylinder(radius, post), Pose((ahead, 0.0, top + 0.5 * post)), _TYRE))
+
+
+def _read_platform(given: Mapping[str, object], ahead: float, top: float, below: str) -> PlatformSettings | None:
+    """Return the platform of a description; None without one.
+
+    Raises:
+        SettingError: it is not above ``top``, m, with its plate, or its tags are unknown or do not fit.
+    """
+    deck = given.get("platform")
+    if deck is None:
+        return None
+    platform = PlatformSettings.from_mapping(deck, "platform")
+    if platform.height < top + _PLATE:
+        raise SettingError("platform height", platform.height, f"at least {below} and plate, {top + _PLATE:g} m")
+    _deck(platform, ahead)
+    return platform
 
 
 def _deck(deck: PlatformSettings, ahead: float) -> list[Visual]:
@@ -257,14 +283,7 @@ def _read_boat(given: Mapping[str, object]) -> BoatModel:
     hull = HullSettings.from_mapping(given.get("hull", {}), "hull")
     waves = WaveSettings.from_mapping(given.get("waves", {}), "waves")
     check_step(hull, limits, STEP)
-    deck = given.get("platform")
-    platform = None if deck is None else PlatformSettings.from_mapping(deck, "platform")
-    top = hull.depth - hull.draught + _PLATE
-    if platform is not None and platform.height < top:
-        raise SettingError("platform height", platform.height, f"at least hull and plate, {top:g} m above the water")
-    if platform is not None:
-        _deck(platform, 0.0)
-    return BoatModel(limits, hull, waves, platform)
+    return BoatModel(limits, hull, waves, _read_platform(given, 0.0, hull.depth - hull.draught, "hull"))
 
 
 def _read_wheeled(given: Mapping[str, object]) -> RobotModel:
@@ -274,11 +293,5 @@ def _read_wheeled(given: Mapping[str, object]) -> RobotModel:
     settings = AckermannLimits if kind == "ackermann" else DifferentialLimits
     limits = settings.from_mapping(given.get("limits", {}), "limits")
     body = BodySettings.from_mapping(given.get("body", {}), "body")
-    deck = given.get("platform")
-    platform = None if deck is None else PlatformSettings.from_mapping(deck, "platform")
-    if platform is not None and platform.height < body.height + _PLATE:
-        raise SettingError("platform height", platform.height, f"at least body and plate, {body.height + _PLATE:g} m")
-    if platform is not None:
-        _deck(platform, body.ahead)  # its tags are known and fit
     assert isinstance(limits, DifferentialLimits | AckermannLimits)
-    return RobotModel(limits, body, platform)
+    return RobotModel(limits, body, _read_platform(given, body.ahead, body.height, "body"))

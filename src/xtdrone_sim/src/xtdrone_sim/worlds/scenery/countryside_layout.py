@@ -18,16 +18,7 @@ from xtdrone_sim.worlds.scenery import assets, scenery_objects
 from xtdrone_sim.worlds.scenery.materials import SPLITS, Kit
 from xtdrone_sim.worlds.scenery.scenery_objects import Thing
 from xtdrone_sim.worlds.scenery.start_area_and_ground import Ground, Rectangle
-from xtdrone_sim.worlds.sdf import (
-    Light,
-    SdfActor,
-    SdfLink,
-    SdfModel,
-    SdfWorld,
-    Trajectory,
-    Waypoint,
-    load_world_file,
-)
+from xtdrone_sim.worlds.sdf import Light, SdfActor, SdfLink, SdfModel, SdfWorld, Trajectory, Waypoint, load_world_file
 
 REGION: Rectangle = (-10.0, -10.0, 90.0, 50.0)
 CLEAR: Rectangle = (-3.0, -3.0, 18.0, 13.0)

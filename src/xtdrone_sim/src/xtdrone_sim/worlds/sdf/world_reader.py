@@ -176,10 +176,7 @@ def _magnetic_field(element: Element) -> dict[str, Any]:
 
 def _datum(element: Element) -> Datum:
     element.warn_unknown(
-        (
-            *("latitude_deg", "longitude_deg", "elevation", "heading_deg"),
-            *("surface_model", "world_frame_orientation"),
-        )
+        (*("latitude_deg", "longitude_deg", "elevation", "heading_deg"), *("surface_model", "world_frame_orientation"))
     )
     for tag, allowed in (("surface_model", "EARTH_WGS84"), ("world_frame_orientation", "ENU")):
         named = element.one(tag)
@@ -188,11 +185,10 @@ def _datum(element: Element) -> Datum:
     heading = element.one("heading_deg")
     if heading is not None and heading.number() != 0.0:
         raise heading.error(f"{heading.text.strip()!r} is not allowed, 0: x is east")
-    elevation = element.one("elevation")
     return Datum(
         element.required("latitude_deg").number(-90.0, 90.0),
         element.required("longitude_deg").number(-180.0, 180.0),
-        0.0 if elevation is None else elevation.number(-1000.0, 20000.0),
+        element.number_of("elevation", 0.0, -1000.0, 20000.0),
     )
 
 
@@ -203,10 +199,8 @@ def _light(element: Element, light: Light) -> Light:
         for tag in ("ambient", "background"):
             colour = scene.one(tag)
             if colour is not None:
-                light = _with(light, tag, colour.numbers((3, 4), 0.0, 1.0)[:3])
-        shadows = scene.one("shadows")
-        if shadows is not None:
-            light = replace(light, shadows=shadows.boolean())
+                light = replace(light, **{tag: colour.numbers((3, 4), 0.0, 1.0)[:3]})
+        light = replace(light, shadows=scene.boolean_of("shadows", light.shadows))
     suns = []
     for sun in element.all("light"):
         if sun.attributes.get("type") == "directional":
@@ -219,14 +213,10 @@ def _light(element: Element, light: Light) -> Light:
     return _sun(suns[0], light) if suns else light
 
 
-def _with(light: Light, field: str, value: Any) -> Light:
-    return replace(light, **{field: value})
-
-
 def _sun(sun: Element, light: Light) -> Light:
     sun.warn_unknown(("direction", "diffuse", "cast_shadows"), ("pose", "specular", "attenuation", "spot", "intensity"))
-    direction, diffuse, casts = sun.one("direction"), sun.one("diffuse"), sun.one("cast_shadows")
-    if casts is not None and not casts.boolean():
+    direction, diffuse = sun.one("direction"), sun.one("diffuse")
+    if not sun.boolean_of("cast_shadows", True):
         light = replace(light, shadows=False)
     if direction is not None:
         x, y, z = direction.numbers((3,))
@@ -303,9 +293,9 @@ def _content(uri: Element, path: Path) -> bytes:
 def _read_model(element: Element, static: bool | None = None) -> Jointed | None:
     """Read a <model> with its joints, in its frame; None if it is only the ground, which always exists."""
     element.warn_unknown(("pose", "static", "link", "joint"), _MODEL_SILENT)
-    name, said = element.name(), element.one("static")
+    name = element.name()
     if static is None:
-        static = said is not None and said.boolean()
+        static = element.boolean_of("static", False)
     links = tuple(_read_link(link) for link in element.all("link"))
     pose = read_pose(element)
     is_built_in = name in _BUILT_IN
@@ -341,14 +331,13 @@ def _read_link(element: Element) -> SdfLink:
             child.info("of a <plane> is ignored: the ground z = 0 always exists")
             continue
         collisions += read_collisions(child)
-    gravity = element.one("gravity")
     return SdfLink(
         element.name(),
         read_pose(element),
         tuple(visuals),
         tuple(collisions),
         read_inertial(element),
-        gravity is None or gravity.boolean(),
+        element.boolean_of("gravity", True),
     )
 
 
@@ -359,13 +348,13 @@ def _read_actor(element: Element) -> SdfActor:
     element.warn_unknown(("skin", "pose", "script", "animation", SPEED), ("static", "link"))
     for animation in element.all("animation"):
         animation.info("is ignored: people walk and stand by themselves")
-    skin, script, speed = element.one("skin"), element.one("script"), element.one(SPEED)
+    skin, script = element.one("skin"), element.one("script")
     return SdfActor(
         element.name(),
         "" if skin is None else _skin(skin),
         read_pose(element),
         None if script is None else _trajectory(script),
-        1.0 if speed is None else speed.number(0.0, 10.0),
+        element.number_of(SPEED, 1.0, 0.0, 10.0),
     )
 
 
@@ -392,10 +381,9 @@ def _trajectory(script: Element) -> Trajectory | None:
             raise time.error(f"{time.text.strip()!r} is not allowed, at least the one before ({waypoints[-2].time:g})")
     if not waypoints:
         raise found.error("needs at least one <waypoint>")
-    loop, delay, auto = (script.one(tag) for tag in ("loop", "delay_start", "auto_start"))
     return Trajectory(
         tuple(waypoints),
-        True if loop is None else loop.boolean(),
-        0.0 if delay is None else delay.number(0.0),
-        True if auto is None else auto.boolean(),
+        script.boolean_of("loop", True),
+        script.number_of("delay_start", 0.0, 0.0),
+        script.boolean_of("auto_start", True),
     )

@@ -82,6 +82,16 @@ class Element:
             raise self.error(f"needs a <{tag}>")
         return found
 
+    def number_of(self, tag: str, default: float, low: float = -math.inf, high: float = math.inf) -> float:
+        """Return the number in the only child with this tag, or ``default`` without one; see ``number``."""
+        found = self.one(tag)
+        return default if found is None else found.number(low, high)
+
+    def boolean_of(self, tag: str, default: bool) -> bool:
+        """Return the boolean in the only child with this tag, or ``default`` without one."""
+        found = self.one(tag)
+        return default if found is None else found.boolean()
+
     def name(self) -> str:
         """Return the attribute ``name``.
 

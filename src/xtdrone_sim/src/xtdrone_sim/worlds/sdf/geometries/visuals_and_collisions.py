@@ -55,8 +55,7 @@ def read_visuals(element: Element) -> list[Visual]:
     pose = read_pose(element)
     if is_plane(element):
         pose = compose(pose, Pose((0.0, 0.0, -0.5 * _THIN)))
-    material, transparency = element.one("material"), element.one("transparency")
-    opacity = 1.0 if transparency is None else 1.0 - transparency.number(0.0, 1.0)
+    material, opacity = element.one("material"), 1.0 - element.number_of("transparency", 0.0, 0.0, 1.0)
     visuals = []
     for geometry, part in _read_shapes(element.required("geometry")):
         visual = _of_part(Visual(geometry, pose, GREY), part)
@@ -178,8 +177,7 @@ def _terrain_texture(element: Element) -> tuple[Path | None, float]:
     if found is None:
         return None, _TERRAIN_TEXTURE
     found.warn_unknown(("diffuse", "size"), ("normal",))
-    picture, size = found.one("diffuse"), found.one("size")
-    side = _TERRAIN_TEXTURE if size is None else size.number(0.01, 1e5)
+    picture, side = found.one("diffuse"), found.number_of("size", _TERRAIN_TEXTURE, 0.01, 1e5)
     try:
         return (None if picture is None else resolve(picture)), side
     except ForbiddenError:
@@ -226,8 +224,7 @@ def _submesh(element: Element | None) -> tuple[str, bool]:
     """Return the name of the wanted geometry, empty for all, and whether it is centred."""
     if element is None:
         return "", False
-    centre = element.one("center")
-    return element.required("name").string(), centre is not None and centre.boolean()
+    return element.required("name").string(), element.boolean_of("center", False)
 
 
 def _triple(values: tuple[float, ...]) -> tuple[float, float, float]:

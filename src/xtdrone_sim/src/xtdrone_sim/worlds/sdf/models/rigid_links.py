@@ -31,16 +31,16 @@ def read_inertial(link: Element) -> Inertial | None:
     if element is None:
         return None
     element.warn_unknown(("mass", "pose", "inertia"), ("density",))
-    mass, inertia = element.one("mass"), element.one("inertia")
+    inertia = element.one("inertia")
     values = list(DEFAULT_INERTIAL.inertia)
     if inertia is not None:
         inertia.warn_unknown(INERTIA)
         for number, tag in enumerate(INERTIA):
-            value = inertia.one(tag)
-            values[number] = values[number] if value is None else value.number()
+            values[number] = inertia.number_of(tag, values[number])
     ixx, iyy, izz, ixy, ixz, iyz = values
-    kilograms = DEFAULT_INERTIAL.mass if mass is None else mass.number()
-    return Inertial(kilograms, read_pose(element), (ixx, iyy, izz, ixy, ixz, iyz))
+    return Inertial(
+        element.number_of("mass", DEFAULT_INERTIAL.mass), read_pose(element), (ixx, iyy, izz, ixy, ixz, iyz)
+    )
 
 
 def why_standing(model: Element, parts: Sequence[SdfModel]) -> str:
@@ -53,8 +53,7 @@ def why_standing(model: Element, parts: Sequence[SdfModel]) -> str:
     for element in model.all("link"):
         if has_heightmap(element):
             return f"its link {element.name()!r} is terrain"
-        kinematic = element.one("kinematic")
-        if kinematic is not None and kinematic.boolean():
+        if element.boolean_of("kinematic", False):
             return f"its link {element.name()!r} is kinematic"
     for part in parts:
         reason = "" if part.static else _why_not_a_body(part.links)
