@@ -22,7 +22,7 @@ from xtdrone_control.settings import check_range
 from xtdrone_sim.lidars.lidar_messages import scan_message
 from xtdrone_sim.lidars.scan_measurement import begin_us, cast_scan, end_us, measure_scan
 from xtdrone_sim.lidars.scene_history import SceneHistory
-from xtdrone_sim.rays.scene import ActorState, RayScene, SceneAt
+from xtdrone_sim.rays.scene import ActorInScene, RayScene, SceneAt
 from xtdrone_sim.vehicles.mounts.fleet_sensor import Lidar
 from xtdrone_sim.vehicles.mounts.lidar_mounts import KINDS, LidarMount
 from xtdrone_sim.worlds.sdf import load_world_file
@@ -86,7 +86,7 @@ def _scene(fleet: Any, actors: Any, time_s: float) -> SceneAt:
         radius = _SPEED / _TURN
         place = (radius * float(np.cos(angle)), radius * float(np.sin(angle)), _HEIGHT)
         links[f"{vehicle.name}::base_link"] = Pose(place, from_euler(0.1, 0.0, angle))
-    return SceneAt(links, {actor.name: ActorState(actor.pose, time_s % 1.0) for actor in actors})
+    return SceneAt(links, {actor.name: ActorInScene(actor.pose, time_s % 1.0) for actor in actors})
 
 
 COLUMNS = (

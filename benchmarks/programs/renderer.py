@@ -21,7 +21,7 @@ from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import check_range
 from xtdrone_sim.cameras.drawn_scene import DrawnScene, View
 from xtdrone_sim.cameras.rendering.renderer import BACKENDS, Renderer, RendererError
-from xtdrone_sim.rays.scene import ActorState, SceneAt
+from xtdrone_sim.rays.scene import ActorInScene, SceneAt
 from xtdrone_sim.worlds.sdf import load_world_file
 
 _HEIGHT = 20.0  # m, of the camera
@@ -56,7 +56,7 @@ def measure(width: int, height: int, backend: str, seconds: float) -> dict[str, 
         places = [
             SceneAt(
                 {"camera": Pose((x - 10.0 * math.cos(a), y - 10.0 * math.sin(a), _HEIGHT), turned[k])},
-                {actor.name: ActorState(actor.pose, k / _VIEWS) for actor in world.actors},
+                {actor.name: ActorInScene(actor.pose, k / _VIEWS) for actor in world.actors},
             )
             for k, a in enumerate(2.0 * math.pi * k / _VIEWS for k in range(_VIEWS))
         ]

@@ -13,7 +13,7 @@ import pytest
 from xtdrone_control.fleet import StartPose, parse_fleet
 from xtdrone_control.poses import Pose, compose
 from xtdrone_control.rotation import from_euler
-from xtdrone_sim.physics.bodies.mass_of_models import mass_of
+from xtdrone_sim.physics.bodies.movable_bodies import mass_of
 from xtdrone_sim.physics.vehicle_dynamics import ASLEEP, FREE, TOUCHING
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.physics.wrenches import Wrench

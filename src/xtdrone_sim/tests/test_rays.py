@@ -11,7 +11,7 @@ from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.poses import Pose, rotate
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.rays.ray_bundles import MOST, ROWS, gather
-from xtdrone_sim.rays.scene import ActorState, RayScene, SceneAt, SceneError, cast
+from xtdrone_sim.rays.scene import ActorInScene, RayScene, SceneAt, SceneError, cast
 from xtdrone_sim.rays.surfaces import of_triangles, surfaces_of
 from xtdrone_sim.rays.tree import build
 from xtdrone_sim.shapes.triangles import triangles_of
@@ -159,7 +159,7 @@ def test_vehicles_and_people_are_met_where_they_are():
     scene = RayScene(world.models, fleet, [SdfActor("ann"), SdfActor("bob")])
     there = SceneAt(
         {"iris_0::base_link": Pose((0.0, 0.0, 1.0)), "iris_1::base_link": Pose((5.0, 0.0, 1.0))},
-        {"ann": ActorState(Pose((0.0, 5.0, 0.0)), 0.3)},
+        {"ann": ActorInScene(Pose((0.0, 5.0, 0.0)), 0.3)},
     )
     level = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
     hits = from_point(scene, (0.0, 0.0, 1.0), level, scene=there, skip=scene.number("iris_0"))
@@ -258,7 +258,7 @@ def test_neighbouring_rays_meet_together_what_each_meets_alone():
         for k, shape in enumerate([Box((2.0, 0.5, 1.0)), Sphere(0.7)] * 10)
     ]
     scene = RayScene([*trees, *others], parse_fleet("iris:2"), [SdfActor("ann"), SdfActor("bob")])
-    people = {name: ActorState(Pose((x, -2.0, 0.0)), 0.3) for name, x in (("ann", 1.0), ("bob", 3.0))}
+    people = {name: ActorInScene(Pose((x, -2.0, 0.0)), 0.3) for name, x in (("ann", 1.0), ("bob", 3.0))}
 
     def places_at(time: float) -> np.ndarray:
         poses = [Pose((4.0 * k + time, 1.0, 2.0), from_euler(0.1, 0.2 * time, 1.0)) for k in range(2)]

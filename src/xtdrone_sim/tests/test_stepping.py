@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xtdrone_sim.runtime.requests.holds import LONGEST_HOLD, HoldAnswer, Holder
 from xtdrone_sim.runtime.requests.mailbox import ClosedError, Mailbox
 from xtdrone_sim.runtime.requests.pacing import Pacer
 from xtdrone_sim.runtime.requests.simulation_control import (
@@ -23,6 +22,7 @@ from xtdrone_sim.runtime.requests.simulation_control import (
     StepAnswer,
     StepRequest,
 )
+from xtdrone_sim.runtime.requests.standstills import LONGEST_HOLD, HoldAnswer, Holder
 from xtdrone_sim.runtime.requests.stepping import Goal, StepError, Stepper
 
 TICK_US = 20_000

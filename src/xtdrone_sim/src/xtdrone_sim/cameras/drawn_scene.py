@@ -10,7 +10,7 @@ from xtdrone_control.fleet import Vehicle
 from xtdrone_control.poses import OPTICAL_FRAME, Pose, compose
 from xtdrone_sim.cameras.rendering import Picture, Renderer
 from xtdrone_sim.cameras.sun_shadows import SunShadows, darken
-from xtdrone_sim.rays.scene import ActorState, SceneAt
+from xtdrone_sim.rays.scene import ActorInScene, SceneAt
 from xtdrone_sim.shapes.visual import Box, Mesh, Visual
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.worlds import people_meshes
@@ -213,7 +213,7 @@ class DrawnScene:
         for name in self._shown.keys() - scene.actors.keys():
             self._renderer.hide(self.actors[name][self._shown.pop(name)])
 
-    def _place_actor(self, name: str, state: ActorState) -> None:
+    def _place_actor(self, name: str, state: ActorInScene) -> None:
         bodies = self.actors.get(name)
         if bodies is None:
             return

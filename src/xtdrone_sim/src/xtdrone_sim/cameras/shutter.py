@@ -17,7 +17,7 @@ from xtdrone_msgs.msg import SceneState
 
 from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import Quaternion, Vector
-from xtdrone_sim.rays.scene import ActorState, SceneAt
+from xtdrone_sim.rays.scene import ActorInScene, SceneAt
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import CameraMount
 
 _MARGIN_US = 100_000  # several periods of the scenes
@@ -97,7 +97,7 @@ def interpolate(before: SceneAt, after: SceneAt, part: float) -> SceneAt:
     links = {name: _interpolate(before.links.get(name, pose), pose, part) for name, pose in after.links.items()}
     links |= {name: pose for name, pose in before.links.items() if name not in links}
     actors = {
-        name: ActorState(_interpolate(before.actors.get(name, state).pose, state.pose, part), state.phase)
+        name: ActorInScene(_interpolate(before.actors.get(name, state).pose, state.pose, part), state.phase)
         for name, state in after.actors.items()
     }
     return SceneAt(links, actors)

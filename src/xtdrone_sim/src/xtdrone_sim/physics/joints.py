@@ -27,7 +27,7 @@ _RETURN = 0.2  # share of the excess beyond a limit that is corrected in a step
 Array = NDArray[np.float64]
 
 
-class Joint:
+class ModelJoint:
     """A joint in Bullet.
 
     Attributes:

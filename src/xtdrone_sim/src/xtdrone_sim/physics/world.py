@@ -34,7 +34,7 @@ from xtdrone_sim.physics.contacts.contact_states import (
     stay_free,
 )
 from xtdrone_sim.physics.contacts.start_collisions import body_pose, check_starts
-from xtdrone_sim.physics.joints import Joint, swap_ends
+from xtdrone_sim.physics.joints import ModelJoint, swap_ends
 from xtdrone_sim.physics.quiet_pybullet import connect, pybullet
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT, ASLEEP, FARTHEST, FASTEST_TURN, LEAVING, LOST, PLANT, TOUCHING
 from xtdrone_sim.vehicles.vehicle_model import MODEL, VehicleModel
@@ -135,13 +135,13 @@ class World:
     def _join_models(self) -> None:
         numbers = {model.name: number for number, model in enumerate(self.model.models)}
         bodies = self.bodies.by_number
-        self.joints: dict[str, Joint] = {}
+        self.joints: dict[str, ModelJoint] = {}
         for one in self.model.joints:
             parent, child = (bodies.get(numbers.get(end, -1)) for end in (one.parent, one.child))
             if child is not None:
-                self.joints[one.name] = Joint(self._bullet, one, parent, child)
+                self.joints[one.name] = ModelJoint(self._bullet, one, parent, child)
             elif parent is not None:
-                self.joints[one.name] = Joint(self._bullet, swap_ends(one), None, parent)
+                self.joints[one.name] = ModelJoint(self._bullet, swap_ends(one), None, parent)
         self._tie()
         self.bodies.before_removal = self._disconnect
 

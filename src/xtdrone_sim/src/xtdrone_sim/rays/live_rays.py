@@ -10,7 +10,7 @@ from xtdrone_msgs.msg import SceneModels, SceneState
 
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.poses import Pose
-from xtdrone_sim.rays.scene import ActorState, RayScene, SceneAt
+from xtdrone_sim.rays.scene import ActorInScene, RayScene, SceneAt
 from xtdrone_sim.worlds.sdf import load_world_file, read_world, world_file
 
 
@@ -91,7 +91,7 @@ def scene_of(message: SceneState) -> SceneAt:
     """Return the poses of a message."""
     links = {name: _pose(pose) for name, pose in zip(message.links, message.poses, strict=True)}
     actors = {
-        name: ActorState(_pose(pose), phase)
+        name: ActorInScene(_pose(pose), phase)
         for name, pose, phase in zip(message.actors, message.actor_poses, message.actor_phases, strict=True)
     }
     return SceneAt(links, actors)

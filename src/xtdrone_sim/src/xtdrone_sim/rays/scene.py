@@ -25,7 +25,7 @@ from xtdrone_sim.worlds.sdf import SdfActor, SdfModel
 
 
 @dataclass(frozen=True)
-class ActorState:
+class ActorInScene:
     """State of an actor.
 
     Attributes:
@@ -47,7 +47,7 @@ class SceneAt:
     """
 
     links: Mapping[str, Pose]
-    actors: Mapping[str, ActorState]
+    actors: Mapping[str, ActorInScene]
 
 
 GROUND = "ground_plane"
@@ -316,6 +316,6 @@ def _radius(tree: Trees) -> float:
     return float(np.linalg.norm(corners))
 
 
-def _posture(roots: tuple[int, ...], state: ActorState) -> int:
+def _posture(roots: tuple[int, ...], state: ActorInScene) -> int:
     frames = len(roots) - 1
     return roots[0 if state.phase < 0.0 or not frames else 1 + round(state.phase * frames) % frames]

@@ -24,7 +24,14 @@ from xtdrone_control.rotation import Vector, from_euler, yaw_of
 from xtdrone_control.rotation_kernels import integrate, rotate, rotate_inverse
 from xtdrone_control.settings import SettingError
 from xtdrone_sim.kernel import kernel
-from xtdrone_sim.worlds.robots.robot_settings import DENSITY, GRAVITY, BoatLimits, HullSettings, Joint, WaveSettings
+from xtdrone_sim.worlds.robots.robot_settings import (
+    DENSITY,
+    GRAVITY,
+    BoatLimits,
+    HullSettings,
+    JointMotion,
+    WaveSettings,
+)
 
 STATE = np.dtype(
     [("position", "f8", 3), ("q", "f8", 4), ("velocity", "f8", 3), ("rates", "f8", 3)]
@@ -284,7 +291,7 @@ class Boat:
         moves = max(abs(boat["velocity"]).max(), abs(boat["rates"]).max()) > _REST
         return not (len(self._waves) or moves or self._linear or self._angular)
 
-    def joints(self) -> list[Joint]:
+    def joints(self) -> list[JointMotion]:
         """Return no joints."""
         return []
 

@@ -30,7 +30,7 @@ from xtdrone_sim.robots.wheels_on_uneven_ground import (
     stand_on,
 )
 from xtdrone_sim.worlds.robots.robot_model import AnyRobot, BoatModel, RobotModel
-from xtdrone_sim.worlds.robots.robot_settings import AckermannLimits, DifferentialLimits, DriveLimits, Joint
+from xtdrone_sim.worlds.robots.robot_settings import AckermannLimits, DifferentialLimits, DriveLimits, JointMotion
 
 _NEVER = -1
 _CASTORS = 0.4  # of the body's length, before and behind its middle
@@ -201,11 +201,11 @@ class Drive(ABC):
         z, roll, pitch = stand_on(heights, self._feet)
         return replace(state, z=z, roll=roll, pitch=pitch, heights=heights)
 
-    def _wheels(self, left: str, right: str) -> list[Joint]:
+    def _wheels(self, left: str, right: str) -> list[JointMotion]:
         state, apart = self.state, 0.5 * self.limits.track * self.state.rate
         return [
-            Joint(left, state.left, (state.speed - apart) / self.limits.wheel_radius),
-            Joint(right, state.right, (state.speed + apart) / self.limits.wheel_radius),
+            JointMotion(left, state.left, (state.speed - apart) / self.limits.wheel_radius),
+            JointMotion(right, state.right, (state.speed + apart) / self.limits.wheel_radius),
         ]
 
     @abstractmethod
@@ -221,7 +221,7 @@ class Drive(ABC):
         """End the turning command after the timeout."""
 
     @abstractmethod
-    def joints(self) -> list[Joint]:
+    def joints(self) -> list[JointMotion]:
         """Return the states of all joints."""
 
 
@@ -243,7 +243,7 @@ class Differential(Drive):
     def _stop_turning(self) -> None:
         self._angular = 0.0
 
-    def joints(self) -> list[Joint]:
+    def joints(self) -> list[JointMotion]:
         """Return the states of the two wheels."""
         return self._wheels("left_wheel_joint", "right_wheel_joint")
 
@@ -267,7 +267,7 @@ class Ackermann(Drive):
     def _stop_turning(self) -> None:
         """Keep the steering angle after the timeout, like a car without a driver."""
 
-    def joints(self) -> list[Joint]:
+    def joints(self) -> list[JointMotion]:
         """Return the states of the rear wheels, of the front wheels and of their steering.
 
         cot(left) = cot(steering) - track / (2 wheelbase), cot(right) likewise with +. The speed of a front wheel is
@@ -280,8 +280,8 @@ class Ackermann(Drive):
             share = 1.0 + 0.5 * side * limits.track * slope
             angle = math.atan2(limits.wheelbase * slope, share)
             rate = state.speed * math.hypot(share, limits.wheelbase * slope) / limits.wheel_radius
-            found.append(Joint(f"{name}_steering_joint", angle, 0.0))
-            found.append(Joint(f"{name}_wheel_joint", turned, rate))
+            found.append(JointMotion(f"{name}_steering_joint", angle, 0.0))
+            found.append(JointMotion(f"{name}_wheel_joint", turned, rate))
         return found
 
 

@@ -12,7 +12,7 @@ from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.rays.scene import ActorState, SceneAt
+from xtdrone_sim.rays.scene import ActorInScene, SceneAt
 from xtdrone_sim.vehicles.gimbals_and_landing_gears import Gimbals, LandingGears
 from xtdrone_sim.vehicles.link_poses import Links
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
@@ -84,7 +84,7 @@ class Others:
         places = zip(self._links.names, states["position"].tolist(), states["q"].tolist(), strict=True)
         links = {name: Pose(tuple(position), tuple(q)) for name, position, q in places}
         people = {
-            name: ActorState(Pose(state.position, from_euler(0.0, 0.0, state.yaw)), state.phase)
+            name: ActorInScene(Pose(state.position, from_euler(0.0, 0.0, state.yaw)), state.phase)
             for name, state in self._actors.present(time_us)
         }
         return SceneAt(links, people)

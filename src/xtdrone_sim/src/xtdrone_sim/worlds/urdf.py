@@ -14,7 +14,7 @@ import os
 import re
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -177,17 +177,26 @@ class Description:
         for joint in self.joints:
             poses[joint.child] = compose(poses[joint.parent], joint.pose)
         parts = [(link.inertial, compose(poses[link.name], link.inertial.pose)) for link in self.links if link.inertial]
-        centre, total = np.zeros(3), np.zeros((3, 3))
-        mass = sum((inertial.mass for inertial, _ in parts), 0.0)
-        for inertial, pose in parts:
-            centre += inertial.mass / mass * np.array(pose.position)
-        for inertial, pose in parts:
-            turn = np.column_stack([rotate(pose.orientation, axis) for axis in np.eye(3).tolist()])
-            ixx, iyy, izz, ixy, ixz, iyz = inertial.inertia
-            own = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
-            r = np.array(pose.position) - centre
-            total += turn @ own @ turn.T + inertial.mass * (r @ r * np.eye(3) - np.outer(r, r))
-        return mass, centre, total
+        return combine_masses(parts)
+
+
+def combine_masses(parts: Sequence[tuple[Inertial, Pose]]) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
+    """Return mass, kg, centre of mass (3,), m, and inertia (3, 3) about it, kg m^2, of parts of one rigid body.
+
+    Args:
+        parts: inertial of each part, and the pose of its centre of mass in the body's frame.
+    """
+    centre, total = np.zeros(3), np.zeros((3, 3))
+    mass = sum((inertial.mass for inertial, _ in parts), 0.0)
+    for inertial, pose in parts:
+        centre += inertial.mass / mass * np.array(pose.position)
+    for inertial, pose in parts:
+        turn = np.column_stack([rotate(pose.orientation, axis) for axis in np.eye(3).tolist()])
+        ixx, iyy, izz, ixy, ixz, iyz = inertial.inertia
+        own = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+        r = np.array(pose.position) - centre
+        total += turn @ own @ turn.T + inertial.mass * (r @ r * np.eye(3) - np.outer(r, r))
+    return mass, centre, total
 
 
 def resolve(uri: str, folder: Path) -> Path:

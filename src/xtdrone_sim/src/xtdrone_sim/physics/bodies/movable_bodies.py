@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 
 from xtdrone_control.frames import to_xyzw
 from xtdrone_control.poses import Pose, compose, inverse, rotate
-from xtdrone_control.rotation import Vector
+from xtdrone_control.rotation import Quaternion, Vector
 from xtdrone_sim.kernel import kernel
-from xtdrone_sim.physics.bodies.mass_of_models import mass_of
 from xtdrone_sim.physics.bodies.obstacles import shape_array
 from xtdrone_sim.physics.contacts.contact_states import REST_SPEED, REST_STEPS
 from xtdrone_sim.physics.quiet_pybullet import BulletClient, pybullet
@@ -30,7 +29,8 @@ from xtdrone_sim.physics.vehicle_dynamics import ABSENT, FREE, TOUCHING
 from xtdrone_sim.shapes.visual import Geometry
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
 from xtdrone_sim.worlds.sdf.models.rigid_links import MOST_SHAPES
-from xtdrone_sim.worlds.sdf.world_records import SdfModel
+from xtdrone_sim.worlds.sdf.world_records import DEFAULT_INERTIAL, SdfModel
+from xtdrone_sim.worlds.urdf import combine_masses
 
 _log = logging.getLogger("rosout.simulation")  # a child of ROS's logger, see ``xml_elements``
 
@@ -185,6 +185,47 @@ class Body:
     def centre(self) -> Vector:
         """The centre of mass in the world, m."""
         return compose(self.pose, self.frame).position
+
+
+def mass_of(model: SdfModel) -> tuple[float, Pose, NDArray[np.float64]]:
+    """Return the mass of all links as one rigid body.
+
+    Returns:
+        Mass, kg; the principal axes at the centre of mass, in the model's frame; principal moments (3,), kg m^2.
+    """
+    parts = [(link.inertial or DEFAULT_INERTIAL, link.pose) for link in model.links]
+    mass, centre, total = combine_masses([(part, compose(pose, part.pose)) for part, pose in parts])
+    moments, axes = _principal(total)
+    x, y, z = centre.tolist()
+    return float(mass), Pose((x, y, z), axes), moments
+
+
+def _principal(inertia: NDArray[np.float64]) -> tuple[NDArray[np.float64], Quaternion]:
+    """Return the principal moments and the rotation (w, x, y, z) from their axes; none if they are the frame's own."""
+    if np.count_nonzero(inertia - np.diag(np.diag(inertia))) == 0:
+        return np.diag(inertia).copy(), (1.0, 0.0, 0.0, 0.0)
+    moments, axes = np.linalg.eigh(inertia)
+    if np.linalg.det(axes) < 0.0:
+        axes[:, 0] = -axes[:, 0]
+    return moments, _quaternion(axes)
+
+
+def _quaternion(matrix: NDArray[np.float64]) -> Quaternion:
+    """Return the quaternion (w, x, y, z) of a rotation matrix, from its eigenvector of the largest eigenvalue.
+
+    I. Bar-Itzhack, "New method for extracting the quaternion from a rotation matrix", JGCD 23(6), 2000.
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = matrix.tolist()
+    k = np.array(
+        [
+            [xx - yy - zz, yx + xy, zx + xz, zy - yz],
+            [yx + xy, yy - xx - zz, zy + yz, xz - zx],
+            [zx + xz, zy + yz, zz - xx - yy, yx - xy],
+            [zy - yz, xz - zx, yx - xy, xx + yy + zz],
+        ]
+    )
+    x, y, z, w = np.linalg.eigh(k)[1][:, -1].tolist()
+    return (w, x, y, z)
 
 
 class Bodies:

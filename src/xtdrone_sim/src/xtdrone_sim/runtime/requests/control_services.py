@@ -55,9 +55,9 @@ from xtdrone_msgs.srv import (
 )
 
 from xtdrone_control.lockstep.simulation_speed import LEAST_SPEED
-from xtdrone_sim.runtime.requests.holds import Holder
 from xtdrone_sim.runtime.requests.mailbox import ClosedError, Mailbox
 from xtdrone_sim.runtime.requests.simulation_control import Control, ControlError, Reset, Status, StepRequest
+from xtdrone_sim.runtime.requests.standstills import Holder
 
 _STATUS_PERIOD = 1.0  # wall s
 _STATE_PERIOD = 0.1  # wall s between two polls of changes that arrive without an event

@@ -18,10 +18,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_sim.runtime.requests.holds import HoldAnswer, Holder, Holds
 from xtdrone_sim.runtime.requests.mailbox import ClosedError
 from xtdrone_sim.runtime.requests.pacing import Pacer, SpeedMeter
-from xtdrone_sim.runtime.requests.slow_participants import SlowParticipants
+from xtdrone_sim.runtime.requests.standstills import HoldAnswer, Holder, Holds, SlowParticipants
 from xtdrone_sim.runtime.requests.stepping import Goal, Outcome, StepError, Stepper
 
 PATIENCE = 10.0
@@ -42,7 +41,7 @@ class Reset(enum.IntEnum):
 
 
 @dataclass(frozen=True)
-class Change:
+class WorldChange:
     """A change of the simulated world, made between ticks.
 
     Attributes:
@@ -130,7 +129,7 @@ class _Asked:
         caller: of a step: the node that asked for it.
     """
 
-    request: StepRequest | Holder | Reset | Change
+    request: StepRequest | Holder | Reset | WorldChange
     answer: Future[Any] | None
     until: float
     caller: str = ""
@@ -288,7 +287,7 @@ class Control:
         else:
             self._asked.append(_Asked(kind, answer, self._wall() + PATIENCE))
 
-    def ask_change(self, change: Change, caller: str, answer: Future[Any]) -> None:
+    def ask_change(self, change: WorldChange, caller: str, answer: Future[Any]) -> None:
         """Queue a change; ``answer`` receives its description when it is made, or a ControlError.
 
         A participant in its own turn is answered at once, and the change is made after the tick.
@@ -302,7 +301,7 @@ class Control:
         else:
             self._asked.append(_Asked(change, answer, self._wall() + PATIENCE))
 
-    def _make(self, change: Change, answer: Future[Any] | None) -> None:
+    def _make(self, change: WorldChange, answer: Future[Any] | None) -> None:
         try:
             done = change.make()
         except (ValueError, OSError) as error:
@@ -342,7 +341,7 @@ class Control:
                 answer.set_result(None)
         while self._asked:
             asked = self._asked.popleft()
-            if isinstance(asked.request, Change):
+            if isinstance(asked.request, WorldChange):
                 self._make(asked.request, asked.answer)
                 continue
             assert asked.answer is not None
@@ -447,7 +446,7 @@ class Control:
                 continue
             if isinstance(asked.request, Reset):
                 asked.answer.set_exception(ControlError(f"no reset: {reason}"))
-            elif isinstance(asked.request, Change):
+            elif isinstance(asked.request, WorldChange):
                 asked.answer.set_exception(ControlError(f"no {asked.request.what}: {reason}"))
             elif isinstance(asked.request, Holder):
                 asked.answer.set_result(self._hold_refusal(reason))

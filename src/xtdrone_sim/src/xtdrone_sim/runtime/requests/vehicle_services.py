@@ -30,7 +30,7 @@ from xtdrone_msgs.srv import (
 from xtdrone_control.fleet import StartPose, start_pose
 from xtdrone_control.lockstep.protocol import printable
 from xtdrone_sim.runtime.requests.mailbox import ClosedError, Mailbox
-from xtdrone_sim.runtime.requests.simulation_control import Change, Control, ControlError
+from xtdrone_sim.runtime.requests.simulation_control import Control, ControlError, WorldChange
 from xtdrone_sim.runtime.simulator_interface import SimulatorBackend
 
 
@@ -71,7 +71,7 @@ class VehicleServices:
             self._backend.reset_vehicle(name, pose)
             return f"{name}: stands {'where it started' if pose is None else 'at the given pose'}, rebooted"
 
-        return self._ask(Change(f"reset of {name}", make), caller)
+        return self._ask(WorldChange(f"reset of {name}", make), caller)
 
     def add_vehicle(self, name: str, model: str, pose: StartPose | None, caller: str) -> str:
         """Add a vehicle in flight; see ``SimulatorBackend.add_vehicle``, and ``reset_vehicle`` for the rest."""
@@ -81,7 +81,7 @@ class VehicleServices:
             self._followed()
             return f"{name} has joined, {self._count()} in the simulation"
 
-        return self._ask(Change(f"join of {printable(name)}", make), caller)
+        return self._ask(WorldChange(f"join of {printable(name)}", make), caller)
 
     def remove_vehicle(self, name: str, caller: str) -> str:
         """Remove a vehicle from the simulation; see ``add_vehicle``."""
@@ -91,13 +91,13 @@ class VehicleServices:
             self._followed()
             return f"{name} has left, {self._count()} in the simulation"
 
-        return self._ask(Change(f"leave of {printable(name)}", make), caller)
+        return self._ask(WorldChange(f"leave of {printable(name)}", make), caller)
 
     def _count(self) -> str:
         count = len(self._backend.names)
         return "1 vehicle is" if count == 1 else f"{count} vehicles are"
 
-    def _ask(self, change: Change, caller: str) -> str:
+    def _ask(self, change: WorldChange, caller: str) -> str:
         asked = self._mailbox.put(lambda answer: self._control.ask_change(change, caller, answer))
         return str(asked.result())
 
@@ -121,7 +121,9 @@ class VehicleServices:
             self._backend.set_wind((x, y, z))
             return f"the wind is ({x:g}, {y:g}, {z:g}) m/s"
 
-        return SetWindResponse(*answered(lambda: self._ask(Change("change of the wind", make), caller_of(request))))
+        return SetWindResponse(
+            *answered(lambda: self._ask(WorldChange("change of the wind", make), caller_of(request)))
+        )
 
 
 def answered(act: Callable[[], str]) -> tuple[bool, str]:

@@ -28,7 +28,7 @@ _BAND = 0.3  # periods of several waves are within this share of the period
 WAVE = np.dtype([("amplitude", "f8"), ("kx", "f8"), ("ky", "f8"), ("frequency", "f8"), ("phase", "f8")])
 
 
-class Joint(NamedTuple):
+class JointMotion(NamedTuple):
     """State of a joint: name, angle, rad, and rate, rad/s."""
 
     name: str

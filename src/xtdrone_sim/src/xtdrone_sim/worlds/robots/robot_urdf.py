@@ -11,7 +11,7 @@ from xtdrone_control.poses import Pose, from_axis_angle
 from xtdrone_control.rotation import Vector, to_euler
 from xtdrone_sim.shapes.visual import Box, Cylinder, Visual
 from xtdrone_sim.worlds.robots.robot_model import LINK, AnyRobot, BoatModel
-from xtdrone_sim.worlds.robots.robot_settings import Joint
+from xtdrone_sim.worlds.robots.robot_settings import JointMotion
 
 _UP, _LEFT = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
 
@@ -47,7 +47,7 @@ def wheel_joints(model: AnyRobot) -> list[WheelJoint]:
     return joints
 
 
-def wheel_frames(model: AnyRobot, states: Sequence[Joint]) -> list[tuple[str, str, Pose]]:
+def wheel_frames(model: AnyRobot, states: Sequence[JointMotion]) -> list[tuple[str, str, Pose]]:
     """Return parent, child and pose in the parent of each wheel's frames.
 
     Args:

@@ -14,7 +14,7 @@ from PIL import Image
 
 from xtdrone_sim.data_files import data_path
 from xtdrone_sim.worlds.scenery import scenery_meshes, textures
-from xtdrone_sim.worlds.scenery.scenery_meshes import Triangles
+from xtdrone_sim.worlds.scenery.scenery_meshes import TexturedTriangles
 from xtdrone_sim.worlds.scenery.textures import Picture
 
 FOLDER = data_path("models/scenery")
@@ -48,7 +48,7 @@ _CARS: dict[str, tuple[list[tuple[float, float]], list[tuple[float, float]], flo
 }
 
 
-def _car_body(name: str) -> Triangles:
+def _car_body(name: str) -> TexturedTriangles:
     body, cabin, width = _CARS[name]
     (_, _), (_, _), (front, top), (rear, _) = cabin
     return scenery_meshes.join(
@@ -57,30 +57,30 @@ def _car_body(name: str) -> Triangles:
     )
 
 
-def _car_glass(name: str) -> Triangles:
+def _car_glass(name: str) -> TexturedTriangles:
     _, cabin, width = _CARS[name]
     return scenery_meshes.prism(cabin, 0.88 * width)
 
 
-def _car_wheels(name: str) -> Triangles:
+def _car_wheels(name: str) -> TexturedTriangles:
     body, _, width = _CARS[name]
     base = 0.62 * body[1][0]
     wheel = scenery_meshes.revolve([(0.33, -0.12), (0.33, 0.12)], 10)
-    turned = Triangles(wheel.corners[:, :, [0, 2, 1]] * np.array([1.0, -1.0, 1.0]), wheel.texture)
+    turned = TexturedTriangles(wheel.corners[:, :, [0, 2, 1]] * np.array([1.0, -1.0, 1.0]), wheel.texture)
     places = [(x, y, 0.33) for x in (-base, base) for y in (-0.44 * width, 0.44 * width)]
     return scenery_meshes.join(*(scenery_meshes.move(turned, place) for place in places))
 
 
-def _gable(_rng: np.random.Generator) -> Triangles:
+def _gable(_rng: np.random.Generator) -> TexturedTriangles:
     return scenery_meshes.map_texture(scenery_meshes.prism([(-0.5, 0.0), (0.5, 0.0), (0.0, 1.0)], 1.0).corners, 0.5)
 
 
-def _hip(_rng: np.random.Generator) -> Triangles:
+def _hip(_rng: np.random.Generator) -> TexturedTriangles:
     points = [(-0.5, -0.5, 0), (0.5, -0.5, 0), (0.5, 0.5, 0), (-0.5, 0.5, 0), (0, -0.25, 1), (0, 0.25, 1)]
     return scenery_meshes.polyhedron(points, [(3, 2, 1, 0), (0, 1, 4), (1, 2, 5, 4), (2, 3, 5), (3, 0, 4, 5)], 0.5)
 
 
-_MESHES: dict[str, tuple[Callable[[np.random.Generator], Triangles], int]] = {
+_MESHES: dict[str, tuple[Callable[[np.random.Generator], TexturedTriangles], int]] = {
     "crown": (lambda rng: scenery_meshes.crown(int(rng.integers(3, 6)), rng), 6),
     "conifer": (lambda rng: scenery_meshes.conifer(int(rng.integers(3, 6)), rng), 4),
     "bush": (lambda rng: scenery_meshes.ball(2, 0.2, rng), 4),

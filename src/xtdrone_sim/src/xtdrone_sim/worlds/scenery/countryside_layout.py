@@ -17,7 +17,7 @@ from xtdrone_sim.worlds.people_meshes import names
 from xtdrone_sim.worlds.scenery import assets, scenery_objects
 from xtdrone_sim.worlds.scenery.materials import SPLITS, Kit
 from xtdrone_sim.worlds.scenery.scenery_objects import Thing
-from xtdrone_sim.worlds.scenery.start_area_and_ground import Ground, Rectangle
+from xtdrone_sim.worlds.scenery.start_area_and_ground import FreeGround, Rectangle
 from xtdrone_sim.worlds.sdf import Light, SdfActor, SdfLink, SdfModel, SdfWorld, Trajectory, Waypoint, load_world_file
 
 REGION: Rectangle = (-10.0, -10.0, 90.0, 50.0)
@@ -260,7 +260,7 @@ class _Scene:
 
 def _people(seed: int, options: OutdoorOptions, world: SdfWorld) -> list[SdfActor]:
     rng = np.random.default_rng((seed, 20))
-    ground = Ground(world)
+    ground = FreeGround(world)
     actors: list[SdfActor] = []
     skins = list(options.skins)
     # separate generator: the choice of skins does not affect the positions
@@ -277,7 +277,7 @@ def _people(seed: int, options: OutdoorOptions, world: SdfWorld) -> list[SdfActo
 
 
 def _place(
-    rng: np.random.Generator, options: OutdoorOptions, ground: Ground, others: list[tuple[float, float, float]]
+    rng: np.random.Generator, options: OutdoorOptions, ground: FreeGround, others: list[tuple[float, float, float]]
 ) -> tuple[float, float]:
     for _ in range(1000):
         x, y = _anywhere(rng, options.region)
@@ -305,7 +305,7 @@ def _distance(rectangle: Rectangle, x: float, y: float) -> float:
 
 
 def _way(
-    rng: np.random.Generator, options: OutdoorOptions, ground: Ground, start: tuple[float, float], speed: float
+    rng: np.random.Generator, options: OutdoorOptions, ground: FreeGround, start: tuple[float, float], speed: float
 ) -> Trajectory | None:
     """Return a closed walk of straight segments over free ground; None without room to walk."""
     corners = [start]
@@ -348,7 +348,7 @@ def _waypoint(time: float, place: tuple[float, float], heading: float) -> Waypoi
 
 def is_free(world: SdfWorld, x: float, y: float, radius: float) -> bool:
     """Return whether only ground is within ``radius`` m of (x, y), m ENU, at any height; see ``free_ground.Ground``."""
-    return Ground(world).is_free(x, y, radius)
+    return FreeGround(world).is_free(x, y, radius)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Triangles:
+class TexturedTriangles:
     """A triangle mesh.
 
     Attributes:
@@ -30,17 +30,19 @@ class Triangles:
     texture: Array
 
 
-def join(*parts: Triangles) -> Triangles:
+def join(*parts: TexturedTriangles) -> TexturedTriangles:
     """Return several meshes as one."""
-    return Triangles(np.concatenate([p.corners for p in parts]), np.concatenate([p.texture for p in parts]))
+    return TexturedTriangles(np.concatenate([p.corners for p in parts]), np.concatenate([p.texture for p in parts]))
 
 
-def move(mesh: Triangles, offset: Sequence[float], scale: Sequence[float] = (1.0, 1.0, 1.0)) -> Triangles:
+def move(
+    mesh: TexturedTriangles, offset: Sequence[float], scale: Sequence[float] = (1.0, 1.0, 1.0)
+) -> TexturedTriangles:
     """Return the mesh scaled, then translated, m."""
-    return Triangles(mesh.corners * np.asarray(scale) + np.asarray(offset), mesh.texture)
+    return TexturedTriangles(mesh.corners * np.asarray(scale) + np.asarray(offset), mesh.texture)
 
 
-def map_texture(corners: Array, size: float = 1.0) -> Triangles:
+def map_texture(corners: Array, size: float = 1.0) -> TexturedTriangles:
     """Return triangles with the texture projected along the main direction of each, repeating every ``size`` m."""
     normal = np.abs(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
     axis = np.argmax(normal, axis=1)
@@ -48,17 +50,19 @@ def map_texture(corners: Array, size: float = 1.0) -> Triangles:
     rows = np.arange(len(corners))[:, None]
     three = np.arange(3)[None, :]
     flat = np.stack([corners[rows, three, first[:, None]], corners[rows, three, second[:, None]]], axis=2) / size
-    return Triangles(corners, flat - np.floor(flat.reshape(-1, 2).min(axis=0)))
+    return TexturedTriangles(corners, flat - np.floor(flat.reshape(-1, 2).min(axis=0)))
 
 
-def polyhedron(points: Sequence[Sequence[float]], faces: Sequence[Sequence[int]], size: float = 1.0) -> Triangles:
+def polyhedron(
+    points: Sequence[Sequence[float]], faces: Sequence[Sequence[int]], size: float = 1.0
+) -> TexturedTriangles:
     """Return a polyhedron of flat faces, lists of point indices counter-clockwise seen from outside."""
     p = np.asarray(points, float)
     triangles = [(f[0], f[i], f[i + 1]) for f in faces for i in range(1, len(f) - 1)]
     return map_texture(p[np.array(triangles)], size)
 
 
-def cuboid(low: Sequence[float], high: Sequence[float]) -> Triangles:
+def cuboid(low: Sequence[float], high: Sequence[float]) -> TexturedTriangles:
     """Return a box between its lowest and highest corner, m."""
     (a, b, c), (d, e, f) = low, high
     points = [(a, b, c), (d, b, c), (d, e, c), (a, e, c), (a, b, f), (d, b, f), (d, e, f), (a, e, f)]
@@ -66,7 +70,7 @@ def cuboid(low: Sequence[float], high: Sequence[float]) -> Triangles:
     return polyhedron(points, faces)
 
 
-def prism(profile: Sequence[tuple[float, float]], width: float) -> Triangles:
+def prism(profile: Sequence[tuple[float, float]], width: float) -> TexturedTriangles:
     """Return a convex or star-shaped outline (x, z), counter-clockwise seen from -y, extruded along y."""
     n, y = len(profile), 0.5 * width
     near = [(x, -y, z) for x, z in profile]
@@ -80,7 +84,7 @@ def prism(profile: Sequence[tuple[float, float]], width: float) -> Triangles:
     return polyhedron(points, faces)
 
 
-def revolve(outline: Sequence[tuple[float, float]], sides: int) -> Triangles:
+def revolve(outline: Sequence[tuple[float, float]], sides: int) -> TexturedTriangles:
     """Return an outline (radius, z), from bottom to top, revolved about z."""
     angle = np.arange(sides) * (2.0 * math.pi / sides)
     rings = [np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full(sides, z)]) for r, z in outline]
@@ -97,10 +101,10 @@ def revolve(outline: Sequence[tuple[float, float]], sides: int) -> Triangles:
         np.cross(triangles.corners[:, 1] - triangles.corners[:, 0], triangles.corners[:, 2] - triangles.corners[:, 0]),
         axis=1,
     )
-    return Triangles(triangles.corners[area > 1e-9], triangles.texture[area > 1e-9])
+    return TexturedTriangles(triangles.corners[area > 1e-9], triangles.texture[area > 1e-9])
 
 
-def ball(divisions: int, roughness: float, rng: np.random.Generator) -> Triangles:
+def ball(divisions: int, roughness: float, rng: np.random.Generator) -> TexturedTriangles:
     """Return a sphere of radius 1 from an octahedron, its points moved radially by up to ``roughness``."""
     axes = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], float)
     corners = axes[np.array([(0, 2, 4), (2, 1, 4), (1, 3, 4), (3, 0, 4), (2, 0, 5), (1, 2, 5), (3, 1, 5), (0, 3, 5)])]
@@ -116,7 +120,7 @@ def ball(divisions: int, roughness: float, rng: np.random.Generator) -> Triangle
     return map_texture((points * push[:, None])[inverse.reshape(-1)].reshape(-1, 3, 3))
 
 
-def crown(blobs: int, rng: np.random.Generator) -> Triangles:
+def crown(blobs: int, rng: np.random.Generator) -> TexturedTriangles:
     """Return a tree's crown, radius and half height approximately 1, of several rough balls."""
     parts = [move(ball(2, 0.16, rng), (0.0, 0.0, 0.0), (0.72, 0.72, 0.8))]
     for k in range(blobs):
@@ -127,7 +131,7 @@ def crown(blobs: int, rng: np.random.Generator) -> Triangles:
     return join(*parts)
 
 
-def conifer(tiers: int, rng: np.random.Generator) -> Triangles:
+def conifer(tiers: int, rng: np.random.Generator) -> TexturedTriangles:
     """Return a spruce's crown from z = 0 to 1, radius approximately 1, of rough cones."""
     parts = []
     for k in range(tiers):
@@ -137,12 +141,14 @@ def conifer(tiers: int, rng: np.random.Generator) -> Triangles:
         cone = revolve([(radius, low), (0.0, low + height)], 9)
         jitter = rng.uniform(0.9, 1.1, (*cone.corners.shape[:1], 1, 1))
         parts.append(
-            Triangles(cone.corners * np.concatenate([jitter, jitter, np.ones_like(jitter)], axis=2), cone.texture)
+            TexturedTriangles(
+                cone.corners * np.concatenate([jitter, jitter, np.ones_like(jitter)], axis=2), cone.texture
+            )
         )
     return join(*parts)
 
 
-def blob(rng: np.random.Generator) -> Triangles:
+def blob(rng: np.random.Generator) -> TexturedTriangles:
     """Return an irregular patch of ground, radius approximately 1, with a texture period of 2 m."""
     sides = 28
     angle = np.arange(sides) * (2.0 * math.pi / sides)
@@ -154,7 +160,7 @@ def blob(rng: np.random.Generator) -> Triangles:
     return map_texture(np.stack([np.zeros_like(edge), edge, nearer], axis=1), 2.0)
 
 
-def grid(cells: int, times: int) -> Triangles:
+def grid(cells: int, times: int) -> TexturedTriangles:
     """Return the square from -0.5 to 0.5 as ``cells`` x ``cells``, with ``times`` x ``times`` textures in each cell."""
     at = np.linspace(-0.5, 0.5, cells + 1)
     corners, texture = [], []
@@ -166,10 +172,10 @@ def grid(cells: int, times: int) -> Triangles:
             for triangle in ((0, 1, 2), (0, 2, 3)):
                 corners.append([quad[k] for k in triangle])
                 texture.append([coordinates[k] for k in triangle])
-    return Triangles(np.array(corners), np.array(texture, float))
+    return TexturedTriangles(np.array(corners), np.array(texture, float))
 
 
-def strip(pieces: int, sway: float, rng: np.random.Generator) -> Triangles:
+def strip(pieces: int, sway: float, rng: np.random.Generator) -> TexturedTriangles:
     """Return a winding path along x from -0.5 to 0.5, width 1, offset up to ``sway``, one texture per piece."""
     x = np.linspace(-0.5, 0.5, pieces + 1)
     y = sum(
@@ -183,10 +189,10 @@ def strip(pieces: int, sway: float, rng: np.random.Generator) -> Triangles:
         for triangle in ((0, 1, 2), (0, 2, 3)):
             corners.append([(*quad[k], 0.0) for k in triangle])
             texture.append([coordinates[k] for k in triangle])
-    return Triangles(np.array(corners), np.array(texture, float))
+    return TexturedTriangles(np.array(corners), np.array(texture, float))
 
 
-def write_obj(mesh: Triangles, path: Path) -> None:
+def write_obj(mesh: TexturedTriangles, path: Path) -> None:
     """Write a Wavefront file with flat normals."""
     points, at = np.unique(np.round(mesh.corners.reshape(-1, 3), 4) + 0.0, axis=0, return_inverse=True)
     texture, texture_at = np.unique(np.round(mesh.texture.reshape(-1, 2), 4) + 0.0, axis=0, return_inverse=True)

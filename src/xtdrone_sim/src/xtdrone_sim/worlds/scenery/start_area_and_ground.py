@@ -23,7 +23,7 @@ Rectangle = tuple[float, float, float, float]
 _FLAT = 0.05  # m, height below which a shape counts as ground
 
 
-class Ground:
+class FreeGround:
     """The free ground of a world: without visuals or collisions on or above it."""
 
     def __init__(self, world: SdfWorld) -> None:
