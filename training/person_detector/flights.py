@@ -32,7 +32,7 @@ from xtdrone_coordination.search.people.candidates import Candidate, Evidence, S
 from xtdrone_coordination.search.search_settings import MissionSettings
 from xtdrone_sim.shapes.visual import Mesh, Visual
 from xtdrone_sim.worlds import people_meshes
-from xtdrone_sim.worlds.scenery import Ground, outdoor
+from xtdrone_sim.worlds.scenery import FreeGround, outdoor
 from xtdrone_sim.worlds.sdf import SdfWorld
 
 RATE = 2.0  # images per second
@@ -73,7 +73,7 @@ def on_ground(pose: Pose, pinhole: Any, u: float, v: float) -> tuple[float, floa
 def put_people(scene: Scene, seed: int, count: int, folder: Path, options: argparse.Namespace) -> list[Place]:
     """Place people of the test split on free ground, walking or standing; return their positions, m."""
     random = np.random.default_rng((7, seed))
-    ground, bodies = Ground(outdoor_world(seed)), people_of("test", options.people)
+    ground, bodies = FreeGround(outdoor_world(seed)), people_of("test", options.people)
     x0, y0, x1, y1 = REGION
     places: list[Place] = []
     while len(places) < count:

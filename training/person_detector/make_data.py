@@ -35,7 +35,7 @@ from xtdrone_sim.cameras.rendering import Renderer
 from xtdrone_sim.shapes.visual import Mesh, Visual
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
 from xtdrone_sim.worlds import people_meshes
-from xtdrone_sim.worlds.scenery import Ground, outdoor
+from xtdrone_sim.worlds.scenery import FreeGround, outdoor
 from xtdrone_sim.worlds.sdf import SdfWorld
 from xtdrone_sim.worlds.urdf import Description
 
@@ -194,7 +194,7 @@ class Crowd:
             scene.renderer.hide(index)
             self.members.append((name, index, body.height * size))
 
-    def put(self, view: View, ground: Ground, count: int) -> dict[int, Pose]:
+    def put(self, view: View, ground: FreeGround, count: int) -> dict[int, Pose]:
         """Return poses for ``count`` people in a view, by body: all sizes, mostly on free ground."""
         random, pinhole = self.random, self.scene.camera.pinhole
         pose = self.scene.pose(view)
@@ -263,7 +263,7 @@ def make_scene(number: int, options: argparse.Namespace) -> int:
         light="any",
     )
     scene = Scene(world, options.backend)
-    ground = Ground(world)
+    ground = FreeGround(world)
     names = people_of(options.split, options.people)
     with tempfile.TemporaryDirectory() as temporary:
         crowd = Crowd(scene, names, options.crowd, Path(temporary), random)

@@ -13,7 +13,7 @@ from xtdrone_control.poses import Pose, compose
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.data_files import data_path
 from xtdrone_sim.shapes.visual import Box, Mesh
-from xtdrone_sim.worlds.scenery import Ground, is_free, outdoor
+from xtdrone_sim.worlds.scenery import FreeGround, is_free, outdoor
 from xtdrone_sim.worlds.scenery import __main__ as program
 from xtdrone_sim.worlds.scenery.scenery_objects import HIGHEST
 from xtdrone_sim.worlds.sdf import SdfWorld, load_world_file, read_world, write_world
@@ -73,14 +73,14 @@ def test_objects_do_not_overlap(scene: SdfWorld) -> None:
 
 
 def test_the_start_is_free(scene: SdfWorld) -> None:
-    ground = Ground(scene)
+    ground = FreeGround(scene)
     for x in np.arange(CLEAR[0], CLEAR[2], 1.0):
         for y in np.arange(CLEAR[1], CLEAR[3], 1.0):
             assert ground.is_free(x, y, 0.0)
 
 
 def test_people_walk_on_free_ground_facing_ahead(scene: SdfWorld) -> None:
-    ground = Ground(scene)
+    ground = FreeGround(scene)
     for actor in scene.actors:
         assert actor.trajectory is not None
         points = actor.trajectory.waypoints

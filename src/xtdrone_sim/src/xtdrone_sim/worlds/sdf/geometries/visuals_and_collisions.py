@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from xtdrone_control.bounded_file import read_text
 from xtdrone_control.poses import Pose, compose, rotate
-from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Geometry, Mesh, Sphere, Visual
+from xtdrone_control.rotation import Vector
+from xtdrone_sim.shapes.visual import Box, Collision, Colour, Cylinder, Geometry, Mesh, Sphere, Visual
 from xtdrone_sim.worlds.sdf.geometries.heightmaps import read_heightmap
 from xtdrone_sim.worlds.sdf.geometries.materials import GREY, paint, write_material
 from xtdrone_sim.worlds.sdf.geometries.mesh_files import (
@@ -58,20 +59,18 @@ def read_visuals(element: Element) -> list[Visual]:
     material, opacity = element.one("material"), 1.0 - element.number_of("transparency", 0.0, 0.0, 1.0)
     visuals = []
     for geometry, part in _read_shapes(element.required("geometry")):
-        visual = _of_part(Visual(geometry, pose, GREY), part)
+        visual = Visual(geometry, pose, *look_of(part))
         if material is not None:
             visual = paint(visual, material)
         visuals.append(replace(visual, colour=(*visual.colour[:3], visual.colour[3] * opacity)))
     return visuals
 
 
-def _of_part(visual: Visual, part: MeshPart | None) -> Visual:
-    """Return a visual with the look that its mesh file gives it."""
+def look_of(part: MeshPart | None) -> tuple[Colour, Path | None]:
+    """Return the colour and the texture that a mesh file gives one of its parts; grey without either."""
     if part is None:
-        return visual
-    if part.texture is not None:
-        return replace(visual, colour=(1.0, 1.0, 1.0, 1.0), texture=part.texture)
-    return visual if part.colour is None else replace(visual, colour=part.colour)
+        return GREY, None
+    return ((1.0, 1.0, 1.0, 1.0), part.texture) if part.texture is not None else (part.colour or GREY, None)
 
 
 def read_collisions(element: Element) -> list[Collision]:
@@ -103,7 +102,7 @@ def _read_shapes(element: Element, is_solid: bool = False) -> list[tuple[Geometr
 def _read_primitive(form: Element, geometry: Element) -> Geometry | None:
     if form.tag == "box":
         form.warn_unknown(("size",))
-        return Box(_triple(form.required("size").numbers((3,), 0.0)))
+        return Box(triple(form.required("size").numbers((3,), 0.0)))
     if form.tag == "cylinder":
         form.warn_unknown(("radius", "length"))
         return Cylinder(form.required("radius").number(0.0), form.required("length").number(0.0))
@@ -156,8 +155,8 @@ def _read_heightmap(element: Element, is_solid: bool) -> list[tuple[Geometry, Me
     """Read a <heightmap>; one whose image is missing or cannot be read is left out with a warning."""
     element.warn_unknown(("uri", "size", "pos", "texture"), ("blend", "use_terrain_paging", "sampling"))
     uri, size, pos = element.required("uri"), element.one("size"), element.one("pos")
-    extent = (1.0, 1.0, 1.0) if size is None else _triple(size.numbers((3,), 1e-3, 1e5))
-    middle = (0.0, 0.0, 0.0) if pos is None else _triple(pos.numbers((3,), -1e5, 1e5))
+    extent = (1.0, 1.0, 1.0) if size is None else triple(size.numbers((3,), 1e-3, 1e5))
+    middle = (0.0, 0.0, 0.0) if pos is None else triple(pos.numbers((3,), -1e5, 1e5))
     texture, side = _terrain_texture(element)
     try:
         whole, *tiles = read_heightmap(resolve(uri), extent, middle, side)
@@ -191,7 +190,7 @@ def _read_mesh(element: Element) -> list[tuple[Geometry, MeshPart | None]]:
     """Read a <mesh>; one that is missing or cannot be read is left out with a warning."""
     element.warn_unknown(("uri", "scale", "submesh"))
     uri, scale, submesh = element.required("uri"), element.one("scale"), element.one("submesh")
-    factors = (1.0, 1.0, 1.0) if scale is None else _triple(scale.numbers((3,)))
+    factors = (1.0, 1.0, 1.0) if scale is None else triple(scale.numbers((3,)))
     try:
         path = resolve(uri)
     except ForbiddenError:
@@ -227,7 +226,8 @@ def _submesh(element: Element | None) -> tuple[str, bool]:
     return element.required("name").string(), element.boolean_of("center", False)
 
 
-def _triple(values: tuple[float, ...]) -> tuple[float, float, float]:
+def triple(values: tuple[float, ...]) -> Vector:
+    """Return three numbers as a vector."""
     x, y, z = values
     return (x, y, z)
 

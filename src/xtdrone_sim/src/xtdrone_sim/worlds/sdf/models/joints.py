@@ -43,7 +43,7 @@ def read_joint(element: Element, frames: dict[str, Pose]) -> SdfJoint:
         return base
     axis = element.required("axis")
     axis.warn_unknown(("xyz", "limit", "dynamics", "use_parent_model_frame"), ("initial_position",))
-    turn = frames[WORLD].orientation if _uses_model_frame(axis) else place.orientation
+    turn = frames[WORLD].orientation if axis.boolean_of("use_parent_model_frame", False) else place.orientation
     return _with_limits(replace(base, axis=rotate(turn, _direction(axis))), axis)
 
 
@@ -53,11 +53,6 @@ def _end(element: Element, tag: str, frames: dict[str, Pose]) -> str:
     if name not in frames or (tag == "child" and name == WORLD):
         raise end.error(f"{shortened(name)!r} does not exist; there are {shortened(', '.join(frames))}")
     return name
-
-
-def _uses_model_frame(axis: Element) -> bool:
-    element = axis.one("use_parent_model_frame")
-    return element is not None and element.boolean()
 
 
 def _direction(axis: Element) -> Vector:
@@ -81,18 +76,13 @@ def _with_limits(joint: SdfJoint, axis: Element) -> SdfJoint:
             raise limit.error(f"lower {joint.lower:g} is not allowed above upper {joint.upper:g}")
     if dynamics is not None:
         dynamics.warn_unknown(("damping", "friction"), ("spring_reference", "spring_stiffness"))
-        damping, friction = (dynamics.one(tag) for tag in ("damping", "friction"))
-        joint = replace(
-            joint,
-            damping=0.0 if damping is None else damping.number(0.0),
-            friction=0.0 if friction is None else friction.number(0.0),
-        )
+        damping, friction = (dynamics.number_of(tag, 0.0, 0.0) for tag in ("damping", "friction"))
+        joint = replace(joint, damping=damping, friction=friction)
     return joint
 
 
 def _bound(limit: Element, tag: str, missing: float) -> float:
-    element = limit.one(tag)
-    value = missing if element is None else element.number()
+    value = limit.number_of(tag, missing)
     return value if abs(value) < _LIMIT_FREE else missing
 
 

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from xtdrone_control.poses import Pose
-from xtdrone_control.rotation import Vector, from_euler
+from xtdrone_control.rotation import from_euler
 from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Geometry, Mesh, Sphere, Visual
 from xtdrone_sim.worlds.sdf.geometries.heightmaps import read_heightmap
-from xtdrone_sim.worlds.sdf.geometries.materials import GREY
 from xtdrone_sim.worlds.sdf.geometries.mesh_files import MeshPart, check_wavefront, read_mesh
-from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
+from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of, look_of, triple
 from xtdrone_sim.worlds.sdf.models.model_uris import resolve
 from xtdrone_sim.worlds.sdf.models.rigid_links import MOST_SHAPES
 from xtdrone_sim.worlds.sdf.world_records import SdfError, SdfLink, SdfModel
@@ -119,12 +118,12 @@ class _Entry:
             primitive = self._primitive(form)
             parts, solid = [(primitive, None)], [primitive]  # no colour and texture of its own
         look = self._look()
-        visuals = [Visual(geometry, Pose(), *(look or _own_look(part))) for geometry, part in parts]
+        visuals = [Visual(geometry, Pose(), *(look or look_of(part))) for geometry, part in parts]
         return tuple(visuals), tuple(Collision(geometry) for geometry in solid)
 
     def _primitive(self, form: str) -> Geometry:
         if form == "box":
-            return Box(_triple(self._numbers("box", (3,), 1e-4, _FAR, "three sides, m")))
+            return Box(triple(self._numbers("box", (3,), 1e-4, _FAR, "three sides, m")))
         if form == "sphere":
             return Sphere(self._numbers("sphere", (1,), 1e-4, _FAR, "a radius, m")[0])
         radius, length = self._numbers("cylinder", (2,), 1e-4, _FAR, "radius and length, m")
@@ -135,7 +134,7 @@ class _Entry:
         factors = (1.0, 1.0, 1.0)
         if "scale" in self._given:
             values = self._numbers("scale", (1, 3), 1e-6, 1e6, "one factor or three")
-            factors = _triple(values * 3 if len(values) == 1 else values)
+            factors = triple(values * 3 if len(values) == 1 else values)
         try:
             if path.suffix.lower() == ".obj":
                 check_wavefront(path)
@@ -148,7 +147,7 @@ class _Entry:
     def _terrain(self) -> tuple[list[tuple[Geometry, MeshPart | None]], list[Geometry]]:
         if "size" not in self._given:
             raise SdfError(f"{self._file}: {self._place}: size is missing, sides and height of the terrain, m")
-        size = _triple(self._numbers("size", (3,), 1e-3, _FAR, "two sides and the height, m"))
+        size = triple(self._numbers("size", (3,), 1e-3, _FAR, "two sides and the height, m"))
         side = self._numbers("texture_size", (1,), 0.01, _FAR, "m")[0] if "texture_size" in self._given else 10.0
         path = self._path("heightmap")
         try:
@@ -196,20 +195,6 @@ class _Entry:
         low = [min(float(box[0][k]) for box in boxes) for k in range(3)]
         high = [max(float(box[1][k]) for box in boxes) for k in range(3)]
         x, y, z = (max(b - a, 1e-3) for a, b in zip(low, high, strict=True))
-        middle = _triple(tuple(0.5 * (a + b) for a, b in zip(low, high, strict=True)))
+        middle = triple(tuple(0.5 * (a + b) for a, b in zip(low, high, strict=True)))
         ixx, iyy, izz = (mass * (b * b + c * c) / 12.0 for b, c in ((y, z), (x, z), (x, y)))
         return Inertial(mass, Pose(middle), (ixx, iyy, izz, 0.0, 0.0, 0.0))
-
-
-def _own_look(part: MeshPart | None) -> tuple[tuple[float, float, float, float], Path | None]:
-    """Return colour and texture that a mesh file gives."""
-    if part is None:
-        return GREY, None
-    if part.texture is not None:
-        return (1.0, 1.0, 1.0, 1.0), part.texture
-    return part.colour or GREY, None
-
-
-def _triple(values: tuple[float, ...]) -> Vector:
-    x, y, z = values
-    return (x, y, z)
