@@ -48,7 +48,7 @@ def cached_folder(kind: str, name: str, write: Callable[[Path], None]) -> Path:
 
     Args:
         kind: kind of the caller's files, the name of the folders' common parent.
-        name: of the folder; it must change with the content.
+        name: name of the folder; it must change with the content.
         write: writes the files into an empty folder.
 
     Raises:

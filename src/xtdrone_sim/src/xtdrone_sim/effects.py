@@ -114,7 +114,7 @@ class Effects:
     """The effects on one world's vehicles.
 
     Attributes:
-        names: of the effects, in the order of application; the second of a name is called ``name_2``.
+        names: names of the effects, in the order of application; the second of a name is called ``name_2``.
     """
 
     def __init__(self, effects: Sequence[Effect]) -> None:
@@ -145,7 +145,7 @@ class Effects:
             models: (n,) ``MODEL``.
             time_us: simulated time, microseconds.
             step_us: one step, microseconds.
-            seed: of the effects' random generators.
+            seed: seed of the effects' random generators.
 
         Raises:
             EffectError: an effect raises, or returns a force or torque that is not finite.

@@ -40,7 +40,7 @@ class Simulation:
     """A fleet in a world.
 
     Attributes:
-        vehicles: by index; None for a free place. Places are those of the fleet and the reserved ones.
+        vehicles: vehicles by index; None for a free place. Places are those of the fleet and the reserved ones.
         models: one per place; for a free one, that of its last vehicle, or of the first vehicle.
         world: rigid bodies; ``world.plant`` is the ground truth.
         gimbals: camera gimbals of all vehicles.
@@ -293,7 +293,7 @@ class Simulation:
         Changed parameters and uploaded plans are kept, as in a reboot. Sensor noise continues.
 
         Args:
-            index: of the vehicle.
+            index: index of the vehicle.
             pose: its new pose; None: its start pose.
 
         Raises:

@@ -97,7 +97,7 @@ def wake_speed(below, aside, thrust, radius, spread):
         below: distance below the rotors, m; 0 above them.
         aside: distance from the wake's axis, m.
         thrust: N.
-        radius: of a disc with the area of all rotors, m.
+        radius: radius of a disc with the area of all rotors, m.
         spread: growth of the wake's radius per distance.
     """
     if below <= 0.0:

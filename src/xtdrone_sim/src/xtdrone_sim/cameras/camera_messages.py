@@ -67,7 +67,7 @@ def messages(camera: Camera, stamp: rospy.Time, pictures: Sequence[bytes], wante
     Args:
         camera: the camera.
         stamp: time of the exposure.
-        pictures: of each of its views, see ``camera_worker.DrawingProcess.draw``.
+        pictures: pictures of each of its views, see ``camera_worker.DrawingProcess.draw``.
         wanted: topics of ``topics_of`` to fill.
     """
     mount, pinhole = camera.mount, camera.mount.pinhole

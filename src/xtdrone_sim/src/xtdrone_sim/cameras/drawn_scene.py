@@ -34,7 +34,7 @@ class View:
         link: Gazebo's name of its link.
         pinhole: its projection and image size.
         near, far: clipping distances, m.
-        pose: of the camera in the link: x ahead, z up in the image.
+        pose: pose of the camera in the link: x ahead, z up in the image.
         depth: whether depths are wanted as well.
     """
 

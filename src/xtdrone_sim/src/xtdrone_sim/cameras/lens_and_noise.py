@@ -26,7 +26,7 @@ class Exposure:
         Args:
             camera: the camera.
             stamp: time of the exposure.
-            pictures: of each of its views, see ``camera_worker.DrawingProcess.draw``.
+            pictures: pictures of each of its views, see ``camera_worker.DrawingProcess.draw``.
         """
         self._camera = camera
         self._stamp = stamp

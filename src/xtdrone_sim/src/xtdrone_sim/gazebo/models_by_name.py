@@ -33,7 +33,7 @@ class Models:
     added by requests.
 
     Attributes:
-        names: by number; a list that only grows until a restart.
+        names: names by number; a list that only grows until a restart.
         deleted: numbers of deleted models and actors.
         added: numbers of the existing models that requests have added, with their descriptions.
         first_actor: number of the first actor, or the number of models in the world file.
@@ -110,7 +110,7 @@ class Models:
 
         Args:
             what: field of the request, for messages.
-            name: of the model or link; a vehicle's or a model's name is that of its body.
+            name: name of the model or link; a vehicle's or a model's name is that of its body.
             frame: whether "", "world" and "map" are the world.
 
         Raises:
@@ -189,8 +189,8 @@ class Models:
         """Return the change that moves a model to a state.
 
         Args:
-            name: of the model.
-            state: in ``frame``.
+            name: name of the model.
+            state: state in ``frame``.
             frame: name of the frame.
             hold_steps: steps for which a model or disarmed vehicle is held there.
 
@@ -294,7 +294,7 @@ class Models:
         Args:
             name: its name.
             model: its description, whose own pose is relative to ``pose``.
-            pose: in ``frame``.
+            pose: pose in ``frame``.
             frame: name of the frame.
 
         Raises:
@@ -380,7 +380,7 @@ class Models:
         """Return the change that applies a wrench.
 
         Args:
-            name: of a body, ``model::link``.
+            name: name of a body, ``model::link``.
             frame: name of the frame in whose axes the wrench is given, and in which its point is.
             wrench: ``pose.position`` is the point, m, ``velocity`` the force, N, ``spin`` the torque, N m.
             begin_us: simulated time of the start, microseconds; a time in the past means at once.
@@ -427,7 +427,7 @@ class Models:
         """Return the change that sets joints of a vehicle, from whose positions their drives continue to move them.
 
         Args:
-            name: of the vehicle.
+            name: name of the vehicle.
             joints: names of joints of its gimbal and landing gear, whose joints move together.
             positions: rad, as many as joints.
 

@@ -42,7 +42,7 @@ def check_wrench(name: str, force: Vector, torque: Vector, mass: float, moments:
     """Check a wrench against the body on which it is to act.
 
     Args:
-        name: of the body.
+        name: name of the body.
         force: N, at the centre of mass.
         torque: N m.
         mass: kg.

@@ -18,8 +18,8 @@ class State(NamedTuple):
     """Motion of a rigid part.
 
     Attributes:
-        pose: in a frame, ENU for the world.
-        velocity: of its origin, m/s.
+        pose: pose in a frame, ENU for the world.
+        velocity: velocity of its origin, m/s.
         spin: rad/s.
     """
 

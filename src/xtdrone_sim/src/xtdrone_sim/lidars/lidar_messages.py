@@ -58,9 +58,9 @@ def point_cloud(frame: str, stamp: Time, scan: Scan) -> PointCloud2:
     """Return the returns of a scan as points, each in the lidar's frame at its own time.
 
     Args:
-        frame: of the lidar.
-        stamp: of the first ray; a point's ``time`` is s after it.
-        scan: with any number of planes; rays without a return have no point.
+        frame: frame of the lidar.
+        stamp: stamp of the first ray; a point's ``time`` is s after it.
+        scan: scan with any number of planes; rays without a return have no point.
     """
     points = np.empty(len(scan.ranges), POINT)
     rays = scan.rays

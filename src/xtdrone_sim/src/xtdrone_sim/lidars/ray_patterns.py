@@ -52,7 +52,7 @@ def rays_of(mount: LidarMount, number: int) -> Rays:
 
     Args:
         mount: the lidar.
-        number: of the scan since the start of simulated time; used only for patterns.
+        number: number of the scan since the start of simulated time; used only for patterns.
 
     Raises:
         PatternError: the pattern file cannot be used.

@@ -84,8 +84,8 @@ def cast_scan(mount: LidarMount, number: int, motion: Motion, own: int = NOTHING
 
     Args:
         mount: the lidar.
-        number: of the scan since the start.
-        motion: from before the scan's beginning until after its end.
+        number: number of the scan since the start.
+        motion: motion from before the scan's beginning until after its end.
         own: index of the vehicle, which its rays pass through.
     """
     rays = rays_of(mount, number)
@@ -113,7 +113,7 @@ def measure_scan(
     Args:
         mount: the lidar.
         vehicle: name.
-        number: of the scan since the start.
+        number: number of the scan since the start.
         rays, hits: of the scan.
         bias: m, added to every range.
         lost: further share of the returns that are lost, 0..1.

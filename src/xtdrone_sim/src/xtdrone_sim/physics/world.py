@@ -187,7 +187,7 @@ class World:
         Args:
             i: index of the vehicle.
             pose: its new pose.
-            names: of all vehicles; those with an empty name are absent.
+            names: names of all vehicles; those with an empty name are absent.
 
         Raises:
             StartError: the place is not free; nothing has changed then.
@@ -220,7 +220,7 @@ class World:
             i: index of the place.
             vehicle: its model.
             pose: its start pose.
-            names: of all vehicles, its own included; those of absent places are empty.
+            names: names of all vehicles, its own included; those of absent places are empty.
 
         Raises:
             StartError: the pose is not free; nothing has changed then.
@@ -396,7 +396,7 @@ class World:
         Args:
             number: a number that no model has had; see ``collisions``.
             model: a static one stands, any other is awake.
-            pose: in the world.
+            pose: pose in the world.
             drive: drive that moves it; None: forces move it.
 
         Raises:
@@ -432,7 +432,7 @@ class World:
         """Move a model in the world.
 
         Args:
-            number: of the model.
+            number: number of the model.
             pose, velocity, spin: see ``Bodies.place``.
             hold: steps for which it is held there.
         """

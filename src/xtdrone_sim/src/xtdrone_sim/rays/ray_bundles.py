@@ -70,7 +70,7 @@ def nearest_of_bundle(nodes, surfaces, root, ox, oy, oz, rays, count, found, ins
         nodes, surfaces, root, stack: see ``tree.nearest``.
         ox, oy, oz: origin of the rays, m, in the tree's frame.
         rays: directions in the tree's frame and ranges, which are reduced; inverse directions are overwritten.
-        count: of rays.
+        count: number of rays.
         found: (``MOST``,) filled: index of the surface, or NOTHING.
         inside: (``MOST``,) booleans, overwritten.
     """
@@ -170,7 +170,7 @@ def approach(cx, cy, cz, radius, rays, count, inside):
         cx, cy, cz: centre of the sphere, m from the origin of the rays.
         radius: m.
         rays: directions and ranges.
-        count: of rays.
+        count: number of rays.
         inside: (``MOST``,) booleans, filled.
     """
     square, most = cx * cx + cy * cy + cz * cz, radius * radius

@@ -97,7 +97,7 @@ class RayScene:
         """Build the trees. Vehicles and actors are absent until ``places`` gets their poses.
 
         Args:
-            models: of the world, at the poses of its file.
+            models: models of the world, at the poses of its file.
             fleet: vehicles, whose types are looked up by name.
             actors: people of the world.
 

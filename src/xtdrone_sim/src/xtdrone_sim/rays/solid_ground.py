@@ -35,7 +35,7 @@ class SolidGround:
         """Compute the boxes of all shapes.
 
         Args:
-            shapes: with their poses in the world.
+            shapes: shapes with their poses in the world.
 
         Raises:
             SdfError: a mesh file cannot be read.

@@ -101,7 +101,7 @@ def points_on(surfaces: NDArray[np.void], count: int, low: Array, high: Array, s
         surfaces: (m,) ``tree.SURFACE``.
         count: number of points drawn; those outside the box are left out.
         low, high: (3,) corners of the box, m.
-        seed: of the draw.
+        seed: seed of the draw.
 
     Returns:
         (n, 3) m.

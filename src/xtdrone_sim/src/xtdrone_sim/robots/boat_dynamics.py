@@ -169,14 +169,14 @@ def advance(boats, waves, level, time, mass, hull, draught, added, linear, quadr
     Args:
         boats: (1,) ``STATE``, updated.
         waves: (n,) ``robot_settings.WAVE``.
-        level: of the still water, m, map.
-        time: at the beginning, s.
+        level: level of the still water, m, map.
+        time: time at the beginning, s.
         mass: kg.
         hull: (3,) length, width, depth, m.
         draught: m.
         added, linear, quadratic, turning: (3,) see ``BoatLimits``.
         push: force of the thrusters along its x, N.
-        torque: of the thrusters about its z, N m.
+        torque: torque of the thrusters about its z, N m.
         dt: s.
     """
     boat = boats[0]
@@ -194,7 +194,7 @@ class BoatState:
     """State of a boat.
 
     Attributes:
-        pose: of the origin in the map.
+        pose: pose of the origin in the map.
         velocity: m/s, map.
         rates: rad/s, in the boat.
     """

@@ -48,7 +48,7 @@ class DriveState:
         steering: angle of a front wheel in the middle, rad; 0 with a differential drive.
         left, right: angles that the driven wheels have turned, rad.
         roll, pitch: rad; 0 on level ground.
-        heights: of the ground below the wheels, m, see ``wheels_on_uneven_ground.places``.
+        heights: heights of the ground below the wheels, m, see ``wheels_on_uneven_ground.places``.
     """
 
     x: float = 0.0
@@ -74,7 +74,7 @@ class Drive(ABC):
     """A robot's wheels and motors.
 
     Attributes:
-        state: at the current time.
+        state: state at the current time.
     """
 
     limits: DriveLimits

@@ -44,7 +44,7 @@ def read_launched(parameters: Mapping[str, Any], instance: int = 0, ports: str =
     Args:
         parameters: the whole tree of the parameter server.
         instance: number of the simulation on this machine.
-        ports: of the offboard links, a key of ``fleet.OFFBOARD_PORTS``.
+        ports: ports of the offboard links, a key of ``fleet.OFFBOARD_PORTS``.
 
     Raises:
         FleetError: the vehicles are not allowed, or two MAVROS nodes have the same local port.

@@ -48,7 +48,7 @@ def ready_words(names: Sequence[str], speed: float) -> str:
     """Return a summary of the simulation, for the log line at its start.
 
     Args:
-        names: of the vehicles, in order.
+        names: names of the vehicles, in order.
         speed: target real-time factor; 0 for unlimited.
     """
     vehicles, verb = (names[0], "is") if len(names) == 1 else (f"{names[0]} to {names[-1]}", "are")

@@ -105,7 +105,7 @@ class SimulatorBackend(Protocol):
         """Reset one vehicle, disarmed, as after a reboot; the others are not affected.
 
         Args:
-            name: of the vehicle, such as ``iris_3``.
+            name: name of the vehicle, such as ``iris_3``.
             pose: its new pose; None: its start pose.
 
         Raises:

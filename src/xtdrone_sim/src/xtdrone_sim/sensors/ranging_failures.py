@@ -18,7 +18,7 @@ class RangingFailure:
     """Failure of a lidar or a UWB sensor.
 
     Attributes:
-        kind: of ``FAILURES``.
+        kind: kind of ``FAILURES``.
         value: m of a bias, 0..1 of dropouts.
     """
 

@@ -157,7 +157,7 @@ def _optical_flow(s, v, m, noise, distance, surface):
 
     Args:
         s, v, m, noise: records, and (5,) normals.
-        distance: of the surface, m.
+        distance: distance of the surface, m.
         surface: its velocity, m/s, map.
     """
     vx, vy, _ = rotate_inverse(v.q, v.velocity[0] - surface[0], v.velocity[1] - surface[1], v.velocity[2] - surface[2])

@@ -62,7 +62,7 @@ def private_parameters(name: str, arguments: Sequence[str]) -> dict[str, Any]:
     """Return the private parameters before the node is registered: the rate of its turns depends on them.
 
     Args:
-        name: of the node, unless the command line gives another.
+        name: name of the node, unless the command line gives another.
         arguments: the command line, with ``_rate:=2`` and the like.
     """
     name = lockstep.future_name(name)
@@ -100,7 +100,7 @@ class Due:
         """Start at the first time that is passed to ``numbers``.
 
         Args:
-            rate: of the sensor, Hz.
+            rate: rate of the sensor, Hz.
             periods: duration of a measurement in periods: 0 for an instant, 1 for one that lasts until the next begins.
         """
         self._rate, self._periods = rate, periods

@@ -55,7 +55,7 @@ class RobotTf:
 
         Args:
             fleet: the vehicles.
-            settings: of the node.
+            settings: settings of the node.
 
         Raises:
             ValueError: a vehicle type cannot be used.

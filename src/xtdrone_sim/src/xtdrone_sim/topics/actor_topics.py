@@ -32,7 +32,7 @@ class ActorTopics:
     """Topics of the actors of a world; all methods are called in the simulator's thread.
 
     Attributes:
-        names: of all actors, in the order of the world.
+        names: names of all actors, in the order of the world.
     """
 
     def __init__(self, actors: Actors, now_us: Callable[[], int]) -> None:

@@ -34,7 +34,7 @@ class ModelStatesMessage:
 
         Args:
             names: names of the vehicles; those of absent ones are empty.
-            models: of the world.
+            models: models of the world.
         """
         self._present = None if all(names) else np.array([bool(name) for name in names])
         names = [name for name in names if name]

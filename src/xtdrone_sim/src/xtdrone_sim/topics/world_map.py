@@ -84,7 +84,7 @@ def floor_plan(world: SdfWorld, settings: FloorPlanSettings) -> NDArray[np.int8]
     free, but enclosed.
 
     Args:
-        world: with its models at the poses of its file.
+        world: world with its models at the poses of its file.
         settings: extent, resolution and heights of the plan.
 
     Raises:

@@ -55,7 +55,7 @@ def neighbours_of(own: int, antennas: Sequence[Antenna]) -> tuple[int, ...]:
 
     Args:
         own: index of the measuring antenna.
-        antennas: of a fleet, vehicle by vehicle.
+        antennas: antennas of a fleet, vehicle by vehicle.
 
     Returns:
         Indices, in the fleet's order.
@@ -102,7 +102,7 @@ def measure_ranges(
     Args:
         mount: the sensor.
         vehicle: name.
-        number: of the measurement since the start.
+        number: number of the measurement since the start.
         true: all neighbours, in the fleet's order.
         bias: m, added to every range.
         lost: further share of the ranges that are lost, 0..1.

@@ -147,7 +147,7 @@ def chosen_streams(settings: VideoSettings, fleet: Sequence[Vehicle], rate: floa
     Args:
         settings: see ``VideoSettings``.
         fleet: the vehicles.
-        rate: of all cameras, Hz; 0: as in their vehicles' files.
+        rate: rate of all cameras, Hz; 0: as in their vehicles' files.
 
     Raises:
         ValueError: see ``streams_of``.

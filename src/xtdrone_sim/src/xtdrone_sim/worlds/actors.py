@@ -130,7 +130,7 @@ class Actors:
     """All actors of a world.
 
     Attributes:
-        names: in the order of the world.
+        names: names in the order of the world.
     """
 
     def __init__(self, actors: Sequence[SdfActor], strides: Sequence[float]) -> None:

@@ -136,8 +136,8 @@ class Body:
         shapes: Bullet's bodies; one of a body with mass, none if nothing of it collides.
         corners: lowest and highest corner of each shape of the model (s, 2, 3), m, in ``frame``.
         box: lowest and highest corner of all (2, 3), m, in ``frame``.
-        pose: of the model in the world.
-        velocity: of the model's origin, m/s, world.
+        pose: pose of the model in the world.
+        velocity: velocity of the model's origin, m/s, world.
         spin: rad/s, world.
         held: step until which it is held where it was put.
         still_steps: steps at rest.
@@ -232,7 +232,7 @@ class Bodies:
     """All movable models of a world.
 
     Attributes:
-        by_number: by the model's number; see ``World.collisions``.
+        by_number: bodies by the model's number; see ``World.collisions``.
         awake: numbers of the bodies that Bullet moves.
         people: numbers of the bodies that are people.
         tied: by number, the numbers of all bodies that joints connect to it: they wake and sleep together.
@@ -265,9 +265,9 @@ class Bodies:
         """Create a body at a pose; one with mass is awake.
 
         Args:
-            number: of its model.
+            number: number of its model.
             model: its description; that of a driven body has its centre of mass at the origin.
-            pose: of the model in the world.
+            pose: pose of the model in the world.
             drive: what moves it; None: forces.
 
         Raises:
@@ -345,8 +345,8 @@ class Bodies:
         """Place a body.
 
         Args:
-            number: of its model.
-            pose: of the model in the world.
+            number: number of its model.
+            pose: pose of the model in the world.
             velocity, spin: of the model, m/s and rad/s, world.
             held: step until which it is held there.
         """

@@ -92,7 +92,7 @@ class Obstacles:
         """Compute boxes and grid.
 
         Args:
-            models: by number.
+            models: models by number.
 
         Raises:
             SdfError: a mesh file cannot be read.
@@ -216,7 +216,7 @@ def shape_array(client: BulletClient, shapes: Sequence[tuple[Geometry, Pose]], *
 
     Args:
         client: Bullet.
-        shapes: with their poses in the frame of the whole.
+        shapes: shapes with their poses in the frame of the whole.
         hollow: whether meshes stay concave; otherwise their convex hulls are used.
     """
     kinds = {Box: pybullet.GEOM_BOX, Sphere: pybullet.GEOM_SPHERE, Cylinder: pybullet.GEOM_CYLINDER}

@@ -37,7 +37,7 @@ class Walk:
 
         Args:
             actors: all people.
-            number: of the person.
+            number: number of the person.
             now_us: returns the simulated time at the beginning of a step, microseconds.
         """
         self._actors, self._number, self._now_us = actors, number, now_us
@@ -97,7 +97,7 @@ class SolidPeople:
         """Check that vehicles do not start inside people.
 
         Args:
-            names: of the vehicles by index.
+            names: names of the vehicles by index.
 
         Raises:
             StartError: one does.

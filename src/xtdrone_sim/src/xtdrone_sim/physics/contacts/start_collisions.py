@@ -43,7 +43,7 @@ def check_starts(
     Args:
         plant: (n,) ``PLANT``, the vehicles.
         models: (n,) ``MODEL``.
-        names: of the vehicles; those with an empty name are absent.
+        names: names of the vehicles; those with an empty name are absent.
         obstacles: shapes of the world's models.
         owners: names of these models.
         which: indices of the vehicles to check; None: all.
@@ -94,10 +94,10 @@ def check_height(ground: SolidGround, places: NDArray[np.float64], height: float
     """Check that a vehicle or robot starts above the heightmaps of a world.
 
     Args:
-        ground: of the world.
+        ground: ground of the world.
         places: (n, 2) m, map, points below it.
-        height: of its lowest point, m.
-        name: of the vehicle or robot.
+        height: height of its lowest point, m.
+        name: name of the vehicle or robot.
         gap: height of that point above the given start, m.
 
     Raises:

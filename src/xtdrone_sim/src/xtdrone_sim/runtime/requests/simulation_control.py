@@ -126,7 +126,7 @@ class _Asked:
         request: the step, the hold, the reset or the change.
         answer: future of the caller; None if the caller has been answered already.
         until: monotonic wall time at which the request times out, s.
-        caller: of a step: the node that asked for it.
+        caller: node that asked for a step.
     """
 
     request: StepRequest | Holder | Reset | WorldChange

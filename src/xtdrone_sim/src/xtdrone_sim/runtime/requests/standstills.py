@@ -22,7 +22,7 @@ class Holder:
     """Caller that holds time.
 
     Attributes:
-        name: of its node.
+        name: name of its node.
         connection: thread in which rospy serves the caller; the hold ends with it.
     """
 

@@ -22,7 +22,9 @@ class BodySensor(Settings):
 
     name: str = setting("", check=check_sensor_name, text="the topic is ``/VEHICLE/NAME``")
     frame_id: str = setting("", text="its frame, x ahead, ``VEHICLE/`` is prefixed; empty: NAME_frame")
-    position: tuple[float, float, float] = setting((0.0, 0.0, 0.0), low=-10.0, high=10.0, unit="m", text="in its link")
+    position: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.0), low=-10.0, high=10.0, unit="m", text="position in its link"
+    )
     rpy: tuple[float, float, float] = setting(
         (0.0, 0.0, 0.0), low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad", text="roll, pitch, yaw in its link"
     )

@@ -57,12 +57,12 @@ class CameraMount:
         frame_id: optical frame (x right, y down, z ahead), to be prefixed with ``VEHICLE/``; of a stereo pair, that of
             the left camera.
         kind: one of ``KINDS``.
-        pose: in the link; the camera looks along x, with z up in the image.
-        baseline: of a stereo pair, m; the left camera is at +y, the right one at -y.
+        pose: pose in the link; the camera looks along x, with z up in the image.
+        baseline: baseline of a stereo pair, m; the left camera is at +y, the right one at -y.
         range_min, range_max: depths outside are not measured, m.
         noise: standard deviation of a depth over its square, 1/m: that of stereo and structured light.
-        encoding: of depth images, one of ``ENCODINGS``: m, or mm as whole numbers.
-        seed: of the noises, together with vehicle and name.
+        encoding: encoding of depth images, one of ``ENCODINGS``: m, or mm as whole numbers.
+        seed: seed of the noises, together with vehicle and name.
         image_noise: standard deviation of each channel of colour images, in parts of full scale, as in Gazebo.
         lens: distortion of colour images; None: a pinhole.
         exposure: time for which the shutter is open, s; 0: an instant.

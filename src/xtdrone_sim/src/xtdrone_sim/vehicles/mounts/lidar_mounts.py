@@ -98,7 +98,7 @@ def read_lidars(lidars: Any, urdf: Description, folder: Path) -> tuple[LidarMoun
     Args:
         lidars: content of the list; None for no lidars.
         urdf: the vehicle's links.
-        folder: of the YAML; pattern files are relative to it.
+        folder: folder of the YAML; pattern files are relative to it.
 
     Raises:
         MountError: missing, unknown or invalid field, unknown link, missing file, or duplicate name or frame.

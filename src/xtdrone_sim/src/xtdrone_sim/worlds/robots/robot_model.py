@@ -152,7 +152,7 @@ class BoatModel:
     Attributes:
         limits: thrusters and drag.
         hull: its hull.
-        waves: of the water on which it floats.
+        waves: waves of the water on which it floats.
         platform: its platform, whose height is measured from the waterline; None without one.
     """
 

@@ -22,8 +22,8 @@ class WheelJoint(NamedTuple):
     Attributes:
         name: as in the joint states.
         parent, child: links.
-        position: of the child in the parent, m.
-        axis: in both.
+        position: position of the child in the parent, m.
+        axis: axis in both.
     """
 
     name: str
@@ -52,7 +52,7 @@ def wheel_frames(model: AnyRobot, states: Sequence[JointMotion]) -> list[tuple[s
 
     Args:
         model: type of the robot.
-        states: of ``Drive.joints``.
+        states: states of ``Drive.joints``.
     """
     angles = {state.name: state.angle for state in states}
     return [

@@ -46,7 +46,7 @@ class SdfLink:
 
     Attributes:
         name: unique in its model.
-        pose: in the model frame.
+        pose: pose in the model frame.
         visuals, collisions: shapes.
         inertial: mass; None: ``DEFAULT_INERTIAL``.
         gravity: whether it has weight.

@@ -33,7 +33,7 @@ class Element:
         tag: name with its prefix.
         attributes: as written.
         line: line of its start tag, from 1.
-        children: in document order.
+        children: children in document order.
         text: character data, without that of children.
         file: the file that contains the element.
     """

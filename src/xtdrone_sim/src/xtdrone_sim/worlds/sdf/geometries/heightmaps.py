@@ -40,8 +40,8 @@ def read_heightmap(path: Path, size: Vector, pos: Vector = (0.0, 0.0, 0.0), text
 
     Args:
         path: PNG or JPEG file of 8 or 16 bits; of a colour image, the red channel is used.
-        size: of the terrain along x, y and z, m.
-        pos: of its middle at the height 0, m.
+        size: size of the terrain along x, y and z, m.
+        pos: position of its middle at the height 0, m.
         texture: side of one texture, m.
 
     Raises:

@@ -28,7 +28,7 @@ def read_joint(element: Element, frames: dict[str, Pose]) -> SdfJoint:
     """Read a <joint> of a model.
 
     Args:
-        element: of a type in ``MOVING`` or "fixed".
+        element: element of a type in ``MOVING`` or "fixed".
         frames: pose of each link, and ``WORLD``, in the frame of the result.
 
     Raises:
@@ -113,7 +113,7 @@ def divide(model: SdfModel, joints: Sequence[SdfJoint]) -> tuple[list[SdfModel],
     """Divide a model into its rigid parts.
 
     Args:
-        model: with all links.
+        model: model with all links.
         joints: between its links, fixed ones too, in the model's frame.
 
     Returns:
