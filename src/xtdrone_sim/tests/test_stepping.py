@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xtdrone_sim.runtime.requests.mailbox import ClosedError, Mailbox
+from xtdrone_sim.mailbox import ClosedError, Mailbox
 from xtdrone_sim.runtime.requests.pacing import Pacer
 from xtdrone_sim.runtime.requests.simulation_control import (
     PATIENCE,

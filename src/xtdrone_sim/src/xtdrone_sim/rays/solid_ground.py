@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from xtdrone_control.poses import Pose, compose
 from xtdrone_sim.rays.scene import RayScene
 from xtdrone_sim.shapes.visual import Collision, Geometry, Mesh
+from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
 from xtdrone_sim.worlds.sdf.geometries.heightmaps import is_terrain
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
-from xtdrone_sim.worlds.sdf.world_records import SdfLink, SdfModel
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from xtdrone_control.poses import Pose, compose
 from xtdrone_sim.rays.tree import BOX, CYLINDER, SPHERE, SURFACE, TRIANGLE
 from xtdrone_sim.shapes.triangles import rotation_matrix, triangles_of
 from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Geometry, Mesh, Sphere, Visual
-from xtdrone_sim.worlds.sdf.world_records import SdfModel
+from xtdrone_sim.worlds.sdf import SdfModel
 
 _OPAQUE = 0.5  # minimum opacity of a visual that rays see
 

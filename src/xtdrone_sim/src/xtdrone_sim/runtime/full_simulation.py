@@ -35,10 +35,10 @@ from xtdrone_sim.effects import Effect, load_effects
 from xtdrone_sim.gazebo.models_by_name import Models
 from xtdrone_sim.gazebo.scene_topics import ModelTopics
 from xtdrone_sim.gazebo.services.model_services import GazeboServices
+from xtdrone_sim.mailbox import Mailbox
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT
 from xtdrone_sim.robots.robot_topics import RobotTopics
 from xtdrone_sim.runtime.launched_vehicles import launched_world, read_launched
-from xtdrone_sim.runtime.requests.mailbox import Mailbox
 from xtdrone_sim.runtime.simulator_interface import HEAD_START, Idle, index_of
 from xtdrone_sim.runtime.simulator_node import NodeSettings, close_all, log, run_node
 from xtdrone_sim.simulation import Simulation

@@ -10,7 +10,7 @@ from gazebo_msgs.msg import ModelStates
 from xtdrone_control.fleet import StartPose
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.rotation import Vector
-from xtdrone_sim.runtime.requests.mailbox import Mailbox
+from xtdrone_sim.mailbox import Mailbox
 
 Idle = Callable[[float], None]
 """Waits up to the given wall time, s, and meanwhile serves everything except the lockstep server."""

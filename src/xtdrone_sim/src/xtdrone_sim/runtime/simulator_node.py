@@ -28,10 +28,10 @@ from xtdrone_control.programs.log_output import survive_full_disk
 from xtdrone_control.programs.plain_node import init_plain_node
 from xtdrone_control.programs.under_roslaunch import announce, end_launch
 from xtdrone_control.settings import Settings, setting
+from xtdrone_sim.mailbox import Mailbox
 from xtdrone_sim.runtime.digest_file import DigestFile
 from xtdrone_sim.runtime.other_simulator import obstacle, ready_words, stale_uri
 from xtdrone_sim.runtime.requests.control_services import Services
-from xtdrone_sim.runtime.requests.mailbox import Mailbox
 from xtdrone_sim.runtime.requests.pacing import Pacer
 from xtdrone_sim.runtime.requests.simulation_control import Control, Reset
 from xtdrone_sim.runtime.requests.vehicle_services import VehicleServices

@@ -144,21 +144,21 @@ class Gimbals:
             models: one per vehicle.
         """
         self.records = np.zeros(len(models), GIMBAL)
-        for record, model in zip(self.records, models, strict=True):
-            if model.gimbal is not None:
-                _fit(record, model)
-        self._update_fitted()
-
-    def _update_fitted(self) -> None:
-        self._fitted: list[int] = np.flatnonzero(self.records["fitted"]).tolist()
-        self.any = bool(self._fitted)
+        for index, model in enumerate(models):
+            self.fit(index, model)
 
     def fit(self, index: int, model: VehicleModel | None) -> None:
         """Fit the vehicle ``index`` with the gimbal of a model, pointing ahead; None removes it."""
         self.records[index] = np.zeros(1, GIMBAL)[0]
-        if model is not None and model.gimbal is not None:
-            _fit(self.records[index], model)
-        self._update_fitted()
+        gimbal = None if model is None else model.gimbal
+        if gimbal is not None:
+            record = self.records[index]
+            record["fitted"], record["wanted"], record["rate"] = 1, math.nan, gimbal.rate
+            for k, (joint, sign) in enumerate(zip(gimbal.joints, gimbal.signs, strict=True)):
+                record["lower"][k], record["upper"][k] = sorted((sign * joint.lower, sign * joint.upper))
+                record["speed"][k] = joint.velocity
+        self._fitted: list[int] = np.flatnonzero(self.records["fitted"]).tolist()
+        self.any = bool(self._fitted)
 
     def reset(self, index: int) -> None:
         """Point the gimbal of vehicle ``index`` ahead, without a setpoint."""
@@ -185,17 +185,6 @@ class Gimbals:
             for i in self._fitted:
                 roll, pitch, yaw = self.records["attitude"][i].tolist()
                 commanders[i].navigator.payload.gimbal_attitude = (roll, pitch, yaw)
-
-
-def _fit(record: np.void, model: VehicleModel) -> None:
-    gimbal = model.gimbal
-    assert gimbal is not None
-    record["fitted"] = 1
-    record["wanted"] = math.nan
-    record["rate"] = gimbal.rate
-    for k, (joint, sign) in enumerate(zip(gimbal.joints, gimbal.signs, strict=True)):
-        record["lower"][k], record["upper"][k] = sorted((sign * joint.lower, sign * joint.upper))
-        record["speed"][k] = joint.velocity
 
 
 GEAR = np.dtype(

@@ -41,7 +41,7 @@ from xtdrone_control.programs.node_command_line import ArgumentError, check_mult
 from xtdrone_control.rotation import Vector
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_coordination.patterns import origin_columns
-from xtdrone_sim.runtime.requests.mailbox import Mailbox
+from xtdrone_sim.mailbox import Mailbox
 from xtdrone_sim.runtime.simulator_interface import HEAD_START, Idle, index_of
 from xtdrone_sim.runtime.simulator_node import NodeSettings, run_node
 from xtdrone_swarm.simplified.simplified_topics import SteeredVehicles, SwarmTopic, VehicleTopics

@@ -51,7 +51,7 @@ from xtdrone_control.communication.multirotor import RosLog
 from xtdrone_control.communication.setpoint import FRAME_LOCAL_NED, Setpoint, Vector
 from xtdrone_control.mavros.lib.px4_modes import ModeError, mode_name, mode_number
 from xtdrone_control.mavros.swarm_state_topic import FIELDS, TOPIC
-from xtdrone_sim.runtime.requests.mailbox import ClosedError, Mailbox
+from xtdrone_sim.mailbox import ClosedError, Mailbox
 from xtdrone_swarm.simplified.setpoints import SetpointError, Start, wanted
 from xtdrone_swarm.swarm_vehicles import HOLD, Vehicles
 

@@ -15,7 +15,7 @@ from xtdrone_sim.gazebo.models_by_name import Models
 from xtdrone_sim.gazebo.request_limits import RequestError, unknown
 from xtdrone_sim.gazebo.states import pose_message, relative_to, twist_message
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.worlds.sdf.world_records import DEFAULT_INERTIAL
+from xtdrone_sim.worlds.sdf import DEFAULT_INERTIAL
 from xtdrone_sim.worlds.urdf import Inertial
 
 

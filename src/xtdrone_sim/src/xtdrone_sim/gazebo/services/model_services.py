@@ -47,7 +47,7 @@ from xtdrone_sim.gazebo.request_limits import LONGEST_TEXT, RequestError
 from xtdrone_sim.gazebo.scene_topics import ModelTopics
 from xtdrone_sim.gazebo.services.model_queries import Queries
 from xtdrone_sim.gazebo.states import microseconds, read_pose, read_state, read_wrench
-from xtdrone_sim.runtime.requests.mailbox import ClosedError, Mailbox
+from xtdrone_sim.mailbox import ClosedError, Mailbox
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.worlds.sdf import SdfModel
 

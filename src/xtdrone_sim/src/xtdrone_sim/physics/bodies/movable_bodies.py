@@ -27,9 +27,9 @@ from xtdrone_sim.physics.contacts.contact_states import REST_SPEED, REST_STEPS
 from xtdrone_sim.physics.quiet_pybullet import BulletClient, pybullet
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT, FREE, TOUCHING
 from xtdrone_sim.shapes.visual import Geometry
+from xtdrone_sim.worlds.sdf import DEFAULT_INERTIAL, SdfModel
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
 from xtdrone_sim.worlds.sdf.models.rigid_links import MOST_SHAPES
-from xtdrone_sim.worlds.sdf.world_records import DEFAULT_INERTIAL, SdfModel
 from xtdrone_sim.worlds.urdf import combine_masses
 
 _log = logging.getLogger("rosout.simulation")  # a child of ROS's logger, see ``xml_elements``

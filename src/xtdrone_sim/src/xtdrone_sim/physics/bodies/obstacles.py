@@ -18,8 +18,8 @@ from xtdrone_sim.kernel import kernel
 from xtdrone_sim.physics.quiet_pybullet import BulletClient, pybullet
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT, FREE, TOUCHING
 from xtdrone_sim.shapes.visual import Box, Cylinder, Geometry, Mesh, Sphere
+from xtdrone_sim.worlds.sdf import SdfModel
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
-from xtdrone_sim.worlds.sdf.world_records import SdfModel
 
 _CELL = 8.0  # m, minimum side of a column
 _MOST_CELLS = 512  # along each axis

@@ -16,7 +16,7 @@ from xtdrone_sim.shapes.visual import Collision, Cylinder
 from xtdrone_sim.worlds import people_meshes
 from xtdrone_sim.worlds.actors import FASTEST, Actors, ActorState
 from xtdrone_sim.worlds.sdf import SdfActor, SdfLink, SdfModel
-from xtdrone_sim.worlds.sdf.world_records import Inertial
+from xtdrone_sim.worlds.urdf import Inertial
 
 RADIUS = 0.25
 """m: about half the breadth of shoulders."""

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_sim.runtime.requests.mailbox import ClosedError
+from xtdrone_sim.mailbox import ClosedError
 from xtdrone_sim.runtime.requests.pacing import Pacer, SpeedMeter
 from xtdrone_sim.runtime.requests.standstills import HoldAnswer, Holder, Holds, SlowParticipants
 from xtdrone_sim.runtime.requests.stepping import Goal, Outcome, StepError, Stepper

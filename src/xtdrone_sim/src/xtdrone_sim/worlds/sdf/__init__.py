@@ -2,6 +2,7 @@
 
 from xtdrone_sim.worlds.sdf.world_files import load_world_file, read_model, read_world, world_file, world_names
 from xtdrone_sim.worlds.sdf.world_records import (
+    DEFAULT_INERTIAL,
     Light,
     SdfActor,
     SdfError,
@@ -15,6 +16,7 @@ from xtdrone_sim.worlds.sdf.world_records import (
 from xtdrone_sim.worlds.sdf.world_writer import write_world
 
 __all__ = [
+    "DEFAULT_INERTIAL",
     "Light",
     "SdfActor",
     "SdfError",
