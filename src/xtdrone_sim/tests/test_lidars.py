@@ -68,7 +68,7 @@ def scan_of(mount: LidarMount, pose_at, number: int = 0):
         ({"position": [0, 0]}, "position: [0, 0] is not allowed, 3 numbers, -10 to 10 m"),
         ({"skew": "no"}, "skew: 'no' is not allowed, true or false"),
         ({"link": "nose"}, "link 'nose' does not exist"),
-        ({"colour": "red"}, "field 'colour' is not known; there are name, link, kind"),
+        ({"colour": "red"}, "is not allowed, a mapping with name, frame_id"),
         ({"name": "up down"}, "name: 'up down' is not allowed, letters, digits and underscores"),
         ({"pattern": "none.csv"}, "none.csv is not a file; rosette, or a CSV file, is allowed"),
     ],
@@ -76,7 +76,7 @@ def scan_of(mount: LidarMount, pose_at, number: int = 0):
 def test_what_a_description_refuses(change, words):
     with pytest.raises(MountError) as refused:
         read_lidars([{"name": "scan"}, {"name": "other", **change}], IRIS, Path())
-    assert str(refused.value).startswith("lidars, number 2 (")
+    assert str(refused.value).startswith("lidars, number 2")
     assert words in str(refused.value)
 
 
