@@ -8,12 +8,12 @@ from room_scans import ROOM, ranges
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import LaserScan
 
+from xtdrone_control.clouds import read_scan
+from xtdrone_control.poses import distance_between, inverse, moved, pose_of
 from xtdrone_perception.slam.deskewing import motion_of
 from xtdrone_perception.slam.laser.laser_odometry import LaserEstimate, LaserOdometry, LaserSweep, ScanMatchSettings
-from xtdrone_perception.slam.laser.laser_scans import read_scan
 from xtdrone_perception.slam.laser.scan_matching import normals_of
 from xtdrone_perception.slam.odometry_health import Fault, HealthLimits, fault_of, figures_of
-from xtdrone_perception.slam.poses import distance_between, inverse, moved, pose_of
 
 ANGLES = np.linspace(-np.pi, np.pi, 512, endpoint=False)
 RAYS = np.stack([np.cos(ANGLES), np.sin(ANGLES), 0.0 * ANGLES], axis=1)

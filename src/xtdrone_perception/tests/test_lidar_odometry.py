@@ -10,12 +10,12 @@ from room_scans import PERIOD, ROOM, room_scan
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2, PointField
 
+from xtdrone_control.clouds import read_cloud
+from xtdrone_control.poses import inverse, pose_of, pose_of_vector, predicted_pose, vector_of
 from xtdrone_perception.slam.deskewing import deskewed, motion_of
 from xtdrone_perception.slam.lidar_odometry import LidarOdometry, RegistrationOptions
 from xtdrone_perception.slam.lidar_odometry_node import LidarHealthLimits
-from xtdrone_perception.slam.odometry_health import Fault, Health, ScanFigures, State, fault_of, figures_of
-from xtdrone_perception.slam.poses import inverse, pose_of, pose_of_vector, predicted_pose, vector_of
-from xtdrone_perception.slam.scan_points import read_cloud
+from xtdrone_perception.slam.odometry_health import Fault, Health, OdometryState, ScanFigures, fault_of, figures_of
 
 OPTIONS = RegistrationOptions(spacing=0.5)
 GOOD = ScanFigures(1000, 0.9, 0.5, 0.1, 0.01, 0.01, 0, 100)
@@ -131,13 +131,13 @@ def test_each_fault_is_named(change: dict, fault: Fault | None) -> None:
 def test_a_bad_scan_is_left_out_two_end_the_odometry_and_ten_good_ones_bring_it_back() -> None:
     health = Health(LidarHealthLimits())
     assert health.on_scan(0.1, None)
-    assert health.state is State.GOOD
+    assert health.state is OdometryState.GOOD
     assert not health.on_scan(0.2, Fault.RESIDUAL)
-    assert health.state is State.GOOD
+    assert health.state is OdometryState.GOOD
     assert health.on_scan(0.3, None)
     assert not health.on_scan(0.4, Fault.RESIDUAL)
     assert not health.on_scan(0.5, Fault.BLIND)
-    assert (health.state, health.fault) == (State.LOST, Fault.BLIND)
+    assert (health.state, health.fault) == (OdometryState.LOST, Fault.BLIND)
     passed = [health.on_scan(0.6 + 0.1 * k, None) for k in range(10)]
     assert passed == [False] * 9 + [True]
 
@@ -145,12 +145,12 @@ def test_a_bad_scan_is_left_out_two_end_the_odometry_and_ten_good_ones_bring_it_
 def test_silence_is_a_fault() -> None:
     health = Health(LidarHealthLimits())
     health.on_time(5.0)
-    assert health.state is State.WAITING
+    assert health.state is OdometryState.WAITING
     health.on_scan(5.0, None)
     health.on_time(5.3)
-    assert health.state is State.GOOD
+    assert health.state is OdometryState.GOOD
     health.on_time(5.4)
-    assert (health.state, health.fault) == (State.LOST, Fault.SILENT)
+    assert (health.state, health.fault) == (OdometryState.LOST, Fault.SILENT)
 
 
 def cloud(points: np.ndarray, fields: list[PointField], step: int) -> PointCloud2:

@@ -7,9 +7,9 @@ import pytest
 from room_scans import directions, ranges
 from scipy.spatial.transform import Rotation
 
+from xtdrone_control.poses import inverse, pose_of, pose_of_vector
 from xtdrone_perception.slam.loops.loop_closure import LoopClosure, LoopOptions
 from xtdrone_perception.slam.loops.pose_graph import Edge, optimised
-from xtdrone_perception.slam.poses import inverse, pose_of, pose_of_vector
 
 RNG = np.random.default_rng(0)
 FINE = np.diag([1e4] * 3 + [1e5] * 3)

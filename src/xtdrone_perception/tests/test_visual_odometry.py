@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from xtdrone_control.poses import distance_between, inverse, moved, pose_of, rotation_of
 from xtdrone_perception.slam.odometry_health import Fault, fault_of, figures_of
-from xtdrone_perception.slam.poses import distance_between, inverse, moved, pose_of, rotation_of
 from xtdrone_perception.slam.visual.camera_model import BodyCamera
 from xtdrone_perception.slam.visual.corner_tracks import TrackSettings, depth_at
 from xtdrone_perception.slam.visual.pose_from_points import NoiseSettings, Sigmas, solve

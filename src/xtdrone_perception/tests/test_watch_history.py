@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_perception.detection.camera_watch import CameraWatch
-from xtdrone_perception.tracking.pose_history import PoseHistory
+from xtdrone_control.pose_history import PoseHistory
+from xtdrone_perception.detection.yolo_node import CameraWatch
 
 
 def yaw(angle: float) -> list[float]:

@@ -16,12 +16,11 @@ from xtdrone_planning.navigation.action_server import action_goals, action_topic
 from xtdrone_planning.navigation.action_server.action_goals import ActionGoals
 from xtdrone_planning.navigation.dynamic_window import AT_REST, Motion, choose, moved, window
 from xtdrone_planning.navigation.global_path import GlobalSearch, PathError
-from xtdrone_planning.navigation.level_map import INSCRIBED, LETHAL, UNKNOWN, LevelMap, MapError
+from xtdrone_planning.navigation.level_map import INSCRIBED, LETHAL, UNKNOWN, LevelMap, MapError, ScanRays
 from xtdrone_planning.navigation.navigator import ABORTED, SUCCEEDED, WAITING, Navigator, Turn
-from xtdrone_planning.navigation.scan_rays import ScanRays
 from xtdrone_planning.navigation.settings import (
     CostmapSettings,
-    GoalError,
+    NavigationGoalError,
     NavigatorSettings,
     WindowSettings,
     check_reach,
@@ -255,7 +254,7 @@ def test_an_obstacle_that_was_there_once_is_forgotten_by_the_recovery():
 def test_goals_that_are_not_allowed_leave_the_present_one(goal):
     drive = Drive(a_map(), (3.0, 3.0, 0.0))
     drive.navigator.set_goal(np.array([15.0, 10.0, 0.0]))
-    with pytest.raises(GoalError, match="is not allowed, finite numbers within"):
+    with pytest.raises(NavigationGoalError, match="is not allowed, finite numbers within"):
         drive.navigator.set_goal(np.array(goal))
     assert np.allclose(drive.navigator.goal, [15.0, 10.0, 0.0])
 

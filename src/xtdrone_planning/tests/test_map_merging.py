@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from toy_yard import pairs, seen, yard
 
-from xtdrone_perception.slam.poses import angle_between, distance_between, inverse, pose_of, transformed, turned_about_z
+from xtdrone_control.poses import angle_between, distance_between, inverse, pose_of, transformed, turned_about_z
 from xtdrone_planning.merging.frame_links import Link, Pairs, link_of
 from xtdrone_planning.merging.map_chain import merged, merged_points
 from xtdrone_planning.merging.map_registration import Fit, fit_of, surfaces_of

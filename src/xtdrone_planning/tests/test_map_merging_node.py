@@ -18,9 +18,9 @@ from scipy.spatial.transform import Rotation
 from toy_yard import seen, way, yard
 
 from xtdrone_control import lockstep
+from xtdrone_control.clouds import read_cloud
+from xtdrone_control.poses import inverse, pose_of, transformed, turned_about_z
 from xtdrone_perception.slam.odometry_messages import cloud, pose_message, stamped
-from xtdrone_perception.slam.poses import inverse, pose_of, transformed, turned_about_z
-from xtdrone_perception.slam.scan_points import read_cloud
 from xtdrone_planning.octree.octree_format import read_file
 
 try:

@@ -8,17 +8,9 @@ import numpy as np
 import pytest
 from sensor_msgs.msg import PointCloud2, PointField
 
-from xtdrone_planning.mapping.local_map import LocalMap
-from xtdrone_planning.mapping.range_images import (
-    DepthImages,
-    DepthMapping,
-    LidarImages,
-    LidarMapping,
-    RangeImage,
-    ScanError,
-    points_of,
-)
-from xtdrone_planning.mapping.voxel_grid import MapSettings
+from xtdrone_control.clouds import ScanError, points_of
+from xtdrone_planning.mapping.range_images import DepthImages, DepthMapping, LidarImages, LidarMapping, RangeImage
+from xtdrone_planning.mapping.voxel_grid import LocalMap, MapSettings
 
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("time", "<f4")])
 LIDAR = LidarMapping(columns=64, channels=4, vertical_min=-0.2, vertical_max=0.2)

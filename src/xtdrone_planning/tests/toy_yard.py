@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_perception.slam.poses import inverse, pose_of, transformed, turned_about_z
+from xtdrone_control.poses import inverse, pose_of, transformed, turned_about_z
 from xtdrone_planning.merging.frame_links import Pairs
 
 Array = NDArray[np.float64]

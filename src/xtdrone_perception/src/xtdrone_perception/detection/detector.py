@@ -40,7 +40,7 @@ class Detection:
 
     Attributes:
         class_id: index of the class, from 0.
-        name: of the class.
+        name: Name of the class.
         probability: 0 to 1.
         xmin, ymin, xmax, ymax: px from the left and upper edges, within the image.
     """
@@ -178,7 +178,7 @@ class Detector:
     """A network that detects objects, one image at a time.
 
     Attributes:
-        names: of the classes.
+        names: Names of the classes.
         settings: as given, with the layout and input size filled in.
     """
 

@@ -129,7 +129,7 @@ class RelativeFilter:
         Args:
             measured: m.
             deviation: standard deviation, m.
-            lever: of the antennas from the origins: the neighbour's minus this vehicle's, (3,) m.
+            lever: Lever of the antennas from the origins: the neighbour's minus this vehicle's, (3,) m.
         """
         if not (math.isfinite(measured) and measured > 0.0 and math.isfinite(deviation)):
             return
@@ -152,7 +152,7 @@ class RelativeFilter:
         Args:
             azimuth, elevation: in the sensor's frame, rad.
             deviation: standard deviation of both, rad.
-            attitude: of the sensor's frame in map, (3, 3).
+            attitude: Attitude of the sensor's frame in map, (3, 3).
             lever: as in ``add_range``, (3,) m.
             measured: range of the same time, m.
         """

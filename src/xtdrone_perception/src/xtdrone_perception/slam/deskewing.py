@@ -52,7 +52,7 @@ def deskewed(points: Array, times: Array, motion: ScanMotion) -> Array:
     Args:
         points: (n, 3) m, each in the body's frame at its own time.
         times: (n,) s after the first ray.
-        motion: of the body.
+        motion: Motion of the body.
     """
     turn = np.stack([np.interp(times, motion.times, column) for column in motion.turns.T], axis=1)
     once = np.cross(turn, points)

@@ -20,12 +20,12 @@ import small_gicp
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from xtdrone_control.clouds import PointScan
+from xtdrone_control.poses import pose_of
 from xtdrone_control.settings import Settings, setting
 
 from .deskewing import ScanMotion, deskewed
 from .odometry_health import Estimate
-from .poses import pose_of
-from .scan_points import PointScan
 
 Array = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ class _Map:
     """A map of Gaussians with shifted voxels.
 
     Attributes:
-        gaussians: in the shifted frame.
+        gaussians: Gaussians in the shifted frame.
     """
 
     def __init__(self, settings: RegistrationOptions, shift: float) -> None:
@@ -117,7 +117,7 @@ class LidarOdometry:
         """Start with an empty map.
 
         Args:
-            settings: of the registration.
+            settings: Settings of the registration.
             lidar: (4, 4) pose of the lidar in the body.
             start: (4, 4) pose of the body in the map.
         """

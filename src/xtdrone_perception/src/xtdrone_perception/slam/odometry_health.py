@@ -8,9 +8,8 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.poses import angle_between, distance_between
 from xtdrone_control.settings import Settings, setting
-
-from .poses import angle_between, distance_between
 
 Array = NDArray[np.float64]
 
@@ -32,8 +31,8 @@ class Fault(Enum):
         return self.value.format(noun=noun)
 
 
-class State(Enum):
-    """State of the odometry."""
+class OdometryState(Enum):
+    """OdometryState of the odometry."""
 
     WAITING = "waiting for the first {noun}"
     GOOD = "good"
@@ -166,19 +165,19 @@ def fault_of(figures: ScanFigures, limits: HealthLimits) -> Fault | None:
 
 @dataclass
 class Health:
-    """State of the odometry over time.
+    """OdometryState of the odometry over time.
 
     Bad scans are never published. After ``patience`` of them, or silence, odometry counts as lost, and as good again
     after ``recovery`` good scans.
 
     Attributes:
-        limits: of the supervision.
-        state: of the odometry.
-        fault: of the last scan, or the reason why odometry is lost.
+        limits: Limits of the supervision.
+        state: State of the odometry.
+        fault: Fault of the last scan, or the reason why odometry is lost.
     """
 
     limits: HealthLimits
-    state: State = State.WAITING
+    state: OdometryState = OdometryState.WAITING
     fault: Fault | None = None
     _bad: int = field(default=0, repr=False)
     _good: int = field(default=0, repr=False)
@@ -189,18 +188,18 @@ class Health:
 
         Args:
             now: time, s.
-            fault: of the scan.
+            fault: Fault of the scan.
         """
         self._last = now
         if fault is not None:
             self._good, self._bad, self.fault = 0, self._bad + 1, fault
-            if self._bad >= self.limits.patience or self.state is State.WAITING:
-                self.state = State.LOST
+            if self._bad >= self.limits.patience or self.state is OdometryState.WAITING:
+                self.state = OdometryState.LOST
             return False
         self._bad, self._good = 0, self._good + 1
-        if self.state is State.LOST and self._good < self.limits.recovery:
+        if self.state is OdometryState.LOST and self._good < self.limits.recovery:
             return False
-        self.state, self.fault = State.GOOD, None
+        self.state, self.fault = OdometryState.GOOD, None
         return True
 
     def on_time(self, now: float) -> None:
@@ -210,4 +209,4 @@ class Health:
             now: time, s.
         """
         if self._last is not None and now - self._last > self.limits.silence and self.fault is not Fault.SILENT:
-            self.state, self.fault, self._good = State.LOST, Fault.SILENT, 0
+            self.state, self.fault, self._good = OdometryState.LOST, Fault.SILENT, 0

@@ -38,14 +38,14 @@ from xtdrone_control.bounded_file import ContentError
 from xtdrone_control.cameras.camera_pose import CameraPose
 from xtdrone_control.frames import to_xyzw
 from xtdrone_control.lockstep.deferred_work import Deferred
+from xtdrone_control.pose_history import PoseHistory
 from xtdrone_control.programs.node_command_line import ArgumentError
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_control.tag_boards import TagBoard, boards_of
-from xtdrone_perception.image_arrays import grey_of
-from xtdrone_perception.tags.mounted_camera import in_map, optical_frame, quaternion, up_in
+from xtdrone_control.vehicle_topics import VehicleTopics
+from xtdrone_perception.images import grey_of
 from xtdrone_perception.tags.tag_detector import SeenTag, TagDetector, TagDetectorSettings
-from xtdrone_perception.tags.tag_poses import BoardPose, Optics, board_pose
-from xtdrone_perception.tracking.pose_history import PoseHistory
+from xtdrone_perception.tags.tag_poses import BoardPose, Optics, board_pose, in_map, optical_frame, quaternion, up_in
 
 RATE = 50.0  # Hz
 _WARNING_PERIOD = 10.0  # s
@@ -83,7 +83,7 @@ class AprilTagOptions(Settings):
     latency: float = setting(0.04, low=0.0, high=10.0, unit="s", text="simulated time from an image to its results")
 
 
-class Picture(NamedTuple):
+class GreyPicture(NamedTuple):
     """An image to be searched."""
 
     header: Header
@@ -113,35 +113,28 @@ class VehicleTags:
         """Declare the topics.
 
         Args:
-            name: of the vehicle.
-            options: of the node.
-            boards: to look for.
+            name: Name of the vehicle.
+            options: Options of the node.
+            boards: Boards to look for.
             tf: publisher of /tf.
         """
         self.name = name
         self._options, self._boards, self._tf = options, boards, tf
-        self._poses = PoseHistory()
+        self._poses = PoseHistory(scalar_last=True)
         self._restart()
         self._detections = lockstep.Publisher(f"/{name}/tag_detections", AprilTagDetectionArray)
         self._target = lockstep.Publisher(f"/{name}/mavros/landing_target/pose", PoseStamped)
-        lockstep.Subscriber(f"/{name}/mavros/local_position/pose", PoseStamped, self._on_pose)
+        VehicleTopics(name, "pose", poses=self._poses)
         lockstep.Subscriber(f"/{name}/{options.camera}/camera_info", CameraInfo, self._on_info)
         lockstep.Subscriber(f"/{name}/{options.camera}/image_raw", Image, self._on_image, queue_size=2, buff_size=2**24)
         lockstep.add_reset_hook(self._restart)
 
     def _restart(self) -> None:
-        self._poses.clear()
         self._optics: Optics | None = None
-        self._waiting: Picture | None = None
+        self._waiting: GreyPicture | None = None
         self._working = False
 
     # messages
-
-    def _on_pose(self, message: PoseStamped) -> None:
-        p, q = message.pose.position, message.pose.orientation
-        entry = np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
-        if np.isfinite(entry).all() and abs(entry[3:] @ entry[3:] - 1.0) < 0.01:
-            self._poses.add(message.header.stamp.to_nsec(), entry)
 
     def _on_info(self, message: CameraInfo) -> None:
         try:
@@ -151,13 +144,13 @@ class VehicleTags:
 
     def _on_image(self, message: Image) -> None:
         try:
-            self._waiting = Picture(message.header, grey_of(message))
+            self._waiting = GreyPicture(message.header, grey_of(message))
         except ValueError as error:
             rospy.logwarn_throttle(_WARNING_PERIOD, f"{self.name}: image ignored: {error}")
 
     # steps
 
-    def take(self) -> Picture | None:
+    def take(self) -> GreyPicture | None:
         """Return the next image to search, None if there is none or one is being searched."""
         if self._working or self._waiting is None:
             return None
@@ -165,7 +158,7 @@ class VehicleTags:
         self._working = True
         return picture
 
-    def finish(self, picture: Picture, seen: Sequence[SeenTag]) -> None:
+    def finish(self, picture: GreyPicture, seen: Sequence[SeenTag]) -> None:
         """Publish the results of an image."""
         self._working = False
         header = picture.header
@@ -195,8 +188,8 @@ class VehicleTags:
         if entry is None:
             rospy.logwarn_throttle(_WARNING_PERIOD, f"{self.name}: no pose at the exposure: no landing target")
             return None
-        px, py, pz, qx, qy, qz, qw = entry.tolist()
-        return optical_frame((px, py, pz), (qw, qx, qy, qz), self._options.camera_offset, self._options.camera_rpy)
+        position, attitude = entry[:3].tolist(), entry[3:].tolist()
+        return optical_frame(position, attitude, self._options.camera_offset, self._options.camera_rpy)
 
 
 class AprilTagNode:
@@ -209,7 +202,7 @@ class AprilTagNode:
             kind: vehicle type, as ``iris_downward_camera``.
             ids: numbers of the vehicles.
             options: shared by the vehicles.
-            settings: of the detector.
+            settings: Settings of the detector.
 
         Raises:
             ArgumentError: the boards are unusable.

@@ -48,7 +48,7 @@ class Decision:
         state: its name, for reports.
         goal: (2,) m in map, new goal for the planner; None: no change.
         route: (n, 2) m in map, path to the target.
-        messages: to send to the other vehicles.
+        messages: Messages to send to the other vehicles.
     """
 
     state: str
@@ -71,8 +71,8 @@ class Explorer:
         """Start with an unknown floor.
 
         Args:
-            settings: of the exploration.
-            name: of the vehicle.
+            settings: Settings of the exploration.
+            name: Name of the vehicle.
             fleet: names of all exploring vehicles.
         """
         self._settings = settings

@@ -35,6 +35,8 @@ from std_msgs.msg import String
 from xtdrone_msgs.msg import RegionShare, SharedFloor
 
 from xtdrone_control import lockstep
+from xtdrone_control.clouds import ScanError
+from xtdrone_control.vehicle_topics import VehicleTopics
 from xtdrone_planning.exploration.choice_of_frontier import HOME, STRANDED, Decision, Explorer
 from xtdrone_planning.exploration.exploration_messages import (
     FloorError,
@@ -46,7 +48,6 @@ from xtdrone_planning.exploration.exploration_messages import (
 )
 from xtdrone_planning.exploration.settings import ExplorationSettings
 from xtdrone_planning.mapping.map_messages import FRAME
-from xtdrone_planning.mapping.range_images import ScanError
 
 RATE = 2.0  # Hz
 
@@ -64,9 +65,9 @@ class VehicleExplorer:
         """Declare the topics.
 
         Args:
-            name: of the vehicle.
+            name: Name of the vehicle.
             fleet: names of all exploring vehicles.
-            settings: of the exploration.
+            settings: Settings of the exploration.
         """
         self._name, self._fleet, self._settings = name, tuple(fleet), settings
         self._goal = lockstep.Publisher(f"/{name}/planner/goal", PoseStamped)
@@ -79,7 +80,7 @@ class VehicleExplorer:
         lockstep.Subscriber(f"/{name}/map/occupied", PointCloud2, self._on_occupied)
         lockstep.Subscriber(f"/{name}/map/slice", OccupancyGrid, self._on_slice)
         lockstep.Subscriber(f"/{name}/planner/state", String, self._on_planner)
-        lockstep.Subscriber(f"/{name}/mavros/local_position/pose", PoseStamped, self._on_pose)
+        self._vehicle = VehicleTopics(name, "pose")
         lockstep.Subscriber(f"/{name}/radio/exploration/floor", SharedFloor, self._on_floor)
         lockstep.Subscriber(f"/{name}/radio/exploration/share", RegionShare, self._on_share)
         lockstep.add_reset_hook(self._restart)
@@ -89,8 +90,7 @@ class VehicleExplorer:
         """Begin again, because simulated time was reset."""
         self._explorer = Explorer(self._settings, self._name, self._fleet)
         self._count = self._explorer.region_count
-        self._position: np.ndarray | None = None
-        self._posed = self._sliced = self._told = -math.inf
+        self._sliced = self._told = -math.inf
         self._occupied: PointCloud2 | None = None
         self._planner = self._published = ""
 
@@ -105,12 +105,6 @@ class VehicleExplorer:
 
     def _on_planner(self, message: String) -> None:
         self._planner = message.data
-
-    def _on_pose(self, message: PoseStamped) -> None:
-        place = message.pose.position
-        if all(map(math.isfinite, (place.x, place.y))):
-            self._position = np.array([place.x, place.y])
-            self._posed = message.header.stamp.to_sec()
 
     def _on_occupied(self, message: PointCloud2) -> None:
         self._occupied = message
@@ -150,13 +144,14 @@ class VehicleExplorer:
         """Run one update; call it at 2 Hz."""
         stamp = rospy.Time.now()
         now = stamp.to_sec()
-        if self._position is None or now - self._posed > _STALE:
+        pose = self._vehicle.recent_pose(now, _STALE)
+        if pose is None:
             self._report(stamp, 2, "no position from the autopilot")
             return
         if now - self._sliced > _STALE and self._explorer.state != HOME:
             self._report(stamp, 1, "no local map at flight height from the planner")
             return
-        decision = self._explorer.step(now, self._position, self._planner)
+        decision = self._explorer.step(now, pose[:2], self._planner)
         height = self._settings.flight_height
         if decision.goal is not None:
             self._send_goal(decision, stamp)

@@ -33,13 +33,13 @@ class Share:
     Attributes:
         vehicle: sender.
         kind: STATE, PROPOSAL, ACCEPTANCE or REFUSAL.
-        number: of the sender's set of regions (STATE), or of the proposal.
+        number: Number of the sender's set of regions (STATE), or of the proposal.
         partner: recipient; empty: all.
-        base: of a proposal: number of the partner's set on which it is based.
+        base: Base of a proposal: number of the partner's set on which it is based.
         place: position of the sender, x, y, m in map.
         target: position to which it flies, likewise; its own position if there is none.
-        regions: of the sender; in a proposal, those that it would own.
-        partner_regions: in a proposal, those that the partner would own.
+        regions: Regions of the sender; in a proposal, those that it would own.
+        partner_regions: Partner regions in a proposal, those that the partner would own.
     """
 
     vehicle: str
@@ -74,7 +74,7 @@ class Sharing:
         """Start: the fleet's first vehicle owns all regions.
 
         Args:
-            name: of the vehicle.
+            name: Name of the vehicle.
             fleet: names of all exploring vehicles.
             count: number of regions.
             lost_after: s, see ``lost``.

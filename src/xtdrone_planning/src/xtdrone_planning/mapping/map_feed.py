@@ -19,23 +19,14 @@ from typing import Protocol
 
 import numpy as np
 import rospy
-from geometry_msgs.msg import Pose, PoseStamped
-from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from xtdrone_control import lockstep
+from xtdrone_control.clouds import ScanError, depths_of, points_of
+from xtdrone_control.pose_history import PoseHistory
 from xtdrone_control.settings import Settings, setting
-from xtdrone_perception.tracking.pose_history import PoseHistory
-from xtdrone_planning.mapping.map_messages import depths_of
-from xtdrone_planning.mapping.range_images import (
-    DepthImages,
-    DepthMapping,
-    LidarImages,
-    LidarMapping,
-    RangeImage,
-    ScanError,
-    points_of,
-)
+from xtdrone_control.vehicle_topics import VehicleTopics
+from xtdrone_planning.mapping.range_images import DepthImages, DepthMapping, LidarImages, LidarMapping, RangeImage
 from xtdrone_planning.mapping.sensor_watch import SensorWatch
 
 _INTRINSICS = (0, 4, 2, 5)  # fx, fy, cx, cy in K
@@ -94,27 +85,12 @@ class MapFeed:
         self._mount = lidar.lidar_position if sensor == "lidar" else depth.depth_position
         self._lidar, self._depth = LidarImages(lidar), DepthImages(depth)
         self._intrinsics: tuple[float, float, float, float] | None = None
-        if odometry:
-            lockstep.Subscriber(f"/{vehicle}/{odometry}/odometry", Odometry, self._on_odometry)
-        else:
-            lockstep.Subscriber(f"/{vehicle}/mavros/local_position/pose", PoseStamped, self._on_pose)
+        VehicleTopics(vehicle, "pose", poses=fed_map.poses, odometry=odometry)
         if sensor == "lidar":
             lockstep.Subscriber(f"/{vehicle}/{lidar.lidar_topic}", PointCloud2, self._on_cloud, queue_size=1)
         else:
             lockstep.Subscriber(f"/{vehicle}/{depth.depth_topic}/camera_info", CameraInfo, self._on_info, queue_size=1)
             lockstep.Subscriber(f"/{vehicle}/{depth.depth_topic}/image_raw", Image, self._on_image, queue_size=1)
-
-    def _on_pose(self, message: PoseStamped) -> None:
-        self._add_pose(message.header.stamp.to_nsec(), message.pose)
-
-    def _on_odometry(self, message: Odometry) -> None:
-        self._add_pose(message.header.stamp.to_nsec(), message.pose.pose)
-
-    def _add_pose(self, stamp_ns: int, pose: Pose) -> None:
-        p, q = pose.position, pose.orientation
-        entry = np.array([p.x, p.y, p.z, q.w, q.x, q.y, q.z])
-        if np.isfinite(entry).all():
-            self._map.poses.add(stamp_ns, entry)
 
     def _on_info(self, message: CameraInfo) -> None:
         fx, fy, cx, cy = (float(message.K[n]) for n in _INTRINSICS)

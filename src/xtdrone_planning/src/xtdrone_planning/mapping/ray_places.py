@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control import rotation_kernels
-from xtdrone_perception.tracking.pose_history import PoseHistory
+from xtdrone_control.pose_history import PoseHistory
 from xtdrone_planning.kernel import kernel
 from xtdrone_planning.mapping.range_images import RangeImage
 
@@ -35,12 +35,7 @@ class PlacedRays(NamedTuple):
 
 
 def rays_in_map(
-    image: RangeImage,
-    stamp_ns: int,
-    mount: tuple[float, float, float],
-    poses: PoseHistory,
-    *,
-    by_columns: bool = False,
+    image: RangeImage, stamp_ns: int, mount: tuple[float, float, float], poses: PoseHistory, *, by_columns: bool = False
 ) -> PlacedRays | None:
     """Return the rays of a measurement, each from the vehicle's pose at the time of the ray.
 
@@ -48,7 +43,7 @@ def rays_in_map(
         image: the rays.
         stamp_ns: time of the image, ns.
         mount: the sensor's place in base_link, m, FLU.
-        poses: of base_link, entries x, y, z, m in map, and quaternion w, x, y, z.
+        poses: Poses of base_link, entries x, y, z, m in map, and quaternion w, x, y, z.
         by_columns: see ``RangeImage.rays``.
 
     Returns:

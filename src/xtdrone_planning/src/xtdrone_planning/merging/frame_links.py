@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_perception.slam.poses import inverse, pose_of, transformed, turned_about_z, yaw_of
+from xtdrone_control.poses import inverse, pose_of, transformed, turned_about_z, yaw_of
 from xtdrone_planning.merging.settings import LinkSettings, NotMergedError
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ import small_gicp
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from xtdrone_perception.slam.poses import transformed
+from xtdrone_control.poses import transformed
 from xtdrone_planning.merging.frame_links import Link
 from xtdrone_planning.merging.settings import FitSettings, NotMergedError
 
@@ -32,8 +32,8 @@ class Surfaces(NamedTuple):
     """A map prepared for registration.
 
     Attributes:
-        cloud: of small_gicp, with covariances.
-        tree: of small_gicp.
+        cloud: Cloud of small_gicp, with covariances.
+        tree: Tree of small_gicp.
         upright: (m, 3) m, its points on vertical surfaces.
         normals: (m, 3) of these.
     """
@@ -65,7 +65,7 @@ def surfaces_of(points: Array, settings: FitSettings) -> Surfaces | None:
 
     Args:
         points: (n, 3) m, finite.
-        settings: of the registration.
+        settings: Settings of the registration.
     """
     if len(points) < _LEAST_POINTS:
         return None
@@ -84,7 +84,7 @@ def fit_of(first: Surfaces | None, second: Surfaces | None, link: Link, settings
     Args:
         first, second: the maps.
         link: pose of the second in the first by relative estimates.
-        settings: of the registration.
+        settings: Settings of the registration.
 
     Raises:
         NotMergedError: the maps do not match.

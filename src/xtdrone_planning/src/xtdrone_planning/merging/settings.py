@@ -79,8 +79,7 @@ class MergingOptions(Settings):
 
     cloud: str = setting("octomap_point_cloud_centers", text="topic of each vehicle's map, below its name")
     odometry: str = setting(
-        "",
-        text="odometry that defines the map's frame: lidar_odometry, slam, ...; empty: the autopilot's estimate",
+        "", text="odometry that defines the map's frame: lidar_odometry, slam, ...; empty: the autopilot's estimate"
     )
     frame_id: str = setting("map", text="frame of the merged map, which is that of the first vehicle's map")
     interval: float = setting(

@@ -214,11 +214,11 @@ def best_motion(
         pose: (3,) x, y, m, yaw, rad.
         speeds, rates: of the window, m/s and rad/s.
         horizon: s; a motion is checked for longer if stopping takes longer.
-        acceleration: of braking, m/s^2.
+        acceleration: Acceleration of braking, m/s^2.
         clearance: minimum distance to obstacles, m.
         path: (n, 2) m, n at least 1.
         target: (2,) m.
-        weights: of heading, progress, distance to the path (1/m), clearance and speed (s/m).
+        weights: Weights of heading, progress, distance to the path (1/m), clearance and speed (s/m).
 
     Returns:
         (found, speed, rate).

@@ -42,27 +42,26 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import LaserScan
 
 from xtdrone_control import lockstep
+from xtdrone_control.pose_history import PoseHistory
 from xtdrone_control.rotation import from_euler, yaw_of
 from xtdrone_control.settings import SettingError, Settings, setting
-from xtdrone_perception.tracking.pose_history import PoseHistory
-from xtdrone_planning.mapping.map_messages import FRAME
+from xtdrone_planning.mapping.map_messages import FRAME, grid_message
 from xtdrone_planning.mapping.sensor_watch import SensorWatch, WatchSettings
 from xtdrone_planning.navigation.action_server.action_goals import ABORTED, SUCCEEDED
 from xtdrone_planning.navigation.action_server.action_topics import ActionTopics
-from xtdrone_planning.navigation.level_map import LevelMap, MapError
+from xtdrone_planning.navigation.level_map import LevelMap, MapError, ScanRays
 from xtdrone_planning.navigation.move_base_services import MoveBaseServices
 from xtdrone_planning.navigation.navigator import ABORTED as GAVE_UP
 from xtdrone_planning.navigation.navigator import PLANNING, Navigator, Turn
-from xtdrone_planning.navigation.scan_rays import ScanRays
 from xtdrone_planning.navigation.settings import (
     CostmapSettings,
-    GoalError,
+    NavigationGoalError,
     NavigatorSettings,
     WindowSettings,
     check_reach,
 )
 from xtdrone_planning.navigation.vehicle_drives import DriveSettings, drive_of
-from xtdrone_planning.replanning.stopwatch import Stopwatch, write_summaries
+from xtdrone_planning.stopwatch import Stopwatch, write_summaries
 
 Array = NDArray[np.float64]
 
@@ -91,7 +90,7 @@ class VehicleNavigation:
         """Declare the topics.
 
         Args:
-            name: of the vehicle.
+            name: Name of the vehicle.
             is_robot: whether it is a ground robot.
             rviz_goal: whether this vehicle subscribes to /move_base_simple/goal.
 
@@ -212,16 +211,16 @@ class VehicleNavigation:
         """Accept a goal.
 
         Raises:
-            GoalError: it is not allowed.
+            NavigationGoalError: it is not allowed.
         """
         if message.header.frame_id.lstrip("/") not in ("", FRAME):
-            raise GoalError(f"goal: frame {message.header.frame_id!r} is not allowed, {FRAME!r}")
+            raise NavigationGoalError(f"goal: frame {message.header.frame_id!r} is not allowed, {FRAME!r}")
         place, q = message.pose.position, message.pose.orientation
         norm = math.sqrt(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w)
         if not norm >= _LEAST_NORM or not math.isfinite(norm):
-            raise GoalError("goal: a quaternion of length 0 is not allowed, a rotation about z")
+            raise NavigationGoalError("goal: a quaternion of length 0 is not allowed, a rotation about z")
         if reason := self._drive.obstacle_to_goals():
-            raise GoalError(f"goal: {reason}")
+            raise NavigationGoalError(f"goal: {reason}")
         yaw = yaw_of((q.w / norm, q.x / norm, q.y / norm, q.z / norm))
         self.navigator.set_goal(np.array([place.x, place.y, yaw]))
         self._drive.begin()
@@ -327,16 +326,9 @@ class VehicleNavigation:
 
     def _grid_message(self, part: tuple[slice, slice], stamp: rospy.Time) -> OccupancyGrid:
         costs = self.level.costs(part, self._limits.radius)
-        message = OccupancyGrid()
-        message.header.stamp, message.header.frame_id = stamp, FRAME
-        message.info.map_load_time, message.info.resolution = stamp, self.level.cell
-        message.info.width, message.info.height = costs.shape
         first = np.array([part[0].start, part[1].start]) + self.level.corner[:2]
-        origin = message.info.origin
-        origin.position.x, origin.position.y = (first * self.level.cell).tolist()
-        origin.orientation.w = 1.0
-        message.data = costs.T.ravel().tolist()
-        return message
+        x, y = (first * self.level.cell).tolist()
+        return grid_message(costs, (x, y, 0.0), self.level.cell, stamp)
 
     def _judged(self, turn: Turn) -> tuple[int, str]:
         navigator = self.navigator
@@ -400,7 +392,7 @@ class NavigationNode:
         """Declare the topics; goals from rviz go to the first vehicle.
 
         Args:
-            names: of the vehicles.
+            names: Names of the vehicles.
             are_robots: whether they are ground robots.
 
         Raises:

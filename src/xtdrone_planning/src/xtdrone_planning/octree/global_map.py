@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
-from xtdrone_perception.tracking.pose_history import PoseHistory
+from xtdrone_control.pose_history import PoseHistory
 from xtdrone_planning.mapping.range_images import RangeImage
 from xtdrone_planning.mapping.ray_places import rays_in_map
 from xtdrone_planning.octree.octree_map import OctreeMap, OctreeSettings
@@ -35,7 +35,7 @@ class GlobalMap:
         """Start empty.
 
         Args:
-            settings: of the octree.
+            settings: Settings of the octree.
             interval: minimum time between two mapped measurements, s; others are skipped.
         """
         self._interval_ns = round(interval * 1e9)

@@ -60,8 +60,7 @@ class OctomapOptions(Settings):
     """Inputs and outputs of the node."""
 
     odometry: str = setting(
-        "",
-        text="odometry used to place the measurements: lidar_odometry, slam, ...; empty: the autopilot's estimate",
+        "", text="odometry used to place the measurements: lidar_odometry, slam, ...; empty: the autopilot's estimate"
     )
     frame_id: str = setting("map", text="frame of the map and of these poses")
     interval: float = setting(
@@ -81,7 +80,7 @@ class OctomapOptions(Settings):
             )
 
 
-class NodeSettings(NamedTuple):
+class OctomapNodeSettings(NamedTuple):
     """All settings of the node."""
 
     options: OctomapOptions
@@ -92,13 +91,13 @@ class NodeSettings(NamedTuple):
     watch: WatchSettings
 
 
-def read_settings() -> NodeSettings:
+def read_settings() -> OctomapNodeSettings:
     """Return the settings read from the private parameters.
 
     Raises:
         SettingError: a parameter is not allowed.
     """
-    return NodeSettings(
+    return OctomapNodeSettings(
         OctomapOptions.from_parameters(rospy.get_param),
         OctreeSettings.from_parameters(rospy.get_param),
         SensorChoice.from_parameters(rospy.get_param),
@@ -111,7 +110,7 @@ def read_settings() -> NodeSettings:
 class VehicleOctomap:
     """ROS topics and services of one vehicle's map."""
 
-    def __init__(self, name: str, settings: NodeSettings) -> None:
+    def __init__(self, name: str, settings: OctomapNodeSettings) -> None:
         """Declare the topics and services."""
         self._name, self._settings = name, settings
         self._map = GlobalMap(settings.octree, settings.options.interval)

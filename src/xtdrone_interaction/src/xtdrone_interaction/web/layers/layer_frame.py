@@ -32,8 +32,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from xtdrone_control.poses import pose_of, quaternion_of, rotation_of, transformed
 from xtdrone_interaction.web.layers.layer_content import Content, Grid, Line
-from xtdrone_perception.slam.poses import pose_of, quaternion_of, rotation_of, transformed
 
 CHANNEL = 3
 _VERSION = 1

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from xtdrone_control.poses import pose_of, turned_about_z, yaw_of
 from xtdrone_control.settings import Settings, setting
 from xtdrone_perception.slam.deskewing import ScanMotion, deskewed
 from xtdrone_perception.slam.odometry_health import Estimate
-from xtdrone_perception.slam.poses import pose_of, turned_about_z, yaw_of
 
 from .scan_matching import LineMap, Match, normals_of
 
@@ -54,8 +54,8 @@ class LaserSweep:
     Attributes:
         points: (n, 3) m, in the body, in the order of the rays, each at its own time.
         times: (n,) s after the first ray.
-        motion: of the body during the scan.
-        attitude: of the autopilot at the scan's end, body to its map.
+        motion: Motion of the body during the scan.
+        attitude: Attitude of the autopilot at the scan's end, body to its map.
         below: m, distance of the body's origin from the ground along its z axis; None: unknown.
     """
 

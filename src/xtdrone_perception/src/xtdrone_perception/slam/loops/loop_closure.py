@@ -13,9 +13,9 @@ import numpy as np
 import small_gicp
 from numpy.typing import NDArray
 
+from xtdrone_control.poses import inverse, transformed
 from xtdrone_control.settings import Settings, setting
 
-from ..poses import inverse, transformed
 from .pose_graph import Edge, optimised
 
 Array = NDArray[np.float64]
@@ -65,10 +65,10 @@ class LoopClosure:
     """Keyframes, loops and the corrected poses.
 
     Attributes:
-        options: of the loop closure.
-        keyframes: in order.
+        options: Options of the loop closure.
+        keyframes: Keyframes in order.
         poses: (4, 4) corrected pose of each keyframe, in map.
-        edges: of odometry and loops.
+        edges: Edges of odometry and loops.
     """
 
     options: LoopOptions

@@ -17,7 +17,7 @@ from scipy.sparse import coo_matrix, csc_matrix, identity
 from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
 
-from ..poses import pose_of_vector
+from xtdrone_control.poses import pose_of_vector
 
 Array = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ def optimised(poses: Sequence[Array], edges: Sequence[Edge], kernel: float = 3.0
 
     Args:
         poses: (4, 4) each, the initial estimate.
-        edges: of a connected graph.
+        edges: Edges of a connected graph.
         kernel: normalised error of a robust edge at which it begins to lose weight.
 
     Raises:

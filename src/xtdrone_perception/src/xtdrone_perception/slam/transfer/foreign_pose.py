@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from xtdrone_control.cameras.camera_pose import LINK_FROM_OPTICAL
 from xtdrone_control.frames import to_xyzw
+from xtdrone_control.poses import inverse, pose_of, turned_about_z
 from xtdrone_control.settings import SettingError, Settings, setting
-from xtdrone_perception.slam.poses import inverse, pose_of, turned_about_z
 
 Array = NDArray[np.float64]
 
@@ -79,7 +79,7 @@ class ForeignFrame:
         """Prepare the transforms.
 
         Args:
-            settings: of the frames.
+            settings: Settings of the frames.
             optical: whether poses refer to the optical frame (x right, y down, z ahead) of a forward camera; otherwise
                 to a frame with the axes of base_link (FLU).
         """

@@ -35,8 +35,8 @@ from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import lockstep
+from xtdrone_control.pose_messages import pose_message, stamped_pose
 from xtdrone_control.settings import SettingError, Settings, setting
-from xtdrone_perception.slam import odometry_messages as messages
 from xtdrone_perception.slam.transfer.foreign_pose import (
     STATIC,
     ChainWatch,
@@ -57,7 +57,7 @@ _UNKNOWN = -1.0  # first element of a covariance that is not known
 Array = NDArray[np.float64]
 
 
-class Source(NamedTuple):
+class ForeignSource(NamedTuple):
     """Output of a third-party program.
 
     Attributes:
@@ -77,15 +77,15 @@ class Source(NamedTuple):
 
 
 SOURCES = {
-    "vins": Source("odometry", "/vins_estimator/camera_pose", optical=True),
-    "multi_vins": Source(
+    "vins": ForeignSource("odometry", "/vins_estimator/camera_pose", optical=True),
+    "multi_vins": ForeignSource(
         "odometry", "/{}/vins_estimator/camera_pose", optical=True, odometry="/{}/vins_estimator/odometry"
     ),
-    "hector": Source("pose", "/{}/pose", plane=True),
-    "cartographer": Source("tf", "map base_link", plane=True),
-    "aloam": Source("tf", "camera_init aft_mapped"),
-    "fastlio": Source("odometry", "/Odometry"),
-    "odometry": Source("odometry", "/{}/odometry"),
+    "hector": ForeignSource("pose", "/{}/pose", plane=True),
+    "cartographer": ForeignSource("tf", "map base_link", plane=True),
+    "aloam": ForeignSource("tf", "camera_init aft_mapped"),
+    "fastlio": ForeignSource("odometry", "/Odometry"),
+    "odometry": ForeignSource("odometry", "/{}/odometry"),
 }
 """Sources by name; ``odometry`` is any nav_msgs/Odometry of a sensor with the axes of base_link."""
 
@@ -135,7 +135,7 @@ def _frames_of(topic: str) -> tuple[str, str]:
 class PoseTransfer:
     """Topics of one vehicle."""
 
-    def __init__(self, vehicle: str, source: Source, options: ForeignOptions, place: PlaceSettings) -> None:
+    def __init__(self, vehicle: str, source: ForeignSource, options: ForeignOptions, place: PlaceSettings) -> None:
         """Declare the topics.
 
         Raises:
@@ -192,7 +192,7 @@ class PoseTransfer:
         if found is None:
             return
         out = Odometry(header=Header(stamp=message.header.stamp, frame_id=_MAP), child_frame_id=message.child_frame_id)
-        out.pose.pose, out.pose.covariance = messages.pose_message(found), message.pose.covariance
+        out.pose.pose, out.pose.covariance = pose_message(found), message.pose.covariance
         out.twist = message.twist
         self._odometry.publish(out)
 
@@ -201,7 +201,7 @@ class PoseTransfer:
             self._add_transform(entry, entry.header.stamp.to_nsec())
         found = self._tf.pose(self._parent, self._child)
         if found is not None and self._watch.is_new(found):
-            self._enter(Header(stamp=rospy.Time(*divmod(found[0], 10**9))), messages.pose_message(found[1]))
+            self._enter(Header(stamp=rospy.Time(*divmod(found[0], 10**9))), pose_message(found[1]))
 
     def _on_static_tf(self, message: TFMessage) -> None:
         for entry in message.transforms:
@@ -227,7 +227,7 @@ class PoseTransfer:
         if header.stamp.to_nsec() == self._last_ns and self._last_ns > 0:
             return  # a source that repeats a pose has not measured a new one
         self._last_ns = header.stamp.to_nsec()
-        self._new = messages.stamped(found, header.stamp, _MAP)
+        self._new = stamped_pose(found, header.stamp, _MAP)
 
     def step(self) -> None:
         """Send new poses, and report."""

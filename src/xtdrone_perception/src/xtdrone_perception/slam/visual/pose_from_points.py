@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from xtdrone_control.poses import inverse, moved, pose_of, rotation_of
 from xtdrone_control.settings import Settings, setting
-from xtdrone_perception.slam.poses import inverse, moved, pose_of, rotation_of
 
 from .camera_model import BodyCamera
 
@@ -97,8 +97,8 @@ def solve(
     """Return the pose of the body; None if RANSAC finds none.
 
     Args:
-        camera: of the measurements.
-        sigmas: of the measurements.
+        camera: Camera of the measurements.
+        sigmas: Standard deviations of the measurements.
         most: px, maximum error of an inlier.
         predicted: (4, 4) body to map, from the autopilot.
         points: (n, 3) m, map.

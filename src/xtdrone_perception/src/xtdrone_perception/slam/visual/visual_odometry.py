@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from xtdrone_control.poses import angle_between, distance_between
 from xtdrone_control.settings import Settings, setting
 from xtdrone_perception.slam.odometry_health import Estimate
-from xtdrone_perception.slam.poses import angle_between, distance_between
 
 from .camera_model import BodyCamera
 from .corner_tracks import Grey, TrackSettings, depth_at, new_corners, stereo_depth, track
@@ -57,8 +57,8 @@ class SeenPicture:
         depth: (height, width) m, registered to ``grey``; NaN where unknown.
         right: (height, width), rectified.
         base: focal length times baseline, px m.
-        attitude: of the autopilot at the exposure, body to its map.
-        time: of the exposure, s.
+        attitude: Attitude of the autopilot at the exposure, body to its map.
+        time: Time of the exposure, s.
     """
 
     grey: Grey
@@ -134,7 +134,7 @@ class VisualOdometry:
 
         Args:
             camera: that takes the images (the left one of a pair).
-            settings: of corners, errors and keyframes.
+            settings: Settings of corners, errors and keyframes.
             base: focal length times baseline of a stereo pair, px m; 0: a depth camera.
             start: (4, 4) pose of the body in the map.
         """
@@ -215,7 +215,7 @@ class VisualOdometry:
         The disparity of a pair is measured for a patch, and its slope is not known: 0.
 
         Args:
-            picture: with a depth image, or a stereo pair.
+            picture: Image with a depth image, or a stereo pair.
             pixels: (n, 2) px.
             guess: (n,) m, NaN where unknown.
         """

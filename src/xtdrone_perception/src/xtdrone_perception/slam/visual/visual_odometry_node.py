@@ -26,11 +26,12 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image
 
 from xtdrone_control import lockstep
+from xtdrone_control.clouds import depths_of
+from xtdrone_control.poses import pose_of
 from xtdrone_control.settings import setting
-from xtdrone_perception.image_arrays import depth_of, grey_of
+from xtdrone_perception.images import grey_of
 from xtdrone_perception.slam.odometry_health import HealthLimits
-from xtdrone_perception.slam.odometry_node import Job, OdometryNode, OdometryOptions, Source
-from xtdrone_perception.slam.poses import pose_of
+from xtdrone_perception.slam.odometry_node import Job, OdometryNode, OdometryOptions, OdometrySource
 
 from .camera_model import BodyCamera
 from .corner_tracks import TrackSettings
@@ -97,12 +98,12 @@ class VisualOdometryNode(OdometryNode):
         """Declare the topics.
 
         Args:
-            name: of the vehicle.
-            settings: of the node.
+            name: Name of the vehicle.
+            settings: Settings of the node.
             core: settings of corners, errors and keyframes.
-            limits: of the supervision.
+            limits: Limits of the supervision.
         """
-        super().__init__(name, Source("visual_odometry", "picture", core[2].least_points), settings, limits)
+        super().__init__(name, OdometrySource("visual_odometry", "picture", core[2].least_points), settings, limits)
         self._settings, self._core_settings = settings, core
         base = f"/{name}/{settings.camera}"
         first, second = _PARTS[settings.kind]
@@ -154,7 +155,7 @@ class VisualOdometryNode(OdometryNode):
             return
         try:
             grey = grey_of(first)
-            depth, right = (None, grey_of(second)) if is_stereo else (depth_of(second), None)
+            depth, right = (None, grey_of(second)) if is_stereo else (depths_of(second, np.float32), None)
         except ValueError as error:
             rospy.logwarn_throttle(10.0, f"{self._name}: image ignored: {error}")
             return

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from xtdrone_perception.slam.poses import moved, rotation_of
+from xtdrone_control.poses import moved, rotation_of
 
 from .camera_model import BodyCamera
 from .pose_from_points import huber
@@ -50,7 +50,7 @@ def adjust(
     """Return improved poses (k, 4, 4) and points (n, 3).
 
     Args:
-        camera: of the measurements.
+        camera: Camera of the measurements.
         deviations: (3,) standard deviations of a measurement, px, px, 1/m.
         problem: the measurements.
         poses: (k, 4, 4) body to map; the first one is fixed.

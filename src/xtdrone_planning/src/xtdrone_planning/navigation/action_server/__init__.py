@@ -1,0 +1,1 @@
+"""The action server of move_base, processed in the turns of the lockstep."""

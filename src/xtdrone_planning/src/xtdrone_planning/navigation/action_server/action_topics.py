@@ -15,7 +15,7 @@ from move_base_msgs.msg import MoveBaseActionFeedback, MoveBaseActionGoal, MoveB
 
 from xtdrone_control import lockstep
 from xtdrone_planning.navigation.action_server.action_goals import PREEMPTED, ActionGoal, ActionGoals
-from xtdrone_planning.navigation.settings import GoalError
+from xtdrone_planning.navigation.settings import NavigationGoalError
 
 _STATUS_PERIOD = 0.2  # s
 
@@ -32,7 +32,7 @@ class ActionTopics:
 
         Args:
             base: prefix of the topics, as ``/iris_2d_lidar_0/move_base``.
-            begin: called with each new goal; raises GoalError if it is not allowed.
+            begin: called with each new goal; raises NavigationGoalError if it is not allowed.
             stop: called when the active goal is cancelled.
         """
         self._begin, self._stop = begin, stop
@@ -66,7 +66,7 @@ class ActionTopics:
             return  # rejected before the vehicle acts on it: the active goal continues
         try:
             self._begin(pose)
-        except GoalError as error:
+        except NavigationGoalError as error:
             rospy.logwarn(f"move_base: {error}; rejected")
             self.goals.reject(name, stamp, str(error), now)
             return

@@ -1,4 +1,4 @@
-"""Settings of the planner, and the goals that they allow."""
+"""All settings of the planner: decisions and goals, limits of trajectories, and agreement with other vehicles."""
 
 from __future__ import annotations
 
@@ -34,11 +34,7 @@ class PlannerSettings(Settings):
     )
     retry: float = setting(2.0, low=0.1, high=60.0, unit="s", text="time between attempts at an unreachable goal")
     voxels: int = setting(25000, low=100, high=10_000_000, text="voxels that a search opens at most, bounds its time")
-    global_planner: str = setting(
-        "astar",
-        choices=GLOBAL_PLANNERS,
-        text="search for the path: A*, or OMPL's",
-    )
+    global_planner: str = setting("astar", choices=GLOBAL_PLANNERS, text="search for the path: A*, or OMPL's")
     iterations: int = setting(
         400,
         low=10,
@@ -103,3 +99,35 @@ class PlannerSettings(Settings):
 
 def _text(values: Array) -> str:
     return f"({', '.join(f'{value:g}' for value in values.tolist())})"
+
+
+@dataclass(frozen=True)
+class TrajectorySettings(Settings):
+    """Limits of trajectories, and the vehicle's size."""
+
+    speed: float = setting(4.0, low=0.2, high=15.0, unit="m/s", text="greatest speed")
+    acceleration: float = setting(3.0, low=0.3, high=8.0, unit="m/s²", text="greatest acceleration")
+    radius: float = setting(0.4, low=0.1, high=3.0, unit="m", text="radius of the vehicle, rotors included")
+    margin: float = setting(0.15, low=0.0, high=2.0, unit="m", text="clearance to obstacles, beyond the radius")
+    comfort: float = setting(
+        0.35, low=0.0, high=3.0, unit="m", text="additional clearance to obstacles where space allows"
+    )
+
+    def clearance(self, resolution: float) -> float:
+        """Return the minimum distance, m, between the vehicle's centre and that of an occupied voxel."""
+        return self.radius + self.margin + 0.5 * resolution
+
+
+@dataclass(frozen=True)
+class AgreementSettings(Settings):
+    """Coordination of trajectories between vehicles."""
+
+    check: float = setting(
+        0.4, low=0.0, high=5.0, unit="s",
+        text="time for which a proposed trajectory is open to objections: at least the radio delay, plus 0.1 s for "
+        "each message that may be lost",
+    )  # fmt: skip
+    separation: float = setting(
+        0.4, low=0.0, high=10.0, unit="m", text="clearance between two planned vehicles, beyond their radii"
+    )
+    pause: float = setting(0.3, low=0.0, high=10.0, unit="s", text="time between a decision and the next proposal")
