@@ -24,8 +24,7 @@ from xtdrone_perception.slam.deskewing import motion_of
 from xtdrone_perception.slam.lidar_odometry import LidarOdometry, RegistrationOptions
 from xtdrone_planning.mapping.range_images import LidarImages, LidarMapping
 from xtdrone_planning.mapping.voxel_grid import LocalMap, MapSettings
-from xtdrone_planning.octree.global_map import GlobalMap
-from xtdrone_planning.octree.octree_map import OctreeSettings
+from xtdrone_planning.octree.octree_map import GlobalMap, OctreeSettings
 from xtdrone_sim.lidars.lidar_messages import scan_message
 from xtdrone_sim.lidars.lidars_of_fleet import Lidar
 from xtdrone_sim.lidars.scan_measurement import begin_us, cast_scan, end_us, measured

@@ -12,7 +12,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 
 from xtdrone_control.clouds import read_cloud
 from xtdrone_control.poses import inverse, pose_of, pose_of_vector, predicted_pose, vector_of
-from xtdrone_perception.slam.deskewing import deskewed, motion_of
+from xtdrone_perception.slam.deskewing import deskew, motion_of
 from xtdrone_perception.slam.lidar_odometry import LidarOdometry, RegistrationOptions
 from xtdrone_perception.slam.lidar_odometry_node import LidarHealthLimits
 from xtdrone_perception.slam.odometry_health import Fault, Health, OdometryState, ScanFigures, fault_of, figures_of
@@ -67,7 +67,7 @@ def test_without_skew_points_lie_on_the_walls() -> None:
         return walls.min(axis=1)
 
     assert np.percentile(off(scan.points), 90) > 0.05
-    assert off(deskewed(scan.points, scan.times, motion)).max() < 0.02
+    assert off(deskew(scan.points, scan.times, motion)).max() < 0.02
 
 
 def test_it_finds_its_way_through_a_room_and_knows_how_well() -> None:

@@ -12,8 +12,8 @@ from actionlib_msgs.msg import GoalID
 from move_base_msgs.msg import MoveBaseActionGoal
 
 from xtdrone_control.settings import SettingError
-from xtdrone_planning.navigation.action_server import action_goals, action_topics
-from xtdrone_planning.navigation.action_server.action_goals import ActionGoals
+from xtdrone_planning.navigation import action_server
+from xtdrone_planning.navigation.action_server import ActionGoals
 from xtdrone_planning.navigation.dynamic_window import AT_REST, Motion, choose, moved, window
 from xtdrone_planning.navigation.global_path import GlobalSearch, PathError
 from xtdrone_planning.navigation.level_map import INSCRIBED, LETHAL, UNKNOWN, LevelMap, MapError, ScanRays
@@ -306,7 +306,7 @@ def test_rays_without_return_count_only_beside_others_and_near_ones_not_at_all()
 def test_rays_of_a_tilted_vehicle_end_at_the_slab():
     pitch = 0.2  # nose down: the ray ahead meets the ground
     pose = np.array([1.0, 2.0, 1.5, math.cos(0.5 * pitch), 0.0, math.sin(0.5 * pitch), 0.0])
-    origins, ends, hits = scan([8.0, 3.0, 8.0, 3.0]).placed(np.tile(pose, (2, 1)), 0.1, np.zeros(3), 0.4)
+    origins, ends, hits = scan([8.0, 3.0, 8.0, 3.0]).place(np.tile(pose, (2, 1)), 0.1, np.zeros(3), 0.4)
     assert hits.tolist() == [False, True, False, True]
     assert ends[0, 2] == pytest.approx(1.1)
     assert ends[1] == pytest.approx([1.0, 5.0, 1.5])
@@ -318,7 +318,7 @@ def test_a_scan_marks_and_clears_but_not_what_the_given_map_has():
     pose = np.tile(np.array([3.0, 10.0, 0.0, 1.0, 0.0, 0.0, 0.0]), (2, 1))
     for distance in (1.0, 8.0):  # an object stands before the wall, and then a ray passes both
         for _ in range(10):
-            level.enter(*scan([distance, 1.0, 1.0, 1.0]).placed(pose, 0.1, np.zeros(3), 0.4))
+            level.enter(*scan([distance, 1.0, 1.0, 1.0]).place(pose, 0.1, np.zeros(3), 0.4))
         level.update_distance_around(pose[-1])
         assert (level.evidence[40, 100, 0] > 0) == (distance == 1.0)
         assert level.evidence[50, 100, 0] > 0
@@ -347,27 +347,27 @@ def test_action_goals_follow_each_other_as_actionlib_says():
     goals = ActionGoals()
     goals.accept("a", 1.0, 1.0)
     goals.accept("b", 2.0, 2.0)
-    assert [(goal.name, goal.status) for goal in goals.results()] == [("a", action_goals.PREEMPTED)]
+    assert [(goal.name, goal.status) for goal in goals.results()] == [("a", action_server.PREEMPTED)]
     goals.reject("c", 3.0, "goal: too far", 3.0)
     assert goals.present is not None
     assert goals.present.name == "b"
     assert not goals.cancels("a", 0.0, 4.0)
     assert goals.cancels("b", 0.0, 4.0)
-    goals.end(action_goals.PREEMPTED, "cancelled", 4.0)
-    assert [goal.status for goal in goals.listed(4.0)] == [2, 2, 5]
+    goals.end(action_server.PREEMPTED, "cancelled", 4.0)
+    assert [goal.status for goal in goals.list_recent(4.0)] == [2, 2, 5]
     assert not goals.admits("b", 2.0, 4.5)  # a late repetition
     assert goals.present is None
-    assert goals.listed(20.0) == []
+    assert goals.list_recent(20.0) == []
 
 
 def test_goals_sent_before_a_cancel_that_overtook_them_are_recalled():
     goals = ActionGoals()
     goals.cancels("", 5.0, 5.0)
     assert not goals.admits("a", 4.0, 5.1)
-    assert [(goal.name, goal.status) for goal in goals.results()] == [("a", action_goals.RECALLED)]
+    assert [(goal.name, goal.status) for goal in goals.results()] == [("a", action_server.RECALLED)]
     assert goals.admits("b", 6.0, 6.1)
     goals.accept("b", 6.0, 6.1)
-    assert [goal.status for goal in goals.listed(6.1)] == [action_goals.RECALLED, action_goals.ACTIVE]
+    assert [goal.status for goal in goals.list_recent(6.1)] == [action_server.RECALLED, action_server.ACTIVE]
     assert goals.cancels("", 0.0, 7.0)
 
 
@@ -376,17 +376,17 @@ def test_many_rejected_goals_do_not_push_the_present_one_out_of_the_status():
     goals.accept("present", 1.0, 1.0)
     for n in range(300):
         goals.reject(f"bad-{n}", 2.0, "goal: too far", 2.0)
-    listed = goals.listed(2.0)
+    listed = goals.list_recent(2.0)
     assert listed[0].name == "present"
     assert len(listed) == 101
 
 
 def test_a_goal_that_is_not_admitted_does_not_turn_the_vehicle(monkeypatch: pytest.MonkeyPatch):
     silent = SimpleNamespace(Publisher=lambda *_, **__: None, Subscriber=lambda *_: None)
-    monkeypatch.setattr(action_topics, "lockstep", silent)
-    monkeypatch.setattr(action_topics.rospy, "get_time", lambda: 10.0)
+    monkeypatch.setattr(action_server, "lockstep", silent)
+    monkeypatch.setattr(action_server.rospy, "get_time", lambda: 10.0)
     begun: list[float] = []
-    topics = action_topics.ActionTopics("/move_base", lambda pose: begun.append(pose.pose.position.x), lambda: None)
+    topics = action_server.ActionTopics("/move_base", lambda pose: begun.append(pose.pose.position.x), lambda: None)
 
     def send(name: str, stamp: float, x: float) -> None:
         message = MoveBaseActionGoal(goal_id=GoalID(rospy.Time.from_sec(stamp), name))

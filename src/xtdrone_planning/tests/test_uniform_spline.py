@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from xtdrone_planning.trajectories.speed_profile import SpeedProfile, points_along, stopping
+from xtdrone_planning.trajectories.speed_profile import SpeedProfile, brake_along, points_along
 from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, first_points, resting
 
 
@@ -66,7 +66,7 @@ def test_stopping_stays_on_the_path_and_ends_at_rest(seed):
     points = points_along(corners, law.way(np.arange(-1, 26) * 0.2))
     spline = UniformSpline(0.0, 0.2, np.vstack([points, points[-1], points[-1]]))
     begin = 1.0 + 0.4 * seed
-    stopped = stopping(spline, begin, 2.5)
+    stopped = brake_along(spline, begin, 2.5)
     assert np.allclose(stopped.at(begin)[:2], spline.at(begin)[:2])
     assert np.allclose(stopped.at(stopped.end)[1:], 0.0)
     path = spline.positions(np.linspace(0.0, spline.end, 5000))

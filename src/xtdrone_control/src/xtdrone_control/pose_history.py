@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from bisect import bisect_left
 from collections import deque
 
@@ -68,6 +69,18 @@ class PoseHistory:
             return None
         nearest = min(after, len(self._times) - 1)
         return self._entries[nearest] if abs(self._times[nearest] - time_ns) <= self._reach_ns else None
+
+    def during(self, time_ns: int, seconds: float, pieces: int) -> Array | None:
+        """Return the entries at even times from ``time_ns`` to ``seconds`` later, (pieces + 1, n); None if unknown.
+
+        Quaternions have the sign that is nearer to the one before.
+        """
+        found = [self.at(time_ns + round(k * (seconds / pieces) * 1e9)) for k in range(pieces + 1)]
+        known = [entry.copy() for entry in found if entry is not None]
+        for before, after in itertools.pairwise(known):
+            if before[-4:] @ after[-4:] < 0.0:
+                after[-4:] *= -1.0
+        return np.array(known) if len(known) == len(found) else None
 
     def _between(self, early: Array, late: Array, part: float) -> Array:
         # A quaternion and its negative are the same rotation: use the nearer one.

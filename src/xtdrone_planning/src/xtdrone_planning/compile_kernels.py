@@ -21,9 +21,8 @@ from xtdrone_planning.navigation.global_path import GlobalSearch
 from xtdrone_planning.navigation.level_map import LevelMap, ScanRays
 from xtdrone_planning.navigation.navigator import Navigator, Turn
 from xtdrone_planning.navigation.settings import CostmapSettings, NavigatorSettings, WindowSettings
-from xtdrone_planning.octree.global_map import GlobalMap
 from xtdrone_planning.octree.octree_format import decode, encode
-from xtdrone_planning.octree.octree_map import OctreeSettings
+from xtdrone_planning.octree.octree_map import GlobalMap, OctreeSettings
 from xtdrone_planning.octree.octree_messages import seen_from_above
 from xtdrone_planning.paths.lines_of_sight import is_open
 from xtdrone_planning.planner_settings import AgreementSettings, PlannerSettings, TrajectorySettings
@@ -193,7 +192,7 @@ def _navigation() -> None:
     scan = ScanRays(np.full(90, 2.0), -1.5, 0.03, 0.0005, (0.1, 10.0), 0.0)
     pose = np.array([2.5, 5.0, 0.0])
     poses = np.tile(_pose(np.array([*pose[:2], 0.0])), (7, 1))
-    level.enter(*scan.placed(poses, 0.01, np.zeros(3), 0.2))
+    level.enter(*scan.place(poses, 0.01, np.zeros(3), 0.2))
     level.update_distance_around(pose)
     navigator = Navigator(level, NavigatorSettings(), WindowSettings())
     for goal in ((8.0, 5.0, 0.0), (3.0, 5.0, 1.0)):

@@ -36,37 +36,27 @@ class PlannerSettings(Settings):
     voxels: int = setting(25000, low=100, high=10_000_000, text="voxels that a search opens at most, bounds its time")
     global_planner: str = setting("astar", choices=GLOBAL_PLANNERS, text="search for the path: A*, or OMPL's")
     iterations: int = setting(
-        400,
-        low=10,
-        high=100_000,
+        400, low=10, high=100_000,
         text="iterations of OMPL's planners in a search: RRT* and Informed RRT* add a sample in each, BIT* examines an "
         "edge between its samples",
-    )
+    )  # fmt: skip
     sampling_seed: int = setting(1, low=1, high=2**31 - 1, text="seed of each search of OMPL's planners")
     lead: float = setting(
-        0.06,
-        low=0.0,
-        high=1.0,
-        unit="s",
+        0.06, low=0.0, high=1.0, unit="s",
         text="setpoints are so much ahead of the trajectory: their way to the autopilot",
-    )
+    )  # fmt: skip
     attitude_lag: float = setting(
         0.1, low=0.0, high=1.0, unit="s", text="accelerations are so much ahead of positions and velocities"
     )
     drag: float = setting(
-        0.3,
-        low=0.0,
-        high=3.0,
-        unit="1/s",
+        0.3, low=0.0, high=3.0, unit="1/s",
         text="horizontal deceleration by air drag at 1 m/s, which accelerations compensate: that of the iris's rotors",
-    )
+    )  # fmt: skip
     damping: float = setting(
-        0.2,
-        low=0.0,
-        high=2.0,
+        0.2, low=0.0, high=2.0,
         text="share of horizontal accelerations that the autopilot's derivative term removes, which they compensate: "
         "MPC_XY_VEL_D_ACC of PX4",
-    )
+    )  # fmt: skip
     astray: float = setting(
         1.0, low=0.1, high=10.0, unit="m", text="deviation from the trajectory beyond which the vehicle replans"
     )

@@ -128,7 +128,7 @@ def load_settings(path: Path, changes: Mapping[str, Any] | None = None) -> Detec
         raise DetectorError(f"{path}: not YAML: {error}") from error
     if not isinstance(entries, dict):
         raise DetectorError(f"{path}: a mapping of settings is needed")
-    return settings_of({**_resolved(entries, path.parent), **_resolved(changes or {}, Path())}, str(path))
+    return settings_of({**_resolve(entries, path.parent), **_resolve(changes or {}, Path())}, str(path))
 
 
 def settings_of(entries: Mapping[str, Any], source: str = "detector") -> DetectorSettings:
@@ -150,7 +150,7 @@ def settings_of(entries: Mapping[str, Any], source: str = "detector") -> Detecto
         raise DetectorError(f"{source}: {error}") from error
 
 
-def _resolved(entries: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+def _resolve(entries: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Return the entries with paths resolved relative to a folder."""
     return {
         name: folder / Path(str(value)).expanduser() if name in _FILES and value else value
@@ -229,10 +229,12 @@ class Detector:
             raise ValueError(f"picture: {given} is not allowed, uint8 of shape (height, width, 3) is needed")
         if not rgb.size:
             raise ValueError(f"picture: shape {rgb.shape} is empty")
-        picture, scale, offset = self._fitted(rgb)
+        picture, scale, offset = self._fit_picture(rgb)
         outputs = [output.astype(float) for output in self._run(picture)]
         corners, classes, probabilities = decode(self.settings.layout, outputs, self._size, self.settings.confidence)
-        return self._chosen((corners - np.tile(offset, 2)) / np.tile(scale, 2), classes, probabilities, rgb.shape)
+        return self._choose_objects(
+            (corners - np.tile(offset, 2)) / np.tile(scale, 2), classes, probabilities, rgb.shape
+        )
 
     def _run(self, picture: NDArray[Any]) -> list[NDArray[np.float32]]:
         """Return the outputs for an image of the input's size."""
@@ -244,7 +246,7 @@ class Detector:
                 f"the network does not run with an input of {self._size[0]}x{self._size[1]} px: {_reason(error)}"
             ) from error
 
-    def _fitted(self, rgb: NDArray[np.uint8]) -> tuple[NDArray[Any], tuple[float, float], tuple[float, float]]:
+    def _fit_picture(self, rgb: NDArray[np.uint8]) -> tuple[NDArray[Any], tuple[float, float], tuple[float, float]]:
         """Return the image at the input's size, with its scale and offset there, (x, y) each."""
         height, width = rgb.shape[:2]
         to_width, to_height = self._size
@@ -259,7 +261,7 @@ class Detector:
         )
         return picture, (inner[0] / width, inner[1] / height), (float(left), float(top))
 
-    def _chosen(
+    def _choose_objects(
         self,
         corners: NDArray[np.float64],
         classes: NDArray[np.int64],

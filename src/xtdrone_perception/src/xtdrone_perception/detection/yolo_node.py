@@ -325,7 +325,7 @@ class VehicleDetection:
         count.header = boxes.header
         self._count.publish(count)
         if self._image.get_num_connections():
-            self._image.publish(drawn(picture, detections))
+            self._image.publish(draw_boxes(picture, detections))
         self._publish_tracks(header.stamp, detections)
 
     def _publish_tracks(self, stamp: Any, detections: Sequence[Detection]) -> None:
@@ -443,7 +443,7 @@ def in_view(view: View, place: NDArray[np.float64], options: DetectionOptions) -
     return bool(MARGIN <= x <= view.pinhole.width - MARGIN and MARGIN <= y <= view.pinhole.height - MARGIN)
 
 
-def drawn(picture: ColourPicture, detections: Sequence[Detection]) -> Image:
+def draw_boxes(picture: ColourPicture, detections: Sequence[Detection]) -> Image:
     """Return an image with boxes drawn, as rgb8."""
     rgb = picture.rgb.copy()
     for entry in detections:

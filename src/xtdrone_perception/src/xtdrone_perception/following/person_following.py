@@ -48,12 +48,9 @@ class FollowSettings(Settings):
     sweep: float = setting(0.6, low=0.0, high=3.0, unit="rad", text="gimbal yaw to each side during the search")
     sweep_period: float = setting(8.0, low=1.0, high=60.0, unit="s", text="period of the gimbal sweep")
     reach: float = setting(
-        3.0,
-        low=0.1,
-        high=50.0,
-        unit="m",
+        3.0, low=0.1, high=50.0, unit="m",
         text="a new track within this distance of the predicted position is the same person",
-    )
+    )  # fmt: skip
     reach_speed: float = setting(
         2.0, low=0.1, high=20.0, unit="m/s", text="growth of ``reach`` with the time since the last sighting"
     )
@@ -192,18 +189,18 @@ class Following:
         assert self._last is not None
         settings, (vx, vy) = self.settings, self._last.velocity
         x, y, z = self.expected(now)
-        ahead, left = _rotated(x - position[0], y - position[1], -yaw)
+        ahead, left = _rotate(x - position[0], y - position[1], -yaw)
         away = math.hypot(ahead, left)
         unit = (ahead / away, left / away) if away > _NEAR else (1.0, 0.0)
-        own_ahead, own_left = _rotated(vx, vy, -yaw)
+        own_ahead, own_left = _rotate(vx, vy, -yaw)
         # Limit the correction before adding the person's velocity, so that the path is straight when far away.
-        pull = _clipped(settings.kp_xy * (away - settings.distance), settings.max_speed)
-        velocity = _limited((own_ahead + pull * unit[0], own_left + pull * unit[1]), settings.max_speed)
-        climb = _clipped(settings.kp_z * (z + settings.height - position[2]), settings.max_climb)
+        pull = _clip(settings.kp_xy * (away - settings.distance), settings.max_speed)
+        velocity = _limit((own_ahead + pull * unit[0], own_left + pull * unit[1]), settings.max_speed)
+        climb = _clip(settings.kp_z * (z + settings.height - position[2]), settings.max_climb)
         turn = 0.0
         if away > _NEAR:
             across = (unit[0] * (own_left - velocity[1]) - unit[1] * (own_ahead - velocity[0])) / away
-            turn = _clipped(settings.kp_yaw * math.atan2(left, ahead) + across, settings.max_yaw_rate)
+            turn = _clip(settings.kp_yaw * math.atan2(left, ahead) + across, settings.max_yaw_rate)
         return FollowCommand((*velocity, climb), turn, self._aim(now, position, yaw))
 
     def _aim(self, now: float, position: Vector, yaw: float) -> tuple[float, float]:
@@ -228,16 +225,16 @@ class Following:
         return FollowCommand((0.0, 0.0, settings.rise_speed if rising else 0.0), 0.0, gimbal)
 
 
-def _rotated(x: float, y: float, angle: float) -> tuple[float, float]:
+def _rotate(x: float, y: float, angle: float) -> tuple[float, float]:
     """Return a vector rotated to the left by ``angle`` rad."""
     c, s = math.cos(angle), math.sin(angle)
     return c * x - s * y, s * x + c * y
 
 
-def _clipped(value: float, most: float) -> float:
+def _clip(value: float, most: float) -> float:
     return min(max(value, -most), most)
 
 
-def _limited(vector: tuple[float, float], most: float) -> tuple[float, float]:
+def _limit(vector: tuple[float, float], most: float) -> tuple[float, float]:
     length = math.hypot(*vector)
     return vector if length <= most else (vector[0] * most / length, vector[1] * most / length)

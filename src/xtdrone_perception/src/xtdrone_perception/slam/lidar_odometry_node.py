@@ -45,12 +45,9 @@ class LidarOdometryOptions(OdometryOptions):
         (0.0, 0.0, 0.06), unit="m", text="position of the lidar in base_link"
     )
     lidar_rpy: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.0),
-        low=-2.0 * math.pi,
-        high=2.0 * math.pi,
-        unit="rad",
+        (0.0, 0.0, 0.0), low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad",
         text="roll, pitch, yaw of the sensor in base_link",
-    )
+    )  # fmt: skip
     map_rate: float = setting(1.0, low=0.0, high=10.0, unit="Hz", text="publishing rate of the local map; 0: off")
     map_radius: float = setting(40.0, low=1.0, high=1000.0, unit="m", text="radius of the local map")
 

@@ -66,6 +66,12 @@ class HealthLimits(Settings):
     )
 
 
+def weakest_share(information: Array) -> float:
+    """Return the ratio of the smallest to the largest eigenvalue of an information matrix, 0..1."""
+    values = np.linalg.eigvalsh(information)
+    return float(max(values[0], 0.0) / values[-1]) if values[-1] > 0.0 else 0.0
+
+
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
     """Result of the registration of one measurement.

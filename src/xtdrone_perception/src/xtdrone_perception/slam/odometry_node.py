@@ -67,12 +67,9 @@ class OdometryOptions(Settings):
         (0.0, 0.0, 0.0), low=-1e5, high=1e5, unit="m", text="position of base_link at the first measurement, in map"
     )
     heading: float | None = setting(
-        None,
-        low=-2.0 * math.pi,
-        high=2.0 * math.pi,
-        unit="rad",
+        None, low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad",
         text="yaw of base_link at the first measurement, ENU; none: the autopilot's",
-    )
+    )  # fmt: skip
     level: bool = setting(
         True, text="assume base_link to be level at the first measurement; false: use the autopilot's roll and pitch"
     )
@@ -272,14 +269,14 @@ class OdometryNode:
         self._last_attitude = attitude
         job = Job(payload, last.inv() * attitude, self._motion.velocity(end_ns), attitude, end_ns, self._same)
         due_us = (rospy.Time.now().to_nsec() + round(self._options.latency * 1e9)) // 1000
-        self._deferred.put(job, due_us, self._registered, job, self._started(job))
+        self._deferred.put(job, due_us, self._register_and_move, job, self._start_core(job))
 
     def _warn_of_attitude(self) -> None:
         rospy.logwarn_throttle(
             10.0, f"{self._name}: no odometry: no attitude on mavros/imu/data at the {self._source.noun}'s time"
         )
 
-    def _started(self, job: Job) -> Core:
+    def _start_core(self, job: Job) -> Core:
         """Return the odometry, created at the first measurement."""
         if self._core is None:
             options = self._options
@@ -291,7 +288,7 @@ class OdometryNode:
 
     # registration, by the worker
 
-    def _registered(self, job: Job, core: Core) -> _Outcome:
+    def _register_and_move(self, job: Job, core: Core) -> _Outcome:
         """Register a measurement and move the odometry."""
         seconds = 0.0 if self._last_end_ns is None else (job.end_ns - self._last_end_ns) * 1e-9
         self._last_end_ns = job.end_ns
@@ -331,7 +328,7 @@ class OdometryNode:
         end = rospy.Time(0, 0) + rospy.Duration(0, job.end_ns)
         self._publish(pose, outcome, end)
         if self._options.feed:
-            self._vision.publish(stamped_pose(self._carried(pose, outcome, job, now), now, self._frames.map))
+            self._vision.publish(stamped_pose(self._carry_forward(pose, outcome, job, now), now, self._frames.map))
         self._publish_path(pose, end)
         self._publish_more(outcome.found, end)
 
@@ -341,7 +338,7 @@ class OdometryNode:
         if self._options.tf:
             self._tf.publish(transform_message(pose, stamp, self._frames.odom, self._frames.body))
 
-    def _carried(self, pose: Array, outcome: _Outcome, job: Job, now: rospy.Time) -> Array:
+    def _carry_forward(self, pose: Array, outcome: _Outcome, job: Job, now: rospy.Time) -> Array:
         """Extrapolate a pose from the time of its measurement to now."""
         attitude = self._motion.attitude(now.to_nsec())
         turn = Rotation.identity() if attitude is None else job.attitude.inv() * attitude

@@ -62,20 +62,14 @@ class AprilTagOptions(Settings):
         (0.0, 0.0, -0.05), low=-10.0, high=10.0, unit="m", text="camera position relative to base_link, FLU"
     )
     camera_rpy: tuple[float, float, float] = setting(
-        (0.0, 0.5 * math.pi, 0.0),
-        low=-7.0,
-        high=7.0,
-        unit="rad",
+        (0.0, 0.5 * math.pi, 0.0), low=-7.0, high=7.0, unit="rad",
         text="camera orientation in base_link; pitch pi/2 looks down",
-    )
+    )  # fmt: skip
     pixel_centre: float = setting(
-        0.5,
-        low=0.0,
-        high=0.5,
-        unit="px",
+        0.5, low=0.0, high=0.5, unit="px",
         text="coordinate of the upper left pixel's centre in the camera's calibration: 0.5 for simulated cameras, 0 "
         "for cameras calibrated with OpenCV",
-    )
+    )  # fmt: skip
     level: bool = setting(True, text="boards are horizontal; resolves ambiguous poses")
     max_error: float = setting(
         2.0, above=0.0, high=100.0, unit="px", text="maximum reprojection error of a published pose"
@@ -163,7 +157,7 @@ class VehicleTags:
         self._working = False
         header = picture.header
         camera = self._camera_at(header.stamp.to_nsec())
-        found = [] if self._optics is None else self._located(seen, self._optics, camera)
+        found = [] if self._optics is None else self._locate(seen, self._optics, camera)
         self._detections.publish(AprilTagDetectionArray(header, [_detection(header, *entry) for entry in found]))
         if found:
             self._tf.publish(TFMessage([_transform(header, *entry) for entry in found]))
@@ -173,7 +167,7 @@ class VehicleTags:
                 message = PoseStamped(Header(stamp=header.stamp, frame_id="map"), _pose(turn, place))
                 self._target.publish(message)
 
-    def _located(
+    def _locate(
         self, seen: Sequence[SeenTag], optics: Optics, camera: CameraPose | None
     ) -> list[tuple[TagBoard, BoardPose]]:
         shift = self._options.pixel_centre - 0.5

@@ -167,7 +167,7 @@ def optical_frame(position: Vector, attitude: Quaternion, offset: Vector, rpy: V
         position: Position of base_link in ``map``, m, ENU.
         attitude: Attitude of base_link (FLU) in ``map``, a unit quaternion (w, x, y, z).
         offset: Offset of the camera from base_link, m, FLU.
-        rpy: Roll, pitch and yaw of the camera's link (x ahead, y left, z up) in base_link, rad; (0, pi / 2, 0) looks down.
+        rpy: Roll, pitch and yaw of the camera's link (FLU) in base_link, rad; (0, pi / 2, 0) looks down.
     """
     x, y, z = rotation_matrix(attitude) @ np.asarray(offset, float) + np.asarray(position, float)
     link = rotation.multiply(attitude, rotation.from_euler(*rpy))

@@ -37,11 +37,9 @@ class TrackerSettings(Settings):
         1.5, low=0.01, high=100.0, unit="m/s", text="standard deviation of a new track's velocity on each axis"
     )
     gate: float = setting(
-        13.8,
-        low=1.0,
-        high=100.0,
+        13.8, low=1.0, high=100.0,
         text="maximum squared Mahalanobis distance between a track and its detection; 13.8 keeps 99.9 %",
-    )
+    )  # fmt: skip
     birth: float = setting(0.5, low=0.0, high=1.0, text="minimum probability of a detection that starts a track")
     confirm_hits: int = setting(3, low=1, high=50, text="detections in ``confirm_of`` images that confirm a track")
     confirm_of: int = setting(5, low=1, high=50, text="images in which ``confirm_hits`` are counted")

@@ -163,7 +163,7 @@ class VehicleExplorer:
             self._floor.publish(SharedFloor(self._name, floor_message(floor, floor.own, height, stamp, FRAME)))
             if self._map.get_num_connections():
                 self._map.publish(floor_message(floor, floor.values, height, stamp, FRAME))
-        self._report(stamp, *self._judged(decision))
+        self._report(stamp, *self._assess(decision))
 
     def _send_goal(self, decision: Decision, stamp: rospy.Time) -> None:
         assert decision.goal is not None
@@ -174,7 +174,7 @@ class VehicleExplorer:
         place.z, message.pose.orientation.w = self._settings.flight_height, 1.0
         self._goal.publish(message)
 
-    def _judged(self, decision: Decision) -> tuple[int, str]:
+    def _assess(self, decision: Decision) -> tuple[int, str]:
         """Return level and text for the diagnostics."""
         if decision.state == STRANDED:
             return 2, decision.state

@@ -94,7 +94,7 @@ class VoxelGrid:
             return
         corner = np.floor(position / self.resolution).astype(np.int64) - np.array(self.evidence.shape) // 2
         moved = corner - self.corner
-        self.evidence = _shifted(self.evidence, moved)
+        self.evidence = _shift_values(self.evidence, moved)
         self.corner = corner
 
     def insert(self, origins: Array, ends: Array, hits: NDArray[np.bool_]) -> None:
@@ -144,7 +144,7 @@ class VoxelGrid:
         return self.middle(np.argwhere(self.evidence >= OCCUPIED_FROM))
 
 
-def _shifted(values: NDArray[np.int16], moved: NDArray[np.int64]) -> NDArray[np.int16]:
+def _shift_values(values: NDArray[np.int16], moved: NDArray[np.int64]) -> NDArray[np.int16]:
     """Return a grid whose voxel i is the old one's voxel i + ``moved``; new voxels are 0."""
     shifted = np.zeros_like(values)
     old = [slice(max(0, m), n + min(0, m)) for m, n in zip(moved.tolist(), values.shape, strict=True)]

@@ -39,7 +39,7 @@ from xtdrone_control.pose_history import PoseHistory
 from xtdrone_control.pose_messages import transform_message
 from xtdrone_control.vehicle_topics import VehicleTopics
 from xtdrone_planning.merging.frame_links import Pairs
-from xtdrone_planning.merging.map_chain import Merged, Placed, merged, merged_points
+from xtdrone_planning.merging.map_chain import Merged, Placed, merge_maps, merge_points
 from xtdrone_planning.merging.settings import FitSettings, LinkSettings, MergingOptions
 from xtdrone_planning.octree.octree_format import encode, file_of
 from xtdrone_planning.octree.octree_map import blocks_of
@@ -295,8 +295,8 @@ class MapMergingNode:
 
 def _outcome(clouds: Sequence[Array], pairs: dict[tuple[int, int], Pairs], settings: MergingSettings) -> _Outcome:
     """Return the merged maps; called by the worker."""
-    maps = merged(clouds, pairs, settings.link, settings.fit)
-    return _Outcome(maps, merged_points(clouds, maps.placed, settings.options.voxel))
+    maps = merge_maps(clouds, pairs, settings.link, settings.fit)
+    return _Outcome(maps, merge_points(clouds, maps.placed, settings.options.voxel))
 
 
 def _figures(placed: Placed) -> list[KeyValue]:

@@ -22,12 +22,9 @@ class LinkSettings(Settings):
         0.1, low=1e-3, high=10.0, unit="m", text="standard deviation added to that of each relative estimate"
     )
     heading_deviation: float = setting(
-        0.2,
-        low=1e-3,
-        high=100.0,
-        unit="rad",
+        0.2, low=1e-3, high=100.0, unit="rad",
         text="standard deviation of the difference between the maps' headings by compass; 3 or more: no prior",
-    )
+    )  # fmt: skip
     correlation: float = setting(
         5.0, low=0.0, high=600.0, unit="s", text="correlation time of the errors of relative estimates"
     )

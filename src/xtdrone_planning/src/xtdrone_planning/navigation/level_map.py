@@ -214,7 +214,7 @@ class ScanRays:
         self.times = time_step * used
         self.hits = hits[used]
 
-    def placed(self, poses: Array, spacing: float, mount: Array, slab: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def place(self, poses: Array, spacing: float, mount: Array, slab: float) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Return the start and end points of the rays, (n, 3) m in map, and which of them end at a surface.
 
         When the vehicle is tilted, a ray is cut off where it leaves the slab, because it may hit the ground.

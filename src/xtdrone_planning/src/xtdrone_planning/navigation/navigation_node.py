@@ -26,7 +26,6 @@ and the topics of ``vehicle_drives``.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -47,8 +46,7 @@ from xtdrone_control.rotation import from_euler, yaw_of
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_planning.mapping.map_messages import FRAME, grid_message
 from xtdrone_planning.mapping.sensor_watch import SensorWatch, WatchSettings
-from xtdrone_planning.navigation.action_server.action_goals import ABORTED, SUCCEEDED
-from xtdrone_planning.navigation.action_server.action_topics import ActionTopics
+from xtdrone_planning.navigation.action_server import ABORTED, SUCCEEDED, ActionTopics
 from xtdrone_planning.navigation.level_map import LevelMap, MapError, ScanRays
 from xtdrone_planning.navigation.move_base_services import MoveBaseServices
 from xtdrone_planning.navigation.navigator import ABORTED as GAVE_UP
@@ -182,7 +180,8 @@ class VehicleNavigation:
         rays = ScanRays(ranges, *numbers[:3], limits, self._costs.scan_yaw)
         if not self._watch.take(ranges.tobytes(), int(rays.hits.sum())):
             return
-        poses, spacing = self._poses_of(message.header.stamp.to_nsec(), message.time_increment * len(ranges))
+        seconds = max(message.time_increment * len(ranges), 1e-3)
+        poses = self._poses.during(message.header.stamp.to_nsec(), seconds, _PIECES)
         if poses is None:
             self._watch.rejected("no pose at the time of the scans")
             return
@@ -191,21 +190,9 @@ class VehicleNavigation:
                 self._watch.rejected(f"no map has been received on {self._costs.map_topic}")
                 return  # wait for the given map
             self.level.begin_around(poses[-1])
-        self.level.enter(*rays.placed(poses, spacing, np.array(self._costs.scan_position), self._costs.slab))
+        self.level.enter(*rays.place(poses, seconds / _PIECES, np.array(self._costs.scan_position), self._costs.slab))
         self.level.update_distance_around(poses[-1])
         self._watch.mapped(rospy.get_time())
-
-    def _poses_of(self, stamp_ns: int, seconds: float) -> tuple[Array | None, float]:
-        """Return the poses at times evenly spaced over a scan, (m, 7), and their spacing, s."""
-        spacing = max(seconds, 1e-3) / _PIECES
-        found = [self._poses.at(stamp_ns + round(k * spacing * 1e9)) for k in range(_PIECES + 1)]
-        poses = [pose.copy() for pose in found if pose is not None]
-        if len(poses) < len(found):
-            return None, spacing
-        for before, after in itertools.pairwise(poses):
-            if before[3:] @ after[3:] < 0.0:
-                after[3:] *= -1.0  # a quaternion and its negative are the same rotation: use the nearer one
-        return np.array(poses), spacing
 
     def _begin(self, message: PoseStamped) -> None:
         """Accept a goal.
@@ -250,7 +237,7 @@ class VehicleNavigation:
         self._publish_plans(turn, stamp)
         with self._services.lock:
             self._publish_costmaps(turn, stamp)
-        self._publish_report(stamp, self._judged(turn))
+        self._publish_report(stamp, self._assess(turn))
 
     def _step_without_pose(self, stamp: rospy.Time) -> None:
         """Stop; clients still get the results of goals that were rejected, cancelled or aborted."""
@@ -330,7 +317,7 @@ class VehicleNavigation:
         x, y = (first * self.level.cell).tolist()
         return grid_message(costs, (x, y, 0.0), self.level.cell, stamp)
 
-    def _judged(self, turn: Turn) -> tuple[int, str]:
+    def _assess(self, turn: Turn) -> tuple[int, str]:
         navigator = self.navigator
         if navigator.goal is None:
             if self._last_reason:

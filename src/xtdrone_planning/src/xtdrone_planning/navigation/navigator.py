@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.rotation import wrap_pi
-from xtdrone_planning.navigation.dynamic_window import AT_REST, Motion, arc, braked, choose, moved
+from xtdrone_planning.navigation.dynamic_window import AT_REST, Motion, arc, brake, choose, move_along_arc
 from xtdrone_planning.navigation.global_path import GlobalSearch, PathError
 from xtdrone_planning.navigation.level_map import LevelMap
 from xtdrone_planning.navigation.settings import NavigationGoalError, NavigatorSettings, WindowSettings
@@ -255,10 +255,10 @@ class Navigator:
     def _expected(self, now: Turn) -> Array:
         """Return the pose at which the next command takes effect."""
         x, y, yaw = now.pose.tolist()
-        return np.array(moved(x, y, yaw, self.command.speed, self.command.rate, self.limits.lag))
+        return np.array(move_along_arc(x, y, yaw, self.command.speed, self.command.rate, self.limits.lag))
 
     def _braked(self, now: Turn) -> Motion:
-        return braked(self.limits, self.command, now.duration)
+        return brake(self.limits, self.command, now.duration)
 
     def _towards(self, rate: float, now: Turn) -> float:
         """Return the yaw rate within the limits that is closest to a desired one, rad/s."""

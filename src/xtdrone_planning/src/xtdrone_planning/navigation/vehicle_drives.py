@@ -38,11 +38,10 @@ class DriveSettings(Settings):
     """Type of drive, and its settings."""
 
     drive: str = setting(
-        "auto",
-        choices=("auto", "mavros", "xtdrone", "ground"),
+        "auto", choices=("auto", "mavros", "xtdrone", "ground"),
         text="mavros: setpoint_raw/local; xtdrone: cmd_vel_flu of a communication node; ground: cmd_vel of a robot; "
         "auto: mavros for the fleet's vehicles, ground for others",
-    )
+    )  # fmt: skip
     height: float = setting(
         0.0, low=0.0, high=1000.0, unit="m", text="flight height; 0: the height when a goal is received"
     )

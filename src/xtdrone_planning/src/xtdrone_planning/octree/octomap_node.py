@@ -38,9 +38,8 @@ from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_planning.mapping.map_feed import MapFeed, SensorChoice
 from xtdrone_planning.mapping.range_images import DepthMapping, LidarMapping
 from xtdrone_planning.mapping.sensor_watch import SensorWatch, WatchSettings
-from xtdrone_planning.octree.global_map import GlobalMap
 from xtdrone_planning.octree.octree_format import Octree, check_octree_file, encode, file_of
-from xtdrone_planning.octree.octree_map import OctreeSettings
+from xtdrone_planning.octree.octree_map import GlobalMap, OctreeSettings
 from xtdrone_planning.octree.octree_messages import (
     MOST_CELLS,
     above_message,
@@ -197,7 +196,7 @@ class VehicleOctomap:
                 )
             self._above.publish(above_message(cells, first, resolution, stamp, self._frame))
 
-    def _judged(self, now: float) -> tuple[int, str]:
+    def _assess(self, now: float) -> tuple[int, str]:
         """Return level and text for the diagnostics."""
         octree = self._map.octree
         if octree.is_full:
@@ -211,7 +210,7 @@ class VehicleOctomap:
 
     def _publish_report(self, stamp: rospy.Time) -> None:
         now = stamp.to_sec()
-        report = self._judged(now)
+        report = self._assess(now)
         if report[0] == self._report[0] and now - self._reported < _REPORT_PERIOD:
             return
         if report[0] > max(self._report[0], 0):

@@ -15,9 +15,9 @@ from xtdrone_planning.mapping.voxel_grid import VoxelGrid
 from xtdrone_planning.paths.grid_search import BLOCKED, REACHED
 from xtdrone_planning.paths.local_path import LocalPath, PathQuery, PathSearch, Search, nearest_clear
 from xtdrone_planning.planner_settings import PlannerSettings, TrajectorySettings
-from xtdrone_planning.replanning.flight_states import PlannerCommand, FlightState, Planning, Situation, Waiting
+from xtdrone_planning.replanning.flight_states import FlightState, PlannerCommand, Planning, Situation, Waiting
 from xtdrone_planning.trajectories.local_trajectory import State, conflict_time, plan_along
-from xtdrone_planning.trajectories.speed_profile import length_of, stopping
+from xtdrone_planning.trajectories.speed_profile import brake_along, length_of
 from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, coasting, resting
 
 Array = NDArray[np.float64]
@@ -197,12 +197,12 @@ class Planner:
 
     def _braking(self, time: float) -> UniformSpline:
         assert self.trajectory is not None
-        return stopping(self.trajectory, time, 0.8 * self.limits.acceleration)
+        return brake_along(self.trajectory, time, 0.8 * self.limits.acceleration)
 
     def stop_from(self, state: State, time: float) -> None:
         """Stop from a state that is not on the trajectory, in its direction."""
         ahead = coasting(state.position, state.velocity, time)
-        self._fly(stopping(ahead, time, 0.8 * self.limits.acceleration))
+        self._fly(brake_along(ahead, time, 0.8 * self.limits.acceleration))
 
     def conflict(self, now: Situation) -> float:
         """Return when the trajectory hits an obstacle of the current map, s of ROS time; infinite if never."""

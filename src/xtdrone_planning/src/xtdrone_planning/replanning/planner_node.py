@@ -246,7 +246,7 @@ class VehiclePlanner:
             self._request_offboard(situation)
         self._publish_trajectory(stamp)
         self._publish_map(situation, stamp)
-        self._publish_report(stamp, self._judged(situation))
+        self._publish_report(stamp, self._assess(situation))
 
     def _situation(self, now: float) -> Situation | None:
         vehicle = self._vehicle
@@ -307,7 +307,7 @@ class VehiclePlanner:
         if self._slice.get_num_connections():
             self._slice.publish(slice_at(self._map.grid, float(now.position[2]), stamp))
 
-    def _judged(self, now: Situation) -> tuple[int, str]:
+    def _assess(self, now: Situation) -> tuple[int, str]:
         level, text = self.planner.state.report(self.planner, now)
         if level == 0 and self._watch.sees_nothing:
             return 1, f"{text}; the sensor sees nothing within its range"

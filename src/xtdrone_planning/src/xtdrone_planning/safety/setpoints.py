@@ -101,7 +101,7 @@ def meaning_of_target(target: Any, motion: VehicleMotion, gains: Gains) -> Meani
         else:
             wanted.append(motion.velocity[axis] + gains.lag * acceleration[axis])
     if mask & IGNORE_POSITION != IGNORE_POSITION:
-        wanted = list(_limited(wanted, gains.max_speed))
+        wanted = list(_limit(wanted, gains.max_speed))
     yaw = None if mask & IGNORE_YAW else wrap_pi(target.yaw + motion.yaw * body)
     yaw_rate = None if mask & IGNORE_YAW_RATE else target.yaw_rate
     place = None if mask & IGNORE_POSITION else position
@@ -112,7 +112,7 @@ def meaning_of_pose(pose: Any, motion: VehicleMotion, gains: Gains) -> Meaning |
     """Return the meaning of a geometry_msgs/Pose on setpoint_position/local; None if it is not finite."""
     p, q = pose.position, pose.orientation
     way = (gains.kp * (a - x) for a, x in zip((p.x, p.y, p.z), motion.position, strict=True))
-    velocity = _limited(list(way), gains.max_speed)
+    velocity = _limit(list(way), gains.max_speed)
     return _finite(Meaning(velocity, yaw_of(q.x, q.y, q.z, q.w), position=(p.x, p.y, p.z)))  # type: ignore[arg-type]
 
 
@@ -152,7 +152,7 @@ def _level(vector: Vector, yaw: float) -> Vector:
     return math.cos(yaw) * x - math.sin(yaw) * y, math.sin(yaw) * x + math.cos(yaw) * y, z
 
 
-def _limited(vector: list[float], most: float) -> tuple[float, ...]:
+def _limit(vector: list[float], most: float) -> tuple[float, ...]:
     length = math.hypot(*vector)
     return tuple(x * most / length for x in vector) if length > most else tuple(vector)
 

@@ -78,7 +78,7 @@ _STILL = 0.05  # m/s
 _MOST = 200  # knots
 
 
-def stopping(spline: UniformSpline, time: float, deceleration: float) -> UniformSpline:
+def brake_along(spline: UniformSpline, time: float, deceleration: float) -> UniformSpline:
     """Return a trajectory that brakes along the path of another one.
 
     Args:

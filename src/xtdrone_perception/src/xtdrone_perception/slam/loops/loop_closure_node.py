@@ -133,10 +133,10 @@ class VehicleLoops:
             return
         self._last = pose
         due_us = now.to_nsec() // 1000 + self._latency_us
-        self._deferred.put(cloud.header.stamp, due_us, _corrected, self._loops, pose, points)
+        self._deferred.put(cloud.header.stamp, due_us, _correct, self._loops, pose, points)
 
 
-def _corrected(loops: LoopClosure, pose: Array, points: Array) -> _Correction:
+def _correct(loops: LoopClosure, pose: Array, points: Array) -> _Correction:
     closed = loops.add(pose, points)
     return _Correction(loops.correction, [entry.copy() for entry in loops.poses], closed)
 

@@ -32,12 +32,9 @@ class PlaceSettings(Settings):
         0.0, low=-6.3, high=6.3, unit="rad", text="heading of the x axis of that frame in map, from east to north"
     )
     sensor_position: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.0),
-        low=-5.0,
-        high=5.0,
-        unit="m",
+        (0.0, 0.0, 0.0), low=-5.0, high=5.0, unit="m",
         text="position in base_link of the sensor whose pose is received, FLU",
-    )
+    )  # fmt: skip
 
 
 def read_starts(value: object, count: int) -> list[tuple[float, float, float]]:

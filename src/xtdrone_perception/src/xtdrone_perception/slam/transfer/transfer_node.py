@@ -249,7 +249,7 @@ class PoseTransfer:
             message.pose.covariance[0] = message.twist.covariance[0] = _UNKNOWN
             self._poses.publish(message)
 
-    def _judged(self, now: float) -> tuple[int, str]:
+    def _assess(self, now: float) -> tuple[int, str]:
         """Return level and text for the diagnostics."""
         has_no_height = self._source.plane and self._height() is None
         if not self._count:
@@ -260,7 +260,7 @@ class PoseTransfer:
         return DiagnosticStatus.OK, "poses are sent"
 
     def _publish_report(self, stamp: rospy.Time) -> None:
-        now, report = stamp.to_sec(), self._judged(stamp.to_sec())
+        now, report = stamp.to_sec(), self._assess(stamp.to_sec())
         if report == self._report and now - self._reported < _REPORT_PERIOD:
             return
         if report[0] == DiagnosticStatus.ERROR and report != self._report:

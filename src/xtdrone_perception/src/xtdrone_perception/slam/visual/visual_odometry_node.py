@@ -52,27 +52,18 @@ class VisualOdometryOptions(OdometryOptions):
     kind: str = setting("rgbd", choices=("rgbd", "stereo"), text="a depth camera with colours, or a stereo pair")
     camera: str = setting("realsense/depth_camera", text="name of the camera's topics below the vehicle's namespace")
     camera_position: tuple[float, float, float] = setting(
-        (0.1, 0.0, 0.0),
-        low=-10.0,
-        high=10.0,
-        unit="m",
+        (0.1, 0.0, 0.0), low=-10.0, high=10.0, unit="m",
         text="position in base_link of the camera, or of the centre of a stereo pair",
-    )
+    )  # fmt: skip
     camera_rpy: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.0),
-        low=-2.0 * math.pi,
-        high=2.0 * math.pi,
-        unit="rad",
+        (0.0, 0.0, 0.0), low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad",
         text="roll, pitch, yaw of the sensor in base_link",
-    )
+    )  # fmt: skip
     pixel_centre: float = setting(
-        0.5,
-        low=0.0,
-        high=0.5,
-        unit="px",
+        0.5, low=0.0, high=0.5, unit="px",
         text="coordinate of the upper left pixel's centre in the camera's calibration: 0.5 for simulated cameras, 0 "
         "for cameras calibrated with OpenCV",
-    )
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,0 @@
-"""The action server of move_base, processed in the turns of the lockstep."""
