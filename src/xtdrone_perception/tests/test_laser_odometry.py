@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import LaserScan
 
 from xtdrone_control.clouds import read_scan
-from xtdrone_control.poses import distance_between, inverse, moved, pose_of
+from xtdrone_control.poses import distance_between, inverse, move_pose, pose_of
 from xtdrone_perception.slam.deskewing import motion_of
 from xtdrone_perception.slam.laser.laser_odometry import LaserEstimate, LaserOdometry, LaserSweep, ScanMatchSettings
 from xtdrone_perception.slam.laser.scan_matching import normals_of
@@ -71,7 +71,7 @@ def test_a_corridor_without_ends_is_named() -> None:
     odometry = LaserOdometry(ScanMatchSettings(), np.eye(4))
     pose = pose_of((0.0, 0.0, 1.5), Rotation.identity())
     odometry.accept(odometry.register(sweep(pose, 0, room=room), pose))
-    found = odometry.register(sweep(pose, 1, room=room), moved(pose, np.array([0.05, 0, 0, 0, 0, 0])))
+    found = odometry.register(sweep(pose, 1, room=room), move_pose(pose, np.array([0.05, 0, 0, 0, 0, 0])))
     assert fault_of(figures_of(found, 0, 60), HealthLimits()) is Fault.DEGENERATE
 
 

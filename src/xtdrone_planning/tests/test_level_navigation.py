@@ -14,7 +14,7 @@ from move_base_msgs.msg import MoveBaseActionGoal
 from xtdrone_control.settings import SettingError
 from xtdrone_planning.navigation import action_server
 from xtdrone_planning.navigation.action_server import ActionGoals
-from xtdrone_planning.navigation.dynamic_window import AT_REST, Motion, choose, moved, window
+from xtdrone_planning.navigation.dynamic_window import AT_REST, Motion, choose, move_along_arc, window
 from xtdrone_planning.navigation.global_path import GlobalSearch, PathError
 from xtdrone_planning.navigation.level_map import INSCRIBED, LETHAL, UNKNOWN, LevelMap, MapError, ScanRays
 from xtdrone_planning.navigation.navigator import ABORTED, SUCCEEDED, WAITING, Navigator, Turn
@@ -63,7 +63,7 @@ class Drive:
         while self.time < end and self.navigator.goal is not None:
             motion = self.navigator.step(Turn(self.time, TURN, self.pose))
             if not self.stuck:
-                self.pose = np.array(moved(*self.pose.tolist(), motion.speed, motion.rate, TURN))
+                self.pose = np.array(move_along_arc(*self.pose.tolist(), motion.speed, motion.rate, TURN))
             self.time += TURN
             self.motions.append(motion)
             self.distances.append(self.level.away(self.pose))
@@ -116,7 +116,7 @@ def test_every_motion_that_is_chosen_can_be_stopped_before_an_obstacle(seed):
         stopping = motion.speed / LIMITS.acceleration
         for time in np.linspace(0.0, max(LIMITS.horizon, stopping), 80):
             # a position is up to half a cell's diagonal from the centre of its cell
-            x, y, _ = moved(*pose.tolist(), motion.speed, motion.rate, float(time))
+            x, y, _ = move_along_arc(*pose.tolist(), motion.speed, motion.rate, float(time))
             assert level.away(np.array([x, y])) >= clearance - CELL
     assert chosen > 20
 
@@ -132,9 +132,9 @@ def test_the_window_is_what_can_be_reached_in_a_turn():
 
 
 def test_a_motion_is_an_arc():
-    x, y, yaw = moved(1.0, 2.0, 0.0, 0.5, 0.25, 2.0)  # a circle of 2 m, by 0.5 rad
+    x, y, yaw = move_along_arc(1.0, 2.0, 0.0, 0.5, 0.25, 2.0)  # a circle of 2 m, by 0.5 rad
     assert (x, y, yaw) == pytest.approx((1.0 + 2.0 * math.sin(0.5), 2.0 + 2.0 * (1.0 - math.cos(0.5)), 0.5))
-    assert moved(1.0, 2.0, 0.5 * math.pi, 1.0, 0.0, 2.0) == pytest.approx((1.0, 4.0, 0.5 * math.pi))
+    assert move_along_arc(1.0, 2.0, 0.5 * math.pi, 1.0, 0.0, 2.0) == pytest.approx((1.0, 4.0, 0.5 * math.pi))
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -18,9 +18,9 @@ from scipy.spatial.transform import Rotation
 from toy_yard import seen, way, yard
 
 from xtdrone_control import lockstep
-from xtdrone_control.clouds import read_cloud
+from xtdrone_control.clouds import cloud_message, read_cloud
+from xtdrone_control.pose_messages import pose_message, stamped_pose
 from xtdrone_control.poses import inverse, pose_of, transform_points, turned_about_z
-from xtdrone_perception.slam.odometry_messages import cloud, pose_message, stamped
 from xtdrone_planning.octree.octree_format import read_file
 
 try:
@@ -60,11 +60,11 @@ def fleet() -> None:
         places = [way(k, np.array([4.0 * now.to_sec()]))[0] for k in range(3)]
         for k in range(3):
             own = transform_points(inverse(FRAMES[k]), places[k])
-            poses[k].publish(stamped(pose_of(own, Rotation.identity()), now, "map"))
+            poses[k].publish(stamped_pose(pose_of(own, Rotation.identity()), now, "map"))
             if turn == 20 * (k + 1):
-                maps[k].publish(cloud(clouds[k], now, "map"))
+                maps[k].publish(cloud_message(clouds[k], now, "map"))
         if turn == 160:  # a map without heights
-            wrong = cloud(clouds[1], now, "map")
+            wrong = cloud_message(clouds[1], now, "map")
             wrong.fields = wrong.fields[:2]
             maps[1].publish(wrong)
         rng = np.random.default_rng(turn)

@@ -14,10 +14,11 @@ topic of vehicle ``T``                   type                            name
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Pose, PoseStamped, TwistStamped
 from mavros_msgs.msg import ExtendedState, State
 from nav_msgs.msg import Odometry
@@ -29,6 +30,8 @@ from xtdrone_control.pose_history import PoseHistory
 from xtdrone_control.pose_messages import pose_entry
 
 Array = NDArray[np.float64]
+
+_REPORT_PERIOD = 1.0  # s
 
 
 class VehicleTopics:
@@ -122,3 +125,39 @@ class VehicleTopics:
     def _on_extended_state(self, message: ExtendedState) -> None:
         self.is_on_ground = message.landed_state == ExtendedState.LANDED_STATE_ON_GROUND
         self.is_in_air = not self.is_on_ground
+
+
+class VehicleReport:
+    """State of a part of a vehicle on /diagnostics, on each change and once a second.
+
+    Attributes:
+        level: Last level of diagnostic_msgs/DiagnosticStatus; -1: none yet.
+    """
+
+    def __init__(self, vehicle: str, part: str) -> None:
+        """Declare the topic."""
+        self._vehicle, self._part = vehicle, part
+        self._publisher = lockstep.Publisher("/diagnostics", DiagnosticArray)
+        self.restart()
+        lockstep.add_reset_hook(self.restart)
+
+    def restart(self) -> None:
+        """Forget what was reported, because simulated time was reset."""
+        self.level, self._kind, self._time = -1, "", -math.inf
+
+    def publish(self, stamp: rospy.Time, level: int, text: str, values: Mapping[str, str], kind: str = "") -> bool:
+        """Publish the state if it is due; return whether it has changed.
+
+        Args:
+            stamp: Current time.
+            level, text: Level and message of the status.
+            values: Its values.
+            kind: What else makes it another state besides the level.
+        """
+        has_changed = (level, kind) != (self.level, self._kind)
+        if has_changed or stamp.to_sec() - self._time >= _REPORT_PERIOD:
+            self.level, self._kind, self._time = level, kind, stamp.to_sec()
+            pairs = [KeyValue(key, value) for key, value in values.items()]
+            status = DiagnosticStatus(level, f"{self._vehicle}: {self._part}", text, self._vehicle, pairs)
+            self._publisher.publish(DiagnosticArray(Header(stamp=stamp), [status]))
+        return has_changed

@@ -114,29 +114,25 @@ class VehicleExplorer:
         occupied = self._occupied
         if not level or occupied is None or occupied.header.stamp != message.header.stamp:
             return
-        with_warning = self._guarded("map/slice")
-        with_warning(lambda: self._explorer.floor.enter(*slice_of(message, occupied, self._settings.cell, _SLAB)))
+        cell, enter = self._settings.cell, self._explorer.floor.enter
+        self._try("map/slice", lambda: enter(*slice_of(message, occupied, cell, _SLAB)))
         self._sliced = message.header.stamp.to_sec()
 
     def _on_floor(self, message: SharedFloor) -> None:
         if message.vehicle in self._fleet and message.vehicle != self._name:
             hear = self._explorer.floor.hear
-            self._guarded("floor")(lambda: hear(message.vehicle, *cells_of(message.map, self._settings.cell)))
+            self._try("floor", lambda: hear(message.vehicle, *cells_of(message.map, self._settings.cell)))
 
     def _on_share(self, message: RegionShare) -> None:
         hear, now = self._explorer.sharing.hear, rospy.get_time()
-        self._guarded("share")(lambda: hear(share_of(message, self._count), now))
+        self._try("share", lambda: hear(share_of(message, self._count), now))
 
-    def _guarded(self, what: str) -> Callable[[Callable[[], None]], None]:
-        """Return a callback that processes a message, or warns that it is invalid."""
-
-        def enter(action: Callable[[], None]) -> None:
-            try:
-                action()
-            except (FloorError, ScanError) as error:
-                rospy.logwarn_throttle_identical(_WARNINGS, f"{self._name}: {what}: {error}; ignored")
-
-        return enter
+    def _try(self, what: str, action: Callable[[], None]) -> None:
+        """Process a message, or warn that it is invalid."""
+        try:
+            action()
+        except (FloorError, ScanError) as error:
+            rospy.logwarn_throttle_identical(_WARNINGS, f"{self._name}: {what}: {error}; ignored")
 
     # turns
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import rospy
@@ -27,7 +27,7 @@ from xtdrone_control.pose_history import PoseHistory
 from xtdrone_control.settings import Settings, setting
 from xtdrone_control.vehicle_topics import VehicleTopics
 from xtdrone_planning.mapping.range_images import DepthImages, DepthMapping, LidarImages, LidarMapping, RangeImage
-from xtdrone_planning.mapping.sensor_watch import SensorWatch
+from xtdrone_planning.mapping.sensor_watch import SensorWatch, WatchSettings
 
 _INTRINSICS = (0, 4, 2, 5)  # fx, fy, cx, cy in K
 
@@ -39,6 +39,25 @@ class SensorChoice(Settings):
     sensor: str = setting(
         "lidar", choices=("lidar", "depth"), text="sensor that the map is built from: lidar cloud or depth image"
     )
+
+
+class SensorSettings(NamedTuple):
+    """All settings of the sensor that maps."""
+
+    choice: SensorChoice = SensorChoice()
+    lidar: LidarMapping = LidarMapping()
+    depth: DepthMapping = DepthMapping()
+    watch: WatchSettings = WatchSettings()
+
+    @classmethod
+    def read(cls) -> SensorSettings:
+        """Return the settings of the private parameters.
+
+        Raises:
+            SettingError: A parameter is not allowed.
+        """
+        kinds = SensorChoice, LidarMapping, DepthMapping, WatchSettings
+        return cls(*(kind.from_parameters(rospy.get_param) for kind in kinds))
 
 
 class FedMap(Protocol):
@@ -60,33 +79,30 @@ class MapFeed:
         vehicle: str,
         fed_map: FedMap,
         watch: SensorWatch,
-        sensor: str,
-        lidar: LidarMapping,
-        depth: DepthMapping,
+        settings: SensorSettings,
         timed: Callable[[], AbstractContextManager[None]] = nullcontext,
         odometry: str = "",
     ) -> None:
         """Declare the topics.
 
         Args:
-            vehicle: name, as ``iris_0``.
-            fed_map: map to feed.
-            watch: monitors the sensor.
-            sensor: lidar or depth.
-            lidar, depth: settings of the sensor.
-            timed: returns a context manager around reading and inserting each measurement.
-            odometry: name of the odometry whose poses are used, e.g. ``lidar_odometry``; empty: the autopilot's
-            estimate.
+            vehicle: Name of the vehicle, as ``iris_0``.
+            fed_map: Map to feed.
+            watch: Supervision of the sensor.
+            settings: Settings of the sensor.
+            timed: Returns a context manager around reading and inserting each measurement.
+            odometry: Name of the odometry whose poses are used; empty: the autopilot's estimate.
         """
         self._timed = timed
         self._vehicle = vehicle
         self._map = fed_map
         self._watch = watch
-        self._mount = lidar.lidar_position if sensor == "lidar" else depth.depth_position
+        is_lidar, lidar, depth = settings.choice.sensor == "lidar", settings.lidar, settings.depth
+        self._mount = lidar.lidar_position if is_lidar else depth.depth_position
         self._lidar, self._depth = LidarImages(lidar), DepthImages(depth)
         self._intrinsics: tuple[float, float, float, float] | None = None
         VehicleTopics(vehicle, "pose", poses=fed_map.poses, odometry=odometry)
-        if sensor == "lidar":
+        if is_lidar:
             lockstep.Subscriber(f"/{vehicle}/{lidar.lidar_topic}", PointCloud2, self._on_cloud, queue_size=1)
         else:
             lockstep.Subscriber(f"/{vehicle}/{depth.depth_topic}/camera_info", CameraInfo, self._on_info, queue_size=1)

@@ -33,7 +33,6 @@ from pathlib import Path as FilePath
 
 import numpy as np
 import rospy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid, Path
 from nav_msgs.srv import GetPlanResponse
@@ -44,6 +43,7 @@ from xtdrone_control import lockstep
 from xtdrone_control.pose_history import PoseHistory
 from xtdrone_control.rotation import from_euler, yaw_of
 from xtdrone_control.settings import SettingError, Settings, setting
+from xtdrone_control.vehicle_topics import VehicleReport
 from xtdrone_planning.mapping.map_messages import FRAME, grid_message
 from xtdrone_planning.mapping.sensor_watch import SensorWatch, WatchSettings
 from xtdrone_planning.navigation.action_server import ABORTED, SUCCEEDED, ActionTopics
@@ -68,7 +68,6 @@ RATE = 20.0  # Hz, as move_base's controller
 _PIECES = 4  # intervals per scan, within which the vehicle's pose is interpolated
 _STALE_POSE = 0.5  # s
 _LOCAL_PERIOD, _GLOBAL_PERIOD = 0.2, 1.0  # s between two publications of a costmap
-_REPORT_PERIOD = 1.0  # s
 _WARNINGS = 5.0  # s between two equal ones
 _LEAST_NORM = 0.1  # of a goal's quaternion
 
@@ -119,7 +118,7 @@ class VehicleNavigation:
         self._costmap = lockstep.Publisher(f"{base}/global_costmap/costmap", OccupancyGrid, latch=True)
         self._local_costmap = lockstep.Publisher(f"{base}/local_costmap/costmap", OccupancyGrid)
         self._current = lockstep.Publisher(f"{base}/current_goal", PoseStamped)
-        self._diagnostics = lockstep.Publisher("/diagnostics", DiagnosticArray)
+        self._diagnostics = VehicleReport(name, "navigation")
         for topic in sorted({f"{prefix}/move_base_simple/goal"} | ({"/move_base_simple/goal"} if rviz_goal else set())):
             lockstep.Subscriber(topic, PoseStamped, self._action.take)
         if self._costs.scan_topic:
@@ -144,8 +143,7 @@ class VehicleNavigation:
         self._forget()
 
     def _forget(self) -> None:
-        self._posed = self._reported = self._local_sent = self._global_sent = -math.inf
-        self._report: tuple[int, str] = (-1, "")
+        self._posed = self._local_sent = self._global_sent = -math.inf
         self._last_reason = ""
         self._path: Array = np.empty((0, 2))
 
@@ -330,18 +328,13 @@ class VehicleNavigation:
         return (1 if navigator.state == PLANNING else 0), navigator.state
 
     def _publish_report(self, stamp: rospy.Time, report: tuple[int, str]) -> None:
-        now, (level, text) = stamp.to_sec(), report
-        kind = (level, self.navigator.state)  # the text is not compared: it counts the seconds without a scan
-        if kind == self._report and now - self._reported < _REPORT_PERIOD:
-            return
-        if level == 2 and kind != self._report:
+        (level, text), state = report, self.navigator.state
+        values = {"state": state, "scans": str(self._watch.count)}
+        has_changed = self._diagnostics.publish(
+            stamp, level, text, values, state
+        )  # the text counts seconds without a scan
+        if level == 2 and has_changed:
             rospy.logwarn_throttle_identical(_WARNINGS, f"{self.name}: navigation: {text}")
-        self._report, self._reported = kind, now
-        status = DiagnosticStatus(level=level, name=f"{self.name}: navigation", message=text, hardware_id=self.name)
-        status.values = [KeyValue("state", self.navigator.state), KeyValue("scans", str(self._watch.count))]
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = stamp
-        self._diagnostics.publish(message)
 
     def close(self) -> None:
         """Cancel pending service calls."""

@@ -48,26 +48,30 @@ class DriveSettings(Settings):
     offboard: bool = setting(True, text="request OFFBOARD for a goal (of drive mavros); false: wait for the pilot")
 
 
-class Drive(Protocol):
-    """A vehicle."""
+class Drive:
+    """A vehicle; the methods here are those of one that always obeys."""
 
     def restart(self) -> None:
         """Forget everything, because simulated time was reset."""
 
     def obstacle_to_goals(self) -> str:
         """Return why goals cannot be accepted; empty if they can."""
+        raise NotImplementedError
 
     def begin(self) -> None:
         """Begin with a goal."""
 
     def obeys(self) -> bool:
         """Return whether the vehicle moves as commanded."""
+        return True
 
     def is_lost(self) -> bool:
         """Return whether a pilot or another program has taken the vehicle over since ``begin``."""
+        return False
 
     def command(self, motion: Motion, stamp: rospy.Time, *, active: bool) -> None:
         """Command a motion; ``active``: there is a goal, or the vehicle is still moving."""
+        raise NotImplementedError
 
     def halt(self) -> None:
         """Stop because the vehicle's pose is unknown; call it in every turn until the pose is known again."""
@@ -83,7 +87,7 @@ class PoseFeed(Protocol):
         """Receive a pose: x, y, z, m in map, and quaternion w, x, y, z."""
 
 
-class GroundDrive:
+class GroundDrive(Drive):
     """A ground robot: odometry relative to its start pose on /tf_static, and ``cmd_vel``."""
 
     def __init__(self, name: str, feed: PoseFeed) -> None:
@@ -117,17 +121,6 @@ class GroundDrive:
         """Return why goals cannot be accepted."""
         return "" if self._start is not None else f"no transform from map to {self._odom} on /tf_static"
 
-    def begin(self) -> None:
-        """Begin with a goal."""
-
-    def obeys(self) -> bool:
-        """Return True."""
-        return True
-
-    def is_lost(self) -> bool:
-        """Return False."""
-        return False
-
     def command(self, motion: Motion, stamp: rospy.Time, *, active: bool) -> None:
         """Publish the command; at the end a single stop command, then nothing."""
         if active or self._was_active:
@@ -139,12 +132,12 @@ class GroundDrive:
         if self._was_active:
             self._publisher.publish(Twist())
 
-    def close(self) -> None:
-        """Nothing is pending."""
 
+class UavDrive(Drive):
+    """A UAV at a fixed height: subscribes to MAVROS's estimate and publishes velocity setpoints.
 
-class UavDrive:
-    """A UAV at a fixed height: subscribes to MAVROS's estimate and publishes velocity setpoints."""
+    While its position is unknown it publishes none: the autopilot's failsafe acts.
+    """
 
     def __init__(self, name: str, settings: DriveSettings, feed: PoseFeed) -> None:
         """Declare the topics."""
@@ -236,9 +229,6 @@ class UavDrive:
         if now - self._streaming_since >= _STREAM_LEAD and now - self._requested >= _REQUEST_SPACING:
             self._requested = now
             self._services.submit(Request("OFFBOARD", None))
-
-    def halt(self) -> None:
-        """Publish nothing: without setpoints and position, the autopilot's failsafe acts."""
 
     def close(self) -> None:
         """Cancel pending service calls."""

@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 import rospy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from nav_msgs.msg import OccupancyGrid
 from numpy.typing import NDArray
 from octomap_msgs.msg import Octomap
@@ -35,9 +35,9 @@ from std_srvs.srv import Empty, EmptyResponse
 
 from xtdrone_control import lockstep
 from xtdrone_control.settings import SettingError, Settings, setting
-from xtdrone_planning.mapping.map_feed import MapFeed, SensorChoice
-from xtdrone_planning.mapping.range_images import DepthMapping, LidarMapping
-from xtdrone_planning.mapping.sensor_watch import SensorWatch, WatchSettings
+from xtdrone_control.vehicle_topics import VehicleReport
+from xtdrone_planning.mapping.map_feed import MapFeed, SensorSettings
+from xtdrone_planning.mapping.sensor_watch import SensorWatch
 from xtdrone_planning.octree.octree_format import Octree, check_octree_file, encode, file_of
 from xtdrone_planning.octree.octree_map import GlobalMap, OctreeSettings
 from xtdrone_planning.octree.octree_messages import (
@@ -51,7 +51,6 @@ from xtdrone_planning.octree.octree_messages import (
 RATE = 20.0  # Hz
 
 _WARNINGS = 60.0  # s between two equal ones
-_REPORT_PERIOD = 1.0  # s
 
 
 @dataclass(frozen=True)
@@ -84,10 +83,7 @@ class OctomapNodeSettings(NamedTuple):
 
     options: OctomapOptions
     octree: OctreeSettings
-    sensor: SensorChoice
-    lidar: LidarMapping
-    depth: DepthMapping
-    watch: WatchSettings
+    sensor: SensorSettings
 
 
 def read_settings() -> OctomapNodeSettings:
@@ -99,10 +95,7 @@ def read_settings() -> OctomapNodeSettings:
     return OctomapNodeSettings(
         OctomapOptions.from_parameters(rospy.get_param),
         OctreeSettings.from_parameters(rospy.get_param),
-        SensorChoice.from_parameters(rospy.get_param),
-        LidarMapping.from_parameters(rospy.get_param),
-        DepthMapping.from_parameters(rospy.get_param),
-        WatchSettings.from_parameters(rospy.get_param),
+        SensorSettings.read(),
     )
 
 
@@ -114,32 +107,25 @@ class VehicleOctomap:
         self._name, self._settings = name, settings
         self._map = GlobalMap(settings.octree, settings.options.interval)
         self._lock = threading.Lock()  # services run in their own threads
-        self._watch = SensorWatch(settings.watch)
-        MapFeed(
-            name, self._map, self._watch, settings.sensor.sensor, settings.lidar, settings.depth,
-            odometry=settings.options.odometry,
-        )  # fmt: skip
+        self._watch = SensorWatch(settings.sensor.watch)
+        MapFeed(name, self._map, self._watch, settings.sensor, odometry=settings.options.odometry)
         self._binary = lockstep.Publisher(f"/{name}/octomap_binary", Octomap, latch=True)
         self._full = lockstep.Publisher(f"/{name}/octomap_full", Octomap, latch=True)
         self._centres = lockstep.Publisher(f"/{name}/octomap_point_cloud_centers", PointCloud2, latch=True)
         self._above = lockstep.Publisher(f"/{name}/projected_map", OccupancyGrid, latch=True)
-        self._diagnostics = lockstep.Publisher("/diagnostics", DiagnosticArray)
+        self._diagnostics = VehicleReport(name, "octomap")
         rospy.Service(f"/{name}/octomap_binary", GetOctomap, lambda request: self._answer(binary=True))
         rospy.Service(f"/{name}/octomap_full", GetOctomap, lambda request: self._answer(binary=False))
         rospy.Service(f"/{name}/octomap_server/reset", Empty, self._on_reset)
         lockstep.add_reset_hook(self._restart)
-        self._forget_times()
-
-    def _forget_times(self) -> None:
-        self._published = self._reported = -math.inf
-        self._report = (-1, "")
+        self._published = -math.inf
 
     def _restart(self) -> None:
         """Begin again, because simulated time was reset."""
         with self._lock:
             self._map.restart()
         self._watch.restart()
-        self._forget_times()
+        self._published = -math.inf
 
     # services
 
@@ -209,22 +195,15 @@ class VehicleOctomap:
         return DiagnosticStatus.OK, "mapping"
 
     def _publish_report(self, stamp: rospy.Time) -> None:
-        now = stamp.to_sec()
-        report = self._assess(now)
-        if report[0] == self._report[0] and now - self._reported < _REPORT_PERIOD:
-            return
-        if report[0] > max(self._report[0], 0):
-            rospy.logwarn(f"{self._name}: octomap: {report[1]}")
-        self._report, self._reported = report, now
-        status = DiagnosticStatus(report[0], f"{self._name}: octomap", report[1], self._name, [])
-        status.values = [
-            KeyValue("measurements", str(self._map.entered)),
-            KeyValue("without poses", str(self._map.left_out)),
-            KeyValue("memory, MB", f"{self._map.octree.memory:.1f}"),
-        ]
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = stamp
-        self._diagnostics.publish(message)
+        (level, text), before = self._assess(stamp.to_sec()), self._diagnostics.level
+        values = {
+            "measurements": str(self._map.entered),
+            "without poses": str(self._map.left_out),
+            "memory, MB": f"{self._map.octree.memory:.1f}",
+        }
+        self._diagnostics.publish(stamp, level, text, values)
+        if level > max(before, 0):
+            rospy.logwarn(f"{self._name}: octomap: {text}")
 
 
 class OctomapNode:

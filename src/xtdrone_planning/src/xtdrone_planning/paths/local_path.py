@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_planning.mapping.voxel_grid import VoxelGrid
-from xtdrone_planning.paths.grid_search import BLOCKED, REACHED, UNDECIDED, search
+from xtdrone_planning.paths.grid_search import REACHED, search
 from xtdrone_planning.paths.lines_of_sight import seen_count, without_corners
 
 Array = NDArray[np.float64]
@@ -152,9 +152,6 @@ def _with_room_to_stop(grid: VoxelGrid, distance: NDArray[np.float32], points: A
     cells = np.floor(points / grid.resolution).astype(np.int64) - grid.corner
     clear = np.flatnonzero(distance[tuple(cells.T)] >= least)
     return int(clear[-1]) + 1 if len(clear) and clear[-1] > 0 else len(points)
-
-
-__all__ = ["BLOCKED", "REACHED", "UNDECIDED", "LocalPath", "PathQuery", "PathSearch", "Search", "seen_path"]
 
 
 _REACH = 2.0  # m

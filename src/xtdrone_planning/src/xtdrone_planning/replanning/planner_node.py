@@ -34,7 +34,6 @@ from pathlib import Path as FilePath
 
 import numpy as np
 import rospy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, PoseStamped, Twist, Vector3
 from mavros_msgs.msg import PositionTarget
 from nav_msgs.msg import OccupancyGrid, Path
@@ -48,11 +47,10 @@ from xtdrone_control.communication.commands import Request
 from xtdrone_control.communication.multirotor import MavrosServices
 from xtdrone_control.rotation import yaw_of
 from xtdrone_control.settings import Settings, setting
-from xtdrone_control.vehicle_topics import VehicleTopics
-from xtdrone_planning.mapping.map_feed import MapFeed, SensorChoice
+from xtdrone_control.vehicle_topics import VehicleReport, VehicleTopics
+from xtdrone_planning.mapping.map_feed import MapFeed, SensorSettings
 from xtdrone_planning.mapping.map_messages import FRAME, slice_at
-from xtdrone_planning.mapping.range_images import DepthMapping, LidarMapping
-from xtdrone_planning.mapping.sensor_watch import SensorWatch, WatchSettings
+from xtdrone_planning.mapping.sensor_watch import SensorWatch
 from xtdrone_planning.mapping.voxel_grid import LocalMap, MapSettings
 from xtdrone_planning.planner_settings import AgreementSettings, GoalError, PlannerSettings, TrajectorySettings
 from xtdrone_planning.replanning.flight_states import PlannerCommand, Situation
@@ -70,7 +68,6 @@ _STALE_POSE = 0.5  # s
 _START_UP = 5.0  # s within which the first position and measurement are expected
 _MAP_PERIOD = 0.5  # s between two publications of the map
 _WARNINGS = 5.0  # s between two warnings
-_REPORT_PERIOD = 1.0  # s
 
 
 @dataclass(frozen=True)
@@ -85,7 +82,7 @@ class PlannerNodeSettings:
     """All settings of the node.
 
     Attributes:
-        sensor, lidar, depth, watch: settings of the sensor.
+        sensor: Settings of the sensor.
         grid: Settings of the local map.
         limits: Limits of the trajectories.
         planner: Settings of the planner.
@@ -93,10 +90,7 @@ class PlannerNodeSettings:
         swarm: coordination with other vehicles; None: others are ignored.
     """
 
-    sensor: SensorChoice
-    lidar: LidarMapping
-    depth: DepthMapping
-    watch: WatchSettings
+    sensor: SensorSettings
     grid: MapSettings
     limits: TrajectorySettings
     planner: PlannerSettings
@@ -111,10 +105,7 @@ def read_settings() -> PlannerNodeSettings:
         SettingError: a parameter is not allowed.
     """
     return PlannerNodeSettings(
-        SensorChoice.from_parameters(rospy.get_param),
-        LidarMapping.from_parameters(rospy.get_param),
-        DepthMapping.from_parameters(rospy.get_param),
-        WatchSettings.from_parameters(rospy.get_param),
+        SensorSettings.read(),
         MapSettings.from_parameters(rospy.get_param),
         TrajectorySettings.from_parameters(rospy.get_param),
         PlannerSettings.from_parameters(rospy.get_param),
@@ -137,7 +128,7 @@ class VehiclePlanner:
         """
         self.name = name
         self._settings = settings
-        self._watch = SensorWatch(settings.watch)
+        self._watch = SensorWatch(settings.sensor.watch)
         self._map = LocalMap(settings.grid, 2.0 * settings.limits.radius)
         self.stopwatch = Stopwatch()
         timed = self.stopwatch.measuring
@@ -156,9 +147,7 @@ class VehiclePlanner:
             self._swarm = SwarmTopics(name, fleet, planner, FRAME)
             self._map.others = planner.places_of_others
         self._map.is_used = lambda: self.planner.state.uses_map
-        self._feed = MapFeed(
-            name, self._map, self._watch, settings.sensor.sensor, settings.lidar, settings.depth, lambda: timed("map")
-        )
+        MapFeed(name, self._map, self._watch, settings.sensor, lambda: timed("map"))
         self._services = MavrosServices(name, in_lockstep=lockstep.is_active())
         self._setpoint = lockstep.Publisher(f"/{name}/mavros/setpoint_raw/local", PositionTarget)
         if self._swarm is None:
@@ -167,7 +156,7 @@ class VehiclePlanner:
         self._state = lockstep.Publisher(f"/{name}/planner/state", String, latch=True)
         self._occupied = lockstep.Publisher(f"/{name}/map/occupied", PointCloud2)
         self._slice = lockstep.Publisher(f"/{name}/map/slice", OccupancyGrid)
-        self._diagnostics = lockstep.Publisher("/diagnostics", DiagnosticArray)
+        self._diagnostics = VehicleReport(name, "planner")
         lockstep.Subscriber(f"/{name}/planner/goal", PoseStamped, self._on_goal)
         lockstep.Subscriber(f"/{name}/planner/cancel", Empty, lambda _: self.planner.cancel())
         if settings.planner.carry > 0.0:
@@ -189,9 +178,8 @@ class VehiclePlanner:
 
     def _forget(self) -> None:
         self._streaming_since: float | None = None
-        self._requested = self._mapped = self._reported = -math.inf
+        self._requested = self._mapped = -math.inf
         self._published_number = 0
-        self._report: tuple[int, str] = (-1, "")
         self._began: float | None = None
         self._has_been_well = False
         self._logged = 0  # level of the state that was logged last
@@ -233,7 +221,7 @@ class VehiclePlanner:
         stamp = rospy.Time.now()
         situation = self._situation(stamp.to_sec())
         if situation is None:
-            self._publish_report(stamp, (2, "no position from the autopilot"))
+            self._publish_report(stamp, 2, "no position from the autopilot")
             return
         command = self.planner.step(situation)
         for request, accepted, reason in self._services.finished():
@@ -246,7 +234,7 @@ class VehiclePlanner:
             self._request_offboard(situation)
         self._publish_trajectory(stamp)
         self._publish_map(situation, stamp)
-        self._publish_report(stamp, self._assess(situation))
+        self._publish_report(stamp, *self._assess(situation))
 
     def _situation(self, now: float) -> Situation | None:
         vehicle = self._vehicle
@@ -313,30 +301,17 @@ class VehiclePlanner:
             return 1, f"{text}; the sensor sees nothing within its range"
         return level, text
 
-    def _publish_report(self, stamp: rospy.Time, report: tuple[int, str]) -> None:
+    def _publish_report(self, stamp: rospy.Time, level: int, text: str) -> None:
         state = self.planner.state.name
         if state != self._published_state:
             self._published_state = state
             self._state.publish(String(state))
-        now = stamp.to_sec()
-        self._log(now, report)
-        if report[0] == self._report[0] and now - self._reported < _REPORT_PERIOD:
-            return
-        self._report, self._reported = report, now
-        level, text = report
-        status = DiagnosticStatus(level=level, name=f"{self.name}: planner", message=text, hardware_id=self.name)
-        status.values = [
-            KeyValue("state", state),
-            KeyValue("measurements", str(self._watch.count)),
-            KeyValue("trajectories", str(self.planner.number)),
-        ]
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = stamp
-        self._diagnostics.publish(message)
+        self._log(stamp.to_sec(), level, text)
+        values = {"state": state, "measurements": str(self._watch.count), "trajectories": str(self.planner.number)}
+        self._diagnostics.publish(stamp, level, text, values)
 
-    def _log(self, now: float, report: tuple[int, str]) -> None:
+    def _log(self, now: float, level: int, text: str) -> None:
         """Log a state that is worse than the last one, but not what is missing while all nodes start."""
-        level, text = report
         self._began = now if self._began is None else self._began
         self._has_been_well = self._has_been_well or level == 0
         if not self._has_been_well and now - self._began <= _START_UP:
