@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from xtdrone_control.poses import distance_between, inverse, move_pose, pose_of, rotation_of
-from xtdrone_perception.slam.odometry_health import Fault, fault_of, figures_of
+from xtdrone_perception.slam.odometry_health import Fault, fault_of
 from xtdrone_perception.slam.visual.camera_model import BodyCamera
 from xtdrone_perception.slam.visual.corner_tracks import TrackSettings, depth_at
 from xtdrone_perception.slam.visual.pose_from_points import NoiseSettings, Sigmas, solve
@@ -78,7 +78,7 @@ def fly(is_stereo: bool, count: int = 30, drift: float = 0.0, noise: NoiseSettin
         step = np.eye(4) if k == 0 else inverse(true_pose(k - 1)) @ pose
         step[:3, 3] *= 0.7
         found.append(odometry.register(seen, odometry.pose @ step))
-        assert fault_of(figures_of(found[-1], 0, 20), VisualHealthLimits()) is None
+        assert fault_of(found[-1], 0, 20, VisualHealthLimits()) is None
         odometry.accept(found[-1])
     return odometry, found
 
@@ -111,12 +111,12 @@ def test_without_light_it_is_blind_and_begins_anew_later() -> None:
     )
     for _ in range(4):
         estimate = odometry.register(dark, odometry.pose)
-        assert fault_of(figures_of(estimate, 0, 20), VisualHealthLimits()) is Fault.BLIND
+        assert fault_of(estimate, 0, 20, VisualHealthLimits()) is Fault.BLIND
         odometry.move(estimate.predicted)
     grey, depth = picture(true_pose(6))
     again = odometry.register(SeenPicture(grey, Rotation.identity(), 1.0, depth), odometry.pose)
     assert again.is_first
-    assert fault_of(figures_of(again, 0, 20), VisualHealthLimits()) is None
+    assert fault_of(again, 0, 20, VisualHealthLimits()) is None
 
 
 def with_slopes(measured: np.ndarray) -> np.ndarray:

@@ -59,8 +59,8 @@ def points_of(message: Any) -> NDArray[np.void]:
     order = ">" if message.is_bigendian else "<"
     fields = [field for field in message.fields if field.datatype in _KINDS and field.count <= 1]
     formats = [order + _KINDS[field.datatype] for field in fields]
-    for field, kind in zip(fields, formats, strict=True):
-        if field.offset + np.dtype(kind).itemsize > step:
+    for field, code in zip(fields, formats, strict=True):
+        if field.offset + np.dtype(code).itemsize > step:
             raise ScanError(f"field {field.name}: offset {field.offset} is beyond point_step {step}")
     names = [field.name for field in fields]
     missing = [axis for axis in "xyz" if axis not in names]

@@ -70,7 +70,7 @@ class GimbalControl:
         self._name = name
         self._options = options
         self._angles = options.angles
-        self._mount: list[float] | None = None  # w, x, y, z
+        self._mount: tuple[float, float, float, float] | None = None  # w, x, y, z
         self._true: PoseStamped | None = None
         self._command = lockstep.Publisher(f"/{name}/mavros/mount_control/command", MountControl)
         self._cam_pose = lockstep.Publisher(f"/xtdrone/{name}/cam_pose", PoseStamped)

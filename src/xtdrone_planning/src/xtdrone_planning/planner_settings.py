@@ -27,13 +27,15 @@ class PlannerSettings(Settings):
 
     lowest: float = setting(0.8, low=0.0, high=1000.0, unit="m", text="lowest height of flight and of goals")
     highest: float = setting(5.0, low=0.5, high=1000.0, unit="m", text="highest height of flight and of goals")
-    horizon: float = setting(12.0, low=2.0, high=60.0, unit="m", text="longest way that is planned at once")
+    horizon: float = setting(12.0, low=2.0, high=60.0, unit="m", text="greatest length of a planned path")
     period: float = setting(0.2, low=0.02, high=5.0, unit="s", text="time between two plans in flight")
     patience: float = setting(
-        6.0, low=0.5, high=120.0, unit="s", text="a goal to which no trajectory is found for so long is unreachable"
+        6.0, low=0.5, high=120.0, unit="s", text="time without a trajectory to a goal after which it is unreachable"
     )
     retry: float = setting(2.0, low=0.1, high=60.0, unit="s", text="time between attempts at an unreachable goal")
-    voxels: int = setting(25000, low=100, high=10_000_000, text="voxels that a search opens at most, bounds its time")
+    voxels: int = setting(
+        25000, low=100, high=10_000_000, text="greatest number of voxels that a search expands, which bounds its time"
+    )
     global_planner: str = setting("astar", choices=GLOBAL_PLANNERS, text="search for the path: A*, or OMPL's")
     iterations: int = setting(
         400, low=10, high=100_000,
@@ -43,10 +45,10 @@ class PlannerSettings(Settings):
     sampling_seed: int = setting(1, low=1, high=2**31 - 1, text="seed of each search of OMPL's planners")
     lead: float = setting(
         0.06, low=0.0, high=1.0, unit="s",
-        text="setpoints are so much ahead of the trajectory: their way to the autopilot",
+        text="time by which setpoints lead the trajectory: their delay to the autopilot",
     )  # fmt: skip
     attitude_lag: float = setting(
-        0.1, low=0.0, high=1.0, unit="s", text="accelerations are so much ahead of positions and velocities"
+        0.1, low=0.0, high=1.0, unit="s", text="time by which accelerations lead positions and velocities"
     )
     drag: float = setting(
         0.3, low=0.0, high=3.0, unit="1/s",
@@ -63,8 +65,8 @@ class PlannerSettings(Settings):
     yaw_rate: float = setting(1.5, low=0.1, high=6.0, unit="rad/s", text="greatest yaw rate")
     carry: float = setting(
         0.0, low=0.0, high=10.0, unit="s",
-        text="velocities on /xtdrone/VEHICLE/cmd_vel_enu keep the goal so much ahead of the vehicle, as those of a "
-        "follower; 0: they are not used",
+        text="time by which velocities on /xtdrone/VEHICLE/cmd_vel_enu, as of a follower, keep the goal ahead of the "
+        "vehicle; 0: they are not used",
     )  # fmt: skip
     offboard: bool = setting(True, text="request OFFBOARD for a new goal; false: wait for the pilot to do so")
 

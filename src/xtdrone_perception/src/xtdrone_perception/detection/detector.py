@@ -17,7 +17,7 @@ import numpy as np
 import rospkg
 from numpy.typing import NDArray
 
-from xtdrone_control.bounded_file import ContentError, load_yaml, read_text
+from xtdrone_control.bounded_file import ContentError, load_yaml, read_bytes, read_text
 from xtdrone_control.settings import SettingError, Settings, setting
 
 from .output_layouts import LAYOUTS, LayoutError, check_layout, check_metadata, check_scale, decode, find_layout
@@ -411,10 +411,7 @@ def _read(path: Path) -> bytes:
         DetectorError: the file cannot be read, is empty or too large.
     """
     try:
-        size = path.stat().st_size
-        if size > _LARGEST_FILE:
-            raise DetectorError(f"{path} has {size >> 20} MB, at most {_LARGEST_FILE >> 20} MB are read")
-        content = path.read_bytes()
+        content = read_bytes(path, _LARGEST_FILE)
     except OSError as error:
         raise DetectorError(f"{path}: {error.strerror}") from error
     if not content:

@@ -28,7 +28,7 @@ import queue
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -44,13 +44,12 @@ from xtdrone_control import lockstep
 from xtdrone_control.cameras.camera_pose import CameraPose, camera_link_pose, optical_pose
 from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.frames import to_xyzw
-from xtdrone_control.lockstep.deferred_work import Deferred
 from xtdrone_control.pose_history import PoseHistory
 from xtdrone_control.pose_messages import is_pose
 from xtdrone_control.programs.node_command_line import ArgumentError
 from xtdrone_control.settings import Settings, setting
 from xtdrone_control.vehicle_topics import VehicleTopics
-from xtdrone_perception.images import picture_of
+from xtdrone_perception.images import Picture, PictureNode, PictureVehicle, picture_of
 from xtdrone_perception.tracking.geolocation import Geolocator, Noise, Person, View
 from xtdrone_perception.tracking.tracker import GroundDetection, Track, Tracker, TrackerSettings
 
@@ -155,13 +154,6 @@ class GroundOptions(Settings):
     farthest: float = setting(200.0, low=1.0, high=1e4, unit="m", text="maximum distance of a located person")
 
 
-class ColourPicture(NamedTuple):
-    """An image to be processed."""
-
-    message: Image
-    rgb: NDArray[np.uint8]
-
-
 def read_options() -> DetectionOptions:
     """Read the private parameters of all but the network.
 
@@ -221,7 +213,7 @@ class Detectors:
             self._free.put(detector)
 
 
-class VehicleDetection:
+class VehicleDetection(PictureVehicle):
     """Topics, tracks and camera state of one vehicle."""
 
     def __init__(self, kind: str, index: int, options: DetectionOptions) -> None:
@@ -254,9 +246,7 @@ class VehicleDetection:
         self._tracker = Tracker(self._options.tracker)
         self._watch = CameraWatch()
         self._published_ok: bool | None = None
-        self._waiting: ColourPicture | None = None
-        self._working = False
-        self._dropped = 0
+        self.forget_pictures()
 
     def _restart(self) -> None:
         self._mounts.clear()
@@ -285,19 +275,9 @@ class VehicleDetection:
         pose = self._vehicle.pose if self._vehicle.armed else None
         place = None if pose is None else pose[:3].tolist()
         self._watch.on_picture(rospy.get_time(), message.header.stamp.to_sec(), zlib.crc32(message.data), place)
-        if self._waiting is not None:
-            self._dropped += 1
-        self._waiting = ColourPicture(message, rgb)
+        self.put(Picture(message.header, rgb))
 
     # steps
-
-    def take(self) -> ColourPicture | None:
-        """Return the next image to process, None if there is none or one is being processed."""
-        if self._working or self._waiting is None:
-            return None
-        picture, self._waiting = self._waiting, None
-        self._working = True
-        return picture
 
     def publish_camera_state(self) -> None:
         """Publish on ``camera_ok`` whether the camera works, when this has changed."""
@@ -312,21 +292,21 @@ class VehicleDetection:
         self._published_ok = ok
         self._ok.publish(Bool(ok))
 
-    def finish(self, picture: ColourPicture, detections: Sequence[Detection]) -> None:
+    def finish(self, picture: Picture, found: Sequence[Detection]) -> None:
         """Publish the results of an image."""
-        self._working = False
-        header = picture.message.header
+        super().finish(picture, found)
+        header = picture.header
         boxes = BoundingBoxes(image_header=header)
         boxes.header.stamp = rospy.Time.now()
         boxes.header.frame_id = header.frame_id
-        boxes.bounding_boxes = [box_message(entry) for entry in detections]
+        boxes.bounding_boxes = [box_message(entry) for entry in found]
         self._boxes.publish(boxes)
-        count = ObjectCount(count=min(len(detections), 127))
+        count = ObjectCount(count=min(len(found), 127))
         count.header = boxes.header
         self._count.publish(count)
         if self._image.get_num_connections():
-            self._image.publish(draw_boxes(picture, detections))
-        self._publish_tracks(header.stamp, detections)
+            self._image.publish(draw_boxes(picture, found))
+        self._publish_tracks(header.stamp, found)
 
     def _publish_tracks(self, stamp: Any, detections: Sequence[Detection]) -> None:
         """Update and publish the tracks, if the camera pose at the exposure is known."""
@@ -365,7 +345,7 @@ class VehicleDetection:
         return optical_pose(camera_link_pose(position, attitude, mount.tolist(), self._options.camera_offset))
 
 
-class YoloNode:
+class YoloNode(PictureNode):
     """Detection for one or several vehicles in one process."""
 
     def __init__(self, kind: str, ids: Sequence[int], detector: DetectorSettings, options: DetectionOptions) -> None:
@@ -381,29 +361,17 @@ class YoloNode:
             ArgumentError: the network cannot be loaded.
         """
         try:
-            self._detectors = Detectors(detector, options.workers)
+            detectors = Detectors(detector, options.workers)
         except DetectorError as error:
             raise ArgumentError(f"parameter ~detector: {error}") from error
-        self._latency_us = round(options.latency * 1e6)
-        self._work = Deferred(options.workers, wait=lockstep.is_active())
-        self._vehicles = [VehicleDetection(kind, index, options) for index in ids]
-        lockstep.add_reset_hook(self._work.clear)
+        self._detections = [VehicleDetection(kind, index, options) for index in ids]
+        super().__init__(self._detections, detectors.detect, options.latency, options.workers)
 
     def step(self) -> None:
-        """Publish the results that are due and start processing waiting images; call it at 50 Hz."""
-        now_us = rospy.Time.now().to_nsec() // 1000
-        for (vehicle, picture), detections in self._work.ready(now_us):
-            vehicle.finish(picture, detections)
-        for vehicle in self._vehicles:
-            picture = vehicle.take()
-            if picture is not None:
-                due_us = now_us + self._latency_us
-                self._work.put((vehicle, picture), due_us, self._detectors.detect, picture.rgb)
+        """Publish the results that are due, and the cameras' states; call it at 50 Hz."""
+        super().step()
+        for vehicle in self._detections:
             vehicle.publish_camera_state()
-
-    def close(self) -> None:
-        """Stop the workers."""
-        self._work.close()
 
 
 def box_message(entry: Detection) -> BoundingBox:
@@ -443,9 +411,9 @@ def in_view(view: View, place: NDArray[np.float64], options: DetectionOptions) -
     return bool(MARGIN <= x <= view.pinhole.width - MARGIN and MARGIN <= y <= view.pinhole.height - MARGIN)
 
 
-def draw_boxes(picture: ColourPicture, detections: Sequence[Detection]) -> Image:
+def draw_boxes(picture: Picture, detections: Sequence[Detection]) -> Image:
     """Return an image with boxes drawn, as rgb8."""
-    rgb = picture.rgb.copy()
+    rgb = picture.pixels.copy()
     for entry in detections:
         corners = (round(entry.xmin), round(entry.ymin)), (round(entry.xmax), round(entry.ymax))
         cv2.rectangle(rgb, *corners, _COLOUR, 1)
@@ -454,5 +422,5 @@ def draw_boxes(picture: ColourPicture, detections: Sequence[Detection]) -> Image
         cv2.putText(rgb, text, (corners[0][0], baseline), cv2.FONT_HERSHEY_SIMPLEX, 0.4, _COLOUR, 1, cv2.LINE_AA)
     height, width = rgb.shape[:2]
     message = Image(height=height, width=width, encoding="rgb8", step=3 * width, data=rgb.tobytes())
-    message.header = picture.message.header
+    message.header = picture.header
     return message

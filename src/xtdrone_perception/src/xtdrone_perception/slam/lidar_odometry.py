@@ -25,7 +25,7 @@ from xtdrone_control.poses import pose_of
 from xtdrone_control.settings import Settings, setting
 
 from .deskewing import ScanMotion, deskew
-from .odometry_health import Estimate, weakest_share
+from .odometry_health import Estimate, weakest_share, without_registration
 
 Array = NDArray[np.float64]
 
@@ -143,11 +143,11 @@ class LidarOdometry:
         """
         settings = self._settings
         if len(points) < settings.least_points:
-            return _unregistered(predicted, points, None, len(points))
+            return Registration(**without_registration(predicted, len(points), False), points=points)
         source = self._surfaces(points)
         count = source.size()
         if self._maps[0].gaussians.size() == 0:
-            return _unregistered(predicted, points, source, count)
+            return Registration(**without_registration(predicted, count, True), points=points, surfaces=source)
         pose = predicted
         for part in self._maps:
             pose, result = part.align(source, pose, settings.reach)
@@ -192,23 +192,6 @@ class LidarOdometry:
         source = small_gicp.voxelgrid_sampling(points, self._settings.spacing)
         small_gicp.estimate_covariances(source, None, self._settings.neighbours)
         return source
-
-
-def _unregistered(predicted: Array, points: Array, source: small_gicp.PointCloud | None, count: int) -> Registration:
-    """Return the result of a scan that cannot be compared: the first one, or one with too few points."""
-    is_first = source is not None
-    return Registration(
-        pose=predicted,
-        predicted=predicted,
-        count=count,
-        share=float(is_first),
-        residual=0.0,
-        weakest=float(is_first),
-        covariance=np.diag([1e-6] * 6) if is_first else np.eye(6),
-        is_first=is_first,
-        points=points,
-        surfaces=source,
-    )
 
 
 def _orthonormal(pose: Array) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,63 +109,33 @@ class Estimate:
         return angle_between(self.predicted, self.pose)
 
 
-@dataclass(frozen=True)
-class ScanFigures:
-    """Quality figures of one measurement.
-
-    Attributes:
-        count: points used.
-        share, residual, weakest, jump (m), turn (rad): see ``Estimate``.
-        same: number of identical measurements before it, 0 for a new one.
-        least_points: minimum for a registration.
-        is_first: no map yet.
-    """
-
-    count: int
-    share: float
-    residual: float
-    weakest: float
-    jump: float
-    turn: float
-    same: int
-    least_points: int
-    is_first: bool = False
+def without_registration(predicted: Array, count: int, is_first: bool) -> dict[str, Any]:
+    """Return the fields of an estimate that is not registered: the first one, or one with too few points."""
+    covariance = np.diag([1e-6] * 6) if is_first else np.eye(6)
+    figures = {"share": float(is_first), "residual": 0.0, "weakest": float(is_first), "covariance": covariance}
+    return {"pose": predicted, "predicted": predicted, "count": count, "is_first": is_first, **figures}
 
 
-def figures_of(found: Estimate, same: int, least_points: int) -> ScanFigures:
-    """Return the quality figures of a registered measurement.
+def fault_of(found: Estimate, same: int, least_points: int, limits: HealthLimits) -> Fault | None:
+    """Return the first fault of a measurement, None for a good one.
 
     Args:
-        found: the result.
-        same: number of identical measurements before it, 0 for a new one.
-        least_points: minimum for a registration.
+        found: Result of its registration.
+        same: Number of identical measurements before it, 0 for a new one.
+        least_points: Minimum for a registration.
+        limits: Limits of the supervision.
     """
-    return ScanFigures(
-        found.count,
-        found.share,
-        found.residual,
-        found.weakest,
-        found.jump,
-        found.turn,
-        same,
-        least_points,
-        found.is_first,
-    )
-
-
-def fault_of(figures: ScanFigures, limits: HealthLimits) -> Fault | None:
-    """Return the first fault of a measurement, None for a good one."""
-    if figures.same >= limits.frozen:
+    if same >= limits.frozen:
         return Fault.FROZEN
-    if figures.count < figures.least_points:
+    if found.count < least_points:
         return Fault.BLIND
-    if figures.is_first:
+    if found.is_first:
         return None
     checks = (
-        (figures.share < limits.least_share, Fault.UNMATCHED),
-        (figures.weakest < limits.least_information, Fault.DEGENERATE),
-        (figures.residual > limits.most_residual, Fault.RESIDUAL),
-        (figures.jump > limits.most_jump or figures.turn > limits.most_turn, Fault.DIVERGED),
+        (found.share < limits.least_share, Fault.UNMATCHED),
+        (found.weakest < limits.least_information, Fault.DEGENERATE),
+        (found.residual > limits.most_residual, Fault.RESIDUAL),
+        (found.jump > limits.most_jump or found.turn > limits.most_turn, Fault.DIVERGED),
     )
     return next((fault for is_bad, fault in checks if is_bad), None)
 

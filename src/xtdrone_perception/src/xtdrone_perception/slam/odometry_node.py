@@ -47,7 +47,7 @@ from xtdrone_control.vehicle_topics import VehicleTopics
 
 from . import odometry_messages as messages
 from .deskewing import ScanMotion, motion_of
-from .odometry_health import Estimate, Fault, Health, HealthLimits, OdometryState, fault_of, figures_of
+from .odometry_health import Estimate, Fault, Health, HealthLimits, OdometryState, fault_of
 
 RATE = 50.0  # Hz
 _MOST_WAITING = 3  # measurements; further ones, which occur only on a real vehicle, are dropped
@@ -146,7 +146,7 @@ class AutopilotMotion:
     def attitude(self, time_ns: int) -> Rotation | None:
         """Return the attitude at a time, body to map, None if it is unknown."""
         entry = self._attitudes.at(time_ns)
-        return None if entry is None else Rotation.from_quat(to_xyzw(entry))
+        return None if entry is None else Rotation.from_quat(to_xyzw(entry.tolist()))
 
     def velocity(self, time_ns: int) -> Array | None:
         """Return the velocity at a time, (3,) m/s, map, None if it is unknown."""
@@ -296,7 +296,7 @@ class OdometryNode:
         before = core.pose
         predicted = predicted_pose(before, job.turn, velocity, seconds)
         found = self._register(core, job, predicted)
-        fault = fault_of(figures_of(found, job.same, self._source.least_points), self._limits)
+        fault = fault_of(found, job.same, self._source.least_points, self._limits)
         if fault is None:
             core.accept(found)
         else:

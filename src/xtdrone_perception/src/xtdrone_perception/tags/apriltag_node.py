@@ -22,7 +22,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import rospy
@@ -37,13 +36,12 @@ from xtdrone_control import lockstep
 from xtdrone_control.bounded_file import ContentError
 from xtdrone_control.cameras.camera_pose import CameraPose
 from xtdrone_control.frames import to_xyzw
-from xtdrone_control.lockstep.deferred_work import Deferred
 from xtdrone_control.pose_history import PoseHistory
 from xtdrone_control.programs.node_command_line import ArgumentError
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_control.tag_boards import TagBoard, boards_of
 from xtdrone_control.vehicle_topics import VehicleTopics
-from xtdrone_perception.images import grey_of
+from xtdrone_perception.images import Picture, PictureNode, PictureVehicle, grey_of
 from xtdrone_perception.tags.tag_detector import SeenTag, TagDetector, TagDetectorSettings
 from xtdrone_perception.tags.tag_poses import BoardPose, Optics, board_pose, in_map, optical_frame, quaternion, up_in
 
@@ -77,13 +75,6 @@ class AprilTagOptions(Settings):
     latency: float = setting(0.04, low=0.0, high=10.0, unit="s", text="simulated time from an image to its results")
 
 
-class GreyPicture(NamedTuple):
-    """An image to be searched."""
-
-    header: Header
-    grey: NDArray[np.uint8]
-
-
 def read_boards(options: AprilTagOptions) -> tuple[TagBoard, ...]:
     """Return the boards that the node looks for.
 
@@ -100,7 +91,7 @@ def read_boards(options: AprilTagOptions) -> tuple[TagBoard, ...]:
     return boards
 
 
-class VehicleTags:
+class VehicleTags(PictureVehicle):
     """Topics of one vehicle."""
 
     def __init__(self, name: str, options: AprilTagOptions, boards: Sequence[TagBoard], tf: lockstep.Publisher) -> None:
@@ -125,8 +116,7 @@ class VehicleTags:
 
     def _restart(self) -> None:
         self._optics: Optics | None = None
-        self._waiting: GreyPicture | None = None
-        self._working = False
+        self.forget_pictures()
 
     # messages
 
@@ -138,30 +128,22 @@ class VehicleTags:
 
     def _on_image(self, message: Image) -> None:
         try:
-            self._waiting = GreyPicture(message.header, grey_of(message))
+            self.put(Picture(message.header, grey_of(message)))
         except ValueError as error:
             rospy.logwarn_throttle(_WARNING_PERIOD, f"{self.name}: image ignored: {error}")
 
     # steps
 
-    def take(self) -> GreyPicture | None:
-        """Return the next image to search, None if there is none or one is being searched."""
-        if self._working or self._waiting is None:
-            return None
-        picture, self._waiting = self._waiting, None
-        self._working = True
-        return picture
-
-    def finish(self, picture: GreyPicture, seen: Sequence[SeenTag]) -> None:
+    def finish(self, picture: Picture, found: Sequence[SeenTag]) -> None:
         """Publish the results of an image."""
-        self._working = False
+        super().finish(picture, found)
         header = picture.header
         camera = self._camera_at(header.stamp.to_nsec())
-        found = [] if self._optics is None else self._locate(seen, self._optics, camera)
-        self._detections.publish(AprilTagDetectionArray(header, [_detection(header, *entry) for entry in found]))
-        if found:
-            self._tf.publish(TFMessage([_transform(header, *entry) for entry in found]))
-        for board, pose in found:
+        boards = [] if self._optics is None else self._locate(found, self._optics, camera)
+        self._detections.publish(AprilTagDetectionArray(header, [_detection(header, *entry) for entry in boards]))
+        if boards:
+            self._tf.publish(TFMessage([_transform(header, *entry) for entry in boards]))
+        for board, pose in boards:
             if board.name == self._options.target and camera is not None:
                 turn, place = in_map(camera, pose.rotation, pose.position)
                 message = PoseStamped(Header(stamp=header.stamp, frame_id="map"), _pose(turn, place))
@@ -186,7 +168,7 @@ class VehicleTags:
         return optical_frame(position, attitude, self._options.camera_offset, self._options.camera_rpy)
 
 
-class AprilTagNode:
+class AprilTagNode(PictureNode):
     """Tag detection for one or several vehicles in one process."""
 
     def __init__(self, kind: str, ids: Sequence[int], options: AprilTagOptions, settings: TagDetectorSettings) -> None:
@@ -202,26 +184,9 @@ class AprilTagNode:
             ArgumentError: the boards are unusable.
         """
         boards = read_boards(options)
-        self._detector = TagDetector(settings)
-        self._latency_us = round(options.latency * 1e6)
-        self._work = Deferred(1, wait=lockstep.is_active())
         tf = lockstep.Publisher("/tf", TFMessage)
-        self._vehicles = [VehicleTags(f"{kind}_{index}", options, boards, tf) for index in ids]
-        lockstep.add_reset_hook(self._work.clear)
-
-    def step(self) -> None:
-        """Publish the results that are due and start searching waiting images; call it at 50 Hz."""
-        now_us = rospy.Time.now().to_nsec() // 1000
-        for (vehicle, picture), seen in self._work.ready(now_us):
-            vehicle.finish(picture, seen)
-        for vehicle in self._vehicles:
-            picture = vehicle.take()
-            if picture is not None:
-                self._work.put((vehicle, picture), now_us + self._latency_us, self._detector.detect, picture.grey)
-
-    def close(self) -> None:
-        """Stop the worker."""
-        self._work.close()
+        vehicles = [VehicleTags(f"{kind}_{index}", options, boards, tf) for index in ids]
+        super().__init__(vehicles, TagDetector(settings).detect, options.latency)
 
 
 def _pose(turn: NDArray[np.float64], place: NDArray[np.float64]) -> Pose:

@@ -56,8 +56,9 @@ class SensorSettings(NamedTuple):
         Raises:
             SettingError: A parameter is not allowed.
         """
-        kinds = SensorChoice, LidarMapping, DepthMapping, WatchSettings
-        return cls(*(kind.from_parameters(rospy.get_param) for kind in kinds))
+        get = rospy.get_param
+        lidar, depth = LidarMapping.from_parameters(get), DepthMapping.from_parameters(get)
+        return cls(SensorChoice.from_parameters(get), lidar, depth, WatchSettings.from_parameters(get))
 
 
 class FedMap(Protocol):

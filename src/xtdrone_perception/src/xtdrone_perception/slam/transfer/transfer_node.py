@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 import rospy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Pose, PoseStamped, TransformStamped
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
@@ -37,6 +37,7 @@ from tf2_msgs.msg import TFMessage
 from xtdrone_control import lockstep
 from xtdrone_control.pose_messages import pose_message, stamped_pose
 from xtdrone_control.settings import SettingError, Settings, setting
+from xtdrone_control.vehicle_topics import VehicleReport
 from xtdrone_perception.slam.transfer.foreign_pose import (
     STATIC,
     ChainWatch,
@@ -51,7 +52,6 @@ RATE = 60.0  # Hz
 _MAP = "map"
 _SILENCE = 1.0  # s
 _OLD_HEIGHT = 0.5  # s after which a range is too old to use
-_REPORT_PERIOD = 1.0  # s
 _UNKNOWN = -1.0  # first element of a covariance that is not known
 
 Array = NDArray[np.float64]
@@ -146,7 +146,7 @@ class PoseTransfer:
         self._tf = TransformChain()
         self._publisher = lockstep.Publisher(f"/{vehicle}/mavros/vision_pose/pose", PoseStamped)
         self._poses = lockstep.Publisher(f"/{vehicle}/pose_transfer/odometry", Odometry)
-        self._diagnostics = lockstep.Publisher("/diagnostics", DiagnosticArray)
+        self._diagnostics = VehicleReport(vehicle, "pose transfer")
         topic = options.topic or source.topic.format(vehicle)
         if source.kind == "tf":
             self._parent, self._child = _frames_of(topic)
@@ -173,9 +173,8 @@ class PoseTransfer:
         self._new: PoseStamped | None = None
         self._last_height, self._measured = 0.0, -math.inf
         self._last_ns = -1
-        self._heard = self._reported = -math.inf
+        self._heard = -math.inf
         self._count = self._rejected = 0
-        self._report = (-1, "")
 
     def _on_distance(self, message: LaserScan) -> None:
         ranges = [r for r in message.ranges if math.isfinite(r) and message.range_min <= r <= message.range_max]
@@ -260,12 +259,7 @@ class PoseTransfer:
         return DiagnosticStatus.OK, "poses are sent"
 
     def _publish_report(self, stamp: rospy.Time) -> None:
-        now, report = stamp.to_sec(), self._assess(stamp.to_sec())
-        if report == self._report and now - self._reported < _REPORT_PERIOD:
-            return
-        if report[0] == DiagnosticStatus.ERROR and report != self._report:
-            rospy.logwarn(f"{self._vehicle}: {report[1]}; the autopilot's failsafe will act")
-        self._report, self._reported = report, now
-        values = [KeyValue("poses", str(self._count)), KeyValue("rejected", str(self._rejected))]
-        status = DiagnosticStatus(report[0], f"{self._vehicle}: pose transfer", report[1], self._vehicle, values)
-        self._diagnostics.publish(DiagnosticArray(Header(stamp=stamp), [status]))
+        level, text = self._assess(stamp.to_sec())
+        values = {"poses": str(self._count), "rejected": str(self._rejected)}
+        if self._diagnostics.publish(stamp, level, text, values, text) and level == DiagnosticStatus.ERROR:
+            rospy.logwarn(f"{self._vehicle}: {text}; the autopilot's failsafe will act")

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from xtdrone_control.poses import angle_between, distance_between
 from xtdrone_control.settings import Settings, setting
-from xtdrone_perception.slam.odometry_health import Estimate, weakest_share
+from xtdrone_perception.slam.odometry_health import Estimate, weakest_share, without_registration
 
 from .camera_model import BodyCamera
 from .corner_tracks import Grey, TrackSettings, depth_at, new_corners, stereo_depth, track
@@ -243,18 +243,8 @@ class VisualOdometry:
     def _without_pose(
         self, picture: SeenPicture, predicted: Array, seen: Tracks, is_first: bool = False
     ) -> VisualEstimate:
-        return VisualEstimate(
-            pose=predicted,
-            predicted=predicted,
-            count=len(seen.ids),
-            share=float(is_first),
-            residual=0.0,
-            weakest=float(is_first),
-            covariance=np.diag([1e-6] * 6) if is_first else np.eye(6),
-            is_first=is_first,
-            picture=picture,
-            tracks=Tracks() if is_first else seen,
-        )
+        figures = without_registration(predicted, len(seen.ids), is_first)
+        return VisualEstimate(**figures, picture=picture, tracks=Tracks() if is_first else seen)
 
     # keyframes
 
