@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.programs.program_frame import Column, Row, run
 from xtdrone_control.clouds import points_of, read_cloud
-from xtdrone_control.poses import pose_of
+from xtdrone_control.pose_matrices import pose_of
 from xtdrone_control.settings import check_range
 from xtdrone_perception.slam.deskewing import motion_of
 from xtdrone_perception.slam.lidar_odometry import LidarOdometry, RegistrationOptions

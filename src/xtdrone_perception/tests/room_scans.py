@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.clouds import PointScan
-from xtdrone_control.poses import inverse
+from xtdrone_control.pose_matrices import inverse
 
 Array = NDArray[np.float64]
 

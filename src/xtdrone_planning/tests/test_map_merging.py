@@ -8,7 +8,14 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from toy_yard import pairs, seen, yard
 
-from xtdrone_control.poses import angle_between, distance_between, inverse, pose_of, transform_points, turned_about_z
+from xtdrone_control.pose_matrices import (
+    angle_between,
+    distance_between,
+    inverse,
+    pose_of,
+    transform_points,
+    turned_about_z,
+)
 from xtdrone_planning.merging.frame_links import Link, Pairs, link_of
 from xtdrone_planning.merging.map_chain import merge_maps, merge_points
 from xtdrone_planning.merging.map_registration import Fit, fit_of, surfaces_of

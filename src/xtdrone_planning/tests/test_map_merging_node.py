@@ -19,8 +19,8 @@ from toy_yard import seen, way, yard
 
 from xtdrone_control import lockstep
 from xtdrone_control.clouds import cloud_message, read_cloud
+from xtdrone_control.pose_matrices import inverse, pose_of, transform_points, turned_about_z
 from xtdrone_control.pose_messages import pose_message, stamped_pose
-from xtdrone_control.poses import inverse, pose_of, transform_points, turned_about_z
 from xtdrone_planning.octree.octree_format import read_file
 
 try:

@@ -10,7 +10,7 @@ from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from xtdrone_control.frames import to_xyzw
-from xtdrone_control.poses import quaternion_of
+from xtdrone_control.pose_matrices import quaternion_of
 
 Array = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from xtdrone_control.clouds import PointScan
-from xtdrone_control.poses import pose_of
+from xtdrone_control.pose_matrices import pose_of
 from xtdrone_control.settings import Settings, setting
 
 from .deskewing import ScanMotion, deskew

@@ -23,7 +23,7 @@ from sensor_msgs.msg import PointCloud2
 
 from xtdrone_control import lockstep
 from xtdrone_control.clouds import PointScan, cloud_message, read_cloud
-from xtdrone_control.poses import pose_of
+from xtdrone_control.pose_matrices import pose_of
 from xtdrone_control.settings import setting
 
 from .deskewing import ScanMotion

@@ -40,8 +40,8 @@ from xtdrone_control import lockstep
 from xtdrone_control.frames import to_xyzw
 from xtdrone_control.lockstep.deferred_work import Deferred
 from xtdrone_control.pose_history import PoseHistory
+from xtdrone_control.pose_matrices import pose_of, predicted_pose, rotation_of, turned_about_z, yaw_of
 from xtdrone_control.pose_messages import stamped_pose, transform_message
-from xtdrone_control.poses import pose_of, predicted_pose, rotation_of, turned_about_z, yaw_of
 from xtdrone_control.settings import Settings, setting
 from xtdrone_control.vehicle_topics import VehicleTopics
 

@@ -30,8 +30,8 @@ from tf2_msgs.msg import TFMessage
 from xtdrone_control import lockstep
 from xtdrone_control.clouds import read_cloud
 from xtdrone_control.lockstep.deferred_work import Deferred
+from xtdrone_control.pose_matrices import pose_of
 from xtdrone_control.pose_messages import stamped_pose, transform_message
-from xtdrone_control.poses import pose_of
 from xtdrone_control.settings import Settings, setting
 from xtdrone_perception.slam import odometry_messages as messages
 

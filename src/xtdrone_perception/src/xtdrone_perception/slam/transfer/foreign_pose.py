@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from xtdrone_control.cameras.camera_pose import LINK_FROM_OPTICAL
 from xtdrone_control.frames import to_xyzw
-from xtdrone_control.poses import inverse, pose_of, turned_about_z
+from xtdrone_control.pose_matrices import inverse, pose_of, turned_about_z
 from xtdrone_control.settings import SettingError, Settings, setting
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from xtdrone_control.poses import inverse, move_pose, pose_of, rotation_of
+from xtdrone_control.pose_matrices import inverse, move_pose, pose_of, rotation_of
 from xtdrone_control.settings import Settings, setting
 
 from .camera_model import BodyCamera

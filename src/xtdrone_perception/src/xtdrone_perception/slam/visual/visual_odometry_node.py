@@ -27,7 +27,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from xtdrone_control import lockstep
 from xtdrone_control.clouds import depths_of
-from xtdrone_control.poses import pose_of
+from xtdrone_control.pose_matrices import pose_of
 from xtdrone_control.settings import setting
 from xtdrone_perception.images import grey_of
 from xtdrone_perception.slam.odometry_health import HealthLimits
