@@ -9,10 +9,10 @@ import numpy as np
 
 from xtdrone_control.autopilot import modes
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_planning.replanning.feed_forward import acceleration_setpoint
-from xtdrone_planning.replanning.settings import PlannerSettings
+from xtdrone_planning.planner_settings import PlannerSettings
+from xtdrone_planning.replanning.planner import acceleration_setpoint
+from xtdrone_planning.trajectories.speed_profile import SpeedProfile
 from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline
-from xtdrone_planning.trajectories.time_law import TimeLaw
 from xtdrone_sim.simulation import Simulation
 
 HEIGHT, LENGTH = 2.0, 20.0  # m
@@ -31,7 +31,7 @@ class Tracking(NamedTuple):
 
 def line(start: float, place: np.ndarray) -> UniformSpline:
     """Return a trajectory to the north from rest to rest, in NED."""
-    law = TimeLaw.along(LENGTH, 0.0, SPEED, ACCELERATION)
+    law = SpeedProfile.along(LENGTH, 0.0, SPEED, ACCELERATION)
     ways = np.concatenate([np.zeros(2), law.way(np.arange(math.ceil(law.duration / KNOT) + 2) * KNOT), [LENGTH] * 2])
     return UniformSpline(start, KNOT, place + ways[:, np.newaxis] * np.array([1.0, 0.0, 0.0]))
 

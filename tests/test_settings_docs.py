@@ -55,12 +55,10 @@ from xtdrone_planning.navigation.settings import CostmapSettings, NavigatorSetti
 from xtdrone_planning.navigation.vehicle_drives import DriveSettings
 from xtdrone_planning.octree.octomap_node import OctomapOptions
 from xtdrone_planning.octree.octree_map import OctreeSettings
+from xtdrone_planning.planner_settings import AgreementSettings, PlannerSettings, TrajectorySettings
 from xtdrone_planning.replanning.ego_transfer_node import TransferSettings
 from xtdrone_planning.replanning.planner_node import TimingSettings
-from xtdrone_planning.replanning.settings import PlannerSettings
-from xtdrone_planning.safety.settings import SafetySettings
-from xtdrone_planning.swarm.settings import AgreementSettings
-from xtdrone_planning.trajectories.local_trajectory import TrajectorySettings
+from xtdrone_planning.safety.velocity_filter import SafetySettings
 from xtdrone_sim.air.body_drag import BodyDragSettings
 from xtdrone_sim.air.dryden import DrydenSettings
 from xtdrone_sim.air.rotor_wakes import DownwashSettings, GroundSettings

@@ -17,17 +17,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.programs.program_frame import Column, Row, run
+from xtdrone_control.clouds import points_of, read_cloud
+from xtdrone_control.pose_matrices import pose_of
 from xtdrone_control.poses import Pose
 from xtdrone_control.settings import check_range
 from xtdrone_perception.slam.deskewing import motion_of
 from xtdrone_perception.slam.lidar_odometry import LidarOdometry, RegistrationOptions
-from xtdrone_perception.slam.poses import pose_of
-from xtdrone_perception.slam.scan_points import read_cloud
-from xtdrone_planning.mapping.local_map import LocalMap
-from xtdrone_planning.mapping.range_images import LidarImages, LidarMapping, points_of
-from xtdrone_planning.mapping.voxel_grid import MapSettings
-from xtdrone_planning.octree.global_map import GlobalMap
-from xtdrone_planning.octree.octree_map import OctreeSettings
+from xtdrone_planning.mapping.range_images import LidarImages, LidarMapping
+from xtdrone_planning.mapping.voxel_grid import LocalMap, MapSettings
+from xtdrone_planning.octree.octree_map import GlobalMap, OctreeSettings
 from xtdrone_sim.lidars.lidar_messages import scan_message
 from xtdrone_sim.lidars.scan_measurement import begin_us, cast_scan, end_us, measure_scan
 from xtdrone_sim.lidars.scene_history import SceneHistory

@@ -20,13 +20,11 @@ from numpy.typing import NDArray
 
 from benchmarks.programs.program_frame import Column, Row, run
 from xtdrone_control.settings import check_range
-from xtdrone_planning.mapping.local_map import LocalMap
 from xtdrone_planning.mapping.range_images import RangeImage
-from xtdrone_planning.mapping.voxel_grid import MapSettings
+from xtdrone_planning.mapping.voxel_grid import LocalMap, MapSettings
+from xtdrone_planning.planner_settings import PlannerSettings, TrajectorySettings
+from xtdrone_planning.replanning.flight_states import Situation
 from xtdrone_planning.replanning.planner import Planner
-from xtdrone_planning.replanning.settings import PlannerSettings
-from xtdrone_planning.replanning.situation import Situation
-from xtdrone_planning.trajectories.local_trajectory import TrajectorySettings
 
 Array = NDArray[np.float64]
 

@@ -14,30 +14,19 @@ Parameters:
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 
 import rospy
 
-from xtdrone_control import lockstep
-from xtdrone_control.programs.node_command_line import run_program, served_vehicles
+from xtdrone_control.programs.vehicle_program import serve_vehicles
 from xtdrone_perception.tags.apriltag_node import RATE, AprilTagNode, AprilTagOptions
 from xtdrone_perception.tags.tag_detector import TagDetectorSettings
 
-USAGE = "apriltag.py TYPE ID   (ID: 0, 0-5, 1,3,5 or all)"
 
-
-def main(arguments: Sequence[str]) -> None:
-    """Run the node for the vehicles in the arguments until shutdown."""
-    kind, ids, name = served_vehicles(arguments, rospy.get_param("/xtdrone/fleet", None))
-    lockstep.init_node(f"{name}_apriltag", rate=RATE)
+def make(kind: str, ids: list[int]) -> AprilTagNode:
+    """Return the node of some vehicles."""
     options = AprilTagOptions.from_parameters(rospy.get_param)
-    node = AprilTagNode(kind, ids, options, TagDetectorSettings.from_parameters(rospy.get_param))
-    try:
-        lockstep.start()
-        lockstep.spin(node.step)
-    finally:
-        node.close()
+    return AprilTagNode(kind, ids, options, TagDetectorSettings.from_parameters(rospy.get_param))
 
 
 if __name__ == "__main__":
-    sys.exit(run_program(main, sys.argv, USAGE))
+    sys.exit(serve_vehicles("apriltag", RATE, make))

@@ -12,20 +12,16 @@ Parameters:
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 
-from xtdrone_control.programs.node_command_line import run_program
+from xtdrone_control.programs.vehicle_program import serve_vehicles
 from xtdrone_perception.slam.laser.laser_odometry_node import LaserOdometryNode, read_settings
 from xtdrone_perception.slam.odometry_node import RATE
-from xtdrone_perception.slam.vehicle_program import serve_vehicle
-
-USAGE = "laser_odometry.py TYPE ID   (ID: a number, as 0)"
 
 
-def main(arguments: Sequence[str]) -> None:
-    """Run the node for a vehicle until shutdown."""
-    serve_vehicle(arguments, "laser_odometry", RATE, lambda name: LaserOdometryNode(name, *read_settings()))
+def make(kind: str, ids: list[int]) -> LaserOdometryNode:
+    """Return the node of a vehicle."""
+    return LaserOdometryNode(f"{kind}_{ids[0]}", *read_settings())
 
 
 if __name__ == "__main__":
-    sys.exit(run_program(main, sys.argv, USAGE))
+    sys.exit(serve_vehicles("laser_odometry", RATE, make, one=True))

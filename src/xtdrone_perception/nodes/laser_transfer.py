@@ -17,6 +17,7 @@ import rospy
 
 from xtdrone_control import lockstep
 from xtdrone_control.programs.node_command_line import ArgumentError, run_program, served_vehicles
+from xtdrone_control.programs.vehicle_program import run_node
 from xtdrone_perception.slam.transfer.transfer_node import LASERS, RATE, transfer_of
 
 USAGE = "laser_transfer.py TYPE ID SLAM   (ID: a number, as 0)"
@@ -31,9 +32,7 @@ def main(arguments: Sequence[str]) -> None:
     if len(ids) != 1:
         raise ArgumentError(f"id: {len(ids)} vehicles are not allowed, one per node")
     lockstep.init_node(f"{name}_{slam}_laser_transfer", rate=RATE)
-    transfer = transfer_of(name, slam)
-    lockstep.start()
-    lockstep.spin(transfer.step)
+    run_node(transfer_of(name, slam))
 
 
 if __name__ == "__main__":

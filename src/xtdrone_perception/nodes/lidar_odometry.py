@@ -12,20 +12,16 @@ Parameters:
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 
-from xtdrone_control.programs.node_command_line import run_program
+from xtdrone_control.programs.vehicle_program import serve_vehicles
 from xtdrone_perception.slam.lidar_odometry_node import LidarOdometryNode, read_settings
 from xtdrone_perception.slam.odometry_node import RATE
-from xtdrone_perception.slam.vehicle_program import serve_vehicle
-
-USAGE = "lidar_odometry.py TYPE ID   (ID: a number, as 0)"
 
 
-def main(arguments: Sequence[str]) -> None:
-    """Run the node for a vehicle until shutdown."""
-    serve_vehicle(arguments, "lidar_odometry", RATE, lambda name: LidarOdometryNode(name, *read_settings()))
+def make(kind: str, ids: list[int]) -> LidarOdometryNode:
+    """Return the node of a vehicle."""
+    return LidarOdometryNode(f"{kind}_{ids[0]}", *read_settings())
 
 
 if __name__ == "__main__":
-    sys.exit(run_program(main, sys.argv, USAGE))
+    sys.exit(serve_vehicles("lidar_odometry", RATE, make, one=True))

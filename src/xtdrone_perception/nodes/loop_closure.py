@@ -12,19 +12,15 @@ Parameters:
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 
-from xtdrone_control.programs.node_command_line import run_program
+from xtdrone_control.programs.vehicle_program import serve_vehicles
 from xtdrone_perception.slam.loops.loop_closure_node import RATE, VehicleLoops, read_settings
-from xtdrone_perception.slam.vehicle_program import serve_vehicle
-
-USAGE = "loop_closure.py TYPE ID   (ID: a number, as 0)"
 
 
-def main(arguments: Sequence[str]) -> None:
-    """Run the node for a vehicle until shutdown."""
-    serve_vehicle(arguments, "loop_closure", RATE, lambda name: VehicleLoops(name, *read_settings()))
+def make(kind: str, ids: list[int]) -> VehicleLoops:
+    """Return the node of a vehicle."""
+    return VehicleLoops(f"{kind}_{ids[0]}", *read_settings())
 
 
 if __name__ == "__main__":
-    sys.exit(run_program(main, sys.argv, USAGE))
+    sys.exit(serve_vehicles("loop_closure", RATE, make, one=True))

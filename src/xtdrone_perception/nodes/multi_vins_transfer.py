@@ -20,6 +20,7 @@ import rospy
 
 from xtdrone_control import lockstep
 from xtdrone_control.programs.node_command_line import ArgumentError, parse_count, run_program
+from xtdrone_control.programs.vehicle_program import run_node
 from xtdrone_perception.slam.transfer.foreign_pose import PlaceSettings, read_starts
 from xtdrone_perception.slam.transfer.transfer_node import RATE, SOURCES, ForeignOptions, PoseTransfer
 
@@ -39,13 +40,7 @@ def main(arguments: Sequence[str]) -> None:
         PoseTransfer(f"{kind}_{n}", SOURCES["multi_vins"], ForeignOptions(), replace(place, start=start))
         for n, start in enumerate(starts)
     ]
-    lockstep.start()
-    lockstep.spin(lambda: _step(transfers))
-
-
-def _step(transfers: Sequence[PoseTransfer]) -> None:
-    for transfer in transfers:
-        transfer.step()
+    run_node(transfers)
 
 
 if __name__ == "__main__":

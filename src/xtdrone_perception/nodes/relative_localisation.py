@@ -18,6 +18,7 @@ import rospy
 
 from xtdrone_control import lockstep
 from xtdrone_control.programs.node_command_line import ArgumentError, parse_count, parse_ids, run_program
+from xtdrone_control.programs.vehicle_program import run_node
 from xtdrone_perception.localisation.relative_filter import FilterSettings
 from xtdrone_perception.localisation.relative_node import RATE, RelativeLocalisationNode, RelativeOptions
 
@@ -36,8 +37,7 @@ def main(arguments: Sequence[str]) -> None:
     options = RelativeOptions.from_parameters(rospy.get_param)
     with lockstep.registering_together():
         node = RelativeLocalisationNode(kind, ids, count, options, FilterSettings.from_parameters(rospy.get_param))
-    lockstep.start()
-    lockstep.spin(node.step)
+    run_node(node)
 
 
 if __name__ == "__main__":

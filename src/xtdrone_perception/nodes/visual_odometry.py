@@ -12,20 +12,16 @@ Parameters:
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 
-from xtdrone_control.programs.node_command_line import run_program
+from xtdrone_control.programs.vehicle_program import serve_vehicles
 from xtdrone_perception.slam.odometry_node import RATE
-from xtdrone_perception.slam.vehicle_program import serve_vehicle
 from xtdrone_perception.slam.visual.visual_odometry_node import VisualOdometryNode, read_settings
 
-USAGE = "visual_odometry.py TYPE ID   (ID: a number, as 0)"
 
-
-def main(arguments: Sequence[str]) -> None:
-    """Run the node for a vehicle until shutdown."""
-    serve_vehicle(arguments, "visual_odometry", RATE, lambda name: VisualOdometryNode(name, *read_settings()))
+def make(kind: str, ids: list[int]) -> VisualOdometryNode:
+    """Return the node of a vehicle."""
+    return VisualOdometryNode(f"{kind}_{ids[0]}", *read_settings())
 
 
 if __name__ == "__main__":
-    sys.exit(run_program(main, sys.argv, USAGE))
+    sys.exit(serve_vehicles("visual_odometry", RATE, make, one=True))

@@ -13,31 +13,16 @@ Parameters:
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 
-import rospy
-
-from xtdrone_control import lockstep
-from xtdrone_control.programs.node_command_line import run_program, served_vehicles
+from xtdrone_control.programs.vehicle_program import serve_vehicles
 from xtdrone_perception.following.human_tracking_node import RATE, HumanTracking, read_options
 
-USAGE = "yolo_human_tracking.py TYPE ID   (ID: 0, 0-5, 1,3,5 or all)"
 
-
-def main(arguments: Sequence[str]) -> None:
-    """Run the node for the vehicles in the arguments until shutdown."""
-    kind, ids, name = served_vehicles(arguments, rospy.get_param("/xtdrone/fleet", None))
-    lockstep.init_node(f"{name}_yolo_human_tracking", rate=RATE)
+def make(kind: str, ids: list[int]) -> list[HumanTracking]:
+    """Return the nodes of some vehicles."""
     options = read_options()
-    nodes = [HumanTracking(f"{kind}_{index}", options) for index in ids]
-
-    def step() -> None:
-        for node in nodes:
-            node.step()
-
-    lockstep.start()
-    lockstep.spin(step)
+    return [HumanTracking(f"{kind}_{index}", options) for index in ids]
 
 
 if __name__ == "__main__":
-    sys.exit(run_program(main, sys.argv, USAGE))
+    sys.exit(serve_vehicles("yolo_human_tracking", RATE, make))

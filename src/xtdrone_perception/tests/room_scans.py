@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_perception.slam.poses import inverse
-from xtdrone_perception.slam.scan_points import PointScan
+from xtdrone_control.clouds import PointScan
+from xtdrone_control.pose_matrices import inverse
 
 Array = NDArray[np.float64]
 

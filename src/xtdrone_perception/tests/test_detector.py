@@ -273,7 +273,7 @@ def test_unusable_files_are_rejected(tmp_path, names):
     huge = tmp_path / "huge.weights"
     with huge.open("wb") as file:
         file.truncate(5 << 30)  # sparse
-    rejects("huge.weights has 5120 MB, at most 2048 MB are read", weights=huge)
+    rejects("huge.weights: it has 5120.0 MB, at most 2048 MB", weights=huge)
     broken = tmp_path / "broken.cfg"
     broken.write_text("[net]\nwidth=96\nheight=64\nchannels=3\n[dance]\n")
     rejects("broken.cfg", config=broken)

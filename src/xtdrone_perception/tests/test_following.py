@@ -17,7 +17,7 @@ from xtdrone_perception.following.person_following import (
     SEARCHING,
     Following,
     FollowSettings,
-    Seen,
+    SeenTrack,
 )
 from xtdrone_perception.tracking.geolocation import Geolocator, View, cylinder_box
 from xtdrone_perception.tracking.tracker import GroundDetection, Tracker
@@ -41,7 +41,7 @@ class World:
         self.gimbal = np.array([-1.0, 0.0])  # pitch, yaw
         self.wanted_velocity, self.wanted_turn, self.wanted_gimbal = np.zeros(3), 0.0, self.gimbal
         self.person, self.walk, self.hidden = np.array([9.0, 4.0]), np.zeros(2), False
-        self.late: list[tuple[float, list[Seen]]] = []
+        self.late: list[tuple[float, list[SeenTrack]]] = []
         self.orders: list[tuple[float, str]] = []
 
     def view(self) -> View:
@@ -92,7 +92,9 @@ class World:
             finds = [GroundDetection(point, "human", 0.9)]
         tracks = self.tracker.update(self.time, finds, lambda place: True)
         seen = [
-            Seen(t.id, self.time, tuple(t.position), tuple(t.velocity), t.probability) for t in tracks if t.probability
+            SeenTrack(t.id, self.time, tuple(t.position), tuple(t.velocity), t.probability)
+            for t in tracks
+            if t.probability
         ]
         self.late.append((self.time + LATENCY, seen))
 
@@ -161,8 +163,8 @@ def test_after_a_loss_the_vehicle_stops_climbs_and_finds_the_person_again():
     assert math.dist(world.position[:2], world.person) == pytest.approx(10.0, abs=1.5)
 
 
-def seen(identity, time, x, y, velocity=(0.0, 0.0), probability=0.9) -> Seen:
-    return Seen(identity, time, (x, y, 0.0), velocity, probability)
+def seen(identity, time, x, y, velocity=(0.0, 0.0), probability=0.9) -> SeenTrack:
+    return SeenTrack(identity, time, (x, y, 0.0), velocity, probability)
 
 
 def test_an_unsuccessful_search_ends_in_hover():

@@ -8,12 +8,12 @@ from room_scans import ROOM, ranges
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import LaserScan
 
+from xtdrone_control.clouds import read_scan
+from xtdrone_control.pose_matrices import distance_between, inverse, move_pose, pose_of
 from xtdrone_perception.slam.deskewing import motion_of
 from xtdrone_perception.slam.laser.laser_odometry import LaserEstimate, LaserOdometry, LaserSweep, ScanMatchSettings
-from xtdrone_perception.slam.laser.laser_scans import read_scan
 from xtdrone_perception.slam.laser.scan_matching import normals_of
-from xtdrone_perception.slam.odometry_health import Fault, HealthLimits, fault_of, figures_of
-from xtdrone_perception.slam.poses import distance_between, inverse, moved, pose_of
+from xtdrone_perception.slam.odometry_health import Fault, HealthLimits, fault_of
 
 ANGLES = np.linspace(-np.pi, np.pi, 512, endpoint=False)
 RAYS = np.stack([np.cos(ANGLES), np.sin(ANGLES), 0.0 * ANGLES], axis=1)
@@ -51,7 +51,7 @@ def fly(count: int, table_from: int = 10_000) -> tuple[LaserOdometry, list[Laser
 def test_it_finds_its_way_through_a_room() -> None:
     odometry, found = fly(100)
     assert distance_between(odometry.pose, true_pose(99)) < 0.03
-    assert all(fault_of(figures_of(entry, 0, 60), HealthLimits()) is None for entry in found)
+    assert all(fault_of(entry, 0, 60, HealthLimits()) is None for entry in found)
     sigma = np.sqrt(np.diag(found[-1].covariance))
     assert (sigma[[0, 1]] < 0.02).all()
 
@@ -71,8 +71,8 @@ def test_a_corridor_without_ends_is_named() -> None:
     odometry = LaserOdometry(ScanMatchSettings(), np.eye(4))
     pose = pose_of((0.0, 0.0, 1.5), Rotation.identity())
     odometry.accept(odometry.register(sweep(pose, 0, room=room), pose))
-    found = odometry.register(sweep(pose, 1, room=room), moved(pose, np.array([0.05, 0, 0, 0, 0, 0])))
-    assert fault_of(figures_of(found, 0, 60), HealthLimits()) is Fault.DEGENERATE
+    found = odometry.register(sweep(pose, 1, room=room), move_pose(pose, np.array([0.05, 0, 0, 0, 0, 0])))
+    assert fault_of(found, 0, 60, HealthLimits()) is Fault.DEGENERATE
 
 
 def test_normals_stand_on_lines_and_corners_have_none() -> None:

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from room_scans import PERIOD, ROOM, room_scan
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import PointCloud2, PointField
 
-from xtdrone_perception.slam.deskewing import deskewed, motion_of
+from xtdrone_control.pose_matrices import inverse, move_pose, pose_of, pose_of_vector, predicted_pose, vector_of
+from xtdrone_perception.slam.deskewing import deskew, motion_of
 from xtdrone_perception.slam.lidar_odometry import LidarOdometry, RegistrationOptions
 from xtdrone_perception.slam.lidar_odometry_node import LidarHealthLimits
-from xtdrone_perception.slam.odometry_health import Fault, Health, ScanFigures, State, fault_of, figures_of
-from xtdrone_perception.slam.poses import inverse, pose_of, pose_of_vector, predicted_pose, vector_of
-from xtdrone_perception.slam.scan_points import read_cloud
+from xtdrone_perception.slam.odometry_health import Estimate, Fault, Health, OdometryState, fault_of
 
 OPTIONS = RegistrationOptions(spacing=0.5)
-GOOD = ScanFigures(1000, 0.9, 0.5, 0.1, 0.01, 0.01, 0, 100)
+GOOD = Estimate(
+    pose=np.eye(4), predicted=np.eye(4), count=1000, share=0.9, residual=0.5, weakest=0.1, covariance=np.eye(6)
+)
 
 
 def true_pose(time: float) -> np.ndarray:
@@ -67,7 +67,7 @@ def test_without_skew_points_lie_on_the_walls() -> None:
         return walls.min(axis=1)
 
     assert np.percentile(off(scan.points), 90) > 0.05
-    assert off(deskewed(scan.points, scan.times, motion)).max() < 0.02
+    assert off(deskew(scan.points, scan.times, motion)).max() < 0.02
 
 
 def test_it_finds_its_way_through_a_room_and_knows_how_well() -> None:
@@ -75,7 +75,7 @@ def test_it_finds_its_way_through_a_room_and_knows_how_well() -> None:
     error = inverse(truth) @ odometry.pose
     assert np.linalg.norm(error[:3, 3]) < 0.05
     assert np.linalg.norm(vector_of(error)[3:]) < 0.01
-    assert all(fault_of(_figures(entry), LidarHealthLimits()) is None for entry in found)
+    assert all(fault_of(entry, 0, OPTIONS.least_points, LidarHealthLimits()) is None for entry in found)
     sigma = np.sqrt(np.trace(found[-1].covariance[:3, :3]))
     assert 0.002 < sigma < 0.2
 
@@ -83,10 +83,6 @@ def test_it_finds_its_way_through_a_room_and_knows_how_well() -> None:
 def test_the_same_scans_give_the_same_bits() -> None:
     first, second = fly(1.0)[0].pose, fly(1.0)[0].pose
     assert first.tobytes() == second.tobytes()
-
-
-def _figures(entry: object, same: int = 0) -> ScanFigures:
-    return figures_of(entry, same, OPTIONS.least_points)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -106,7 +102,7 @@ def test_surroundings_that_do_not_tell_the_position_are_found(room: object, faul
         _, found, _ = fly(1.5, room)
     finally:
         room_scans._CORNERS = block
-    assert {fault_of(_figures(entry), LidarHealthLimits()) for entry in found[5:]} == {fault}
+    assert {fault_of(entry, 0, OPTIONS.least_points, LidarHealthLimits()) for entry in found[5:]} == {fault}
 
 
 @pytest.mark.parametrize(
@@ -125,19 +121,21 @@ def test_surroundings_that_do_not_tell_the_position_are_found(room: object, faul
     ],
 )
 def test_each_fault_is_named(change: dict, fault: Fault | None) -> None:
-    assert fault_of(replace(GOOD, **change), LidarHealthLimits()) is fault
+    same, step = change.pop("same", 0), [change.pop("jump", 0.01), 0.0, 0.0, 0.0, 0.0, change.pop("turn", 0.01)]
+    found = replace(GOOD, pose=move_pose(np.eye(4), np.array(step)), **change)
+    assert fault_of(found, same, 100, LidarHealthLimits()) is fault
 
 
 def test_a_bad_scan_is_left_out_two_end_the_odometry_and_ten_good_ones_bring_it_back() -> None:
     health = Health(LidarHealthLimits())
     assert health.on_scan(0.1, None)
-    assert health.state is State.GOOD
+    assert health.state is OdometryState.GOOD
     assert not health.on_scan(0.2, Fault.RESIDUAL)
-    assert health.state is State.GOOD
+    assert health.state is OdometryState.GOOD
     assert health.on_scan(0.3, None)
     assert not health.on_scan(0.4, Fault.RESIDUAL)
     assert not health.on_scan(0.5, Fault.BLIND)
-    assert (health.state, health.fault) == (State.LOST, Fault.BLIND)
+    assert (health.state, health.fault) == (OdometryState.LOST, Fault.BLIND)
     passed = [health.on_scan(0.6 + 0.1 * k, None) for k in range(10)]
     assert passed == [False] * 9 + [True]
 
@@ -145,41 +143,9 @@ def test_a_bad_scan_is_left_out_two_end_the_odometry_and_ten_good_ones_bring_it_
 def test_silence_is_a_fault() -> None:
     health = Health(LidarHealthLimits())
     health.on_time(5.0)
-    assert health.state is State.WAITING
+    assert health.state is OdometryState.WAITING
     health.on_scan(5.0, None)
     health.on_time(5.3)
-    assert health.state is State.GOOD
+    assert health.state is OdometryState.GOOD
     health.on_time(5.4)
-    assert (health.state, health.fault) == (State.LOST, Fault.SILENT)
-
-
-def cloud(points: np.ndarray, fields: list[PointField], step: int) -> PointCloud2:
-    message = PointCloud2(height=1, width=len(points), fields=fields, point_step=step)
-    message.data = points.tobytes()
-    return message
-
-
-def test_clouds_are_read_with_times_in_seconds_or_nanoseconds() -> None:
-    kind = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", "<u4")])
-    table = np.array([(1, 2, 3, 0), (4, np.nan, 6, 5), (7, 8, 9, 50_000_000)], kind)
-    fields = [PointField(axis, 4 * k, 7, 1) for k, axis in enumerate("xyz")] + [PointField("t", 12, 6, 1)]
-    scan = read_cloud(cloud(table, fields, 16))
-    assert scan.points.tolist() == [[1, 2, 3], [7, 8, 9]]
-    assert scan.times.tolist() == [0.0, 0.05]
-    fields[3] = PointField("time", 12, 7, 1)
-    table = table.astype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", "<f4")])
-    table["t"] = [0.0, 0.01, 0.02]
-    assert read_cloud(cloud(table, fields, 16)).times == pytest.approx([0.0, 0.02])
-
-
-def test_clouds_that_cannot_be_read_are_named() -> None:
-    fields = [PointField(axis, 4 * k, 7, 1) for k, axis in enumerate("xy")]
-    with pytest.raises(ValueError, match="fields: z missing among x, y"):
-        read_cloud(cloud(np.zeros((2, 2), "<f4"), fields, 8))
-    message = cloud(np.zeros((2, 2), "<f4"), fields, 8)
-    message.width = 9
-    with pytest.raises(ValueError, match="data: 16 bytes are too few for 9 points of 8"):
-        read_cloud(message)
-    fields.append(PointField("z", 8, 7, 1))
-    with pytest.raises(ValueError, match="field z: offset 8 is beyond point_step 8"):
-        read_cloud(cloud(np.zeros((2, 2), "<f4"), fields, 8))
+    assert (health.state, health.fault) == (OdometryState.LOST, Fault.SILENT)

@@ -7,9 +7,9 @@ import pytest
 from room_scans import directions, ranges
 from scipy.spatial.transform import Rotation
 
+from xtdrone_control.pose_matrices import inverse, pose_of, pose_of_vector
 from xtdrone_perception.slam.loops.loop_closure import LoopClosure, LoopOptions
-from xtdrone_perception.slam.loops.pose_graph import Edge, optimised
-from xtdrone_perception.slam.poses import inverse, pose_of, pose_of_vector
+from xtdrone_perception.slam.loops.pose_graph import Edge, optimise_graph
 
 RNG = np.random.default_rng(0)
 FINE = np.diag([1e4] * 3 + [1e5] * 3)
@@ -34,7 +34,7 @@ def test_true_edges_are_met_exactly_from_a_bad_start() -> None:
     true = ring()
     edges = [*chain(true), Edge(0, 20, inverse(true[0]) @ true[20], FINE, robust=True)]
     start = [true[0]] + [pose @ pose_of_vector(0.2 * RNG.standard_normal(6)) for pose in true[1:]]
-    for found, pose in zip(optimised(start, edges), true, strict=True):
+    for found, pose in zip(optimise_graph(start, edges), true, strict=True):
         assert found == pytest.approx(pose, abs=1e-6)
 
 
@@ -42,15 +42,15 @@ def test_a_wrong_loop_loses_its_weight() -> None:
     true = ring()
     wrong = Edge(3, 14, pose_of((0.0, 0.0, 0.0), Rotation.identity()), FINE, robust=True)
     edges = [*chain(true), Edge(0, 20, inverse(true[0]) @ true[20], FINE, robust=True), wrong]
-    found = optimised(true, edges)
+    found = optimise_graph(true, edges)
     assert max(np.linalg.norm(a[:3, 3] - b[:3, 3]) for a, b in zip(found, true, strict=True)) < 0.05
-    pulled = optimised(true, [*edges[:-1], Edge(3, 14, wrong.measured, FINE)])
+    pulled = optimise_graph(true, [*edges[:-1], Edge(3, 14, wrong.measured, FINE)])
     assert max(np.linalg.norm(a[:3, 3] - b[:3, 3]) for a, b in zip(pulled, true, strict=True)) > 1.0
 
 
 def test_edges_of_unknown_poses_are_named() -> None:
     with pytest.raises(ValueError, match="edge: 0 to 7 is not allowed, there are 3 poses"):
-        optimised(ring(2), [Edge(0, 7, np.eye(4), FINE)])
+        optimise_graph(ring(2), [Edge(0, 7, np.eye(4), FINE)])
 
 
 def test_a_lap_with_drift_is_corrected_to_less_than_half() -> None:
@@ -70,7 +70,7 @@ def test_a_lap_with_drift_is_corrected_to_less_than_half() -> None:
         loops.add(pose, points)
     assert loops.loops
     before = np.linalg.norm(odometry[-1][:3, 3] - true[-1][:3, 3])
-    after = np.linalg.norm(loops.corrected(odometry[-1])[:3, 3] - true[-1][:3, 3])
+    after = np.linalg.norm(loops.correct(odometry[-1])[:3, 3] - true[-1][:3, 3])
     assert before > 0.4
     assert after < 0.5 * before
 

@@ -12,9 +12,17 @@ from xtdrone_control import rotation
 from xtdrone_control.cameras.camera_pose import rotation_matrix
 from xtdrone_control.settings import SettingError
 from xtdrone_control.tag_boards import LANDING, Tag, TagBoard
-from xtdrone_perception.tags.mounted_camera import in_map, optical_frame, quaternion, up_in
 from xtdrone_perception.tags.tag_detector import SeenTag, TagDetector, TagDetectorSettings
-from xtdrone_perception.tags.tag_poses import CORNER_NOISE, Optics, board_pose, corners_of
+from xtdrone_perception.tags.tag_poses import (
+    CORNER_NOISE,
+    Optics,
+    board_pose,
+    corners_of,
+    in_map,
+    optical_frame,
+    quaternion,
+    up_in,
+)
 
 MATRIX = np.array([[300.0, 0.0, 320.0], [0.0, 300.0, 240.0], [0.0, 0.0, 1.0]])
 PINHOLE = Optics(MATRIX, np.zeros(0))

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from xtdrone_perception.slam.odometry_health import Fault, fault_of, figures_of
-from xtdrone_perception.slam.poses import distance_between, inverse, moved, pose_of, rotation_of
+from xtdrone_control.pose_matrices import distance_between, inverse, move_pose, pose_of, rotation_of
+from xtdrone_perception.slam.odometry_health import Fault, fault_of
 from xtdrone_perception.slam.visual.camera_model import BodyCamera
 from xtdrone_perception.slam.visual.corner_tracks import TrackSettings, depth_at
 from xtdrone_perception.slam.visual.pose_from_points import NoiseSettings, Sigmas, solve
@@ -71,14 +71,14 @@ def fly(is_stereo: bool, count: int = 30, drift: float = 0.0, noise: NoiseSettin
         grey, depth = picture(pose)
         attitude = Rotation.from_rotvec([0.0, 0.0, 0.1 * k * drift]) * rotation_of(pose)
         if is_stereo:
-            right = picture(moved(pose, np.append(rotation_of(pose).apply([0.0, -BASELINE, 0.0]), np.zeros(3))))[0]
+            right = picture(move_pose(pose, np.append(rotation_of(pose).apply([0.0, -BASELINE, 0.0]), np.zeros(3))))[0]
             seen = SeenPicture(grey, attitude, 0.1 * k, right=right, base=base)
         else:
             seen = SeenPicture(grey, attitude, 0.1 * k, depth=depth)
         step = np.eye(4) if k == 0 else inverse(true_pose(k - 1)) @ pose
         step[:3, 3] *= 0.7
         found.append(odometry.register(seen, odometry.pose @ step))
-        assert fault_of(figures_of(found[-1], 0, 20), VisualHealthLimits()) is None
+        assert fault_of(found[-1], 0, 20, VisualHealthLimits()) is None
         odometry.accept(found[-1])
     return odometry, found
 
@@ -111,12 +111,12 @@ def test_without_light_it_is_blind_and_begins_anew_later() -> None:
     )
     for _ in range(4):
         estimate = odometry.register(dark, odometry.pose)
-        assert fault_of(figures_of(estimate, 0, 20), VisualHealthLimits()) is Fault.BLIND
+        assert fault_of(estimate, 0, 20, VisualHealthLimits()) is Fault.BLIND
         odometry.move(estimate.predicted)
     grey, depth = picture(true_pose(6))
     again = odometry.register(SeenPicture(grey, Rotation.identity(), 1.0, depth), odometry.pose)
     assert again.is_first
-    assert fault_of(figures_of(again, 0, 20), VisualHealthLimits()) is None
+    assert fault_of(again, 0, 20, VisualHealthLimits()) is None
 
 
 def with_slopes(measured: np.ndarray) -> np.ndarray:
@@ -141,32 +141,32 @@ def test_a_corner_that_slid_along_a_plane_has_the_planes_depth() -> None:
 def test_derivatives_are_those_of_differences() -> None:
     random = np.random.default_rng(1)
     points = np.column_stack([random.uniform(2, 8, 9), random.uniform(-2, 2, (9, 2))])
-    pose = moved(np.eye(4), 0.1 * random.standard_normal(6))
-    expected, local = CAMERA.measured(pose, points)
+    pose = move_pose(np.eye(4), 0.1 * random.standard_normal(6))
+    expected, local = CAMERA.measure(pose, points)
     by_pose, by_point = CAMERA.slopes(np.broadcast_to(pose, (9, 4, 4)), local, points)
     for k in range(6):
         step = 1e-6 * np.eye(6)[k]
-        change = (CAMERA.measured(moved(pose, step), points)[0] - expected) / 1e-6
+        change = (CAMERA.measure(move_pose(pose, step), points)[0] - expected) / 1e-6
         assert by_pose[:, :, k] == pytest.approx(change, abs=2e-3)
     slopes = 0.01 * random.standard_normal((9, 2))
     fixed = np.column_stack([expected, slopes])
     by_pose, _ = CAMERA.slopes(np.broadcast_to(pose, (9, 4, 4)), local, points, fixed)
     for k in range(6):
         step = 1e-6 * np.eye(6)[k]
-        change = -CAMERA.residuals(fixed, CAMERA.measured(moved(pose, step), points)[0]) / 1e-6
+        change = -CAMERA.residuals(fixed, CAMERA.measure(move_pose(pose, step), points)[0]) / 1e-6
         assert by_pose[:, :, k] == pytest.approx(change, abs=2e-3)
     for k in range(3):
-        change = (CAMERA.measured(pose, points + 1e-6 * np.eye(3)[k])[0] - expected) / 1e-6
+        change = (CAMERA.measure(pose, points + 1e-6 * np.eye(3)[k])[0] - expected) / 1e-6
         assert by_point[:, :, k] == pytest.approx(change, abs=2e-3)
 
 
 def test_a_third_of_wrong_points_does_not_move_the_pose() -> None:
     random = np.random.default_rng(2)
     points = np.column_stack([random.uniform(3, 8, 60), random.uniform(-1.5, 1.5, (60, 2))])
-    truth = moved(np.eye(4), np.array([0.2, -0.1, 0.05, 0.01, 0.0, 0.02]))
-    measured = with_slopes(CAMERA.measured(truth, points)[0])
+    truth = move_pose(np.eye(4), np.array([0.2, -0.1, 0.05, 0.01, 0.0, 0.02]))
+    measured = with_slopes(CAMERA.measure(truth, points)[0])
     measured[:20, :2] += random.uniform(15, 60, (20, 2))
-    predicted = moved(truth, np.array([0.1, 0.1, -0.1, 0.0, 0.0, 0.0]))
+    predicted = move_pose(truth, np.array([0.1, 0.1, -0.1, 0.0, 0.0, 0.0]))
     solved = solve(CAMERA, SIGMAS, 2.5, predicted, points, measured)
     assert solved is not None
     assert solved.inliers.tolist() == [False] * 20 + [True] * 40
@@ -178,9 +178,9 @@ def test_adjustment_brings_poses_and_points_back() -> None:
     points = np.column_stack([random.uniform(3, 8, 50), random.uniform(-1.5, 1.5, (50, 2))])
     truth = np.stack([pose_of((0.3 * k, 0.1 * k, 0.0), Rotation.from_euler("z", 0.05 * k)) for k in range(4)])
     frame, point = np.repeat(np.arange(4), 50), np.tile(np.arange(50), 4)
-    measured = with_slopes(np.concatenate([CAMERA.measured(pose, points)[0] for pose in truth]))
+    measured = with_slopes(np.concatenate([CAMERA.measure(pose, points)[0] for pose in truth]))
     turns = tuple(rotation_of(a).inv() * rotation_of(b) for a, b in itertools.pairwise(truth))
-    start = np.stack([truth[0], *(moved(pose, 0.02 * random.standard_normal(6)) for pose in truth[1:])])
+    start = np.stack([truth[0], *(move_pose(pose, 0.02 * random.standard_normal(6)) for pose in truth[1:])])
     shaken = points + 0.05 * random.standard_normal(points.shape)
     poses, better = adjust(
         CAMERA, SIGMAS.measured, WindowProblem(turns, np.full(3, 0.003), frame, point, measured), start, shaken

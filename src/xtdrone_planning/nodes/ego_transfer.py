@@ -11,30 +11,15 @@ Parameters:
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 
-import rospy
-
-from xtdrone_control import lockstep
-from xtdrone_control.programs.node_command_line import run_program, served_vehicles
+from xtdrone_control.programs.vehicle_program import serve_vehicles
 from xtdrone_planning.replanning.ego_transfer_node import RATE, EgoTransfer
 
-USAGE = "ego_transfer.py TYPE ID   (ID: 0, 0-5, 1,3,5 or all)"
 
-
-def main(arguments: Sequence[str]) -> None:
-    """Run the node for the vehicle in the arguments until shutdown."""
-    kind, ids, name = served_vehicles(arguments, rospy.get_param("/xtdrone/fleet", None))
-    lockstep.init_node(f"{name}_ego_transfer", rate=RATE)
-    transfers = [EgoTransfer(f"{kind}_{index}") for index in ids]
-    lockstep.start()
-    lockstep.spin(lambda: _step(transfers))
-
-
-def _step(transfers: Sequence[EgoTransfer]) -> None:
-    for transfer in transfers:
-        transfer.step()
+def make(kind: str, ids: list[int]) -> list[EgoTransfer]:
+    """Return the nodes of some vehicles."""
+    return [EgoTransfer(f"{kind}_{index}") for index in ids]
 
 
 if __name__ == "__main__":
-    sys.exit(run_program(main, sys.argv, USAGE))
+    sys.exit(serve_vehicles("ego_transfer", RATE, make))

@@ -19,6 +19,7 @@ import rospy
 
 from xtdrone_control import lockstep
 from xtdrone_control.programs.node_command_line import ArgumentError, run_program, served_vehicles
+from xtdrone_control.programs.vehicle_program import run_node
 from xtdrone_planning.merging.merging_node import RATE, MapMergingNode, read_settings
 
 USAGE = "map_merging.py TYPE ID   (ID: 0-2, 1,3,5 or all)"
@@ -33,11 +34,7 @@ def main(arguments: Sequence[str]) -> None:
     settings = read_settings()
     with lockstep.registering_together():
         node = MapMergingNode([f"{kind}_{index}" for index in ids], settings)
-    lockstep.start()
-    try:
-        lockstep.spin(node.step)
-    finally:
-        node.close()
+    run_node(node)
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ import rospy
 
 from xtdrone_control import lockstep
 from xtdrone_control.programs.node_command_line import fleet_of, parse_ids, run_program, served_vehicles
+from xtdrone_control.programs.vehicle_program import run_node
 from xtdrone_planning.navigation.navigation_node import RATE, NavigationNode
 
 USAGE = "move_base.py TYPE ID   (ID: 0, 0-5, 1,3,5 or all)"
@@ -27,12 +28,7 @@ def main(arguments: Sequence[str]) -> None:
     """Run the node for the vehicles in the arguments until shutdown."""
     names, are_robots = _served(arguments, rospy.get_param("/xtdrone/fleet", None))
     lockstep.init_node(f"{names[0]}_move_base", rate=RATE)
-    node = NavigationNode(names, are_robots=are_robots)
-    try:
-        lockstep.start()
-        lockstep.spin(node.step)
-    finally:
-        node.close()
+    run_node(NavigationNode(names, are_robots=are_robots))
 
 
 def _served(arguments: Sequence[str], fleet: str | None) -> tuple[list[str], bool]:

@@ -13,29 +13,19 @@ Parameters:
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 
 import rospy
 
-from xtdrone_control import lockstep
-from xtdrone_control.programs.node_command_line import fleet_of, run_program, served_vehicles
+from xtdrone_control.programs.node_command_line import fleet_of
+from xtdrone_control.programs.vehicle_program import serve_vehicles
 from xtdrone_planning.replanning.planner_node import RATE, PlannerNode
 
-USAGE = "planner.py TYPE ID   (ID: 0, 0-5, 1,3,5 or all)"
 
-
-def main(arguments: Sequence[str]) -> None:
-    """Run the node for the vehicles in the arguments until shutdown."""
-    kind, ids, name = served_vehicles(arguments, rospy.get_param("/xtdrone/fleet", None))
-    lockstep.init_node(f"{name}_planner", rate=RATE)
+def make(kind: str, ids: list[int]) -> PlannerNode:
+    """Return the node of some vehicles."""
     fleet = fleet_of(rospy.get_param("/xtdrone/fleet", None)) or ()
-    node = PlannerNode([f"{kind}_{index}" for index in ids], [vehicle.name for vehicle in fleet])
-    try:
-        lockstep.start()
-        lockstep.spin(node.step)
-    finally:
-        node.close()
+    return PlannerNode([f"{kind}_{index}" for index in ids], [vehicle.name for vehicle in fleet])
 
 
 if __name__ == "__main__":
-    sys.exit(run_program(main, sys.argv, USAGE))
+    sys.exit(serve_vehicles("planner", RATE, make))

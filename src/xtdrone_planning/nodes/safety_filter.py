@@ -6,7 +6,7 @@ Topics are listed in ``xtdrone_planning.safety.safety_node``. Start it by the la
 also sets ``/xtdrone/setpoint_namespace`` for the MAVROS layer.
 
 Parameters:
-    ~distance, ~obstacle_distance, ~cloud, ...: see ``xtdrone_planning.safety.settings.SafetySettings``.
+    ~distance, ~obstacle_distance, ~cloud, ...: see ``xtdrone_planning.safety.velocity_filter.SafetySettings``.
     ~swarm_topic: topic with the positions of all vehicles (default: /xtdrone/swarm_topic); empty: each vehicle's own.
 """
 

@@ -15,7 +15,7 @@ from toy_floor import ToyFloor, rooms
 import xtdrone_planning
 from xtdrone_control.network.network_options import NetworkOptions
 from xtdrone_planning import compile_kernels
-from xtdrone_planning.swarm.settings import AgreementSettings
+from xtdrone_planning.planner_settings import AgreementSettings
 
 
 def kernels() -> dict[str, Dispatcher]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from xtdrone_planning.replanning.feed_forward import acceleration_setpoint
-from xtdrone_planning.replanning.settings import PlannerSettings
+from xtdrone_planning.planner_settings import PlannerSettings
+from xtdrone_planning.replanning.planner import acceleration_setpoint
 from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, coasting
 
 PLAIN = PlannerSettings(attitude_lag=0.0, drag=0.0, damping=0.0)

@@ -12,12 +12,11 @@ from toy_flight import PERIOD, ToyFlight, forest
 from toy_swarm import Group
 
 from xtdrone_control.network.network_options import NetworkOptions
+from xtdrone_planning.planner_settings import AgreementSettings
 from xtdrone_planning.safety.near_points import without_vehicles
-from xtdrone_planning.safety.settings import SafetySettings
 from xtdrone_planning.safety.trajectory_clearance import FARTHEST, TrajectoryClearance
-from xtdrone_planning.safety.velocity_filter import VelocityFilter
-from xtdrone_planning.swarm.flown_trajectories import FlownTrajectories
-from xtdrone_planning.swarm.settings import AgreementSettings
+from xtdrone_planning.safety.velocity_filter import SafetySettings, VelocityFilter
+from xtdrone_planning.trajectories.flown_trajectories import FlownTrajectories
 from xtdrone_planning.trajectories.moving_vehicles import MovingVehicles
 from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, coasting, resting
 from xtdrone_planning.trajectories.trajectory_messages import TrajectoryError, spline_message, spline_of

@@ -8,7 +8,8 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from xtdrone_planning.mapping.voxel_grid import MapSettings, VoxelGrid
-from xtdrone_planning.paths.local_path import BLOCKED, REACHED, STOPPING_ROOM, UNDECIDED, PathQuery, PathSearch
+from xtdrone_planning.paths.grid_search import BLOCKED, REACHED, UNDECIDED
+from xtdrone_planning.paths.local_path import STOPPING_ROOM, PathQuery, PathSearch
 
 HEIGHTS = (-10.0, 10.0)
 

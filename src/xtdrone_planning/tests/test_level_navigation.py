@@ -12,16 +12,15 @@ from actionlib_msgs.msg import GoalID
 from move_base_msgs.msg import MoveBaseActionGoal
 
 from xtdrone_control.settings import SettingError
-from xtdrone_planning.navigation.action_server import action_goals, action_topics
-from xtdrone_planning.navigation.action_server.action_goals import ActionGoals
-from xtdrone_planning.navigation.dynamic_window import AT_REST, Motion, choose, moved, window
+from xtdrone_planning.navigation import action_server
+from xtdrone_planning.navigation.action_server import ActionGoals
+from xtdrone_planning.navigation.dynamic_window import AT_REST, Motion, choose, move_along_arc, window
 from xtdrone_planning.navigation.global_path import GlobalSearch, PathError
-from xtdrone_planning.navigation.level_map import INSCRIBED, LETHAL, UNKNOWN, LevelMap, MapError
+from xtdrone_planning.navigation.level_map import INSCRIBED, LETHAL, UNKNOWN, LevelMap, MapError, ScanRays
 from xtdrone_planning.navigation.navigator import ABORTED, SUCCEEDED, WAITING, Navigator, Turn
-from xtdrone_planning.navigation.scan_rays import ScanRays
 from xtdrone_planning.navigation.settings import (
     CostmapSettings,
-    GoalError,
+    NavigationGoalError,
     NavigatorSettings,
     WindowSettings,
     check_reach,
@@ -64,7 +63,7 @@ class Drive:
         while self.time < end and self.navigator.goal is not None:
             motion = self.navigator.step(Turn(self.time, TURN, self.pose))
             if not self.stuck:
-                self.pose = np.array(moved(*self.pose.tolist(), motion.speed, motion.rate, TURN))
+                self.pose = np.array(move_along_arc(*self.pose.tolist(), motion.speed, motion.rate, TURN))
             self.time += TURN
             self.motions.append(motion)
             self.distances.append(self.level.away(self.pose))
@@ -117,7 +116,7 @@ def test_every_motion_that_is_chosen_can_be_stopped_before_an_obstacle(seed):
         stopping = motion.speed / LIMITS.acceleration
         for time in np.linspace(0.0, max(LIMITS.horizon, stopping), 80):
             # a position is up to half a cell's diagonal from the centre of its cell
-            x, y, _ = moved(*pose.tolist(), motion.speed, motion.rate, float(time))
+            x, y, _ = move_along_arc(*pose.tolist(), motion.speed, motion.rate, float(time))
             assert level.away(np.array([x, y])) >= clearance - CELL
     assert chosen > 20
 
@@ -133,9 +132,9 @@ def test_the_window_is_what_can_be_reached_in_a_turn():
 
 
 def test_a_motion_is_an_arc():
-    x, y, yaw = moved(1.0, 2.0, 0.0, 0.5, 0.25, 2.0)  # a circle of 2 m, by 0.5 rad
+    x, y, yaw = move_along_arc(1.0, 2.0, 0.0, 0.5, 0.25, 2.0)  # a circle of 2 m, by 0.5 rad
     assert (x, y, yaw) == pytest.approx((1.0 + 2.0 * math.sin(0.5), 2.0 + 2.0 * (1.0 - math.cos(0.5)), 0.5))
-    assert moved(1.0, 2.0, 0.5 * math.pi, 1.0, 0.0, 2.0) == pytest.approx((1.0, 4.0, 0.5 * math.pi))
+    assert move_along_arc(1.0, 2.0, 0.5 * math.pi, 1.0, 0.0, 2.0) == pytest.approx((1.0, 4.0, 0.5 * math.pi))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -255,7 +254,7 @@ def test_an_obstacle_that_was_there_once_is_forgotten_by_the_recovery():
 def test_goals_that_are_not_allowed_leave_the_present_one(goal):
     drive = Drive(a_map(), (3.0, 3.0, 0.0))
     drive.navigator.set_goal(np.array([15.0, 10.0, 0.0]))
-    with pytest.raises(GoalError, match="is not allowed, finite numbers within"):
+    with pytest.raises(NavigationGoalError, match="is not allowed, finite numbers within"):
         drive.navigator.set_goal(np.array(goal))
     assert np.allclose(drive.navigator.goal, [15.0, 10.0, 0.0])
 
@@ -307,7 +306,7 @@ def test_rays_without_return_count_only_beside_others_and_near_ones_not_at_all()
 def test_rays_of_a_tilted_vehicle_end_at_the_slab():
     pitch = 0.2  # nose down: the ray ahead meets the ground
     pose = np.array([1.0, 2.0, 1.5, math.cos(0.5 * pitch), 0.0, math.sin(0.5 * pitch), 0.0])
-    origins, ends, hits = scan([8.0, 3.0, 8.0, 3.0]).placed(np.tile(pose, (2, 1)), 0.1, np.zeros(3), 0.4)
+    origins, ends, hits = scan([8.0, 3.0, 8.0, 3.0]).place(np.tile(pose, (2, 1)), 0.1, np.zeros(3), 0.4)
     assert hits.tolist() == [False, True, False, True]
     assert ends[0, 2] == pytest.approx(1.1)
     assert ends[1] == pytest.approx([1.0, 5.0, 1.5])
@@ -319,7 +318,7 @@ def test_a_scan_marks_and_clears_but_not_what_the_given_map_has():
     pose = np.tile(np.array([3.0, 10.0, 0.0, 1.0, 0.0, 0.0, 0.0]), (2, 1))
     for distance in (1.0, 8.0):  # an object stands before the wall, and then a ray passes both
         for _ in range(10):
-            level.enter(*scan([distance, 1.0, 1.0, 1.0]).placed(pose, 0.1, np.zeros(3), 0.4))
+            level.enter(*scan([distance, 1.0, 1.0, 1.0]).place(pose, 0.1, np.zeros(3), 0.4))
         level.update_distance_around(pose[-1])
         assert (level.evidence[40, 100, 0] > 0) == (distance == 1.0)
         assert level.evidence[50, 100, 0] > 0
@@ -348,27 +347,27 @@ def test_action_goals_follow_each_other_as_actionlib_says():
     goals = ActionGoals()
     goals.accept("a", 1.0, 1.0)
     goals.accept("b", 2.0, 2.0)
-    assert [(goal.name, goal.status) for goal in goals.results()] == [("a", action_goals.PREEMPTED)]
+    assert [(goal.name, goal.status) for goal in goals.results()] == [("a", action_server.PREEMPTED)]
     goals.reject("c", 3.0, "goal: too far", 3.0)
     assert goals.present is not None
     assert goals.present.name == "b"
     assert not goals.cancels("a", 0.0, 4.0)
     assert goals.cancels("b", 0.0, 4.0)
-    goals.end(action_goals.PREEMPTED, "cancelled", 4.0)
-    assert [goal.status for goal in goals.listed(4.0)] == [2, 2, 5]
+    goals.end(action_server.PREEMPTED, "cancelled", 4.0)
+    assert [goal.status for goal in goals.list_recent(4.0)] == [2, 2, 5]
     assert not goals.admits("b", 2.0, 4.5)  # a late repetition
     assert goals.present is None
-    assert goals.listed(20.0) == []
+    assert goals.list_recent(20.0) == []
 
 
 def test_goals_sent_before_a_cancel_that_overtook_them_are_recalled():
     goals = ActionGoals()
     goals.cancels("", 5.0, 5.0)
     assert not goals.admits("a", 4.0, 5.1)
-    assert [(goal.name, goal.status) for goal in goals.results()] == [("a", action_goals.RECALLED)]
+    assert [(goal.name, goal.status) for goal in goals.results()] == [("a", action_server.RECALLED)]
     assert goals.admits("b", 6.0, 6.1)
     goals.accept("b", 6.0, 6.1)
-    assert [goal.status for goal in goals.listed(6.1)] == [action_goals.RECALLED, action_goals.ACTIVE]
+    assert [goal.status for goal in goals.list_recent(6.1)] == [action_server.RECALLED, action_server.ACTIVE]
     assert goals.cancels("", 0.0, 7.0)
 
 
@@ -377,17 +376,17 @@ def test_many_rejected_goals_do_not_push_the_present_one_out_of_the_status():
     goals.accept("present", 1.0, 1.0)
     for n in range(300):
         goals.reject(f"bad-{n}", 2.0, "goal: too far", 2.0)
-    listed = goals.listed(2.0)
+    listed = goals.list_recent(2.0)
     assert listed[0].name == "present"
     assert len(listed) == 101
 
 
 def test_a_goal_that_is_not_admitted_does_not_turn_the_vehicle(monkeypatch: pytest.MonkeyPatch):
     silent = SimpleNamespace(Publisher=lambda *_, **__: None, Subscriber=lambda *_: None)
-    monkeypatch.setattr(action_topics, "lockstep", silent)
-    monkeypatch.setattr(action_topics.rospy, "get_time", lambda: 10.0)
+    monkeypatch.setattr(action_server, "lockstep", silent)
+    monkeypatch.setattr(action_server.rospy, "get_time", lambda: 10.0)
     begun: list[float] = []
-    topics = action_topics.ActionTopics("/move_base", lambda pose: begun.append(pose.pose.position.x), lambda: None)
+    topics = action_server.ActionTopics("/move_base", lambda pose: begun.append(pose.pose.position.x), lambda: None)
 
     def send(name: str, stamp: float, x: float) -> None:
         message = MoveBaseActionGoal(goal_id=GoalID(rospy.Time.from_sec(stamp), name))

@@ -8,9 +8,16 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from toy_yard import pairs, seen, yard
 
-from xtdrone_perception.slam.poses import angle_between, distance_between, inverse, pose_of, transformed, turned_about_z
+from xtdrone_control.pose_matrices import (
+    angle_between,
+    distance_between,
+    inverse,
+    pose_of,
+    transform_points,
+    turned_about_z,
+)
 from xtdrone_planning.merging.frame_links import Link, Pairs, link_of
-from xtdrone_planning.merging.map_chain import merged, merged_points
+from xtdrone_planning.merging.map_chain import merge_maps, merge_points
 from xtdrone_planning.merging.map_registration import Fit, fit_of, surfaces_of
 from xtdrone_planning.merging.settings import FitSettings, LinkSettings, NotMergedError
 
@@ -116,8 +123,8 @@ def test_a_fit_is_better_than_the_voxels(seed: int) -> None:
     points, true = yard(seed), inverse(HOME) @ TURNED
     first, second = seen(points, (0.0, 25.0), HOME, 1), seen(points, (15.0, 40.0), TURNED, 2)
     fit = fitted(first, second, true, frame(0.4, -0.3, 0.2, 0.03))
-    middle = transformed(inverse(TURNED), np.array([[20.0, 10.0, 1.0]]))
-    assert np.linalg.norm(transformed(fit.pose, middle) - transformed(true, middle)) < 0.08
+    middle = transform_points(inverse(TURNED), np.array([[20.0, 10.0, 1.0]]))
+    assert np.linalg.norm(transform_points(fit.pose, middle) - transform_points(true, middle)) < 0.08
     assert angle_between(fit.pose, true) < 0.01
     assert fit.residual < 0.12
     assert 0.2 < fit.overlap < 0.8
@@ -168,23 +175,23 @@ def test_maps_are_chained_by_the_best_links() -> None:
     clouds.append(seen(yard(77), (0.0, 24.0), NEAR, 9))
     ends = [(0, 1), (2, 1), (0, 2), (0, 4)]  # the second of these against the chain's direction
     estimates = {(i, j): pairs((i, frames[i]), (j, frames[j]), i + j) for i, j in ends}
-    found = merged(clouds, estimates, FREE, FIT)
+    found = merge_maps(clouds, estimates, FREE, FIT)
     assert {number: placed.through for number, placed in found.placed.items()} == {0: 0, 1: 0, 2: 1}
     for number, place in ((1, [29.0, 10.0, 1.0]), (2, [47.0, 10.0, 1.0])):
-        there = transformed(inverse(frames[number]), np.array([place]))
-        off = transformed(found.placed[number].pose, there) - transformed(inverse(HOME), np.array([place]))
+        there = transform_points(inverse(frames[number]), np.array([place]))
+        off = transform_points(found.placed[number].pose, there) - transform_points(inverse(HOME), np.array([place]))
         assert np.linalg.norm(off) < 0.2
     assert found.reasons[3] == {}
     assert list(found.reasons[4]) == [0]
 
-    whole = merged_points(clouds, found.placed, 0.2)
-    true = transformed(inverse(HOME), points)
+    whole = merge_points(clouds, found.placed, 0.2)
+    true = transform_points(inverse(HOME), points)
     assert np.mean(cKDTree(true).query(whole)[0] < 0.3) > 0.97
     assert np.mean(cKDTree(whole).query(true)[0] < 0.4) > 0.97
 
-    alone = merged(clouds, estimates, FREE, FitSettings(refine="off"))
+    alone = merge_maps(clouds, estimates, FREE, FitSettings(refine="off"))
     assert sorted(alone.placed) == [0, 1, 2, 4]
-    tried = merged(clouds, estimates, FREE, FitSettings(refine="tried"))
+    tried = merge_maps(clouds, estimates, FREE, FitSettings(refine="tried"))
     assert tried.placed[1].fit is not None
     assert tried.placed[4].fit is None
 
@@ -193,7 +200,7 @@ def test_merging_is_the_same_to_the_last_bit() -> None:
     points = yard(1)
     clouds = [seen(points, (0.0, 25.0), HOME, 1), seen(points, (15.0, 40.0), TURNED, 2)]
     estimates = {(0, 1): pairs((0, HOME), (1, TURNED), 1)}
-    first, second = (merged(clouds, estimates, FREE, FIT) for _ in range(2))
+    first, second = (merge_maps(clouds, estimates, FREE, FIT) for _ in range(2))
     assert (first.placed[1].pose == second.placed[1].pose).all()
-    maps = [merged_points(clouds, one.placed, 0.2) for one in (first, second)]
+    maps = [merge_points(clouds, one.placed, 0.2) for one in (first, second)]
     assert maps[0].tobytes() == maps[1].tobytes()

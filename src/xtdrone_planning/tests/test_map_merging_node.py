@@ -18,9 +18,9 @@ from scipy.spatial.transform import Rotation
 from toy_yard import seen, way, yard
 
 from xtdrone_control import lockstep
-from xtdrone_perception.slam.odometry_messages import cloud, pose_message, stamped
-from xtdrone_perception.slam.poses import inverse, pose_of, transformed, turned_about_z
-from xtdrone_perception.slam.scan_points import read_cloud
+from xtdrone_control.clouds import cloud_message, read_cloud
+from xtdrone_control.pose_matrices import inverse, pose_of, transform_points, turned_about_z
+from xtdrone_control.pose_messages import pose_message, stamped_pose
 from xtdrone_planning.octree.octree_format import read_file
 
 try:
@@ -59,12 +59,12 @@ def fleet() -> None:
         turn = round(20.0 * now.to_sec())
         places = [way(k, np.array([4.0 * now.to_sec()]))[0] for k in range(3)]
         for k in range(3):
-            own = transformed(inverse(FRAMES[k]), places[k])
-            poses[k].publish(stamped(pose_of(own, Rotation.identity()), now, "map"))
+            own = transform_points(inverse(FRAMES[k]), places[k])
+            poses[k].publish(stamped_pose(pose_of(own, Rotation.identity()), now, "map"))
             if turn == 20 * (k + 1):
-                maps[k].publish(cloud(clouds[k], now, "map"))
+                maps[k].publish(cloud_message(clouds[k], now, "map"))
         if turn == 160:  # a map without heights
-            wrong = cloud(clouds[1], now, "map")
+            wrong = cloud_message(clouds[1], now, "map")
             wrong.fields = wrong.fields[:2]
             maps[1].publish(wrong)
         rng = np.random.default_rng(turn)
@@ -154,18 +154,18 @@ def test_maps_are_merged_where_they_fit_and_alike_after_a_reset(stack: Stack, tm
     (*_, found) = [line for line in first if line["topic"] == "tf" and line["child"] == f"{NAMES[1]}/map"]
     assert found["parent"] == "map"
     pose = pose_of(found["pose"][:3], Rotation.from_quat(found["pose"][3:]))
-    place = transformed(inverse(FRAMES[1]), np.array([[20.0, 10.0, 1.0]]))
+    place = transform_points(inverse(FRAMES[1]), np.array([[20.0, 10.0, 1.0]]))
     true = inverse(FRAMES[0]) @ FRAMES[1]
-    assert np.linalg.norm(transformed(pose, place) - transformed(true, place)) < 0.1
+    assert np.linalg.norm(transform_points(pose, place) - transform_points(true, place)) < 0.1
     assert not [line for line in first if line["topic"] == "tf" and line["child"] == f"{NAMES[2]}/map"]
 
     maps = [line for line in first if line["topic"] == "map"]
     assert {line["frame"] for line in maps} == {"map"}
-    points = transformed(FRAMES[0], np.load(f"{stack.record}.npy"))
+    points = transform_points(FRAMES[0], np.load(f"{stack.record}.npy"))
     assert points[:, 0].max() > 39.0
     assert points[:, 0].min() < 1.0
     stack.end("map_merging")
-    saved = transformed(FRAMES[0], read_file(tmp_path / "merged.bt").middles())
+    saved = transform_points(FRAMES[0], read_file(tmp_path / "merged.bt").middles())
     assert abs(len(saved) - len(points)) < 0.05 * len(points)  # merged once more at the end
     assert saved[:, 0].max() > 39.0
     assert saved[:, 0].min() < 1.0

@@ -7,8 +7,8 @@ import pytest
 from toy_flight import LIMITS, PERIOD, ToyFlight, forest
 
 from xtdrone_planning.mapping.voxel_grid import MapSettings, VoxelGrid
-from xtdrone_planning.paths.clear_place import nearest_clear
-from xtdrone_planning.replanning.settings import GoalError
+from xtdrone_planning.paths.local_path import nearest_clear
+from xtdrone_planning.planner_settings import GoalError
 
 SPEED = 1.5  # m/s of the slot
 CARRY = 1.15  # s; without an agreed time, less than in forest.launch

@@ -11,15 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from xtdrone_planning.octree.octree_format import Octree, OctreeError, count_nodes, decode, encode, file_of, read_file
-from xtdrone_planning.octree.octree_map import (
-    NEVER,
-    OctreeMap,
-    OctreeSettings,
-    blocks_of,
-    in_block,
-    log_odds,
-    morton,
-)
+from xtdrone_planning.octree.octree_map import NEVER, OctreeMap, OctreeSettings, blocks_of, in_block, log_odds, morton
 from xtdrone_planning.octree.octree_messages import seen_from_above
 
 HALF = 1 << 15

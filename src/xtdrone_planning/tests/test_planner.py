@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from toy_flight import LIMITS, ToyFlight, forest, wall
 
-from xtdrone_planning.replanning.settings import GoalError, PlannerSettings
+from xtdrone_planning.planner_settings import GoalError, PlannerSettings
 
 GOAL = np.array([28.0, 0.0, 2.0])
 ARRIVED = "hovering at the goal"
@@ -114,7 +114,7 @@ def test_a_silent_sensor_makes_it_brake_on_its_path_and_hover_until_the_sensor_i
 
 
 def _situation(flight: ToyFlight):
-    from xtdrone_planning.replanning.situation import Situation
+    from xtdrone_planning.replanning.flight_states import Situation
 
     return Situation(flight.time, flight.position, flight.velocity, 0.0, True, True, flight.scans, flight.fault)
 

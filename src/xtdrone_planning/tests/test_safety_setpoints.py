@@ -14,21 +14,20 @@ from mavros_msgs.msg import PositionTarget
 
 from xtdrone_control.communication.multirotor import fill
 from xtdrone_control.communication.setpoint import acceleration_setpoint, pose_setpoint, velocity_setpoint
-from xtdrone_planning.safety.safety_node import served_names
+from xtdrone_planning.safety.safety_node import SwarmPositions, served_names
 from xtdrone_planning.safety.setpoints import (
     Gains,
     Meaning,
-    Motion,
+    VehicleMotion,
     fill_target,
     meaning_of_acceleration,
     meaning_of_pose,
     meaning_of_target,
     meaning_of_twist,
 )
-from xtdrone_planning.safety.swarm_positions import SwarmPositions
 
 NORTH = math.pi / 2.0
-MOTION = Motion((10.0, 20.0, 5.0), (1.0, 0.0, 0.0), NORTH)
+MOTION = VehicleMotion((10.0, 20.0, 5.0), (1.0, 0.0, 0.0), NORTH)
 GAINS = Gains(kp=0.5, lag=2.0, max_speed=4.0)
 
 

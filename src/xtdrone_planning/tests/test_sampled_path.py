@@ -13,7 +13,7 @@ from xtdrone_planning.mapping.voxel_grid import MapSettings, VoxelGrid
 from xtdrone_planning.paths.grid_search import BLOCKED, REACHED, UNDECIDED
 from xtdrone_planning.paths.local_path import LocalPath, PathQuery, PathSearch, Search
 from xtdrone_planning.paths.sampled_path import SampledSearch
-from xtdrone_planning.replanning.settings import PlannerSettings
+from xtdrone_planning.planner_settings import PlannerSettings
 
 PLANNERS = ["rrt_star", "bit_star", "informed_rrt_star"]
 CLEARANCE, START, GOAL = 0.5, np.array([-7.0, -7.0, 0.3]), np.array([7.0, 7.0, 0.1])

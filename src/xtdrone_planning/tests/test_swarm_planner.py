@@ -12,9 +12,8 @@ from toy_swarm import Group
 
 from xtdrone_control.network.network_options import NetworkOptions
 from xtdrone_planning.paths.local_path import PathQuery, PathSearch
-from xtdrone_planning.swarm.known_trajectories import FORGET, Known, Proposal
-from xtdrone_planning.swarm.settings import AgreementSettings
-from xtdrone_planning.swarm.swarm_planner import SwarmPlanner
+from xtdrone_planning.planner_settings import AgreementSettings
+from xtdrone_planning.replanning.swarm_planner import FORGET, Known, Proposal, SwarmPlanner
 from xtdrone_planning.trajectories.moving_vehicles import MovingVehicles
 from xtdrone_planning.trajectories.splines.spline_cost import UPRIGHT
 from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, coasting, resting

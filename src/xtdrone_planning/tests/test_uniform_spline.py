@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from xtdrone_planning.trajectories.slowing_down import stopping
+from xtdrone_planning.trajectories.speed_profile import SpeedProfile, brake_along, points_along
 from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, first_points, resting
-from xtdrone_planning.trajectories.time_law import TimeLaw, points_along
 
 
 def a_spline(seed: int) -> UniformSpline:
@@ -63,11 +62,11 @@ def test_a_resting_vehicle_rests():
 @pytest.mark.parametrize("seed", range(6))
 def test_stopping_stays_on_the_path_and_ends_at_rest(seed):
     corners = np.array([[0.0, 0, 2], [4, 0, 2], [7, 3, 2], [12, 3, 2.5]])
-    law = TimeLaw.along(12.0, 0.0, 4.0, 2.0)
+    law = SpeedProfile.along(12.0, 0.0, 4.0, 2.0)
     points = points_along(corners, law.way(np.arange(-1, 26) * 0.2))
     spline = UniformSpline(0.0, 0.2, np.vstack([points, points[-1], points[-1]]))
     begin = 1.0 + 0.4 * seed
-    stopped = stopping(spline, begin, 2.5)
+    stopped = brake_along(spline, begin, 2.5)
     assert np.allclose(stopped.at(begin)[:2], spline.at(begin)[:2])
     assert np.allclose(stopped.at(stopped.end)[1:], 0.0)
     path = spline.positions(np.linspace(0.0, spline.end, 5000))
@@ -80,7 +79,7 @@ def test_stopping_stays_on_the_path_and_ends_at_rest(seed):
 
 @pytest.mark.parametrize(("length", "speed"), [(10.0, 0.0), (10.0, 3.0), (1.0, 0.0), (1.0, 3.0), (3.0, 6.0)])
 def test_the_time_law_ends_at_the_end(length, speed):
-    law = TimeLaw.along(length, speed, 4.0, 2.0)
+    law = SpeedProfile.along(length, speed, 4.0, 2.0)
     times = np.linspace(0.0, law.duration, 2001)
     ways = law.way(times)
     assert ways[0] == 0.0

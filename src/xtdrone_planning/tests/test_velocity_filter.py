@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from xtdrone_planning.safety.barriers import approach_speed
 from xtdrone_planning.safety.half_spaces import nearest
-from xtdrone_planning.safety.near_points import SECTORS, nearest_by_sector, placed
-from xtdrone_planning.safety.settings import SafetySettings
-from xtdrone_planning.safety.velocity_filter import VelocityFilter
+from xtdrone_planning.safety.near_points import SECTORS, nearest_by_sector, place_points
+from xtdrone_planning.safety.velocity_filter import SafetySettings, VelocityFilter, approach_speed
 
 RATE = 30
 TIME_CONSTANT, DELAY = 0.55, 3  # s, turns: of a PX4 vehicle's velocity behind its setpoint
@@ -185,6 +183,6 @@ def test_the_nearest_point_of_a_cloud_is_always_among_those_of_the_sectors():
 def test_points_of_a_sensor_are_placed_by_mount_and_attitude():
     half = math.sqrt(0.5)
     points = np.array([[2.0, 0.0, 0.0], [np.nan, 0.0, 0.0], [0.1, 0.0, 0.0], [50.0, 0.0, 0.0]])
-    found = placed(points, np.array([0.5, 0.0, 0.1]), (1.0, 0.0, 0.0, 0.0), np.array([10.0, 0.0, 5.0]),
+    found = place_points(points, np.array([0.5, 0.0, 0.1]), (1.0, 0.0, 0.0, 0.0), np.array([10.0, 0.0, 5.0]),
                    (half, 0.0, 0.0, half), 20.0)  # fmt: skip
     assert found == pytest.approx(np.array([[10.0, 2.5, 5.1], [10.0, 0.6, 5.1]]))  # facing north

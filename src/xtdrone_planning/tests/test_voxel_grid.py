@@ -9,16 +9,7 @@ import pytest
 from scipy.ndimage import distance_transform_edt
 
 from xtdrone_planning.mapping.field_lookup import distance_at, is_seen
-from xtdrone_planning.mapping.voxel_grid import (
-    FREE_TO,
-    HIT,
-    LEAST,
-    MISS,
-    MOST,
-    OCCUPIED_FROM,
-    MapSettings,
-    VoxelGrid,
-)
+from xtdrone_planning.mapping.voxel_grid import FREE_TO, HIT, LEAST, MISS, MOST, OCCUPIED_FROM, MapSettings, VoxelGrid
 
 SMALL = MapSettings(resolution=0.2, side=8.0, height=2.0)
 

@@ -12,9 +12,8 @@ from toy_flight import LIMITS, PERIOD, ToyFlight
 
 from xtdrone_control.network.message_radio import MessageRadio
 from xtdrone_control.network.network_options import NetworkOptions
-from xtdrone_planning.swarm.known_trajectories import Proposal
-from xtdrone_planning.swarm.settings import AgreementSettings
-from xtdrone_planning.swarm.swarm_planner import SwarmPlanner
+from xtdrone_planning.planner_settings import AgreementSettings
+from xtdrone_planning.replanning.swarm_planner import Proposal, SwarmPlanner
 
 RADIUS = LIMITS.radius
 LENGTH = 16.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_perception.slam.poses import inverse, pose_of, transformed, turned_about_z
+from xtdrone_control.pose_matrices import inverse, pose_of, transform_points, turned_about_z
 from xtdrone_planning.merging.frame_links import Pairs
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ def yard(seed: int, size: tuple[float, float] = (40.0, 20.0), boxes: int = 16) -
     for _ in range(boxes):
         middle = np.append(rng.uniform(1.0, np.array(size) - 1.0), 0.0)
         turn = turned_about_z(rng.uniform(0.0, np.pi))
-        parts.append(transformed(pose_of(middle, turn), _sides(*rng.uniform(1.0, 4.0, 3))))
+        parts.append(transform_points(pose_of(middle, turn), _sides(*rng.uniform(1.0, 4.0, 3))))
     return np.concatenate(parts)
 
 
@@ -49,7 +49,7 @@ def seen(points: Array, limits: tuple[float, float], frame: Array, seed: int) ->
     """
     part = points[(points[:, 0] >= limits[0]) & (points[:, 0] < limits[1])]
     noisy = part + 0.03 * np.random.default_rng(seed).standard_normal(part.shape)
-    cells = np.unique(np.floor(transformed(inverse(frame), noisy) / VOXEL).astype(int), axis=0)
+    cells = np.unique(np.floor(transform_points(inverse(frame), noisy) / VOXEL).astype(int), axis=0)
     return (cells + 0.5) * VOXEL
 
 
@@ -69,5 +69,5 @@ def pairs(
     relative = (there - here) @ first[1][:3, :3] + noise * rng.standard_normal(here.shape)
     wrong = rng.random(len(times)) < outliers
     relative[wrong] += rng.normal(0.0, 8.0, (wrong.sum(), 3)) + 5.0
-    own = transformed(inverse(first[1]), here)
-    return Pairs(times, own + relative, transformed(inverse(second[1]), there), np.full(len(times), noise))
+    own = transform_points(inverse(first[1]), here)
+    return Pairs(times, own + relative, transform_points(inverse(second[1]), there), np.full(len(times), noise))

@@ -16,10 +16,10 @@ topic                                type                         meaning
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import rospy
 from gazebo_msgs.msg import LinkStates
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Vector3
@@ -28,7 +28,9 @@ from mavros_msgs.msg import MountControl
 from xtdrone_control import lockstep
 from xtdrone_control.cameras.camera_pose import camera_link_pose
 from xtdrone_control.frames import to_xyzw
+from xtdrone_control.pose_messages import is_pose
 from xtdrone_control.settings import Settings, setting
+from xtdrone_control.vehicle_topics import VehicleTopics
 
 RATE = 30.0  # Hz
 OFFSET = (0.041, 0.0, -0.122)  # of the typhoon's camera from base_link, m, FLU
@@ -68,20 +70,19 @@ class GimbalControl:
         self._name = name
         self._options = options
         self._angles = options.angles
-        self._pose: PoseStamped | None = None
-        self._mount: Quaternion | None = None
+        self._mount: tuple[float, float, float, float] | None = None  # w, x, y, z
         self._true: PoseStamped | None = None
         self._command = lockstep.Publisher(f"/{name}/mavros/mount_control/command", MountControl)
         self._cam_pose = lockstep.Publisher(f"/xtdrone/{name}/cam_pose", PoseStamped)
         lockstep.Subscriber(f"/xtdrone/{name}/gimbal_cmd", Vector3, self._on_command)
         if options.source == "vehicle":
-            lockstep.Subscriber(f"/{name}/mavros/local_position/pose", PoseStamped, self._on_pose)
+            self._vehicle = VehicleTopics(name, "pose")
             lockstep.Subscriber(f"/{name}/mavros/mount_control/orientation", Quaternion, self._on_mount)
         lockstep.add_reset_hook(self._restart)
 
     def _restart(self) -> None:
         self._angles = self._options.angles
-        self._pose = self._mount = self._true = None
+        self._mount = self._true = None
 
     # messages
 
@@ -94,18 +95,16 @@ class GimbalControl:
                 5.0, f"/xtdrone/{self._name}/gimbal_cmd: {angles} is not allowed, -180 to 180 deg each; it is ignored"
             )
 
-    def _on_pose(self, message: PoseStamped) -> None:
-        self._pose = message
-
     def _on_mount(self, message: Quaternion) -> None:
-        self._mount = message
+        entry = np.array([message.w, message.x, message.y, message.z])
+        self._mount = entry.tolist() if is_pose(entry) else None
 
     def on_link_states(self, states: LinkStates, index: dict[str, int]) -> None:
         """Store the true pose of the camera link.
 
         Args:
-            states: of all links.
-            index: of each link in ``states``, by name.
+            states: States of all links.
+            index: Index of each link in ``states``, by name.
         """
         place = index.get(f"{self._name}::{self._options.link}")
         if place is not None:
@@ -127,16 +126,12 @@ class GimbalControl:
 
     def _estimated_pose(self) -> PoseStamped | None:
         """Return the camera pose from the last messages of the vehicle, None before the first."""
-        if self._pose is None or self._mount is None:
+        pose = self._vehicle.pose
+        if pose is None or self._mount is None:
             return None
-        p, q, m = self._pose.pose.position, self._pose.pose.orientation, self._mount
-        if not all(map(math.isfinite, (p.x, p.y, p.z, q.x, q.y, q.z, q.w, m.x, m.y, m.z, m.w))):
-            return None
-        found = camera_link_pose(
-            (p.x, p.y, p.z), (q.w, q.x, q.y, q.z), (m.w, m.x, m.y, m.z), self._options.camera_offset
-        )
+        found = camera_link_pose(pose[:3].tolist(), pose[3:].tolist(), self._mount, self._options.camera_offset)
         message = PoseStamped(pose=Pose(Point(*found.position), Quaternion(*to_xyzw(found.orientation))))
-        message.header.stamp = self._pose.header.stamp
+        message.header.stamp = self._vehicle.stamp
         message.header.frame_id = "map"
         return message
 

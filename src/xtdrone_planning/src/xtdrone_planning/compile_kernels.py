@@ -15,29 +15,23 @@ from numpy.typing import NDArray
 from xtdrone_planning.exploration.choice_of_frontier import Explorer
 from xtdrone_planning.exploration.floor_map import FREE, OCCUPIED, UNKNOWN
 from xtdrone_planning.exploration.settings import ExplorationSettings
-from xtdrone_planning.mapping.local_map import LocalMap
 from xtdrone_planning.mapping.range_images import DepthImages, DepthMapping, LidarImages, LidarMapping, RangeImage
-from xtdrone_planning.mapping.voxel_grid import MapSettings
+from xtdrone_planning.mapping.voxel_grid import LocalMap, MapSettings
 from xtdrone_planning.navigation.global_path import GlobalSearch
-from xtdrone_planning.navigation.level_map import LevelMap
+from xtdrone_planning.navigation.level_map import LevelMap, ScanRays
 from xtdrone_planning.navigation.navigator import Navigator, Turn
-from xtdrone_planning.navigation.scan_rays import ScanRays
 from xtdrone_planning.navigation.settings import CostmapSettings, NavigatorSettings, WindowSettings
-from xtdrone_planning.octree.global_map import GlobalMap
 from xtdrone_planning.octree.octree_format import decode, encode
-from xtdrone_planning.octree.octree_map import OctreeSettings
+from xtdrone_planning.octree.octree_map import GlobalMap, OctreeSettings
 from xtdrone_planning.octree.octree_messages import seen_from_above
 from xtdrone_planning.paths.lines_of_sight import is_open
-from xtdrone_planning.replanning.settings import PlannerSettings
-from xtdrone_planning.replanning.situation import Situation
-from xtdrone_planning.safety.near_points import placed, without_vehicles
-from xtdrone_planning.safety.settings import SafetySettings
+from xtdrone_planning.planner_settings import AgreementSettings, PlannerSettings, TrajectorySettings
+from xtdrone_planning.replanning.flight_states import Situation
+from xtdrone_planning.replanning.swarm_planner import SwarmPlanner
+from xtdrone_planning.safety.near_points import place_points, without_vehicles
 from xtdrone_planning.safety.trajectory_clearance import TrajectoryClearance
-from xtdrone_planning.safety.velocity_filter import VelocityFilter
-from xtdrone_planning.swarm.flown_trajectories import FlownTrajectories
-from xtdrone_planning.swarm.settings import AgreementSettings
-from xtdrone_planning.swarm.swarm_planner import SwarmPlanner
-from xtdrone_planning.trajectories.local_trajectory import TrajectorySettings
+from xtdrone_planning.safety.velocity_filter import SafetySettings, VelocityFilter
+from xtdrone_planning.trajectories.flown_trajectories import FlownTrajectories
 from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, coasting, resting
 
 Array = NDArray[np.float64]
@@ -152,7 +146,7 @@ def _safety_filter() -> None:
     velocities = np.array([[2.0, 0.0, 0.0], [-2.0, 0.0, 0.0]])
     points = np.stack([_cloud()[axis] for axis in "xyz"], axis=1).astype(np.float64)
     at_rest = 1.0, 0.0, 0.0, 0.0
-    points = placed(points, np.zeros(3), at_rest, places[0], at_rest, settings.range)
+    points = place_points(points, np.zeros(3), at_rest, places[0], at_rest, settings.range)
     points = without_vehicles(points, places[1:], 0.3)
     trajectories = FlownTrajectories(2, settings.distance, settings.tracking)
     for number, start in ((1, 0.0), (2, 0.3)):
@@ -198,7 +192,7 @@ def _navigation() -> None:
     scan = ScanRays(np.full(90, 2.0), -1.5, 0.03, 0.0005, (0.1, 10.0), 0.0)
     pose = np.array([2.5, 5.0, 0.0])
     poses = np.tile(_pose(np.array([*pose[:2], 0.0])), (7, 1))
-    level.enter(*scan.placed(poses, 0.01, np.zeros(3), 0.2))
+    level.enter(*scan.place(poses, 0.01, np.zeros(3), 0.2))
     level.update_distance_around(pose)
     navigator = Navigator(level, NavigatorSettings(), WindowSettings())
     for goal in ((8.0, 5.0, 0.0), (3.0, 5.0, 1.0)):

@@ -12,7 +12,7 @@ from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.console import PatientConsole, run_reported
 from xtdrone_interaction.demos.directed_flight import add_place_options, placed
 from xtdrone_interaction.demos.forest_demo import ForestDemoSettings, run_forest
-from xtdrone_planning.replanning.settings import PlannerSettings
+from xtdrone_planning.planner_settings import PlannerSettings
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -31,7 +31,7 @@ from xtdrone_interaction.metrics.missions.formation_metrics import write_report
 from xtdrone_interaction.recording.missions.crossing_record import CrossingRecord, read_crossing
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.printed_results import print_crossing, print_paths
-from xtdrone_planning.replanning.settings import GLOBAL_PLANNERS
+from xtdrone_planning.planner_settings import GLOBAL_PLANNERS
 
 _TYPES = {"lidar": "iris_3d_lidar", "depth": "iris_depth_camera"}
 _HEIGHT = 2.0  # m

@@ -11,7 +11,7 @@ import numpy as np
 
 from xtdrone_control.settings import SettingError
 from xtdrone_interaction import sim_cli
-from xtdrone_planning.replanning.settings import GoalError, PlannerSettings
+from xtdrone_planning.planner_settings import GoalError, PlannerSettings
 
 from .vehicle_addresses import GcsError
 

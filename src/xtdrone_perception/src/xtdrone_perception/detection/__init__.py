@@ -1,0 +1,1 @@
+"""Detection of objects in camera images by YOLO networks: node ``yolo.py``."""

@@ -17,7 +17,7 @@ import numpy as np
 import rospkg
 from numpy.typing import NDArray
 
-from xtdrone_control.bounded_file import ContentError, load_yaml, read_text
+from xtdrone_control.bounded_file import ContentError, load_yaml, read_bytes, read_text
 from xtdrone_control.settings import SettingError, Settings, setting
 
 from .output_layouts import LAYOUTS, LayoutError, check_layout, check_metadata, check_scale, decode, find_layout
@@ -40,7 +40,7 @@ class Detection:
 
     Attributes:
         class_id: index of the class, from 0.
-        name: of the class.
+        name: Name of the class.
         probability: 0 to 1.
         xmin, ymin, xmax, ymax: px from the left and upper edges, within the image.
     """
@@ -128,7 +128,7 @@ def load_settings(path: Path, changes: Mapping[str, Any] | None = None) -> Detec
         raise DetectorError(f"{path}: not YAML: {error}") from error
     if not isinstance(entries, dict):
         raise DetectorError(f"{path}: a mapping of settings is needed")
-    return settings_of({**_resolved(entries, path.parent), **_resolved(changes or {}, Path())}, str(path))
+    return settings_of({**_resolve(entries, path.parent), **_resolve(changes or {}, Path())}, str(path))
 
 
 def settings_of(entries: Mapping[str, Any], source: str = "detector") -> DetectorSettings:
@@ -150,7 +150,7 @@ def settings_of(entries: Mapping[str, Any], source: str = "detector") -> Detecto
         raise DetectorError(f"{source}: {error}") from error
 
 
-def _resolved(entries: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+def _resolve(entries: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Return the entries with paths resolved relative to a folder."""
     return {
         name: folder / Path(str(value)).expanduser() if name in _FILES and value else value
@@ -178,7 +178,7 @@ class Detector:
     """A network that detects objects, one image at a time.
 
     Attributes:
-        names: of the classes.
+        names: Names of the classes.
         settings: as given, with the layout and input size filled in.
     """
 
@@ -229,10 +229,12 @@ class Detector:
             raise ValueError(f"picture: {given} is not allowed, uint8 of shape (height, width, 3) is needed")
         if not rgb.size:
             raise ValueError(f"picture: shape {rgb.shape} is empty")
-        picture, scale, offset = self._fitted(rgb)
+        picture, scale, offset = self._fit_picture(rgb)
         outputs = [output.astype(float) for output in self._run(picture)]
         corners, classes, probabilities = decode(self.settings.layout, outputs, self._size, self.settings.confidence)
-        return self._chosen((corners - np.tile(offset, 2)) / np.tile(scale, 2), classes, probabilities, rgb.shape)
+        return self._choose_objects(
+            (corners - np.tile(offset, 2)) / np.tile(scale, 2), classes, probabilities, rgb.shape
+        )
 
     def _run(self, picture: NDArray[Any]) -> list[NDArray[np.float32]]:
         """Return the outputs for an image of the input's size."""
@@ -244,7 +246,7 @@ class Detector:
                 f"the network does not run with an input of {self._size[0]}x{self._size[1]} px: {_reason(error)}"
             ) from error
 
-    def _fitted(self, rgb: NDArray[np.uint8]) -> tuple[NDArray[Any], tuple[float, float], tuple[float, float]]:
+    def _fit_picture(self, rgb: NDArray[np.uint8]) -> tuple[NDArray[Any], tuple[float, float], tuple[float, float]]:
         """Return the image at the input's size, with its scale and offset there, (x, y) each."""
         height, width = rgb.shape[:2]
         to_width, to_height = self._size
@@ -259,7 +261,7 @@ class Detector:
         )
         return picture, (inner[0] / width, inner[1] / height), (float(left), float(top))
 
-    def _chosen(
+    def _choose_objects(
         self,
         corners: NDArray[np.float64],
         classes: NDArray[np.int64],
@@ -409,10 +411,7 @@ def _read(path: Path) -> bytes:
         DetectorError: the file cannot be read, is empty or too large.
     """
     try:
-        size = path.stat().st_size
-        if size > _LARGEST_FILE:
-            raise DetectorError(f"{path} has {size >> 20} MB, at most {_LARGEST_FILE >> 20} MB are read")
-        content = path.read_bytes()
+        content = read_bytes(path, _LARGEST_FILE)
     except OSError as error:
         raise DetectorError(f"{path}: {error.strerror}") from error
     if not content:

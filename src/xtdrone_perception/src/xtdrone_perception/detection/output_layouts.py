@@ -49,7 +49,7 @@ def find_layout(shapes: Sequence[Shape], classes: int, darknet: bool, size: tupl
     """Return the layout of a network's outputs.
 
     Args:
-        shapes: of all outputs.
+        shapes: Shapes of all outputs.
         classes: number of names, C.
         darknet: whether the network was read from darknet's files.
         size: (width, height) of the network's input, pixels.
@@ -142,7 +142,7 @@ def check_scale(layout: str, outputs: Sequence[Array]) -> None:
 
     Args:
         layout: one of LAYOUTS.
-        outputs: of the network for any picture.
+        outputs: Outputs of the network for any picture.
 
     Raises:
         LayoutError: they are not, so that all boxes would be at wrong places.
@@ -190,7 +190,7 @@ def decode(
 
     Args:
         layout: one of LAYOUTS.
-        outputs: of the network, float.
+        outputs: Outputs of the network, float.
         size: (width, height) of the network's input, pixels.
         least: minimum probability, 0 to 1.
 

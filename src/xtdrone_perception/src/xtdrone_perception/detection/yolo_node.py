@@ -23,18 +23,18 @@ newest waits, and the others are dropped and counted.
 
 from __future__ import annotations
 
+import math
 import queue
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
 import rospy
 from darknet_ros_msgs.msg import BoundingBox, BoundingBoxes, ObjectCount
-from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Vector3
-from mavros_msgs.msg import State
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Bool
@@ -44,15 +44,81 @@ from xtdrone_control import lockstep
 from xtdrone_control.cameras.camera_pose import CameraPose, camera_link_pose, optical_pose
 from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.frames import to_xyzw
-from xtdrone_control.lockstep.deferred_work import Deferred
+from xtdrone_control.pose_history import PoseHistory
+from xtdrone_control.pose_messages import is_pose
 from xtdrone_control.programs.node_command_line import ArgumentError
 from xtdrone_control.settings import Settings, setting
+from xtdrone_control.vehicle_topics import VehicleTopics
+from xtdrone_perception.images import Picture, PictureNode, PictureVehicle, picture_of
 from xtdrone_perception.tracking.geolocation import Geolocator, Noise, Person, View
-from xtdrone_perception.tracking.pose_history import PoseHistory
 from xtdrone_perception.tracking.tracker import GroundDetection, Track, Tracker, TrackerSettings
 
-from .camera_watch import CameraWatch
 from .detector import Detection, Detector, DetectorError, DetectorSettings, load_settings, settings_file
+
+Vector = Sequence[float]
+
+TIMEOUT = 3.0  # s without a new image
+MOVED = 3.0  # m of flight after which an image must have changed
+
+
+class CameraWatch:
+    """Supervision of one camera.
+
+    Attributes:
+        fault: the fault, empty if there is none or nothing is known yet.
+    """
+
+    def __init__(self, timeout: float = TIMEOUT) -> None:
+        """Start without an image.
+
+        Args:
+            timeout: simulated time without a new image after which a camera in flight has failed, s.
+        """
+        self.fault = ""
+        self._timeout = timeout
+        self._since: float | None = None
+        self._stamp = -math.inf
+        self._content: int | None = None
+        self._begun: tuple[float, Vector | None] = (-math.inf, None)
+
+    @property
+    def seen(self) -> bool:
+        """Whether an image has arrived."""
+        return self._stamp > -math.inf
+
+    def on_picture(self, now: float, stamp: float, content: int, place: Vector | None) -> None:
+        """Check an image.
+
+        Args:
+            now: time, s.
+            stamp: time of the exposure, s; an image without a later stamp than the last one is not new.
+            content: checksum of the image.
+            place: position of the vehicle, m; None if unknown or not in flight.
+        """
+        if stamp <= self._stamp:
+            return
+        self._stamp = stamp
+        began, where = self._begun
+        if content != self._content or where is None:
+            self._content, self._begun = content, (now, place)
+        elif place is not None and now - began >= self._timeout and math.dist(where, place) > MOVED:
+            self.fault = f"its images have been the same since {began:.1f} s, in flight"
+            self._since = now
+            return
+        self._since, self.fault = now, ""
+
+    def update(self, now: float, flying: bool) -> None:
+        """Check the time since the last image.
+
+        Args:
+            now: time, s.
+            flying: whether the vehicle is in flight; on the ground the camera may be silent.
+        """
+        if not flying or self._since is None:
+            self._since = now
+        elif now - self._since > self._timeout:
+            self.fault = f"no image for more than {self._timeout:g} s, in flight"
+
 
 RATE = 50.0  # Hz; the gimbal attitude has no stamp, so its time is as accurate as the node's period
 CAMERA_OFFSET = (0.041, 0.0, -0.122)  # of the typhoon's camera from base_link, m, FLU
@@ -86,13 +152,6 @@ class GroundOptions(Settings):
 
     ground: float = setting(0.0, low=-1e4, high=1e4, unit="m", text="height of the ground in the map frame")
     farthest: float = setting(200.0, low=1.0, high=1e4, unit="m", text="maximum distance of a located person")
-
-
-class Picture(NamedTuple):
-    """An image to be processed."""
-
-    message: Image
-    rgb: NDArray[np.uint8]
 
 
 def read_options() -> DetectionOptions:
@@ -154,7 +213,7 @@ class Detectors:
             self._free.put(detector)
 
 
-class VehicleDetection:
+class VehicleDetection(PictureVehicle):
     """Topics, tracks and camera state of one vehicle."""
 
     def __init__(self, kind: str, index: int, options: DetectionOptions) -> None:
@@ -163,13 +222,12 @@ class VehicleDetection:
         Args:
             kind: vehicle type, as ``typhoon_h480``.
             index: number of the vehicle.
-            options: of the node.
+            options: Options of the node.
         """
         self.name = f"{kind}_{index}"
         self._options = options
         self._pinhole: Pinhole | None = None
-        self._poses, self._mounts = PoseHistory(), PoseHistory()
-        self._armed = False
+        self._poses, self._mounts = PoseHistory(scalar_last=True), PoseHistory(scalar_last=True)
         self._clear_state()
         darknet = f"/uav_{index}/darknet_ros"
         self._boxes = lockstep.Publisher(f"{darknet}/bounding_boxes", BoundingBoxes)
@@ -178,8 +236,7 @@ class VehicleDetection:
         self._objects = lockstep.Publisher(f"/xtdrone/{self.name}/objects", ObjectsOnGround)
         self._ok = lockstep.Publisher(f"/xtdrone/{self.name}/camera_ok", Bool, latch=True)
         camera = f"/{self.name}/{options.camera}"
-        lockstep.Subscriber(f"/{self.name}/mavros/state", State, self._on_state)
-        lockstep.Subscriber(f"/{self.name}/mavros/local_position/pose", PoseStamped, self._on_pose)
+        self._vehicle = VehicleTopics(self.name, "state", "pose", poses=self._poses)
         lockstep.Subscriber(f"/{self.name}/mavros/mount_control/orientation", Quaternion, self._on_mount)
         lockstep.Subscriber(f"{camera}/camera_info", CameraInfo, self._on_info)
         lockstep.Subscriber(f"{camera}/image_raw", Image, self._on_image, queue_size=2, buff_size=2**24)
@@ -189,30 +246,17 @@ class VehicleDetection:
         self._tracker = Tracker(self._options.tracker)
         self._watch = CameraWatch()
         self._published_ok: bool | None = None
-        self._waiting: Picture | None = None
-        self._working = False
-        self._dropped = 0
+        self.forget_pictures()
 
     def _restart(self) -> None:
-        self._poses.clear()
         self._mounts.clear()
-        self._armed = False
         self._clear_state()
 
     # messages
 
-    def _on_state(self, message: State) -> None:
-        self._armed = bool(message.armed)
-
-    def _on_pose(self, message: PoseStamped) -> None:
-        p, q = message.pose.position, message.pose.orientation
-        entry = np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
-        if _is_valid(entry):
-            self._poses.add(message.header.stamp.to_nsec(), entry)
-
     def _on_mount(self, message: Quaternion) -> None:
-        entry = np.array([message.x, message.y, message.z, message.w])
-        if _is_valid(entry):
+        entry = np.array([message.w, message.x, message.y, message.z])
+        if is_pose(entry):
             self._mounts.add(rospy.Time.now().to_nsec(), entry)
 
     def _on_info(self, message: CameraInfo) -> None:
@@ -228,27 +272,16 @@ class VehicleDetection:
         except ValueError as error:
             rospy.logwarn_throttle(10.0, f"{self.name}: image ignored: {error}")
             return
-        last = self._poses.last
-        place = None if last is None else (float(last[0]), float(last[1]), float(last[2]))
-        content = zlib.crc32(message.data)
-        self._watch.on_picture(rospy.get_time(), message.header.stamp.to_sec(), content, place if self._armed else None)
-        if self._waiting is not None:
-            self._dropped += 1
-        self._waiting = Picture(message, rgb)
+        pose = self._vehicle.pose if self._vehicle.armed else None
+        place = None if pose is None else pose[:3].tolist()
+        self._watch.on_picture(rospy.get_time(), message.header.stamp.to_sec(), zlib.crc32(message.data), place)
+        self.put(Picture(message.header, rgb))
 
     # steps
 
-    def take(self) -> Picture | None:
-        """Return the next image to process, None if there is none or one is being processed."""
-        if self._working or self._waiting is None:
-            return None
-        picture, self._waiting = self._waiting, None
-        self._working = True
-        return picture
-
     def publish_camera_state(self) -> None:
         """Publish on ``camera_ok`` whether the camera works, when this has changed."""
-        self._watch.update(rospy.get_time(), self._armed)
+        self._watch.update(rospy.get_time(), self._vehicle.armed)
         ok = not self._watch.fault
         if ok == self._published_ok or not (self._watch.fault or self._watch.seen):
             return
@@ -259,21 +292,21 @@ class VehicleDetection:
         self._published_ok = ok
         self._ok.publish(Bool(ok))
 
-    def finish(self, picture: Picture, detections: Sequence[Detection]) -> None:
+    def finish(self, picture: Picture, found: Sequence[Detection]) -> None:
         """Publish the results of an image."""
-        self._working = False
-        header = picture.message.header
+        super().finish(picture, found)
+        header = picture.header
         boxes = BoundingBoxes(image_header=header)
         boxes.header.stamp = rospy.Time.now()
         boxes.header.frame_id = header.frame_id
-        boxes.bounding_boxes = [box_message(entry) for entry in detections]
+        boxes.bounding_boxes = [box_message(entry) for entry in found]
         self._boxes.publish(boxes)
-        count = ObjectCount(count=min(len(detections), 127))
+        count = ObjectCount(count=min(len(found), 127))
         count.header = boxes.header
         self._count.publish(count)
         if self._image.get_num_connections():
-            self._image.publish(drawn(picture, detections))
-        self._publish_tracks(header.stamp, detections)
+            self._image.publish(draw_boxes(picture, found))
+        self._publish_tracks(header.stamp, found)
 
     def _publish_tracks(self, stamp: Any, detections: Sequence[Detection]) -> None:
         """Update and publish the tracks, if the camera pose at the exposure is known."""
@@ -308,14 +341,11 @@ class VehicleDetection:
         pose, mount = self._poses.at(time_ns), self._mounts.at(time_ns)
         if pose is None or mount is None:
             return None
-        px, py, pz, qx, qy, qz, qw = pose.tolist()
-        mx, my, mz, mw = mount.tolist()
-        return optical_pose(
-            camera_link_pose((px, py, pz), (qw, qx, qy, qz), (mw, mx, my, mz), self._options.camera_offset),
-        )
+        position, attitude = pose[:3].tolist(), pose[3:].tolist()
+        return optical_pose(camera_link_pose(position, attitude, mount.tolist(), self._options.camera_offset))
 
 
-class YoloNode:
+class YoloNode(PictureNode):
     """Detection for one or several vehicles in one process."""
 
     def __init__(self, kind: str, ids: Sequence[int], detector: DetectorSettings, options: DetectionOptions) -> None:
@@ -331,45 +361,17 @@ class YoloNode:
             ArgumentError: the network cannot be loaded.
         """
         try:
-            self._detectors = Detectors(detector, options.workers)
+            detectors = Detectors(detector, options.workers)
         except DetectorError as error:
             raise ArgumentError(f"parameter ~detector: {error}") from error
-        self._latency_us = round(options.latency * 1e6)
-        self._work = Deferred(options.workers, wait=lockstep.is_active())
-        self._vehicles = [VehicleDetection(kind, index, options) for index in ids]
-        lockstep.add_reset_hook(self._work.clear)
+        self._detections = [VehicleDetection(kind, index, options) for index in ids]
+        super().__init__(self._detections, detectors.detect, options.latency, options.workers)
 
     def step(self) -> None:
-        """Publish the results that are due and start processing waiting images; call it at 50 Hz."""
-        now_us = rospy.Time.now().to_nsec() // 1000
-        for (vehicle, picture), detections in self._work.ready(now_us):
-            vehicle.finish(picture, detections)
-        for vehicle in self._vehicles:
-            picture = vehicle.take()
-            if picture is not None:
-                due_us = now_us + self._latency_us
-                self._work.put((vehicle, picture), due_us, self._detectors.detect, picture.rgb)
+        """Publish the results that are due, and the cameras' states; call it at 50 Hz."""
+        super().step()
+        for vehicle in self._detections:
             vehicle.publish_camera_state()
-
-    def close(self) -> None:
-        """Stop the workers."""
-        self._work.close()
-
-
-def picture_of(message: Image) -> NDArray[np.uint8]:
-    """Return the image in a message, (height, width, 3) red, green, blue.
-
-    Raises:
-        ValueError: unknown encoding, or a size that does not match the data.
-    """
-    if message.encoding not in ("rgb8", "bgr8"):
-        raise ValueError(f"encoding: {message.encoding!r} is not allowed, rgb8 or bgr8")
-    width, height, step = message.width, message.height, message.step
-    if not width or not height or step < 3 * width or len(message.data) != step * height:
-        raise ValueError(f"{width} x {height} px in rows of {step} bytes, but {len(message.data)} bytes")
-    rows = np.frombuffer(message.data, np.uint8).reshape(height, step)
-    rgb = rows[:, : 3 * width].reshape(height, width, 3)
-    return np.ascontiguousarray(rgb if message.encoding == "rgb8" else rgb[..., ::-1])
 
 
 def box_message(entry: Detection) -> BoundingBox:
@@ -409,9 +411,9 @@ def in_view(view: View, place: NDArray[np.float64], options: DetectionOptions) -
     return bool(MARGIN <= x <= view.pinhole.width - MARGIN and MARGIN <= y <= view.pinhole.height - MARGIN)
 
 
-def drawn(picture: Picture, detections: Sequence[Detection]) -> Image:
+def draw_boxes(picture: Picture, detections: Sequence[Detection]) -> Image:
     """Return an image with boxes drawn, as rgb8."""
-    rgb = picture.rgb.copy()
+    rgb = picture.pixels.copy()
     for entry in detections:
         corners = (round(entry.xmin), round(entry.ymin)), (round(entry.xmax), round(entry.ymax))
         cv2.rectangle(rgb, *corners, _COLOUR, 1)
@@ -420,10 +422,5 @@ def drawn(picture: Picture, detections: Sequence[Detection]) -> Image:
         cv2.putText(rgb, text, (corners[0][0], baseline), cv2.FONT_HERSHEY_SIMPLEX, 0.4, _COLOUR, 1, cv2.LINE_AA)
     height, width = rgb.shape[:2]
     message = Image(height=height, width=width, encoding="rgb8", step=3 * width, data=rgb.tobytes())
-    message.header = picture.message.header
+    message.header = picture.header
     return message
-
-
-def _is_valid(entry: NDArray[np.float64]) -> bool:
-    """Return whether all values are finite and the last four are a unit quaternion."""
-    return bool(np.isfinite(entry).all() and abs(entry[-4:] @ entry[-4:] - 1.0) < 0.01)

@@ -1,0 +1,1 @@
+"""Following of a detected person: node ``yolo_human_tracking.py``."""

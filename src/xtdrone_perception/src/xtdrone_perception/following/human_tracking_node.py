@@ -21,7 +21,7 @@ import math
 from dataclasses import dataclass, field
 
 import rospy
-from geometry_msgs.msg import PoseStamped, Twist
+from geometry_msgs.msg import Twist
 from mavros_msgs.msg import MountControl
 from std_msgs.msg import Int32, String
 from xtdrone_msgs.msg import ObjectsOnGround
@@ -29,8 +29,9 @@ from xtdrone_msgs.msg import ObjectsOnGround
 from xtdrone_control import lockstep
 from xtdrone_control.rotation import yaw_of
 from xtdrone_control.settings import Settings, setting
+from xtdrone_control.vehicle_topics import VehicleTopics
 
-from .person_following import ANY, FOLLOWING, Command, Following, FollowSettings, Seen
+from .person_following import ANY, FOLLOWING, FollowCommand, Following, FollowSettings, SeenTrack
 
 RATE = 30.0  # Hz
 _MOUNT_PERIOD = 0.2  # s between gimbal commands, each of which is a MAVLink command
@@ -76,7 +77,7 @@ class HumanTracking:
 
         Args:
             vehicle: name, as ``typhoon_h480_0``.
-            options: of the node.
+            options: Options of the node.
         """
         self.name = vehicle
         self._options = options
@@ -85,7 +86,7 @@ class HumanTracking:
         self._command = lockstep.Publisher(f"/xtdrone/{vehicle}/cmd", String)
         self._mount = lockstep.Publisher(f"/{vehicle}/mavros/mount_control/command", MountControl)
         self._state = lockstep.Publisher(f"/xtdrone/{vehicle}/follow_state", String, latch=True)
-        lockstep.Subscriber(f"/{vehicle}/mavros/local_position/pose", PoseStamped, self._on_pose)
+        self._vehicle = VehicleTopics(vehicle, "pose")
         lockstep.Subscriber(f"/xtdrone/{vehicle}/follow", Int32, self._on_follow)
         lockstep.Subscriber(f"/xtdrone/{vehicle}/objects", ObjectsOnGround, self._on_objects)
         lockstep.add_reset_hook(self._restart)
@@ -94,15 +95,10 @@ class HumanTracking:
         self._following = Following(self._options.following)
         if not self._options.wait:
             self._following.follow(ANY)
-        self._pose: tuple[tuple[float, float, float], float] | None = None
         self._offboard_sent = False
-        self._pending_stop = Command()
+        self._pending_stop = FollowCommand()
         self._pointed: tuple[float, tuple[float, float]] | None = None
         self._published_state = ""
-
-    def _on_pose(self, message: PoseStamped) -> None:
-        p, q = message.pose.position, message.pose.orientation
-        self._pose = (p.x, p.y, p.z), yaw_of((q.w, q.x, q.y, q.z))
 
     def _on_follow(self, message: Int32) -> None:
         if message.data > 0:
@@ -119,7 +115,7 @@ class HumanTracking:
         time = message.header.stamp.to_sec()
         self._following.see(
             [
-                Seen(
+                SeenTrack(
                     entry.id,
                     time,
                     (entry.position.x, entry.position.y, entry.position.z),
@@ -135,16 +131,17 @@ class HumanTracking:
         """Publish the commands of one step; call it at 30 Hz."""
         if self._pending_stop.order:
             self._command.publish(String(self._pending_stop.order))
-            self._pending_stop = Command()
-        if self._pose is not None:
-            self._execute(self._following.update(rospy.get_time(), *self._pose))
+            self._pending_stop = FollowCommand()
+        if (pose := self._vehicle.pose) is not None:
+            x, y, z = pose[:3].tolist()
+            self._execute(self._following.update(rospy.get_time(), (x, y, z), yaw_of(pose[3:].tolist())))
         if self._following.state != self._published_state:
             if self._published_state:
                 rospy.loginfo(f"{self.name}: {self._following.state}, track {self._following.target}")
             self._published_state = self._following.state
             self._state.publish(String(self._published_state))
 
-    def _execute(self, command: Command) -> None:
+    def _execute(self, command: FollowCommand) -> None:
         if command.order:
             self._command.publish(String(command.order))
         if command.velocity is not None:
@@ -160,7 +157,7 @@ class HumanTracking:
             self._point(command.gimbal)
 
     def _point(self, gimbal: tuple[float, float]) -> None:
-        """Command the gimbal if the angles have changed noticeably."""
+        """FollowCommand the gimbal if the angles have changed noticeably."""
         now = rospy.get_time()
         if self._pointed is not None:
             then, last = self._pointed

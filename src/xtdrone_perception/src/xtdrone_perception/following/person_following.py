@@ -48,26 +48,23 @@ class FollowSettings(Settings):
     sweep: float = setting(0.6, low=0.0, high=3.0, unit="rad", text="gimbal yaw to each side during the search")
     sweep_period: float = setting(8.0, low=1.0, high=60.0, unit="s", text="period of the gimbal sweep")
     reach: float = setting(
-        3.0,
-        low=0.1,
-        high=50.0,
-        unit="m",
+        3.0, low=0.1, high=50.0, unit="m",
         text="a new track within this distance of the predicted position is the same person",
-    )
+    )  # fmt: skip
     reach_speed: float = setting(
         2.0, low=0.1, high=20.0, unit="m/s", text="growth of ``reach`` with the time since the last sighting"
     )
 
 
-class Seen(NamedTuple):
+class SeenTrack(NamedTuple):
     """A track shown by an image.
 
     Attributes:
-        id: of the track, from 1.
-        time: of the exposure, s.
-        position: of the foot, m, map.
+        id: Id of the track, from 1.
+        time: Time of the exposure, s.
+        position: Position of the foot, m, map.
         velocity: (vx, vy) m/s, map.
-        probability: of the detection.
+        probability: Probability of the detection.
     """
 
     id: int
@@ -77,8 +74,8 @@ class Seen(NamedTuple):
     probability: float
 
 
-class Command(NamedTuple):
-    """Command of the vehicle and its gimbal.
+class FollowCommand(NamedTuple):
+    """FollowCommand of the vehicle and its gimbal.
 
     Attributes:
         velocity: forward, left, up, m/s; None: no velocity command.
@@ -107,7 +104,7 @@ class Following:
         self.state = IDLE
         self.target = 0
         self._wanted: int | None = None
-        self._last: Seen | None = None
+        self._last: SeenTrack | None = None
         self._lost_at = 0.0
         self._from_height = 0.0
 
@@ -116,14 +113,14 @@ class Following:
         self._wanted, self._last, self.target = track, None, 0
         self.state = IDLE
 
-    def stop(self) -> Command:
+    def stop(self) -> FollowCommand:
         """Stop following; return HOVER if a person was followed."""
         was = self.state
         self.follow(ANY)
         self._wanted = None
-        return Command(order="" if was == IDLE else "HOVER")
+        return FollowCommand(order="" if was == IDLE else "HOVER")
 
-    def see(self, seen: Sequence[Seen]) -> None:
+    def see(self, seen: Sequence[SeenTrack]) -> None:
         """Process the tracks of an image.
 
         Args:
@@ -135,7 +132,7 @@ class Following:
         self._last, self.target = chosen, chosen.id
         self.state = FOLLOWING
 
-    def _choose(self, seen: Sequence[Seen]) -> Seen | None:
+    def _choose(self, seen: Sequence[SeenTrack]) -> SeenTrack | None:
         """Return the track of the person, None if there is none."""
         if self._wanted is None:
             return None
@@ -149,7 +146,7 @@ class Following:
         near = [(off, entry) for off, entry in near if off <= 1.0]
         return min(near, default=(0.0, None))[1]
 
-    def _relative_distance(self, entry: Seen) -> float:
+    def _relative_distance(self, entry: SeenTrack) -> float:
         """Return the distance of a track from the expected position, as a fraction of the allowed one."""
         assert self._last is not None
         passed = entry.time - self._last.time
@@ -169,42 +166,42 @@ class Following:
         (x, y, z), (vx, vy) = self._last.position, self._last.velocity
         return x + vx * ahead, y + vy * ahead, z
 
-    def update(self, now: float, position: Vector, yaw: float) -> Command:
+    def update(self, now: float, position: Vector, yaw: float) -> FollowCommand:
         """Return the command for now.
 
         Args:
             now: time, s.
-            position: of the vehicle, m, map.
+            position: Position of the vehicle, m, map.
             yaw: heading of the vehicle, rad, ENU.
         """
         if self._wanted is None or self._last is None:
-            return Command()
+            return FollowCommand()
         if self.state == FOLLOWING and now - self._last.time > self.settings.predict:
             self.state, self._lost_at, self._from_height = SEARCHING, now, position[2]
-            return Command(gimbal=self._aim(now, position, yaw), order="HOVER")
+            return FollowCommand(gimbal=self._aim(now, position, yaw), order="HOVER")
         if self.state == FOLLOWING:
             return self._pursue(now, position, yaw)
         if self.state == SEARCHING:
             return self._search(now, position, yaw)
-        return Command()
+        return FollowCommand()
 
-    def _pursue(self, now: float, position: Vector, yaw: float) -> Command:
+    def _pursue(self, now: float, position: Vector, yaw: float) -> FollowCommand:
         assert self._last is not None
         settings, (vx, vy) = self.settings, self._last.velocity
         x, y, z = self.expected(now)
-        ahead, left = _rotated(x - position[0], y - position[1], -yaw)
+        ahead, left = _rotate(x - position[0], y - position[1], -yaw)
         away = math.hypot(ahead, left)
         unit = (ahead / away, left / away) if away > _NEAR else (1.0, 0.0)
-        own_ahead, own_left = _rotated(vx, vy, -yaw)
+        own_ahead, own_left = _rotate(vx, vy, -yaw)
         # Limit the correction before adding the person's velocity, so that the path is straight when far away.
-        pull = _clipped(settings.kp_xy * (away - settings.distance), settings.max_speed)
-        velocity = _limited((own_ahead + pull * unit[0], own_left + pull * unit[1]), settings.max_speed)
-        climb = _clipped(settings.kp_z * (z + settings.height - position[2]), settings.max_climb)
+        pull = _clip(settings.kp_xy * (away - settings.distance), settings.max_speed)
+        velocity = _limit((own_ahead + pull * unit[0], own_left + pull * unit[1]), settings.max_speed)
+        climb = _clip(settings.kp_z * (z + settings.height - position[2]), settings.max_climb)
         turn = 0.0
         if away > _NEAR:
             across = (unit[0] * (own_left - velocity[1]) - unit[1] * (own_ahead - velocity[0])) / away
-            turn = _clipped(settings.kp_yaw * math.atan2(left, ahead) + across, settings.max_yaw_rate)
-        return Command((*velocity, climb), turn, self._aim(now, position, yaw))
+            turn = _clip(settings.kp_yaw * math.atan2(left, ahead) + across, settings.max_yaw_rate)
+        return FollowCommand((*velocity, climb), turn, self._aim(now, position, yaw))
 
     def _aim(self, now: float, position: Vector, yaw: float) -> tuple[float, float]:
         """Return gimbal pitch and yaw towards the person; the yaw stays 0 because the vehicle faces the person."""
@@ -212,32 +209,32 @@ class Following:
         away = math.hypot(x - position[0], y - position[1])
         return -math.atan2(position[2] - z - _MIDDLE, away), 0.0
 
-    def _search(self, now: float, position: Vector, yaw: float) -> Command:
+    def _search(self, now: float, position: Vector, yaw: float) -> FollowCommand:
         settings, passed = self.settings, now - self._lost_at
         pitch, _ = self._aim(now, position, yaw)
         if passed > settings.search:
             self.state = LOST
-            return Command(gimbal=(pitch, 0.0), order="HOVER")
+            return FollowCommand(gimbal=(pitch, 0.0), order="HOVER")
         x, y, _ = self.expected(now)
         beside = wrap_pi_by_remainder(yaw - math.atan2(y - position[1], x - position[0]))
         sweep = settings.sweep * math.sin(2.0 * math.pi * max(passed - _PAUSE, 0.0) / settings.sweep_period)
         gimbal = (pitch, wrap_pi_by_remainder(beside + sweep))
         if passed < _PAUSE:
-            return Command(gimbal=gimbal)
+            return FollowCommand(gimbal=gimbal)
         rising = position[2] - self._from_height < settings.rise
-        return Command((0.0, 0.0, settings.rise_speed if rising else 0.0), 0.0, gimbal)
+        return FollowCommand((0.0, 0.0, settings.rise_speed if rising else 0.0), 0.0, gimbal)
 
 
-def _rotated(x: float, y: float, angle: float) -> tuple[float, float]:
+def _rotate(x: float, y: float, angle: float) -> tuple[float, float]:
     """Return a vector rotated to the left by ``angle`` rad."""
     c, s = math.cos(angle), math.sin(angle)
     return c * x - s * y, s * x + c * y
 
 
-def _clipped(value: float, most: float) -> float:
+def _clip(value: float, most: float) -> float:
     return min(max(value, -most), most)
 
 
-def _limited(vector: tuple[float, float], most: float) -> tuple[float, float]:
+def _limit(vector: tuple[float, float], most: float) -> tuple[float, float]:
     length = math.hypot(*vector)
     return vector if length <= most else (vector[0] * most / length, vector[1] * most / length)

@@ -57,8 +57,8 @@ def first_fix(ranges: Ranges, height: float, height_deviation: float, worst: flo
     """Return the position that explains the ranges; None if there is none, or more than one.
 
     Args:
-        ranges: at least four.
-        height: of the neighbour above this vehicle, m.
+        ranges: At least four ranges.
+        height: Height of the neighbour above this vehicle, m.
         height_deviation: its standard deviation, m; infinite if unknown.
         worst: maximum standard deviation in any direction, m.
     """

@@ -27,31 +27,22 @@ class FilterSettings(Settings):
     """Settings of the filter of each neighbour."""
 
     drift: float = setting(
-        0.05,
-        low=0.0,
-        high=10.0,
-        unit="m/sqrt(s)",
+        0.05, low=0.0, high=10.0, unit="m/sqrt(s)",
         text="growth of the relative odometry error: standard deviation after one second",
-    )
+    )  # fmt: skip
     gate: float = setting(4.0, low=1.0, high=100.0, text="standard deviations beyond which a measurement is an outlier")
     height_deviation: float = setting(
-        0.5,
-        low=0.0,
-        high=100.0,
-        unit="m",
+        0.5, low=0.0, high=100.0, unit="m",
         text="standard deviation of the difference of broadcast heights; 0: heights are not used",
-    )
+    )  # fmt: skip
     window: float = setting(20.0, low=1.0, high=300.0, unit="s", text="time span of the ranges used for the first fix")
     worst_start: float = setting(
         1.0, above=0.0, high=100.0, unit="m", text="maximum standard deviation, in any direction, of the first fix"
     )
     worst: float = setting(
-        2.0,
-        above=0.0,
-        high=1000.0,
-        unit="m",
+        2.0, above=0.0, high=1000.0, unit="m",
         text="maximum standard deviation, in any direction, of a position that is used",
-    )
+    )  # fmt: skip
     lost: int = setting(30, low=1, high=10000, text="consecutive outliers after which the filter restarts")
 
 
@@ -129,7 +120,7 @@ class RelativeFilter:
         Args:
             measured: m.
             deviation: standard deviation, m.
-            lever: of the antennas from the origins: the neighbour's minus this vehicle's, (3,) m.
+            lever: Lever of the antennas from the origins: the neighbour's minus this vehicle's, (3,) m.
         """
         if not (math.isfinite(measured) and measured > 0.0 and math.isfinite(deviation)):
             return
@@ -152,7 +143,7 @@ class RelativeFilter:
         Args:
             azimuth, elevation: in the sensor's frame, rad.
             deviation: standard deviation of both, rad.
-            attitude: of the sensor's frame in map, (3, 3).
+            attitude: Attitude of the sensor's frame in map, (3, 3).
             lever: as in ``add_range``, (3,) m.
             measured: range of the same time, m.
         """

@@ -21,14 +21,11 @@ neighbour in map is used.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import rospy
-from geometry_msgs.msg import PoseStamped, TwistStamped
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from std_msgs.msg import Float64MultiArray
@@ -37,6 +34,7 @@ from xtdrone_msgs.msg import RelativeRanges
 from xtdrone_control import lockstep
 from xtdrone_control.cameras.camera_pose import rotation_matrix
 from xtdrone_control.settings import Settings, setting
+from xtdrone_control.vehicle_topics import VehicleTopics
 from xtdrone_perception.localisation.relative_filter import FilterSettings, RelativeFilter
 
 RATE = 30.0  # Hz, of followers
@@ -56,41 +54,24 @@ class RelativeOptions(Settings):
     )
 
 
-@dataclass
-class _Broadcast:
-    """State broadcast by a vehicle.
-
-    Attributes:
-        attitude: rotation from base_link to map, (3, 3); None before the first pose.
-        place: m, map; of other vehicles only the height is used.
-        velocity: m/s, axes of map.
-        heard: time of the last velocity, s; negative before the first.
-    """
-
-    attitude: Array | None
-    place: Array
-    velocity: Array
-    heard: float = -math.inf
-
-
-class Estimates:
+class NeighbourEstimates:
     """One vehicle's filters and topics."""
 
     def __init__(
         self,
         index: int,
         names: Sequence[str],
-        fleet: Sequence[_Broadcast],
+        fleet: Sequence[VehicleTopics],
         options: RelativeOptions,
         how: FilterSettings,
     ) -> None:
         """Declare the topics.
 
         Args:
-            index: of the vehicle.
-            names: of all vehicles.
+            index: Index of the vehicle.
+            names: Names of all vehicles.
             fleet: broadcasts of all vehicles, shared.
-            options: of the node.
+            options: Options of the node.
             how: settings of the filters.
         """
         self._index, self._fleet = index, fleet
@@ -111,20 +92,21 @@ class Estimates:
     def _on_ranges(self, message: RelativeRanges) -> None:
         own = self._fleet[self._index]
         age = rospy.get_time() - message.header.stamp.to_sec()
-        if own.attitude is None or not 0.0 <= age < _STALE:
+        if own.pose is None or not 0.0 <= age < _STALE:
             return
+        attitude = rotation_matrix(own.pose[3:].tolist())
         for entry in message.ranges:
             number = self._numbers.get(entry.vehicle)
             if number is None:
                 continue
             other, one = self._fleet[number], self.filters[number]
-            if other.attitude is None:
+            if other.pose is None:
                 continue
-            lever = (other.attitude - own.attitude) @ np.array(self._options.antenna)
+            lever = (rotation_matrix(other.pose[3:].tolist()) - attitude) @ np.array(self._options.antenna)
             lever = lever - (other.velocity - own.velocity) * age  # its position at the time of measurement
             one.add_range(entry.range, entry.range_std, lever)
             if entry.has_bearing:
-                one.add_bearing(entry.azimuth, entry.elevation, entry.bearing_std, own.attitude, lever, entry.range)
+                one.add_bearing(entry.azimuth, entry.elevation, entry.bearing_std, attitude, lever, entry.range)
 
     def step(self, dt: float, now: float) -> None:
         """Predict the estimates ``dt`` s ahead and publish them."""
@@ -135,16 +117,17 @@ class Estimates:
                 one.restart()
                 continue
             one.predict(dt, other.velocity - own.velocity)
-            one.add_height(float(other.place[2] - own.place[2]))
+            if other.pose is not None and own.pose is not None:
+                one.add_height(float(other.pose[2] - own.pose[2]))
         self._publish(own)
 
-    def _publish(self, own: _Broadcast) -> None:
+    def _publish(self, own: VehicleTopics) -> None:
         rows = np.full((len(self._fleet), _FIELDS), np.nan)
-        if own.attitude is not None:
-            rows[self._index] = *own.place, *own.velocity
+        if own.pose is not None:
+            rows[self._index] = *own.pose[:3], *own.velocity
             for number, one in self.filters.items():
                 if one.known:
-                    rows[number] = *(own.place + one.position), *self._fleet[number].velocity
+                    rows[number] = *(own.pose[:3] + one.position), *self._fleet[number].velocity
         self._swarm.publish(Float64MultiArray(data=rows.ravel().tolist()))
         for number, publisher in self._details.items():
             if self.filters[number].known and publisher.get_num_connections():
@@ -165,7 +148,7 @@ class Estimates:
 
 
 class RelativeLocalisationNode:
-    """Estimates of one or several vehicles in one process."""
+    """NeighbourEstimates of one or several vehicles in one process."""
 
     def __init__(
         self, kind: str, ids: Sequence[int], count: int, options: RelativeOptions, how: FilterSettings
@@ -176,38 +159,19 @@ class RelativeLocalisationNode:
             kind: vehicle type, as ``iris_uwb``.
             ids: vehicles whose estimates are computed here.
             count: number of vehicles.
-            options: of the node.
+            options: Options of the node.
             how: settings of the filters.
         """
         names = [f"{kind}_{i}" for i in range(count)]
-        self._fleet = [_Broadcast(None, np.full(3, np.nan), np.zeros(3)) for _ in names]
-        for i, name in enumerate(names):
-            base = f"/{name}/mavros/local_position"
-            lockstep.Subscriber(f"{base}/pose", PoseStamped, partial(self._on_pose, i))
-            lockstep.Subscriber(f"{base}/velocity_local", TwistStamped, partial(self._on_velocity, i))
-        self._estimates = [Estimates(i, names, self._fleet, options, how) for i in ids]
+        self._fleet = [VehicleTopics(name, "pose", "velocity") for name in names]
+        self._estimates = [NeighbourEstimates(i, names, self._fleet, options, how) for i in ids]
         self._time: float | None = None
         lockstep.add_reset_hook(self._restart)
 
     def _restart(self) -> None:
         self._time = None
-        for broadcast in self._fleet:
-            broadcast.attitude, broadcast.heard = None, -math.inf
         for estimates in self._estimates:
             estimates.restart()
-
-    def _on_pose(self, index: int, message: PoseStamped) -> None:
-        p, q = message.pose.position, message.pose.orientation
-        turn = np.array([q.w, q.x, q.y, q.z])
-        place = np.array([p.x, p.y, p.z])
-        if np.isfinite(place).all() and abs(turn @ turn - 1.0) < 0.01:
-            self._fleet[index].attitude, self._fleet[index].place = rotation_matrix(turn.tolist()), place
-
-    def _on_velocity(self, index: int, message: TwistStamped) -> None:
-        v = message.twist.linear
-        velocity = np.array([v.x, v.y, v.z])
-        if np.isfinite(velocity).all():
-            self._fleet[index].velocity, self._fleet[index].heard = velocity, rospy.get_time()
 
     def step(self) -> None:
         """Predict all estimates and publish them; call it at 30 Hz."""

@@ -44,7 +44,7 @@ def motion_of(times: Array, attitudes: Rotation, velocity: Array) -> ScanMotion:
     return ScanMotion(times, (end * attitudes).as_rotvec(), end.apply(velocity))
 
 
-def deskewed(points: Array, times: Array, motion: ScanMotion) -> Array:
+def deskew(points: Array, times: Array, motion: ScanMotion) -> Array:
     """Return the points in the body's frame at the end of the scan.
 
     Rotation vectors are interpolated in time and applied to second order: for 0.1 rad per scan the error is 0.2 mrad.
@@ -52,7 +52,7 @@ def deskewed(points: Array, times: Array, motion: ScanMotion) -> Array:
     Args:
         points: (n, 3) m, each in the body's frame at its own time.
         times: (n,) s after the first ray.
-        motion: of the body.
+        motion: Motion of the body.
     """
     turn = np.stack([np.interp(times, motion.times, column) for column in motion.turns.T], axis=1)
     once = np.cross(turn, points)

@@ -20,12 +20,12 @@ import small_gicp
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from xtdrone_control.clouds import PointScan
+from xtdrone_control.pose_matrices import pose_of
 from xtdrone_control.settings import Settings, setting
 
-from .deskewing import ScanMotion, deskewed
-from .odometry_health import Estimate
-from .poses import pose_of
-from .scan_points import PointScan
+from .deskewing import ScanMotion, deskew
+from .odometry_health import Estimate, weakest_share, without_registration
 
 Array = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ class _Map:
     """A map of Gaussians with shifted voxels.
 
     Attributes:
-        gaussians: in the shifted frame.
+        gaussians: Gaussians in the shifted frame.
     """
 
     def __init__(self, settings: RegistrationOptions, shift: float) -> None:
@@ -87,20 +87,20 @@ class _Map:
         result = small_gicp.align(
             self.gaussians,
             source,
-            self._shifted(pose, 1.0),
+            self._shift_pose(pose, 1.0),
             max_correspondence_distance=reach,
             num_threads=1,
             max_iterations=_ITERATIONS,
             rotation_epsilon=_ROTATION_STEP,
             translation_epsilon=_TRANSLATION_STEP,
         )
-        return _orthonormal(self._shifted(np.asarray(result.T_target_source), -1.0)), result
+        return _orthonormal(self._shift_pose(np.asarray(result.T_target_source), -1.0)), result
 
     def insert(self, surfaces: small_gicp.PointCloud, pose: Array) -> None:
         """Add a scan."""
-        self.gaussians.insert(surfaces, self._shifted(pose, 1.0))
+        self.gaussians.insert(surfaces, self._shift_pose(pose, 1.0))
 
-    def _shifted(self, pose: Array, sign: float) -> Array:
+    def _shift_pose(self, pose: Array, sign: float) -> Array:
         moved = pose.copy()
         moved[:3, 3] += sign * self._shift
         return moved
@@ -117,7 +117,7 @@ class LidarOdometry:
         """Start with an empty map.
 
         Args:
-            settings: of the registration.
+            settings: Settings of the registration.
             lidar: (4, 4) pose of the lidar in the body.
             start: (4, 4) pose of the body in the map.
         """
@@ -132,7 +132,7 @@ class LidarOdometry:
         ranges = np.linalg.norm(scan.points, axis=1)
         near = (ranges >= settings.range_min) & (ranges <= settings.range_max)
         body = scan.points[near] @ self._lidar[:3, :3].T + self._lidar[:3, 3]
-        return deskewed(body, scan.times[near], motion)
+        return deskew(body, scan.times[near], motion)
 
     def register(self, points: Array, predicted: Array) -> Registration:
         """Return the pose of a scan; the map and ``pose`` do not change.
@@ -143,11 +143,11 @@ class LidarOdometry:
         """
         settings = self._settings
         if len(points) < settings.least_points:
-            return _unregistered(predicted, points, None, len(points))
+            return Registration(**without_registration(predicted, len(points), False), points=points)
         source = self._surfaces(points)
         count = source.size()
         if self._maps[0].gaussians.size() == 0:
-            return _unregistered(predicted, points, source, count)
+            return Registration(**without_registration(predicted, count, True), points=points, surfaces=source)
         pose = predicted
         for part in self._maps:
             pose, result = part.align(source, pose, settings.reach)
@@ -160,7 +160,7 @@ class LidarOdometry:
             count=count,
             share=result.num_inliers / count,
             residual=float(np.sqrt(square)),
-            weakest=_weakest(information),
+            weakest=weakest_share(information[3:, 3:]),
             covariance=_covariance(information, square, pose),
             points=points,
             surfaces=source,
@@ -194,32 +194,9 @@ class LidarOdometry:
         return source
 
 
-def _unregistered(predicted: Array, points: Array, source: small_gicp.PointCloud | None, count: int) -> Registration:
-    """Return the result of a scan that cannot be compared: the first one, or one with too few points."""
-    is_first = source is not None
-    return Registration(
-        pose=predicted,
-        predicted=predicted,
-        count=count,
-        share=float(is_first),
-        residual=0.0,
-        weakest=float(is_first),
-        covariance=np.diag([1e-6] * 6) if is_first else np.eye(6),
-        is_first=is_first,
-        points=points,
-        surfaces=source,
-    )
-
-
 def _orthonormal(pose: Array) -> Array:
     """Return a pose with an orthonormal rotation, so that rounding errors do not accumulate."""
     return pose_of(pose[:3, 3], Rotation.from_matrix(pose[:3, :3]))
-
-
-def _weakest(information: Array) -> float:
-    """Return the ratio of the smallest to the largest eigenvalue of the information on translation, 0..1."""
-    values = np.linalg.eigvalsh(information[3:, 3:])
-    return float(max(values[0], 0.0) / values[-1]) if values[-1] > 0.0 else 0.0
 
 
 def _covariance(information: Array, square: float, pose: Array) -> Array:

@@ -22,17 +22,15 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2
 
 from xtdrone_control import lockstep
+from xtdrone_control.clouds import PointScan, cloud_message, read_cloud
+from xtdrone_control.pose_matrices import pose_of
 from xtdrone_control.settings import setting
 
-from . import odometry_messages as messages
-from .deskewing import ScanMotion, motion_of
+from .deskewing import ScanMotion
 from .lidar_odometry import LidarOdometry, Registration, RegistrationOptions
 from .odometry_health import HealthLimits
-from .odometry_node import Job, OdometryNode, OdometryOptions, Source
-from .poses import pose_of
-from .scan_points import PointScan, read_cloud
+from .odometry_node import Job, OdometryNode, OdometryOptions, OdometrySource
 
-_KNOTS = 6  # attitudes in a scan
 _STILL = 0.05  # s assumed without motion for a cloud without times
 
 Array = NDArray[np.float64]
@@ -47,12 +45,9 @@ class LidarOdometryOptions(OdometryOptions):
         (0.0, 0.0, 0.06), unit="m", text="position of the lidar in base_link"
     )
     lidar_rpy: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.0),
-        low=-2.0 * math.pi,
-        high=2.0 * math.pi,
-        unit="rad",
+        (0.0, 0.0, 0.0), low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad",
         text="roll, pitch, yaw of the sensor in base_link",
-    )
+    )  # fmt: skip
     map_rate: float = setting(1.0, low=0.0, high=10.0, unit="Hz", text="publishing rate of the local map; 0: off")
     map_radius: float = setting(40.0, low=1.0, high=1000.0, unit="m", text="radius of the local map")
 
@@ -87,12 +82,12 @@ class LidarOdometryNode(OdometryNode):
         """Declare the topics.
 
         Args:
-            name: of the vehicle.
-            settings: of the node.
-            odometry: of the registration.
-            limits: of the supervision.
+            name: Name of the vehicle.
+            settings: Settings of the node.
+            odometry: Settings of the registration.
+            limits: Limits of the supervision.
         """
-        super().__init__(name, Source("lidar_odometry", "scan", odometry.least_points), settings, limits)
+        super().__init__(name, OdometrySource("lidar_odometry", "scan", odometry.least_points), settings, limits)
         self._settings, self._registration = settings, odometry
         self._lidar = pose_of(settings.lidar_position, Rotation.from_euler("xyz", settings.lidar_rpy))
         self._cloud = lockstep.Publisher(f"/{name}/lidar_odometry/cloud", PointCloud2)
@@ -114,21 +109,11 @@ class LidarOdometryNode(OdometryNode):
         begin_ns = message.header.stamp.to_nsec()
         duration = max(scan.duration, _STILL)
         end_ns = begin_ns + round(duration * 1e9)
-        motion = self._motion_of_scan(begin_ns, duration, end_ns)
-        if motion is None:
+        found = self._motion.during(begin_ns, duration)
+        if found is None:
             self._warn_of_attitude()
             return
-        self._submit(_MovedScan(scan, motion), scan.digest, end_ns)
-
-    def _motion_of_scan(self, begin_ns: int, duration: float, end_ns: int) -> ScanMotion | None:
-        """Return the motion during a scan; None if the attitude is unknown."""
-        times = np.linspace(0.0, duration, _KNOTS)
-        found = [self._motion.attitude(begin_ns + round(t * 1e9)) for t in times.tolist()]
-        known = [attitude for attitude in found if attitude is not None]
-        if len(known) < _KNOTS:
-            return None
-        velocity = self._motion.velocity(end_ns)
-        return motion_of(times, Rotation.concatenate(known), np.zeros(3) if velocity is None else velocity)
+        self._submit(_MovedScan(scan, found[0]), scan.digest, end_ns)
 
     def _new_core(self, start: Array) -> LidarOdometry:
         return LidarOdometry(self._registration, self._lidar, start)
@@ -139,13 +124,13 @@ class LidarOdometryNode(OdometryNode):
 
     def _publish_more(self, found: Registration, stamp: rospy.Time) -> None:
         if self._cloud.get_num_connections():
-            self._cloud.publish(messages.cloud(found.points, stamp, self._frames.body))
+            self._cloud.publish(cloud_message(found.points, stamp, self._frames.body))
         now_ns = stamp.to_nsec()
         if self._settings.map_rate and now_ns >= self._next_map_ns and self._map.get_num_connections():
             self._next_map_ns = now_ns + round(1e9 / self._settings.map_rate)
             core = self._core
             points = core.local_map(self._settings.map_radius) if isinstance(core, LidarOdometry) else np.empty((0, 3))
-            self._map.publish(messages.cloud(points, stamp, self._frames.odom))
+            self._map.publish(cloud_message(points, stamp, self._frames.odom))
 
 
 def read_settings() -> tuple[LidarOdometryOptions, RegistrationOptions, LidarHealthLimits]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.pose_matrices import angle_between, distance_between
 from xtdrone_control.settings import Settings, setting
-
-from .poses import angle_between, distance_between
 
 Array = NDArray[np.float64]
 
@@ -32,8 +32,8 @@ class Fault(Enum):
         return self.value.format(noun=noun)
 
 
-class State(Enum):
-    """State of the odometry."""
+class OdometryState(Enum):
+    """OdometryState of the odometry."""
 
     WAITING = "waiting for the first {noun}"
     GOOD = "good"
@@ -65,6 +65,12 @@ class HealthLimits(Settings):
     recovery: int = setting(
         10, low=1, high=1000, text="consecutive good scans after which odometry counts as good again"
     )
+
+
+def weakest_share(information: Array) -> float:
+    """Return the ratio of the smallest to the largest eigenvalue of an information matrix, 0..1."""
+    values = np.linalg.eigvalsh(information)
+    return float(max(values[0], 0.0) / values[-1]) if values[-1] > 0.0 else 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,82 +109,52 @@ class Estimate:
         return angle_between(self.predicted, self.pose)
 
 
-@dataclass(frozen=True)
-class ScanFigures:
-    """Quality figures of one measurement.
-
-    Attributes:
-        count: points used.
-        share, residual, weakest, jump (m), turn (rad): see ``Estimate``.
-        same: number of identical measurements before it, 0 for a new one.
-        least_points: minimum for a registration.
-        is_first: no map yet.
-    """
-
-    count: int
-    share: float
-    residual: float
-    weakest: float
-    jump: float
-    turn: float
-    same: int
-    least_points: int
-    is_first: bool = False
+def without_registration(predicted: Array, count: int, is_first: bool) -> dict[str, Any]:
+    """Return the fields of an estimate that is not registered: the first one, or one with too few points."""
+    covariance = np.diag([1e-6] * 6) if is_first else np.eye(6)
+    figures = {"share": float(is_first), "residual": 0.0, "weakest": float(is_first), "covariance": covariance}
+    return {"pose": predicted, "predicted": predicted, "count": count, "is_first": is_first, **figures}
 
 
-def figures_of(found: Estimate, same: int, least_points: int) -> ScanFigures:
-    """Return the quality figures of a registered measurement.
+def fault_of(found: Estimate, same: int, least_points: int, limits: HealthLimits) -> Fault | None:
+    """Return the first fault of a measurement, None for a good one.
 
     Args:
-        found: the result.
-        same: number of identical measurements before it, 0 for a new one.
-        least_points: minimum for a registration.
+        found: Result of its registration.
+        same: Number of identical measurements before it, 0 for a new one.
+        least_points: Minimum for a registration.
+        limits: Limits of the supervision.
     """
-    return ScanFigures(
-        found.count,
-        found.share,
-        found.residual,
-        found.weakest,
-        found.jump,
-        found.turn,
-        same,
-        least_points,
-        found.is_first,
-    )
-
-
-def fault_of(figures: ScanFigures, limits: HealthLimits) -> Fault | None:
-    """Return the first fault of a measurement, None for a good one."""
-    if figures.same >= limits.frozen:
+    if same >= limits.frozen:
         return Fault.FROZEN
-    if figures.count < figures.least_points:
+    if found.count < least_points:
         return Fault.BLIND
-    if figures.is_first:
+    if found.is_first:
         return None
     checks = (
-        (figures.share < limits.least_share, Fault.UNMATCHED),
-        (figures.weakest < limits.least_information, Fault.DEGENERATE),
-        (figures.residual > limits.most_residual, Fault.RESIDUAL),
-        (figures.jump > limits.most_jump or figures.turn > limits.most_turn, Fault.DIVERGED),
+        (found.share < limits.least_share, Fault.UNMATCHED),
+        (found.weakest < limits.least_information, Fault.DEGENERATE),
+        (found.residual > limits.most_residual, Fault.RESIDUAL),
+        (found.jump > limits.most_jump or found.turn > limits.most_turn, Fault.DIVERGED),
     )
     return next((fault for is_bad, fault in checks if is_bad), None)
 
 
 @dataclass
 class Health:
-    """State of the odometry over time.
+    """OdometryState of the odometry over time.
 
     Bad scans are never published. After ``patience`` of them, or silence, odometry counts as lost, and as good again
     after ``recovery`` good scans.
 
     Attributes:
-        limits: of the supervision.
-        state: of the odometry.
-        fault: of the last scan, or the reason why odometry is lost.
+        limits: Limits of the supervision.
+        state: State of the odometry.
+        fault: Fault of the last scan, or the reason why odometry is lost.
     """
 
     limits: HealthLimits
-    state: State = State.WAITING
+    state: OdometryState = OdometryState.WAITING
     fault: Fault | None = None
     _bad: int = field(default=0, repr=False)
     _good: int = field(default=0, repr=False)
@@ -189,18 +165,18 @@ class Health:
 
         Args:
             now: time, s.
-            fault: of the scan.
+            fault: Fault of the scan.
         """
         self._last = now
         if fault is not None:
             self._good, self._bad, self.fault = 0, self._bad + 1, fault
-            if self._bad >= self.limits.patience or self.state is State.WAITING:
-                self.state = State.LOST
+            if self._bad >= self.limits.patience or self.state is OdometryState.WAITING:
+                self.state = OdometryState.LOST
             return False
         self._bad, self._good = 0, self._good + 1
-        if self.state is State.LOST and self._good < self.limits.recovery:
+        if self.state is OdometryState.LOST and self._good < self.limits.recovery:
             return False
-        self.state, self.fault = State.GOOD, None
+        self.state, self.fault = OdometryState.GOOD, None
         return True
 
     def on_time(self, now: float) -> None:
@@ -210,4 +186,4 @@ class Health:
             now: time, s.
         """
         if self._last is not None and now - self._last > self.limits.silence and self.fault is not Fault.SILENT:
-            self.state, self.fault, self._good = State.LOST, Fault.SILENT, 0
+            self.state, self.fault, self._good = OdometryState.LOST, Fault.SILENT, 0

@@ -1,4 +1,4 @@
-"""Conversion of odometry's poses, clouds and states to ROS messages, whose quaternions are (x, y, z, w)."""
+"""Conversion of odometry's poses, paths and states to ROS messages."""
 
 from __future__ import annotations
 
@@ -7,20 +7,22 @@ from typing import NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Transform, TransformStamped, Vector3
+from geometry_msgs.msg import PoseStamped, Vector3
 from nav_msgs.msg import Odometry, Path
 from numpy.typing import NDArray
 from rospy import Time
-from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from xtdrone_control.frames import to_xyzw
+from xtdrone_control.pose_messages import pose_message, transform_message
 
-from .odometry_health import Estimate, Health, State
-from .poses import quaternion_of
+from .odometry_health import Estimate, Health, OdometryState
 
-_LEVELS = {State.WAITING: DiagnosticStatus.WARN, State.GOOD: DiagnosticStatus.OK, State.LOST: DiagnosticStatus.ERROR}
+_LEVELS = {
+    OdometryState.WAITING: DiagnosticStatus.WARN,
+    OdometryState.GOOD: DiagnosticStatus.OK,
+    OdometryState.LOST: DiagnosticStatus.ERROR,
+}
 _UNKNOWN_TURNS = 1e-2  # rad^2/s^2 and m^2/s^2, variances of the velocity
 
 Array = NDArray[np.float64]
@@ -46,16 +48,6 @@ class Reporter(NamedTuple):
     vehicle: str
     source: str
     noun: str
-
-
-def pose_message(pose: Array) -> Pose:
-    """Return a pose (4, 4) as a message."""
-    return Pose(Point(*pose[:3, 3].tolist()), Quaternion(*to_xyzw(quaternion_of(pose).tolist())))
-
-
-def stamped(pose: Array, stamp: Time, frame: str) -> PoseStamped:
-    """Return a pose with time and frame."""
-    return PoseStamped(Header(stamp=stamp, frame_id=frame), pose_message(pose))
 
 
 def distance(first: PoseStamped, second: PoseStamped) -> float:
@@ -87,29 +79,9 @@ def path(poses: Iterable[PoseStamped], stamp: Time, frame: str) -> Path:
     return Path(Header(stamp=stamp, frame_id=frame), list(poses))
 
 
-def transform(pose: Array, stamp: Time, parent: str, child: str) -> TFMessage:
-    """Return a pose (4, 4) of ``child`` in ``parent`` for tf."""
-    found = pose_message(pose)
-    p = found.position
-    entry = TransformStamped(
-        Header(stamp=stamp, frame_id=parent), child, Transform(Vector3(p.x, p.y, p.z), found.orientation)
-    )
-    return TFMessage([entry])
-
-
 def identity(parent: str, child: str) -> TFMessage:
     """Return the identity transform between two frames."""
-    return transform(np.eye(4), Time(), parent, child)
-
-
-def cloud(points: Array, stamp: Time, frame: str) -> PointCloud2:
-    """Return points (n, 3) m as a cloud of float32."""
-    data = np.ascontiguousarray(points, "<f4")
-    fields = [PointField(axis, 4 * k, PointField.FLOAT32, 1) for k, axis in enumerate("xyz")]
-    message = PointCloud2(height=1, width=len(data), fields=fields, point_step=12, is_dense=True)
-    message.header.stamp, message.header.frame_id = stamp, frame
-    message.row_step, message.data = data.nbytes, data.tobytes()
-    return message
+    return transform_message(np.eye(4), Time(), parent, child)
 
 
 def diagnostics(
@@ -119,15 +91,15 @@ def diagnostics(
 
     Args:
         reporter: identity in the message.
-        health: of the odometry.
-        figures: of the last measurement, None before the first.
+        health: Health of the odometry.
+        figures: Figures of the last measurement, None before the first.
         dropped: measurements that were not registered for lack of time.
         stamp: now.
     """
     noun = reporter.noun
     text = health.fault.words(noun) if health.fault is not None else health.state.words(noun)
     level = _LEVELS[health.state]
-    if health.state is State.GOOD and health.fault is not None:
+    if health.state is OdometryState.GOOD and health.fault is not None:
         level = DiagnosticStatus.WARN
     values = [KeyValue("state", health.state.name.lower()), KeyValue("dropped", str(dropped))]
     if figures is not None:

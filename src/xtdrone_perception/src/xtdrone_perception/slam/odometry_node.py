@@ -30,7 +30,6 @@ import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from mavros_msgs.msg import ExtendedState
 from nav_msgs.msg import Odometry, Path
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -38,19 +37,24 @@ from sensor_msgs.msg import Imu
 from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import lockstep
+from xtdrone_control.frames import to_xyzw
 from xtdrone_control.lockstep.deferred_work import Deferred
+from xtdrone_control.pose_history import PoseHistory
+from xtdrone_control.pose_matrices import pose_of, predicted_pose, rotation_of, turned_about_z, yaw_of
+from xtdrone_control.pose_messages import stamped_pose, transform_message
 from xtdrone_control.settings import Settings, setting
-from xtdrone_perception.tracking.pose_history import PoseHistory
+from xtdrone_control.vehicle_topics import VehicleTopics
 
 from . import odometry_messages as messages
-from .odometry_health import Estimate, Fault, Health, HealthLimits, State, fault_of, figures_of
-from .poses import pose_of, predicted_pose, rotation_of, turned_about_z, yaw_of
+from .deskewing import ScanMotion, motion_of
+from .odometry_health import Estimate, Fault, Health, HealthLimits, OdometryState, fault_of
 
 RATE = 50.0  # Hz
 _MOST_WAITING = 3  # measurements; further ones, which occur only on a real vehicle, are dropped
 _LEAST_STEP = 0.05  # m between two poses of the path
 _MOST_PATH = 20_000  # poses
 _REPORT_NS = 1_000_000_000
+_KNOTS = 6  # attitudes in a scan
 
 Array = NDArray[np.float64]
 
@@ -63,12 +67,9 @@ class OdometryOptions(Settings):
         (0.0, 0.0, 0.0), low=-1e5, high=1e5, unit="m", text="position of base_link at the first measurement, in map"
     )
     heading: float | None = setting(
-        None,
-        low=-2.0 * math.pi,
-        high=2.0 * math.pi,
-        unit="rad",
+        None, low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad",
         text="yaw of base_link at the first measurement, ENU; none: the autopilot's",
-    )
+    )  # fmt: skip
     level: bool = setting(
         True, text="assume base_link to be level at the first measurement; false: use the autopilot's roll and pitch"
     )
@@ -95,11 +96,11 @@ class Core(Protocol):
         """Move to a predicted pose."""
 
 
-class Source(NamedTuple):
+class OdometrySource(NamedTuple):
     """Properties of a kind of odometry.
 
     Attributes:
-        name: of the node and its topics, e.g. ``lidar_odometry``.
+        name: Name of the node and its topics, e.g. ``lidar_odometry``.
         noun: name of a measurement, e.g. ``scan``.
         least_points: minimum for a measurement.
     """
@@ -133,7 +134,7 @@ class AutopilotMotion:
 
     def __init__(self, name: str) -> None:
         """Subscribe to the topics of a vehicle."""
-        self._attitudes, self._velocities = PoseHistory(), PoseHistory()
+        self._attitudes, self._velocities = PoseHistory(scalar_last=True), PoseHistory()
         lockstep.Subscriber(f"/{name}/mavros/imu/data", Imu, self._on_imu)
         lockstep.Subscriber(f"/{name}/mavros/local_position/velocity_local", TwistStamped, self._on_velocity)
 
@@ -145,22 +146,32 @@ class AutopilotMotion:
     def attitude(self, time_ns: int) -> Rotation | None:
         """Return the attitude at a time, body to map, None if it is unknown."""
         entry = self._attitudes.at(time_ns)
-        return None if entry is None else Rotation.from_quat(entry)
+        return None if entry is None else Rotation.from_quat(to_xyzw(entry.tolist()))
 
     def velocity(self, time_ns: int) -> Array | None:
         """Return the velocity at a time, (3,) m/s, map, None if it is unknown."""
         entry = self._velocities.at(time_ns)
         return None if entry is None else entry[:3]
 
+    def during(self, begin_ns: int, seconds: float) -> tuple[ScanMotion, Rotation] | None:
+        """Return the motion during a scan and the attitude at its end, body to map; None if an attitude is unknown."""
+        times = np.linspace(0.0, seconds, _KNOTS)
+        found = [self.attitude(begin_ns + round(t * 1e9)) for t in times.tolist()]
+        known = [attitude for attitude in found if attitude is not None]
+        if len(known) < _KNOTS:
+            return None
+        velocity = self.velocity(begin_ns + round(seconds * 1e9))
+        return motion_of(times, Rotation.concatenate(known), np.zeros(3) if velocity is None else velocity), known[-1]
+
     def _on_imu(self, message: Imu) -> None:
         q = message.orientation
-        entry = np.array([q.x, q.y, q.z, q.w])
+        entry = np.array([q.w, q.x, q.y, q.z])
         if np.isfinite(entry).all() and abs(np.linalg.norm(entry) - 1.0) < 0.1:
             self._attitudes.add(message.header.stamp.to_nsec(), entry)
 
     def _on_velocity(self, message: TwistStamped) -> None:
         v = message.twist.linear
-        entry = np.array([v.x, v.y, v.z, 0.0, 0.0, 0.0, 1.0])
+        entry = np.array([v.x, v.y, v.z, 1.0, 0.0, 0.0, 0.0])
         if np.isfinite(entry).all():
             self._velocities.add(message.header.stamp.to_nsec(), entry)
 
@@ -168,14 +179,14 @@ class AutopilotMotion:
 class OdometryNode:
     """Topics and state of one vehicle; a subclass adds the sensor and the registration."""
 
-    def __init__(self, name: str, source: Source, options: OdometryOptions, limits: HealthLimits) -> None:
+    def __init__(self, name: str, source: OdometrySource, options: OdometryOptions, limits: HealthLimits) -> None:
         """Declare the topics.
 
         Args:
-            name: of the vehicle.
-            source: of the odometry.
-            options: of the node.
-            limits: of the supervision.
+            name: Name of the vehicle.
+            source: Source of the odometry.
+            options: Options of the node.
+            limits: Limits of the supervision.
         """
         self._name, self._source, self._options, self._limits = name, source, options, limits
         self._frames = messages.Frames("map", f"{name}/odom", f"{name}/base_link")
@@ -188,7 +199,7 @@ class OdometryNode:
         self._tf = lockstep.Publisher("/tf", TFMessage)
         self._tf_static = lockstep.Publisher("/tf_static", TFMessage, latch=True)
         self._motion = AutopilotMotion(name)
-        lockstep.Subscriber(f"/{name}/mavros/extended_state", ExtendedState, self._on_extended_state)
+        self._vehicle = VehicleTopics(name, "extended_state")
         self._clear()
         lockstep.add_reset_hook(self._restart)
         if options.tf and options.tf_map:
@@ -212,12 +223,11 @@ class OdometryNode:
         self._motion.clear()
         self._core: Core | None = None
         self._health = Health(self._limits)
-        self._told: tuple[State, Fault | None] | None = None
+        self._told: tuple[OdometryState, Fault | None] | None = None
         self._velocity = np.zeros(3)  # of the worker's last measurement, map; used by the worker only
         self._last_end_ns: int | None = None
         self._last_attitude: Rotation | None = None
         self._digest, self._same, self._dropped = -1, 0, 0
-        self._on_ground = False
         self._figures: Estimate | None = None
         self._poses: deque[PoseStamped] = deque(maxlen=_MOST_PATH)
         self._next_path_ns = self._next_report_ns = 0
@@ -229,9 +239,6 @@ class OdometryNode:
         self._clear()
 
     # measurements
-
-    def _on_extended_state(self, message: ExtendedState) -> None:
-        self._on_ground = message.landed_state == ExtendedState.LANDED_STATE_ON_GROUND
 
     def _is_late(self) -> bool:
         """Return whether a new measurement must be dropped, and record it."""
@@ -245,11 +252,13 @@ class OdometryNode:
         """Start the registration of a measurement.
 
         Args:
-            payload: for ``_register``.
-            digest: of the raw data; two measurements of a working sensor in flight differ.
+            payload: Payload for ``_register``.
+            digest: Digest of the raw data; two measurements of a working sensor in flight differ.
             end_ns: its time.
         """
-        is_same = digest == self._digest and not self._on_ground  # a simulated camera that stands still has no noise
+        is_same = (
+            digest == self._digest and not self._vehicle.is_on_ground
+        )  # a simulated camera that stands still has no noise
         self._same = self._same + 1 if is_same else 0
         self._digest = digest
         attitude = self._motion.attitude(end_ns)
@@ -260,14 +269,14 @@ class OdometryNode:
         self._last_attitude = attitude
         job = Job(payload, last.inv() * attitude, self._motion.velocity(end_ns), attitude, end_ns, self._same)
         due_us = (rospy.Time.now().to_nsec() + round(self._options.latency * 1e9)) // 1000
-        self._deferred.put(job, due_us, self._registered, job, self._started(job))
+        self._deferred.put(job, due_us, self._register_and_move, job, self._start_core(job))
 
     def _warn_of_attitude(self) -> None:
         rospy.logwarn_throttle(
             10.0, f"{self._name}: no odometry: no attitude on mavros/imu/data at the {self._source.noun}'s time"
         )
 
-    def _started(self, job: Job) -> Core:
+    def _start_core(self, job: Job) -> Core:
         """Return the odometry, created at the first measurement."""
         if self._core is None:
             options = self._options
@@ -279,7 +288,7 @@ class OdometryNode:
 
     # registration, by the worker
 
-    def _registered(self, job: Job, core: Core) -> _Outcome:
+    def _register_and_move(self, job: Job, core: Core) -> _Outcome:
         """Register a measurement and move the odometry."""
         seconds = 0.0 if self._last_end_ns is None else (job.end_ns - self._last_end_ns) * 1e-9
         self._last_end_ns = job.end_ns
@@ -287,7 +296,7 @@ class OdometryNode:
         before = core.pose
         predicted = predicted_pose(before, job.turn, velocity, seconds)
         found = self._register(core, job, predicted)
-        fault = fault_of(figures_of(found, job.same, self._source.least_points), self._limits)
+        fault = fault_of(found, job.same, self._source.least_points, self._limits)
         if fault is None:
             core.accept(found)
         else:
@@ -319,7 +328,7 @@ class OdometryNode:
         end = rospy.Time(0, 0) + rospy.Duration(0, job.end_ns)
         self._publish(pose, outcome, end)
         if self._options.feed:
-            self._vision.publish(messages.stamped(self._carried(pose, outcome, job, now), now, self._frames.map))
+            self._vision.publish(stamped_pose(self._carry_forward(pose, outcome, job, now), now, self._frames.map))
         self._publish_path(pose, end)
         self._publish_more(outcome.found, end)
 
@@ -327,9 +336,9 @@ class OdometryNode:
         body_velocity = rotation_of(pose).inv().apply(outcome.velocity)
         self._odometry.publish(messages.odometry(pose, body_velocity, outcome.found.covariance, stamp, self._frames))
         if self._options.tf:
-            self._tf.publish(messages.transform(pose, stamp, self._frames.odom, self._frames.body))
+            self._tf.publish(transform_message(pose, stamp, self._frames.odom, self._frames.body))
 
-    def _carried(self, pose: Array, outcome: _Outcome, job: Job, now: rospy.Time) -> Array:
+    def _carry_forward(self, pose: Array, outcome: _Outcome, job: Job, now: rospy.Time) -> Array:
         """Extrapolate a pose from the time of its measurement to now."""
         attitude = self._motion.attitude(now.to_nsec())
         turn = Rotation.identity() if attitude is None else job.attitude.inv() * attitude
@@ -337,7 +346,7 @@ class OdometryNode:
 
     def _publish_path(self, pose: Array, stamp: rospy.Time) -> None:
         """Publish the path, if it is due."""
-        entry = messages.stamped(pose, stamp, self._frames.odom)
+        entry = stamped_pose(pose, stamp, self._frames.odom)
         if not self._poses or messages.distance(self._poses[-1], entry) >= _LEAST_STEP:
             self._poses.append(entry)
         if self._options.path_rate and stamp.to_nsec() >= self._next_path_ns:
@@ -356,9 +365,9 @@ class OdometryNode:
         source = messages.Reporter(self._name, self._source.name, self._source.noun)
         self._diagnostics.publish(messages.diagnostics(source, self._health, self._figures, self._dropped, now))
 
-    def _log(self, state: State, fault: Fault | None) -> None:
-        if state is State.LOST and fault is not None:
+    def _log(self, state: OdometryState, fault: Fault | None) -> None:
+        if state is OdometryState.LOST and fault is not None:
             words = fault.words(self._source.noun)
             rospy.logwarn(f"{self._name}: odometry is lost, the autopilot receives no poses: {words}")
-        elif state is State.GOOD and self._told is not None and self._told[0] is State.LOST:
+        elif state is OdometryState.GOOD and self._told is not None and self._told[0] is OdometryState.LOST:
             rospy.loginfo(f"{self._name}: odometry is good again")

@@ -22,7 +22,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import rospy
@@ -37,15 +36,14 @@ from xtdrone_control import lockstep
 from xtdrone_control.bounded_file import ContentError
 from xtdrone_control.cameras.camera_pose import CameraPose
 from xtdrone_control.frames import to_xyzw
-from xtdrone_control.lockstep.deferred_work import Deferred
+from xtdrone_control.pose_history import PoseHistory
 from xtdrone_control.programs.node_command_line import ArgumentError
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_control.tag_boards import TagBoard, boards_of
-from xtdrone_perception.image_arrays import grey_of
-from xtdrone_perception.tags.mounted_camera import in_map, optical_frame, quaternion, up_in
+from xtdrone_control.vehicle_topics import VehicleTopics
+from xtdrone_perception.images import Picture, PictureNode, PictureVehicle, grey_of
 from xtdrone_perception.tags.tag_detector import SeenTag, TagDetector, TagDetectorSettings
-from xtdrone_perception.tags.tag_poses import BoardPose, Optics, board_pose
-from xtdrone_perception.tracking.pose_history import PoseHistory
+from xtdrone_perception.tags.tag_poses import BoardPose, Optics, board_pose, in_map, optical_frame, quaternion, up_in
 
 RATE = 50.0  # Hz
 _WARNING_PERIOD = 10.0  # s
@@ -62,32 +60,19 @@ class AprilTagOptions(Settings):
         (0.0, 0.0, -0.05), low=-10.0, high=10.0, unit="m", text="camera position relative to base_link, FLU"
     )
     camera_rpy: tuple[float, float, float] = setting(
-        (0.0, 0.5 * math.pi, 0.0),
-        low=-7.0,
-        high=7.0,
-        unit="rad",
+        (0.0, 0.5 * math.pi, 0.0), low=-7.0, high=7.0, unit="rad",
         text="camera orientation in base_link; pitch pi/2 looks down",
-    )
+    )  # fmt: skip
     pixel_centre: float = setting(
-        0.5,
-        low=0.0,
-        high=0.5,
-        unit="px",
+        0.5, low=0.0, high=0.5, unit="px",
         text="coordinate of the upper left pixel's centre in the camera's calibration: 0.5 for simulated cameras, 0 "
         "for cameras calibrated with OpenCV",
-    )
+    )  # fmt: skip
     level: bool = setting(True, text="boards are horizontal; resolves ambiguous poses")
     max_error: float = setting(
         2.0, above=0.0, high=100.0, unit="px", text="maximum reprojection error of a published pose"
     )
     latency: float = setting(0.04, low=0.0, high=10.0, unit="s", text="simulated time from an image to its results")
-
-
-class Picture(NamedTuple):
-    """An image to be searched."""
-
-    header: Header
-    grey: NDArray[np.uint8]
 
 
 def read_boards(options: AprilTagOptions) -> tuple[TagBoard, ...]:
@@ -106,42 +91,34 @@ def read_boards(options: AprilTagOptions) -> tuple[TagBoard, ...]:
     return boards
 
 
-class VehicleTags:
+class VehicleTags(PictureVehicle):
     """Topics of one vehicle."""
 
     def __init__(self, name: str, options: AprilTagOptions, boards: Sequence[TagBoard], tf: lockstep.Publisher) -> None:
         """Declare the topics.
 
         Args:
-            name: of the vehicle.
-            options: of the node.
-            boards: to look for.
+            name: Name of the vehicle.
+            options: Options of the node.
+            boards: Boards to look for.
             tf: publisher of /tf.
         """
         self.name = name
         self._options, self._boards, self._tf = options, boards, tf
-        self._poses = PoseHistory()
+        self._poses = PoseHistory(scalar_last=True)
         self._restart()
         self._detections = lockstep.Publisher(f"/{name}/tag_detections", AprilTagDetectionArray)
         self._target = lockstep.Publisher(f"/{name}/mavros/landing_target/pose", PoseStamped)
-        lockstep.Subscriber(f"/{name}/mavros/local_position/pose", PoseStamped, self._on_pose)
+        VehicleTopics(name, "pose", poses=self._poses)
         lockstep.Subscriber(f"/{name}/{options.camera}/camera_info", CameraInfo, self._on_info)
         lockstep.Subscriber(f"/{name}/{options.camera}/image_raw", Image, self._on_image, queue_size=2, buff_size=2**24)
         lockstep.add_reset_hook(self._restart)
 
     def _restart(self) -> None:
-        self._poses.clear()
         self._optics: Optics | None = None
-        self._waiting: Picture | None = None
-        self._working = False
+        self.forget_pictures()
 
     # messages
-
-    def _on_pose(self, message: PoseStamped) -> None:
-        p, q = message.pose.position, message.pose.orientation
-        entry = np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
-        if np.isfinite(entry).all() and abs(entry[3:] @ entry[3:] - 1.0) < 0.01:
-            self._poses.add(message.header.stamp.to_nsec(), entry)
 
     def _on_info(self, message: CameraInfo) -> None:
         try:
@@ -151,36 +128,28 @@ class VehicleTags:
 
     def _on_image(self, message: Image) -> None:
         try:
-            self._waiting = Picture(message.header, grey_of(message))
+            self.put(Picture(message.header, grey_of(message)))
         except ValueError as error:
             rospy.logwarn_throttle(_WARNING_PERIOD, f"{self.name}: image ignored: {error}")
 
     # steps
 
-    def take(self) -> Picture | None:
-        """Return the next image to search, None if there is none or one is being searched."""
-        if self._working or self._waiting is None:
-            return None
-        picture, self._waiting = self._waiting, None
-        self._working = True
-        return picture
-
-    def finish(self, picture: Picture, seen: Sequence[SeenTag]) -> None:
+    def finish(self, picture: Picture, found: Sequence[SeenTag]) -> None:
         """Publish the results of an image."""
-        self._working = False
+        super().finish(picture, found)
         header = picture.header
         camera = self._camera_at(header.stamp.to_nsec())
-        found = [] if self._optics is None else self._located(seen, self._optics, camera)
-        self._detections.publish(AprilTagDetectionArray(header, [_detection(header, *entry) for entry in found]))
-        if found:
-            self._tf.publish(TFMessage([_transform(header, *entry) for entry in found]))
-        for board, pose in found:
+        boards = [] if self._optics is None else self._locate(found, self._optics, camera)
+        self._detections.publish(AprilTagDetectionArray(header, [_detection(header, *entry) for entry in boards]))
+        if boards:
+            self._tf.publish(TFMessage([_transform(header, *entry) for entry in boards]))
+        for board, pose in boards:
             if board.name == self._options.target and camera is not None:
                 turn, place = in_map(camera, pose.rotation, pose.position)
                 message = PoseStamped(Header(stamp=header.stamp, frame_id="map"), _pose(turn, place))
                 self._target.publish(message)
 
-    def _located(
+    def _locate(
         self, seen: Sequence[SeenTag], optics: Optics, camera: CameraPose | None
     ) -> list[tuple[TagBoard, BoardPose]]:
         shift = self._options.pixel_centre - 0.5
@@ -195,11 +164,11 @@ class VehicleTags:
         if entry is None:
             rospy.logwarn_throttle(_WARNING_PERIOD, f"{self.name}: no pose at the exposure: no landing target")
             return None
-        px, py, pz, qx, qy, qz, qw = entry.tolist()
-        return optical_frame((px, py, pz), (qw, qx, qy, qz), self._options.camera_offset, self._options.camera_rpy)
+        position, attitude = entry[:3].tolist(), entry[3:].tolist()
+        return optical_frame(position, attitude, self._options.camera_offset, self._options.camera_rpy)
 
 
-class AprilTagNode:
+class AprilTagNode(PictureNode):
     """Tag detection for one or several vehicles in one process."""
 
     def __init__(self, kind: str, ids: Sequence[int], options: AprilTagOptions, settings: TagDetectorSettings) -> None:
@@ -209,32 +178,15 @@ class AprilTagNode:
             kind: vehicle type, as ``iris_downward_camera``.
             ids: numbers of the vehicles.
             options: shared by the vehicles.
-            settings: of the detector.
+            settings: Settings of the detector.
 
         Raises:
             ArgumentError: the boards are unusable.
         """
         boards = read_boards(options)
-        self._detector = TagDetector(settings)
-        self._latency_us = round(options.latency * 1e6)
-        self._work = Deferred(1, wait=lockstep.is_active())
         tf = lockstep.Publisher("/tf", TFMessage)
-        self._vehicles = [VehicleTags(f"{kind}_{index}", options, boards, tf) for index in ids]
-        lockstep.add_reset_hook(self._work.clear)
-
-    def step(self) -> None:
-        """Publish the results that are due and start searching waiting images; call it at 50 Hz."""
-        now_us = rospy.Time.now().to_nsec() // 1000
-        for (vehicle, picture), seen in self._work.ready(now_us):
-            vehicle.finish(picture, seen)
-        for vehicle in self._vehicles:
-            picture = vehicle.take()
-            if picture is not None:
-                self._work.put((vehicle, picture), now_us + self._latency_us, self._detector.detect, picture.grey)
-
-    def close(self) -> None:
-        """Stop the worker."""
-        self._work.close()
+        vehicles = [VehicleTags(f"{kind}_{index}", options, boards, tf) for index in ids]
+        super().__init__(vehicles, TagDetector(settings).detect, options.latency)
 
 
 def _pose(turn: NDArray[np.float64], place: NDArray[np.float64]) -> Pose:

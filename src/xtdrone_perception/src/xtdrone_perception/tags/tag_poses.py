@@ -15,6 +15,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control import rotation
+from xtdrone_control.cameras.camera_pose import LINK_FROM_OPTICAL, CameraPose, rotation_matrix
+from xtdrone_control.rotation import Quaternion, Vector
 from xtdrone_control.settings import SettingError
 from xtdrone_control.tag_boards import Tag, TagBoard
 from xtdrone_perception.tags.tag_detector import SeenTag
@@ -56,9 +59,9 @@ class BoardPose:
     """Pose of a board in a camera's optical frame (x right, y down, z ahead).
 
     Attributes:
-        rotation: from the board's frame, (3, 3).
-        position: of the board's origin, (3,) m.
-        covariance: of position, m, and of small turns about the optical frame's axes, rad, (6, 6).
+        rotation: Rotation from the board's frame, (3, 3).
+        position: Position of the board's origin, (3,) m.
+        covariance: Covariance of position, m, and of small turns about the optical frame's axes, rad, (6, 6).
         error: root mean square of the reprojection error per corner, pixels.
         tags: ids of the tags seen.
         certain: whether the alternative pose has a clearly larger error.
@@ -80,7 +83,7 @@ def board_pose(
     Args:
         board: the tags and their positions.
         seen: tags of the image.
-        optics: of the camera.
+        optics: Optics of the camera.
         expected_normal: normal of the board in the optical frame, (3,), e.g. of a horizontal board; decides between two
             poses with similar errors.
     """
@@ -155,3 +158,34 @@ def _left_jacobian(vector: Array) -> Array:
         return np.asarray(np.eye(3) + 0.5 * cross)
     a, b = (1.0 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
     return np.asarray(np.eye(3) + a * cross + b * cross @ cross)
+
+
+def optical_frame(position: Vector, attitude: Quaternion, offset: Vector, rpy: Vector) -> CameraPose:
+    """Return the pose of a camera's optical frame in ``map``.
+
+    Args:
+        position: Position of base_link in ``map``, m, ENU.
+        attitude: Attitude of base_link (FLU) in ``map``, a unit quaternion (w, x, y, z).
+        offset: Offset of the camera from base_link, m, FLU.
+        rpy: Roll, pitch and yaw of the camera's link (FLU) in base_link, rad; (0, pi / 2, 0) looks down.
+    """
+    x, y, z = rotation_matrix(attitude) @ np.asarray(offset, float) + np.asarray(position, float)
+    link = rotation.multiply(attitude, rotation.from_euler(*rpy))
+    return CameraPose((float(x), float(y), float(z)), rotation.multiply(link, LINK_FROM_OPTICAL))
+
+
+def in_map(camera: CameraPose, turn: Array, place: Array) -> tuple[Array, Array]:
+    """Transform rotation, (3, 3), and position, (3,) m, from the optical frame to ``map``."""
+    out = rotation_matrix(camera.orientation)
+    return out @ turn, out @ place + np.asarray(camera.position)
+
+
+def up_in(camera: CameraPose) -> Array:
+    """Return the upward direction in the optical frame, (3,)."""
+    return np.asarray(rotation_matrix(camera.orientation)[2])
+
+
+def quaternion(turn: Array) -> Quaternion:
+    """Return the quaternion (w, x, y, z) of a rotation matrix (3, 3)."""
+    x, y, z = ((float(a), float(b), float(c)) for a, b, c in turn.T)
+    return rotation.from_axes(x, y, z)

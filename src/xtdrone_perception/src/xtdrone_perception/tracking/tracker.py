@@ -37,11 +37,9 @@ class TrackerSettings(Settings):
         1.5, low=0.01, high=100.0, unit="m/s", text="standard deviation of a new track's velocity on each axis"
     )
     gate: float = setting(
-        13.8,
-        low=1.0,
-        high=100.0,
+        13.8, low=1.0, high=100.0,
         text="maximum squared Mahalanobis distance between a track and its detection; 13.8 keeps 99.9 %",
-    )
+    )  # fmt: skip
     birth: float = setting(0.5, low=0.0, high=1.0, text="minimum probability of a detection that starts a track")
     confirm_hits: int = setting(3, low=1, high=50, text="detections in ``confirm_of`` images that confirm a track")
     confirm_of: int = setting(5, low=1, high=50, text="images in which ``confirm_hits`` are counted")
@@ -64,7 +62,7 @@ class GroundDetection:
         point: position on the ground.
         object_class: name of its class.
         probability: above 0, at most 1.
-        box: in the image: xmin, ymin, xmax, ymax, px.
+        box: Box in the image: xmin, ymin, xmax, ymax, px.
     """
 
     point: GroundPoint
@@ -78,14 +76,14 @@ class Track:
     """Track of an object.
 
     Attributes:
-        id: from 1; 0 until confirmed.
+        id: Number from 1; 0 until confirmed.
         object_class: name of its class.
         state: (4,) x, y, m, map; vx, vy, m/s.
         covariance: (4, 4) of the state, without the error shared by all images.
         last: its last detection.
         hits: number of images that showed it.
         missed: number of images since the last hit that should have shown it.
-        probability: in the last image, 0 if not shown.
+        probability: Probability in the last image, 0 if not shown.
         seen_at: time of the last image that showed it, s.
     """
 
@@ -151,8 +149,8 @@ class Tracker:
         """Update the tracks with an image and return the confirmed ones.
 
         Args:
-            time: of the exposure, s; not before that of the last image.
-            detections: of the image, may be empty.
+            time: Time of the exposure, s; not before that of the last image.
+            detections: Detections of the image, may be empty.
             in_view: returns whether the image should show an object at a position (2,), m; None: always.
 
         Raises:

@@ -48,7 +48,7 @@ class Decision:
         state: its name, for reports.
         goal: (2,) m in map, new goal for the planner; None: no change.
         route: (n, 2) m in map, path to the target.
-        messages: to send to the other vehicles.
+        messages: Messages to send to the other vehicles.
     """
 
     state: str
@@ -71,8 +71,8 @@ class Explorer:
         """Start with an unknown floor.
 
         Args:
-            settings: of the exploration.
-            name: of the vehicle.
+            settings: Settings of the exploration.
+            name: Name of the vehicle.
             fleet: names of all exploring vehicles.
         """
         self._settings = settings
@@ -135,7 +135,7 @@ class Explorer:
         aim = position if self._target is None else floor.middle(self._target)
         messages = self.sharing.step(
             now, _pair(position), _pair(aim), active,
-            lambda place, mine, theirs: self._regions.divided(
+            lambda place, mine, theirs: self._regions.divide(
                 here, floor.index(np.array(place)), mine, theirs, self.frontiers, clearance
             ),
         )  # fmt: skip
@@ -156,12 +156,12 @@ class Explorer:
                 return None
             self.state = RETURNING
             return self._home_cell(ways)
-        chosen = self._chosen(reachable, ways)
+        chosen = self._choose_frontier(reachable, ways)
         self.state = EXPLORING if chosen is not None else IDLE
         self._target = None if chosen is None else chosen.centre
         return None if chosen is None else chosen.view
 
-    def _chosen(self, reachable: list[Frontier], ways: Ways) -> Frontier | None:
+    def _choose_frontier(self, reachable: list[Frontier], ways: Ways) -> Frontier | None:
         """Return the frontier to view next: the current one while it exists, else the first of a tour."""
         if self._target is not None and (self._is_own(self._target) or not self._was_own):
             near = [(math.dist(f.centre, self._target), f.centre, f) for f in reachable]

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 from xtdrone_msgs.msg import RegionShare
 
+from xtdrone_control.clouds import points_of
 from xtdrone_control.rotation import yaw_of
 from xtdrone_planning.exploration.floor_map import FREE, OCCUPIED, OCCUPIED_FROM, UNKNOWN, Cells, FloorMap
 from xtdrone_planning.exploration.shared_regions import Share
-from xtdrone_planning.mapping.range_images import points_of
+from xtdrone_planning.mapping.map_messages import grid_message
 
 Array = NDArray[np.float64]
 
@@ -42,7 +43,7 @@ def share_of(message: RegionShare, count: int) -> Share:
     """Decode a message.
 
     Args:
-        message: of another vehicle.
+        message: Message of another vehicle.
         count: number of regions.
 
     Raises:
@@ -65,16 +66,8 @@ def share_of(message: RegionShare, count: int) -> Share:
 
 def floor_message(floor: FloorMap, values: Cells, height: float, stamp: rospy.Time, frame: str) -> OccupancyGrid:
     """Return the cells ``values`` of a floor as a message."""
-    message = OccupancyGrid()
-    message.header.stamp, message.header.frame_id = stamp, frame
-    message.info.map_load_time = stamp
-    message.info.resolution = floor.cell
-    message.info.width, message.info.height = values.shape
-    origin = message.info.origin
-    origin.position.x, origin.position.y = (floor.first * floor.cell).tolist()
-    origin.position.z, origin.orientation.w = height, 1.0
-    message.data = values.T.ravel().tolist()
-    return message
+    x, y = (floor.first * floor.cell).tolist()
+    return grid_message(values, (x, y, height), floor.cell, stamp, frame)
 
 
 def cells_of(message: OccupancyGrid, cell: float) -> tuple[Array, float, Cells]:

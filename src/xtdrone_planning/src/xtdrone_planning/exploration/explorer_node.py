@@ -35,6 +35,8 @@ from std_msgs.msg import String
 from xtdrone_msgs.msg import RegionShare, SharedFloor
 
 from xtdrone_control import lockstep
+from xtdrone_control.clouds import ScanError
+from xtdrone_control.vehicle_topics import VehicleTopics
 from xtdrone_planning.exploration.choice_of_frontier import HOME, STRANDED, Decision, Explorer
 from xtdrone_planning.exploration.exploration_messages import (
     FloorError,
@@ -46,7 +48,6 @@ from xtdrone_planning.exploration.exploration_messages import (
 )
 from xtdrone_planning.exploration.settings import ExplorationSettings
 from xtdrone_planning.mapping.map_messages import FRAME
-from xtdrone_planning.mapping.range_images import ScanError
 
 RATE = 2.0  # Hz
 
@@ -64,9 +65,9 @@ class VehicleExplorer:
         """Declare the topics.
 
         Args:
-            name: of the vehicle.
+            name: Name of the vehicle.
             fleet: names of all exploring vehicles.
-            settings: of the exploration.
+            settings: Settings of the exploration.
         """
         self._name, self._fleet, self._settings = name, tuple(fleet), settings
         self._goal = lockstep.Publisher(f"/{name}/planner/goal", PoseStamped)
@@ -79,7 +80,7 @@ class VehicleExplorer:
         lockstep.Subscriber(f"/{name}/map/occupied", PointCloud2, self._on_occupied)
         lockstep.Subscriber(f"/{name}/map/slice", OccupancyGrid, self._on_slice)
         lockstep.Subscriber(f"/{name}/planner/state", String, self._on_planner)
-        lockstep.Subscriber(f"/{name}/mavros/local_position/pose", PoseStamped, self._on_pose)
+        self._vehicle = VehicleTopics(name, "pose")
         lockstep.Subscriber(f"/{name}/radio/exploration/floor", SharedFloor, self._on_floor)
         lockstep.Subscriber(f"/{name}/radio/exploration/share", RegionShare, self._on_share)
         lockstep.add_reset_hook(self._restart)
@@ -89,8 +90,7 @@ class VehicleExplorer:
         """Begin again, because simulated time was reset."""
         self._explorer = Explorer(self._settings, self._name, self._fleet)
         self._count = self._explorer.region_count
-        self._position: np.ndarray | None = None
-        self._posed = self._sliced = self._told = -math.inf
+        self._sliced = self._told = -math.inf
         self._occupied: PointCloud2 | None = None
         self._planner = self._published = ""
 
@@ -106,12 +106,6 @@ class VehicleExplorer:
     def _on_planner(self, message: String) -> None:
         self._planner = message.data
 
-    def _on_pose(self, message: PoseStamped) -> None:
-        place = message.pose.position
-        if all(map(math.isfinite, (place.x, place.y))):
-            self._position = np.array([place.x, place.y])
-            self._posed = message.header.stamp.to_sec()
-
     def _on_occupied(self, message: PointCloud2) -> None:
         self._occupied = message
 
@@ -120,29 +114,25 @@ class VehicleExplorer:
         occupied = self._occupied
         if not level or occupied is None or occupied.header.stamp != message.header.stamp:
             return
-        with_warning = self._guarded("map/slice")
-        with_warning(lambda: self._explorer.floor.enter(*slice_of(message, occupied, self._settings.cell, _SLAB)))
+        cell, enter = self._settings.cell, self._explorer.floor.enter
+        self._try("map/slice", lambda: enter(*slice_of(message, occupied, cell, _SLAB)))
         self._sliced = message.header.stamp.to_sec()
 
     def _on_floor(self, message: SharedFloor) -> None:
         if message.vehicle in self._fleet and message.vehicle != self._name:
             hear = self._explorer.floor.hear
-            self._guarded("floor")(lambda: hear(message.vehicle, *cells_of(message.map, self._settings.cell)))
+            self._try("floor", lambda: hear(message.vehicle, *cells_of(message.map, self._settings.cell)))
 
     def _on_share(self, message: RegionShare) -> None:
         hear, now = self._explorer.sharing.hear, rospy.get_time()
-        self._guarded("share")(lambda: hear(share_of(message, self._count), now))
+        self._try("share", lambda: hear(share_of(message, self._count), now))
 
-    def _guarded(self, what: str) -> Callable[[Callable[[], None]], None]:
-        """Return a callback that processes a message, or warns that it is invalid."""
-
-        def enter(action: Callable[[], None]) -> None:
-            try:
-                action()
-            except (FloorError, ScanError) as error:
-                rospy.logwarn_throttle_identical(_WARNINGS, f"{self._name}: {what}: {error}; ignored")
-
-        return enter
+    def _try(self, what: str, action: Callable[[], None]) -> None:
+        """Process a message, or warn that it is invalid."""
+        try:
+            action()
+        except (FloorError, ScanError) as error:
+            rospy.logwarn_throttle_identical(_WARNINGS, f"{self._name}: {what}: {error}; ignored")
 
     # turns
 
@@ -150,13 +140,14 @@ class VehicleExplorer:
         """Run one update; call it at 2 Hz."""
         stamp = rospy.Time.now()
         now = stamp.to_sec()
-        if self._position is None or now - self._posed > _STALE:
+        pose = self._vehicle.recent_pose(now, _STALE)
+        if pose is None:
             self._report(stamp, 2, "no position from the autopilot")
             return
         if now - self._sliced > _STALE and self._explorer.state != HOME:
             self._report(stamp, 1, "no local map at flight height from the planner")
             return
-        decision = self._explorer.step(now, self._position, self._planner)
+        decision = self._explorer.step(now, pose[:2], self._planner)
         height = self._settings.flight_height
         if decision.goal is not None:
             self._send_goal(decision, stamp)
@@ -168,7 +159,7 @@ class VehicleExplorer:
             self._floor.publish(SharedFloor(self._name, floor_message(floor, floor.own, height, stamp, FRAME)))
             if self._map.get_num_connections():
                 self._map.publish(floor_message(floor, floor.values, height, stamp, FRAME))
-        self._report(stamp, *self._judged(decision))
+        self._report(stamp, *self._assess(decision))
 
     def _send_goal(self, decision: Decision, stamp: rospy.Time) -> None:
         assert decision.goal is not None
@@ -179,7 +170,7 @@ class VehicleExplorer:
         place.z, message.pose.orientation.w = self._settings.flight_height, 1.0
         self._goal.publish(message)
 
-    def _judged(self, decision: Decision) -> tuple[int, str]:
+    def _assess(self, decision: Decision) -> tuple[int, str]:
         """Return level and text for the diagnostics."""
         if decision.state == STRANDED:
             return 2, decision.state

@@ -93,9 +93,9 @@ class FloorMap:
             turn: counter-clockwise angle from the x axis of map to that of the other map, rad.
             values: (nx, ny) of cells of the same side.
         """
-        self._others[vehicle] = self._placed(origin, turn, values)
+        self._others[vehicle] = self._resample(origin, turn, values)
 
-    def _placed(self, origin: Array, turn: float, values: Cells) -> Cells:
+    def _resample(self, origin: Array, turn: float, values: Cells) -> Cells:
         """Resample another map into the cells of this one: nearest cell at each centre."""
         x, y = (self.middles(np.arange(n), axis) - origin[axis] for axis, n in enumerate(self.own.shape))
         c, s = math.cos(turn), math.sin(turn)

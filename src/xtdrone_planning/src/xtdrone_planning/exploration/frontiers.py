@@ -62,7 +62,7 @@ def find_frontiers(floor: FloorMap, ways: Ways, given_up: NDArray[np.bool_], sma
 
     Args:
         floor: merged.
-        ways: from the vehicle.
+        ways: Paths from the vehicle.
         given_up: (nx, ny) cells that no longer count as frontiers.
         smallest: clusters of fewer cells are ignored.
     """

@@ -52,7 +52,7 @@ class Regions:
         largely = np.flatnonzero(counts > _UNKNOWN_SHARE * np.maximum(self._cells, 1)).tolist()
         return frozenset(largely) | {self.of(frontier.centre) for frontier in frontiers if frontier.view is not None}
 
-    def divided(
+    def divide(
         self,
         here: Cell,
         there: Cell,

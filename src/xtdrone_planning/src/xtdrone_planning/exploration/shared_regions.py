@@ -33,13 +33,13 @@ class Share:
     Attributes:
         vehicle: sender.
         kind: STATE, PROPOSAL, ACCEPTANCE or REFUSAL.
-        number: of the sender's set of regions (STATE), or of the proposal.
+        number: Number of the sender's set of regions (STATE), or of the proposal.
         partner: recipient; empty: all.
-        base: of a proposal: number of the partner's set on which it is based.
+        base: Base of a proposal: number of the partner's set on which it is based.
         place: position of the sender, x, y, m in map.
         target: position to which it flies, likewise; its own position if there is none.
-        regions: of the sender; in a proposal, those that it would own.
-        partner_regions: in a proposal, those that the partner would own.
+        regions: Regions of the sender; in a proposal, those that it would own.
+        partner_regions: Partner regions in a proposal, those that the partner would own.
     """
 
     vehicle: str
@@ -74,7 +74,7 @@ class Sharing:
         """Start: the fleet's first vehicle owns all regions.
 
         Args:
-            name: of the vehicle.
+            name: Name of the vehicle.
             fleet: names of all exploring vehicles.
             count: number of regions.
             lost_after: s, see ``lost``.
@@ -141,21 +141,21 @@ class Sharing:
         self.own = regions
         self.number += 1
 
-    def step(self, now: float, place: Place, target: Place, active: Regions, divided: Divide) -> list[Share]:
+    def step(self, now: float, place: Place, target: Place, active: Regions, divide: Divide) -> list[Share]:
         """Return the messages of this update.
 
         Args:
             now: s.
             place, target: of this vehicle, x, y, m in map.
             active: regions that are not fully explored.
-            divided: see ``Divide``.
+            divide: see ``Divide``.
         """
         self._now = now
         self._adopt_orphans(active)
         messages, self._answers = self._answers, []
         if self._pending is not None and now - self._pending[1] > _PATIENCE:
             self._pending = None
-        proposal = self._proposal(active, divided)
+        proposal = self._proposal(active, divide)
         if proposal is not None:
             self._pending = (proposal, now)
             messages.append(proposal)
@@ -175,7 +175,7 @@ class Sharing:
         if ripe and all(self._rank(self._name) < self._rank(other) for other in alive):
             self._take(self.own | ripe)
 
-    def _proposal(self, active: Regions, divided: Divide) -> Share | None:
+    def _proposal(self, active: Regions, divide: Divide) -> Share | None:
         """Return a proposal to the least recently asked vehicle, if one is due and changes the division."""
         pause = _PAUSE if self.own & active else _IDLE_PAUSE
         alive = [other for other in self._alive() if self._others[other].state is not None]
@@ -189,7 +189,7 @@ class Sharing:
         mine, theirs = self.own & active, state.regions & active
         if not mine | theirs:
             return None
-        new_mine, new_theirs = divided(state.place, mine, theirs)
+        new_mine, new_theirs = divide(state.place, mine, theirs)
         if (new_mine, new_theirs) == (mine, theirs):
             return None
         self._proposals += 1

@@ -66,7 +66,7 @@ def is_seen(evidence, corner, resolution, x, y, z, radius):
         corner: (3,) index of the lowest voxel.
         resolution: side of a voxel, m.
         x, y, z: the disc's centre, m in map.
-        radius: of the disc, m.
+        radius: Radius of the disc, m.
     """
     nx, ny, nz = evidence.shape
     ci, cj = x / resolution - corner[0], y / resolution - corner[1]

@@ -15,28 +15,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import rospy
-from geometry_msgs.msg import Pose, PoseStamped
-from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from xtdrone_control import lockstep
+from xtdrone_control.clouds import ScanError, depths_of, points_of
+from xtdrone_control.pose_history import PoseHistory
 from xtdrone_control.settings import Settings, setting
-from xtdrone_perception.tracking.pose_history import PoseHistory
-from xtdrone_planning.mapping.map_messages import depths_of
-from xtdrone_planning.mapping.range_images import (
-    DepthImages,
-    DepthMapping,
-    LidarImages,
-    LidarMapping,
-    RangeImage,
-    ScanError,
-    points_of,
-)
-from xtdrone_planning.mapping.sensor_watch import SensorWatch
+from xtdrone_control.vehicle_topics import VehicleTopics
+from xtdrone_planning.mapping.range_images import DepthImages, DepthMapping, LidarImages, LidarMapping, RangeImage
+from xtdrone_planning.mapping.sensor_watch import SensorWatch, WatchSettings
 
 _INTRINSICS = (0, 4, 2, 5)  # fx, fy, cx, cy in K
 
@@ -48,6 +39,26 @@ class SensorChoice(Settings):
     sensor: str = setting(
         "lidar", choices=("lidar", "depth"), text="sensor that the map is built from: lidar cloud or depth image"
     )
+
+
+class SensorSettings(NamedTuple):
+    """All settings of the sensor that maps."""
+
+    choice: SensorChoice = SensorChoice()
+    lidar: LidarMapping = LidarMapping()
+    depth: DepthMapping = DepthMapping()
+    watch: WatchSettings = WatchSettings()
+
+    @classmethod
+    def read(cls) -> SensorSettings:
+        """Return the settings of the private parameters.
+
+        Raises:
+            SettingError: A parameter is not allowed.
+        """
+        get = rospy.get_param
+        lidar, depth = LidarMapping.from_parameters(get), DepthMapping.from_parameters(get)
+        return cls(SensorChoice.from_parameters(get), lidar, depth, WatchSettings.from_parameters(get))
 
 
 class FedMap(Protocol):
@@ -69,52 +80,34 @@ class MapFeed:
         vehicle: str,
         fed_map: FedMap,
         watch: SensorWatch,
-        sensor: str,
-        lidar: LidarMapping,
-        depth: DepthMapping,
+        settings: SensorSettings,
         timed: Callable[[], AbstractContextManager[None]] = nullcontext,
         odometry: str = "",
     ) -> None:
         """Declare the topics.
 
         Args:
-            vehicle: name, as ``iris_0``.
-            fed_map: map to feed.
-            watch: monitors the sensor.
-            sensor: lidar or depth.
-            lidar, depth: settings of the sensor.
-            timed: returns a context manager around reading and inserting each measurement.
-            odometry: name of the odometry whose poses are used, e.g. ``lidar_odometry``; empty: the autopilot's
-            estimate.
+            vehicle: Name of the vehicle, as ``iris_0``.
+            fed_map: Map to feed.
+            watch: Supervision of the sensor.
+            settings: Settings of the sensor.
+            timed: Returns a context manager around reading and inserting each measurement.
+            odometry: Name of the odometry whose poses are used; empty: the autopilot's estimate.
         """
         self._timed = timed
         self._vehicle = vehicle
         self._map = fed_map
         self._watch = watch
-        self._mount = lidar.lidar_position if sensor == "lidar" else depth.depth_position
+        is_lidar, lidar, depth = settings.choice.sensor == "lidar", settings.lidar, settings.depth
+        self._mount = lidar.lidar_position if is_lidar else depth.depth_position
         self._lidar, self._depth = LidarImages(lidar), DepthImages(depth)
         self._intrinsics: tuple[float, float, float, float] | None = None
-        if odometry:
-            lockstep.Subscriber(f"/{vehicle}/{odometry}/odometry", Odometry, self._on_odometry)
-        else:
-            lockstep.Subscriber(f"/{vehicle}/mavros/local_position/pose", PoseStamped, self._on_pose)
-        if sensor == "lidar":
+        VehicleTopics(vehicle, "pose", poses=fed_map.poses, odometry=odometry)
+        if is_lidar:
             lockstep.Subscriber(f"/{vehicle}/{lidar.lidar_topic}", PointCloud2, self._on_cloud, queue_size=1)
         else:
             lockstep.Subscriber(f"/{vehicle}/{depth.depth_topic}/camera_info", CameraInfo, self._on_info, queue_size=1)
             lockstep.Subscriber(f"/{vehicle}/{depth.depth_topic}/image_raw", Image, self._on_image, queue_size=1)
-
-    def _on_pose(self, message: PoseStamped) -> None:
-        self._add_pose(message.header.stamp.to_nsec(), message.pose)
-
-    def _on_odometry(self, message: Odometry) -> None:
-        self._add_pose(message.header.stamp.to_nsec(), message.pose.pose)
-
-    def _add_pose(self, stamp_ns: int, pose: Pose) -> None:
-        p, q = pose.position, pose.orientation
-        entry = np.array([p.x, p.y, p.z, q.w, q.x, q.y, q.z])
-        if np.isfinite(entry).all():
-            self._map.poses.add(stamp_ns, entry)
 
     def _on_info(self, message: CameraInfo) -> None:
         fx, fy, cx, cy = (float(message.K[n]) for n in _INTRINSICS)

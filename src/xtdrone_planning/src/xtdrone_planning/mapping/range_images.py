@@ -8,22 +8,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.clouds import ScanError
 from xtdrone_control.settings import Settings, setting
 from xtdrone_planning.mapping.range_image_kernels import fill_image, take_rays
 
 Array = NDArray[np.float64]
-
-_KINDS = {1: "i1", 2: "u1", 3: "<i2", 4: "<u2", 5: "<i4", 6: "<u4", 7: "<f4", 8: "<f8"}
-"""numpy types of the datatypes of sensor_msgs/PointField."""
-
-
-class ScanError(ValueError):
-    """A cloud or image that cannot be read; the message names the field, its value and what is allowed."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +75,7 @@ class RangeImage:
         """Return the rays that tell something.
 
         Args:
-            by_columns: in the order of columns, else of rows.
+            by_columns: Whether the rays are in the order of columns, not of rows.
 
         Returns:
             Ranges (n,), directions (n, 3), times (n,), and whether each ends at a surface (n,).
@@ -95,40 +88,6 @@ class RangeImage:
             ranges, directions, times, hits,
         )  # fmt: skip
         return ranges[:count], directions[:count], times[:count], hits[:count]
-
-
-def _is_usable(field: Any, step: int) -> bool:
-    """Return whether a sensor_msgs/PointField is a single number of a known type within a point of ``step`` bytes."""
-    kind = _KINDS.get(field.datatype)
-    return kind is not None and field.count == 1 and field.offset + np.dtype(kind).itemsize <= step
-
-
-def points_of(message: object) -> NDArray[np.void]:
-    """Return the points of a sensor_msgs/PointCloud2, (n,), as records with its fields.
-
-    Raises:
-        ScanError: the layout is not that of a cloud with x, y and z.
-    """
-    fields = {field.name: field for field in message.fields}  # type: ignore[attr-defined]
-    step, data = message.point_step, message.data  # type: ignore[attr-defined]
-    if message.is_bigendian or not {"x", "y", "z"} <= fields.keys():  # type: ignore[attr-defined]
-        raise ScanError(f"fields: {', '.join(fields) or 'none'} are not allowed, x, y, z, little-endian")
-    unusable = [field.name for field in fields.values() if not _is_usable(field, step)]
-    if unusable:
-        raise ScanError(
-            f"fields: {', '.join(unusable)} are not allowed, single numbers of a known type within {step} bytes"
-        )
-    if step <= 0 or len(data) % step:
-        raise ScanError(f"point_step: {step} with {len(data)} bytes of data is not allowed, a whole number of points")
-    kind = np.dtype(
-        {
-            "names": list(fields),
-            "formats": [_KINDS[field.datatype] for field in fields.values()],
-            "offsets": [field.offset for field in fields.values()],
-            "itemsize": step,
-        }
-    )
-    return np.frombuffer(data, kind)
 
 
 class LidarImages:
@@ -147,8 +106,8 @@ class LidarImages:
         """Return the range image of a cloud.
 
         Args:
-            points: as of ``points_of``; without ``ring`` the order of points is unknown; without ``time`` all points
-                have the time of the stamp.
+            points: Records of ``clouds.points_of``; without ``ring`` the order of points is unknown; without ``time``
+                all points have the time of the stamp.
         """
         settings = self._settings
         x, y, z = (points[name].astype(float) for name in "xyz")

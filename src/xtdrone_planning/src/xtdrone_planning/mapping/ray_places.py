@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control import rotation_kernels
-from xtdrone_perception.tracking.pose_history import PoseHistory
+from xtdrone_control.pose_history import PoseHistory
 from xtdrone_planning.kernel import kernel
 from xtdrone_planning.mapping.range_images import RangeImage
 
@@ -35,12 +34,7 @@ class PlacedRays(NamedTuple):
 
 
 def rays_in_map(
-    image: RangeImage,
-    stamp_ns: int,
-    mount: tuple[float, float, float],
-    poses: PoseHistory,
-    *,
-    by_columns: bool = False,
+    image: RangeImage, stamp_ns: int, mount: tuple[float, float, float], poses: PoseHistory, *, by_columns: bool = False
 ) -> PlacedRays | None:
     """Return the rays of a measurement, each from the vehicle's pose at the time of the ray.
 
@@ -48,24 +42,19 @@ def rays_in_map(
         image: the rays.
         stamp_ns: time of the image, ns.
         mount: the sensor's place in base_link, m, FLU.
-        poses: of base_link, entries x, y, z, m in map, and quaternion w, x, y, z.
+        poses: Poses of base_link, entries x, y, z, m in map, and quaternion w, x, y, z.
         by_columns: see ``RangeImage.rays``.
 
     Returns:
         None if the pose at one of the times is not known.
     """
     ranges, directions, times, hits = image.rays(by_columns=by_columns)
-    seconds = float(times.max()) if len(times) else 0.0
-    spacing = max(seconds, 1e-3) / _PIECES
-    found = [poses.at(stamp_ns + round(k * spacing * 1e9)) for k in range(_PIECES + 1)]
-    known = [pose.copy() for pose in found if pose is not None]
-    if len(known) < len(found):
+    seconds = max(float(times.max()) if len(times) else 0.0, 1e-3)
+    known = poses.during(stamp_ns, seconds, _PIECES)
+    if known is None:
         return None
-    for before, after in itertools.pairwise(known):
-        if before[3:] @ after[3:] < 0.0:
-            after[3:] *= -1.0  # a quaternion and its negative are the same rotation: use the nearer one
     origins, ends = np.empty_like(directions), np.empty_like(directions)
-    place_rays(np.array(known), spacing, np.array(mount), ranges, directions, times, origins, ends)
+    place_rays(known, seconds / _PIECES, np.array(mount), ranges, directions, times, origins, ends)
     return PlacedRays(origins, ends, hits, known[-1][:3])
 
 

@@ -1,5 +1,7 @@
 """The local map: a box of voxels that moves with the vehicle, each with the evidence that it is occupied.
 
+``LocalMap`` inserts range measurements into a ``VoxelGrid``.
+
 Evidence is a log-odds value in hundredths, clamped (A. Hornung et al., OctoMap: an efficient probabilistic 3D mapping
 framework based on octrees, Autonomous Robots 34, 2013, equations 2 to 4). A voxel that no ray has reached has no
 evidence: the third state, unknown.
@@ -7,14 +9,18 @@ evidence: the third state, unknown.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.pose_history import PoseHistory
 from xtdrone_control.settings import Settings, setting
 from xtdrone_planning.mapping.distance_field import distance_field
+from xtdrone_planning.mapping.range_images import RangeImage
 from xtdrone_planning.mapping.ray_casting import cast_rays, free_sphere
+from xtdrone_planning.mapping.ray_places import leave_out_places, rays_in_map
 
 Array = NDArray[np.float64]
 
@@ -88,7 +94,7 @@ class VoxelGrid:
             return
         corner = np.floor(position / self.resolution).astype(np.int64) - np.array(self.evidence.shape) // 2
         moved = corner - self.corner
-        self.evidence = _shifted(self.evidence, moved)
+        self.evidence = _shift_values(self.evidence, moved)
         self.corner = corner
 
     def insert(self, origins: Array, ends: Array, hits: NDArray[np.bool_]) -> None:
@@ -138,7 +144,7 @@ class VoxelGrid:
         return self.middle(np.argwhere(self.evidence >= OCCUPIED_FROM))
 
 
-def _shifted(values: NDArray[np.int16], moved: NDArray[np.int64]) -> NDArray[np.int16]:
+def _shift_values(values: NDArray[np.int16], moved: NDArray[np.int64]) -> NDArray[np.int16]:
     """Return a grid whose voxel i is the old one's voxel i + ``moved``; new voxels are 0."""
     shifted = np.zeros_like(values)
     old = [slice(max(0, m), n + min(0, m)) for m, n in zip(moved.tolist(), values.shape, strict=True)]
@@ -146,3 +152,63 @@ def _shifted(values: NDArray[np.int16], moved: NDArray[np.int64]) -> NDArray[np.
     if all(part.stop > part.start for part in old):
         shifted[tuple(new)] = values[tuple(old)]
     return shifted
+
+
+def no_others(_: float) -> tuple[Array, Array]:
+    """Return no vehicles; see ``LocalMap.others``."""
+    return np.empty((0, 3)), np.empty(0)
+
+
+class LocalMap:
+    """Inserts range images into a grid; each ray starts at the vehicle's pose at the time of the ray.
+
+    Attributes:
+        grid: the map.
+        poses: history of base_link poses: x, y, z, m in map, and quaternion w, x, y, z; ``poses.add`` appends one.
+        others: returns positions of other vehicles at a time, s: (m, 3), and radii (m,), m, within which rays may end
+            at the vehicle. Such rays are not inserted: a moving vehicle would leave a trail of obstacles.
+        is_used: returns whether the distances are needed after each measurement; otherwise they are computed only when
+            they are read.
+    """
+
+    def __init__(self, settings: MapSettings, radius: float) -> None:
+        """Start empty.
+
+        Args:
+            settings: Settings of the grid.
+            radius: space within this distance of the vehicle counts as free, m.
+        """
+        self.grid = VoxelGrid(settings)
+        self.poses = PoseHistory(seconds=2.0, reach=0.1)
+        self.others: Callable[[float], tuple[Array, Array]] = no_others
+        self.is_used: Callable[[], bool] = lambda: True
+        self._radius = radius
+
+    def restart(self) -> None:
+        """Forget map and poses, because simulated time was reset."""
+        self.grid.clear()
+        self.poses.clear()
+
+    def enter(self, image: RangeImage, stamp_ns: int, mount: tuple[float, float, float]) -> bool:
+        """Insert a measurement, and update the distances.
+
+        Args:
+            image: the rays.
+            stamp_ns: time of the image, ns.
+            mount: position of the sensor in base_link, m, FLU.
+
+        Returns:
+            False if the pose at that time is not known; the map is then unchanged.
+        """
+        rays = rays_in_map(image, stamp_ns, mount, self.poses, by_columns=True)
+        if rays is None:
+            return False
+        self.grid.recentre(rays.position)
+        middle = 1e-9 * stamp_ns + 0.5 * float(image.times.max(initial=0.0))
+        count = leave_out_places(rays.origins, rays.ends, rays.hits, *self.others(middle))
+        self.grid.insert(rays.origins[:count], rays.ends[:count], rays.hits[:count])
+        self.grid.free_around(rays.position, self._radius)
+        self.grid.update_distance()
+        if self.is_used():
+            _ = self.grid.distance
+        return True

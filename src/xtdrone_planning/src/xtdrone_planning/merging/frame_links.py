@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_perception.slam.poses import inverse, pose_of, transformed, turned_about_z, yaw_of
+from xtdrone_control.pose_matrices import inverse, pose_of, transform_points, turned_about_z, yaw_of
 from xtdrone_planning.merging.settings import LinkSettings, NotMergedError
 
 Array = NDArray[np.float64]
@@ -72,7 +72,7 @@ class Link(NamedTuple):
             pose: (4, 4) of the second map in the first.
             noise: its own standard deviation, m and rad.
         """
-        shift = transformed(pose, self.middle) - transformed(self.pose, self.middle)
+        shift = transform_points(pose, self.middle) - transform_points(self.pose, self.middle)
         off = np.append(shift, yaw_of(inverse(self.pose) @ pose))
         covariance = self.covariance + np.diag([noise[0] ** 2] * 3 + [noise[1] ** 2])
         return float(np.sqrt(off @ np.linalg.solve(covariance, off)))
@@ -82,7 +82,7 @@ class Link(NamedTuple):
         back = inverse(self.pose)
         turn = np.eye(4)
         turn[:3, :3] = back[:3, :3]
-        middle = transformed(self.pose, self.middle)  # at this point the pose and its inverse have the same error
+        middle = transform_points(self.pose, self.middle)  # at this point the pose and its inverse have the same error
         return Link(back, middle, turn @ self.covariance @ turn.T, self.inliers, self.estimates)
 
 
@@ -145,7 +145,7 @@ def _closed_form(pairs: Pairs, weights: Array, settings: LinkSettings) -> Array:
 
 
 def _squares(pairs: Pairs, information: Array, pose: Array) -> Array:
-    off = pairs.seen - transformed(pose, pairs.other)
+    off = pairs.seen - transform_points(pose, pairs.other)
     squares: Array = information * np.einsum("ni,ni->n", off, off)
     return squares
 

@@ -10,7 +10,7 @@ import numpy as np
 import small_gicp
 from numpy.typing import NDArray
 
-from xtdrone_perception.slam.poses import transformed
+from xtdrone_control.pose_matrices import transform_points
 from xtdrone_planning.merging.frame_links import Link, Pairs, link_of
 from xtdrone_planning.merging.map_registration import Fit, Surfaces, fit_of, surfaces_of
 from xtdrone_planning.merging.settings import FitSettings, LinkSettings, NotMergedError
@@ -47,7 +47,7 @@ class Merged(NamedTuple):
     reasons: dict[int, dict[int, str]]
 
 
-def merged(
+def merge_maps(
     clouds: Sequence[Array], pairs: Mapping[tuple[int, int], Pairs], link_how: LinkSettings, fit_how: FitSettings
 ) -> Merged:
     """Return the placements of all vehicles' maps in the first one's.
@@ -80,7 +80,7 @@ def merged(
     return Merged(placed, {number: _reasons(number, placed, refused) for number in others})
 
 
-def merged_points(clouds: Sequence[Array], placed: Mapping[int, Placed], voxel: float) -> Array:
+def merge_points(clouds: Sequence[Array], placed: Mapping[int, Placed], voxel: float) -> Array:
     """Return the merged map, (n, 3) m in the first vehicle's frame: the mean of the points in each cell.
 
     Args:
@@ -88,7 +88,7 @@ def merged_points(clouds: Sequence[Array], placed: Mapping[int, Placed], voxel: 
         placed: their placements.
         voxel: side of a cell, m.
     """
-    parts = [transformed(placed[number].pose, clouds[number]) for number in sorted(placed)]
+    parts = [transform_points(placed[number].pose, clouds[number]) for number in sorted(placed)]
     points = np.concatenate(parts)
     return np.asarray(small_gicp.voxelgrid_sampling(points, voxel).points())[:, :3] if len(points) else points
 

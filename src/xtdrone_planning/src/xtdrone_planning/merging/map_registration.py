@@ -13,7 +13,7 @@ import small_gicp
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from xtdrone_perception.slam.poses import transformed
+from xtdrone_control.pose_matrices import transform_points
 from xtdrone_planning.merging.frame_links import Link
 from xtdrone_planning.merging.settings import FitSettings, NotMergedError
 
@@ -32,8 +32,8 @@ class Surfaces(NamedTuple):
     """A map prepared for registration.
 
     Attributes:
-        cloud: of small_gicp, with covariances.
-        tree: of small_gicp.
+        cloud: Cloud of small_gicp, with covariances.
+        tree: Tree of small_gicp.
         upright: (m, 3) m, its points on vertical surfaces.
         normals: (m, 3) of these.
     """
@@ -65,7 +65,7 @@ def surfaces_of(points: Array, settings: FitSettings) -> Surfaces | None:
 
     Args:
         points: (n, 3) m, finite.
-        settings: of the registration.
+        settings: Settings of the registration.
     """
     if len(points) < _LEAST_POINTS:
         return None
@@ -84,15 +84,15 @@ def fit_of(first: Surfaces | None, second: Surfaces | None, link: Link, settings
     Args:
         first, second: the maps.
         link: pose of the second in the first by relative estimates.
-        settings: of the registration.
+        settings: Settings of the registration.
 
     Raises:
         NotMergedError: the maps do not match.
     """
     if first is None or second is None:
         raise NotMergedError("a map has too few points so far")
-    pose, weakest = _aligned(first, second, link, settings)
-    found = _judged(first, second, pose, settings)
+    pose, weakest = _align(first, second, link, settings)
+    found = _assess(first, second, pose, settings)
     if weakest < settings.weakest:
         raise NotMergedError(f"the surfaces do not determine the position: information ratio {weakest:.3f}")
     tilt = float(np.arccos(np.clip(pose[2, 2], -1.0, 1.0)))
@@ -104,7 +104,7 @@ def fit_of(first: Surfaces | None, second: Surfaces | None, link: Link, settings
     return found
 
 
-def _aligned(first: Surfaces, second: Surfaces, link: Link, settings: FitSettings) -> tuple[Array, float]:
+def _align(first: Surfaces, second: Surfaces, link: Link, settings: FitSettings) -> tuple[Array, float]:
     """Return the best pose (4, 4), and the ratio of the smallest to the largest information on the position."""
     pose = link.pose
     for reach in (max(_COARSE * link.deviation, 2.0 * settings.reach), settings.reach):
@@ -122,7 +122,7 @@ def _aligned(first: Surfaces, second: Surfaces, link: Link, settings: FitSetting
     return pose, float(max(values[0], 0.0) / values[-1]) if values[-1] > 0.0 else 0.0
 
 
-def _judged(first: Surfaces, second: Surfaces, pose: Array, settings: FitSettings) -> Fit:
+def _assess(first: Surfaces, second: Surfaces, pose: Array, settings: FitSettings) -> Fit:
     """Return the fit at a pose (4, 4).
 
     Raises:
@@ -131,7 +131,7 @@ def _judged(first: Surfaces, second: Surfaces, pose: Array, settings: FitSetting
     least = min(len(first.upright), len(second.upright))
     if least < settings.least_points:
         raise NotMergedError(f"a map has {least} points on vertical surfaces, {settings.least_points} are needed")
-    moved = transformed(pose, second.upright)
+    moved = transform_points(pose, second.upright)
     distance, nearest = cKDTree(first.upright).query(moved, distance_upper_bound=_NEARBY * settings.reach)
     meets, near = distance <= settings.reach, np.isfinite(distance)
     overlap = min(float(meets.sum()) / least, 1.0)

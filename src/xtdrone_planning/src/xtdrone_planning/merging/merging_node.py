@@ -27,19 +27,19 @@ from typing import NamedTuple
 import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Pose, PoseStamped
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import lockstep
+from xtdrone_control.clouds import cloud_message, read_cloud
 from xtdrone_control.lockstep.deferred_work import Deferred
-from xtdrone_perception.slam import odometry_messages as messages
-from xtdrone_perception.slam.scan_points import read_cloud
-from xtdrone_perception.tracking.pose_history import PoseHistory
+from xtdrone_control.pose_history import PoseHistory
+from xtdrone_control.pose_messages import transform_message
+from xtdrone_control.vehicle_topics import VehicleTopics
 from xtdrone_planning.merging.frame_links import Pairs
-from xtdrone_planning.merging.map_chain import Merged, Placed, merged, merged_points
+from xtdrone_planning.merging.map_chain import Merged, Placed, merge_maps, merge_points
 from xtdrone_planning.merging.settings import FitSettings, LinkSettings, MergingOptions
 from xtdrone_planning.octree.octree_format import encode, file_of
 from xtdrone_planning.octree.octree_map import blocks_of
@@ -96,16 +96,12 @@ class VehicleMap:
         self.poses = PoseHistory(seconds=5.0, reach=_REACH)
         self.restart()
         lockstep.Subscriber(f"/{name}/{options.cloud}", PointCloud2, self._on_cloud, queue_size=1, buff_size=2**24)
-        if options.odometry:
-            lockstep.Subscriber(f"/{name}/{options.odometry}/odometry", Odometry, self._on_odometry)
-        else:
-            lockstep.Subscriber(f"/{name}/mavros/local_position/pose", PoseStamped, self._on_pose)
+        VehicleTopics(name, "pose", poses=self.poses, odometry=options.odometry)
 
     def restart(self) -> None:
         """Forget everything."""
         self.points: Array = np.empty((0, 3))
         self.fault = "no map has been received"
-        self.poses.clear()
 
     def _on_cloud(self, message: PointCloud2) -> None:
         try:
@@ -114,20 +110,8 @@ class VehicleMap:
             self.fault = f"its map was rejected: {error}"
             rospy.logwarn_throttle(5.0, f"{self._name}: {self.fault}; the last valid one is kept")
 
-    def _on_odometry(self, message: Odometry) -> None:
-        self._add(message.header.stamp.to_nsec(), message.pose.pose)
 
-    def _on_pose(self, message: PoseStamped) -> None:
-        self._add(message.header.stamp.to_nsec(), message.pose)
-
-    def _add(self, stamp_ns: int, pose: Pose) -> None:
-        p, q = pose.position, pose.orientation
-        entry = np.array([p.x, p.y, p.z, q.w, q.x, q.y, q.z])
-        if np.isfinite(entry).all():
-            self.poses.add(stamp_ns, entry)
-
-
-class Estimates:
+class RelativeEstimates:
     """Latest estimates of one vehicle's position by another."""
 
     def __init__(self, observer: VehicleMap, other: VehicleMap, topic: str, settings: MergingSettings) -> None:
@@ -184,13 +168,13 @@ class MapMergingNode:
         """Declare the topics.
 
         Args:
-            names: of the vehicles, at least two; the others are merged into the frame of the first.
-            settings: of the node.
+            names: Names of the vehicles, at least two; the others are merged into the frame of the first.
+            settings: Settings of the node.
         """
         self._names, self._settings = names, settings
         self._vehicles = [VehicleMap(name, settings.options) for name in names]
         self._estimates = {
-            (i, j): Estimates(
+            (i, j): RelativeEstimates(
                 self._vehicles[i], self._vehicles[j], f"/xtdrone/{names[i]}/neighbours/{names[j]}", settings
             )
             for i in range(len(names))
@@ -263,7 +247,7 @@ class MapMergingNode:
     def _publish(self, outcome: _Outcome, stamp: rospy.Time) -> None:
         before, self._maps, self._points = set(self._maps.placed), outcome.maps, outcome.points
         frame = self._settings.options.frame_id
-        self._map.publish(messages.cloud(outcome.points, stamp, frame))
+        self._map.publish(cloud_message(outcome.points, stamp, frame))
         for number, placed in sorted(self._maps.placed.items()):
             if number not in before and number:
                 rospy.loginfo(f"{self._names[number]}: its map is {self._words(placed)}")
@@ -294,7 +278,7 @@ class MapMergingNode:
         self._diagnostics.publish(message)
         for number, placed in sorted(self._maps.placed.items()):
             frames = self._settings.options.frame_id, f"{self._names[number]}/map"
-            self._tf.publish(messages.transform(placed.pose, stamp, *frames))
+            self._tf.publish(transform_message(placed.pose, stamp, *frames))
 
     def _status(self, number: int) -> DiagnosticStatus:
         name, placed = self._names[number], self._maps.placed.get(number)
@@ -311,8 +295,8 @@ class MapMergingNode:
 
 def _outcome(clouds: Sequence[Array], pairs: dict[tuple[int, int], Pairs], settings: MergingSettings) -> _Outcome:
     """Return the merged maps; called by the worker."""
-    maps = merged(clouds, pairs, settings.link, settings.fit)
-    return _Outcome(maps, merged_points(clouds, maps.placed, settings.options.voxel))
+    maps = merge_maps(clouds, pairs, settings.link, settings.fit)
+    return _Outcome(maps, merge_points(clouds, maps.placed, settings.options.voxel))
 
 
 def _figures(placed: Placed) -> list[KeyValue]:

@@ -22,12 +22,9 @@ class LinkSettings(Settings):
         0.1, low=1e-3, high=10.0, unit="m", text="standard deviation added to that of each relative estimate"
     )
     heading_deviation: float = setting(
-        0.2,
-        low=1e-3,
-        high=100.0,
-        unit="rad",
+        0.2, low=1e-3, high=100.0, unit="rad",
         text="standard deviation of the difference between the maps' headings by compass; 3 or more: no prior",
-    )
+    )  # fmt: skip
     correlation: float = setting(
         5.0, low=0.0, high=600.0, unit="s", text="correlation time of the errors of relative estimates"
     )
@@ -79,8 +76,7 @@ class MergingOptions(Settings):
 
     cloud: str = setting("octomap_point_cloud_centers", text="topic of each vehicle's map, below its name")
     odometry: str = setting(
-        "",
-        text="odometry that defines the map's frame: lidar_odometry, slam, ...; empty: the autopilot's estimate",
+        "", text="odometry that defines the map's frame: lidar_odometry, slam, ...; empty: the autopilot's estimate"
     )
     frame_id: str = setting("map", text="frame of the merged map, which is that of the first vehicle's map")
     interval: float = setting(

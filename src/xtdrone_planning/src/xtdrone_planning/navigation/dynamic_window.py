@@ -57,7 +57,7 @@ def _reach(value: float, change: float, low: float, high: float) -> tuple[float,
     return min(max(low, value - change), value + change), max(min(high, value + change), value - change)
 
 
-def braked(settings: WindowSettings, present: Motion, turn: float) -> Motion:
+def brake(settings: WindowSettings, present: Motion, turn: float) -> Motion:
     """Return the motion after braking for one cycle, s."""
     slower = max(0.0, abs(present.speed) - settings.acceleration * turn)
     steadier = max(0.0, abs(present.rate) - settings.turn_acceleration * turn)
@@ -104,12 +104,12 @@ def arc(pose: Array, motion: Motion, duration: float, count: int) -> Array:
     """Return the poses (count, 3), x, y, m, yaw, rad, along a motion, evenly spaced over a duration, s."""
     found = np.empty((count, 3))
     for n in range(count):
-        found[n] = moved(pose[0], pose[1], pose[2], motion.speed, motion.rate, duration * (n + 1) / count)
+        found[n] = move_along_arc(pose[0], pose[1], pose[2], motion.speed, motion.rate, duration * (n + 1) / count)
     return found
 
 
 @kernel
-def moved(x, y, yaw, speed, rate, time):
+def move_along_arc(x, y, yaw, speed, rate, time):
     """Return the pose after a time, s, on the arc of speed, m/s, and yaw rate, rad/s."""
     half = 0.5 * rate * time
     way = speed * time
@@ -194,7 +194,7 @@ def _nearness(distance, corner, cell, pose, speed, rate, duration, clearance):
     least = math.inf
     before = _away(distance, corner, cell, pose[0], pose[1])
     for n in range(1, steps + 1):
-        x, y, _ = moved(pose[0], pose[1], pose[2], speed, rate, duration * n / steps)
+        x, y, _ = move_along_arc(pose[0], pose[1], pose[2], speed, rate, duration * n / steps)
         now = _away(distance, corner, cell, x, y)
         if now < clearance and now < before:
             return -1.0
@@ -214,11 +214,11 @@ def best_motion(
         pose: (3,) x, y, m, yaw, rad.
         speeds, rates: of the window, m/s and rad/s.
         horizon: s; a motion is checked for longer if stopping takes longer.
-        acceleration: of braking, m/s^2.
+        acceleration: Acceleration of braking, m/s^2.
         clearance: minimum distance to obstacles, m.
         path: (n, 2) m, n at least 1.
         target: (2,) m.
-        weights: of heading, progress, distance to the path (1/m), clearance and speed (s/m).
+        weights: Weights of heading, progress, distance to the path (1/m), clearance and speed (s/m).
 
     Returns:
         (found, speed, rate).
@@ -233,7 +233,7 @@ def best_motion(
             )  # fmt: skip
             if near < 0.0:
                 continue
-            x, y, yaw = moved(pose[0], pose[1], pose[2], speed, rate, horizon)
+            x, y, yaw = move_along_arc(pose[0], pose[1], pose[2], speed, rate, horizon)
             u, v = target[0] - x, target[1] - y
             rest = math.hypot(u, v)
             heading = 1.0

@@ -1,7 +1,8 @@
 """Plane map: combines a given map with the scans of a 2D lidar, with distances to obstacles and costs.
 
 Evidence is that of ``voxel_grid``, in a single layer. The costs are those of costmap_2d (D. Lu, D. Hershberger,
-W. Smart, Layered costmaps for context-sensitive navigation, IROS 2014) as its publisher scales them.
+W. Smart, Layered costmaps for context-sensitive navigation, IROS 2014) as its publisher scales them. ``ScanRays`` are
+the rays of a scan, prepared for insertion.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from xtdrone_planning.mapping.distance_field import distance_field
 from xtdrone_planning.mapping.ray_casting import cast_rays
+from xtdrone_planning.mapping.ray_places import place_rays
 from xtdrone_planning.mapping.voxel_grid import FREE_TO, MOST, OCCUPIED_FROM
 from xtdrone_planning.navigation.settings import CostmapSettings
 
@@ -165,7 +167,7 @@ class LevelMap:
 
         Args:
             part: which cells.
-            radius: of the vehicle, m.
+            radius: Radius of the vehicle, m.
         """
         distance, evidence = self.distance[part][:, :, 0], self.evidence[part][:, :, 0]
         costs = np.floor(98.0 * np.exp(-_STEEPNESS * np.maximum(0.0, distance - radius))).astype(np.int8)
@@ -174,3 +176,56 @@ class LevelMap:
         costs[distance < radius] = INSCRIBED
         costs[evidence >= OCCUPIED_FROM] = LETHAL
         return costs
+
+
+class ScanRays:
+    """Rays of one scan in the lidar's frame.
+
+    Attributes:
+        ranges: (n,) m; up to the end of the free part of the ray.
+        directions: (n, 3) unit vectors in base_link.
+        times: (n,) s after the scan's stamp.
+        hits: (n,) whether the ray ends at a surface.
+    """
+
+    def __init__(
+        self, ranges: Array, first: float, step: float, time_step: float, limits: tuple[float, float], yaw: float
+    ) -> None:
+        """Read the values of a scan.
+
+        A ray without a return is free up to the maximum range if its neighbours have none either, since a single
+        missing return may be a dropout; rays below the minimum range and NaN are skipped (REP 117).
+
+        Args:
+            ranges: (n,) m; infinite: no return.
+            first, step: angle of the first ray and between two rays, rad.
+            time_step: Time step between two rays, s.
+            limits: minimum and maximum range, m.
+            yaw: Yaw of the lidar in base_link, rad.
+        """
+        low, high = limits
+        hits = np.isfinite(ranges) & (ranges >= low) & (ranges <= high)
+        lost = (ranges == np.inf) | (np.isfinite(ranges) & (ranges > high))
+        free = lost & np.roll(lost, 1) & np.roll(lost, -1)
+        used = np.flatnonzero(hits | free)
+        angles = first + yaw + step * used
+        self.ranges = np.where(hits, ranges, high)[used]
+        self.directions = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(len(used))])
+        self.times = time_step * used
+        self.hits = hits[used]
+
+    def place(self, poses: Array, spacing: float, mount: Array, slab: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return the start and end points of the rays, (n, 3) m in map, and which of them end at a surface.
+
+        When the vehicle is tilted, a ray is cut off where it leaves the slab, because it may hit the ground.
+
+        Args:
+            poses, spacing, mount: see ``ray_places.place_rays``.
+            slab: m above and below the lidar within which rays count.
+        """
+        origins, ends = np.empty_like(self.directions), np.empty_like(self.directions)
+        place_rays(poses, spacing, mount, self.ranges, self.directions, self.times, origins, ends)
+        climb = np.abs(ends[:, 2] - origins[:, 2])
+        part = np.minimum(1.0, slab / np.maximum(climb, 1e-9))
+        ends = origins + part[:, None] * (ends - origins)
+        return origins, ends, self.hits & (part >= 1.0)

@@ -26,7 +26,6 @@ and the topics of ``vehicle_drives``.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,7 +33,6 @@ from pathlib import Path as FilePath
 
 import numpy as np
 import rospy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid, Path
 from nav_msgs.srv import GetPlanResponse
@@ -42,27 +40,26 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import LaserScan
 
 from xtdrone_control import lockstep
+from xtdrone_control.pose_history import PoseHistory
 from xtdrone_control.rotation import from_euler, yaw_of
 from xtdrone_control.settings import SettingError, Settings, setting
-from xtdrone_perception.tracking.pose_history import PoseHistory
-from xtdrone_planning.mapping.map_messages import FRAME
+from xtdrone_control.vehicle_topics import VehicleReport
+from xtdrone_planning.mapping.map_messages import FRAME, grid_message
 from xtdrone_planning.mapping.sensor_watch import SensorWatch, WatchSettings
-from xtdrone_planning.navigation.action_server.action_goals import ABORTED, SUCCEEDED
-from xtdrone_planning.navigation.action_server.action_topics import ActionTopics
-from xtdrone_planning.navigation.level_map import LevelMap, MapError
+from xtdrone_planning.navigation.action_server import ABORTED, SUCCEEDED, ActionTopics
+from xtdrone_planning.navigation.level_map import LevelMap, MapError, ScanRays
 from xtdrone_planning.navigation.move_base_services import MoveBaseServices
 from xtdrone_planning.navigation.navigator import ABORTED as GAVE_UP
 from xtdrone_planning.navigation.navigator import PLANNING, Navigator, Turn
-from xtdrone_planning.navigation.scan_rays import ScanRays
 from xtdrone_planning.navigation.settings import (
     CostmapSettings,
-    GoalError,
+    NavigationGoalError,
     NavigatorSettings,
     WindowSettings,
     check_reach,
 )
 from xtdrone_planning.navigation.vehicle_drives import DriveSettings, drive_of
-from xtdrone_planning.replanning.stopwatch import Stopwatch, write_summaries
+from xtdrone_planning.stopwatch import Stopwatch, write_summaries
 
 Array = NDArray[np.float64]
 
@@ -71,7 +68,6 @@ RATE = 20.0  # Hz, as move_base's controller
 _PIECES = 4  # intervals per scan, within which the vehicle's pose is interpolated
 _STALE_POSE = 0.5  # s
 _LOCAL_PERIOD, _GLOBAL_PERIOD = 0.2, 1.0  # s between two publications of a costmap
-_REPORT_PERIOD = 1.0  # s
 _WARNINGS = 5.0  # s between two equal ones
 _LEAST_NORM = 0.1  # of a goal's quaternion
 
@@ -91,7 +87,7 @@ class VehicleNavigation:
         """Declare the topics.
 
         Args:
-            name: of the vehicle.
+            name: Name of the vehicle.
             is_robot: whether it is a ground robot.
             rviz_goal: whether this vehicle subscribes to /move_base_simple/goal.
 
@@ -122,7 +118,7 @@ class VehicleNavigation:
         self._costmap = lockstep.Publisher(f"{base}/global_costmap/costmap", OccupancyGrid, latch=True)
         self._local_costmap = lockstep.Publisher(f"{base}/local_costmap/costmap", OccupancyGrid)
         self._current = lockstep.Publisher(f"{base}/current_goal", PoseStamped)
-        self._diagnostics = lockstep.Publisher("/diagnostics", DiagnosticArray)
+        self._diagnostics = VehicleReport(name, "navigation")
         for topic in sorted({f"{prefix}/move_base_simple/goal"} | ({"/move_base_simple/goal"} if rviz_goal else set())):
             lockstep.Subscriber(topic, PoseStamped, self._action.take)
         if self._costs.scan_topic:
@@ -147,8 +143,7 @@ class VehicleNavigation:
         self._forget()
 
     def _forget(self) -> None:
-        self._posed = self._reported = self._local_sent = self._global_sent = -math.inf
-        self._report: tuple[int, str] = (-1, "")
+        self._posed = self._local_sent = self._global_sent = -math.inf
         self._last_reason = ""
         self._path: Array = np.empty((0, 2))
 
@@ -183,7 +178,8 @@ class VehicleNavigation:
         rays = ScanRays(ranges, *numbers[:3], limits, self._costs.scan_yaw)
         if not self._watch.take(ranges.tobytes(), int(rays.hits.sum())):
             return
-        poses, spacing = self._poses_of(message.header.stamp.to_nsec(), message.time_increment * len(ranges))
+        seconds = max(message.time_increment * len(ranges), 1e-3)
+        poses = self._poses.during(message.header.stamp.to_nsec(), seconds, _PIECES)
         if poses is None:
             self._watch.rejected("no pose at the time of the scans")
             return
@@ -192,36 +188,24 @@ class VehicleNavigation:
                 self._watch.rejected(f"no map has been received on {self._costs.map_topic}")
                 return  # wait for the given map
             self.level.begin_around(poses[-1])
-        self.level.enter(*rays.placed(poses, spacing, np.array(self._costs.scan_position), self._costs.slab))
+        self.level.enter(*rays.place(poses, seconds / _PIECES, np.array(self._costs.scan_position), self._costs.slab))
         self.level.update_distance_around(poses[-1])
         self._watch.mapped(rospy.get_time())
-
-    def _poses_of(self, stamp_ns: int, seconds: float) -> tuple[Array | None, float]:
-        """Return the poses at times evenly spaced over a scan, (m, 7), and their spacing, s."""
-        spacing = max(seconds, 1e-3) / _PIECES
-        found = [self._poses.at(stamp_ns + round(k * spacing * 1e9)) for k in range(_PIECES + 1)]
-        poses = [pose.copy() for pose in found if pose is not None]
-        if len(poses) < len(found):
-            return None, spacing
-        for before, after in itertools.pairwise(poses):
-            if before[3:] @ after[3:] < 0.0:
-                after[3:] *= -1.0  # a quaternion and its negative are the same rotation: use the nearer one
-        return np.array(poses), spacing
 
     def _begin(self, message: PoseStamped) -> None:
         """Accept a goal.
 
         Raises:
-            GoalError: it is not allowed.
+            NavigationGoalError: it is not allowed.
         """
         if message.header.frame_id.lstrip("/") not in ("", FRAME):
-            raise GoalError(f"goal: frame {message.header.frame_id!r} is not allowed, {FRAME!r}")
+            raise NavigationGoalError(f"goal: frame {message.header.frame_id!r} is not allowed, {FRAME!r}")
         place, q = message.pose.position, message.pose.orientation
         norm = math.sqrt(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w)
         if not norm >= _LEAST_NORM or not math.isfinite(norm):
-            raise GoalError("goal: a quaternion of length 0 is not allowed, a rotation about z")
+            raise NavigationGoalError("goal: a quaternion of length 0 is not allowed, a rotation about z")
         if reason := self._drive.obstacle_to_goals():
-            raise GoalError(f"goal: {reason}")
+            raise NavigationGoalError(f"goal: {reason}")
         yaw = yaw_of((q.w / norm, q.x / norm, q.y / norm, q.z / norm))
         self.navigator.set_goal(np.array([place.x, place.y, yaw]))
         self._drive.begin()
@@ -251,7 +235,7 @@ class VehicleNavigation:
         self._publish_plans(turn, stamp)
         with self._services.lock:
             self._publish_costmaps(turn, stamp)
-        self._publish_report(stamp, self._judged(turn))
+        self._publish_report(stamp, self._assess(turn))
 
     def _step_without_pose(self, stamp: rospy.Time) -> None:
         """Stop; clients still get the results of goals that were rejected, cancelled or aborted."""
@@ -327,18 +311,11 @@ class VehicleNavigation:
 
     def _grid_message(self, part: tuple[slice, slice], stamp: rospy.Time) -> OccupancyGrid:
         costs = self.level.costs(part, self._limits.radius)
-        message = OccupancyGrid()
-        message.header.stamp, message.header.frame_id = stamp, FRAME
-        message.info.map_load_time, message.info.resolution = stamp, self.level.cell
-        message.info.width, message.info.height = costs.shape
         first = np.array([part[0].start, part[1].start]) + self.level.corner[:2]
-        origin = message.info.origin
-        origin.position.x, origin.position.y = (first * self.level.cell).tolist()
-        origin.orientation.w = 1.0
-        message.data = costs.T.ravel().tolist()
-        return message
+        x, y = (first * self.level.cell).tolist()
+        return grid_message(costs, (x, y, 0.0), self.level.cell, stamp)
 
-    def _judged(self, turn: Turn) -> tuple[int, str]:
+    def _assess(self, turn: Turn) -> tuple[int, str]:
         navigator = self.navigator
         if navigator.goal is None:
             if self._last_reason:
@@ -351,18 +328,13 @@ class VehicleNavigation:
         return (1 if navigator.state == PLANNING else 0), navigator.state
 
     def _publish_report(self, stamp: rospy.Time, report: tuple[int, str]) -> None:
-        now, (level, text) = stamp.to_sec(), report
-        kind = (level, self.navigator.state)  # the text is not compared: it counts the seconds without a scan
-        if kind == self._report and now - self._reported < _REPORT_PERIOD:
-            return
-        if level == 2 and kind != self._report:
+        (level, text), state = report, self.navigator.state
+        values = {"state": state, "scans": str(self._watch.count)}
+        has_changed = self._diagnostics.publish(
+            stamp, level, text, values, state
+        )  # the text counts seconds without a scan
+        if level == 2 and has_changed:
             rospy.logwarn_throttle_identical(_WARNINGS, f"{self.name}: navigation: {text}")
-        self._report, self._reported = kind, now
-        status = DiagnosticStatus(level=level, name=f"{self.name}: navigation", message=text, hardware_id=self.name)
-        status.values = [KeyValue("state", self.navigator.state), KeyValue("scans", str(self._watch.count))]
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = stamp
-        self._diagnostics.publish(message)
 
     def close(self) -> None:
         """Cancel pending service calls."""
@@ -400,7 +372,7 @@ class NavigationNode:
         """Declare the topics; goals from rviz go to the first vehicle.
 
         Args:
-            names: of the vehicles.
+            names: Names of the vehicles.
             are_robots: whether they are ground robots.
 
         Raises:

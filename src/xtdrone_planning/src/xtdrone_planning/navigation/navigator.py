@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.rotation import wrap_pi
-from xtdrone_planning.navigation.dynamic_window import AT_REST, Motion, arc, braked, choose, moved
+from xtdrone_planning.navigation.dynamic_window import AT_REST, Motion, arc, brake, choose, move_along_arc
 from xtdrone_planning.navigation.global_path import GlobalSearch, PathError
 from xtdrone_planning.navigation.level_map import LevelMap
-from xtdrone_planning.navigation.settings import GoalError, NavigatorSettings, WindowSettings
+from xtdrone_planning.navigation.settings import NavigationGoalError, NavigatorSettings, WindowSettings
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ class Turn:
 
     Attributes:
         time: s of ROS time.
-        duration: of a cycle, s.
+        duration: Duration of a cycle, s.
         pose: (3,) x, y, m in map, and yaw, rad.
         fault: why the map is unreliable; empty if it is reliable.
     """
@@ -108,12 +108,12 @@ class Navigator:
         """Accept a goal, (3,) x, y, m in map, yaw, rad, for the next cycle.
 
         Raises:
-            GoalError: not finite, or too far; the active goal is unchanged.
+            NavigationGoalError: not finite, or too far; the active goal is unchanged.
         """
         goal = np.asarray(goal, float)
         if not np.isfinite(goal).all() or np.abs(goal[:2]).max() > _LARGEST:
             text = ", ".join(f"{value:g}" for value in goal.tolist())
-            raise GoalError(f"goal: ({text}) is not allowed, finite numbers within +-{_LARGEST:g} m")
+            raise NavigationGoalError(f"goal: ({text}) is not allowed, finite numbers within +-{_LARGEST:g} m")
         self.goal, self.outcome, self.reason = goal.copy(), "", ""
         self._arrived = False
         self._recoveries, self._recovered_at = 0, None
@@ -255,10 +255,10 @@ class Navigator:
     def _expected(self, now: Turn) -> Array:
         """Return the pose at which the next command takes effect."""
         x, y, yaw = now.pose.tolist()
-        return np.array(moved(x, y, yaw, self.command.speed, self.command.rate, self.limits.lag))
+        return np.array(move_along_arc(x, y, yaw, self.command.speed, self.command.rate, self.limits.lag))
 
     def _braked(self, now: Turn) -> Motion:
-        return braked(self.limits, self.command, now.duration)
+        return brake(self.limits, self.command, now.duration)
 
     def _towards(self, rate: float, now: Turn) -> float:
         """Return the yaw rate within the limits that is closest to a desired one, rad/s."""

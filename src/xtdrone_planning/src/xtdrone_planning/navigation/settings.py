@@ -16,7 +16,7 @@ _MOST_CELLS = 4_000_000
 """Larger maps are rejected: they would exhaust memory."""
 
 
-class GoalError(ValueError):
+class NavigationGoalError(ValueError):
     """A goal that is not allowed; the message names it, its value and what is allowed."""
 
 
@@ -39,11 +39,7 @@ class CostmapSettings(Settings):
     )
     local_side: float = setting(8.0, low=2.0, high=40.0, unit="m", text="side of the local costmap")
     inflation: float = setting(
-        0.8,
-        low=0.1,
-        high=2.0,
-        unit="m",
-        text="distance up to which obstacles add cost; at least radius + margin",
+        0.8, low=0.1, high=2.0, unit="m", text="distance up to which obstacles add cost; at least radius + margin"
     )
 
     def __post_init__(self) -> None:

@@ -9,8 +9,8 @@ from typing import Protocol
 
 import numpy as np
 import rospy
-from geometry_msgs.msg import Point, PoseStamped, Quaternion, Twist, Vector3
-from mavros_msgs.msg import ExtendedState, PositionTarget, State
+from geometry_msgs.msg import Twist, Vector3
+from mavros_msgs.msg import PositionTarget
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from tf2_msgs.msg import TFMessage
@@ -19,8 +19,10 @@ from xtdrone_control import lockstep
 from xtdrone_control.communication.commands import Request
 from xtdrone_control.communication.multirotor import MavrosServices
 from xtdrone_control.communication.setpoint import IGNORE_ACCELERATION, IGNORE_POSITION, IGNORE_YAW
-from xtdrone_control.rotation import multiply, rotate, yaw_of
+from xtdrone_control.pose_messages import pose_entry
+from xtdrone_control.rotation import constrain, multiply, rotate, yaw_of
 from xtdrone_control.settings import Settings, setting
+from xtdrone_control.vehicle_topics import VehicleTopics
 from xtdrone_planning.navigation.dynamic_window import AT_REST, Motion
 
 Array = NDArray[np.float64]
@@ -29,7 +31,6 @@ _CLIMB_GAIN, _MOST_CLIMB = 1.0, 0.5  # 1/s, m/s, towards the flight height
 _HOLD_GAIN, _MOST_HOLD = 0.8, 0.5  # 1/s, m/s, towards the position where the vehicle came to rest
 _STREAM_LEAD = 0.5  # s of setpoints before OFFBOARD is requested; PX4 rejects it without a stream
 _REQUEST_SPACING = 2.0  # s between requests
-_LEAST_NORM = 0.1  # of a quaternion
 
 
 @dataclass(frozen=True)
@@ -37,37 +38,40 @@ class DriveSettings(Settings):
     """Type of drive, and its settings."""
 
     drive: str = setting(
-        "auto",
-        choices=("auto", "mavros", "xtdrone", "ground"),
+        "auto", choices=("auto", "mavros", "xtdrone", "ground"),
         text="mavros: setpoint_raw/local; xtdrone: cmd_vel_flu of a communication node; ground: cmd_vel of a robot; "
         "auto: mavros for the fleet's vehicles, ground for others",
-    )
+    )  # fmt: skip
     height: float = setting(
         0.0, low=0.0, high=1000.0, unit="m", text="flight height; 0: the height when a goal is received"
     )
     offboard: bool = setting(True, text="request OFFBOARD for a goal (of drive mavros); false: wait for the pilot")
 
 
-class Drive(Protocol):
-    """A vehicle."""
+class Drive:
+    """A vehicle; the methods here are those of one that always obeys."""
 
     def restart(self) -> None:
         """Forget everything, because simulated time was reset."""
 
     def obstacle_to_goals(self) -> str:
         """Return why goals cannot be accepted; empty if they can."""
+        raise NotImplementedError
 
     def begin(self) -> None:
         """Begin with a goal."""
 
     def obeys(self) -> bool:
         """Return whether the vehicle moves as commanded."""
+        return True
 
     def is_lost(self) -> bool:
         """Return whether a pilot or another program has taken the vehicle over since ``begin``."""
+        return False
 
     def command(self, motion: Motion, stamp: rospy.Time, *, active: bool) -> None:
         """Command a motion; ``active``: there is a goal, or the vehicle is still moving."""
+        raise NotImplementedError
 
     def halt(self) -> None:
         """Stop because the vehicle's pose is unknown; call it in every turn until the pose is known again."""
@@ -83,14 +87,7 @@ class PoseFeed(Protocol):
         """Receive a pose: x, y, z, m in map, and quaternion w, x, y, z."""
 
 
-def _entry(p: Point | Vector3, q: Quaternion) -> Array | None:
-    """Return an entry of the pose history, or None if numbers are not finite or the quaternion is invalid."""
-    entry: Array = np.array([p.x, p.y, p.z, q.w, q.x, q.y, q.z])
-    usable = np.isfinite(entry).all() and float(np.linalg.norm(entry[3:])) > _LEAST_NORM
-    return entry if usable else None
-
-
-class GroundDrive:
+class GroundDrive(Drive):
     """A ground robot: odometry relative to its start pose on /tf_static, and ``cmd_vel``."""
 
     def __init__(self, name: str, feed: PoseFeed) -> None:
@@ -109,11 +106,11 @@ class GroundDrive:
     def _on_frames(self, message: TFMessage) -> None:
         for frame in message.transforms:
             if frame.child_frame_id == self._odom and frame.header.frame_id == "map":
-                start = _entry(frame.transform.translation, frame.transform.rotation)
+                start = pose_entry(frame.transform.translation, frame.transform.rotation)
                 self._start = self._start if start is None else start
 
     def _on_odometry(self, message: Odometry) -> None:
-        found = _entry(message.pose.pose.position, message.pose.pose.orientation)
+        found = pose_entry(message.pose.pose.position, message.pose.pose.orientation)
         if found is None or self._start is None:
             return
         turn = tuple(self._start[3:].tolist())
@@ -123,17 +120,6 @@ class GroundDrive:
     def obstacle_to_goals(self) -> str:
         """Return why goals cannot be accepted."""
         return "" if self._start is not None else f"no transform from map to {self._odom} on /tf_static"
-
-    def begin(self) -> None:
-        """Begin with a goal."""
-
-    def obeys(self) -> bool:
-        """Return True."""
-        return True
-
-    def is_lost(self) -> bool:
-        """Return False."""
-        return False
 
     def command(self, motion: Motion, stamp: rospy.Time, *, active: bool) -> None:
         """Publish the command; at the end a single stop command, then nothing."""
@@ -146,81 +132,68 @@ class GroundDrive:
         if self._was_active:
             self._publisher.publish(Twist())
 
-    def close(self) -> None:
-        """Nothing is pending."""
 
+class UavDrive(Drive):
+    """A UAV at a fixed height: subscribes to MAVROS's estimate and publishes velocity setpoints.
 
-class UavDrive:
-    """A UAV at a fixed height: subscribes to MAVROS's estimate and publishes velocity setpoints."""
+    While its position is unknown it publishes none: the autopilot's failsafe acts.
+    """
 
     def __init__(self, name: str, settings: DriveSettings, feed: PoseFeed) -> None:
         """Declare the topics."""
-        self._settings, self._feed = settings, feed
+        self._settings = settings
         self._by_mavros = settings.drive != "xtdrone"
         if self._by_mavros:
             self._publisher = lockstep.Publisher(f"/{name}/mavros/setpoint_raw/local", PositionTarget)
         else:
             self._publisher = lockstep.Publisher(f"/xtdrone/{name}/cmd_vel_flu", Twist)
         self._services = MavrosServices(name, in_lockstep=lockstep.is_active())
-        self._name = name
-        lockstep.Subscriber(f"/{name}/mavros/local_position/pose", PoseStamped, self._on_pose)
-        lockstep.Subscriber(f"/{name}/mavros/state", State, self._on_state)
-        lockstep.Subscriber(f"/{name}/mavros/extended_state", ExtendedState, self._on_extended_state)
+        self._vehicle = VehicleTopics(name, "pose", "state", "extended_state", on_pose=feed)
         self.restart()
 
     def restart(self) -> None:
-        """Forget the estimate and the last commands."""
-        self._pose: Array | None = None
-        self._armed = self._in_air = self._offboard = self._streams = self._was_offboard = False
+        """Forget the last commands."""
+        self._streams = self._was_offboard = False
         self._streaming_since = self._requested = -math.inf
         self._height = self._settings.height
         self._hold: Array | None = None
 
-    def _on_pose(self, message: PoseStamped) -> None:
-        entry = _entry(message.pose.position, message.pose.orientation)
-        if entry is not None:
-            self._pose = entry
-            self._feed(message.header.stamp, entry)
-
-    def _on_state(self, message: State) -> None:
-        self._armed, self._offboard = message.armed, message.armed and message.mode == "OFFBOARD"
-        self._was_offboard = self._was_offboard or self._offboard
-
-    def _on_extended_state(self, message: ExtendedState) -> None:
-        self._in_air = message.landed_state != ExtendedState.LANDED_STATE_ON_GROUND
-
     def obstacle_to_goals(self) -> str:
         """Return why goals cannot be accepted."""
-        if self._pose is None:
+        if self._vehicle.pose is None:
             return "no position from the autopilot"
-        return "" if self._armed and self._in_air else "the vehicle is not flying"
+        return "" if self._vehicle.armed and self._vehicle.is_in_air else "the vehicle is not flying"
 
     def begin(self) -> None:
         """Start flying to a goal, at the current height if none is set."""
-        assert self._pose is not None
-        self._height = self._settings.height or float(self._pose[2])
+        assert self._vehicle.pose is not None
+        self._height = self._settings.height or float(self._vehicle.pose[2])
         if not self._streams:
-            self._streaming_since, self._was_offboard = rospy.get_time(), self._offboard
+            self._streaming_since, self._was_offboard = rospy.get_time(), self._vehicle.is_offboard
             self._hold = None  # the vehicle may have been moved since
         self._streams = True
 
     def obeys(self) -> bool:
         """Return whether the vehicle is in OFFBOARD."""
-        return self._offboard
+        return self._vehicle.is_offboard
 
     def is_lost(self) -> bool:
         """Return whether OFFBOARD has ended since it began, or the vehicle is on the ground."""
-        return self._streams and not (self._armed and self._in_air and (self._offboard or not self._was_offboard))
+        vehicle = self._vehicle
+        self._was_offboard = self._was_offboard or vehicle.is_offboard
+        obeys = vehicle.is_offboard or not self._was_offboard
+        return self._streams and not (vehicle.armed and vehicle.is_in_air and obeys)
 
     def command(self, motion: Motion, stamp: rospy.Time, *, active: bool) -> None:
         """Publish velocity and yaw rate; once at rest, the vehicle holds its position until it is taken over."""
         if self.is_lost() and not active:
             self._streams = False
-        if not self._streams or self._pose is None:
+        pose = self._vehicle.pose
+        if not self._streams or pose is None:
             return
-        climb = _limited(_CLIMB_GAIN * (self._height - float(self._pose[2])), _MOST_CLIMB)
+        climb = constrain(_CLIMB_GAIN * (self._height - float(pose[2])), -_MOST_CLIMB, _MOST_CLIMB)
         if self._by_mavros:
-            east, north = self._level_velocity(motion, yaw_of(self._pose[3:].tolist()))
+            east, north = self._level_velocity(motion, pose)
             self._publish_target((east, north, climb), motion.rate, stamp)
             self._request_offboard(stamp.to_sec())
         else:
@@ -228,17 +201,17 @@ class UavDrive:
                 Twist(linear=Vector3(motion.speed, 0.0, climb), angular=Vector3(0.0, 0.0, motion.rate))
             )
 
-    def _level_velocity(self, motion: Motion, yaw: float) -> tuple[float, float]:
+    def _level_velocity(self, motion: Motion, pose: Array) -> tuple[float, float]:
         """Return the velocity, m/s east and north, of a motion; at rest, the velocity back to where the vehicle
         stopped."""
-        assert self._pose is not None
+        yaw = yaw_of(pose[3:].tolist())
         if motion.speed != AT_REST.speed:
             self._hold = None
             return motion.speed * math.cos(yaw), motion.speed * math.sin(yaw)
-        if self._hold is None or not self._offboard:  # until OFFBOARD begins, the pilot may move the vehicle
-            self._hold = self._pose[:2].copy()
-        off = _HOLD_GAIN * (self._hold - self._pose[:2])
-        return _limited(float(off[0]), _MOST_HOLD), _limited(float(off[1]), _MOST_HOLD)
+        if self._hold is None or not self._vehicle.is_offboard:  # until OFFBOARD begins, the pilot may move the vehicle
+            self._hold = pose[:2].copy()
+        east, north = (_HOLD_GAIN * (self._hold - pose[:2])).tolist()
+        return constrain(east, -_MOST_HOLD, _MOST_HOLD), constrain(north, -_MOST_HOLD, _MOST_HOLD)
 
     def _publish_target(self, velocity: tuple[float, float, float], rate: float, stamp: rospy.Time) -> None:
         message = PositionTarget(coordinate_frame=PositionTarget.FRAME_LOCAL_NED)
@@ -250,23 +223,16 @@ class UavDrive:
     def _request_offboard(self, now: float) -> None:
         for request, accepted, reason in self._services.finished():
             if not accepted:
-                rospy.logwarn(f"{self._name}: {request.command} was rejected ({reason or 'no reason given'})")
-        if self._offboard or self._was_offboard or not self._settings.offboard:
+                rospy.logwarn(f"{self._vehicle.name}: {request.command} was rejected ({reason or 'no reason given'})")
+        if self._vehicle.is_offboard or self._was_offboard or not self._settings.offboard:
             return
         if now - self._streaming_since >= _STREAM_LEAD and now - self._requested >= _REQUEST_SPACING:
             self._requested = now
             self._services.submit(Request("OFFBOARD", None))
 
-    def halt(self) -> None:
-        """Publish nothing: without setpoints and position, the autopilot's failsafe acts."""
-
     def close(self) -> None:
         """Cancel pending service calls."""
         self._services.close()
-
-
-def _limited(value: float, most: float) -> float:
-    return max(-most, min(most, value))
 
 
 def drive_of(name: str, settings: DriveSettings, feed: PoseFeed, *, is_robot: bool) -> Drive:

@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 import rospy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from nav_msgs.msg import OccupancyGrid
 from numpy.typing import NDArray
 from octomap_msgs.msg import Octomap
@@ -35,12 +35,11 @@ from std_srvs.srv import Empty, EmptyResponse
 
 from xtdrone_control import lockstep
 from xtdrone_control.settings import SettingError, Settings, setting
-from xtdrone_planning.mapping.map_feed import MapFeed, SensorChoice
-from xtdrone_planning.mapping.range_images import DepthMapping, LidarMapping
-from xtdrone_planning.mapping.sensor_watch import SensorWatch, WatchSettings
-from xtdrone_planning.octree.global_map import GlobalMap
+from xtdrone_control.vehicle_topics import VehicleReport
+from xtdrone_planning.mapping.map_feed import MapFeed, SensorSettings
+from xtdrone_planning.mapping.sensor_watch import SensorWatch
 from xtdrone_planning.octree.octree_format import Octree, check_octree_file, encode, file_of
-from xtdrone_planning.octree.octree_map import OctreeSettings
+from xtdrone_planning.octree.octree_map import GlobalMap, OctreeSettings
 from xtdrone_planning.octree.octree_messages import (
     MOST_CELLS,
     above_message,
@@ -52,7 +51,6 @@ from xtdrone_planning.octree.octree_messages import (
 RATE = 20.0  # Hz
 
 _WARNINGS = 60.0  # s between two equal ones
-_REPORT_PERIOD = 1.0  # s
 
 
 @dataclass(frozen=True)
@@ -60,8 +58,7 @@ class OctomapOptions(Settings):
     """Inputs and outputs of the node."""
 
     odometry: str = setting(
-        "",
-        text="odometry used to place the measurements: lidar_odometry, slam, ...; empty: the autopilot's estimate",
+        "", text="odometry used to place the measurements: lidar_odometry, slam, ...; empty: the autopilot's estimate"
     )
     frame_id: str = setting("map", text="frame of the map and of these poses")
     interval: float = setting(
@@ -81,67 +78,54 @@ class OctomapOptions(Settings):
             )
 
 
-class NodeSettings(NamedTuple):
+class OctomapNodeSettings(NamedTuple):
     """All settings of the node."""
 
     options: OctomapOptions
     octree: OctreeSettings
-    sensor: SensorChoice
-    lidar: LidarMapping
-    depth: DepthMapping
-    watch: WatchSettings
+    sensor: SensorSettings
 
 
-def read_settings() -> NodeSettings:
+def read_settings() -> OctomapNodeSettings:
     """Return the settings read from the private parameters.
 
     Raises:
         SettingError: a parameter is not allowed.
     """
-    return NodeSettings(
+    return OctomapNodeSettings(
         OctomapOptions.from_parameters(rospy.get_param),
         OctreeSettings.from_parameters(rospy.get_param),
-        SensorChoice.from_parameters(rospy.get_param),
-        LidarMapping.from_parameters(rospy.get_param),
-        DepthMapping.from_parameters(rospy.get_param),
-        WatchSettings.from_parameters(rospy.get_param),
+        SensorSettings.read(),
     )
 
 
 class VehicleOctomap:
     """ROS topics and services of one vehicle's map."""
 
-    def __init__(self, name: str, settings: NodeSettings) -> None:
+    def __init__(self, name: str, settings: OctomapNodeSettings) -> None:
         """Declare the topics and services."""
         self._name, self._settings = name, settings
         self._map = GlobalMap(settings.octree, settings.options.interval)
         self._lock = threading.Lock()  # services run in their own threads
-        self._watch = SensorWatch(settings.watch)
-        MapFeed(
-            name, self._map, self._watch, settings.sensor.sensor, settings.lidar, settings.depth,
-            odometry=settings.options.odometry,
-        )  # fmt: skip
+        self._watch = SensorWatch(settings.sensor.watch)
+        MapFeed(name, self._map, self._watch, settings.sensor, odometry=settings.options.odometry)
         self._binary = lockstep.Publisher(f"/{name}/octomap_binary", Octomap, latch=True)
         self._full = lockstep.Publisher(f"/{name}/octomap_full", Octomap, latch=True)
         self._centres = lockstep.Publisher(f"/{name}/octomap_point_cloud_centers", PointCloud2, latch=True)
         self._above = lockstep.Publisher(f"/{name}/projected_map", OccupancyGrid, latch=True)
-        self._diagnostics = lockstep.Publisher("/diagnostics", DiagnosticArray)
+        self._diagnostics = VehicleReport(name, "octomap")
         rospy.Service(f"/{name}/octomap_binary", GetOctomap, lambda request: self._answer(binary=True))
         rospy.Service(f"/{name}/octomap_full", GetOctomap, lambda request: self._answer(binary=False))
         rospy.Service(f"/{name}/octomap_server/reset", Empty, self._on_reset)
         lockstep.add_reset_hook(self._restart)
-        self._forget_times()
-
-    def _forget_times(self) -> None:
-        self._published = self._reported = -math.inf
-        self._report = (-1, "")
+        self._published = -math.inf
 
     def _restart(self) -> None:
         """Begin again, because simulated time was reset."""
         with self._lock:
             self._map.restart()
         self._watch.restart()
-        self._forget_times()
+        self._published = -math.inf
 
     # services
 
@@ -198,7 +182,7 @@ class VehicleOctomap:
                 )
             self._above.publish(above_message(cells, first, resolution, stamp, self._frame))
 
-    def _judged(self, now: float) -> tuple[int, str]:
+    def _assess(self, now: float) -> tuple[int, str]:
         """Return level and text for the diagnostics."""
         octree = self._map.octree
         if octree.is_full:
@@ -211,22 +195,15 @@ class VehicleOctomap:
         return DiagnosticStatus.OK, "mapping"
 
     def _publish_report(self, stamp: rospy.Time) -> None:
-        now = stamp.to_sec()
-        report = self._judged(now)
-        if report[0] == self._report[0] and now - self._reported < _REPORT_PERIOD:
-            return
-        if report[0] > max(self._report[0], 0):
-            rospy.logwarn(f"{self._name}: octomap: {report[1]}")
-        self._report, self._reported = report, now
-        status = DiagnosticStatus(report[0], f"{self._name}: octomap", report[1], self._name, [])
-        status.values = [
-            KeyValue("measurements", str(self._map.entered)),
-            KeyValue("without poses", str(self._map.left_out)),
-            KeyValue("memory, MB", f"{self._map.octree.memory:.1f}"),
-        ]
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = stamp
-        self._diagnostics.publish(message)
+        (level, text), before = self._assess(stamp.to_sec()), self._diagnostics.level
+        values = {
+            "measurements": str(self._map.entered),
+            "without poses": str(self._map.left_out),
+            "memory, MB": f"{self._map.octree.memory:.1f}",
+        }
+        self._diagnostics.publish(stamp, level, text, values)
+        if level > max(before, 0):
+            rospy.logwarn(f"{self._name}: octomap: {text}")
 
 
 class OctomapNode:

@@ -35,7 +35,7 @@ def find_block(table, keys, key):
     Args:
         table: (2^m,) int64, index of a block or -1.
         keys: (n,) int64, key of each block: x + 4096 y + 4096^2 z, in blocks.
-        key: of the block.
+        key: Key of the block.
     """
     mask = len(table) - 1
     place = (key ^ (key >> 12) * 40503 ^ (key >> 24) * 2654435761) & mask

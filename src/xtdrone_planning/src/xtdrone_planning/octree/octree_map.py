@@ -9,12 +9,17 @@ In memory the voxels form blocks of 16 x 16 x 16, into which rays are inserted f
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.pose_history import PoseHistory
 from xtdrone_control.settings import Settings, setting
+from xtdrone_planning.mapping.range_images import RangeImage
+from xtdrone_planning.mapping.ray_places import rays_in_map
 from xtdrone_planning.octree.octree_kernels import HALF, OFFSET, SIDE, UNKNOWN, VOXELS, enter_rays
 
 Array = NDArray[np.float64]
@@ -160,3 +165,67 @@ def voxel_middles(places: NDArray[np.int64], values: NDArray[np.int16], resoluti
     block, voxel = np.nonzero(values >= 0)
     cells = SIDE * places[block] + in_block()[voxel] - HALF
     return np.asarray((cells + 0.5) * resolution, float)
+
+
+_REACH = 0.002  # s: maximum time between a pose and a ray
+_ROUNDING_NS = 1_000_000  # tolerance of stamps relative to multiples of the interval
+_WAITING = 5  # measurements that wait for their poses; odometry is published after the scan that it comes from
+
+
+class _Waiting(NamedTuple):
+    image: RangeImage
+    stamp_ns: int
+    mount: tuple[float, float, float]
+
+
+class GlobalMap:
+    """Inserts range images into an octree.
+
+    Attributes:
+        octree: the map.
+        poses: history of base_link poses: x, y, z, m in map, and quaternion w, x, y, z; ``poses.add`` appends one.
+        entered: number of measurements in the map.
+        left_out: number of measurements dropped because their poses did not arrive in time.
+    """
+
+    def __init__(self, settings: OctreeSettings, interval: float = 0.0) -> None:
+        """Start empty.
+
+        Args:
+            settings: Settings of the octree.
+            interval: minimum time between two mapped measurements, s; others are skipped.
+        """
+        self._interval_ns = round(interval * 1e9)
+        self.octree = OctreeMap(settings)
+        self.poses = PoseHistory(seconds=5.0, reach=_REACH)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget map and poses, because simulated time was reset."""
+        self.octree.clear()
+        self.poses.clear()
+        self._waiting: deque[_Waiting] = deque()
+        self._last_ns: int | None = None
+        self.entered = self.left_out = 0
+
+    def enter(self, image: RangeImage, stamp_ns: int, mount: tuple[float, float, float]) -> bool:
+        """Queue a measurement until ``update`` knows its poses; see ``LocalMap.enter``."""
+        if self._last_ns is not None and stamp_ns - self._last_ns < self._interval_ns - _ROUNDING_NS:
+            return True
+        self._last_ns = stamp_ns
+        self._waiting.append(_Waiting(image, stamp_ns, mount))
+        if len(self._waiting) > _WAITING:
+            self._waiting.popleft()
+            self.left_out += 1
+        return True
+
+    def update(self) -> None:
+        """Insert the measurements whose poses are known by now."""
+        for _ in range(len(self._waiting)):
+            waiting = self._waiting.popleft()
+            rays = rays_in_map(*waiting, self.poses)
+            if rays is None:
+                self._waiting.append(waiting)
+                continue
+            self.octree.insert(rays.origins, rays.ends, rays.hits)
+            self.entered += 1

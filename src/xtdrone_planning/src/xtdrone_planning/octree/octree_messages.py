@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from octomap_msgs.msg import Octomap
 from sensor_msgs.msg import PointCloud2
 
-from xtdrone_perception.slam.odometry_messages import cloud
+from xtdrone_control.clouds import cloud_message
+from xtdrone_planning.mapping.map_messages import grid_message
 from xtdrone_planning.octree.octree_format import Octree, OctreeError, count_nodes
 from xtdrone_planning.octree.octree_kernels import HALF, SIDE
 from xtdrone_planning.octree.octree_map import NEVER, in_block, voxel_middles
@@ -45,7 +46,7 @@ def occupied_message(
     places: NDArray[np.int64], values: NDArray[np.int16], resolution: float, stamp: rospy.Time, frame: str
 ) -> PointCloud2:
     """Return the centres of the occupied voxels of some blocks; see ``octree_map.voxel_middles``."""
-    return cloud(voxel_middles(places, values, resolution), stamp, frame)
+    return cloud_message(voxel_middles(places, values, resolution), stamp, frame)
 
 
 def seen_from_above(
@@ -84,11 +85,4 @@ def above_message(
     cells: NDArray[np.int8], first: tuple[int, int], resolution: float, stamp: rospy.Time, frame: str
 ) -> OccupancyGrid:
     """Return the map seen from above; see ``seen_from_above``."""
-    message = OccupancyGrid()
-    message.header.stamp, message.header.frame_id = stamp, frame
-    message.info.map_load_time, message.info.resolution = stamp, resolution
-    message.info.height, message.info.width = cells.shape
-    message.info.origin.position.x, message.info.origin.position.y = first[0] * resolution, first[1] * resolution
-    message.info.origin.orientation.w = 1.0
-    message.data = cells.ravel().tolist()
-    return message
+    return grid_message(cells.T, (first[0] * resolution, first[1] * resolution, 0.0), resolution, stamp, frame)

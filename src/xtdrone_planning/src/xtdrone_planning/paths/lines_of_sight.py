@@ -61,7 +61,7 @@ def seen_count(evidence, corner, resolution, points, radius, exempt, farthest):
     Args:
         evidence, corner, resolution: the map.
         points: (n, 3) m.
-        radius: of the disc, m.
+        radius: Radius of the disc, m.
         exempt: points within this path length from the start need not have been seen: the vehicle is there, m.
         farthest: points beyond this path length from the start do not count, m.
     """

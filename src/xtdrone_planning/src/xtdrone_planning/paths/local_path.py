@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_planning.mapping.voxel_grid import VoxelGrid
-from xtdrone_planning.paths.grid_search import BLOCKED, REACHED, UNDECIDED, search
+from xtdrone_planning.paths.grid_search import REACHED, search
 from xtdrone_planning.paths.lines_of_sight import seen_count, without_corners
 
 Array = NDArray[np.float64]
@@ -50,7 +50,7 @@ class PathQuery(NamedTuple):
     Attributes:
         start, goal: (3,) m in map; the start is within the map.
         clearance: least distance of the path to obstacles, m.
-        radius: of the disc that must have been seen around each point, m.
+        radius: Radius of the disc that must have been seen around each point, m.
         heights: lowest and highest flight, m in map.
         farthest: maximum length of the path that is returned, m.
     """
@@ -133,7 +133,7 @@ def seen_path(
     Args:
         grid: the map.
         distance: distances to obstacles, m.
-        outcome: of the search.
+        outcome: Outcome of the search.
         points: (n, 3) m in map, at most a voxel's diagonal apart.
         query: what was searched.
     """
@@ -154,4 +154,36 @@ def _with_room_to_stop(grid: VoxelGrid, distance: NDArray[np.float32], points: A
     return int(clear[-1]) + 1 if len(clear) and clear[-1] > 0 else len(points)
 
 
-__all__ = ["BLOCKED", "REACHED", "UNDECIDED", "LocalPath", "PathQuery", "PathSearch", "Search", "seen_path"]
+_REACH = 2.0  # m
+
+
+def nearest_clear(grid: VoxelGrid, place: Array, clearance: float) -> Array:
+    """Return the position nearest to ``place``, at the same height, that is at least ``clearance`` m from all
+    obstacles.
+
+    Args:
+        grid: the map.
+        place: (3,) m in map.
+        clearance: Clearance from the centre of an occupied voxel, m.
+
+    Returns:
+        (3,) m in map: ``place`` itself if it is clear, outside the map, or if no position within 2 m is clear; else the
+        centre of a voxel, at the height of ``place``.
+    """
+    if not grid.is_inside(place):
+        return np.array(place, float)
+    i, j, k = grid.index(place)
+    if grid.distance[i, j, k] >= clearance:
+        return np.array(place, float)
+    reach = round(_REACH / grid.resolution)
+    low = np.maximum((i - reach, j - reach), 0)
+    layer = grid.distance[low[0] : i + reach + 1, low[1] : j + reach + 1, k]
+    clear = np.argwhere(layer >= clearance) + low
+    if not len(clear):
+        return np.array(place, float)
+    middles = grid.middle(np.column_stack([clear, np.full(len(clear), k)]))
+    away = ((middles[:, :2] - place[:2]) ** 2).sum(axis=1)
+    nearest = int(away.argmin())
+    if away[nearest] > _REACH * _REACH:
+        return np.array(place, float)
+    return np.array([*middles[nearest, :2], place[2]])

@@ -22,11 +22,7 @@ Array = NDArray[np.float64]
 
 RRT_STAR, BIT_STAR, INFORMED_RRT_STAR = "rrt_star", "bit_star", "informed_rrt_star"
 
-_PLANNERS = {
-    RRT_STAR: geometric.RRTstar,
-    BIT_STAR: geometric.BITstar,
-    INFORMED_RRT_STAR: geometric.InformedRRTstar,
-}
+_PLANNERS = {RRT_STAR: geometric.RRTstar, BIT_STAR: geometric.BITstar, INFORMED_RRT_STAR: geometric.InformedRRTstar}
 _FROM_EDGE = 1.5  # voxels between the edge of the map and a path that leaves it
 _SAME = 0.05  # m from the goal within which a path counts as reaching it
 
@@ -72,7 +68,7 @@ class SampledSearch:
             planner: RRT_STAR, BIT_STAR or INFORMED_RRT_STAR.
             iterations: of the planner in a search: a sample of RRT* and Informed RRT*; an edge in the queue of BIT*,
                 which adds 100 samples at a time whenever the queue is empty.
-            seed: of each search.
+            seed: Seed of each search.
         """
         util.noOutputHandler()
         self._planner, self._iterations, self._seed = _PLANNERS[planner], iterations, seed

@@ -1,1 +1,1 @@
-"""Planner of one vehicle: its state machine from goal to hover, and its ROS node."""
+"""Planner of a vehicle, alone or in agreement with others by radio: state machine from goal to hover, and ROS node."""

@@ -46,7 +46,7 @@ def optical_pose(pose: PoseStamped) -> PoseStamped | None:
     """Return the pose of the optical frame (x right, y down, z ahead) of a camera at the vehicle's centre.
 
     Args:
-        pose: of base_link (FLU) in map.
+        pose: Pose of base_link (FLU) in map.
 
     Returns:
         The pose in ``world`` at the same time; None if a number is not finite.
@@ -66,8 +66,8 @@ def setpoint_of(command: PositionCommand, stamp: rospy.Time) -> PositionTarget |
     """Return the setpoint of a command, ENU; None if its trajectory is not ready or a number is not finite.
 
     Args:
-        command: in ``world``.
-        stamp: of the setpoint.
+        command: Command of EGO-Planner in ``world``.
+        stamp: Stamp of the setpoint.
     """
     vectors = command.position, command.velocity, command.acceleration
     numbers = [value for vector in vectors for value in (vector.x, vector.y, vector.z)]

@@ -14,14 +14,51 @@ the planner returns to Waiting.
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from xtdrone_planning.replanning.settings import PlannerSettings
-from xtdrone_planning.replanning.situation import Situation
+from xtdrone_planning.planner_settings import PlannerSettings
 from xtdrone_planning.trajectories.local_trajectory import State
 from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Situation:
+    """Inputs of one cycle.
+
+    Attributes:
+        time: s of ROS time of the setpoints: the current time plus the lead.
+        position, velocity: (3,) m and m/s in map, the autopilot's estimate.
+        yaw: rad, counter-clockwise from east.
+        is_flying: armed and off the ground.
+        is_offboard: whether the autopilot follows setpoints.
+        map_count: number of measurements in the map.
+        fault: the sensor's fault; empty: none.
+    """
+
+    time: float
+    position: Array
+    velocity: Array
+    yaw: float
+    is_flying: bool
+    is_offboard: bool
+    map_count: int
+    fault: str = ""
+
+
+class PlannerCommand(NamedTuple):
+    """A setpoint: position, velocity, acceleration, (3,) each in map, and yaw, rad."""
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    yaw: float
+
 
 OK, WARNING, ERROR = 0, 1, 2
 """Levels of diagnostic_msgs/DiagnosticStatus."""
@@ -56,7 +93,7 @@ class FlightState:
     """A state.
 
     Attributes:
-        name: for reports.
+        name: Name for reports.
         looks: whether the vehicle yaws towards the path ahead.
         uses_map: whether each measurement is used.
     """

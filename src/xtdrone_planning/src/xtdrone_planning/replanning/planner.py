@@ -12,17 +12,13 @@ from numpy.typing import NDArray
 
 from xtdrone_control.rotation import wrap_pi
 from xtdrone_planning.mapping.voxel_grid import VoxelGrid
-from xtdrone_planning.paths.clear_place import nearest_clear
 from xtdrone_planning.paths.grid_search import BLOCKED, REACHED
-from xtdrone_planning.paths.local_path import LocalPath, PathQuery, PathSearch, Search
-from xtdrone_planning.replanning.feed_forward import acceleration_setpoint
-from xtdrone_planning.replanning.flight_states import FlightState, Planning, Waiting
-from xtdrone_planning.replanning.settings import PlannerSettings
-from xtdrone_planning.replanning.situation import Command, Situation
-from xtdrone_planning.trajectories.local_trajectory import State, TrajectorySettings, conflict_time, plan_along
-from xtdrone_planning.trajectories.slowing_down import stopping
+from xtdrone_planning.paths.local_path import LocalPath, PathQuery, PathSearch, Search, nearest_clear
+from xtdrone_planning.planner_settings import PlannerSettings, TrajectorySettings
+from xtdrone_planning.replanning.flight_states import FlightState, PlannerCommand, Planning, Situation, Waiting
+from xtdrone_planning.trajectories.local_trajectory import State, conflict_time, plan_along
+from xtdrone_planning.trajectories.speed_profile import brake_along, length_of
 from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, coasting, resting
-from xtdrone_planning.trajectories.time_law import length_of
 
 Array = NDArray[np.float64]
 
@@ -38,8 +34,8 @@ class Planner:
     """Plans for one vehicle.
 
     Attributes:
-        settings: of its decisions.
-        limits: of its trajectories.
+        settings: Settings of its decisions.
+        limits: Limits of its trajectories.
         state: the current state of flight.
         goal: (3,) m in map, None without one.
         trajectory: the trajectory being flown; at rest where the vehicle hovers; None before the first goal.
@@ -113,7 +109,7 @@ class Planner:
         """Drop the goal; in flight the vehicle brakes along its path and hovers."""
         self.goal = None
 
-    def step(self, now: Situation) -> Command | None:
+    def step(self, now: Situation) -> PlannerCommand | None:
         """Run one cycle; return the setpoint, or None while the planner is inactive."""
         if self._was_offboard and not now.is_offboard:
             self._release()
@@ -128,7 +124,7 @@ class Planner:
         position, velocity, _ = self.trajectory.at(now.time)
         self._commanded.append((now.time, position))
         acceleration = acceleration_setpoint(self.trajectory, now.time, self.settings)
-        return Command(position, velocity, acceleration, self._slewed_yaw(now))
+        return PlannerCommand(position, velocity, acceleration, self._slewed_yaw(now))
 
     def _release(self) -> None:
         """Release the vehicle: the pilot or the autopilot has taken over, or it is on the ground."""
@@ -201,12 +197,12 @@ class Planner:
 
     def _braking(self, time: float) -> UniformSpline:
         assert self.trajectory is not None
-        return stopping(self.trajectory, time, 0.8 * self.limits.acceleration)
+        return brake_along(self.trajectory, time, 0.8 * self.limits.acceleration)
 
     def stop_from(self, state: State, time: float) -> None:
         """Stop from a state that is not on the trajectory, in its direction."""
         ahead = coasting(state.position, state.velocity, time)
-        self._fly(stopping(ahead, time, 0.8 * self.limits.acceleration))
+        self._fly(brake_along(ahead, time, 0.8 * self.limits.acceleration))
 
     def conflict(self, now: Situation) -> float:
         """Return when the trajectory hits an obstacle of the current map, s of ROS time; infinite if never."""
@@ -280,3 +276,24 @@ def _search_of(settings: PlannerSettings) -> Search:
     from xtdrone_planning.paths.sampled_path import SampledSearch  # OMPL is loaded only where it is used
 
     return SampledSearch(settings.global_planner, settings.iterations, settings.sampling_seed)
+
+
+def acceleration_setpoint(trajectory: UniformSpline, time: float, settings: PlannerSettings) -> Array:
+    """Return the acceleration setpoint, (3,) m/s^2 in map, with which an autopilot stays on a trajectory.
+
+    PX4's velocity controller (PositionControl.cpp) adds the acceleration setpoint to a proportional, an integral and a
+    derivative term. The derivative term, on the measured acceleration, works against the trajectory's acceleration. The
+    integral term takes over what holds against the air drag, and carries the vehicle beyond its stops, where there is
+    no drag: an iris from 4 m/s by 0.4 m. Setpoints that contain both leave neither to the controller.
+
+    Rotor drag is linear in the speed: M. Faessler, A. Franchi, D. Scaramuzza, Differential flatness of quadrotor
+    dynamics subject to rotor drag for accurate tracking of high-speed trajectories, IEEE RA-L 3, 2018.
+
+    Args:
+        trajectory: the trajectory.
+        time: Time of the position and velocity setpoints that go with it, s of ROS time.
+        settings: lag of the attitude, drag and damping.
+    """
+    _, velocity, acceleration = trajectory.at(time + settings.attitude_lag)
+    level = (1.0 + settings.damping) * acceleration[:2] + settings.drag * velocity[:2]
+    return np.array([*level, acceleration[2]])

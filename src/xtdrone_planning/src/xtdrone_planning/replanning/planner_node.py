@@ -34,33 +34,30 @@ from pathlib import Path as FilePath
 
 import numpy as np
 import rospy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, PoseStamped, Twist, TwistStamped, Vector3
-from mavros_msgs.msg import ExtendedState, PositionTarget, State
+from geometry_msgs.msg import Point, PoseStamped, Twist, Vector3
+from mavros_msgs.msg import PositionTarget
 from nav_msgs.msg import OccupancyGrid, Path
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Empty, String
 from xtdrone_msgs.msg import SplineTrajectory
 
 from xtdrone_control import lockstep
+from xtdrone_control.clouds import cloud_message
 from xtdrone_control.communication.commands import Request
 from xtdrone_control.communication.multirotor import MavrosServices
 from xtdrone_control.rotation import yaw_of
 from xtdrone_control.settings import Settings, setting
-from xtdrone_planning.mapping.local_map import LocalMap
-from xtdrone_planning.mapping.map_feed import MapFeed, SensorChoice
-from xtdrone_planning.mapping.map_messages import FRAME, occupied_cloud, slice_at
-from xtdrone_planning.mapping.range_images import DepthMapping, LidarMapping
-from xtdrone_planning.mapping.sensor_watch import SensorWatch, WatchSettings
-from xtdrone_planning.mapping.voxel_grid import MapSettings
+from xtdrone_control.vehicle_topics import VehicleReport, VehicleTopics
+from xtdrone_planning.mapping.map_feed import MapFeed, SensorSettings
+from xtdrone_planning.mapping.map_messages import FRAME, slice_at
+from xtdrone_planning.mapping.sensor_watch import SensorWatch
+from xtdrone_planning.mapping.voxel_grid import LocalMap, MapSettings
+from xtdrone_planning.planner_settings import AgreementSettings, GoalError, PlannerSettings, TrajectorySettings
+from xtdrone_planning.replanning.flight_states import PlannerCommand, Situation
 from xtdrone_planning.replanning.planner import Planner
-from xtdrone_planning.replanning.settings import GoalError, PlannerSettings
-from xtdrone_planning.replanning.situation import Command, Situation
-from xtdrone_planning.replanning.stopwatch import Stopwatch, write_summaries
-from xtdrone_planning.swarm.settings import AgreementSettings
-from xtdrone_planning.swarm.swarm_planner import SwarmPlanner
-from xtdrone_planning.swarm.swarm_topics import SwarmTopics
-from xtdrone_planning.trajectories.local_trajectory import TrajectorySettings
+from xtdrone_planning.replanning.swarm_planner import SwarmPlanner
+from xtdrone_planning.replanning.swarm_topics import SwarmTopics
+from xtdrone_planning.stopwatch import Stopwatch, write_summaries
 from xtdrone_planning.trajectories.trajectory_messages import path_message, spline_message
 
 RATE = 50.0  # Hz, as in the MAVROS layer
@@ -71,7 +68,6 @@ _STALE_POSE = 0.5  # s
 _START_UP = 5.0  # s within which the first position and measurement are expected
 _MAP_PERIOD = 0.5  # s between two publications of the map
 _WARNINGS = 5.0  # s between two warnings
-_REPORT_PERIOD = 1.0  # s
 
 
 @dataclass(frozen=True)
@@ -82,22 +78,19 @@ class TimingSettings(Settings):
 
 
 @dataclass(frozen=True)
-class NodeSettings:
+class PlannerNodeSettings:
     """All settings of the node.
 
     Attributes:
-        sensor, lidar, depth, watch: settings of the sensor.
-        grid: of the local map.
-        limits: of trajectories.
-        planner: of the planner.
-        report: at the end.
+        sensor: Settings of the sensor.
+        grid: Settings of the local map.
+        limits: Limits of the trajectories.
+        planner: Settings of the planner.
+        report: Report at the end.
         swarm: coordination with other vehicles; None: others are ignored.
     """
 
-    sensor: SensorChoice
-    lidar: LidarMapping
-    depth: DepthMapping
-    watch: WatchSettings
+    sensor: SensorSettings
     grid: MapSettings
     limits: TrajectorySettings
     planner: PlannerSettings
@@ -105,17 +98,14 @@ class NodeSettings:
     swarm: AgreementSettings | None = None
 
 
-def read_settings() -> NodeSettings:
+def read_settings() -> PlannerNodeSettings:
     """Return the settings read from the private parameters.
 
     Raises:
         SettingError: a parameter is not allowed.
     """
-    return NodeSettings(
-        SensorChoice.from_parameters(rospy.get_param),
-        LidarMapping.from_parameters(rospy.get_param),
-        DepthMapping.from_parameters(rospy.get_param),
-        WatchSettings.from_parameters(rospy.get_param),
+    return PlannerNodeSettings(
+        SensorSettings.read(),
         MapSettings.from_parameters(rospy.get_param),
         TrajectorySettings.from_parameters(rospy.get_param),
         PlannerSettings.from_parameters(rospy.get_param),
@@ -127,18 +117,18 @@ def read_settings() -> NodeSettings:
 class VehiclePlanner:
     """ROS topics of one vehicle's planner."""
 
-    def __init__(self, name: str, fleet: Sequence[str], settings: NodeSettings, *, rviz_goal: bool) -> None:
+    def __init__(self, name: str, fleet: Sequence[str], settings: PlannerNodeSettings, *, rviz_goal: bool) -> None:
         """Declare the topics.
 
         Args:
-            name: of the vehicle.
+            name: Name of the vehicle.
             fleet: names of all vehicles.
-            settings: see ``NodeSettings``.
+            settings: see ``PlannerNodeSettings``.
             rviz_goal: whether this vehicle subscribes to /move_base_simple/goal.
         """
         self.name = name
         self._settings = settings
-        self._watch = SensorWatch(settings.watch)
+        self._watch = SensorWatch(settings.sensor.watch)
         self._map = LocalMap(settings.grid, 2.0 * settings.limits.radius)
         self.stopwatch = Stopwatch()
         timed = self.stopwatch.measuring
@@ -157,29 +147,23 @@ class VehiclePlanner:
             self._swarm = SwarmTopics(name, fleet, planner, FRAME)
             self._map.others = planner.places_of_others
         self._map.is_used = lambda: self.planner.state.uses_map
-        base = f"/{name}/mavros"
-        self._feed = MapFeed(
-            name, self._map, self._watch, settings.sensor.sensor, settings.lidar, settings.depth, lambda: timed("map")
-        )
+        MapFeed(name, self._map, self._watch, settings.sensor, lambda: timed("map"))
         self._services = MavrosServices(name, in_lockstep=lockstep.is_active())
-        self._setpoint = lockstep.Publisher(f"{base}/setpoint_raw/local", PositionTarget)
+        self._setpoint = lockstep.Publisher(f"/{name}/mavros/setpoint_raw/local", PositionTarget)
         if self._swarm is None:
             self._trajectory = lockstep.Publisher(f"/{name}/planner/trajectory", SplineTrajectory, latch=True)
         self._path = lockstep.Publisher(f"/{name}/planner/path", Path)
         self._state = lockstep.Publisher(f"/{name}/planner/state", String, latch=True)
         self._occupied = lockstep.Publisher(f"/{name}/map/occupied", PointCloud2)
         self._slice = lockstep.Publisher(f"/{name}/map/slice", OccupancyGrid)
-        self._diagnostics = lockstep.Publisher("/diagnostics", DiagnosticArray)
+        self._diagnostics = VehicleReport(name, "planner")
         lockstep.Subscriber(f"/{name}/planner/goal", PoseStamped, self._on_goal)
         lockstep.Subscriber(f"/{name}/planner/cancel", Empty, lambda _: self.planner.cancel())
         if settings.planner.carry > 0.0:
             lockstep.Subscriber(f"/xtdrone/{name}/cmd_vel_enu", Twist, self._on_wanted_velocity)
         if rviz_goal:
             lockstep.Subscriber("/move_base_simple/goal", PoseStamped, self._on_level_goal)
-        lockstep.Subscriber(f"{base}/local_position/pose", PoseStamped, self._on_pose)
-        lockstep.Subscriber(f"{base}/local_position/velocity_local", TwistStamped, self._on_velocity)
-        lockstep.Subscriber(f"{base}/state", State, self._on_state)
-        lockstep.Subscriber(f"{base}/extended_state", ExtendedState, self._on_extended_state)
+        self._vehicle = VehicleTopics(name, "pose", "velocity", "state", "extended_state")
         lockstep.add_reset_hook(self._restart)
         self._forget()
 
@@ -193,13 +177,9 @@ class VehiclePlanner:
         self._forget()
 
     def _forget(self) -> None:
-        self._pose: PoseStamped | None = None
-        self._velocity = np.zeros(3)
-        self._armed = self._in_air = self._offboard = False
         self._streaming_since: float | None = None
-        self._requested = self._mapped = self._reported = -math.inf
+        self._requested = self._mapped = -math.inf
         self._published_number = 0
-        self._report: tuple[int, str] = (-1, "")
         self._began: float | None = None
         self._has_been_well = False
         self._logged = 0  # level of the state that was logged last
@@ -207,36 +187,20 @@ class VehiclePlanner:
 
     # messages
 
-    def _on_pose(self, message: PoseStamped) -> None:
-        p, q = message.pose.position, message.pose.orientation
-        if all(map(math.isfinite, (p.x, p.y, p.z, q.x, q.y, q.z, q.w))):
-            self._pose = message
-
-    def _on_velocity(self, message: TwistStamped) -> None:
-        linear = message.twist.linear
-        if all(map(math.isfinite, (linear.x, linear.y, linear.z))):
-            self._velocity = np.array([linear.x, linear.y, linear.z])
-
-    def _on_state(self, message: State) -> None:
-        self._armed, self._offboard = message.armed, message.armed and message.mode == "OFFBOARD"
-
-    def _on_extended_state(self, message: ExtendedState) -> None:
-        self._in_air = message.landed_state != ExtendedState.LANDED_STATE_ON_GROUND
-
     def _on_goal(self, message: PoseStamped) -> None:
         self._set_goal(message, message.pose.position.z)
 
     def _on_level_goal(self, message: PoseStamped) -> None:
-        if self._pose is not None:
-            self._set_goal(message, self._pose.pose.position.z)
+        if self._vehicle.pose is not None:
+            self._set_goal(message, float(self._vehicle.pose[2]))
 
     def _on_wanted_velocity(self, message: Twist) -> None:
-        if self._pose is None:
+        pose, velocity = self._vehicle.pose, message.linear
+        if pose is None:
             return
-        place, velocity, ahead = self._pose.pose.position, message.linear, self._settings.planner.carry
-        goal = np.array([place.x + ahead * velocity.x, place.y + ahead * velocity.y, place.z + ahead * velocity.z])
+        ahead = self._settings.planner.carry * np.array([velocity.x, velocity.y, velocity.z])
         try:
-            self.planner.move_goal(goal)
+            self.planner.move_goal(pose[:3] + ahead)
         except GoalError as error:
             rospy.logwarn_throttle(_WARNINGS, f"{self.name}: velocity command: {error}; the goal is unchanged")
 
@@ -257,7 +221,7 @@ class VehiclePlanner:
         stamp = rospy.Time.now()
         situation = self._situation(stamp.to_sec())
         if situation is None:
-            self._publish_report(stamp, (2, "no position from the autopilot"))
+            self._publish_report(stamp, 2, "no position from the autopilot")
             return
         command = self.planner.step(situation)
         for request, accepted, reason in self._services.finished():
@@ -270,24 +234,25 @@ class VehiclePlanner:
             self._request_offboard(situation)
         self._publish_trajectory(stamp)
         self._publish_map(situation, stamp)
-        self._publish_report(stamp, self._judged(situation))
+        self._publish_report(stamp, *self._assess(situation))
 
     def _situation(self, now: float) -> Situation | None:
-        if self._pose is None or now - self._pose.header.stamp.to_sec() > _STALE_POSE:
+        vehicle = self._vehicle
+        pose = vehicle.recent_pose(now, _STALE_POSE)
+        if pose is None:
             return None
-        p, q = self._pose.pose.position, self._pose.pose.orientation
         return Situation(
             time=now + self._settings.planner.lead,
-            position=np.array([p.x, p.y, p.z]),
-            velocity=self._velocity,
-            yaw=yaw_of((q.w, q.x, q.y, q.z)),
-            is_flying=self._armed and self._in_air,
-            is_offboard=self._offboard,
+            position=pose[:3].copy(),
+            velocity=vehicle.velocity,
+            yaw=yaw_of(pose[3:].tolist()),
+            is_flying=vehicle.armed and vehicle.is_in_air,
+            is_offboard=vehicle.is_offboard,
             map_count=self._watch.count,
             fault=self._watch.fault(now),
         )
 
-    def _publish_setpoint(self, command: Command, stamp: rospy.Time) -> None:
+    def _publish_setpoint(self, command: PlannerCommand, stamp: rospy.Time) -> None:
         message = PositionTarget(coordinate_frame=PositionTarget.FRAME_LOCAL_NED)
         message.header.stamp = stamp
         message.type_mask = PositionTarget.IGNORE_YAW_RATE
@@ -326,40 +291,27 @@ class VehiclePlanner:
             return
         self._mapped = now.time
         if self._occupied.get_num_connections():
-            self._occupied.publish(occupied_cloud(self._map.grid, stamp))
+            self._occupied.publish(cloud_message(self._map.grid.occupied(), stamp, FRAME))
         if self._slice.get_num_connections():
             self._slice.publish(slice_at(self._map.grid, float(now.position[2]), stamp))
 
-    def _judged(self, now: Situation) -> tuple[int, str]:
+    def _assess(self, now: Situation) -> tuple[int, str]:
         level, text = self.planner.state.report(self.planner, now)
         if level == 0 and self._watch.sees_nothing:
             return 1, f"{text}; the sensor sees nothing within its range"
         return level, text
 
-    def _publish_report(self, stamp: rospy.Time, report: tuple[int, str]) -> None:
+    def _publish_report(self, stamp: rospy.Time, level: int, text: str) -> None:
         state = self.planner.state.name
         if state != self._published_state:
             self._published_state = state
             self._state.publish(String(state))
-        now = stamp.to_sec()
-        self._log(now, report)
-        if report[0] == self._report[0] and now - self._reported < _REPORT_PERIOD:
-            return
-        self._report, self._reported = report, now
-        level, text = report
-        status = DiagnosticStatus(level=level, name=f"{self.name}: planner", message=text, hardware_id=self.name)
-        status.values = [
-            KeyValue("state", state),
-            KeyValue("measurements", str(self._watch.count)),
-            KeyValue("trajectories", str(self.planner.number)),
-        ]
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = stamp
-        self._diagnostics.publish(message)
+        self._log(stamp.to_sec(), level, text)
+        values = {"state": state, "measurements": str(self._watch.count), "trajectories": str(self.planner.number)}
+        self._diagnostics.publish(stamp, level, text, values)
 
-    def _log(self, now: float, report: tuple[int, str]) -> None:
+    def _log(self, now: float, level: int, text: str) -> None:
         """Log a state that is worse than the last one, but not what is missing while all nodes start."""
-        level, text = report
         self._began = now if self._began is None else self._began
         self._has_been_well = self._has_been_well or level == 0
         if not self._has_been_well and now - self._began <= _START_UP:

@@ -28,10 +28,10 @@ def nearest(normals, offsets, weights, count, wanted, radius, result):
     Args:
         normals: unit vectors, shape (K, 3), K at least ``count``.
         offsets: shape (K,).
-        weights: by which the half-spaces are moved, shape (K,), above 0.
+        weights: Weights by which the half-spaces are moved, shape (K,), above 0.
         count: number of half-spaces.
         wanted: shape (3,).
-        radius: of the ball, above 0.
+        radius: Radius of the ball, above 0.
         result: shape (3,); written.
 
     Returns:

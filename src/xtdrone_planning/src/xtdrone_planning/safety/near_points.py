@@ -15,14 +15,14 @@ _OWN_BODY = 0.3  # m; closer points belong to the vehicle itself
 
 
 @kernel
-def placed(points, mount, mount_attitude, position, attitude, reach):
+def place_points(points, mount, mount_attitude, position, attitude, reach):
     """Return the points within reach of the vehicle, in the local frame (ENU), shape (K, 3), m.
 
     Args:
-        points: in the sensor's frame, shape (N, 3), m; not finite: no return.
-        mount: of the sensor in the body frame (FLU), shape (3,), m.
+        points: Points in the sensor's frame, shape (N, 3), m; not finite: no return.
+        mount: Mount of the sensor in the body frame (FLU), shape (3,), m.
         mount_attitude: sensor to FLU, (w, x, y, z).
-        position: of the vehicle at the time of measurement, ENU, shape (3,), m.
+        position: Position of the vehicle at the time of measurement, ENU, shape (3,), m.
         attitude: FLU to ENU, (w, x, y, z).
         reach: m.
     """
@@ -45,7 +45,7 @@ def without_vehicles(points, places, reach):
 
     Args:
         points: shape (N, 3), m.
-        places: of the vehicles, shape (M, 3), m; NaN: unknown.
+        places: Places of the vehicles, shape (M, 3), m; NaN: unknown.
         reach: distance from a vehicle's centre up to which a point may be of the vehicle, m.
     """
     kept = np.empty((len(points), 3))

@@ -29,38 +29,95 @@ import sys
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped, Vector3, Vector3Stamped
-from mavros_msgs.msg import ExtendedState, PositionTarget
+from mavros_msgs.msg import PositionTarget
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64MultiArray
 from xtdrone_msgs.msg import SafetyIntervention, SplineTrajectory
 
 from xtdrone_control import lockstep, rotation
+from xtdrone_control.clouds import ScanError, points_of
 from xtdrone_control.programs.node_command_line import ArgumentError, needed_fleet, run_program
-from xtdrone_planning.mapping.range_images import ScanError, points_of
-from xtdrone_planning.safety.near_points import placed, without_vehicles
+from xtdrone_control.programs.vehicle_program import run_node
+from xtdrone_control.vehicle_topics import VehicleTopics
+from xtdrone_planning.safety.near_points import place_points, without_vehicles
 from xtdrone_planning.safety.setpoints import (
     Gains,
     Meaning,
-    Motion,
+    VehicleMotion,
     fill_target,
     meaning_of_acceleration,
     meaning_of_pose,
     meaning_of_target,
     meaning_of_twist,
 )
-from xtdrone_planning.safety.settings import SafetySettings
-from xtdrone_planning.safety.swarm_positions import SwarmPositions
 from xtdrone_planning.safety.trajectory_clearance import TrajectoryClearance
-from xtdrone_planning.safety.velocity_filter import VelocityFilter, Verdict
-from xtdrone_planning.swarm.flown_trajectories import FlownTrajectories
+from xtdrone_planning.safety.velocity_filter import SafetySettings, VelocityFilter, Verdict
+from xtdrone_planning.trajectories.flown_trajectories import FlownTrajectories
 from xtdrone_planning.trajectories.trajectory_messages import TrajectoryError, spline_of
+
+FIELDS = 6  # numbers a vehicle in the message of all: x, y, z, vx, vy, vz; m, m/s, ENU
+
+
+class SwarmPositions:
+    """Positions and velocities of N vehicles, and the times of their reception.
+
+    Attributes:
+        positions: shape (N, 3), m ENU; NaN: never received.
+        velocities: shape (N, 3), m/s ENU; 0: never received.
+        heard: times of reception, shape (N,), s.
+    """
+
+    def __init__(self, count: int) -> None:
+        """Start without data about ``count`` vehicles."""
+        self.positions = np.full((count, 3), np.nan)
+        self.velocities = np.zeros((count, 3))
+        self.heard = np.full(count, -np.inf)
+
+    def restart(self) -> None:
+        """Forget everything."""
+        self.positions[:], self.velocities[:], self.heard[:] = np.nan, 0.0, -np.inf
+
+    def on_position(self, index: int, position: Sequence[float], now: float) -> None:
+        """Store a position (m ENU) received now (s), unless it is not finite."""
+        if np.all(np.isfinite(position)):
+            self.positions[index], self.heard[index] = position, now
+
+    def on_velocity(self, index: int, velocity: Sequence[float]) -> None:
+        """Store a velocity (m/s ENU), unless it is not finite."""
+        if np.all(np.isfinite(velocity)):
+            self.velocities[index] = velocity
+
+    def on_all(self, numbers: Sequence[float], now: float) -> None:
+        """Store the states of all vehicles, FIELDS numbers each; those that are not finite are ignored.
+
+        Raises:
+            ValueError: the number of values is wrong.
+        """
+        rows = np.array(numbers, dtype=np.float64)
+        if len(rows) != FIELDS * len(self.heard):
+            raise ValueError(f"{len(rows)} numbers are not allowed, {FIELDS} for each of {len(self.heard)} vehicles")
+        rows = rows.reshape(-1, FIELDS)
+        valid = np.isfinite(rows).all(axis=1)
+        self.positions[valid], self.velocities[valid], self.heard[valid] = rows[valid, :3], rows[valid, 3:], now
+
+    def at(self, now: float, longest: float) -> NDArray[np.float64]:
+        """Return the current positions, shape (N, 3), m: each extrapolated with its velocity, for at most ``longest``
+        s."""
+        age = np.clip(np.where(np.isfinite(self.heard), now - self.heard, 0.0), 0.0, longest)
+        moved: NDArray[np.float64] = self.positions + self.velocities * age[:, None]
+        return moved
+
+    def old(self, now: float, timeout: float) -> list[int]:
+        """Return the vehicles whose position is older than ``timeout`` s."""
+        return [int(i) for i in np.flatnonzero(now - self.heard > timeout)]
+
 
 RATE = 30  # Hz
 USAGE = "safety_filter.py [VEHICLE ...]   (as iris_0; default: all of /xtdrone/fleet)"
@@ -72,14 +129,6 @@ _REPORT_PERIOD = 1.0  # s
 _PATH_LENGTH = 100  # poses kept, to transform clouds by the pose at their time
 _MAP_FRAMES = ("map", "/map")
 _NO_POINTS = np.empty((0, 3))
-
-
-class _Pose(NamedTuple):
-    """A pose of the vehicle: time (s), position (m ENU), attitude FLU to ENU (w, x, y, z)."""
-
-    time: float
-    position: tuple[float, float, float]
-    attitude: tuple[float, float, float, float]
 
 
 class GuardedVehicle:
@@ -96,11 +145,11 @@ class GuardedVehicle:
         """Declare the topics.
 
         Args:
-            names: of all vehicles.
-            index: of this one.
+            names: Names of all vehicles.
+            index: Index of this one.
             swarm: positions of all vehicles.
-            trajectories: of all vehicles.
-            settings: of the filter.
+            trajectories: Trajectories of all vehicles.
+            settings: Settings of the filter.
         """
         self.name = name = names[index]
         self._names, self._index, self._swarm, self._settings = names, index, swarm, settings
@@ -121,8 +170,7 @@ class GuardedVehicle:
             self._outputs[topic] = lockstep.Publisher(f"/{name}/{NAMESPACE}/{topic}", kind)
             lockstep.Subscriber(f"/{name}/mavros/{topic}", kind, partial(self._on_setpoint, topic, meaning))
         self._report = lockstep.Publisher(f"/{name}/{NAMESPACE}/intervention", SafetyIntervention)
-        lockstep.Subscriber(f"/{name}/mavros/local_position/pose", PoseStamped, self._on_pose)
-        lockstep.Subscriber(f"/{name}/mavros/extended_state", ExtendedState, self._on_state)
+        self._vehicle = VehicleTopics(name, "pose", "extended_state", on_pose=self._on_pose)
         if settings.cloud:
             lockstep.Subscriber(f"/{name}/{settings.cloud}", PointCloud2, self._on_cloud)
         self._forget()
@@ -133,10 +181,9 @@ class GuardedVehicle:
         self._forget()
 
     def _forget(self) -> None:
-        self._path: deque[_Pose] = deque(maxlen=_PATH_LENGTH)
+        self._path: deque[tuple[float, NDArray[np.float64]]] = deque(maxlen=_PATH_LENGTH)  # s, pose
         self._setpoint: tuple[str, Callable[[Any], Meaning | None], Any] | None = None
         self._came, self._fresh = -np.inf, False
-        self._grounded = False
         self._points, self._points_time = _NO_POINTS, -np.inf
         self._verdict: Verdict | None = None
         self._corrections = self._unchecked = 0
@@ -146,14 +193,8 @@ class GuardedVehicle:
     def _on_setpoint(self, topic: str, meaning: Callable[[Any], Meaning | None], message: Any) -> None:
         self._setpoint, self._fresh = (topic, meaning, message), True
 
-    def _on_pose(self, message: PoseStamped) -> None:
-        p, q = message.pose.position, message.pose.orientation
-        pose = _Pose(message.header.stamp.to_sec(), (p.x, p.y, p.z), (q.w, q.x, q.y, q.z))
-        if np.all(np.isfinite((*pose.position, *pose.attitude))):
-            self._path.append(pose)
-
-    def _on_state(self, message: ExtendedState) -> None:
-        self._grounded = message.landed_state == ExtendedState.LANDED_STATE_ON_GROUND
+    def _on_pose(self, stamp: rospy.Time, pose: NDArray[np.float64]) -> None:
+        self._path.append((stamp.to_sec(), pose))
 
     def _on_cloud(self, message: PointCloud2) -> None:
         try:
@@ -166,8 +207,9 @@ class GuardedVehicle:
         if message.header.frame_id not in _MAP_FRAMES:
             if not self._path:
                 return
-            pose = min(self._path, key=lambda pose: abs(pose.time - stamp))
-            points = placed(points, *self._mount, np.array(pose.position), pose.attitude, self._settings.range)
+            _, pose = min(self._path, key=lambda entry: abs(entry[0] - stamp))
+            attitude = tuple(pose[3:].tolist())
+            points = place_points(points, *self._mount, pose[:3].copy(), attitude, self._settings.range)
         self._points, self._points_time = self._without_others(points, stamp), stamp
 
     def _without_others(self, points: NDArray[np.float64], stamp: float) -> NDArray[np.float64]:
@@ -185,9 +227,9 @@ class GuardedVehicle:
     def _of_acceleration(self, message: Vector3Stamped) -> Meaning | None:
         return meaning_of_acceleration(message.vector, self._motion(), self._gains)
 
-    def _motion(self) -> Motion:
-        pose, velocity = self._path[-1], self._swarm.velocities[self._index]
-        return Motion(pose.position, tuple(velocity.tolist()), rotation.yaw_of(pose.attitude))
+    def _motion(self) -> VehicleMotion:
+        (_, pose), velocity = self._path[-1], self._swarm.velocities[self._index]
+        return VehicleMotion(tuple(pose[:3].tolist()), tuple(velocity.tolist()), rotation.yaw_of(pose[3:].tolist()))
 
     # turns
 
@@ -200,8 +242,8 @@ class GuardedVehicle:
             self._setpoint = None
             return
         topic, of, message = self._setpoint
-        meaning = None if self._grounded or not self._path else of(message)
-        self._unchecked += fresh and meaning is None and not self._grounded
+        meaning = None if self._vehicle.is_on_ground or not self._path else of(message)
+        self._unchecked += fresh and meaning is None and not self._vehicle.is_on_ground
         before = self._verdict is not None and self._verdict.corrected
         self._verdict = verdict = None if meaning is None else self._check(meaning, now)
         if meaning is None or verdict is None or not verdict.corrected:
@@ -222,7 +264,7 @@ class GuardedVehicle:
         agreed = [on_trajectory and trajectories.agreed(self._index, other) for other in self._others]
         return self._filter.check(
             np.array(meaning.velocity),
-            np.array(self._path[-1].position),
+            self._path[-1][1][:3].copy(),
             places[self._others],
             self._swarm.velocities[self._others],
             self._points,
@@ -266,7 +308,7 @@ class GuardedVehicle:
 
     def _summary(self, now: float) -> tuple[int, str]:
         timeout, verdict = self._settings.timeout, self._verdict
-        if not self._path or now - self._path[-1].time > timeout:
+        if not self._path or now - self._path[-1][0] > timeout:
             return DiagnosticStatus.ERROR, "no position of this vehicle: setpoints are not checked"
         if self._setpoint is None:
             return DiagnosticStatus.OK, "no setpoints"
@@ -282,7 +324,7 @@ class GuardedVehicle:
                 DiagnosticStatus.WARN,
                 f"setpoint corrected because of {self._cause(verdict)}, {verdict.nearest:.1f} m",
             )
-        return DiagnosticStatus.OK, "on the ground" if self._grounded else "setpoints pass unchanged"
+        return DiagnosticStatus.OK, "on the ground" if self._vehicle.is_on_ground else "setpoints pass unchanged"
 
 
 class SafetyNode:
@@ -294,7 +336,7 @@ class SafetyNode:
         Args:
             fleet: names of all vehicles.
             served: names of the vehicles whose setpoints are filtered here.
-            settings: of the filters.
+            settings: Settings of the filters.
             swarm_topic: topic with the states of all vehicles; empty: each vehicle's own topics.
         """
         self._fleet, self._topic = fleet, swarm_topic
@@ -388,7 +430,6 @@ def run_safety_filter() -> int:
         swarm_topic = str(rospy.get_param("~swarm_topic", rospy.get_param("/xtdrone/swarm_topic", "")))
         with lockstep.registering_together():
             node = SafetyNode(fleet, served, settings, swarm_topic)
-        lockstep.start()
-        lockstep.spin(node.step)
+        run_node(node)
 
     return run_program(main, sys.argv, USAGE)

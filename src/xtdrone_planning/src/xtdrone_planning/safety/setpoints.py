@@ -27,7 +27,7 @@ _POSITION_BITS, _VELOCITY_BITS, _ACCELERATION_BITS = (1, 2, 4), (8, 16, 32), (64
 
 
 @dataclass(frozen=True)
-class Motion:
+class VehicleMotion:
     """State of the filtered vehicle.
 
     Attributes:
@@ -43,7 +43,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Meaning:
-    """Motion demanded by a setpoint.
+    """VehicleMotion demanded by a setpoint.
 
     Attributes:
         velocity: m/s ENU.
@@ -73,7 +73,7 @@ class Gains:
     max_speed: float
 
 
-def meaning_of_target(target: Any, motion: Motion, gains: Gains) -> Meaning | None:
+def meaning_of_target(target: Any, motion: VehicleMotion, gains: Gains) -> Meaning | None:
     """Return the meaning of a mavros_msgs/PositionTarget; None if it cannot be checked, e.g. a force."""
     mask, frame = target.type_mask, target.coordinate_frame or FRAME_LOCAL_NED
     nothing = IGNORE_POSITION | IGNORE_VELOCITY | IGNORE_ACCELERATION
@@ -101,18 +101,18 @@ def meaning_of_target(target: Any, motion: Motion, gains: Gains) -> Meaning | No
         else:
             wanted.append(motion.velocity[axis] + gains.lag * acceleration[axis])
     if mask & IGNORE_POSITION != IGNORE_POSITION:
-        wanted = list(_limited(wanted, gains.max_speed))
+        wanted = list(_limit(wanted, gains.max_speed))
     yaw = None if mask & IGNORE_YAW else wrap_pi(target.yaw + motion.yaw * body)
     yaw_rate = None if mask & IGNORE_YAW_RATE else target.yaw_rate
     place = None if mask & IGNORE_POSITION else position
     return _finite(Meaning(tuple(wanted), yaw, yaw_rate, place))  # type: ignore[arg-type]
 
 
-def meaning_of_pose(pose: Any, motion: Motion, gains: Gains) -> Meaning | None:
+def meaning_of_pose(pose: Any, motion: VehicleMotion, gains: Gains) -> Meaning | None:
     """Return the meaning of a geometry_msgs/Pose on setpoint_position/local; None if it is not finite."""
     p, q = pose.position, pose.orientation
     way = (gains.kp * (a - x) for a, x in zip((p.x, p.y, p.z), motion.position, strict=True))
-    velocity = _limited(list(way), gains.max_speed)
+    velocity = _limit(list(way), gains.max_speed)
     return _finite(Meaning(velocity, yaw_of(q.x, q.y, q.z, q.w), position=(p.x, p.y, p.z)))  # type: ignore[arg-type]
 
 
@@ -122,7 +122,7 @@ def meaning_of_twist(twist: Any) -> Meaning | None:
     return _finite(Meaning((v.x, v.y, v.z), None, twist.angular.z))
 
 
-def meaning_of_acceleration(vector: Any, motion: Motion, gains: Gains) -> Meaning | None:
+def meaning_of_acceleration(vector: Any, motion: VehicleMotion, gains: Gains) -> Meaning | None:
     """Return the meaning of a geometry_msgs/Vector3 on setpoint_accel/accel; None if it is not finite."""
     accelerations = zip(motion.velocity, (vector.x, vector.y, vector.z), strict=True)
     return _finite(Meaning(tuple(v + gains.lag * a for v, a in accelerations)))  # type: ignore[arg-type]
@@ -152,7 +152,7 @@ def _level(vector: Vector, yaw: float) -> Vector:
     return math.cos(yaw) * x - math.sin(yaw) * y, math.sin(yaw) * x + math.cos(yaw) * y, z
 
 
-def _limited(vector: list[float], most: float) -> tuple[float, ...]:
+def _limit(vector: list[float], most: float) -> tuple[float, ...]:
     length = math.hypot(*vector)
     return tuple(x * most / length for x in vector) if length > most else tuple(vector)
 

@@ -8,19 +8,18 @@ on Robotics 38, 2022.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.settings import Settings, setting
 from xtdrone_planning.mapping.voxel_grid import VoxelGrid
-from xtdrone_planning.trajectories.clearance_check import first_conflict
+from xtdrone_planning.planner_settings import TrajectorySettings
 from xtdrone_planning.trajectories.moving_vehicles import NO_VEHICLES, MovingVehicles
+from xtdrone_planning.trajectories.separation import first_conflict
+from xtdrone_planning.trajectories.speed_profile import SpeedProfile, length_of, points_along
 from xtdrone_planning.trajectories.splines.spline_cost import FIXED, SAMPLES, optimise
 from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline, first_points
-from xtdrone_planning.trajectories.time_law import TimeLaw, length_of, points_along
 
 Array = NDArray[np.float64]
 
@@ -35,23 +34,6 @@ _SLOW_WAY = 6.0  # m
 _AT_REST = 0.05  # m/s
 _TOLERANCE = 1e-6
 _HEIGHT_TOLERANCE = 0.02  # m: margin for a vertical speed at the start
-
-
-@dataclass(frozen=True)
-class TrajectorySettings(Settings):
-    """Limits of trajectories, and the vehicle's size."""
-
-    speed: float = setting(4.0, low=0.2, high=15.0, unit="m/s", text="greatest speed")
-    acceleration: float = setting(3.0, low=0.3, high=8.0, unit="m/s²", text="greatest acceleration")
-    radius: float = setting(0.4, low=0.1, high=3.0, unit="m", text="radius of the vehicle, rotors included")
-    margin: float = setting(0.15, low=0.0, high=2.0, unit="m", text="clearance to obstacles, beyond the radius")
-    comfort: float = setting(
-        0.35, low=0.0, high=3.0, unit="m", text="additional clearance to obstacles where space allows"
-    )
-
-    def clearance(self, resolution: float) -> float:
-        """Return the minimum distance, m, between the vehicle's centre and that of an occupied voxel."""
-        return self.radius + self.margin + 0.5 * resolution
 
 
 class State(NamedTuple):
@@ -76,8 +58,8 @@ def plan_along(
     Args:
         grid: the map.
         corners: (n, 3) path, which begins at the state's position, m.
-        state: at the start.
-        time: of the start, s of ROS time.
+        state: State at the start.
+        time: Time of the start, s of ROS time.
         settings: limits.
         others: vehicles to avoid.
         heights: minimum and maximum flight height, m in map; a trajectory that starts outside may return.
@@ -93,7 +75,7 @@ def plan_along(
     )
     speed = max(0.0, float(state.velocity @ ahead) / max(float(np.linalg.norm(ahead)), _TOLERANCE))
     for pace in _PACES:
-        law = TimeLaw.along(length, speed, pace * settings.speed, 0.7 * pace * settings.acceleration)
+        law = SpeedProfile.along(length, speed, pace * settings.speed, 0.7 * pace * settings.acceleration)
         segments = int(np.clip(math.ceil(law.duration / _INTERVAL) + 2, _FEWEST, _MOST))
         interval = max(law.duration / (segments - 2), 0.05)
         reference = points_along(corners, law.way((np.arange(segments + 3) - 1.0) * interval))
@@ -123,7 +105,7 @@ def _slowly_along(
     if float(np.linalg.norm(state.velocity)) > _AT_REST:
         return None
     speed, acceleration = min(_SLOW_SPEED, settings.speed), min(_SLOW_ACCELERATION, settings.acceleration)
-    law = TimeLaw.along(min(length, _SLOW_WAY), 0.0, speed, acceleration)
+    law = SpeedProfile.along(min(length, _SLOW_WAY), 0.0, speed, acceleration)
     count = math.ceil(law.duration / _INTERVAL) + 1
     ways = np.concatenate([np.zeros(2), law.way(np.arange(count) * _INTERVAL), np.full(2, law.length)])
     spline = UniformSpline(time, _INTERVAL, points_along(corners, ways))
@@ -167,7 +149,7 @@ def _attempt(
     others: MovingVehicles,
     heights: tuple[float, float],
 ) -> UniformSpline | None:
-    """Optimise, and slow down until the limits are met; None if they cannot be met.
+    """Return the optimised spline, slowed to its limits; None if it cannot meet them.
 
     A spline stays in the convex hull of its control points, so the free ones are kept within the heights. The first
     three follow from the initial state; whether the spline leaves the heights there is computed exactly.

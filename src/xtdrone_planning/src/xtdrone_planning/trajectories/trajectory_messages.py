@@ -32,9 +32,9 @@ def spline_message(
         spline: the trajectory.
         vehicle: name, as ``iris_0``.
         number: counts the vehicle's trajectories.
-        radius: of the vehicle, m.
+        radius: Radius of the vehicle, m.
         stamp: time of planning.
-        frame: of the points.
+        frame: Frame of the points.
     """
     message = SplineTrajectory(vehicle=vehicle, id=number, interval=spline.interval, radius=radius)
     message.header.stamp, message.header.frame_id = stamp, frame

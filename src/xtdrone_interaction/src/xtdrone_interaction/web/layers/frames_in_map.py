@@ -23,8 +23,8 @@ from tf2_msgs.msg import TFMessage
 
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.frames import to_xyzw
+from xtdrone_control.pose_matrices import pose_of
 from xtdrone_interaction.web.layers.layer_content import LayerError
-from xtdrone_perception.slam.poses import pose_of
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.tf.vehicle_frames import RobotFrames
 from xtdrone_sim.tf.vehicle_tf_node import transform

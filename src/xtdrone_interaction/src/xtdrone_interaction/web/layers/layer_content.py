@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_perception.slam.laser.laser_scans import read_scan
-from xtdrone_perception.slam.scan_points import read_cloud
+from xtdrone_control.clouds import read_cloud, read_scan
 
 MOST_POSES = 100_000  # of a path that is read
 MOST_CORNERS = 1000  # of a line that is sent

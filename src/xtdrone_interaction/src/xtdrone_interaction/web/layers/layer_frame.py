@@ -32,8 +32,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from xtdrone_control.pose_matrices import pose_of, quaternion_of, rotation_of, transform_points
 from xtdrone_interaction.web.layers.layer_content import Content, Grid, Line
-from xtdrone_perception.slam.poses import pose_of, quaternion_of, rotation_of, transformed
 
 CHANNEL = 3
 _VERSION = 1
@@ -56,7 +56,7 @@ def packed_layer(content: Content, pose: Array, time: float) -> bytes:
     """
     if isinstance(content, Grid):
         return _packed_grid(content, pose, time)
-    places = transformed(pose, content.places)
+    places = transform_points(pose, content.places)
     lowest = places.min(axis=0) if len(places) else np.zeros(3)
     extent = np.maximum(np.ptp(places, axis=0) if len(places) else 0.0, _LEAST_EXTENT)
     steps = np.rint((places - lowest) * (_STEPS / extent)).astype("<u2")
@@ -66,7 +66,7 @@ def packed_layer(content: Content, pose: Array, time: float) -> bytes:
 
 def _packed_grid(grid: Grid, pose: Array, time: float) -> bytes:
     (rows, columns), side = grid.cells.shape, grid.side
-    (position,) = transformed(pose, grid.position[None])
+    (position,) = transform_points(pose, grid.position[None])
     w, x, y, z = grid.orientation
     turned = pose_of(position, rotation_of(pose) * Rotation.from_quat((x, y, z, w)))
     return _BODY.pack(time, columns, rows, *position, side, 0.0, 0.0, *quaternion_of(turned), 0) + grid.cells.tobytes()

@@ -1,0 +1,1 @@
+"""Odometry by a 2D laser and a range finder: node ``laser_odometry.py``."""

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from xtdrone_control.pose_matrices import pose_of, turned_about_z, yaw_of
 from xtdrone_control.settings import Settings, setting
-from xtdrone_perception.slam.deskewing import ScanMotion, deskewed
-from xtdrone_perception.slam.odometry_health import Estimate
-from xtdrone_perception.slam.poses import pose_of, turned_about_z, yaw_of
+from xtdrone_perception.slam.deskewing import ScanMotion, deskew
+from xtdrone_perception.slam.odometry_health import Estimate, weakest_share
 
 from .scan_matching import LineMap, Match, normals_of
 
@@ -54,8 +54,8 @@ class LaserSweep:
     Attributes:
         points: (n, 3) m, in the body, in the order of the rays, each at its own time.
         times: (n,) s after the first ray.
-        motion: of the body during the scan.
-        attitude: of the autopilot at the scan's end, body to its map.
+        motion: Motion of the body during the scan.
+        attitude: Attitude of the autopilot at the scan's end, body to its map.
         below: m, distance of the body's origin from the ground along its z axis; None: unknown.
     """
 
@@ -123,7 +123,7 @@ class LaserOdometry:
             count=len(points),
             share=found.share,
             residual=found.residual,
-            weakest=float(is_first) or _weakest(found.information),
+            weakest=float(is_first) or weakest_share(found.information[:2, :2]),
             covariance=_covariance(found, is_first),
             is_first=is_first,
             points=points,
@@ -163,17 +163,11 @@ class LaserOdometry:
         settings = self._settings
         ranges = np.linalg.norm(sweep.points, axis=1)
         near = (ranges >= settings.range_min) & (ranges <= settings.range_max)
-        level = tilt.apply(deskewed(sweep.points[near], sweep.times[near], sweep.motion))
+        level = tilt.apply(deskew(sweep.points[near], sweep.times[near], sweep.motion))
         lowest = -settings.slab if floor is None else max(-settings.slab, floor + settings.ground - height)
         usable = (level[:, 2] >= lowest) & (level[:, 2] <= settings.slab)
         found: Array = level[usable, :2]
         return found
-
-
-def _weakest(information: Array) -> float:
-    """Return the ratio of the smallest to the largest eigenvalue of the information on x and y, 0..1."""
-    values = np.linalg.eigvalsh(information[:2, :2])
-    return float(max(values[0], 0.0) / values[-1]) if values[-1] > 0.0 else 0.0
 
 
 def _covariance(found: Match, is_first: bool) -> Array:

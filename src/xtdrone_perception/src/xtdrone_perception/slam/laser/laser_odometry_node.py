@@ -19,20 +19,16 @@ from typing import Any
 import numpy as np
 import rospy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import LaserScan, PointCloud2
 
 from xtdrone_control import lockstep
+from xtdrone_control.clouds import ReadScan, cloud_message, read_scan
 from xtdrone_control.settings import setting
-from xtdrone_perception.slam import odometry_messages as messages
-from xtdrone_perception.slam.deskewing import motion_of
 from xtdrone_perception.slam.odometry_health import HealthLimits
-from xtdrone_perception.slam.odometry_node import Job, OdometryNode, OdometryOptions, Source
+from xtdrone_perception.slam.odometry_node import Job, OdometryNode, OdometryOptions, OdometrySource
 
 from .laser_odometry import LaserEstimate, LaserOdometry, LaserSweep, ScanMatchSettings
-from .laser_scans import ReadScan, read_scan
 
-_KNOTS = 6  # attitudes in a scan
 _LEAST_DURATION = 0.01  # s
 _OLD_NS = 300_000_000  # ns after which a range is too old
 
@@ -66,12 +62,12 @@ class LaserOdometryNode(OdometryNode):
         """Declare the topics.
 
         Args:
-            name: of the vehicle.
-            settings: of the node.
-            matching: of the scans.
-            limits: of the supervision.
+            name: Name of the vehicle.
+            settings: Settings of the node.
+            matching: Settings of the matching.
+            limits: Limits of the supervision.
         """
-        super().__init__(name, Source("laser_odometry", "scan", matching.least_points), settings, limits)
+        super().__init__(name, OdometrySource("laser_odometry", "scan", matching.least_points), settings, limits)
         self._settings, self._matching = settings, matching
         self._map = lockstep.Publisher(f"/{name}/laser_odometry/local_map", PointCloud2, latch=True)
         lockstep.Subscriber(f"/{name}/{settings.distance}", LaserScan, self._on_distance)
@@ -104,19 +100,16 @@ class LaserOdometryNode(OdometryNode):
 
     def _sweep(self, scan: ReadScan, begin_ns: int, duration: float, end_ns: int) -> LaserSweep | None:
         """Return a scan with the vehicle's motion and height at its time; None if the attitude is unknown."""
-        times = np.linspace(0.0, duration, _KNOTS)
-        found = [self._motion.attitude(begin_ns + round(t * 1e9)) for t in times.tolist()]
-        known = [attitude for attitude in found if attitude is not None]
-        if len(known) < _KNOTS:
+        found = self._motion.during(begin_ns, duration)
+        if found is None:
             return None
-        velocity = self._motion.velocity(end_ns)
-        motion = motion_of(times, Rotation.concatenate(known), np.zeros(3) if velocity is None else velocity)
+        motion, attitude = found
         sin, cos = math.sin(self._settings.laser_yaw), math.cos(self._settings.laser_yaw)
         turned = scan.points @ np.array([[cos, sin], [-sin, cos]])
         body = np.column_stack([turned, np.zeros(len(turned))]) + np.array(self._settings.laser_position)
         is_new = self._below is not None and abs(end_ns - self._below[0]) <= _OLD_NS
         below = self._below[1] if self._below is not None and is_new else None
-        return LaserSweep(body, scan.times, motion, known[-1], below)
+        return LaserSweep(body, scan.times, motion, attitude, below)
 
     def _new_core(self, start: Array) -> LaserOdometry:
         return LaserOdometry(self._matching, start)
@@ -129,7 +122,7 @@ class LaserOdometryNode(OdometryNode):
         if self._settings.map_rate and now_ns >= self._next_map_ns and self._map.get_num_connections():
             self._next_map_ns = now_ns + round(1e9 / self._settings.map_rate)
             if isinstance(self._core, LaserOdometry):
-                self._map.publish(messages.cloud(self._core.map_points, stamp, self._frames.odom))
+                self._map.publish(cloud_message(self._core.map_points, stamp, self._frames.odom))
 
 
 def read_settings() -> tuple[LaserOdometryOptions, ScanMatchSettings, HealthLimits]:

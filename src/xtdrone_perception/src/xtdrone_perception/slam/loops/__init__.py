@@ -1,0 +1,1 @@
+"""Loop closure on top of lidar odometry: node ``loop_closure.py``."""

@@ -13,10 +13,10 @@ import numpy as np
 import small_gicp
 from numpy.typing import NDArray
 
+from xtdrone_control.pose_matrices import inverse, transform_points
 from xtdrone_control.settings import Settings, setting
 
-from ..poses import inverse, transformed
-from .pose_graph import Edge, optimised
+from .pose_graph import Edge, optimise_graph
 
 Array = NDArray[np.float64]
 
@@ -65,10 +65,10 @@ class LoopClosure:
     """Keyframes, loops and the corrected poses.
 
     Attributes:
-        options: of the loop closure.
-        keyframes: in order.
+        options: Options of the loop closure.
+        keyframes: Keyframes in order.
         poses: (4, 4) corrected pose of each keyframe, in map.
-        edges: of odometry and loops.
+        edges: Edges of odometry and loops.
     """
 
     options: LoopOptions
@@ -101,12 +101,12 @@ class LoopClosure:
             points: (n, 3) m, the deskewed scan, in the body's frame.
         """
         if not self.keyframes:
-            self.keyframes.append(Keyframe(odometry, _thinned(points, self.options.resolution), 0.0))
+            self.keyframes.append(Keyframe(odometry, _thin(points, self.options.resolution), 0.0))
             self.poses.append(odometry)
             return False
         last, pose = self.keyframes[-1], self.correction @ odometry
         step = self._step(odometry)
-        self.keyframes.append(Keyframe(odometry, _thinned(points, self.options.resolution), last.way + step))
+        self.keyframes.append(Keyframe(odometry, _thin(points, self.options.resolution), last.way + step))
         self.poses.append(pose)
         number = len(self.keyframes) - 1
         self.edges.append(
@@ -118,10 +118,10 @@ class LoopClosure:
         if loop is None:
             return False
         self.edges.append(loop)
-        self.poses = optimised(self.poses, self.edges)
+        self.poses = optimise_graph(self.poses, self.edges)
         return True
 
-    def corrected(self, odometry: Array) -> Array:
+    def correct(self, odometry: Array) -> Array:
         """Return the current pose (4, 4) in map for a pose by odometry."""
         found: Array = self.correction @ odometry
         return found
@@ -139,12 +139,12 @@ class LoopClosure:
         if not len(distance) or distance.min() > self.options.radius:
             return None
         known = int(distance.argmin())
-        relative = self._registered(known, number)
+        relative = self._register_pair(known, number)
         if relative is None:
             return None
         return Edge(known, number, relative, _information(self.options.loop_noise), robust=True)
 
-    def _registered(self, known: int, number: int) -> Array | None:
+    def _register_pair(self, known: int, number: int) -> Array | None:
         """Return the pose of a keyframe in a known one from their scans, or None if they do not match."""
         options = self.options
         guess = inverse(self.poses[known]) @ self.poses[number]
@@ -165,10 +165,10 @@ class LoopClosure:
         first, last = max(0, known - self.options.submap), known + self.options.submap + 1
         back = inverse(self.poses[known])
         parts = zip(self.poses[first:last], self.keyframes[first:last], strict=True)
-        return np.concatenate([transformed(back @ pose, frame.points) for pose, frame in parts])
+        return np.concatenate([transform_points(back @ pose, frame.points) for pose, frame in parts])
 
 
-def _thinned(points: Array, cell: float) -> Array:
+def _thin(points: Array, cell: float) -> Array:
     return np.asarray(small_gicp.voxelgrid_sampling(points, 0.5 * cell).points())[:, :3]
 
 

@@ -28,11 +28,12 @@ from sensor_msgs.msg import PointCloud2
 from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import lockstep
+from xtdrone_control.clouds import read_cloud
 from xtdrone_control.lockstep.deferred_work import Deferred
+from xtdrone_control.pose_matrices import pose_of
+from xtdrone_control.pose_messages import stamped_pose, transform_message
 from xtdrone_control.settings import Settings, setting
 from xtdrone_perception.slam import odometry_messages as messages
-from xtdrone_perception.slam.poses import pose_of
-from xtdrone_perception.slam.scan_points import read_cloud
 
 from .loop_closure import LoopClosure, LoopOptions
 
@@ -97,7 +98,7 @@ class VehicleLoops:
         )
         out.header.frame_id, out.twist = self._frames.map, message.twist
         self._odometry.publish(out)
-        self._tf.publish(messages.transform(self._correction, stamp, self._frames.map, self._frames.odom))
+        self._tf.publish(transform_message(self._correction, stamp, self._frames.map, self._frames.odom))
 
     def _on_cloud(self, message: PointCloud2) -> None:
         self._clouds[message.header.stamp.to_nsec()] = message
@@ -107,7 +108,7 @@ class VehicleLoops:
         now = rospy.Time.now()
         for stamp, correction in self._deferred.ready(now.to_nsec() // 1000):
             self._correction = correction.pose
-            poses = [messages.stamped(pose, stamp, self._frames.map) for pose in correction.keyframes]
+            poses = [stamped_pose(pose, stamp, self._frames.map) for pose in correction.keyframes]
             self._path.publish(messages.path(poses, stamp, self._frames.map))
             if correction.closed:
                 shift = float(np.linalg.norm(correction.pose[:3, 3]))
@@ -132,10 +133,10 @@ class VehicleLoops:
             return
         self._last = pose
         due_us = now.to_nsec() // 1000 + self._latency_us
-        self._deferred.put(cloud.header.stamp, due_us, _corrected, self._loops, pose, points)
+        self._deferred.put(cloud.header.stamp, due_us, _correct, self._loops, pose, points)
 
 
-def _corrected(loops: LoopClosure, pose: Array, points: Array) -> _Correction:
+def _correct(loops: LoopClosure, pose: Array, points: Array) -> _Correction:
     closed = loops.add(pose, points)
     return _Correction(loops.correction, [entry.copy() for entry in loops.poses], closed)
 

@@ -17,7 +17,7 @@ from scipy.sparse import coo_matrix, csc_matrix, identity
 from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
 
-from ..poses import pose_of_vector
+from xtdrone_control.pose_matrices import pose_of_vector
 
 Array = NDArray[np.float64]
 
@@ -46,12 +46,12 @@ class Edge:
     robust: bool = False
 
 
-def optimised(poses: Sequence[Array], edges: Sequence[Edge], kernel: float = 3.0) -> list[Array]:
+def optimise_graph(poses: Sequence[Array], edges: Sequence[Edge], kernel: float = 3.0) -> list[Array]:
     """Return the optimised poses; the first one is fixed.
 
     Args:
         poses: (4, 4) each, the initial estimate.
-        edges: of a connected graph.
+        edges: Edges of a connected graph.
         kernel: normalised error of a robust edge at which it begins to lose weight.
 
     Raises:
@@ -64,11 +64,11 @@ def optimised(poses: Sequence[Array], edges: Sequence[Edge], kernel: float = 3.0
     if len(found) < 2 or not edges:
         return list(found)
     for wider in _WIDER:
-        found = _descended(found, _Edges(edges, wider * kernel))
+        found = _descend(found, _Edges(edges, wider * kernel))
     return list(found)
 
 
-def _descended(found: Array, graph: _Edges) -> Array:
+def _descend(found: Array, graph: _Edges) -> Array:
     """Return the poses (n, 4, 4) at the nearest minimum of the cost."""
     cost, damping = graph.cost(found), 1e-6
     for _ in range(_STEPS):

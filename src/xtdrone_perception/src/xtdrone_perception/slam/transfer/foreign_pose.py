@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from xtdrone_control.cameras.camera_pose import LINK_FROM_OPTICAL
 from xtdrone_control.frames import to_xyzw
+from xtdrone_control.pose_matrices import inverse, pose_of, turned_about_z
 from xtdrone_control.settings import SettingError, Settings, setting
-from xtdrone_perception.slam.poses import inverse, pose_of, turned_about_z
 
 Array = NDArray[np.float64]
 
@@ -32,12 +32,9 @@ class PlaceSettings(Settings):
         0.0, low=-6.3, high=6.3, unit="rad", text="heading of the x axis of that frame in map, from east to north"
     )
     sensor_position: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.0),
-        low=-5.0,
-        high=5.0,
-        unit="m",
+        (0.0, 0.0, 0.0), low=-5.0, high=5.0, unit="m",
         text="position in base_link of the sensor whose pose is received, FLU",
-    )
+    )  # fmt: skip
 
 
 def read_starts(value: object, count: int) -> list[tuple[float, float, float]]:
@@ -79,7 +76,7 @@ class ForeignFrame:
         """Prepare the transforms.
 
         Args:
-            settings: of the frames.
+            settings: Settings of the frames.
             optical: whether poses refer to the optical frame (x right, y down, z ahead) of a forward camera; otherwise
                 to a frame with the axes of base_link (FLU).
         """

@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 import rospy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Pose, PoseStamped, TransformStamped
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
@@ -35,8 +35,9 @@ from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import lockstep
+from xtdrone_control.pose_messages import pose_message, stamped_pose
 from xtdrone_control.settings import SettingError, Settings, setting
-from xtdrone_perception.slam import odometry_messages as messages
+from xtdrone_control.vehicle_topics import VehicleReport
 from xtdrone_perception.slam.transfer.foreign_pose import (
     STATIC,
     ChainWatch,
@@ -51,13 +52,12 @@ RATE = 60.0  # Hz
 _MAP = "map"
 _SILENCE = 1.0  # s
 _OLD_HEIGHT = 0.5  # s after which a range is too old to use
-_REPORT_PERIOD = 1.0  # s
 _UNKNOWN = -1.0  # first element of a covariance that is not known
 
 Array = NDArray[np.float64]
 
 
-class Source(NamedTuple):
+class ForeignSource(NamedTuple):
     """Output of a third-party program.
 
     Attributes:
@@ -77,15 +77,15 @@ class Source(NamedTuple):
 
 
 SOURCES = {
-    "vins": Source("odometry", "/vins_estimator/camera_pose", optical=True),
-    "multi_vins": Source(
+    "vins": ForeignSource("odometry", "/vins_estimator/camera_pose", optical=True),
+    "multi_vins": ForeignSource(
         "odometry", "/{}/vins_estimator/camera_pose", optical=True, odometry="/{}/vins_estimator/odometry"
     ),
-    "hector": Source("pose", "/{}/pose", plane=True),
-    "cartographer": Source("tf", "map base_link", plane=True),
-    "aloam": Source("tf", "camera_init aft_mapped"),
-    "fastlio": Source("odometry", "/Odometry"),
-    "odometry": Source("odometry", "/{}/odometry"),
+    "hector": ForeignSource("pose", "/{}/pose", plane=True),
+    "cartographer": ForeignSource("tf", "map base_link", plane=True),
+    "aloam": ForeignSource("tf", "camera_init aft_mapped"),
+    "fastlio": ForeignSource("odometry", "/Odometry"),
+    "odometry": ForeignSource("odometry", "/{}/odometry"),
 }
 """Sources by name; ``odometry`` is any nav_msgs/Odometry of a sensor with the axes of base_link."""
 
@@ -135,7 +135,7 @@ def _frames_of(topic: str) -> tuple[str, str]:
 class PoseTransfer:
     """Topics of one vehicle."""
 
-    def __init__(self, vehicle: str, source: Source, options: ForeignOptions, place: PlaceSettings) -> None:
+    def __init__(self, vehicle: str, source: ForeignSource, options: ForeignOptions, place: PlaceSettings) -> None:
         """Declare the topics.
 
         Raises:
@@ -146,7 +146,7 @@ class PoseTransfer:
         self._tf = TransformChain()
         self._publisher = lockstep.Publisher(f"/{vehicle}/mavros/vision_pose/pose", PoseStamped)
         self._poses = lockstep.Publisher(f"/{vehicle}/pose_transfer/odometry", Odometry)
-        self._diagnostics = lockstep.Publisher("/diagnostics", DiagnosticArray)
+        self._diagnostics = VehicleReport(vehicle, "pose transfer")
         topic = options.topic or source.topic.format(vehicle)
         if source.kind == "tf":
             self._parent, self._child = _frames_of(topic)
@@ -173,9 +173,8 @@ class PoseTransfer:
         self._new: PoseStamped | None = None
         self._last_height, self._measured = 0.0, -math.inf
         self._last_ns = -1
-        self._heard = self._reported = -math.inf
+        self._heard = -math.inf
         self._count = self._rejected = 0
-        self._report = (-1, "")
 
     def _on_distance(self, message: LaserScan) -> None:
         ranges = [r for r in message.ranges if math.isfinite(r) and message.range_min <= r <= message.range_max]
@@ -192,7 +191,7 @@ class PoseTransfer:
         if found is None:
             return
         out = Odometry(header=Header(stamp=message.header.stamp, frame_id=_MAP), child_frame_id=message.child_frame_id)
-        out.pose.pose, out.pose.covariance = messages.pose_message(found), message.pose.covariance
+        out.pose.pose, out.pose.covariance = pose_message(found), message.pose.covariance
         out.twist = message.twist
         self._odometry.publish(out)
 
@@ -201,7 +200,7 @@ class PoseTransfer:
             self._add_transform(entry, entry.header.stamp.to_nsec())
         found = self._tf.pose(self._parent, self._child)
         if found is not None and self._watch.is_new(found):
-            self._enter(Header(stamp=rospy.Time(*divmod(found[0], 10**9))), messages.pose_message(found[1]))
+            self._enter(Header(stamp=rospy.Time(*divmod(found[0], 10**9))), pose_message(found[1]))
 
     def _on_static_tf(self, message: TFMessage) -> None:
         for entry in message.transforms:
@@ -227,7 +226,7 @@ class PoseTransfer:
         if header.stamp.to_nsec() == self._last_ns and self._last_ns > 0:
             return  # a source that repeats a pose has not measured a new one
         self._last_ns = header.stamp.to_nsec()
-        self._new = messages.stamped(found, header.stamp, _MAP)
+        self._new = stamped_pose(found, header.stamp, _MAP)
 
     def step(self) -> None:
         """Send new poses, and report."""
@@ -249,7 +248,7 @@ class PoseTransfer:
             message.pose.covariance[0] = message.twist.covariance[0] = _UNKNOWN
             self._poses.publish(message)
 
-    def _judged(self, now: float) -> tuple[int, str]:
+    def _assess(self, now: float) -> tuple[int, str]:
         """Return level and text for the diagnostics."""
         has_no_height = self._source.plane and self._height() is None
         if not self._count:
@@ -260,12 +259,7 @@ class PoseTransfer:
         return DiagnosticStatus.OK, "poses are sent"
 
     def _publish_report(self, stamp: rospy.Time) -> None:
-        now, report = stamp.to_sec(), self._judged(stamp.to_sec())
-        if report == self._report and now - self._reported < _REPORT_PERIOD:
-            return
-        if report[0] == DiagnosticStatus.ERROR and report != self._report:
-            rospy.logwarn(f"{self._vehicle}: {report[1]}; the autopilot's failsafe will act")
-        self._report, self._reported = report, now
-        values = [KeyValue("poses", str(self._count)), KeyValue("rejected", str(self._rejected))]
-        status = DiagnosticStatus(report[0], f"{self._vehicle}: pose transfer", report[1], self._vehicle, values)
-        self._diagnostics.publish(DiagnosticArray(Header(stamp=stamp), [status]))
+        level, text = self._assess(stamp.to_sec())
+        values = {"poses": str(self._count), "rejected": str(self._rejected)}
+        if self._diagnostics.publish(stamp, level, text, values, text) and level == DiagnosticStatus.ERROR:
+            rospy.logwarn(f"{self._vehicle}: {text}; the autopilot's failsafe will act")

@@ -1,0 +1,1 @@
+"""Odometry by a depth camera or a stereo pair: node ``visual_odometry.py``."""

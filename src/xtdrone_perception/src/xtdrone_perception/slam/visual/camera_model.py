@@ -33,7 +33,7 @@ class BodyCamera:
     centre: Array
     mount: Array
 
-    def measured(self, pose: Array, points: Array) -> tuple[Array, Array]:
+    def measure(self, pose: Array, points: Array) -> tuple[Array, Array]:
         """Return the predicted measurements, (n, 3), and the points in the camera's frame, (n, 3) m.
 
         Args:

@@ -50,7 +50,7 @@ def track(
     Each is tracked forth and back.
 
     Args:
-        settings: of the corners.
+        settings: Settings of the corners.
         before, after: (height, width).
         pixels: (n, 2) px in ``before``.
         guess: (n, 2) px in ``after``.
@@ -79,7 +79,7 @@ def new_corners(settings: TrackSettings, picture: Grey, known: Array, usable: ND
     """Return strong corners away from known ones, (n, 2) px, strongest first.
 
     Args:
-        settings: of the corners.
+        settings: Settings of the corners.
         picture: (height, width).
         known: (m, 2) px.
         usable: (height, width), mask of allowed corner positions; None: everywhere.
@@ -123,7 +123,7 @@ def stereo_depth(settings: TrackSettings, left: Grey, right: Grey, pixels: Array
     """Return the depths (n,) m of corners of the left image of a rectified pair; NaN where none was found.
 
     Args:
-        settings: of the corners.
+        settings: Settings of the corners.
         left, right: (height, width).
         pixels: (n, 2) px in the left image.
         base: focal length times baseline, px m.

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from xtdrone_control.pose_matrices import inverse, move_pose, pose_of, rotation_of
 from xtdrone_control.settings import Settings, setting
-from xtdrone_perception.slam.poses import inverse, moved, pose_of, rotation_of
 
 from .camera_model import BodyCamera
 
@@ -35,29 +35,20 @@ class NoiseSettings(Settings):
 
     pixel_noise: float = setting(0.4, above=0.0, high=20.0, unit="px", text="standard deviation of a corner")
     depth_noise: float = setting(
-        0.001,
-        above=0.0,
-        high=1.0,
-        unit="1/m",
+        0.001, above=0.0, high=1.0, unit="1/m",
         text="standard deviation of a depth camera's inverse depth; at depth z it means z^2 times this, m",
-    )
+    )  # fmt: skip
     disparity_noise: float = setting(
         0.3, above=0.0, high=20.0, unit="px", text="standard deviation of a stereo disparity"
     )
     turn_noise: float = setting(
-        0.003,
-        above=0.0,
-        high=1.0,
-        unit="rad",
+        0.003, above=0.0, high=1.0, unit="rad",
         text="standard deviation of the autopilot's rotation between two images or keyframes",
-    )
+    )  # fmt: skip
     turn_drift: float = setting(
-        0.01,
-        low=0.0,
-        high=1.0,
-        unit="rad/s",
+        0.01, low=0.0, high=1.0, unit="rad/s",
         text="growth of that error: the autopilot's attitude is corrected, above all in the first seconds",
-    )
+    )  # fmt: skip
     most_reprojection: float = setting(
         2.5, above=0.0, high=50.0, unit="px", text="reprojection error above which a point is an outlier"
     )
@@ -97,8 +88,8 @@ def solve(
     """Return the pose of the body; None if RANSAC finds none.
 
     Args:
-        camera: of the measurements.
-        sigmas: of the measurements.
+        camera: Camera of the measurements.
+        sigmas: Standard deviations of the measurements.
         most: px, maximum error of an inlier.
         predicted: (4, 4) body to map, from the autopilot.
         points: (n, 3) m, map.
@@ -109,15 +100,15 @@ def solve(
     chosen = _consensus(camera, most, predicted, points, measured)
     if chosen is None:
         return None
-    pose = _refined(camera, sigmas, predicted, points[chosen], measured[chosen])
-    expected, local = camera.measured(pose, points)
+    pose = _refine(camera, sigmas, predicted, points[chosen], measured[chosen])
+    expected, local = camera.measure(pose, points)
     residual = camera.residuals(measured, expected)
     off = np.linalg.norm(residual[:, :2], axis=1)
     deep = np.abs(np.nan_to_num(residual[:, 2])) / sigmas.measured[2]
     inliers = (off <= most) & (local[:, 2] > 0.0) & (deep <= 2.0 * most / sigmas.measured[0])
     if inliers.sum() < _LEAST:
         return None
-    pose = _refined(camera, sigmas, pose, points[inliers], measured[inliers], predicted)
+    pose = _refine(camera, sigmas, pose, points[inliers], measured[inliers], predicted)
     normal, residuals = _normal_equations(camera, sigmas, pose, points[inliers], measured[inliers])[::2]
     return Solved(pose, inliers, float(np.sqrt(np.mean(residuals**2))), normal)
 
@@ -147,7 +138,7 @@ def _consensus(
     return np.sort(chosen.ravel())
 
 
-def _refined(
+def _refine(
     camera: BodyCamera, sigmas: Sigmas, start: Array, points: Array, measured: Array, predicted: Array | None = None
 ) -> Array:
     """Return the robust least-squares pose."""
@@ -160,7 +151,7 @@ def _refined(
         normal[3:, 3:] += weight * np.eye(3)
         right[3:] -= weight * turn
         step = np.linalg.solve(normal + 1e-9 * np.eye(6), right)
-        pose = moved(pose, step)
+        pose = move_pose(pose, step)
         if np.abs(step).max() < _SMALL:
             break
     return pose_of(pose[:3, 3], Rotation.from_matrix(pose[:3, :3]))
@@ -170,7 +161,7 @@ def _normal_equations(
     camera: BodyCamera, sigmas: Sigmas, pose: Array, points: Array, measured: Array
 ) -> tuple[Array, Array, Array]:
     """Return matrix (6, 6), right side (6,), and the normalised residuals that are known, (k,)."""
-    expected, local = camera.measured(pose, points)
+    expected, local = camera.measure(pose, points)
     slopes, _ = camera.slopes(np.broadcast_to(pose, (len(points), 4, 4)), local, points, measured)
     residual = camera.residuals(measured, expected) / sigmas.measured
     known = np.isfinite(residual)

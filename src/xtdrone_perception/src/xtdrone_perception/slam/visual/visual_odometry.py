@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from xtdrone_control.pose_matrices import angle_between, distance_between
 from xtdrone_control.settings import Settings, setting
-from xtdrone_perception.slam.odometry_health import Estimate
-from xtdrone_perception.slam.poses import angle_between, distance_between
+from xtdrone_perception.slam.odometry_health import Estimate, weakest_share, without_registration
 
 from .camera_model import BodyCamera
 from .corner_tracks import Grey, TrackSettings, depth_at, new_corners, stereo_depth, track
@@ -57,8 +57,8 @@ class SeenPicture:
         depth: (height, width) m, registered to ``grey``; NaN where unknown.
         right: (height, width), rectified.
         base: focal length times baseline, px m.
-        attitude: of the autopilot at the exposure, body to its map.
-        time: of the exposure, s.
+        attitude: Attitude of the autopilot at the exposure, body to its map.
+        time: Time of the exposure, s.
     """
 
     grey: Grey
@@ -134,7 +134,7 @@ class VisualOdometry:
 
         Args:
             camera: that takes the images (the left one of a pair).
-            settings: of corners, errors and keyframes.
+            settings: Settings of corners, errors and keyframes.
             base: focal length times baseline of a stereo pair, px m; 0: a depth camera.
             start: (4, 4) pose of the body in the map.
         """
@@ -167,7 +167,7 @@ class VisualOdometry:
         if self._grey is None:
             corners = self._new_tracks(picture, predicted, Tracks())
             return self._without_pose(picture, predicted, corners, is_first=True)
-        seen = self._followed(self._grey, self._tracks, picture, predicted)
+        seen = self._follow(self._grey, self._tracks, picture, predicted)
         if len(seen.ids) < self._settings.least_points:
             return self._without_pose(picture, predicted, seen)
         most = self._noise.most_reprojection
@@ -181,7 +181,7 @@ class VisualOdometry:
             count=len(seen.ids),
             share=float(solved.inliers.mean()),
             residual=solved.residual,
-            weakest=_weakest(solved.information),
+            weakest=weakest_share(solved.information[:3, :3]),
             covariance=_covariance(solved),
             picture=picture,
             tracks=seen.of(solved.inliers),
@@ -201,9 +201,9 @@ class VisualOdometry:
 
     # tracks
 
-    def _followed(self, before: Grey, tracks: Tracks, picture: SeenPicture, predicted: Array) -> Tracks:
+    def _follow(self, before: Grey, tracks: Tracks, picture: SeenPicture, predicted: Array) -> Tracks:
         """Return the tracks of an earlier image in a new one."""
-        guess = self._camera.measured(predicted, tracks.points)[0]
+        guess = self._camera.measure(predicted, tracks.points)[0]
         pixels, good = track(self._corners, before, picture.grey, tracks.measured[:, :2], guess[:, :2])
         seen = tracks.of(good)
         depth, slopes = self._depths(picture, pixels[good], 1.0 / guess[good, 2])
@@ -215,7 +215,7 @@ class VisualOdometry:
         The disparity of a pair is measured for a patch, and its slope is not known: 0.
 
         Args:
-            picture: with a depth image, or a stereo pair.
+            picture: Image with a depth image, or a stereo pair.
             pixels: (n, 2) px.
             guess: (n,) m, NaN where unknown.
         """
@@ -243,18 +243,8 @@ class VisualOdometry:
     def _without_pose(
         self, picture: SeenPicture, predicted: Array, seen: Tracks, is_first: bool = False
     ) -> VisualEstimate:
-        return VisualEstimate(
-            pose=predicted,
-            predicted=predicted,
-            count=len(seen.ids),
-            share=float(is_first),
-            residual=0.0,
-            weakest=float(is_first),
-            covariance=np.diag([1e-6] * 6) if is_first else np.eye(6),
-            is_first=is_first,
-            picture=picture,
-            tracks=Tracks() if is_first else seen,
-        )
+        figures = without_registration(predicted, len(seen.ids), is_first)
+        return VisualEstimate(**figures, picture=picture, tracks=Tracks() if is_first else seen)
 
     # keyframes
 
@@ -309,12 +299,6 @@ class VisualOdometry:
             entry.pose = pose
         self._points.update(zip(keys, points, strict=True))
         self.pose = poses[-1]
-
-
-def _weakest(information: Array) -> float:
-    """Return the ratio of the smallest to the largest eigenvalue of the information on translation, 0..1."""
-    values = np.linalg.eigvalsh(information[:3, :3])
-    return float(max(values[0], 0.0) / values[-1]) if values[-1] > 0.0 else 0.0
 
 
 def _covariance(solved: Solved) -> Array:

@@ -26,11 +26,12 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image
 
 from xtdrone_control import lockstep
+from xtdrone_control.clouds import depths_of
+from xtdrone_control.pose_matrices import pose_of
 from xtdrone_control.settings import setting
-from xtdrone_perception.image_arrays import depth_of, grey_of
+from xtdrone_perception.images import grey_of
 from xtdrone_perception.slam.odometry_health import HealthLimits
-from xtdrone_perception.slam.odometry_node import Job, OdometryNode, OdometryOptions, Source
-from xtdrone_perception.slam.poses import pose_of
+from xtdrone_perception.slam.odometry_node import Job, OdometryNode, OdometryOptions, OdometrySource
 
 from .camera_model import BodyCamera
 from .corner_tracks import TrackSettings
@@ -51,27 +52,18 @@ class VisualOdometryOptions(OdometryOptions):
     kind: str = setting("rgbd", choices=("rgbd", "stereo"), text="a depth camera with colours, or a stereo pair")
     camera: str = setting("realsense/depth_camera", text="name of the camera's topics below the vehicle's namespace")
     camera_position: tuple[float, float, float] = setting(
-        (0.1, 0.0, 0.0),
-        low=-10.0,
-        high=10.0,
-        unit="m",
+        (0.1, 0.0, 0.0), low=-10.0, high=10.0, unit="m",
         text="position in base_link of the camera, or of the centre of a stereo pair",
-    )
+    )  # fmt: skip
     camera_rpy: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.0),
-        low=-2.0 * math.pi,
-        high=2.0 * math.pi,
-        unit="rad",
+        (0.0, 0.0, 0.0), low=-2.0 * math.pi, high=2.0 * math.pi, unit="rad",
         text="roll, pitch, yaw of the sensor in base_link",
-    )
+    )  # fmt: skip
     pixel_centre: float = setting(
-        0.5,
-        low=0.0,
-        high=0.5,
-        unit="px",
+        0.5, low=0.0, high=0.5, unit="px",
         text="coordinate of the upper left pixel's centre in the camera's calibration: 0.5 for simulated cameras, 0 "
         "for cameras calibrated with OpenCV",
-    )
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -97,12 +89,12 @@ class VisualOdometryNode(OdometryNode):
         """Declare the topics.
 
         Args:
-            name: of the vehicle.
-            settings: of the node.
+            name: Name of the vehicle.
+            settings: Settings of the node.
             core: settings of corners, errors and keyframes.
-            limits: of the supervision.
+            limits: Limits of the supervision.
         """
-        super().__init__(name, Source("visual_odometry", "picture", core[2].least_points), settings, limits)
+        super().__init__(name, OdometrySource("visual_odometry", "picture", core[2].least_points), settings, limits)
         self._settings, self._core_settings = settings, core
         base = f"/{name}/{settings.camera}"
         first, second = _PARTS[settings.kind]
@@ -154,7 +146,7 @@ class VisualOdometryNode(OdometryNode):
             return
         try:
             grey = grey_of(first)
-            depth, right = (None, grey_of(second)) if is_stereo else (depth_of(second), None)
+            depth, right = (None, grey_of(second)) if is_stereo else (depths_of(second, np.float32), None)
         except ValueError as error:
             rospy.logwarn_throttle(10.0, f"{self._name}: image ignored: {error}")
             return

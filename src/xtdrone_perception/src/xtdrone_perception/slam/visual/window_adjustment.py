@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from xtdrone_perception.slam.poses import moved, rotation_of
+from xtdrone_control.pose_matrices import move_pose, rotation_of
 
 from .camera_model import BodyCamera
 from .pose_from_points import huber
@@ -50,7 +50,7 @@ def adjust(
     """Return improved poses (k, 4, 4) and points (n, 3).
 
     Args:
-        camera: of the measurements.
+        camera: Camera of the measurements.
         deviations: (3,) standard deviations of a measurement, px, px, 1/m.
         problem: the measurements.
         poses: (k, 4, 4) body to map; the first one is fixed.
@@ -59,7 +59,7 @@ def adjust(
     best = _cost(camera, deviations, problem, poses, points)
     for _ in range(_ITERATIONS):
         pose_steps, point_steps = _steps(camera, deviations, problem, poses, points)
-        tried = np.stack([moved(pose, step) for pose, step in zip(poses, pose_steps, strict=True)])
+        tried = np.stack([move_pose(pose, step) for pose, step in zip(poses, pose_steps, strict=True)])
         cost = _cost(camera, deviations, problem, tried, points + point_steps)
         if not cost < best:
             break
@@ -72,7 +72,7 @@ def _residuals(
 ) -> tuple[Array, Array]:
     """Return normalised residuals (m, 3), 0 where unknown, and the points in the cameras' frames (m, 3)."""
     body = np.einsum("nji,nj->ni", poses[problem.frame, :3, :3], points[problem.point] - poses[problem.frame, :3, 3])
-    expected, local = camera.measured(np.eye(4), body)
+    expected, local = camera.measure(np.eye(4), body)
     return np.nan_to_num(camera.residuals(problem.measured, expected) / deviations), local
 
 

@@ -1,0 +1,1 @@
+"""Uniform cubic B-splines: their values, limits and optimisation."""

@@ -41,7 +41,7 @@ def cost(
         reference: (n, 3) positions that weakly attract the control points, m.
         distance, corner, resolution: of the map.
         clearance: distance to obstacles below which cost is added, m.
-        weight: of that cost.
+        weight: Weight of that cost.
         speed, acceleration: limits, m/s and m/s^2.
         moving: ((n - 3) * SAMPLES, m, 3) positions of m other vehicles at the sample times, m.
         apart: (m,) distance from each of them below which cost is added, m.

@@ -1,4 +1,4 @@
-"""Settings of the planner, and the goals that they allow."""
+"""All settings of the planner: decisions and goals, limits of trajectories, and agreement with other vehicles."""
 
 from __future__ import annotations
 
@@ -27,58 +27,46 @@ class PlannerSettings(Settings):
 
     lowest: float = setting(0.8, low=0.0, high=1000.0, unit="m", text="lowest height of flight and of goals")
     highest: float = setting(5.0, low=0.5, high=1000.0, unit="m", text="highest height of flight and of goals")
-    horizon: float = setting(12.0, low=2.0, high=60.0, unit="m", text="longest way that is planned at once")
+    horizon: float = setting(12.0, low=2.0, high=60.0, unit="m", text="greatest length of a planned path")
     period: float = setting(0.2, low=0.02, high=5.0, unit="s", text="time between two plans in flight")
     patience: float = setting(
-        6.0, low=0.5, high=120.0, unit="s", text="a goal to which no trajectory is found for so long is unreachable"
+        6.0, low=0.5, high=120.0, unit="s", text="time without a trajectory to a goal after which it is unreachable"
     )
     retry: float = setting(2.0, low=0.1, high=60.0, unit="s", text="time between attempts at an unreachable goal")
-    voxels: int = setting(25000, low=100, high=10_000_000, text="voxels that a search opens at most, bounds its time")
-    global_planner: str = setting(
-        "astar",
-        choices=GLOBAL_PLANNERS,
-        text="search for the path: A*, or OMPL's",
+    voxels: int = setting(
+        25000, low=100, high=10_000_000, text="greatest number of voxels that a search expands, which bounds its time"
     )
+    global_planner: str = setting("astar", choices=GLOBAL_PLANNERS, text="search for the path: A*, or OMPL's")
     iterations: int = setting(
-        400,
-        low=10,
-        high=100_000,
+        400, low=10, high=100_000,
         text="iterations of OMPL's planners in a search: RRT* and Informed RRT* add a sample in each, BIT* examines an "
         "edge between its samples",
-    )
+    )  # fmt: skip
     sampling_seed: int = setting(1, low=1, high=2**31 - 1, text="seed of each search of OMPL's planners")
     lead: float = setting(
-        0.06,
-        low=0.0,
-        high=1.0,
-        unit="s",
-        text="setpoints are so much ahead of the trajectory: their way to the autopilot",
-    )
+        0.06, low=0.0, high=1.0, unit="s",
+        text="time by which setpoints lead the trajectory: their delay to the autopilot",
+    )  # fmt: skip
     attitude_lag: float = setting(
-        0.1, low=0.0, high=1.0, unit="s", text="accelerations are so much ahead of positions and velocities"
+        0.1, low=0.0, high=1.0, unit="s", text="time by which accelerations lead positions and velocities"
     )
     drag: float = setting(
-        0.3,
-        low=0.0,
-        high=3.0,
-        unit="1/s",
+        0.3, low=0.0, high=3.0, unit="1/s",
         text="horizontal deceleration by air drag at 1 m/s, which accelerations compensate: that of the iris's rotors",
-    )
+    )  # fmt: skip
     damping: float = setting(
-        0.2,
-        low=0.0,
-        high=2.0,
+        0.2, low=0.0, high=2.0,
         text="share of horizontal accelerations that the autopilot's derivative term removes, which they compensate: "
         "MPC_XY_VEL_D_ACC of PX4",
-    )
+    )  # fmt: skip
     astray: float = setting(
         1.0, low=0.1, high=10.0, unit="m", text="deviation from the trajectory beyond which the vehicle replans"
     )
     yaw_rate: float = setting(1.5, low=0.1, high=6.0, unit="rad/s", text="greatest yaw rate")
     carry: float = setting(
         0.0, low=0.0, high=10.0, unit="s",
-        text="velocities on /xtdrone/VEHICLE/cmd_vel_enu keep the goal so much ahead of the vehicle, as those of a "
-        "follower; 0: they are not used",
+        text="time by which velocities on /xtdrone/VEHICLE/cmd_vel_enu, as of a follower, keep the goal ahead of the "
+        "vehicle; 0: they are not used",
     )  # fmt: skip
     offboard: bool = setting(True, text="request OFFBOARD for a new goal; false: wait for the pilot to do so")
 
@@ -103,3 +91,35 @@ class PlannerSettings(Settings):
 
 def _text(values: Array) -> str:
     return f"({', '.join(f'{value:g}' for value in values.tolist())})"
+
+
+@dataclass(frozen=True)
+class TrajectorySettings(Settings):
+    """Limits of trajectories, and the vehicle's size."""
+
+    speed: float = setting(4.0, low=0.2, high=15.0, unit="m/s", text="greatest speed")
+    acceleration: float = setting(3.0, low=0.3, high=8.0, unit="m/s²", text="greatest acceleration")
+    radius: float = setting(0.4, low=0.1, high=3.0, unit="m", text="radius of the vehicle, rotors included")
+    margin: float = setting(0.15, low=0.0, high=2.0, unit="m", text="clearance to obstacles, beyond the radius")
+    comfort: float = setting(
+        0.35, low=0.0, high=3.0, unit="m", text="additional clearance to obstacles where space allows"
+    )
+
+    def clearance(self, resolution: float) -> float:
+        """Return the minimum distance, m, between the vehicle's centre and that of an occupied voxel."""
+        return self.radius + self.margin + 0.5 * resolution
+
+
+@dataclass(frozen=True)
+class AgreementSettings(Settings):
+    """Coordination of trajectories between vehicles."""
+
+    check: float = setting(
+        0.4, low=0.0, high=5.0, unit="s",
+        text="time for which a proposed trajectory is open to objections: at least the radio delay, plus 0.1 s for "
+        "each message that may be lost",
+    )  # fmt: skip
+    separation: float = setting(
+        0.4, low=0.0, high=10.0, unit="m", text="clearance between two planned vehicles, beyond their radii"
+    )
+    pause: float = setting(0.3, low=0.0, high=10.0, unit="s", text="time between a decision and the next proposal")

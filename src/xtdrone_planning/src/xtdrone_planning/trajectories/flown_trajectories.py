@@ -35,7 +35,7 @@ class Flown(NamedTuple):
         spline: as published, but as early or late as the vehicle is.
         before: the one that a late vehicle still flies until the start of ``spline``, likewise; None: it waits there.
         off: distance of the vehicle from its trajectory, m.
-        radius: of the vehicle, m.
+        radius: Radius of the vehicle, m.
     """
 
     spline: UniformSpline
@@ -88,7 +88,7 @@ class FlownTrajectories:
         """Begin without trajectories.
 
         Args:
-            count: of vehicles.
+            count: Number of vehicles.
             distance: that two must keep, m.
             tracking: distance of a vehicle from its trajectory up to which it flies it, m.
         """
@@ -107,10 +107,10 @@ class FlownTrajectories:
         """Store a trajectory that a vehicle has published.
 
         Args:
-            index: of the vehicle.
-            number: of the trajectory; the same one with the same start again is a repetition.
+            index: Index of the vehicle.
+            number: Number of the trajectory; the same one with the same start again is a repetition.
             spline: the trajectory.
-            radius: of the vehicle, m.
+            radius: Radius of the vehicle, m.
         """
         self._published[index].add(number, spline, radius)
 
@@ -118,7 +118,7 @@ class FlownTrajectories:
         """Determine which vehicles fly their trajectories.
 
         Args:
-            positions: of all vehicles, shape (N, 3), m; NaN: unknown.
+            positions: Positions of all vehicles, shape (N, 3), m; NaN: unknown.
             now: s of ROS time.
         """
         self._now = now

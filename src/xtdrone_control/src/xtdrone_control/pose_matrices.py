@@ -26,7 +26,7 @@ def inverse(pose: Array) -> Array:
     return found
 
 
-def transformed(pose: Array, points: Array) -> Array:
+def transform_points(pose: Array, points: Array) -> Array:
     """Return points (n, 3) in the reference frame of a pose."""
     moved: Array = points @ pose[:3, :3].T + pose[:3, 3]
     return moved
@@ -85,7 +85,7 @@ def angle_between(first: Array, second: Array) -> float:
     return float((rotation_of(first).inv() * rotation_of(second)).magnitude())
 
 
-def moved(pose: Array, step: Array) -> Array:
+def move_pose(pose: Array, step: Array) -> Array:
     """Return a pose (4, 4) changed by a translation (m, reference axes) and a rotation vector (rad, body axes),
     (6,)."""
     return pose_of(pose[:3, 3] + step[:3], rotation_of(pose) * Rotation.from_rotvec(step[3:]))

@@ -1,36 +1,10 @@
-"""Interpolated poses, and faults of a camera."""
+"""Faults of a camera."""
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
 import pytest
 
-from xtdrone_perception.detection.camera_watch import CameraWatch
-from xtdrone_perception.tracking.pose_history import PoseHistory
-
-
-def yaw(angle: float) -> list[float]:
-    return [0.0, 0.0, math.sin(angle / 2), math.cos(angle / 2)]
-
-
-def test_entries_are_interpolated_and_extrapolated():
-    history = PoseHistory(reach=0.3)
-    assert history.at(0) is None
-    history.add(1_000_000_000, np.array([0.0, 0.0, 10.0, *yaw(0.0)]))
-    history.add(2_000_000_000, np.array([4.0, 0.0, 12.0, *(-np.array(yaw(0.4)))]))  # the negative is the same rotation
-    history.add(1_500_000_000, np.array([9.0, 9.0, 9.0, *yaw(2.0)]))  # too late
-    middle = history.at(1_500_000_000)
-    assert middle[:3] == pytest.approx([2.0, 0.0, 11.0])
-    assert middle[3:] == pytest.approx(yaw(0.2))
-    assert history.at(2_250_000_000)[0] == 4.0
-    assert history.at(2_350_000_000) is None
-    assert history.at(600_000_000) is None
-    history.add(9_000_000_000, np.array([0.0, 0.0, 0.0, *yaw(0.0)]))
-    assert history.at(1_500_000_000) is None  # removed by now
-    history.clear()
-    assert history.last is None
+from xtdrone_perception.detection.yolo_node import CameraWatch
 
 
 def watched(steps, picture):

@@ -13,21 +13,88 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_planning.mapping.voxel_grid import VoxelGrid
+from xtdrone_planning.planner_settings import AgreementSettings, PlannerSettings, TrajectorySettings
+from xtdrone_planning.replanning.flight_states import PlannerCommand, Situation
 from xtdrone_planning.replanning.planner import LEAST_WAY, Planner
-from xtdrone_planning.replanning.settings import PlannerSettings
-from xtdrone_planning.replanning.situation import Command, Situation
-from xtdrone_planning.swarm.known_trajectories import Known, Proposal
-from xtdrone_planning.swarm.settings import AgreementSettings
-from xtdrone_planning.trajectories.local_trajectory import State, TrajectorySettings, conflict_time, plan_along
+from xtdrone_planning.trajectories.local_trajectory import State, conflict_time, plan_along
 from xtdrone_planning.trajectories.moving_vehicles import MovingVehicles
+from xtdrone_planning.trajectories.speed_profile import length_of
 from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline
-from xtdrone_planning.trajectories.time_law import length_of
+
+FORGET = 1.5  # s after its start; a proposal without a decision by then was dropped by its vehicle
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A trajectory that a vehicle proposes to fly, unless another vehicle objects.
+
+    Attributes:
+        number: counts the vehicle's trajectories.
+        spline: the trajectory; until it begins, the vehicle follows its last committed one.
+        made: ROS time of its creation, s.
+        rank: Rank of the vehicle; of two proposals with the same time, the lower rank takes precedence.
+    """
+
+    number: int
+    spline: UniformSpline
+    made: float
+    rank: int
+
+    def precedes(self, other: Proposal) -> bool:
+        """Return whether this proposal takes precedence over a conflicting one."""
+        return (self.made, self.rank) < (other.made, other.rank)
+
+
+@dataclass
+class Known:
+    """Data received from one vehicle.
+
+    The order of its messages is that of their times: its numbers begin again when its planner is restarted.
+
+    Attributes:
+        radius: Radius of the vehicle, m.
+        number: Number of its committed trajectory, -1: none received.
+        decided: its committed trajectory.
+        proposals: undecided ones, by number.
+    """
+
+    radius: float = 0.0
+    number: int = -1
+    decided: UniformSpline | None = None
+    proposals: dict[int, Proposal] = field(default_factory=dict)
+
+    def on_decided(self, number: int, spline: UniformSpline, radius: float) -> None:
+        """Store the trajectory that the vehicle flies; an older one that arrives late is ignored."""
+        if self.decided is not None and spline.start < self.decided.start:
+            return
+        self.number, self.decided, self.radius = number, spline, radius
+        self.proposals = {n: entry for n, entry in self.proposals.items() if self._is_open(entry)}
+
+    def on_proposal(self, proposal: Proposal, radius: float) -> None:
+        """Store a proposal, unless it is already decided."""
+        if self._is_open(proposal):
+            self.proposals[proposal.number], self.radius = proposal, radius
+
+    def _is_open(self, proposal: Proposal) -> bool:
+        """Return whether a proposal is later than the committed trajectory: a vehicle proposes one at a time."""
+        decided = self.decided
+        return decided is None or (proposal.made >= decided.start and proposal.number != self.number)
+
+    def forget(self, now: float) -> None:
+        """Discard dropped proposals."""
+        self.proposals = {n: entry for n, entry in self.proposals.items() if now <= entry.spline.start + FORGET}
+
+    def trajectories(self) -> list[UniformSpline]:
+        """Return all trajectories that the vehicle may fly."""
+        decided = [] if self.decided is None else [self.decided]
+        return decided + [self.proposals[n].spline for n in sorted(self.proposals)]
+
 
 Array = NDArray[np.float64]
 
@@ -82,7 +149,7 @@ class SwarmPlanner(Planner):
         """Receive the proposed trajectory of another vehicle."""
         self._of(proposal.rank).on_proposal(proposal, radius)
 
-    def step(self, now: Situation) -> Command | None:
+    def step(self, now: Situation) -> PlannerCommand | None:
         """Decide on the proposal if it is due, then run one cycle."""
         for known in self._known.values():
             known.forget(now.time)

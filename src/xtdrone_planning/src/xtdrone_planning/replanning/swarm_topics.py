@@ -20,8 +20,7 @@ import rospy
 from xtdrone_msgs.msg import SplineTrajectory
 
 from xtdrone_control import lockstep
-from xtdrone_planning.swarm.known_trajectories import Proposal
-from xtdrone_planning.swarm.swarm_planner import SwarmPlanner
+from xtdrone_planning.replanning.swarm_planner import Proposal, SwarmPlanner
 from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline
 from xtdrone_planning.trajectories.trajectory_messages import TrajectoryError, spline_message, spline_of
 
@@ -36,10 +35,10 @@ class SwarmTopics:
         """Declare the topics.
 
         Args:
-            name: of the vehicle.
+            name: Name of the vehicle.
             fleet: names of all.
             planner: receives the messages.
-            frame: of the points.
+            frame: Frame of the points.
         """
         self._name, self._planner, self._frame = name, planner, frame
         self._ranks = {other: rank for rank, other in enumerate(fleet) if other != name}

@@ -1,1 +1,0 @@
-"""Collision-free trajectories of several vehicles, coordinated by radio."""
