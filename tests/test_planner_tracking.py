@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_planning.replanning.feed_forward import acceleration_setpoint
 from xtdrone_planning.replanning.settings import PlannerSettings

@@ -10,7 +10,6 @@ import pytest
 from mavros_fakes import free_udp_port, udp_socket
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.autopilot.modes import PX4_MODES
 from xtdrone_control.mavlink.wire import codec
 from xtdrone_control.mavros.lib import px4_modes
 from xtdrone_control.mavros.lib.plugin_settings import ParamError, Params
@@ -18,6 +17,7 @@ from xtdrone_control.mavros.link import autopilot_links
 from xtdrone_control.mavros.link.autopilot_links import FcuUrl, Link, LinkError, Receiver, parse_fcu_url
 from xtdrone_control.mavros.link.command_acks import Commands
 from xtdrone_control.mavros.link.stream_requests import DEFAULT_RATE_US, OFF_US, Streams
+from xtdrone_control.modes import PX4_MODES
 
 HANDLED = [
     "ALTITUDE",

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from mission_fakes import NAN, MissionFlight, at
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.commander.failsafe import (
     Failsafe,
     Flags,

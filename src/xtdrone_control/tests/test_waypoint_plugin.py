@@ -16,7 +16,7 @@ from mavros_msgs.srv import (
     WaypointSetCurrentRequest,
 )
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.mavlink.mavlink_server import MavlinkServer
 from xtdrone_control.mavros.lib.plugin_settings import Params

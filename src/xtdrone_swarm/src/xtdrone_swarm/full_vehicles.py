@@ -16,15 +16,14 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from xtdrone_control import frames
-from xtdrone_control.autopilot import modes
+from xtdrone_control import frames, modes
 from xtdrone_control.autopilot.commander.commander import Result
-from xtdrone_control.autopilot.modes import PX4_MODES
 from xtdrone_control.communication.commands import HOVER_SPEED, OWN_COMMANDS, MultirotorCore, Request
 from xtdrone_control.communication.setpoint import FRAME_LOCAL_NED, Setpoint
 from xtdrone_control.fleet import MAX_VEHICLES, FleetError, parse_fleet
 from xtdrone_control.lockstep.protocol import Schedule
 from xtdrone_control.mavlink.commands.setpoint_conversion import local_target
+from xtdrone_control.modes import PX4_MODES
 from xtdrone_control.rotation_arrays import yaw_of
 from xtdrone_coordination.patterns import origin_columns
 from xtdrone_sim.simulation import Simulation

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from xtdrone_control.autopilot.modes import PX4_MODES
 from xtdrone_control.communication.setpoint import (
     LARGEST,
     Setpoint,
@@ -20,6 +19,7 @@ from xtdrone_control.communication.setpoint import (
     velocity_setpoint,
     yaw_of,
 )
+from xtdrone_control.modes import PX4_MODES
 from xtdrone_control.settings import Settings, setting
 
 OWN_COMMANDS = ("ARM", "DISARM", "HOVER")

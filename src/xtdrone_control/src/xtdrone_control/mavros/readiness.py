@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_msgs.msg import FailingCheck, VehicleReadiness
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.events.events import ERROR
 from xtdrone_control.mavros.feeds import Feed
 from xtdrone_control.mavros.plugin import Plugin

@@ -43,8 +43,7 @@ from mavros_msgs.srv import (
 )
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
 
-from xtdrone_control import lockstep
-from xtdrone_control.autopilot import modes
+from xtdrone_control import lockstep, modes
 from xtdrone_control.autopilot.commander.offboard_setpoint import CommandStart
 from xtdrone_control.communication.commands import MultirotorCore
 from xtdrone_control.communication.multirotor import RosLog

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from xtdrone_control.autopilot.modes import CUSTOM_FLAG, PX4_MODES
+from xtdrone_control.modes import CUSTOM_FLAG, PX4_MODES
 
 _NAMES = {number: name for name, number in PX4_MODES.items()}
 

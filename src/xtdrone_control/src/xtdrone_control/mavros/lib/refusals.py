@@ -10,7 +10,7 @@ from __future__ import annotations
 import struct
 from typing import Any, NamedTuple
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.events import event_texts
 from xtdrone_control.autopilot.events.event_catalogue import HEALTH, WITH_CHECKS, Definition
 from xtdrone_control.autopilot.events.events import ERROR
