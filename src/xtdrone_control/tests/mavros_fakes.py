@@ -12,8 +12,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.mavros.lib.plugin_settings import Params
 from xtdrone_control.mavros.link.autopilot_links import FcuUrl, Link
-from xtdrone_control.mavros.plugin import Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 
 class FakePublisher:

@@ -10,8 +10,8 @@ import pytest
 from mavros_fakes import free_udp_port, udp_socket
 from pymavlink.dialects.v20 import common as mavlink
 
+from xtdrone_control import modes
 from xtdrone_control.mavlink.wire import codec
-from xtdrone_control.mavros.lib import px4_modes
 from xtdrone_control.mavros.lib.plugin_settings import ParamError, Params
 from xtdrone_control.mavros.link import autopilot_links
 from xtdrone_control.mavros.link.autopilot_links import FcuUrl, Link, LinkError, Receiver, parse_fcu_url
@@ -156,28 +156,28 @@ def test_random_bytes_end_in_a_frame_error_or_in_frames():
     [("MANUAL", 0x00010000), ("OFFBOARD", 0x00060000), ("AUTO.TAKEOFF", 0x02040000), ("AUTO.LAND", 0x06040000)],
 )
 def test_mode_numbers_are_px4s(name, number):
-    assert px4_modes.mode_number(name) == number
-    assert px4_modes.mode_name(81, number) == name
+    assert modes.mode_number(name) == number
+    assert modes.mode_name(81, number) == name
 
 
 def test_every_mode_round_trips_by_name():
     for name in PX4_MODES:
-        assert px4_modes.mode_name(1, px4_modes.mode_number(name)) == name
+        assert modes.mode_name(1, modes.mode_number(name)) == name
 
 
 def test_plain_numbers_are_modes():
-    assert px4_modes.mode_number("393216") == px4_modes.mode_number("OFFBOARD")
+    assert modes.mode_number("393216") == modes.mode_number("OFFBOARD")
 
 
 @pytest.mark.parametrize("name", ["", "OFFBORD", "auto.land", "-1", "4294967296"])
 def test_unknown_mode_lists_what_is_allowed(name):
-    with pytest.raises(px4_modes.ModeError, match=r"AUTO\.LAND.*OFFBOARD"):
-        px4_modes.mode_number(name)
+    with pytest.raises(modes.ModeError, match=r"AUTO\.LAND.*OFFBOARD"):
+        modes.mode_number(name)
 
 
 def test_modes_without_a_name():
-    assert px4_modes.mode_name(0x51, 99 << 16) == f"CMODE({99 << 16})"
-    assert px4_modes.mode_name(0xC0, 0) == "MODE(0xC0)"
+    assert modes.mode_name(0x51, 99 << 16) == f"CMODE({99 << 16})"
+    assert modes.mode_name(0xC0, 0) == "MODE(0xC0)"
 
 
 @pytest.mark.parametrize(

@@ -6,12 +6,10 @@ import pytest
 from mavros_fakes import Bench
 
 from xtdrone_control.fleet import FleetError
-from xtdrone_control.mavros.left_out import LeftOut
-from xtdrone_control.mavros.lib.plugin_settings import ParamError, Params
+from xtdrone_control.mavros.lib.plugin_settings import ParamError, Params, PluginLists
 from xtdrone_control.mavros.mavros_node import connections
-from xtdrone_control.mavros.plugin_lists import PluginLists
 from xtdrone_control.mavros.plugins import PLUGINS
-from xtdrone_control.mavros.unsubscribed_topics import Watch
+from xtdrone_control.mavros.unsubscribed_topics import LeftOut, Watch
 
 NAMES = ["sys_status", "sys_time", "setpoint_raw", "setpoint_velocity", "imu"]
 

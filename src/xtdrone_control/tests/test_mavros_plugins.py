@@ -24,8 +24,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from sensor_msgs.msg import NavSatFix, NavSatStatus
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.lib.log_throttle import Throttle
 from xtdrone_control.mavros.lib.plugin_settings import ParamError
+from xtdrone_control.mavros.link.autopilot_links import Throttle
 from xtdrone_control.mavros.link.raw_frames import fill
 from xtdrone_control.mavros.plugins import PLUGINS
 

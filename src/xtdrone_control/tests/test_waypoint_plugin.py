@@ -9,12 +9,7 @@ import pytest
 from autopilot_fakes import FIRST_ID, Flight
 from mavros_fakes import FakeRos
 from mavros_msgs.msg import Waypoint
-from mavros_msgs.srv import (
-    WaypointClearRequest,
-    WaypointPullRequest,
-    WaypointPushRequest,
-    WaypointSetCurrentRequest,
-)
+from mavros_msgs.srv import WaypointClearRequest, WaypointPullRequest, WaypointPushRequest, WaypointSetCurrentRequest
 
 from xtdrone_control import modes
 from xtdrone_control.fleet import Vehicle

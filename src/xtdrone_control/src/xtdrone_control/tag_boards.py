@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.bounded_file import load_yaml, read_text
+from xtdrone_control.files import load_yaml, read_text
 from xtdrone_control.settings import SettingError, check_range
 
 FAMILY_SIZE = 587  # tags of 36h11

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.bounded_file import ContentError, load_yaml, read_text
+from xtdrone_control.files import ContentError, load_yaml, read_text
 from xtdrone_sim.package_files import CONFIG
 from xtdrone_sim.vehicles.upstream_models import not_simulated
 

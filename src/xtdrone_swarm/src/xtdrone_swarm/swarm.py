@@ -31,11 +31,10 @@ from xtdrone_coordination.laws.topology import unreachable
 from xtdrone_coordination.leader import Leader, LeaderOptions, number_list
 from xtdrone_coordination.network import NetworkOptions, make_network
 from xtdrone_coordination.patterns import Patterns
-from xtdrone_swarm.flight_record import Choice, Record
 from xtdrone_swarm.followers import FollowerGroup
 from xtdrone_swarm.simplified.simplified_vehicles import SimplifiedVehicles, spawn_places
 from xtdrone_swarm.simplified.vehicle_parameters import Model
-from xtdrone_swarm.swarm_vehicles import ACCELERATION, VELOCITY, Array, Vehicles
+from xtdrone_swarm.swarm_vehicles import ACCELERATION, VELOCITY, Array, Choice, Record, Vehicles
 
 MOST_VEHICLES = 10_000  # in one swarm; the topology is a matrix of N x N
 SETTLED = 0.15  # m

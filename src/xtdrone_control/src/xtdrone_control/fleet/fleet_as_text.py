@@ -10,19 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.bounded_file import ContentError, load_yaml, read_text
+from xtdrone_control.files import ContentError, load_yaml, read_text
 
 from .start_places import start_pose
-from .vehicle import (
-    MAX_VEHICLES,
-    OFFBOARD_PORTS,
-    XTDRONE,
-    FleetError,
-    StartPose,
-    Vehicle,
-    check_instance,
-    check_ports,
-)
+from .vehicle import MAX_VEHICLES, OFFBOARD_PORTS, XTDRONE, FleetError, StartPose, Vehicle, check_instance, check_ports
 
 _KEYS = ("name", "type", "model", "pose", "id")
 _TYPE = r"[a-z][a-z0-9_]*"

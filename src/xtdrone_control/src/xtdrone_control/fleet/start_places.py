@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from xtdrone_control.bounded_file import ContentError, load_yaml
+from xtdrone_control.files import ContentError, load_yaml
 
 from .vehicle import FleetError, StartPose, Vehicle
 

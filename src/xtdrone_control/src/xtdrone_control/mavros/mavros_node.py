@@ -38,17 +38,15 @@ from xtdrone_msgs.srv import GetReadiness, GetReadinessResponse
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import XTDRONE, FleetError, Vehicle, check_instance, check_ports, parse_fleet
-from xtdrone_control.mavros import left_out
 from xtdrone_control.mavros.feeds import Publisher
-from xtdrone_control.mavros.lib.plugin_settings import Params
+from xtdrone_control.mavros.lib.plugin_settings import Params, PluginLists
 from xtdrone_control.mavros.link.autopilot_links import FcuUrl, Link, LinkError, Receiver, bind_host_for, parse_fcu_url
-from xtdrone_control.mavros.plugin_lists import PluginLists
 from xtdrone_control.mavros.plugins import PLUGINS
 from xtdrone_control.mavros.readiness import TelemetryDemand, TelemetryOf, readiness
 from xtdrone_control.mavros.swarm_state_topic import Swarm
 from xtdrone_control.mavros.uas import PluginKind, Uas
-from xtdrone_control.mavros.unsubscribed_topics import Registrations, Watch
-from xtdrone_control.programs.fleet_parameter import wait_for_fleet
+from xtdrone_control.mavros.unsubscribed_topics import Registrations, Watch, plugin_reasons, topics_left_out
+from xtdrone_control.programs.plain_node import wait_for_fleet
 from xtdrone_control.programs.under_roslaunch import announce
 
 RATE = 50.0  # Hz of simulated time: PX4's fastest telemetry on the offboard link that MAVROS publishes
@@ -238,7 +236,7 @@ class MavrosNode:
         prefixes = [vehicle.prefix for vehicle in vehicles]
         rospy.Service("~get_readiness", GetReadiness, self._get_readiness)
         names = [vehicle.name for vehicle in vehicles]
-        self._watch = Watch(rospy.get_name(), prefixes, left_out.subscribed(), system_state, names)
+        self._watch = Watch(rospy.get_name(), prefixes, topics_left_out(), system_state, names)
         lockstep.declare_udp([link.port for link in self._links], self._serve)
         lockstep.add_reset_hook(self._on_time_reset)
         self._receiver.start()
@@ -396,7 +394,7 @@ def _open(vehicles: list[Connection], source: tuple[int, int]) -> list[Link]:
 def _complaints(params: Iterable[Params]) -> list[str]:
     """Return the problems found in the vehicles' plugin lists, without duplicates."""
     names = [plugin.name for plugin in PLUGINS if plugin.listed]
-    absent = left_out.plugin_reasons()
+    absent = plugin_reasons()
     sentences = (PluginLists(own).complaints(names, absent) for own in params)
     return list(dict.fromkeys(itertools.chain.from_iterable(sentences)))
 

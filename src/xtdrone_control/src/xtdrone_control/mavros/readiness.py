@@ -16,8 +16,7 @@ from xtdrone_msgs.msg import FailingCheck, VehicleReadiness
 from xtdrone_control import modes
 from xtdrone_control.autopilot.events.events import ERROR
 from xtdrone_control.mavros.feeds import Feed
-from xtdrone_control.mavros.plugin import Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _WANTED_FOR = 10.0  # s of wall time after a request
 

@@ -12,9 +12,9 @@ from operator import attrgetter
 from typing import Any, ClassVar
 
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES, message
+from xtdrone_control.mavros.feeds import Feed, Topic
 from xtdrone_control.mavros.link.ros_values_to_mavlink import FieldError, require_finite
-from xtdrone_control.mavros.plugin import Feed, Plugin, Topic
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _STAMPS = ("time_usec", "time_boot_ms", "time_last_baseline_ms")
 

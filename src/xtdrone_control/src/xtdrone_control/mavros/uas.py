@@ -14,15 +14,13 @@ from xtdrone_control.geodesy.geoid import undulation
 from xtdrone_control.mavlink.wire.codec import Decoder, FrameError, decoder, message_name
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
 from xtdrone_control.mavros.feeds import Feed, Need, Ros, Topic
-from xtdrone_control.mavros.lib.log_throttle import Throttle
-from xtdrone_control.mavros.lib.plugin_settings import Params
+from xtdrone_control.mavros.lib.plugin_settings import Params, PluginLists
 from xtdrone_control.mavros.lib.refusals import Refusals
-from xtdrone_control.mavros.link.autopilot_links import RAW, Link
+from xtdrone_control.mavros.link.autopilot_links import RAW, Link, Throttle
 from xtdrone_control.mavros.link.command_acks import Commands
 from xtdrone_control.mavros.link.plan_transfers import PlanTransfers
 from xtdrone_control.mavros.link.ros_values_to_mavlink import FLOAT32_MAX, FLOAT32_RANGE, FieldError, source
 from xtdrone_control.mavros.link.stream_requests import Streams
-from xtdrone_control.mavros.plugin_lists import PluginLists
 
 log = logging.getLogger("rosout.mavros")
 
@@ -460,3 +458,27 @@ def _denied(kind: Any) -> Any:
     if hasattr(response, "result"):
         response.result = mavlink.MAV_RESULT_DENIED
     return response
+
+
+class Plugin:
+    """One MAVROS plugin of one vehicle.
+
+    A subclass creates its topics and services in ``__init__`` and fills in:
+
+    Attributes:
+        messages: MAVLink message name to its feed or feeds, handled in the main thread; ``RAW`` for every frame.
+        replies: MAVLink message name to a handler of the raw frame that the receiver thread calls immediately; for
+            answers that a service is waiting for.
+    """
+
+    name = ""
+    listed = True
+
+    def __init__(self, uas: Uas) -> None:
+        """Store the vehicle's hub."""
+        self.uas = uas
+        self.messages: dict[str | int, Feed | Sequence[Feed]] = {}
+        self.replies: dict[str, Callable[[bytes], None]] = {}
+
+    def connected(self, connected: bool) -> None:
+        """Handle the first heartbeat of the autopilot or the loss of its heartbeat; the default does nothing."""

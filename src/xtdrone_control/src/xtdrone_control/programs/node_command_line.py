@@ -5,16 +5,20 @@ Programs for several vehicles of one type name them as ``iris 0``, ``iris 0-8``,
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from xtdrone_control.fleet import MAX_VEHICLES, FleetError, Vehicle, parse_fleet
-from xtdrone_control.settings import SettingError
+from xtdrone_control.settings import SettingError, setting
 
 MULTIROTORS = ("iris", "solo", "typhoon_h480")
 OTHER_VEHICLES = ("plane", "rover", "standard_vtol", "tiltrotor", "tailsitter")
+
+exit_statuses: list[Callable[[], int]] = []
+"""Functions that return an exit status for a program whose main function has returned; the lockstep adds its own."""
 
 
 class ArgumentError(ValueError):
@@ -190,8 +194,6 @@ def run_program(main: Callable[[Sequence[str]], None], arguments: Sequence[str],
     import rosgraph  # here: this module can be imported without ROS
     import rospy
 
-    from xtdrone_control import lockstep
-
     arguments = rospy.myargv(list(arguments))[1:]
     if not rosgraph.is_master_online():
         print(f"no ROS master at {rosgraph.get_master_uri()}: start roscore or a launch file first", file=sys.stderr)
@@ -208,4 +210,31 @@ def run_program(main: Callable[[Sequence[str]], None], arguments: Sequence[str],
         pass  # shut down
     except KeyboardInterrupt:
         return 0
-    return lockstep.exit_status()
+    return max((status() for status in exit_statuses), default=0)
+
+
+LEAST_SPEED = 0.01
+"""Minimum target real-time factor; below it a 20 ms tick would take more than two seconds."""
+
+
+def speed_setting(
+    text: str = "target speed (default: unlimited)", *, default: Any = 0.0, positional: bool = False
+) -> Any:
+    """Declare a target real-time factor; 0 for ``unlimited``."""
+    return setting(
+        default,
+        parse=_parse_speed,
+        allowed=f"a real-time factor of at least {LEAST_SPEED}, or 'unlimited'",
+        metavar="FACTOR",
+        text=text,
+        positional=positional,
+    )
+
+
+def _parse_speed(text: object) -> float:
+    if text == "unlimited":
+        return 0.0
+    value = float(text) if isinstance(text, (str, int, float)) else math.nan
+    if not (math.isfinite(value) and value >= LEAST_SPEED):
+        raise ValueError
+    return value

@@ -26,7 +26,7 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-from xtdrone_control import bounded_file
+from xtdrone_control import files
 
 from .clouds import cloud
 from .generated import FAMILIES, SHAPES
@@ -165,10 +165,10 @@ def read_patterns(file: Path, count: int) -> dict[str, Offsets]:
             0.5 m apart from each other and from the leader.
     """
     try:
-        data = bounded_file.load_yaml(bounded_file.read_text(file))
+        data = files.load_yaml(files.read_text(file))
     except OSError as error:
         raise PatternError(f"pattern file {file}: {error.strerror or error}") from error
-    except bounded_file.ContentError as error:
+    except files.ContentError as error:
         raise PatternError(f"pattern file {file} is not YAML: {error}") from error
     if not isinstance(data, Mapping):
         raise PatternError(f"pattern file {file}: must be {{number of vehicles: {{name: offsets}}}}")

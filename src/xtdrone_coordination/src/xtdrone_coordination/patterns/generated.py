@@ -7,7 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .even_selection_and_leader import from_middle, led
+from xtdrone_coordination.patterns.slot_offsets_and_spacing import from_middle, led
+
 from .slot_offsets_and_spacing import PITCH, Offsets, rescaled
 
 _SPHERE_SHIFT = 0.36  # of a step: distance of the lattice's ends from the poles for the largest minimum distance

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control import bounded_file
+from xtdrone_control import files
+from xtdrone_coordination.patterns.slot_offsets_and_spacing import ALL_AS_HIGH, Points, farthest, led
 
-from .even_selection_and_leader import ALL_AS_HIGH, Points, farthest, led
 from .slot_offsets_and_spacing import Offsets, PatternError, rescaled
 
 MAX_LETTERS = 100  # of a text
-MAX_FONT_FILE = 64 * bounded_file.MB
+MAX_FONT_FILE = 64 * files.MB
 
 _GAP = 0.35  # between two letters, of the letters' height; more than in print, as slots lie farther apart than ink
 _BLANK = 0.6  # width of a space, of the letters' height
@@ -94,7 +94,7 @@ def _font_file(words: str, font: str | None) -> str:
 
     file = font or str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")
     try:
-        bounded_file.check(file, MAX_FONT_FILE)
+        files.check(file, MAX_FONT_FILE)
         known = get_font(file).get_charmap()
     except (OSError, RuntimeError) as error:
         raise PatternError(f"font {file}: {getattr(error, 'strerror', None) or error}") from error

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.programs.user_module import import_user_module
+from xtdrone_control.programs.user_classes import import_user_module
 from xtdrone_sim.kernel import kernel
 
 from .wind import add_wind

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any, NamedTuple
 
-from xtdrone_control.bounded_file import ContentError, load_yaml
+from xtdrone_control.files import ContentError, load_yaml
 from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import SettingError, check_range
 from xtdrone_sim.robots.robot_model import AnyRobot, load_robot

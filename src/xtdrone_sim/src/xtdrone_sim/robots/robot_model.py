@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from xtdrone_control.autopilot.autopilot import STEP_US
-from xtdrone_control.bounded_file import ContentError
+from xtdrone_control.files import ContentError
 from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_control.tag_boards import TagBoard, boards_of

@@ -23,22 +23,11 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.bounded_file import MB, MOST_VALUES, ContentError, read_text
+from xtdrone_control.files import MB, MOST_VALUES, ContentError, read_text
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.package_files import PACKAGE
 from xtdrone_sim.shapes.pose_arithmetic import compose, rotate
-from xtdrone_sim.shapes.visual import (
-    Box,
-    Collision,
-    Colour,
-    Cylinder,
-    Geometry,
-    Mesh,
-    Pose,
-    Sphere,
-    Vector,
-    Visual,
-)
+from xtdrone_sim.shapes.visual import Box, Collision, Colour, Cylinder, Geometry, Mesh, Pose, Sphere, Vector, Visual
 
 FIXED, REVOLUTE, CONTINUOUS = "fixed", "revolute", "continuous"
 _LARGEST = 16 * MB

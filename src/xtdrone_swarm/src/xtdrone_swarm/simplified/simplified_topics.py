@@ -33,14 +33,7 @@ from typing import Any, Protocol
 import rospy
 from geometry_msgs.msg import Pose, PoseStamped, Twist, TwistStamped
 from mavros_msgs.msg import ExtendedState, PositionTarget, State
-from mavros_msgs.srv import (
-    CommandBool,
-    CommandBoolResponse,
-    CommandTOL,
-    CommandTOLResponse,
-    SetMode,
-    SetModeResponse,
-)
+from mavros_msgs.srv import CommandBool, CommandBoolResponse, CommandTOL, CommandTOLResponse, SetMode, SetModeResponse
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
 
 from xtdrone_control import lockstep, modes
@@ -48,8 +41,8 @@ from xtdrone_control.autopilot.commander.offboard_setpoint import CommandStart
 from xtdrone_control.communication.commands import MultirotorCore
 from xtdrone_control.communication.multirotor import RosLog
 from xtdrone_control.communication.setpoint import FRAME_LOCAL_NED, Setpoint, Vector
-from xtdrone_control.mavros.lib.px4_modes import ModeError, mode_name, mode_number
 from xtdrone_control.mavros.swarm_state_topic import FIELDS, TOPIC
+from xtdrone_control.modes import ModeError, mode_name, mode_number
 from xtdrone_sim.runtime.requests.mailbox import ClosedError, Mailbox
 from xtdrone_swarm.simplified.setpoints import SetpointError, Start, wanted
 from xtdrone_swarm.swarm_vehicles import HOLD, Vehicles

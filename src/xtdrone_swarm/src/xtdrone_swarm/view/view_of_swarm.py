@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from xtdrone_coordination.leader import Leader
-from xtdrone_swarm.flight_record import Record
-from xtdrone_swarm.swarm_vehicles import Vehicles
+from xtdrone_swarm.swarm_vehicles import Record, Vehicles
 from xtdrone_swarm.view.film import FPS, FilmError, film
 from xtdrone_swarm.view.projection_and_zoom import Array
 from xtdrone_swarm.view.swarm_picture import Frame, SwarmView

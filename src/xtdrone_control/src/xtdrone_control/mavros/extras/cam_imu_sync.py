@@ -7,9 +7,9 @@ from typing import Any
 
 from mavros_msgs.msg import CamIMUStamp
 
-from xtdrone_control.mavros.plugin import Feed, Plugin
+from xtdrone_control.mavros.feeds import Feed
 from xtdrone_control.mavros.relayed_messages import wrapped
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 
 class CamImuSyncPlugin(Plugin):

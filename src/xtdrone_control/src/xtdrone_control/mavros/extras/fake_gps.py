@@ -11,9 +11,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
 from xtdrone_control.mavros.link.ros_values_to_mavlink import whole
-from xtdrone_control.mavros.plugin import Plugin
 from xtdrone_control.mavros.relayed_messages import In, limited
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _GPS_EPOCH = 315_964_800 - 18  # s of Unix time at the start of GPS time, with the leap seconds since then
 _WEEK_MS = 7 * 86_400_000

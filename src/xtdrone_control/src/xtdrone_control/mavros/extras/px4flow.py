@@ -8,7 +8,7 @@ from mavros_msgs.msg import OpticalFlowRad
 from sensor_msgs.msg import Range, Temperature
 
 from xtdrone_control.mavros.extras.relayed import FLOW_GYRO, turned_flow
-from xtdrone_control.mavros.plugin import Feed
+from xtdrone_control.mavros.feeds import Feed
 from xtdrone_control.mavros.relayed_messages import In, Relay
 from xtdrone_control.mavros.uas import Uas
 

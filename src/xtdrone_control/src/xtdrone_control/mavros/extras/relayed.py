@@ -39,9 +39,8 @@ from std_msgs.msg import UInt8
 
 from xtdrone_control import frames
 from xtdrone_control.mavros.link.ros_values_to_mavlink import FieldError, whole
-from xtdrone_control.mavros.plugin import Plugin
 from xtdrone_control.mavros.relayed_messages import In, Out, Relay, relay, text, wrapped
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 Fields = Mapping[str, Any]
 

@@ -11,9 +11,9 @@ from nav_msgs.msg import Path
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
+from xtdrone_control.mavros.feeds import Feed
 from xtdrone_control.mavros.lib.setpoint_messages import set_xyz, vector_fields, xyz
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _COUNT = 5  # points of one message
 _NO_COMMAND = 65535

@@ -15,6 +15,7 @@ import re
 import select
 import socket
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
@@ -23,8 +24,25 @@ from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_native.mavlink_wire import receive, split
 
 from xtdrone_control.mavlink.wire.codec import frame_error
-from xtdrone_control.mavros.lib.log_throttle import Throttle
 from xtdrone_control.mavros.link.ros_values_to_mavlink import pack
+
+
+class Throttle:
+    """Allows each key once in ``interval`` seconds; of wall time, because people read logs."""
+
+    def __init__(self, interval: float = 5.0) -> None:
+        """Set the interval in seconds."""
+        self._interval = interval
+        self._last: dict[str, float] = {}
+
+    def passes(self, key: str) -> bool:
+        """Return whether ``key`` may be logged now."""
+        now = time.monotonic()
+        if now - self._last.get(key, -self._interval) < self._interval:
+            return False
+        self._last[key] = now
+        return True
+
 
 log = logging.getLogger("rosout.mavros")
 

@@ -28,9 +28,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.mavlink.wire.codec import decoder
 from xtdrone_control.mavros.link.command_acks import ACK_LIMIT
-from xtdrone_control.mavros.plugin import Plugin
 from xtdrone_control.mavros.relayed_messages import wrapped
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _SYSTEM_CONTROL = 250  # MAV_COMP_ID_SYSTEM_CONTROL
 _decode_ack = decoder("COMMAND_ACK")

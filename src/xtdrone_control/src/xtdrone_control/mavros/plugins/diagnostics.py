@@ -14,12 +14,11 @@ from typing import Any, NamedTuple
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.mavros.lib.battery_cells import cell_voltages
-from xtdrone_control.mavros.lib.plugin_settings import ParamError, Params
-from xtdrone_control.mavros.lib.px4_modes import mode_name
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.plugin_lists import PluginLists
-from xtdrone_control.mavros.uas import RAW, Uas
+from xtdrone_control.mavros.feeds import Feed
+from xtdrone_control.mavros.lib.plugin_settings import ParamError, Params, PluginLists
+from xtdrone_control.mavros.plugins.sys_status import cell_voltages
+from xtdrone_control.mavros.uas import RAW, Plugin, Uas
+from xtdrone_control.modes import mode_name
 
 _OK, _WARN, _ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 _PERIOD = 1.0  # s of ROS time

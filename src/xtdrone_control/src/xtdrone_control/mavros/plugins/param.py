@@ -23,8 +23,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.parameters import former_parameters
 from xtdrone_control.mavlink.wire.codec import FrameError, decoder
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.feeds import Feed
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _INTEGERS = {1: "B", 2: "b", 3: "H", 4: "h", 5: "I", 6: "i"}  # MAV_PARAM_TYPE to struct's letter
 _REAL = 9

@@ -8,8 +8,7 @@ from geometry_msgs.msg import Twist, TwistStamped
 
 from xtdrone_control.mavros.lib.mav_frames import MavFrame
 from xtdrone_control.mavros.lib.setpoint_messages import ONLY_VELOCITY_YAW_RATE, position_target
-from xtdrone_control.mavros.plugin import Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 
 class SetpointVelocityPlugin(Plugin):

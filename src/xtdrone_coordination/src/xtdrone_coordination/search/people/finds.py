@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ..losses.reallocation import Reallocation
+from ..losses import Reallocation
 from ..reports import Find, rounded_xy
 from ..searching_vehicle import BUSY, LookStage, SecondLook, State, Vehicle
 from ..states.common_supervision import MissionControl

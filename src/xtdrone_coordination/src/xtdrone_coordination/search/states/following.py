@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from ..actions import Follow
 from ..people.candidates import Candidate
 from ..reports import rounded_xy
-from ..searching_vehicle import Following, SecondLook, State, Vehicle
+from ..searching_vehicle import Follow, Following, SecondLook, State, Vehicle
 from .common_supervision import MissionControl
-from .offboard_heights_and_setpoints import OffboardState
-from .rejoining import Rejoining
+from .offboard_heights_and_setpoints import OffboardState, Rejoining
 
 
 class FollowingPerson(OffboardState):

@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from xtdrone_control.cameras.pinhole import Pinhole
 
-from ..actions import OFFBOARD, PointCamera
 from ..coverage_map import shows
 from ..people.candidates import EXTRAPOLATION, Candidate
 from ..reports import rounded_xy
-from ..searching_vehicle import LookStage, SecondLook, State, Vehicle
+from ..searching_vehicle import OFFBOARD, LookStage, PointCamera, SecondLook, State, Vehicle
 from .common_supervision import MissionControl
 from .offboard_heights_and_setpoints import OffboardState
 

@@ -10,7 +10,7 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.bounded_file import read_bytes
+from xtdrone_control.files import read_bytes
 from xtdrone_control.geodesy.datum import Datum
 from xtdrone_sim.shapes.visual import Collision, Pose, Visual
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import is_plane, read_collisions, read_visuals
@@ -28,10 +28,7 @@ from xtdrone_sim.worlds.sdf.world_records import (
     Waypoint,
 )
 from xtdrone_sim.worlds.sdf.xml_elements import LARGEST, Element, parse
-from xtdrone_sim.worlds.sdf.xml_poses import (
-    pose_of,
-    read_pose,
-)
+from xtdrone_sim.worlds.sdf.xml_poses import pose_of, read_pose
 
 EXTENDS = "xtdrone:extends"
 DECLINATION = "xtdrone:declination"

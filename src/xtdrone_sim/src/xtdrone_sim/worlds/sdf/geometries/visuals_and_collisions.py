@@ -10,7 +10,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.bounded_file import read_text
+from xtdrone_control.files import read_text
 from xtdrone_sim.shapes.pose_arithmetic import compose, rotate
 from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Geometry, Mesh, Pose, Sphere, Visual
 from xtdrone_sim.worlds.sdf.geometries.heightmaps import read_heightmap
@@ -26,10 +26,7 @@ from xtdrone_sim.worlds.sdf.geometries.mesh_files import (
 from xtdrone_sim.worlds.sdf.models.model_uris import ForbiddenError, resolve, uri_of
 from xtdrone_sim.worlds.sdf.world_records import SdfError
 from xtdrone_sim.worlds.sdf.xml_elements import Element
-from xtdrone_sim.worlds.sdf.xml_poses import (
-    read_pose,
-    write_pose,
-)
+from xtdrone_sim.worlds.sdf.xml_poses import read_pose, write_pose
 
 Array = NDArray[np.float64]
 

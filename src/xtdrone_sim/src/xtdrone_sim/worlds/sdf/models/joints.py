@@ -10,8 +10,8 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
+from xtdrone_control.files import shortened
 from xtdrone_control.rotation import Vector
-from xtdrone_control.shortened_text import shortened
 from xtdrone_sim.shapes.pose_arithmetic import compose, inverse, rotate
 from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.worlds.sdf.world_records import SdfJoint, SdfLink, SdfModel

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from xtdrone_control.shortened_text import shortened
+from xtdrone_control.files import shortened
 from xtdrone_sim.package_files import MODELS, PACKAGE
 from xtdrone_sim.vehicles.urdf import LONGEST_URI
 from xtdrone_sim.worlds.sdf.world_records import SdfError

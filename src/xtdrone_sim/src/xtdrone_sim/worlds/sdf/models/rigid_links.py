@@ -6,15 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from xtdrone_control.shortened_text import shortened
+from xtdrone_control.files import shortened
 from xtdrone_sim.vehicles.urdf import Inertial
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import has_heightmap
 from xtdrone_sim.worlds.sdf.models.joints import MOVING, WORLD, Groups
 from xtdrone_sim.worlds.sdf.world_records import DEFAULT_INERTIAL, SdfLink, SdfModel
 from xtdrone_sim.worlds.sdf.xml_elements import Element
-from xtdrone_sim.worlds.sdf.xml_poses import (
-    read_pose,
-)
+from xtdrone_sim.worlds.sdf.xml_poses import read_pose
 
 INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 """Elements of <inertia>, in the order of ``Inertial.inertia``."""
