@@ -179,17 +179,17 @@ def _ids_in(fleet: Sequence[Vehicle], kind: str, text: str) -> list[int]:
     return sorted(ids)
 
 
-def run_program(main: Callable[[Sequence[str]], None], arguments: Sequence[str], usage: str) -> int:
+def run_program(main: Callable[[Sequence[str]], int | None], arguments: Sequence[str], usage: str) -> int:
     """Run a node's main function and return the exit status.
 
     Args:
-        main: called with the arguments without ROS remappings.
+        main: Called with the arguments without ROS remappings; returns an exit status, or None for 0.
         arguments: the command line with the program's name.
         usage: printed after an invalid command line.
 
     Returns:
-        0 after a normal end; 1 without a ROS master, or if the simulator rejects or drops the node or crashes; 2 for
-        an invalid command line or parameter. The reason goes to standard error.
+        That of ``main`` after a normal end; 1 without a ROS master, or if the simulator rejects or drops the node or
+        crashes; 2 for an invalid command line or parameter. The reason goes to standard error.
     """
     import rosgraph  # here: this module can be imported without ROS
     import rospy
@@ -199,7 +199,7 @@ def run_program(main: Callable[[Sequence[str]], None], arguments: Sequence[str],
         print(f"no ROS master at {rosgraph.get_master_uri()}: start roscore or a launch file first", file=sys.stderr)
         return 1
     try:
-        main(arguments)
+        status = main(arguments)
     except (ArgumentError, SettingError) as error:
         print(f"{error}\nusage: {usage}", file=sys.stderr)
         return 2
@@ -207,10 +207,10 @@ def run_program(main: Callable[[Sequence[str]], None], arguments: Sequence[str],
         print(error, file=sys.stderr)
         return 1
     except rospy.ROSInterruptException:
-        pass  # shut down
+        status = 0  # shut down
     except KeyboardInterrupt:
         return 0
-    return max((status() for status in exit_statuses), default=0)
+    return status or max((add() for add in exit_statuses), default=0)
 
 
 LEAST_SPEED = 0.01
