@@ -776,7 +776,7 @@ class TestDemand:
         bench.uas.set_connected(False)
         bench.send(HEARTBEAT, HIGHRES)
         assert asked() == [], "the autopilot keeps its rates while a link is lost"
-        bench.uas.rebooted()
+        bench.uas.on_reboot()
         bench.take("imu/data_raw")
         assert asked() == [0.0]
 

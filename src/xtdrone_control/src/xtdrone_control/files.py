@@ -105,7 +105,7 @@ def load_yaml(text: str, loader: type[BoundedLoader] | None = None) -> Any:
         raise
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        raise ContentError(f"{_located(mark)}{error.problem or error.context}") from error
+        raise ContentError(f"{_position(mark)}{error.problem or error.context}") from error
     except yaml.reader.ReaderError as error:
         raise ContentError(f"character {error.position}: {error.reason}") from error
     except (yaml.YAMLError, ValueError, OverflowError) as error:  # such as an impossible date
@@ -165,7 +165,7 @@ class BoundedLoader(yaml.SafeLoader):
         self._count(event, 1)
         self._depth += 1
         if self._depth > MOST_DEPTH:
-            raise ContentError(f"{_located(event.start_mark)}nested more than {MOST_DEPTH} deep")
+            raise ContentError(f"{_position(event.start_mark)}nested more than {MOST_DEPTH} deep")
         node = super().compose_node(parent, index)
         self._depth -= 1
         if anchor is not None:
@@ -177,7 +177,7 @@ class BoundedLoader(yaml.SafeLoader):
         self._check_length(node)
         number = int(super().construct_yaml_int(node))
         if number.bit_length() > _MOST_BITS:
-            raise ContentError(f"{_located(node.start_mark)}a number of {len(node.value)} characters is not allowed")
+            raise ContentError(f"{_position(node.start_mark)}a number of {len(node.value)} characters is not allowed")
         return number
 
     def construct_yaml_float(self, node: yaml.ScalarNode) -> float:
@@ -188,19 +188,21 @@ class BoundedLoader(yaml.SafeLoader):
     def _check_length(self, node: yaml.ScalarNode) -> None:
         if len(node.value) > MOST_DIGITS:
             long = f"a number of {len(node.value)} characters is not allowed, {MOST_DIGITS} at most"
-            raise ContentError(_located(node.start_mark) + long)
+            raise ContentError(_position(node.start_mark) + long)
 
     def _count(self, event: yaml.Event, values: int) -> None:
         self._values += values
         if self._values > MOST_VALUES:
-            raise ContentError(f"{_located(event.start_mark)}more than {MOST_VALUES} values, those of aliases included")
+            raise ContentError(
+                f"{_position(event.start_mark)}more than {MOST_VALUES} values, those of aliases included"
+            )
 
 
 BoundedLoader.add_constructor("tag:yaml.org,2002:int", BoundedLoader.construct_yaml_int)
 BoundedLoader.add_constructor("tag:yaml.org,2002:float", BoundedLoader.construct_yaml_float)
 
 
-def _located(mark: Any) -> str:
+def _position(mark: Any) -> str:
     return "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
 
 

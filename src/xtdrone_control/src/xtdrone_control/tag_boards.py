@@ -45,8 +45,8 @@ class TagBoard:
     """One or more tags in one plane.
 
     Attributes:
-        name: of its frame.
-        tags: in ascending order of their numbers.
+        name: Name of its frame.
+        tags: Tags in ascending order of their numbers.
     """
 
     name: str

@@ -167,7 +167,7 @@ class FollowerNode:
 
         Args:
             kind: vehicle type, as ``iris``.
-            followers: at least one, all with the same options and the same ``swarm``; with ``estimated`` one.
+            followers: Followers, at least one, all with the same options and ``swarm``; with ``estimated`` one.
             estimated: whether the positions are the follower's own estimates.
         """
         self.kind = kind

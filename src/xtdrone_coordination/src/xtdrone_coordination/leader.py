@@ -58,7 +58,7 @@ def assign(current: ArrayLike, target: ArrayLike) -> Assignment:
     if not (np.isfinite(here).all() and np.isfinite(there).all()):
         raise ValueError("assignment: all positions must be finite")
     distance = _distances(here, there)
-    rows, columns = linear_sum_assignment(distance if len(here) < _LARGE else _reduced(distance))
+    rows, columns = linear_sum_assignment(distance if len(here) < _LARGE else _reduce(distance))
     return Assignment(columns, float(distance[rows, columns].sum()))
 
 
@@ -74,7 +74,7 @@ def _distances(here: NDArray[np.float64], there: NDArray[np.float64]) -> NDArray
     return np.sqrt(squares, out=squares)
 
 
-def _reduced(distance: NDArray[np.float64]) -> NDArray[np.float64]:
+def _reduce(distance: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the distances minus the least of each row, then of each column; the optimal assignments stay the same.
 
     The solver starts without dual prices and is faster with zeros to assign.
@@ -151,7 +151,7 @@ class Leader:
 
         Args:
             count: number of vehicles N, at least 2.
-            patterns: by default XTDrone's and the generated ones.
+            patterns: Patterns to choose from; by default XTDrone's and the generated ones.
             swarm: shared state of the swarm; its own if none is given.
             options: settings; the defaults if none are given.
             warn: receives warnings; the Python logger of this module if none is given.
@@ -262,9 +262,9 @@ class Leader:
             return
         self._check_height(name, target)
         current = self.current()
-        solved = self._checked_assignment(self.assignment(current, target), current, target)
+        solved = self._check_assignment(self.assignment(current, target), current, target)
         offsets = target[solved.slots]
-        adjacency = self._checked_topology(name, offsets)
+        adjacency = self._check_topology(name, offsets)
         separation = least_separation(target)
         if separation < self.options.avoid_radius:
             self._warn(
@@ -311,7 +311,7 @@ class Leader:
             return points[1:] - points[0]
         return self.patterns.offsets("origin") if self.offsets is None else self.offsets.copy()
 
-    def _checked_assignment(self, given: Assignment | ArrayLike, current: Offsets, target: Offsets) -> Assignment:
+    def _check_assignment(self, given: Assignment | ArrayLike, current: Offsets, target: Offsets) -> Assignment:
         """Return the result of :meth:`assignment` as an Assignment."""
         slots = given.slots if isinstance(given, Assignment) else given
         followers = np.arange(self.count - 1)
@@ -329,7 +329,7 @@ class Leader:
             return Assignment(whole, given.cost)
         return Assignment(whole, float(np.linalg.norm(current - target[whole], axis=1).sum()))
 
-    def _checked_topology(self, name: str, offsets: Offsets) -> NDArray[np.int32]:
+    def _check_topology(self, name: str, offsets: Offsets) -> NDArray[np.int32]:
         """Return the topology for the assigned slots of a pattern; warn of followers cut off from the leader."""
         try:
             given = np.array(self.topology(with_leader(offsets)), dtype=float)

@@ -81,7 +81,7 @@ class CoreVehicles:
             rows=origin_columns(count),
             world=world,
             seed=seed,
-            places=None if places is None else _checked_places(places, count),
+            places=None if places is None else _check_places(places, count),
         )
         self.names = tuple(vehicle.name for vehicle in fleet)
         self.step_us = self.simulation.step_us
@@ -292,9 +292,7 @@ def _check_kind(kind: int) -> None:
         raise ValueError(f"kind of setpoint: {kind!r} is not allowed, one of {_KINDS}")
 
 
-def _checked_places(
-    places: Sequence[tuple[float, float, float]] | Array, count: int
-) -> list[tuple[float, float, float]]:
+def _check_places(places: Sequence[tuple[float, float, float]] | Array, count: int) -> list[tuple[float, float, float]]:
     array = np.asarray(places, dtype=float)
     if array.shape != (count, 3) or not np.isfinite(array).all():
         shape = " x ".join(map(str, array.shape))

@@ -384,7 +384,7 @@ def connect(name: str = "iris_0", *, node: str = NODE, lockstep: bool | None = N
     Raises:
         DroneError: no ROS master, no such vehicle, or no report within the timeout.
     """
-    return _connected([name], node, lockstep, timeout)[0]
+    return _connect([name], node, lockstep, timeout)[0]
 
 
 def connect_all(
@@ -402,10 +402,10 @@ def connect_all(
     wanted = _fleet_names() if names is None else list(names)
     if not wanted or len(set(wanted)) != len(wanted):
         raise ValueError(f"names: {wanted} is not allowed, at least one vehicle, and each of them once")
-    return DroneGroup(_connected(wanted, node, lockstep, timeout))
+    return DroneGroup(_connect(wanted, node, lockstep, timeout))
 
 
-def _connected(names: Sequence[str], node: str, lockstep: bool | None, timeout: float) -> list[Drone]:
+def _connect(names: Sequence[str], node: str, lockstep: bool | None, timeout: float) -> list[Drone]:
     global _session  # a process has one node
     if _session is None:
         _check_master(names)

@@ -95,7 +95,7 @@ class Verbs:
     """The verbs of one vehicle.
 
     Attributes:
-        name: of the vehicle, such as ``iris_0``.
+        name: Name of the vehicle, such as ``iris_0``.
         core: computes the setpoint that is streamed during a verb.
         telemetry: the vehicle's latest reports.
         resets: number of resets of simulated time.
@@ -105,8 +105,8 @@ class Verbs:
         """Start without telemetry.
 
         Args:
-            name: of the vehicle.
-            core: of the vehicle; the caller gives it state and pose.
+            name: Name of the vehicle.
+            core: Core of the vehicle; the caller gives it state and pose.
             submit: starts a service call, whose outcome is passed to ``on_result``.
             now: returns ROS time, s.
         """
@@ -144,7 +144,7 @@ class Verbs:
 
         Args:
             name: ``VEHICLE: COMPONENT``.
-            level: of DiagnosticStatus: 0 OK, 1 WARN, 2 ERROR, 3 STALE.
+            level: Level of DiagnosticStatus: 0 OK, 1 WARN, 2 ERROR, 3 STALE.
             text: the message.
         """
         vehicle, _, component = name.partition(": ")
@@ -218,7 +218,7 @@ class Verbs:
         """Fly in OFFBOARD to ``position``, m ENU, and turn to ``heading``, rad; None keeps the current one."""
         if heading is None:
             heading = self._pose("go_to")[1]
-        yield from self._fly_to("go_to", position, heading, lambda: self._arrived(position, tolerance), timeout)
+        yield from self._fly_to("go_to", position, heading, lambda: self._has_arrived(position, tolerance), timeout)
 
     def set_velocity(self, velocity: Vector, yaw_rate: float, *, body: bool) -> Steps:
         """Fly with ``velocity`` m/s, ENU or FLU when ``body``, from now on."""
@@ -295,7 +295,7 @@ class Verbs:
                 raise TimedOutError(self.name, verb, f"{left:.1f} m from the goal after {limit:g} s{self._why(began)}")
             yield
 
-    def _arrived(self, goal: Vector, tolerance: float) -> bool:
+    def _has_arrived(self, goal: Vector, tolerance: float) -> bool:
         pose = self.core.pose
         if pose is None or math.dist(pose[0], goal) > tolerance:
             return False

@@ -93,7 +93,7 @@ class LockstepRos:
 
     Attributes:
         use_sim_time: whether ROS time is the simulator's time.
-        demand: of telemetry by callers of ``~get_readiness``.
+        demand: Demand of telemetry by callers of ``~get_readiness``.
     """
 
     def __init__(self, receiver: Receiver) -> None:

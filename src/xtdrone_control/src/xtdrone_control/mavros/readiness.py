@@ -88,7 +88,7 @@ def readiness(uas: Uas, *, telemetry: bool = False) -> VehicleReadiness:
 
     Args:
         uas: hub of the vehicle.
-        telemetry: with battery and estimator, where they have been received.
+        telemetry: Telemetry, with battery and estimator where they have been received.
     """
     heartbeat, refusals, link = uas.heartbeat, uas.refusals, uas.link
     message = VehicleReadiness(vehicle=uas.name, connected=uas.connected, reported=refusals.reported)

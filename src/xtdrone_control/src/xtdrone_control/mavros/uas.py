@@ -213,7 +213,7 @@ class Uas:
                 return handler(request)
             except FieldError as error:
                 self._refuse(name, request, error)
-                return _denied(kind)
+                return _deny(kind)
 
         self.ros.service(f"{self.prefix}/{name}", kind, answer)
 
@@ -223,7 +223,7 @@ class Uas:
 
     def latest(self, name: str) -> Any:
         """Return the latest message ``name``, decoded, or None; a feed must request it."""
-        return self._decoded(self._slots[MESSAGE_ID[name]])
+        return self._decode(self._slots[MESSAGE_ID[name]])
 
     def glance(self, name: str) -> Any:
         """Return the latest message ``name``, decoded for the caller alone, or None; in any thread."""
@@ -239,7 +239,7 @@ class Uas:
 
         A plugin that calls this must have a feed for ATTITUDE_QUATERNION.
         """
-        message = self._decoded(self._attitude_slot)
+        message = self._decode(self._attitude_slot)
         if message is not None and message is not self._attitude_of:
             q = frames.attitude_ned_to_enu(message.q1, message.q2, message.q3, message.q4)
             self._attitude = q, frames.frd_to_flu(message.rollspeed, message.pitchspeed, message.yawspeed)
@@ -323,7 +323,7 @@ class Uas:
         self.set_connected(False, "restarts: the simulation was reset")
         self._forget()
 
-    def rebooted(self) -> None:
+    def on_reboot(self) -> None:
         """Reset requests and cached values after a reboot of the autopilot."""
         log.warning("%s: autopilot %d.%d has been rebooted", self.name, *self.target)
         self._forget()
@@ -385,7 +385,7 @@ class Uas:
             return
         wanted = self.link.wanted - {RAW}
         if any(feed.wanted and feed.all_streams for feed in self._slots[RAW].feeds):
-            self.streams.update(wanted | self.streams.switched_off(), ())
+            self.streams.update(wanted | self.streams.stopped_ids(), ())
         else:
             self.streams.update(wanted, seen)
 
@@ -425,7 +425,7 @@ class Uas:
             self._slots[number] = _Slot(decoder(name))
         return self._slots[number]
 
-    def _decoded(self, slot: _Slot) -> Any:
+    def _decode(self, slot: _Slot) -> Any:
         if slot.message is None and slot.frame is not None:
             try:
                 slot.message = slot.decode(slot.frame)
@@ -452,7 +452,7 @@ def _geoid(model: str) -> Callable[[float, float], float]:
     return undulation if model == _GEOIDS[0] else lambda latitude, longitude: 0.0
 
 
-def _denied(kind: Any) -> Any:
+def _deny(kind: Any) -> Any:
     """Return a service response for a command that was not sent: no success, result "denied" where it has one."""
     response = kind._response_class()
     if hasattr(response, "result"):

@@ -43,7 +43,7 @@ def parse_ids(text: str, first: int, last: int | None, name: str = "id") -> list
         text: a number, a range ``0-8``, a comma-separated list of these, or ``all``.
         first: lowest index allowed.
         last: highest index allowed; None if the number of vehicles is unknown, then ``all`` is rejected.
-        name: of the argument, for messages.
+        name: Name of the argument, for messages.
 
     Returns:
         The indices, ascending.

@@ -39,10 +39,10 @@ def survive_full_disk() -> None:
     for name in ("", "rosout"):
         for handler in logging.getLogger(name or None).handlers:
             if isinstance(handler, RosStreamHandler):
-                handler.emit = _guarded(handler.emit)  # type: ignore[method-assign]
+                handler.emit = _guard(handler.emit)  # type: ignore[method-assign]
 
 
-def _guarded(emit: Callable[[logging.LogRecord], None]) -> Callable[[logging.LogRecord], None]:
+def _guard(emit: Callable[[logging.LogRecord], None]) -> Callable[[logging.LogRecord], None]:
     def guarded(record: logging.LogRecord) -> None:
         with contextlib.suppress(OSError):
             emit(record)

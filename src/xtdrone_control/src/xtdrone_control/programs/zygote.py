@@ -82,7 +82,7 @@ class _Node:
     """A forked node.
 
     Attributes:
-        connection: to its launcher.
+        connection: Connection to its launcher.
         pid: process and session id.
         watch: pidfd, readable after its end.
     """
@@ -140,7 +140,7 @@ def imported_modules(script: Path) -> list[str]:
     left out: another script may import different ones of the same names.
     """
     tree = ast.parse(script.read_bytes())
-    relayed = _relayed(tree)
+    relayed = _relay_target(tree)
     if relayed:
         tree = ast.parse(Path(relayed).read_bytes())
     names = []
@@ -152,7 +152,7 @@ def imported_modules(script: Path) -> list[str]:
     return [name for name in names if not _is_beside(script, name.split(".")[0])]
 
 
-def _relayed(tree: ast.Module) -> str:
+def _relay_target(tree: ast.Module) -> str:
     """Return the path of the script that a relay of catkin executes; empty if ``script`` is not a relay."""
     for node in tree.body:
         match node:

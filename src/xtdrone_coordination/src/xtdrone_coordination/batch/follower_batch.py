@@ -60,7 +60,7 @@ class FollowerBatch:
         """Create a batch of followers that share one state of the swarm, or receive it over a network.
 
         Args:
-            followers: at least one, with different numbers.
+            followers: Followers, at least one, with different numbers.
             swarm: the ``swarm`` of all followers.
             network: instead of it, a network whose ``known`` is the ``swarm`` of each follower.
 
@@ -233,7 +233,7 @@ class FollowerBatch:
             options = follower.options
             follower.problem_log.begin_update()
             if "avoidance" in own:
-                follower.avoidance_vector = follower.checked_vector(follower.avoidance(), "avoidance")
+                follower.avoidance_vector = follower.check_vector(follower.avoidance(), "avoidance")
                 state["avoidance"] = follower.avoidance_vector
             else:
                 x, y, z = avoidance[k]
@@ -316,7 +316,7 @@ class FollowerBatch:
                 follower.report_missing(missing, alone=bool(problems & turn_kernels.ALONE))
             if problems & turn_kernels.BAD_LAW:
                 name = "control_laws" if _flies_by_arrays(follower) else "control_law"
-                follower.checked_vector(self._rejected.pop(k, tuple(self._states["law"][k].tolist())), name)
+                follower.check_vector(self._rejected.pop(k, tuple(self._states["law"][k].tolist())), name)
 
     # settings, pattern and topology of the followers, as arrays
 

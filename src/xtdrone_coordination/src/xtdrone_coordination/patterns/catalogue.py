@@ -106,19 +106,19 @@ class Patterns:
             raise PatternError(f"pattern {name!r} is unknown for {self.count} vehicles; there are: {self.describe()}")
         try:
             request = parse_name(name)
-            return self._shape(request if name in self._given else self._restricted(request))
+            return self._shape(request if name in self._given else self._restrict(request))
         except PatternError as error:
             raise PatternError(f"pattern {name!r}: {error}") from error
 
-    def _restricted(self, request: Request) -> Request:
+    def _restrict(self, request: Request) -> Request:
         """Return a request with resolved paths of its files, all of them inside the allowed folder."""
         if self._below is None:
             return request
         if request.kind == "cloud":
-            request = replace(request, argument=self._allowed(request.argument))
-        return request if request.font is None else replace(request, font=self._allowed(request.font))
+            request = replace(request, argument=self._resolve(request.argument))
+        return request if request.font is None else replace(request, font=self._resolve(request.font))
 
-    def _allowed(self, file: str) -> str:
+    def _resolve(self, file: str) -> str:
         if not self._below:
             raise PatternError(
                 f"{file}: no file may be read; name a folder of clouds and fonts when the leader starts (cloud_folder)"

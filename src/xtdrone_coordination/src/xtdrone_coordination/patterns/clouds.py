@@ -11,7 +11,7 @@ import numpy as np
 
 from xtdrone_control import files
 from xtdrone_control.files import ContentError
-from xtdrone_coordination.patterns.slot_offsets_and_spacing import ALL_AS_HIGH, Points, farthest, led
+from xtdrone_coordination.patterns.slot_offsets_and_spacing import ALL_AS_HIGH, Points, choose_leader, farthest
 
 from .slot_offsets_and_spacing import Offsets, PatternError, rescaled
 
@@ -48,7 +48,7 @@ def cloud(count: int, spacing: float, file: str) -> Offsets:
     chosen = points[farthest(points, count)]
     if len(chosen) < count:
         raise PatternError(f"cloud {file}: {len(chosen)} different points, {count} vehicles need at least {count}")
-    return rescaled(led(chosen, ALL_AS_HIGH), spacing)
+    return rescaled(choose_leader(chosen, ALL_AS_HIGH), spacing)
 
 
 def read_cloud(file: Path) -> Points:

@@ -1,7 +1,7 @@
 """Offsets: the slots of a formation pattern, as an array, with their checks and scaling.
 
 Offsets of N vehicles have shape (N-1, 3): metres, ENU, row k for slot k+1, relative to the leader (vehicle 0), which is
-at the origin. A set of points becomes a pattern by the choice of its leader (``led``).
+at the origin. A set of points becomes a pattern by the choice of its leader (``choose_leader``).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def check_offsets(rows: ArrayLike, count: int, name: str) -> Offsets:
     Args:
         rows: array-like, m ENU from the leader.
         count: number of vehicles N.
-        name: of the pattern, for messages.
+        name: Name of the pattern, for messages.
 
     Raises:
         PatternError: another shape, not finite, or two slots closer than 0.5 m.
@@ -131,15 +131,15 @@ def _squares(columns: list[Points], place: Points) -> Points:
     return total
 
 
-def led(points: Points, as_high: float = _AS_HIGH) -> Offsets:
+def choose_leader(points: Points, as_high: float = _AS_HIGH) -> Offsets:
     """Return the offsets of all other points from the leader, the most central of the highest points."""
     height = points[:, 2]
     high = np.flatnonzero(height >= height.max() - as_high * float(np.ptp(height)))
-    leader = high[from_middle(points)[high].argmin()]
+    leader = high[distance_from_middle(points)[high].argmin()]
     return np.delete(points, leader, axis=0) - points[leader]
 
 
-def from_middle(points: Points) -> Points:
+def distance_from_middle(points: Points) -> Points:
     """Return the horizontal distances from the middle of the bounding box, rounded so that equal ones compare equal."""
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     return np.hypot(*(points - middle)[:, :2].T).round(9)

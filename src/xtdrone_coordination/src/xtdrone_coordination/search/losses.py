@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 from .planning.coverage_path import Point, Waypoint, length
-from .reports import rounded_xy
+from .reports import round_xy
 from .searching_vehicle import MISSION, PushMission, State, Vehicle
 from .states.common_supervision import MissionControl
 from .states.following import FollowingPerson
@@ -66,7 +66,7 @@ class Reallocation:
     def _assign(self, vehicle: Vehicle, part: list[Waypoint]) -> None:
         mission, now = vehicle.mission, self._control.now
         landed = vehicle.state is State.LANDED
-        items, current = mission.extended(part, restart=landed)
+        items, current = mission.extend(part, restart=landed)
         mission.load(items)
         mission.current, mission.reached = current, -1
         if landed:
@@ -87,7 +87,7 @@ def share_out(
     """Cut a path into parts that even out the loads, and assign them.
 
     Args:
-        path: at least two waypoints.
+        path: Path of at least two waypoints.
         ends: end of the remaining path of each available vehicle, m ENU.
         loads: remaining distance of each available vehicle, m.
 
@@ -146,7 +146,7 @@ class Losses:
 
     def lose(self, vehicle: Vehicle, reason: str) -> None:
         """Give a vehicle up and reassign its work."""
-        position = None if vehicle.position is None else rounded_xy(vehicle.position)
+        position = None if vehicle.position is None else round_xy(vehicle.position)
         self._control.report("lost_vehicle", vehicle, reason=reason, position=position)
         self._release_work(vehicle)
         vehicle.enter(State.LOST, self._control.now)
@@ -156,7 +156,7 @@ class Losses:
         """Return a vehicle whose camera has failed and reassign its work."""
         assert vehicle.position is not None
         vehicle.blind = True
-        self._control.report("camera_silent", vehicle, position=rounded_xy(vehicle.position))
+        self._control.report("camera_silent", vehicle, position=round_xy(vehicle.position))
         self._release_work(vehicle)
         self._control.return_home(vehicle, "its camera has failed")
 

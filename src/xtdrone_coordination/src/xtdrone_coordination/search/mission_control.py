@@ -47,7 +47,7 @@ class SearchMission:
 
     Attributes:
         settings: see :class:`MissionSettings`.
-        vehicles: by name.
+        vehicles: Vehicles by name.
         candidates: all possible persons seen so far.
         coverage: part of the region seen so far.
         now: time of the current step, s.
@@ -59,8 +59,8 @@ class SearchMission:
         """Create the vehicles, waiting.
 
         Args:
-            names: of the vehicles, at least one.
-            region: to search, m ENU.
+            names: Names of the vehicles, at least one.
+            region: Region to search, m ENU.
             camera: intrinsics, the same for all vehicles.
             settings: see :class:`MissionSettings`.
             datum: origin of the map frame.
@@ -146,8 +146,8 @@ class SearchMission:
         """Process the detections of an image.
 
         Args:
-            name: of the vehicle.
-            time: of the exposure, s.
+            name: Name of the vehicle.
+            time: Time of the exposure, s.
             position: (3,) of the camera, m, map.
             rotation: (3, 3) from the optical frame to the map frame.
             sightings: tracks of the camera; those with probability 0 are not in this image.

@@ -116,7 +116,7 @@ class VehicleLink:
         """Declare the topics.
 
         Args:
-            name: as ``typhoon_h480_0``.
+            name: Name such as ``typhoon_h480_0``.
             node: receives the messages.
             in_lockstep: see :class:`Calls`.
         """

@@ -120,13 +120,13 @@ class SecondLook:
         candidate: the candidate.
         came_from: state before the look, resumed after it.
         left_at: where the vehicle left its path, m ENU.
-        heading: of the vehicle there, rad from east.
-        angle: of the vehicle on the circle around the candidate, rad from east.
+        heading: Heading of the vehicle there, rad from east.
+        angle: Angle of the vehicle on the circle around the candidate, rad from east.
         begun: time, s.
         takes_over: remaining time of the following that this look is to take over, s; None for a first look.
         stage: see :class:`LookStage`.
         turned: arc flown on the circle, rad.
-        evidence: of the images so far.
+        evidence: Evidence of the images so far.
     """
 
     candidate: Candidate
@@ -188,8 +188,8 @@ class Vehicle:
     """Telemetry, mission and state of a vehicle. Times are s, positions m in the map frame (ENU).
 
     Attributes:
-        name: as ``typhoon_h480_0``.
-        index: in the fleet, from 0.
+        name: Name such as ``typhoon_h480_0``.
+        index: Index in the fleet, from 0.
         state, since: current state and when it was entered.
         position, yaw: None before the first pose; rad from east.
         home: position before takeoff.
@@ -203,7 +203,7 @@ class Vehicle:
         camera_works: whether its images are new ones.
         blind: whether its camera has failed during the search.
         look, following: see :class:`SecondLook`, :class:`Following`; None in other states.
-        setpoint: of a second look.
+        setpoint: Position setpoint of a second look.
     """
 
     def __init__(self, name: str, index: int, datum: Datum) -> None:

@@ -58,7 +58,7 @@ _PATIENCE = 3.0  # s of wall time for the window to close
 _libc = ctypes.CDLL(None)
 
 
-def wanted(view: bool | None) -> bool:
+def wants_window(view: bool | None) -> bool:
     """Return whether to open a live window.
 
     Args:
@@ -174,7 +174,7 @@ def read_settings(kind: str, count: int) -> SimplifiedSettings:
         fleet=fleet,
         places=_places(fleet, start.rows),
         headings=np.array([0.0 if vehicle.pose is None else vehicle.pose.yaw for vehicle in fleet]),
-        view=wanted(_view()),
+        view=wants_window(_view()),
     )
     if settings.airborne:
         settings.places[:, 2] += start.altitude

@@ -140,15 +140,15 @@ def pattern_name(offsets: Array) -> str:
     Args:
         offsets: positions of all slots relative to the leader, shape (N, 3), m.
     """
-    wanted = _ordered(offsets)
+    wanted = _sort(offsets)
     patterns = Patterns(len(offsets))
     for name in patterns.names:
-        if np.abs(_ordered(with_leader(patterns.offsets(name))) - wanted).max() < _SAME:
+        if np.abs(_sort(with_leader(patterns.offsets(name))) - wanted).max() < _SAME:
             return name
     return ""
 
 
-def _ordered(points: Array) -> Array:
+def _sort(points: Array) -> Array:
     """Return points sorted by their coordinates."""
     grid = np.round(points / _SAME).astype(np.int64)
     return points[np.lexsort(grid.T)]

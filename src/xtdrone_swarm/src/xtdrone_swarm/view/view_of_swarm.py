@@ -92,7 +92,7 @@ def film_swarm(
         frames, total = _flying(swarm, seconds, period, note, each_turn), math.floor(seconds / period + 1e-9) + 1
     else:
         times = _film_times(swarm, path, start, end, period)
-        frames, total = _recorded(swarm, times, note), len(times)
+        frames, total = _replay(swarm, times, note), len(times)
     return film(frames, path, fps, progress, names=swarm.vehicles.names, total=total, **options)
 
 
@@ -129,7 +129,7 @@ def _film_times(swarm: Swarm, path: str | Path, start: float | None, end: float 
     return begin + period * np.arange(math.floor((stop - begin) / period + 1e-9) + 1)
 
 
-def _recorded(swarm: Swarm, times: Array, note: str) -> Iterator[Frame]:
+def _replay(swarm: Swarm, times: Array, note: str) -> Iterator[Frame]:
     """Yield the frames of a recorded flight; positions are interpolated between turns."""
     record = swarm.record
     assert record is not None

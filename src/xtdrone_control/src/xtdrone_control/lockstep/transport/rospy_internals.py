@@ -223,9 +223,9 @@ def _register_again(manager: RegManager, topics: Sequence[str]) -> None:
     a topic may be unsubscribed before the master registers it again: it is unregistered then, and registered once more
     if it has been subscribed to in between.
     """
-    while asked := _subscribed(topics):
+    while asked := _subscriptions(topics):
         answers = _register(manager, asked)
-        kept = {name for name, _, _ in _subscribed(topics)}
+        kept = {name for name, _, _ in _subscriptions(topics)}
         for (name, _, _), publishers in zip(asked, answers, strict=True):
             if publishers and name in kept:
                 manager.publisher_update(name, publishers)
@@ -234,7 +234,7 @@ def _register_again(manager: RegManager, topics: Sequence[str]) -> None:
             _request(manager, [("unregisterSubscriber", name, manager.uri) for name in topics])
 
 
-def _subscribed(topics: Sequence[str]) -> list[tuple[str, str, str]]:
+def _subscriptions(topics: Sequence[str]) -> list[tuple[str, str, str]]:
     """Return name, type and kind of those of the topics that are subscribed to."""
     manager = rospy.topics.get_topic_manager()
     with manager.lock:

@@ -36,7 +36,7 @@ class Params:
         Raises:
             ParamError: the value does not have the default's type (an int is accepted for a float).
         """
-        return _checked(name, self.get_any(name, default), default)
+        return _check_type(name, self.get_any(name, default), default)
 
     def get_any(self, name: str, default: Any) -> Any:
         """Return parameter ``name`` of any type, or ``default``."""
@@ -56,7 +56,7 @@ def _find(tree: Mapping[str, Any], name: str) -> Any:
     return node
 
 
-def _checked(name: str, value: Any, default: T) -> T:
+def _check_type(name: str, value: Any, default: T) -> T:
     kind = type(default)
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)

@@ -31,9 +31,9 @@ class FailingCheck(NamedTuple):
     """A failing check.
 
     Attributes:
-        name: of PX4's event, such as ``check_modes_local_pos``; empty if it is not known here.
+        name: Name of PX4's event, such as ``check_modes_local_pos``; empty if it is not known here.
         modes: the affected navigation states, one bit each.
-        level: of the event; smaller is worse.
+        level: Level of the event; smaller is worse.
         words: its text.
     """
 

@@ -178,8 +178,8 @@ class DiagnosticsPlugin(Plugin):
             [
                 ("Heartbeats since startup", str(self._heartbeats.count)),
                 ("Frequency (Hz)", f"{frequency:f}"),
-                ("Vehicle type", _described("MAV_TYPE", kind)),
-                ("Autopilot type", _described("MAV_AUTOPILOT", autopilot)),
+                ("Vehicle type", _describe("MAV_TYPE", kind)),
+                ("Autopilot type", _describe("MAV_AUTOPILOT", autopilot)),
                 ("Mode", mode_name(beat.base_mode, beat.custom_mode) if beat else ""),
                 ("System status", mavlink.enums["MAV_STATE"][state].name[len("MAV_STATE_") :].capitalize()),
             ],
@@ -326,7 +326,7 @@ def _min_voltages(params: Params) -> list[float]:
     return [float(v) for v in values[:_MOST_BATTERIES]]
 
 
-def _described(enum: str, value: int) -> str:
+def _describe(enum: str, value: int) -> str:
     """Return MAVROS's text for an enumeration value: the beginning of MAVLink's description."""
     entry = mavlink.enums[enum].get(value)
     if entry is None:

@@ -196,7 +196,7 @@ class SysStatusPlugin(Plugin):
         uas.heartbeat = heartbeat
         booted = heartbeat.system_status not in (mavlink.MAV_STATE_UNINIT, mavlink.MAV_STATE_BOOT)
         if self._booted and not booted:
-            uas.rebooted()
+            uas.on_reboot()
         if booted and not self._booted:
             uas.on_booted(uas.name)
         self._booted = booted

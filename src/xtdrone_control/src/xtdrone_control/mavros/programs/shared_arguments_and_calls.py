@@ -110,7 +110,7 @@ class Mavros:
         """Set the namespace.
 
         Args:
-            namespace: with or without the leading slash.
+            namespace: Namespace, with or without the leading slash.
             verbose: print progress.
         """
         self.namespace = "/" + namespace.strip("/")

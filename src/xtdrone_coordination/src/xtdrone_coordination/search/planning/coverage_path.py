@@ -34,7 +34,7 @@ class Footprint:
     """Ground on which people are visible and large enough, relative to the point below the camera.
 
     Attributes:
-        height: of the camera, m over the ground.
+        height: Height of the camera, m over the ground.
         near, far: distance ahead, m; near may be negative, behind the camera.
         half_near, half_far: half of the width there, m.
     """
@@ -77,7 +77,7 @@ def footprint(
     Args:
         camera: its intrinsics.
         height: m over the ground, 2 to 200.
-        pitch: of the gimbal, deg, negative down, -90 to -5.
+        pitch: Pitch of the gimbal, deg, negative down, -90 to -5.
         pixels: minimum height of a person in the image, from foot to head, px, 1 to 1000.
         margin: fraction of the image's width and height ignored at each edge, 0 to 0.4.
         reach: the ground counts up to this far ahead, m, 1 to 1000.
@@ -127,7 +127,7 @@ class Waypoint:
 
     Attributes:
         x, y: m, map frame, ENU.
-        heading: of the vehicle on the leg to the waypoint, rad from east (ENU).
+        heading: Heading of the vehicle on the leg to the waypoint, rad from east (ENU).
     """
 
     x: float

@@ -150,7 +150,7 @@ def plan_search(
     """Return the plan of each vehicle.
 
     Args:
-        region: to search, see ``region.make_region``.
+        region: Region to search, see ``region.make_region``.
         homes: home position of each vehicle, m ENU, by name. The first flies lowest.
         camera: intrinsics, the same for all vehicles.
         options: see :class:`SearchOptions`.

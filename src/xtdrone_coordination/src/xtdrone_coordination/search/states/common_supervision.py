@@ -21,8 +21,8 @@ class MissionControl(Protocol):
     """Interface of the mission control that vehicle states use: shared data, reports and transitions.
 
     Attributes:
-        settings: of the search.
-        vehicles: by name.
+        settings: Settings of the search.
+        vehicles: Vehicles by name.
         now: ROS time, s.
     """
 
