@@ -207,8 +207,8 @@ def test_long_barrier_frames_do_not_leak_memory():
         ("x" * 300, "x" * 197 + "..."),
     ],
 )
-def test_text_of_a_peer_becomes_one_printable_line(text, quote):
-    assert protocol.printable(text) == quote
+def test_text_of_a_peer_becomes_one_printable_line(text, shown):
+    assert protocol.printable(text) == shown
     assert protocol.printable("\n" * 1000, 40) == "\\n" * 18 + "\\..."
 
 
