@@ -18,7 +18,7 @@ import numpy as np
 
 from xtdrone_control import frames, modes
 from xtdrone_control.autopilot.commander.commander import Result
-from xtdrone_control.communication.commands import HOVER_SPEED, OWN_COMMANDS, MultirotorCore, Request
+from xtdrone_control.communication.commands import HOVER_SPEED, OWN_COMMANDS, CommandRequest, MultirotorCore
 from xtdrone_control.communication.setpoint import FRAME_LOCAL_NED, Setpoint
 from xtdrone_control.fleet import MAX_VEHICLES, FleetError, parse_fleet
 from xtdrone_control.lockstep.protocol import Schedule
@@ -156,7 +156,7 @@ class CoreVehicles:
         self._cores[index].on_state(self.mode[index], self.armed[index])
         return refusal
 
-    def _carry_out(self, index: int, request: Request) -> str:
+    def _carry_out(self, index: int, request: CommandRequest) -> str:
         commander = self.simulation.commanders[index]
         name = self.names[index]
         if request.arm is not None:

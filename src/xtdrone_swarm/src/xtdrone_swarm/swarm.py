@@ -34,7 +34,7 @@ from xtdrone_coordination.patterns import Patterns
 from xtdrone_swarm.followers import FollowerGroup
 from xtdrone_swarm.simplified.simplified_vehicles import SimplifiedVehicles, spawn_places
 from xtdrone_swarm.simplified.vehicle_parameters import Model
-from xtdrone_swarm.swarm_vehicles import ACCELERATION, VELOCITY, Array, Choice, Record, Vehicles
+from xtdrone_swarm.swarm_vehicles import ACCELERATION, VELOCITY, Array, Choice, FlightRecord, Vehicles
 
 MOST_VEHICLES = 10_000  # in one swarm; the topology is a matrix of N x N
 SETTLED = 0.15  # m
@@ -143,7 +143,7 @@ class Swarm:
         self._begin()
 
     def _begin(self) -> None:
-        self.record = Record(len(self.vehicles.names)) if self._recording else None
+        self.record = FlightRecord(len(self.vehicles.names)) if self._recording else None
         self._said = ""
         self._warnings.clear()
         self._said_at: dict[str, float] = {}  # when followers' warnings were logged

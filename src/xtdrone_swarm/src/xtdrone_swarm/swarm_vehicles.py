@@ -90,7 +90,7 @@ class Choice:
     adjacency: NDArray[np.int32]
 
 
-class Record:
+class FlightRecord:
     """A flight in memory: 24 bytes per vehicle and turn.
 
     Attributes:

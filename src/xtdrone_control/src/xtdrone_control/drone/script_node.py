@@ -20,7 +20,7 @@ from mavros_msgs.msg import State, StatusText, SysStatus
 from sensor_msgs.msg import BatteryState
 
 from xtdrone_control import lockstep
-from xtdrone_control.communication.commands import MultirotorCore, Request
+from xtdrone_control.communication.commands import CommandRequest, MultirotorCore
 from xtdrone_control.communication.multirotor import RATE, MavrosLink
 from xtdrone_control.fleet import FleetError, parse_fleet
 from xtdrone_control.lockstep import future_name
@@ -75,10 +75,10 @@ class ScriptLink(MavrosLink):
         if self._output.get_num_connections():
             self.verbs.on_setpoint()
 
-    def _submit(self, request: Request) -> None:
+    def _submit(self, request: CommandRequest) -> None:
         self._services.submit(request)
 
-    def _on_result(self, request: Request, accepted: bool, reason: str, now: float) -> None:
+    def _on_result(self, request: CommandRequest, accepted: bool, reason: str, now: float) -> None:
         super()._on_result(request, accepted, reason, now)
         self.verbs.on_result(request, accepted, reason)
 

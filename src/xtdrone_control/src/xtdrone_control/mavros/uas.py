@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -16,11 +16,11 @@ from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
 from xtdrone_control.mavros.feeds import Feed, Need, Ros, Topic
 from xtdrone_control.mavros.lib.plugin_settings import Params, PluginLists
 from xtdrone_control.mavros.lib.refusals import Refusals
-from xtdrone_control.mavros.link.autopilot_links import RAW, Link, Throttle
-from xtdrone_control.mavros.link.command_acks import Commands
+from xtdrone_control.mavros.link.autopilot_links import RAW, AutopilotLink, Throttle
+from xtdrone_control.mavros.link.command_acks import AwaitedCommands
 from xtdrone_control.mavros.link.plan_transfers import PlanTransfers
 from xtdrone_control.mavros.link.ros_values_to_mavlink import FLOAT32_MAX, FLOAT32_RANGE, FieldError, source
-from xtdrone_control.mavros.link.stream_requests import Streams
+from xtdrone_control.mavros.link.stream_requests import StreamRequests
 
 log = logging.getLogger("rosout.mavros")
 
@@ -56,19 +56,28 @@ class _Timer:
         self.call = call
 
 
-class LoadedPlugin(Protocol):
-    """A plugin of one vehicle as seen by the hub; see ``plugin.Plugin``."""
+class Plugin:
+    """One MAVROS plugin of one vehicle.
 
-    @property
-    def messages(self) -> Mapping[str | int, Feed | Sequence[Feed]]:
-        """MAVLink message names and their feeds."""
+    A subclass creates its topics and services in ``__init__`` and fills in:
 
-    @property
-    def replies(self) -> Mapping[str, Callable[[bytes], None]]:
-        """MAVLink message names and the handlers of raw frames."""
+    Attributes:
+        messages: MAVLink message name to its feed or feeds, handled in the main thread; ``RAW`` for every frame.
+        replies: MAVLink message name to a handler of the raw frame that the receiver thread calls immediately; for
+            answers that a service is waiting for.
+    """
+
+    name = ""
+    listed = True
+
+    def __init__(self, uas: Uas) -> None:
+        """Store the vehicle's hub."""
+        self.uas = uas
+        self.messages: dict[str | int, Feed | Sequence[Feed]] = {}
+        self.replies: dict[str, Callable[[bytes], None]] = {}
 
     def connected(self, connected: bool) -> None:
-        """Handle the first heartbeat of the autopilot, or the loss of its heartbeat."""
+        """Handle the first heartbeat of the autopilot or the loss of its heartbeat; the default does nothing."""
 
 
 class PluginKind(Protocol):
@@ -82,7 +91,7 @@ class PluginKind(Protocol):
     name: str
     listed: bool
 
-    def __call__(self, uas: Uas) -> LoadedPlugin:
+    def __call__(self, uas: Uas) -> Plugin:
         """Create the plugin for a vehicle."""
 
 
@@ -110,7 +119,7 @@ class Uas:
         self,
         name: str,
         prefix: str,
-        link: Link,
+        link: AutopilotLink,
         params: Params,
         ros: Ros,
         plugins: Iterable[PluginKind],
@@ -134,7 +143,7 @@ class Uas:
         self.params = params
         self.ros = ros
         self.target = link.target
-        self.commands = Commands(link.send, ros.needs_time)
+        self.commands = AwaitedCommands(link.send, ros.needs_time)
         self.plans = PlanTransfers(link.send, link.target, ros.needs_time)
         self.refusals = Refusals()
         self.arming_held = ""
@@ -153,7 +162,7 @@ class Uas:
         self._attitude_of: Any = None
         self._attitude: tuple[frames.Quaternion, frames.Vector] | None = None
         self._attitude_slot = self._slot("ATTITUDE_QUATERNION")
-        self.streams = Streams(self._request_interval, _RATES | params.get("stream_rates", {}))
+        self.streams = StreamRequests(self._request_interval, _RATES | params.get("stream_rates", {}))
         self._manage_streams = params.get("manage_streams", True)
         self._geoid = _geoid(params.get("global_position/geoid", _GEOIDS[0]))
         lists = PluginLists(params)
@@ -411,7 +420,7 @@ class Uas:
         self.refusals.reset()
         self.streams.reset()
 
-    def _connect(self, plugin: LoadedPlugin) -> None:
+    def _connect(self, plugin: Plugin) -> None:
         for name, feeds in plugin.messages.items():
             self._slot(name).feeds += [feeds] if isinstance(feeds, Feed) else feeds
         for name, handler in plugin.replies.items():
@@ -458,27 +467,3 @@ def _deny(kind: Any) -> Any:
     if hasattr(response, "result"):
         response.result = mavlink.MAV_RESULT_DENIED
     return response
-
-
-class Plugin:
-    """One MAVROS plugin of one vehicle.
-
-    A subclass creates its topics and services in ``__init__`` and fills in:
-
-    Attributes:
-        messages: MAVLink message name to its feed or feeds, handled in the main thread; ``RAW`` for every frame.
-        replies: MAVLink message name to a handler of the raw frame that the receiver thread calls immediately; for
-            answers that a service is waiting for.
-    """
-
-    name = ""
-    listed = True
-
-    def __init__(self, uas: Uas) -> None:
-        """Store the vehicle's hub."""
-        self.uas = uas
-        self.messages: dict[str | int, Feed | Sequence[Feed]] = {}
-        self.replies: dict[str, Callable[[bytes], None]] = {}
-
-    def connected(self, connected: bool) -> None:
-        """Handle the first heartbeat of the autopilot or the loss of its heartbeat; the default does nothing."""

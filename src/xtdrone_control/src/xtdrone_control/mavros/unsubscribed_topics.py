@@ -88,7 +88,7 @@ _LIKENESS = 0.85
 Registrations = Mapping[str, Collection[str]]  # topic to the names of nodes
 
 
-class Finding(NamedTuple):
+class UnheardTopic(NamedTuple):
     """A topic without a subscriber, a node that publishes on it, and the text of the warning."""
 
     topic: str
@@ -96,7 +96,7 @@ class Finding(NamedTuple):
     text: str
 
 
-class Watch:
+class GraphWatch:
     """Periodic check of the ROS graph; warns once for each topic."""
 
     def __init__(
@@ -143,7 +143,7 @@ class Watch:
                 self._told.add(finding.topic)
                 log.warning("%s, on which %s publishes, %s", *finding)
 
-    def findings(self, publishers: Registrations, subscribers: Registrations) -> Iterator[Finding]:
+    def findings(self, publishers: Registrations, subscribers: Registrations) -> Iterator[UnheardTopic]:
         """Yield the topics without a subscriber in a state of the graph."""
         for topic, nodes in sorted(publishers.items()):
             others = sorted(set(nodes) - {self._own_name, *self._idle_relays(topic, publishers, subscribers)})
@@ -151,7 +151,7 @@ class Watch:
                 continue
             text = self._words(topic, subscribers)
             if text:
-                yield Finding(topic, others[0], text)
+                yield UnheardTopic(topic, others[0], text)
 
     def _idle_relays(self, topic: str, publishers: Registrations, subscribers: Registrations) -> Collection[str]:
         """Return the nodes that publish a command only if it is sent to the leader, while no node sends it."""

@@ -31,7 +31,7 @@ from xtdrone_control import files
 from .clouds import cloud
 from .generated import FAMILIES, SHAPES
 from .letters import text
-from .names import ARGUMENTS, Request, parse_name
+from .names import ARGUMENTS, PatternRequest, parse_name
 from .slot_offsets_and_spacing import DENSE_PITCH, PITCH, Offsets, PatternError, check_offsets, rescaled
 
 
@@ -110,7 +110,7 @@ class Patterns:
         except PatternError as error:
             raise PatternError(f"pattern {name!r}: {error}") from error
 
-    def _restrict(self, request: Request) -> Request:
+    def _restrict(self, request: PatternRequest) -> PatternRequest:
         """Return a request with resolved paths of its files, all of them inside the allowed folder."""
         if self._below is None:
             return request
@@ -129,7 +129,7 @@ class Patterns:
             raise PatternError(f"{file}: is not allowed, a file below {folder} is (cloud_folder)")
         return str(path)
 
-    def _shape(self, request: Request) -> Offsets:
+    def _shape(self, request: PatternRequest) -> Offsets:
         kind, spacing = request.kind, request.spacing
         if kind in self._tables or kind in FAMILIES:
             offsets = self._tables[kind] if kind in self._tables else FAMILIES[kind](self.count)

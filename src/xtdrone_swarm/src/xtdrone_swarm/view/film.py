@@ -17,7 +17,7 @@ import time
 from collections.abc import Iterable, Iterator, Sized
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,19 +40,6 @@ Picture = NDArray[np.uint8]
 
 class FilmError(ValueError):
     """A film that cannot be written."""
-
-
-class _Encoder(Protocol):
-    """Writes pictures into a file."""
-
-    def add(self, picture: Picture) -> None:
-        """Append a picture, RGBA, shape (height, width, 4); the array may be reused."""
-
-    def finish(self) -> None:
-        """Complete the file."""
-
-    def abandon(self) -> None:
-        """Stop and leave the file incomplete."""
 
 
 class FilmWriter:
@@ -92,7 +79,7 @@ class FilmWriter:
         os.close(handle)
         self._part = Path(name)
         self._part.chmod(0o666 & ~_umask())
-        self._encoder: _Encoder
+        self._encoder: _Mp4 | _Gif | _Png
         try:
             if kind == ".mp4":
                 self._encoder = _Mp4(self._part, size, fps)

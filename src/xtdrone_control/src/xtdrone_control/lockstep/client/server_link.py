@@ -51,7 +51,7 @@ def reason_of(content: Mapping[str, Any]) -> str:
     return printable(str(content.get("reason")), LONGEST_REASON)
 
 
-class Connection:
+class ServerConnection:
     """Sends and receives frames.
 
     Attributes:

@@ -28,7 +28,7 @@ OFF_US = -1
 _ATTEMPTS = 3
 
 
-class Streams:
+class StreamRequests:
     """The stream requests made to one autopilot."""
 
     def __init__(self, request: Callable[[int, int], None], rates: Mapping[str, float]) -> None:

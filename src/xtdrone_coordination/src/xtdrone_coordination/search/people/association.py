@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
-from typing import Protocol
+from collections.abc import Callable, Collection
 
 import shapely
 from shapely.geometry import Polygon
@@ -15,20 +14,16 @@ from ..searching_vehicle import Vehicle
 from .candidates import Candidate, Sighting, nearest
 
 _WALKING_SPEED = 1.5  # m/s that a person may move while unseen
-
-
-class Report(Protocol):
-    """Function that reports an event."""
-
-    def __call__(self, event: str, vehicle: Vehicle | None = None, /, **fields: object) -> None:
-        """Report an event."""
-        ...
+ReportEvent = Callable[..., None]
+"""Reports an event by its name, vehicle and fields, see ``mission_control.SearchMission.report``."""
 
 
 class Association:
     """Merges sightings into candidates, and adds a candidate for each sighting of a new place."""
 
-    def __init__(self, candidates: list[Candidate], region: Polygon, settings: MissionSettings, report: Report) -> None:
+    def __init__(
+        self, candidates: list[Candidate], region: Polygon, settings: MissionSettings, report: ReportEvent
+    ) -> None:
         """Prepare the region.
 
         Args:
