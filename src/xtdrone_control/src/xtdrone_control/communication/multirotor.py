@@ -18,7 +18,7 @@ topic                                  type                        meaning
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from functools import partial
 from queue import SimpleQueue
@@ -224,30 +224,12 @@ class MultirotorCommunication(MavrosLink):
         """
         core = MultirotorCore(vehicle, RosLog(), hover_speed=hover_speed, cmd_timeout=cmd_timeout)
         super().__init__(vehicle, core, in_lockstep=in_lockstep)
-        base = f"/xtdrone/{vehicle}"
-        lockstep.Subscriber(f"{base}/cmd", String, self._on_command)
-        for frame, body in (("enu", False), ("flu", True)):
-            for kind, message, callback in (
-                ("pose", Pose, self._on_target_pose),
-                ("vel", Twist, self._on_target_velocity),
-                ("accel", Twist, self._on_target_acceleration),
-            ):
-                topic = f"{base}/cmd_{kind}_{frame}"
-                lockstep.Subscriber(topic, message, partial(callback, topic, body))
+        subscribe_commands(f"/xtdrone/{vehicle}", core, self._on_command, lambda: rospy.Time.now().to_sec())
 
     def _on_command(self, message: String) -> None:
         request = self.core.on_command(message.data, rospy.Time.now().to_sec())
         if request is not None:
             self._services.submit(request)
-
-    def _on_target_pose(self, topic: str, body: bool, message: Pose) -> None:
-        self.core.on_target_pose(topic, *_pose(message), body=body)
-
-    def _on_target_velocity(self, topic: str, body: bool, message: Twist) -> None:
-        linear = message.linear
-        now = rospy.Time.now().to_sec()
-        vector = (linear.x, linear.y, linear.z)
-        self.core.on_target_velocity(topic, vector, message.angular.z, now, body=body)
 
     def catch_up(self, pose: Sequence[float], command: Sequence[float]) -> None:
         """Apply the messages that compiled code received in the turns it ran, see :meth:`steady`.
@@ -264,11 +246,43 @@ class MultirotorCommunication(MavrosLink):
             vx, vy, vz, yaw_rate, time = command
             self.core.on_target_velocity("", (vx, vy, vz), yaw_rate, time, body=False)
 
-    def _on_target_acceleration(self, topic: str, body: bool, message: Twist) -> None:
-        linear = message.linear
-        now = rospy.Time.now().to_sec()
-        vector = (linear.x, linear.y, linear.z)
-        self.core.on_target_acceleration(topic, vector, message.angular.z, now, body=body)
+
+def subscribe_commands(
+    base: str,
+    core: MultirotorCore,
+    on_command: Callable[[String], None],
+    seconds: Callable[[], float],
+    is_active: Callable[[], bool] = lambda: True,
+) -> None:
+    """Subscribe to XTDrone's command topics of one vehicle.
+
+    Args:
+        base: Namespace of the topics, such as ``/xtdrone/iris_0``.
+        core: Core that receives the setpoints.
+        on_command: Called with the messages of ``cmd``.
+        seconds: Returns the ROS time, s.
+        is_active: Whether setpoints are applied now.
+    """
+
+    def on_pose(topic: str, body: bool, message: Pose) -> None:
+        if is_active():
+            seconds()
+            core.on_target_pose(topic, *_pose(message), body=body)
+
+    def on_twist(apply: Callable[..., None], topic: str, body: bool, message: Twist) -> None:
+        if is_active():
+            linear = message.linear
+            apply(topic, (linear.x, linear.y, linear.z), message.angular.z, seconds(), body=body)
+
+    lockstep.Subscriber(f"{base}/cmd", String, on_command)
+    for frame, body in (("enu", False), ("flu", True)):
+        for kind, message, callback in (
+            ("pose", Pose, on_pose),
+            ("vel", Twist, partial(on_twist, core.on_target_velocity)),
+            ("accel", Twist, partial(on_twist, core.on_target_acceleration)),
+        ):
+            topic = f"{base}/cmd_{kind}_{frame}"
+            lockstep.Subscriber(topic, message, partial(callback, topic, body))
 
 
 def fill(message: PositionTarget, setpoint: Setpoint) -> None:

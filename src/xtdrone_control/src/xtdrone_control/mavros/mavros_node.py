@@ -28,7 +28,7 @@ import resource
 import sys
 import threading
 import xmlrpc.client
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from http.client import HTTPException
 from typing import Any, NamedTuple
 
@@ -53,6 +53,7 @@ from xtdrone_control.mavros.readiness import TelemetryDemand, TelemetryOf, readi
 from xtdrone_control.mavros.swarm_state_topic import Swarm
 from xtdrone_control.mavros.uas import PluginKind, Uas
 from xtdrone_control.mavros.unsubscribed_topics import GraphWatch, Registrations, plugin_reasons, topics_left_out
+from xtdrone_control.programs.node_command_line import check_no_arguments, run_program
 from xtdrone_control.programs.plain_node import wait_for_fleet
 from xtdrone_control.programs.under_roslaunch import announce
 
@@ -328,11 +329,11 @@ class MavrosNode:
 
 def main() -> int:
     """Run the node; return its exit status."""
-    if not rosgraph.is_master_online():
-        uri = rosgraph.get_master_uri()
-        advice = "start one (roscore, roslaunch) or set ROS_MASTER_URI"
-        print(f"mavros: no ROS master answers at {uri}; {advice}", file=sys.stderr)
-        return _FAILED
+    return run_program(_run, sys.argv, "mavros_node.py   (see its parameters in docs/mavros.md)")
+
+
+def _run(arguments: Sequence[str]) -> int:
+    check_no_arguments(arguments)
     _allow_many_files()
     lockstep.init_node("mavros", rate=RATE)
     try:
@@ -342,8 +343,6 @@ def main() -> int:
         vehicles = connections(settings, fleet, rospy.get_name(), instance, ports)
         with lockstep.registering_together():
             node = MavrosNode(vehicles, settings)
-    except rospy.ROSInterruptException:
-        return 0  # shut down while waiting
     except (FleetError, AutopilotLinkError, ValueError) as error:
         rospy.logfatal(f"mavros: {error}")
         rospy.signal_shutdown(str(error))
@@ -353,14 +352,9 @@ def main() -> int:
         lockstep.start()
         node.watch()
         lockstep.spin(node.step)
-    except rospy.ROSInterruptException:
-        pass  # shut down while joining
-    except rospy.ROSInitException as error:
-        rospy.logfatal(f"mavros: {error}")
-        return _FAILED
     finally:
         node.close()
-    return lockstep.exit_status()
+    return 0
 
 
 def _allow_many_files() -> None:
