@@ -109,7 +109,7 @@ class ArrayFollower(Follower):
             return super().evaluate_law(position, peers)
         result = self.control_laws(self.options, self._own_row(position, peers), self._peer_rows(peers))
         rows = as_rows(result, 1)
-        return self.check_vector(result if rows is None else tuple(rows[0].tolist()), "control_laws")
+        return self.checked_vector(result if rows is None else tuple(rows[0].tolist()), "control_laws")
 
     def _own_row(self, position: Vector, peers: Sequence[Peer]) -> OwnRows:
         assert self.offsets is not None

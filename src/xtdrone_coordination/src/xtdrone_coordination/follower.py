@@ -266,7 +266,7 @@ class Follower:
         if self.options.avoid != "off":
             self._found = radius, formation_avoidance.near_vehicles(self.id, self.swarm.positions, radius)
         try:
-            self.avoidance_vector = self.check_vector(self.avoidance(), "avoidance")
+            self.avoidance_vector = self.checked_vector(self.avoidance(), "avoidance")
             return self._limit(self.law_output(own, self.offsets))
         finally:
             self._found = None
@@ -280,7 +280,7 @@ class Follower:
 
     def evaluate_law(self, position: Vector, peers: Sequence[Peer]) -> Vector:
         """Return the checked result of :meth:`control_law`."""
-        return self.check_vector(self.control_law(position, peers), "control_law")
+        return self.checked_vector(self.control_law(position, peers), "control_law")
 
     def _known_peers(self, offsets: list[Vector]) -> tuple[list[Peer], list[int]]:
         """Return the neighbours with recent positions, and the numbers of the others."""
@@ -332,7 +332,7 @@ class Follower:
 
     # checks and reports; also called when many followers are computed together
 
-    def check_vector(self, value: object, name: str) -> Vector:
+    def checked_vector(self, value: object, name: str) -> Vector:
         """Return the result of method ``name`` as a vector; zero, with a report, if it is not three finite numbers."""
         vector = as_vector(value)
         if vector is None:

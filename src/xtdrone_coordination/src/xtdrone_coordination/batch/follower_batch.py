@@ -35,7 +35,7 @@ _INTERNAL = (
     "checked_vector",
     "report_missing",
     "_known_peers",
-    "_limited",
+    "_limit",
 )
 _ATTRIBUTES = ("offsets", "weights", "avoidance_vector", "options", "swarm", "id")
 _STAR: Mapping[int, float] = {0: 1.0}
@@ -233,7 +233,7 @@ class FollowerBatch:
             options = follower.options
             follower.problem_log.begin_update()
             if "avoidance" in own:
-                follower.avoidance_vector = follower.check_vector(follower.avoidance(), "avoidance")
+                follower.avoidance_vector = follower.checked_vector(follower.avoidance(), "avoidance")
                 state["avoidance"] = follower.avoidance_vector
             else:
                 x, y, z = avoidance[k]
@@ -316,7 +316,7 @@ class FollowerBatch:
                 follower.report_missing(missing, alone=bool(problems & turn_kernels.ALONE))
             if problems & turn_kernels.BAD_LAW:
                 name = "control_laws" if _flies_by_arrays(follower) else "control_law"
-                follower.check_vector(self._rejected.pop(k, tuple(self._states["law"][k].tolist())), name)
+                follower.checked_vector(self._rejected.pop(k, tuple(self._states["law"][k].tolist())), name)
 
     # settings, pattern and topology of the followers, as arrays
 
